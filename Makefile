@@ -1,0 +1,56 @@
+# Every target makes what it needs; a bare machine needs only make and Python 3.11 or newer with venv.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+DEFINITION := pyproject.toml setup.py src/residua/linear/_recursion.c
+CODE := src tests benchmarks docs
+
+.PHONY: help demo test docs bench campaign clean
+
+help:
+	@echo "make demo      diagnose a simulated jet engine and leave a report page"
+	@echo "make test      style, types, and all tests, with coverage"
+	@echo "make docs      the documentation, into docs/_build/html"
+	@echo "make bench     measured speed, against other packages"
+	@echo "make campaign  the long runs that make test leaves out"
+	@echo "make clean     remove what was built (the environment $(VENV) stays)"
+	@echo "Another Python: make demo PYTHON=python3.12"
+
+# One environment; a stamp per set of extras, renewed when the definition of the package changes.
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "residua needs Python 3.11 or newer; $(PYTHON) is: $$($(PYTHON) --version 2>&1)."; \
+	  echo "Install one and name it: make $(MAKECMDGOALS) PYTHON=python3.12"; exit 1; }
+	@$(PYTHON) -m venv $(VENV) || { \
+	  rm -rf $(VENV); echo "$(PYTHON) cannot make environments: install its venv module (Debian: python3-venv)."; exit 1; }
+
+$(VENV)/.made-demo: EXTRAS := cli,plot
+$(VENV)/.made-test: EXTRAS := test
+$(VENV)/.made-docs: EXTRAS := docs
+$(VENV)/.made-%: $(BIN)/python $(DEFINITION)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[$(EXTRAS)]'
+	@touch $@
+
+demo: $(VENV)/.made-demo
+	$(BIN)/residua demo jet-engine
+
+test: $(VENV)/.made-test
+	$(BIN)/ruff check $(CODE)
+	$(BIN)/ruff format --check $(CODE)
+	$(BIN)/pyright --pythonpath $(BIN)/python
+	$(BIN)/pytest --cov --cov-report=term
+
+docs: $(VENV)/.made-docs
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
+	@echo "docs/_build/html/index.html"
+
+bench: $(VENV)/.made-test
+	$(BIN)/pytest benchmarks -s --benchmark-columns=min,median,ops --benchmark-sort=min
+
+campaign: $(VENV)/.made-test
+	$(BIN)/pytest -m campaign
+
+clean:
+	rm -rf build dist htmlcov .coverage .benchmarks .pytest_cache .hypothesis .ruff_cache residua-demo
+	rm -rf docs/_build docs/gallery docs/api/generated docs/sg_execution_times.rst
+	find src tests benchmarks docs -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,50 @@
+"""Sphinx configuration."""
+
+from importlib.metadata import version as installed_version
+
+project = "residua"
+author = "residua developers"
+copyright = "2026, residua developers"
+release = version = installed_version("residua")
+
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.mathjax",
+    "numpydoc",
+    "sphinx_gallery.gen_gallery",
+]
+exclude_patterns = ["_build", "examples"]
+nitpicky = False
+default_role = None
+
+autosummary_generate = True
+autosummary_imported_members = False
+autodoc_typehints = "none"  # the docstrings say it, with shapes and units
+numpydoc_show_class_members = False
+numpydoc_class_members_toctree = False
+
+sphinx_gallery_conf = {
+    "examples_dirs": "examples",
+    "gallery_dirs": "gallery",
+    "filename_pattern": r"\.py$",  # every example is executed
+    "abort_on_example_error": True,
+    "download_all_examples": False,
+    "show_memory": False,
+    "show_signature": False,
+    "plot_gallery": True,
+    "remove_config_comments": True,
+    "min_reported_time": 10,
+}
+
+html_theme = "pydata_sphinx_theme"
+html_title = "residua"
+html_show_sourcelink = False
+html_theme_options = {
+    "navigation_depth": 3,
+    "show_toc_level": 2,
+    "navbar_end": ["theme-switcher"],
+    "footer_start": ["copyright"],
+    "footer_end": [],
+}
+html_sidebars = {"install": [], "getting-started": [], "plant-file": []}

@@ -1,0 +1,269 @@
+"""Which faults can be detected, and which can be told apart, before anything is designed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.analysis.unknown_input import UnknownInputExistence, unknown_input_observer_existence
+from residua.errors import ModelError
+from residua.linear.rank import DEFAULT_RTOL, decide_rank
+from residua.plant import Plant
+
+#: A fault whose visible part is below this fraction counts as unseen.
+VISIBLE = 1e-7
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosability:
+    """What can be told about the faults of a plant, whatever the method.
+
+    Prints as a table.
+
+    Attributes
+    ----------
+    faults : tuple of str
+    detectable : ndarray of bool, shape (faults,)
+        Some stable residual that ignores the disturbances answers to the fault.
+    strongly_detectable : ndarray of bool, shape (faults,)
+        Some such residual stays away from zero while a constant fault lasts.
+    isolable : ndarray of bool, shape (faults, faults)
+        ``isolable[i, j]``: some residual answers to fault ``i`` and ignores fault ``j``.
+    strongly_isolable : ndarray of bool, shape (faults, faults)
+        The same for faults that stay constant.
+    groups : tuple of tuple of str
+        Faults that no method can tell apart; undetectable faults are in no group.
+    visibility : ndarray, shape (faults,)
+        The evidence: the fraction of each fault's direction that is left after the disturbances are
+        removed, at the best of the test points.
+    unknown_input_observer : UnknownInputExistence or None
+        Whether an exact observer exists that ignores all disturbances at once, and if not, why
+        (``None`` for a singular ``E``, where it is not examined here).
+    """
+
+    plant: Plant = field(repr=False)
+    faults: tuple[str, ...]
+    detectable: NDArray[np.bool_]
+    strongly_detectable: NDArray[np.bool_]
+    isolable: NDArray[np.bool_]
+    strongly_isolable: NDArray[np.bool_]
+    groups: tuple[tuple[str, ...], ...]
+    visibility: NDArray[np.float64]
+    unknown_input_observer: UnknownInputExistence | None
+
+    def reasons(self) -> dict[str, str]:
+        """Return for each fault that cannot be detected or told apart, why."""
+        out = {}
+        for i, name in enumerate(self.faults):
+            if not self.detectable[i]:
+                out[name] = self._why_undetectable(i)
+            elif not self.strongly_detectable[i]:
+                out[name] = "a constant fault leaves no lasting trace: only its changes are seen"
+        for group in self.groups:
+            for name in group:
+                others = [other for other in group if other != name]
+                if others:
+                    out[name] = f"same effect on the outputs as {', '.join(others)}, up to a filter"
+        return out
+
+    def _why_undetectable(self, i: int) -> str:
+        if len(self.plant.disturbances) == 0:
+            return "no output sees it"
+        bare = self.plant.without_disturbances()
+        alone, _, _, _ = _visible_columns(bare, _test_points(bare), DEFAULT_RTOL)
+        if np.max(np.linalg.norm(alone[:, :, i], axis=1)) > VISIBLE:
+            return f"hidden by the disturbances {', '.join(self.plant.disturbances)}, which can imitate it"
+        return "no output sees it"
+
+    def __str__(self) -> str:
+        width = max([len("fault"), *(len(name) for name in self.faults)])
+        lines = [
+            f"{self.plant.name}: {self.plant.n_states} states, {self.plant.n_outputs} outputs, "
+            f"{len(self.plant.disturbances)} disturbances to decouple",
+            f"{'fault':<{width}}  {'kind':<9}  detectable  when constant  cannot be told from",
+        ]
+        for i, name in enumerate(self.faults):
+            twins = [o for g in self.groups if name in g for o in g if o != name]
+            lines.append(
+                f"{name:<{width}}  {self.plant.fault_kinds[i]:<9}  {_yes(self.detectable[i]):<10}  "
+                f"{_yes(self.strongly_detectable[i]):<13}  {', '.join(twins) or '-'}"
+            )
+        lines += [f"{name}: {why}" for name, why in self.reasons().items()]
+        if self.unknown_input_observer is not None and self.plant.disturbances:
+            lines.append(str(self.unknown_input_observer))
+        return "\n".join(lines)
+
+
+def diagnosability(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> Diagnosability:
+    r"""Tell which faults can be detected and which can be told apart, before any design.
+
+    A fault ``i`` is detectable when :math:`\operatorname{rank}\begin{bmatrix} sE-A & B_d & b_i\\ C & D_d & d_i
+    \end{bmatrix}` exceeds the rank without its column for almost every ``s``; it can be told from fault ``j``
+    when that holds with fault ``j`` among the disturbances. A constant fault is seen for good when the same
+    holds in the limit at ``s = 0`` (``z = 1``).
+
+    Parameters
+    ----------
+    plant : Plant
+        ``E`` may be singular.
+    rtol : float
+        Relative tolerance of the rank decisions.
+
+    Returns
+    -------
+    Diagnosability
+        Prints as a table.
+
+    Raises
+    ------
+    ModelError
+        If the plant has no faults, or ``det(sE - A)`` is zero for every ``s``.
+
+    Notes
+    -----
+    The pencil is evaluated at a few fixed points; what the disturbances leave of each fault's column is its
+    projection on the left null space there. At ``s = 0`` the limit is taken, since a zero of the plant there
+    enlarges the null space at that one point.
+
+    References
+    ----------
+    METHODS of Gertler (1991), eq. (4-3); Chen, Patton and Zhang (1996), section 3; the rank tests are those
+    of the unknown input observer with one fault as disturbance.
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> plant = rs.Plant([[-1, 0], [1, -2]], [[1], [0]], [[1, 0], [0, 1]], outputs=["a", "b"])
+    >>> result = rs.diagnosability(plant.with_actuator_faults().with_faults({"leak": [2, 0], "clog": [0, 1]}))
+    >>> result.groups
+    (('u1 actuator', 'leak'), ('clog',))
+    """
+    if not plant.faults:
+        raise ModelError(
+            "the plant has no faults: name what may fail with with_sensor_faults, "
+            "with_actuator_faults or with_faults"
+        )
+    generic, _, _, _ = _visible_columns(plant, _test_points(plant), rtol)
+    steady = _steady_columns(plant, rtol)
+    detectable, isolable = _decide(generic, VISIBLE)
+    strong, strongly_isolable = _decide(steady, 1e-5)
+    strong &= detectable
+    strongly_isolable &= isolable
+    existence = None
+    if plant.E is None or np.linalg.cond(plant.E) < 1e12:
+        existence = unknown_input_observer_existence(plant, rtol=rtol)
+    return Diagnosability(
+        plant=plant,
+        faults=plant.faults,
+        detectable=detectable,
+        strongly_detectable=strong,
+        isolable=isolable,
+        strongly_isolable=strongly_isolable,
+        groups=group_twins(plant.faults, detectable, isolable),
+        visibility=np.linalg.norm(generic, axis=1).max(axis=0),
+        unknown_input_observer=existence,
+    )
+
+
+def group_twins(
+    faults: tuple[str, ...], present: NDArray[np.bool_], isolable: NDArray[np.bool_]
+) -> tuple[tuple[str, ...], ...]:
+    """Return the faults in groups whose members cannot be told apart; absent ones are left out."""
+    groups: list[list[int]] = []
+    for i in np.flatnonzero(present):
+        for group in groups:
+            if not isolable[group[0], i] and not isolable[i, group[0]]:
+                group.append(int(i))
+                break
+        else:
+            groups.append([int(i)])
+    return tuple(tuple(faults[i] for i in group) for group in groups)
+
+
+def _test_points(plant: Plant) -> NDArray[np.complex128]:
+    """Return fixed points of the size of the plant's dynamics, off the axes, where a pole is unlikely."""
+    poles = plant.system(()).poles()
+    sizes = np.abs(poles[np.abs(poles) > 0])
+    size = float(np.exp(np.mean(np.log(sizes)))) if sizes.size else 1.0
+    if plant.is_discrete:
+        size = 1.0
+    angles = np.array([0.731, 1.947, 2.653])
+    return size * np.array([1.3170, 0.6931, 2.2360]) * np.exp(1j * angles)
+
+
+def _visible_columns(
+    plant: Plant, points: NDArray, rtol: float
+) -> tuple[NDArray, NDArray, NDArray, list]:
+    """Return what the disturbances leave of each fault's column at each point.
+
+    Shape (points, residual dimension, faults); columns are scaled to unit length before projection.
+    """
+    n, p = plant.n_states, plant.n_outputs
+    E = np.eye(n) if plant.E is None else plant.E
+    size = max(float(np.linalg.norm(plant.A)), 1e-300)
+    row = np.concatenate([np.full(n, 1 / size), 1 / np.maximum(np.linalg.norm(plant.C, axis=1), 1e-300)])
+    Fd, Ff = np.vstack([plant.Bd, plant.Dd]) * row[:, None], np.vstack([plant.Bf, plant.Df]) * row[:, None]
+    Fd = Fd / np.maximum(np.linalg.norm(Fd, axis=0), 1e-300)
+    norms = np.linalg.norm(Ff, axis=0)
+    decisions, left = [], []
+    for s in points:
+        pencil = np.hstack([np.vstack([s * E - plant.A, plant.C]) * row[:, None], Fd])
+        scale = np.maximum(np.linalg.norm(pencil, axis=0), 1e-300)
+        U, values, _ = np.linalg.svd(pencil / scale)
+        rank = int(np.count_nonzero(values > rtol * values[0]))
+        if rank < n:
+            raise ModelError("det(sE - A) is zero for every s: the model is not a plant (check E and A)")
+        decisions.append(rank)
+        left.append(U)
+    rank = max(decisions)
+    columns = np.stack([U[:, rank:].conj().T @ (Ff / norms) for U in left])
+    return columns, np.asarray(decisions), norms, left
+
+
+def _steady_columns(plant: Plant, rtol: float) -> NDArray:
+    """Return the visible columns in the limit of constant signals.
+
+    Points approach the limit; a part that shrinks with the distance is zero there. Where the pencil loses no
+    rank at the limit itself, that point is used as it is.
+    """
+    limit = 1.0 if plant.is_discrete else 0.0
+    generic_rank = _visible_columns(plant, _test_points(plant), rtol)[1].max()
+    try:
+        columns, ranks, _, _ = _visible_columns(plant, np.array([limit + 0j]), rtol)
+        if ranks[0] == generic_rank:
+            return columns
+    except ModelError:
+        pass
+    size = np.abs(_test_points(plant)).max()
+    direction = np.exp(0.731j)
+    near = limit + size * direction * np.array([1e-3, 1e-4])
+    columns, _, _, _ = _visible_columns(plant, near, rtol * 1e-4)
+    far, close = (np.linalg.norm(columns[k], axis=0) for k in (0, 1))
+    vanishing = close < 0.3 * far
+    return np.where(vanishing, 0.0, columns[1:])
+
+
+def _decide(columns: NDArray, tolerance: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return who is visible and who can be told from whom, the best over the test points."""
+    count = columns.shape[2]
+    visible = np.linalg.norm(columns, axis=1).max(axis=0) > tolerance
+    isolable = np.zeros((count, count), dtype=bool)
+    for i in range(count):
+        for j in range(count):
+            if i == j or not visible[i]:
+                continue
+            if not visible[j]:
+                isolable[i, j] = True
+                continue
+            for point in columns:
+                pair = point[:, [i, j]] / np.maximum(np.linalg.norm(point[:, [i, j]], axis=0), 1e-300)
+                if decide_rank(pair, rtol=max(tolerance, 1e-6)).rank == 2:
+                    isolable[i, j] = True
+                    break
+    return visible, isolable
+
+
+def _yes(value: bool | np.bool_) -> str:
+    return "yes" if value else "no"

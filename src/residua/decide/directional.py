@@ -1,0 +1,173 @@
+"""Isolation by direction: which fault's signature does the residual point along."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from residua.linear.rank import range_basis
+
+#: Signatures whose largest principal angle is below this (sine) are one and the same.
+SAME_SIGNATURE = 1e-3
+
+
+@dataclass(frozen=True)
+class Directional:
+    """Rank the faults by the angle between the residual and their signatures.
+
+    Parameters
+    ----------
+    window : int
+        Samples over which the (whitened) residual is averaged before its direction is judged.
+    signature : {"auto", "subspace", "steady"}
+        ``"subspace"``: the line or plane that the residual of a fault never leaves. ``"steady"``: the
+        direction that it settles to when the fault is constant. ``"auto"`` takes the line or plane where
+        the design has one that is smaller than the residual space, and the steady direction elsewhere.
+
+    References
+    ----------
+    Chen, Patton and Zhang (1996), eqs. (26) to (30); steady directions: Gertler (1991), section 5.3.
+    """
+
+    window: int = 50
+    signature: str = "auto"
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        if int(self.window) != self.window or self.window < 1:
+            raise ValueError(f"window must be a whole number of samples, at least 1, got {self.window!r}")
+        if self.signature not in ("auto", "subspace", "steady"):
+            raise ValueError(f"signature must be 'auto', 'subspace' or 'steady', got {self.signature!r}")
+
+
+@dataclass(frozen=True, eq=False)
+class DirectionTest:
+    """Signatures in whitened residual space: what runs.
+
+    Attributes
+    ----------
+    window : int
+    groups : tuple of tuple of str
+        Faults with the same signature are one group.
+    bases : tuple of ndarray, shape (k, dimension)
+        Orthonormal, one per group.
+    unjudged : tuple of str
+        Faults without a usable signature.
+    """
+
+    window: int
+    groups: tuple[tuple[str, ...], ...]
+    bases: tuple[NDArray[np.float64], ...]
+    unjudged: tuple[str, ...]
+
+
+def correlation(residual: ArrayLike, signature: ArrayLike, *, rtol: float = 1e-9) -> float:
+    r"""Return ``CORR``: the cosine of the angle between a residual and a signature direction or subspace.
+
+    :math:`\|\Phi \Phi^+ r\| / \|r\|`, by pseudoinverse with a rank tolerance, so that the columns of
+    :math:`\Phi` may be dependent or zero.
+
+    Parameters
+    ----------
+    residual : array_like, shape (k,)
+    signature : array_like, shape (k,) or (k, columns)
+    rtol : float
+        Singular values of the signature below this fraction of the largest count as zero.
+
+    Returns
+    -------
+    float
+        Between 0 and 1; NaN for a zero residual.
+
+    References
+    ----------
+    Chen, Patton and Zhang (1996), eqs. (26), (28) and (29).
+
+    Examples
+    --------
+    >>> from residua.decide import correlation, projection_distance
+    >>> round(correlation([3.0, 4.0], [1.0, 0.0]), 3), round(projection_distance([3.0, 4.0], [1.0, 0.0]), 3)
+    (0.6, 0.8)
+    """
+    r = np.asarray(residual, dtype=float)
+    Phi = np.asarray(signature, dtype=float).reshape(len(r), -1)
+    Q, _ = range_basis(Phi, rtol=rtol)
+    size = float(np.linalg.norm(r))
+    return float(np.linalg.norm(Q.T @ r) / size) if size > 0 else float("nan")
+
+
+def projection_distance(residual: ArrayLike, signature: ArrayLike, *, rtol: float = 1e-9) -> float:
+    """Return ``NPD``: the normalised distance of a residual from a signature direction or subspace.
+
+    ``CORR**2 + NPD**2 = 1``; see :func:`correlation`.
+
+    Parameters
+    ----------
+    residual : array_like, shape (k,)
+    signature : array_like, shape (k,) or (k, columns)
+    rtol : float
+
+    Returns
+    -------
+    float
+
+    References
+    ----------
+    Chen, Patton and Zhang (1996), eq. (30).
+    """
+    r = np.asarray(residual, dtype=float)
+    Phi = np.asarray(signature, dtype=float).reshape(len(r), -1)
+    Q, _ = range_basis(Phi, rtol=rtol)
+    size = float(np.linalg.norm(r))
+    return float(np.linalg.norm(r - Q @ (Q.T @ r)) / size) if size > 0 else float("nan")
+
+
+def direction_test(
+    settings: Directional,
+    subspaces: Mapping[str, NDArray],
+    steady: Mapping[str, NDArray],
+    whitening: NDArray[np.float64],
+) -> DirectionTest:
+    """Return the signatures of all faults in whitened space, with equal ones grouped."""
+    n = len(whitening)
+    names: list[list[str]] = []
+    bases: list[NDArray] = []
+    unjudged = []
+    for fault, subspace in subspaces.items():
+        basis = _signature(settings.signature, subspace, steady.get(fault), whitening, n)
+        if basis is None:
+            unjudged.append(fault)
+            continue
+        for k, other in enumerate(bases):
+            if _same(other, basis):
+                names[k].append(fault)
+                break
+        else:
+            names.append([fault])
+            bases.append(basis)
+    return DirectionTest(settings.window, tuple(map(tuple, names)), tuple(bases), tuple(unjudged))
+
+
+def _signature(
+    kind: str, subspace: NDArray, steady: NDArray | None, whitening: NDArray, n: int
+) -> NDArray[np.float64] | None:
+    has_steady = steady is not None and bool(np.any(steady))
+    narrow = 0 < subspace.shape[1] < n
+    if kind == "subspace" or (kind == "auto" and narrow):
+        if subspace.shape[1] == 0:
+            return None
+        chosen = subspace
+    elif has_steady and steady is not None:
+        chosen = steady[:, None]
+    else:
+        return None
+    return range_basis(whitening.T @ chosen, rtol=1e-9)[0]
+
+
+def _same(a: NDArray, b: NDArray) -> bool:
+    if a.shape[1] != b.shape[1]:
+        return False
+    return bool(np.linalg.norm(b - a @ (a.T @ b), 2) < SAME_SIGNATURE)

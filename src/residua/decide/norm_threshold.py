@@ -1,0 +1,207 @@
+"""A threshold on the norm of the residual."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.special
+from numpy.typing import NDArray
+
+from residua.decide.persistence import alarm_logic
+from residua.decide.whitening import residual_moments, whitening_matrix
+from residua.errors import DataError
+
+
+@dataclass(frozen=True)
+class NormThreshold:
+    r"""Alarm while the norm of the whitened residual stays over a threshold.
+
+    .. math:: J_k = \sqrt{(r_k - \bar r)^T \Sigma^{-1} (r_k - \bar r)} > J_{th}
+
+    Parameters
+    ----------
+    threshold : float, optional
+        Fitted from fault-free data when omitted (:meth:`residua.Monitor.fit`), or, where the residual's
+        covariance is known from the plant's noise, taken from the chi-squared distribution.
+    persistence : int
+        Samples in a row over the threshold that raise an alarm.
+    release : int, optional
+        Samples in a row below it that end the alarm; as many as ``persistence`` when omitted.
+    whiten : {"auto", "data", "model", "none"}
+        Whose covariance :math:`\Sigma` is used: that of the fault-free data, that of the plant's noise
+        model, or the identity. ``"auto"`` takes the data when fitted, else the model, else none.
+    false_alarm_rate : float
+        Fraction of fault-free samples in alarm that is aimed at, unless ``fit`` is told otherwise.
+
+    References
+    ----------
+    Chen, Patton and Zhang (1996), eq. (24).
+    """
+
+    threshold: float | None = None
+    persistence: int = 3
+    release: int | None = None
+    whiten: str = "auto"
+    false_alarm_rate: float = 1e-3
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        if self.threshold is not None and not (np.isfinite(self.threshold) and self.threshold > 0):
+            raise ValueError(f"threshold must be positive, got {self.threshold!r}")
+        for name in ("persistence", "release"):
+            value = getattr(self, name)
+            if value is not None and (int(value) != value or value < 1):
+                raise ValueError(f"{name} must be a whole number of samples, at least 1, got {value!r}")
+        if self.whiten not in ("auto", "data", "model", "none"):
+            raise ValueError(f"whiten must be 'auto', 'data', 'model' or 'none', got {self.whiten!r}")
+        check_rate(self.false_alarm_rate)
+
+
+def check_rate(rate: float) -> None:
+    """Raise unless ``rate`` is a usable false alarm rate."""
+    if not 0 < rate < 1:
+        raise ValueError(f"false_alarm_rate must lie between 0 and 1, got {rate!r}")
+
+
+@dataclass(frozen=True, eq=False)
+class NormTest:
+    """A norm threshold with every number filled in: what runs.
+
+    Attributes
+    ----------
+    center : ndarray, shape (k,)
+        Fault-free mean.
+    whitening : ndarray, shape (k, k)
+    threshold : float
+    persistence, release : int
+    basis : str
+        Where threshold and covariance come from, in words.
+    """
+
+    center: NDArray[np.float64]
+    whitening: NDArray[np.float64]
+    threshold: float
+    persistence: int
+    release: int
+    basis: str
+
+    @property
+    def band(self) -> NDArray[np.float64]:
+        """How far each residual alone can be from its mean with the norm still below threshold."""
+        inverse = np.linalg.pinv(self.whitening)
+        return self.threshold * np.sqrt(np.sum(inverse**2, axis=0))
+
+
+def norm_test_from_model(
+    settings: NormThreshold, covariance: NDArray | None, n_residuals: int
+) -> NormTest | None:
+    """Return the test that needs no data, or ``None`` when data are needed."""
+    use_model = settings.whiten in ("auto", "model") and covariance is not None
+    whitening = whitening_matrix(covariance) if use_model and covariance is not None else np.eye(n_residuals)
+    if settings.threshold is not None:
+        threshold, basis = settings.threshold, "threshold given"
+    elif use_model:
+        threshold = float(np.sqrt(scipy.special.chdtri(n_residuals, settings.false_alarm_rate)))
+        basis = f"chi-squared distribution at {settings.false_alarm_rate:g} per sample, noise model of the plant"
+    else:
+        return None
+    release = settings.release or settings.persistence
+    return NormTest(np.zeros(n_residuals), whitening, threshold, settings.persistence, release, basis)
+
+
+def fit_norm_test(
+    settings: NormThreshold,
+    residuals: NDArray[np.float64],
+    usable: NDArray[np.bool_],
+    *,
+    false_alarm_rate: float,
+    covariance: NDArray | None,
+    signal_size: float,
+) -> NormTest:
+    """Fit mean, covariance and threshold to fault-free residuals.
+
+    The threshold is the smallest for which the fraction of usable samples in alarm, persistence and release
+    included, is at most ``false_alarm_rate``. Where fewer than ten samples would be left above it, the data
+    cannot tell, and the tail of a scaled chi-squared distribution with the same mean and variance is used
+    if it is higher.
+
+    Parameters
+    ----------
+    settings : NormThreshold
+    residuals : ndarray, shape (time, k)
+    usable : ndarray of bool, shape (time,)
+    false_alarm_rate : float
+    covariance : ndarray or None
+        From the plant's noise model.
+    signal_size : float
+        Size of the signals that the residual is the difference of; residuals below 1e-12 of it are rounding.
+
+    Returns
+    -------
+    NormTest
+    """
+    check_rate(false_alarm_rate)
+    rows = residuals[usable]
+    k = residuals.shape[1]
+    if len(rows) < max(10 * k, 30):
+        raise DataError(
+            f"{len(rows)} usable samples are too few to fit {k} residuals: give at least {max(10 * k, 30)} "
+            "fault-free samples after the filter has settled"
+        )
+    mean, spread = residual_moments(rows)
+    source = covariance if settings.whiten == "model" and covariance is not None else spread
+    rounding = 1e-12 * signal_size
+    noise_free = bool(np.sqrt(np.trace(spread)) <= rounding)
+    if settings.whiten == "none" or noise_free:
+        whitening = np.eye(k)
+    else:
+        whitening = whitening_matrix(source)
+    release = settings.release or settings.persistence
+    test = NormTest(mean, whitening, np.inf, settings.persistence, release, "")
+    if settings.threshold is not None:
+        return replace(test, threshold=settings.threshold, basis="threshold given, mean and covariance fitted")
+    statistic = np.sqrt(np.sum(((residuals - mean) @ whitening) ** 2, axis=1))
+    fitted = _smallest_threshold(statistic, usable, test, false_alarm_rate)
+    basis = f"fitted to {len(rows)} fault-free samples, at most {false_alarm_rate:g} of them in alarm"
+    if len(rows) * false_alarm_rate < 10:
+        tail = _chi_squared_tail(statistic[usable], false_alarm_rate)
+        if tail > fitted:
+            fitted = tail
+            basis += "; too few for that rate, so the tail is that of a scaled chi-squared distribution"
+    if noise_free:
+        fitted = max(fitted, rounding, np.finfo(float).tiny)
+        basis += "; no noise in these data: the threshold is at rounding level"
+    return replace(test, threshold=float(fitted), basis=basis)
+
+
+def _smallest_threshold(statistic: NDArray, usable: NDArray, test: NormTest, rate: float) -> float:
+    """Return the smallest threshold that keeps the fraction of samples in alarm at ``rate`` (bisection)."""
+    levels = np.unique(statistic[usable])
+    zero, off = np.zeros(1, dtype=np.int64), np.zeros(1, dtype=bool)
+
+    def fraction(threshold: float) -> float:
+        alarm, _, _ = alarm_logic(
+            (statistic > threshold)[None], usable[None], zero, zero, off, test.persistence, test.release
+        )
+        return float((alarm[0] & usable).sum() / usable.sum())
+
+    low, high = 0, len(levels) - 1  # no sample is over the highest level
+    while low < high:
+        middle = (low + high) // 2
+        if fraction(levels[middle]) <= rate:
+            high = middle
+        else:
+            low = middle + 1
+    above = levels[low + 1] if low + 1 < len(levels) else levels[low] * (1 + 1e-6)
+    return float(levels[low] + 0.5 * (above - levels[low]))
+
+
+def _chi_squared_tail(statistic: NDArray, rate: float) -> float:
+    """Return the threshold from a scaled chi-squared distribution with the moments of the squared statistic."""
+    squared = statistic**2
+    mean, variance = float(squared.mean()), float(squared.var())
+    if variance <= 0:
+        return float(statistic.max())
+    degrees = 2 * mean**2 / variance
+    return float(np.sqrt(mean / degrees * scipy.special.chdtri(degrees, rate)))

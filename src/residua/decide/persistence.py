@@ -1,0 +1,48 @@
+"""From samples over a threshold to alarms that last: persistence with release."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def alarm_logic(
+    exceeded: NDArray[np.bool_],
+    usable: NDArray[np.bool_],
+    up: NDArray[np.int64],
+    down: NDArray[np.int64],
+    alarm: NDArray[np.bool_],
+    persistence: int,
+    release: int,
+) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]]:
+    """Run the alarm logic over a block of samples; the same for any cutting into blocks.
+
+    An alarm is raised by ``persistence`` usable samples in a row over the threshold and goes away after
+    ``release`` usable samples in a row below it. Samples that are not usable change nothing.
+
+    Parameters
+    ----------
+    exceeded, usable : ndarray of bool, shape (plants, time)
+    up, down : ndarray of int, shape (plants,)
+        Usable samples in a row above and below the threshold so far.
+    alarm : ndarray of bool, shape (plants,)
+        Whether the alarm was on.
+    persistence, release : int
+
+    Returns
+    -------
+    alarm : ndarray of bool, shape (plants, time)
+    up, down : ndarray of int, shape (plants, time)
+        The run lengths after each sample.
+    """
+    over, under = usable & exceeded, usable & ~exceeded
+    count = np.cumsum(usable, axis=1)
+    up_now = count - np.maximum.accumulate(np.where(under, count, -up[:, None]), axis=1)
+    down_now = count - np.maximum.accumulate(np.where(over, count, -down[:, None]), axis=1)
+    raised, ended = over & (up_now >= persistence), under & (down_now >= release)
+    samples = np.arange(exceeded.shape[1])
+    latest = np.maximum.accumulate(np.where(raised | ended, samples, -1), axis=1)
+    state = np.where(
+        latest >= 0, np.take_along_axis(raised, np.maximum(latest, 0), axis=1), alarm[:, None]
+    )
+    return state, up_now, down_now

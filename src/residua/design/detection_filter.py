@@ -1,0 +1,294 @@
+"""Beard's detection filter: each fault moves the residual in its own direction or plane."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from residua.design.directional_gain import (
+    DirectionalGain,
+    FaultEvent,
+    Poles,
+    block_gain,
+    fault_events,
+    partition,
+    scalar_gain,
+    scalar_pole,
+)
+from residua.design.evidence import Evidence
+from residua.design.generator import Member, ResidualGenerator, make_generator
+from residua.design.internal_form import check_decoupling
+from residua.design.observer import Observer
+from residua.errors import AccuracyError, DesignError
+from residua.linear import StateSpace
+from residua.linear.arrays import index_of
+from residua.linear.observability import detectability
+from residua.linear.rank import DEFAULT_RTOL, decide_rank
+from residua.plant import Plant
+
+REFERENCES = (
+    "Chen, Patton and Zhang (1996), Int. J. Control 63(1), eqs. (14) to (18), Definitions 2 to 4",
+    "Gertler (1991), Automatica 27(4), section 5.1, eqs. (5-1) to (5-8), after White and Speyer (1987)",
+)
+
+
+def detection_filter(
+    plant: Plant,
+    *,
+    poles: Poles = None,
+    margin: float | None = None,
+    faults: Iterable[str] | None = None,
+    rtol: float = DEFAULT_RTOL,
+) -> ResidualGenerator:
+    r"""Design Beard's detection filter: a Luenberger observer whose residual tells faults apart by direction.
+
+    .. math:: \dot{\hat x} = A \hat x + B u + K (y - C \hat x), \qquad r = y - C \hat x
+
+    The gain confines the response to each fault to a space of its own, so that, whatever its time course,
+    the residual of an actuator or component fault stays on the line :math:`C A^\mu l_i` (the first nonzero of
+    :math:`C l_i, C A l_i, \dots`) and that of a sensor fault in a plane. With as many independent
+    measurements as states and all poles alike, :math:`K = (A - \lambda I) C^+`. Otherwise each fault gets
+    its detection space, whose poles are free, one more for each invariant zero of
+    :math:`(A, l_i, C)`; invariant zeros of all faults together that belong to no single fault are poles
+    that no gain moves. Faults that one filter cannot keep apart are split over as few filters as needed,
+    which run as one.
+
+    Parameters
+    ----------
+    plant : Plant
+        Its disturbances are not decoupled; see :func:`robust_detection_filter`.
+    poles : sequence of complex, or mapping of fault name to sequence, optional
+        Dealt out in the order of the faults, conjugate pairs kept together; or given for each fault
+        (``"rest"`` for the poles that belong to no fault). With several filters, a list is used for each.
+        Those not given are placed beyond ``margin``.
+    margin : float, optional
+        Stability margin in 1/s for poles that are not given; the geometric mean of the plant's own pole
+        sizes when omitted.
+    faults : iterable of str, optional
+        The faults to be kept apart; all faults of the plant when omitted.
+    rtol : float
+        Relative tolerance of the rank decisions.
+
+    Returns
+    -------
+    ResidualGenerator
+        ``directions`` and ``subspaces`` hold the signatures, ``observer.K`` the gain (of the first filter).
+
+    Raises
+    ------
+    DesignError
+        If the pair (C, A) is not detectable, or a fault cannot be kept to a direction by a stable filter.
+
+    References
+    ----------
+    Chen, Patton and Zhang (1996), eqs. (14) to (18) and (25); Gertler (1991), eqs. (5-1) to (5-8).
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> flt = rs.design.detection_filter(rs.library.gertler(), poles=[0.25, 0.3, 0.6])
+    >>> flt.observer.K.round(6) + 0.0
+    array([[ 0.1 , -0.05],
+           [ 0.1 ,  0.05],
+           [-0.2 ,  0.4 ]])
+    """
+    plant = plant.explicit()
+    return directional_filters(
+        plant,
+        plant.A,
+        plant.C,
+        T=np.eye(plant.n_states),
+        H=np.zeros((plant.n_states, plant.n_outputs)),
+        W=np.eye(plant.n_outputs),
+        offset=np.zeros((plant.n_states, plant.n_outputs)),
+        poles=poles,
+        margin=margin,
+        faults=faults,
+        base=Evidence(method="detection filter", references=REFERENCES),
+        decouples=False,
+        rtol=rtol,
+    )
+
+
+def directional_filters(
+    plant: Plant,
+    A: NDArray,
+    C: NDArray,
+    *,
+    T: NDArray,
+    H: NDArray,
+    W: NDArray,
+    offset: NDArray,
+    poles: Poles,
+    margin: float | None,
+    faults: Iterable[str] | None,
+    base: Evidence,
+    decouples: bool,
+    rtol: float,
+) -> ResidualGenerator:
+    """Design directional filters for the error pair ``(C, A)``: ``F = A - K C``, ``K1 = K W + offset``.
+
+    Shared by the plain filter (``T = I``, ``H = 0``) and the robust one, whose pair is that of the unknown
+    input observer.
+    """
+    chosen = plant.faults if faults is None else tuple(faults)
+    for name in chosen:
+        index_of(name, plant.faults, "fault")
+    if not chosen:
+        raise DesignError("the plant has no faults to tell apart: add some with with_sensor_faults, with_faults")
+    found = detectability(A, C, dt=plant.dt, rtol=rtol)
+    if not found.detectable:
+        bad = ", ".join(f"{z:.4g}" for z in np.atleast_1d(found.unstable_modes))
+        raise DesignError(f"no stable filter exists: no measurement sees the mode {bad}; add a sensor")
+    events, unseen = fault_events(A, C, event_matrices(plant, T, chosen), rtol=rtol)
+    notes = []
+    if unseen:
+        why = "hidden by the decoupled disturbances" if decouples and plant.disturbances else "seen by no output"
+        notes.append(f"{', '.join(unseen)}: {why}")
+    if not events:
+        raise DesignError(f"none of the faults reaches the residual ({'; '.join(notes)})")
+    pole = scalar_pole(A, C, poles, margin, plant.dt)
+    if pole is not None:
+        designs = [(events, scalar_gain(A, C, pole, plant.dt))]
+    else:
+        designs = [
+            (group, block_gain(A, C, group, _poles_for(poles, group), margin, plant.dt, rtol=rtol))
+            for group in partition(A, C, events, plant.dt)
+        ]
+    if isinstance(poles, dict):
+        _check_names(poles, events)
+    notes += [f"{len(designs)} filters: one cannot keep all faults apart"] if len(designs) > 1 else []
+    observers = [
+        _observer(plant, T, H, W, offset, design, base, tuple(notes), decouples) for _, design in designs
+    ]
+    return _stacked(plant, observers, [group for group, _ in designs], events, pole is not None)
+
+
+def event_matrices(plant: Plant, T: NDArray, faults: tuple[str, ...]) -> dict[str, NDArray]:
+    r"""Return what each fault does to the error equation: ``T f``, or two columns for one in the outputs.
+
+    A fault with output part ``d`` acts, after the shift :math:`e + T g \eta` with :math:`C g = d`, as the
+    events :math:`T g` (with its derivative) and :math:`T (f - A g)`.
+    """
+    out = {}
+    inverse = np.linalg.pinv(plant.C)
+    for name in faults:
+        i = plant.faults.index(name)
+        f, d = plant.Bf[:, [i]], plant.Df[:, [i]]
+        if np.any(d):
+            g = inverse @ d
+            L = T @ np.hstack([g, f - plant.A @ g])
+        else:
+            L = T @ f
+        size = np.linalg.norm(L, axis=0)
+        reference = max(np.linalg.norm(f), np.linalg.norm(d), 1e-300)
+        out[name] = np.where(size > 1e-11 * reference, L, 0.0) / np.maximum(size, 1e-300)
+    return out
+
+
+def _poles_for(poles: Poles, group: list[FaultEvent]) -> Poles:
+    """Return the part of named poles that concerns this group of faults."""
+    if not isinstance(poles, dict):
+        return poles
+    mine = {name for event in group for name in event.faults} | {"rest"}
+    return {name: values for name, values in poles.items() if name in mine}
+
+
+def _check_names(poles: dict, events: list[FaultEvent]) -> None:
+    known = [name for event in events for name in event.faults] + ["rest"]
+    for name in poles:
+        if name not in known:
+            raise DesignError(f"poles: unknown fault {name!r}; known: {', '.join(known)}")
+
+
+def _observer(
+    plant: Plant,
+    T: NDArray,
+    H: NDArray,
+    W: NDArray,
+    offset: NDArray,
+    design: DirectionalGain,
+    base: Evidence,
+    notes: tuple[str, ...],
+    decouples: bool,
+) -> Observer:
+    K1 = design.gain @ W + offset
+    F = T @ plant.A - K1 @ plant.C
+    achieved = np.linalg.eigvals(F).astype(complex)
+    extra = (design.note,) if design.note else ()
+    evidence = base.extended(
+        poles=achieved,
+        requested_poles=design.requested,
+        fixed_poles=design.fixed,
+        conditions={"pole error": design.error, "norm of K1": float(np.linalg.norm(K1))},
+        notes=(*notes, *extra),
+    )
+    return Observer(plant, F, T, H, K1, W, base.method, decouples, evidence)
+
+
+def _stacked(
+    plant: Plant,
+    observers: list[Observer],
+    groups: list[list[FaultEvent]],
+    events: list[FaultEvent],
+    ideal: bool,
+) -> ResidualGenerator:
+    """Return the filters as one generator, after checking the directions that they promise."""
+    parts = [observer.residual_generator() for observer in observers]
+    members, start = [], 0
+    for k, (part, group) in enumerate(zip(parts, groups, strict=True), 1):
+        rows = tuple(range(start, start + part.n_residuals))
+        start += part.n_residuals
+        names = tuple(name for event in group for name in event.faults)
+        members.append(Member(f"filter {k}", rows, names))
+        _check_directions(part, group, ideal)
+    if len(parts) == 1:
+        first = parts[0]
+        return make_generator(
+            first.system, plant, first.method, first.evidence, observer=observers[0], members=tuple(members)
+        )
+    system = stack_systems([part.system for part in parts])
+    evidence = parts[0].evidence.extended(
+        poles=system.poles(),
+        requested_poles=np.concatenate([part.evidence.requested_poles for part in parts]),
+        fixed_poles=np.concatenate([part.evidence.fixed_poles for part in parts]),
+        decoupling=check_decoupling(system, plant, decoupled=observers[0].decouples),
+    )
+    return make_generator(
+        system, plant, parts[0].method, evidence, observer=observers[0], members=tuple(members)
+    )
+
+
+def stack_systems(systems: list[StateSpace]) -> StateSpace:
+    """Return generators with the same inputs as one, their residuals one below the other."""
+    first = systems[0]
+    return StateSpace(
+        scipy.linalg.block_diag(*(s.A for s in systems)),
+        np.vstack([s.B for s in systems]),
+        scipy.linalg.block_diag(*(s.C for s in systems)),
+        np.vstack([s.D for s in systems]),
+        dt=first.dt,
+        inputs=first.inputs,
+        outputs=[f"{name}, filter {k}" for k, s in enumerate(systems, 1) for name in s.outputs],
+    )
+
+
+def _check_directions(generator: ResidualGenerator, group: list[FaultEvent], ideal: bool) -> None:
+    """Raise when a fault leaves the line or plane that the design gave it."""
+    plant = generator.plant
+    for event in group:
+        for name in event.faults:
+            d = plant.Df[:, plant.faults.index(name)]
+            if np.any(d):
+                continue  # the plane of a sensor fault contains its own unit vector as well
+            basis = generator.subspaces[name]
+            promised = 1 if ideal else event.space.outputs.shape[1]
+            if basis.shape[1] > promised:
+                s = decide_rank(basis).singular_values
+                raise AccuracyError(
+                    f"the residual of {name!r} leaves its direction (dimension {basis.shape[1]} instead of "
+                    f"{promised}; {s}): the plant is too badly conditioned for a directional filter"
+                )

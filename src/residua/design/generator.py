@@ -1,0 +1,274 @@
+"""The residual generator: what every design method returns and everything after design works on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import ArrayLike, NDArray
+
+from residua.design.evidence import Evidence
+from residua.design.internal_form import internal_form, leakage, signature_bases
+from residua.errors import DataError, ModelError
+from residua.linear import StateSpace
+from residua.plant import Plant
+
+if TYPE_CHECKING:
+    from residua.design.observer import Observer
+
+
+@dataclass(frozen=True)
+class Member:
+    """A part of a generator that was designed on its own: its residual numbers and the faults it is for."""
+
+    name: str
+    residuals: tuple[int, ...]
+    faults: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualGenerator:
+    r"""A stable linear filter from inputs and outputs of a plant to residuals.
+
+    .. math:: r = Q(s) \begin{bmatrix} u \\ y \end{bmatrix}
+
+    Guaranteed (and checked when it was designed): for the fault-free plant ``r`` decays to zero for any
+    control input and any disturbance that was decoupled.
+
+    Attributes
+    ----------
+    system : StateSpace
+        Inputs are the plant's control inputs, then its outputs; outputs are the residuals. Signals are
+        deviations from the plant's operating point.
+    plant : Plant
+        What it was designed for.
+    method : str
+        The design, in words.
+    evidence : Evidence
+        What the design proves about itself.
+    subspaces : dict of str to ndarray, shape (residuals, k)
+        For each fault an orthonormal basis of the smallest subspace that the residual never leaves,
+        whatever the time course of that fault (paper 000, Definitions 5 and 6; here the reachable part).
+        When it is the whole residual space, the fault's residual has no fixed direction.
+    observer : Observer or None
+        The observer that it is made of, where there is one.
+    members : tuple of Member
+        The filters that it is stacked from.
+
+    References
+    ----------
+    Gertler (1991), section 3.5; Chen, Patton and Zhang (1996), section 3.
+    """
+
+    system: StateSpace
+    plant: Plant
+    method: str
+    evidence: Evidence
+    subspaces: Mapping[str, NDArray[np.float64]] = field(repr=False)
+    observer: Observer | None = field(default=None, repr=False)
+    members: tuple[Member, ...] = ()
+
+    # ------------------------------------------------------------------- facts
+
+    @property
+    def dt(self) -> float:
+        """0 for a continuous generator, otherwise its sample step in seconds."""
+        return self.system.dt
+
+    @property
+    def residuals(self) -> tuple[str, ...]:
+        """Names of the residuals."""
+        return self.system.outputs
+
+    @property
+    def n_residuals(self) -> int:
+        """Number of residuals."""
+        return self.system.n_outputs
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Names of the plant's faults."""
+        return self.plant.faults
+
+    @cached_property
+    def directions(self) -> dict[str, NDArray[np.float64]]:
+        """The faults whose residual keeps one direction, with that direction (unit length)."""
+        return {name: basis[:, 0] for name, basis in self.subspaces.items() if basis.shape[1] == 1}
+
+    @cached_property
+    def steady_directions(self) -> dict[str, NDArray[np.float64]]:
+        """For each fault the residual that a constant fault of size one settles to; not normalised.
+
+        A zero vector means that a constant fault is not seen (it is not strongly detectable).
+        """
+        form = self.internal_form()
+        gain = form.dc_gain()[:, : len(self.faults)]
+        scale = np.abs(form.D[:, : len(self.faults)]).max(initial=0.0) + np.abs(gain).max(initial=0.0)
+        gain = np.where(np.abs(gain) > 1e-10 * scale, gain, 0.0)
+        return {name: gain[:, i] for i, name in enumerate(self.faults)}
+
+    @cached_property
+    def structure(self) -> NDArray[np.bool_]:
+        """Who fires when what fails: boolean, shape (residuals, faults)."""
+        rows = [np.abs(self.subspaces[name]).max(axis=1, initial=0.0) > 1e-7 for name in self.faults]
+        return np.array(rows, dtype=bool).reshape(len(self.faults), self.n_residuals).T
+
+    @cached_property
+    def covariance(self) -> NDArray[np.float64] | None:
+        """Stationary covariance of the fault-free residual, from the plant's noise.
+
+        ``None`` when the plant has no noise, or is continuous (white measurement noise has no finite
+        variance there: sample the generator first).
+        """
+        if not self.system.is_discrete or self.plant.Bw.shape[1] == 0:
+            return None
+        form = self.internal_form()
+        n_other = len(self.faults) + len(self.plant.disturbances)
+        B, D = form.B[:, n_other:], form.D[:, n_other:]
+        X = scipy.linalg.solve_discrete_lyapunov(form.A, B @ B.T) if form.n_states else np.zeros((0, 0))
+        S = form.C @ X @ form.C.T + D @ D.T
+        return (S + S.T) / 2
+
+    # ----------------------------------------------------------------- results
+
+    def internal_form(self, plant: Plant | None = None) -> StateSpace:
+        """Return what faults, disturbances and noise do to the residual.
+
+        Parameters
+        ----------
+        plant : Plant, optional
+            The plant to look at; the one it was designed for when omitted. Another plant shows what the
+            residual does there, with its control inputs as further columns.
+
+        Returns
+        -------
+        StateSpace
+            Inputs are faults, disturbances and noise of the plant (then, for another plant, its control
+            inputs, which the residual of a wrong model does answer to).
+        """
+        if plant is None or plant is self.plant:
+            return self._internal_form
+        return internal_form(self.system, plant, with_controls=True)
+
+    @cached_property
+    def _internal_form(self) -> StateSpace:
+        return internal_form(self.system, self.plant)
+
+    def run(
+        self,
+        u: ArrayLike | None,
+        y: ArrayLike,
+        *,
+        x0: ArrayLike | None = None,
+        dt: float | None = None,
+    ) -> NDArray[np.float64]:
+        """Run the filter over recorded deviations from the operating point.
+
+        Parameters
+        ----------
+        u : array_like, shape (time, inputs) or (plants, time, inputs), or None
+            Control inputs; ``None`` for a plant without any.
+        y : array_like, shape (time, outputs) or (plants, time, outputs)
+        x0 : array_like, shape (states of the filter,), optional
+            Initial state of the filter; zero when omitted.
+        dt : float, optional
+            Step of the recording in seconds; needed when the generator is continuous, which is then
+            sampled with it.
+
+        Returns
+        -------
+        ndarray, shape (time, residuals) or (plants, time, residuals)
+        """
+        sampled = self
+        if not self.system.is_discrete:
+            if dt is None:
+                raise ModelError(
+                    "this generator is continuous: give the step of the recording, run(u, y, dt=...), "
+                    "or sample it once with discretize(dt)"
+                )
+            sampled = self.discretize(dt)
+        elif dt is not None and abs(dt - self.dt) > 1e-9 * self.dt:
+            raise DataError(f"the generator has dt={self.dt:g} s, the recording {dt:g} s")
+        return sampled.system.simulate(stack_signals(self.plant, u, y), x0)
+
+    def discretize(self, dt: float, *, hold_outputs: str = "linear") -> ResidualGenerator:
+        """Return the generator sampled with step ``dt``.
+
+        Control inputs are held between samples (exact when the plant's actuators hold them). Outputs are
+        taken to run linearly between samples, which costs a small leakage of control inputs and
+        disturbances into the residual, of second order in ``dt``; the evidence states it. For an exactly
+        zero residual design on ``plant.discretize(dt)`` instead.
+
+        Parameters
+        ----------
+        dt : float
+            Step in seconds.
+        hold_outputs : {"linear", "zero"}
+            What measured outputs are assumed to do between samples.
+
+        Returns
+        -------
+        ResidualGenerator
+        """
+        n_u, n_y = len(self.plant.inputs), self.plant.n_outputs
+        system = self.system.discretize(dt, hold=["zero"] * n_u + [hold_outputs] * n_y)
+        plant = self.plant.discretize(dt)
+        cost = {f"{name}, sampled": value for name, value in leakage(system, plant).items()}
+        note = (
+            f"sampled at {system.dt:g} s: inputs held, outputs {hold_outputs} between samples; "
+            "the gains marked 'sampled' are what that costs"
+        )
+        evidence = self.evidence.extended(decoupling=cost, notes=(note,), poles=system.poles())
+        return replace(self, system=system, plant=plant, evidence=evidence)
+
+    def __repr__(self) -> str:
+        kind = f"dt={self.dt:g} s" if self.system.is_discrete else "continuous"
+        return (
+            f"ResidualGenerator({self.method}: {self.n_residuals} residuals, {self.system.n_states} states, "
+            f"{len(self.faults)} faults, {kind})"
+        )
+
+
+def make_generator(
+    system: StateSpace,
+    plant: Plant,
+    method: str,
+    evidence: Evidence,
+    *,
+    observer: Observer | None = None,
+    members: tuple[Member, ...] = (),
+) -> ResidualGenerator:
+    """Return a generator with its signatures computed from its own internal form."""
+    bases = signature_bases(internal_form(system, plant), plant.faults)
+    if not members:
+        members = (Member(method, tuple(range(system.n_outputs)), plant.faults),)
+    return ResidualGenerator(system, plant, method, evidence, bases, observer, members)
+
+
+def stack_signals(plant: Plant, u: ArrayLike | None, y: ArrayLike) -> NDArray[np.float64]:
+    """Return ``[u, y]`` as one block, after checking widths and lengths against the plant."""
+    y_ = np.asarray(y, dtype=float)
+    n_u, n_y = len(plant.inputs), plant.n_outputs
+    if y_.ndim == 1 and n_y == 1:
+        y_ = y_[:, None]
+    if y_.ndim not in (2, 3) or y_.shape[-1] != n_y:
+        raise DataError(
+            f"y must be (time, {n_y}) with the columns {', '.join(plant.outputs)}, got shape {y_.shape}"
+        )
+    if u is None:
+        if n_u:
+            raise DataError(f"u is missing: this plant has the inputs {', '.join(plant.inputs)}")
+        return y_
+    u_ = np.asarray(u, dtype=float)
+    if u_.ndim == y_.ndim - 1 and n_u == 1:
+        u_ = u_[..., None]
+    if u_.shape != (*y_.shape[:-1], n_u):
+        raise DataError(
+            f"u must be {(*y_.shape[:-1], n_u)} with the columns {', '.join(plant.inputs) or 'none'} "
+            f"to go with y of shape {y_.shape}, got {u_.shape}"
+        )
+    return np.concatenate([u_, y_], axis=-1)

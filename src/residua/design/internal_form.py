@@ -1,0 +1,147 @@
+"""A residual generator seen from faults, disturbances and noise."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import AccuracyError, ModelError
+from residua.linear import StateSpace
+from residua.linear.reachability import output_reachable_basis, without_unobservable
+from residua.plant import Plant
+
+
+def internal_form(generator: StateSpace, plant: Plant, *, with_controls: bool = False) -> StateSpace:
+    """Return the system from faults, disturbances and noise (and controls) of ``plant`` to the residual.
+
+    The generator is driven by the plant, and the states that the residual does not see are removed: for the
+    plant that it was designed for, what is left is the error system, and an unstable plant is no obstacle.
+
+    Parameters
+    ----------
+    generator : StateSpace
+        From control inputs and outputs of the plant to residuals.
+    plant : Plant
+    with_controls : bool
+        Whether the control inputs are further columns, at the end.
+
+    Returns
+    -------
+    StateSpace
+    """
+    whole = _driven(generator, plant)
+    n_u = len(plant.inputs)
+    order = list(range(n_u, whole.n_inputs)) + (list(range(n_u)) if with_controls else [])
+    return without_unobservable(whole.select(inputs=order))
+
+
+def _driven(generator: StateSpace, plant: Plant) -> StateSpace:
+    """Return the generator driven by the plant, with all inputs of the plant: controls, f, d, w."""
+    n_u, n_y = len(plant.inputs), plant.n_outputs
+    if generator.n_inputs != n_u + n_y:
+        raise ModelError(
+            f"this generator takes {generator.n_inputs} signals, the plant has {n_u} inputs and {n_y} outputs"
+        )
+    if generator.dt != plant.dt:
+        raise ModelError(
+            f"the generator has dt={generator.dt:g}, the plant dt={plant.dt:g}: sample both with the same step"
+        )
+    p = plant.system(("control", "fault", "disturbance", "noise")).explicit()
+    Gu, Gy = generator.B[:, :n_u], generator.B[:, n_u:]
+    Hu, Hy = generator.D[:, :n_u], generator.D[:, n_u:]
+    n_rest = p.n_inputs - n_u
+    A = np.block(
+        [[p.A, np.zeros((p.n_states, generator.n_states))], [Gy @ p.C, generator.A]],
+    )
+    B = np.vstack([p.B, Gy @ p.D + np.hstack([Gu, np.zeros((generator.n_states, n_rest))])])
+    D = Hy @ p.D + np.hstack([Hu, np.zeros((generator.n_outputs, n_rest))])
+    return StateSpace(
+        A,
+        B,
+        np.hstack([Hy @ p.C, generator.C]),
+        D,
+        dt=plant.dt,
+        inputs=p.inputs,
+        outputs=generator.outputs,
+    )
+
+
+def frequency_grid(*systems: StateSpace, points: int = 60) -> NDArray[np.float64]:
+    """Return frequencies in rad/s that span the dynamics of the systems, from far below to far above."""
+    dt = max(system.dt for system in systems)
+    if dt:
+        return np.concatenate([np.pi / dt * np.logspace(-5, 0, points - 1), [0.37 * np.pi / dt]])
+    sizes = np.abs(np.concatenate([system.poles() for system in systems] or [np.ones(1)]))
+    sizes = sizes[sizes > 0]
+    low, high = (sizes.min(), sizes.max()) if sizes.size else (1.0, 1.0)
+    return np.logspace(np.log10(low) - 2, np.log10(high) + 2, points)
+
+
+def leakage(generator: StateSpace, plant: Plant, w: NDArray | None = None) -> dict[str, float]:
+    """Return the gain to the residual from controls and from disturbances, relative to the parts it is made of.
+
+    The largest singular value over frequency of the residual's response, divided by the sum of the same for
+    the terms that have to cancel; 1e-16 is exact, 1 is no decoupling at all.
+    """
+    if w is None:
+        w = frequency_grid(generator, plant.system(()))
+    n_u = len(plant.inputs)
+    Q = generator.frequency_response(w)
+    P = plant.system(("control", "disturbance")).frequency_response(w)
+    Qu, Qy = Q[..., :n_u], Q[..., n_u:]
+    out = {}
+    for name, direct, through in (
+        ("control", Qu, P[..., :n_u]),
+        ("disturbance", 0.0, P[..., n_u:]),
+    ):
+        if through.shape[-1] == 0:
+            continue
+        total = np.abs(direct + Qy @ through).max(axis=(1, 2), initial=0.0)
+        parts = np.abs(direct) + np.abs(Qy) @ np.abs(through)
+        worst = parts.max(initial=0.0)
+        out[name] = float(total.max(initial=0.0) / worst) if worst > 0 else 0.0
+    return out
+
+
+def check_decoupling(
+    generator: StateSpace, plant: Plant, *, decoupled: bool, limit: float = 1e-7
+) -> dict[str, float]:
+    """Return the leakage of a finished design, or raise when what was promised is not kept."""
+    found = leakage(generator, plant)
+    promised = {name: gain for name, gain in found.items() if name == "control" or decoupled}
+    for name, gain in promised.items():
+        if not gain <= limit:
+            raise AccuracyError(
+                f"the residual answers to the {name} inputs (relative gain {gain:.2g} > {limit:.0e}): "
+                "the plant is too badly scaled or conditioned for this design; rescale its states and channels"
+            )
+    return promised
+
+
+def signature_bases(form: StateSpace, faults: tuple[str, ...]) -> dict[str, NDArray[np.float64]]:
+    """Return for each fault an orthonormal basis of the subspace that its residual never leaves.
+
+    The first vector of a one-dimensional subspace has the sign of the response to a positive fault.
+    """
+    bases = {}
+    for i, name in enumerate(faults):
+        basis, _ = output_reachable_basis(form, i)
+        if basis.shape[1] == 1:
+            response = form.D[:, i] if np.any(form.D[:, i]) else first_response(form, i)
+            if basis[:, 0] @ response < 0:
+                basis = -basis
+        bases[name] = basis
+    return bases
+
+
+def first_response(form: StateSpace, column: int) -> NDArray[np.float64]:
+    """Return the first nonzero Markov parameter ``C A^k b`` of one input."""
+    x = form.B[:, column]
+    scale = np.linalg.norm(form.C) * np.linalg.norm(x)
+    for _ in range(form.n_states):
+        y = form.C @ x
+        if np.linalg.norm(y) > 1e-10 * scale:
+            return y
+        x = form.A @ x
+        scale *= max(np.linalg.norm(form.A), 1e-300)
+    return np.zeros(form.n_outputs)

@@ -1,0 +1,80 @@
+"""The Kalman filter as a residual generator: its innovations."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from residua.design.evidence import Evidence
+from residua.design.generator import ResidualGenerator
+from residua.design.observer import Observer
+from residua.errors import DesignError
+from residua.linear.riccati import filter_riccati
+from residua.plant import Plant
+
+
+def kalman_filter(plant: Plant) -> ResidualGenerator:
+    r"""Use the innovations of the stationary Kalman filter as residuals.
+
+    In sampled time the one-step predictor :math:`\hat x_{k+1} = A \hat x_k + B u_k + K r_k`,
+    :math:`r_k = y_k - C \hat x_k - D u_k`, with :math:`K = (A P C^T + S)(C P C^T + R)^{-1}`. Without faults
+    the innovations are white with covariance :math:`C P C^T + R`, which makes testing them easy. A fault
+    adds a bias; its direction settles to the steady-state direction of that fault
+    (``steady_directions``), but turns on the way there. In continuous time the Kalman-Bucy filter.
+
+    Parameters
+    ----------
+    plant : Plant
+        With process and measurement noise (:meth:`residua.Plant.with_noise`). Disturbances are not
+        decoupled: give those that should not raise alarms as process noise.
+
+    Returns
+    -------
+    ResidualGenerator
+        ``covariance`` is the innovation covariance when the plant is sampled.
+
+    Raises
+    ------
+    DesignError
+        If the plant has no noise, the measurement noise is singular, the pair (C, A) is not detectable or a
+        mode on the stability boundary gets no noise.
+
+    References
+    ----------
+    Gertler (1991), eqs. (3-14) to (3-17); steady-state directions: section 5.3, eqs. (5-19) to (5-21),
+    simplified as described at its end.
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> plant = rs.Plant([[0.9]], [[1.0]], [[1.0]], dt=1).with_sensor_faults()
+    >>> kalman = rs.design.kalman_filter(plant.with_noise(process=0.1, measurement=0.2))
+    >>> kalman.covariance.round(4)
+    array([[0.4226]])
+    """
+    plant = plant.explicit()
+    if plant.Bw.shape[1] == 0:
+        raise DesignError(
+            "a Kalman filter needs the noise of the plant: with_noise(process=..., measurement=...)"
+        )
+    solution = filter_riccati(
+        plant.A, plant.C, plant.process_noise, plant.measurement_noise, plant.cross_noise, dt=plant.dt
+    )
+    n, p = plant.n_states, plant.n_outputs
+    K = np.asarray(solution.gain)
+    notes = ()
+    if plant.disturbances:
+        notes = (f"disturbances are not decoupled by a Kalman filter: {', '.join(plant.disturbances)}",)
+    evidence = Evidence(
+        method="Kalman filter",
+        poles=np.asarray(solution.poles, dtype=complex),
+        conditions={
+            "residual of the Riccati equation": float(solution.residual),
+            "condition of the innovation covariance": float(np.linalg.cond(solution.innovation_covariance)),
+        },
+        notes=notes,
+        references=("Gertler (1991), Automatica 27(4), eqs. (3-14) to (3-17) and section 5.3",),
+    )
+    observer = Observer(
+        plant, plant.A - K @ plant.C, np.eye(n), np.zeros((n, p)), K, np.eye(p), "Kalman filter", False, evidence
+    )
+    return observer.residual_generator()

@@ -1,0 +1,112 @@
+"""Detection filters that disturbances cannot reach."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from residua.analysis.unknown_input import output_free_form, unknown_input_observer_existence
+from residua.design.detection_filter import REFERENCES, directional_filters
+from residua.design.directional_gain import Poles
+from residua.design.evidence import Evidence
+from residua.design.generator import ResidualGenerator
+from residua.design.unknown_input_observer import REFERENCE, decoupling_gain
+from residua.errors import DesignError
+from residua.linear.rank import DEFAULT_RTOL
+from residua.plant import Plant
+
+
+def robust_detection_filter(
+    plant: Plant,
+    *,
+    poles: Poles = None,
+    margin: float | None = None,
+    faults: Iterable[str] | None = None,
+    H0: ArrayLike | None = None,
+    rtol: float = DEFAULT_RTOL,
+) -> ResidualGenerator:
+    r"""Design a filter that no disturbance reaches and that tells faults apart by direction.
+
+    An unknown input observer, :math:`r = (I - CH) y - C z`, whose gain :math:`K_1` is that of a detection
+    filter for the pair :math:`(C, A_1)` and the fault directions :math:`T l_i`:
+
+    (a) ``H`` and ``T`` from the disturbances, (b) :math:`A_1 = T A`, (c) ``K1`` so that every fault keeps to
+    its own line (:math:`C T l_i`) or plane, (d) :math:`K = K_1 + F H`. The residual of a sensor fault ``j``
+    stays in :math:`R_j = \operatorname{span}\{I_j, C k_{1j}, C h_j\}`; ``subspaces`` holds the part of it
+    that the residual can reach.
+
+    Parameters
+    ----------
+    plant : Plant
+        With at least one disturbance and one fault.
+    poles : sequence of complex, or mapping of fault name to sequence, optional
+        As for :func:`detection_filter`.
+    margin : float, optional
+        Stability margin in 1/s for poles that are not given.
+    faults : iterable of str, optional
+        The faults to be kept apart; all faults of the plant when omitted.
+    H0 : array_like, shape (n, outputs), optional
+        The free matrix of the general decoupling gain; zero when omitted.
+    rtol : float
+        Relative tolerance of the rank decisions.
+
+    Returns
+    -------
+    ResidualGenerator
+        ``observer`` holds ``F, T, K, H, K1, K2, A1``.
+
+    Raises
+    ------
+    DesignError
+        If no unknown input observer exists, the disturbances use up all measurements, they hide every
+        fault, or no stable directional filter exists.
+
+    References
+    ----------
+    Chen, Patton and Zhang (1996), eqs. (19) to (25), Definitions 5 and 6.
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> engine = rs.library.jet_engine().with_sensor_faults(["n_low", "n_high", "fuel_flow"])
+    >>> flt = rs.design.robust_detection_filter(engine, poles=[-3, -3, -3])
+    >>> {name: basis.shape[1] for name, basis in flt.subspaces.items()}
+    {'n_low sensor': 2, 'n_high sensor': 2, 'fuel_flow sensor': 2}
+    """
+    plant = plant.explicit()
+    existence = unknown_input_observer_existence(plant, rtol=rtol)
+    if not existence:
+        raise DesignError("; ".join(existence.reasons))
+    if not existence.useful:
+        raise DesignError(
+            f"{plant.n_outputs} measurements are all used up to decouple {len(plant.disturbances)} disturbances: "
+            "nothing is left to see faults with; add a sensor or decouple fewer disturbances"
+        )
+    form = output_free_form(plant, rtol=rtol)
+    H = decoupling_gain(form, H0)
+    T = np.eye(plant.n_states) - H @ plant.C
+    p, q = len(form.W), form.E.shape[1]
+    base = Evidence(
+        method="robust detection filter",
+        ranks={"rank(CE)": existence.rank_CE, "rank(E)": existence.rank_E} if q else {},
+        conditions={"|T E|": float(np.linalg.norm(T @ form.E))},
+        notes=(f"{p - q} of the {p} residuals are independent, {q} are used up by decoupling",) if q else (),
+        references=(REFERENCE, *REFERENCES),
+    )
+    return directional_filters(
+        plant,
+        T @ form.A,
+        form.C,
+        T=T,
+        H=H,
+        W=form.W,
+        offset=T @ form.G,
+        poles=poles,
+        margin=margin,
+        faults=faults,
+        base=base,
+        decouples=True,
+        rtol=rtol,
+    )

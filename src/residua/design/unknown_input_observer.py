@@ -1,0 +1,171 @@
+"""Full-order observers that disturbances cannot reach."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from residua.analysis.unknown_input import (
+    OutputFreeForm,
+    UnknownInputExistence,
+    output_free_form,
+    unknown_input_observer_existence,
+)
+from residua.design.evidence import Evidence
+from residua.design.observer import Observer
+from residua.errors import AccuracyError, DesignError
+from residua.linear.arrays import matrix
+from residua.linear.placement import Placement, default_margin, place_observer_margin, place_observer_poles
+from residua.linear.rank import DEFAULT_RTOL
+from residua.plant import Plant
+
+REFERENCE = "Chen, Patton and Zhang (1996), Int. J. Control 63(1), eqs. (2) to (13)"
+
+
+def unknown_input_observer(
+    plant: Plant,
+    *,
+    poles: Sequence[complex] | ArrayLike | None = None,
+    margin: float | None = None,
+    H0: ArrayLike | None = None,
+    rtol: float = DEFAULT_RTOL,
+) -> Observer:
+    r"""Design a full-order observer whose error no disturbance reaches.
+
+    .. math::
+
+       \dot z = F z + T B u + K y, \qquad \hat x = z + H y
+
+    with :math:`H = E(CE)^+ + H_0 [I - CE(CE)^+]`, :math:`T = I - HC`, :math:`A_1 = T A`,
+    :math:`F = A_1 - K_1 C` stable and :math:`K = K_1 + F H`. Guaranteed: the error obeys
+    :math:`\dot e = F e` for any control input and any disturbance.
+
+    Parameters
+    ----------
+    plant : Plant
+        Continuous or sampled; the disturbances of the plant are what is decoupled. A disturbance in the
+        outputs is eliminated first.
+    poles : sequence of complex, optional
+        Poles of the error, closed under conjugation: as many as states, or as many as are free.
+    margin : float, optional
+        Stability margin in 1/s when no poles are given; the geometric mean of the plant's own pole sizes
+        when omitted.
+    H0 : array_like, shape (n, outputs), optional
+        The free matrix of the general solution; zero when omitted. Of ``H0 [I - CE(CE)^+]`` only what acts
+        on the outputs left over by the decoupling matters.
+    rtol : float
+        Relative tolerance of every rank decision.
+
+    Returns
+    -------
+    Observer
+        With the matrices ``F, T, K, H, K1, K2, A1`` and its evidence.
+
+    Raises
+    ------
+    DesignError
+        If no such observer exists; the message says which condition failed, with its numbers.
+    AccuracyError
+        If the poles or the decoupling missed their tolerance.
+
+    References
+    ----------
+    Chen, Patton and Zhang (1996), eqs. (2) to (13), Lemma 1 and Theorem 1; the general solution with
+    ``H0`` is in the proof of Lemma 1.
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> plant = rs.library.twardy()
+    >>> observer = rs.design.unknown_input_observer(plant, poles=[-2, -2 + 1j, -2 - 1j])
+    >>> observer.H
+    array([[1., 0.],
+           [0., 0.],
+           [0., 0.]])
+    """
+    plant = plant.explicit()
+    existence = unknown_input_observer_existence(plant, rtol=rtol)
+    if not existence:
+        raise DesignError("; ".join(existence.reasons))
+    form = output_free_form(plant, rtol=rtol)
+    H = decoupling_gain(form, H0)
+    T = np.eye(plant.n_states) - H @ plant.C
+    A1 = T @ form.A
+    placed = place(A1, form.C, poles, margin, plant.dt, rtol)
+    return assemble(plant, form, H, placed, existence)
+
+
+def decoupling_gain(form: OutputFreeForm, H0: ArrayLike | None = None) -> NDArray[np.float64]:
+    """Return ``H`` on the measured outputs, with ``(H C - I) E = 0`` (eq. 10, Lemma 1)."""
+    CE = form.C @ form.E
+    p = len(form.C)
+    inverse = np.linalg.pinv(CE) if CE.size else np.zeros((CE.shape[1], p))
+    H = form.E @ inverse
+    if H0 is not None:
+        n = len(form.A)
+        free = matrix(H0, "H0", (n, form.W.shape[1]), what="states x outputs") @ form.W.T
+        H = H + free @ (np.eye(p) - CE @ inverse)
+    return H @ form.W
+
+
+def place(
+    A: NDArray,
+    C: NDArray,
+    poles: Sequence[complex] | ArrayLike | None,
+    margin: float | None,
+    dt: float,
+    rtol: float,
+) -> Placement:
+    """Place the poles that were asked for, or all of them beyond a margin."""
+    if poles is not None and margin is not None:
+        raise DesignError("give poles or margin, not both")
+    if poles is None:
+        return place_observer_margin(A, C, default_margin(A, dt) if margin is None else margin, dt=dt, rtol=rtol)
+    return place_observer_poles(A, C, poles, dt=dt, rtol=rtol)
+
+
+def assemble(
+    plant: Plant,
+    form: OutputFreeForm,
+    H: NDArray,
+    placed: Placement,
+    existence: UnknownInputExistence,
+    *,
+    method: str = "unknown input observer",
+    references: tuple[str, ...] = (REFERENCE,),
+    notes: tuple[str, ...] = (),
+) -> Observer:
+    """Return the observer of a decoupling gain and a placed gain, with its identities checked."""
+    T = np.eye(plant.n_states) - H @ plant.C
+    K1 = placed.gain @ form.W + T @ form.G
+    F = T @ plant.A - K1 @ plant.C
+    size_E = float(np.linalg.norm(plant.Bd)) or 1.0
+    K = K1 + F @ H
+    identity = float(np.linalg.norm(T @ plant.Bd - K @ plant.Dd)) / (
+        size_E * max(1.0, float(np.linalg.norm(T))) + float(np.linalg.norm(K) * np.linalg.norm(plant.Dd))
+    )
+    if not identity < 1e-8:
+        raise AccuracyError(
+            f"the disturbances are not decoupled: |T E| / |E| = {identity:.2g}; the outputs see them too "
+            "weakly for this scaling; rescale the channels"
+        )
+    q, p = form.E.shape[1], len(form.W)
+    if q and p > q:
+        notes = (
+            f"{p - q} of the {p} residuals are independent: the others are filtered copies, the price of "
+            f"decoupling {q} disturbances",
+            *notes,
+        )
+    evidence = Evidence(
+        method=method,
+        poles=np.linalg.eigvals(F).astype(complex),
+        requested_poles=np.asarray(placed.requested, dtype=complex),
+        fixed_poles=np.asarray(placed.fixed, dtype=complex),
+        ranks={"rank(CE)": existence.rank_CE, "rank(E)": existence.rank_E} if q else {},
+        conditions={"|T E| / |E|": identity, "pole error": placed.error, "norm of K1": float(np.linalg.norm(K1))},
+        notes=notes,
+        references=references,
+    )
+    return Observer(plant, F, T, H, K1, form.W, method, True, evidence)

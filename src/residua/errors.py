@@ -1,0 +1,52 @@
+"""The errors that residua raises; each is a builtin exception too, so that callers need not import them."""
+
+from __future__ import annotations
+
+
+class ResiduaError(Exception):
+    """Base of every error that residua raises on purpose."""
+
+
+class ModelError(ResiduaError, ValueError):
+    """A system or plant that is malformed: shapes, names, non-finite entries."""
+
+
+class DesignError(ResiduaError, ValueError):
+    """A design that does not exist for this plant; the message names the condition and the numbers."""
+
+
+class AccuracyError(ResiduaError, ArithmeticError):
+    """A computed result failed its own check."""
+
+
+class DataError(ResiduaError, ValueError):
+    """A recording that cannot be used as it is: columns, times, lengths."""
+
+
+class FileFormatError(ResiduaError, ValueError):
+    """A plant file or a saved design that cannot be read; the message points at the entry."""
+
+
+class NotFittedError(ResiduaError, RuntimeError):
+    """A monitor that needs thresholds from fault-free data was run before it had them."""
+
+
+class MissingExtraError(ResiduaError, ImportError):
+    """An optional dependency is absent; the message names the extra to install."""
+
+
+def missing_extra(package: str, extra: str) -> MissingExtraError:
+    """Return the error for an absent optional dependency.
+
+    Parameters
+    ----------
+    package : str
+        The package that could not be imported.
+    extra : str
+        The extra of residua that brings it.
+
+    Returns
+    -------
+    MissingExtraError
+    """
+    return MissingExtraError(f"this needs the package {package!r}: pip install 'residua[{extra}]'")

@@ -1,0 +1,90 @@
+"""Checked conversion of what users pass in: finite matrices of the right shape, unique names, valid steps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from residua.errors import ModelError
+
+
+def frozen(M: NDArray) -> NDArray[np.float64]:
+    """Return a read-only C-ordered float64 copy of ``M``."""
+    out = np.array(M, dtype=np.float64, order="C")
+    out.flags.writeable = False
+    return out
+
+
+def matrix(
+    value: ArrayLike, name: str, shape: tuple[int | None, int | None], *, what: str = ""
+) -> NDArray[np.float64]:
+    """Return ``value`` as a read-only finite matrix of the given shape, or say what is wrong with it.
+
+    A one-dimensional value is taken as one column when the shape asks for ``shape[0]`` rows, as one row
+    when it asks for exactly one row. ``None`` in ``shape`` leaves that side open.
+    """
+    try:
+        M = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        if np.iscomplexobj(np.asarray(value)):
+            raise ModelError(f"{name} must be real, got complex entries") from error
+        raise ModelError(f"{name} must be a matrix of numbers: {error}") from error
+    rows, columns = shape
+    if M.ndim == 0:
+        M = M.reshape(1, 1)
+    elif M.ndim == 1:
+        as_column = rows != 1 if rows is not None else columns != M.size
+        M = M.reshape(-1, 1) if as_column else M.reshape(1, -1)
+    if M.ndim != 2:
+        raise ModelError(f"{name} must have two dimensions, got {M.ndim}")
+    if (rows is not None and M.shape[0] != rows) or (columns is not None and M.shape[1] != columns):
+        wanted = " x ".join("any" if side is None else str(side) for side in shape)
+        hint = f" ({what})" if what else ""
+        raise ModelError(f"{name} must be {wanted}{hint}, got {M.shape[0]} x {M.shape[1]}")
+    if not np.isfinite(M).all():
+        i, j = np.argwhere(~np.isfinite(M))[0]
+        raise ModelError(f"{name}[{i}, {j}] is {M[i, j]}: every entry of a model must be finite")
+    return frozen(M)
+
+
+def sample_step(dt: float) -> float:
+    """Return ``dt`` as a float: 0 for continuous time, positive for sampled."""
+    if isinstance(dt, bool) or not np.isscalar(dt) or not np.isfinite(float(dt)) or float(dt) < 0:
+        raise ModelError(f"dt must be 0 (continuous) or a positive step in seconds, got {dt!r}")
+    return float(dt)
+
+
+def names(given: Iterable[str] | str | None, count: int, prefix: str, what: str) -> tuple[str, ...]:
+    """Return ``count`` unique names: those given, or ``prefix1, prefix2, ...``."""
+    if given is None:
+        return tuple(f"{prefix}{i + 1}" for i in range(count))
+    out = (given,) if isinstance(given, str) else tuple(given)
+    for name in out:
+        if not isinstance(name, str) or not name.strip():
+            raise ModelError(f"{what}: every name must be a non-empty string, got {name!r}")
+    if len(out) != count:
+        raise ModelError(f"{what}: expected {count} names, got {len(out)}: {', '.join(out) or 'none'}")
+    unique(out, what)
+    return out
+
+
+def unique(given: tuple[str, ...], what: str) -> None:
+    """Raise when a name occurs twice."""
+    seen: set[str] = set()
+    for name in given:
+        if name in seen:
+            raise ModelError(f"{what}: the name {name!r} occurs twice")
+        seen.add(name)
+
+
+def index_of(name: str | int, known: tuple[str, ...], what: str) -> int:
+    """Return the position of a channel given by name or number, or list the names that exist."""
+    if isinstance(name, (int, np.integer)) and not isinstance(name, bool):
+        if -len(known) <= name < len(known):
+            return int(name) % len(known)
+        raise ModelError(f"{what} {name} does not exist: there are {len(known)}")
+    if name in known:
+        return known.index(name)  # pyright: ignore[reportArgumentType]
+    raise ModelError(f"unknown {what} {name!r}; known: {', '.join(known) or 'none'}")

@@ -1,0 +1,153 @@
+"""Scaling by powers of two, so that rank decisions do not depend on the units that a model was written in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from residua.errors import ModelError
+
+#: Entries this far below both the largest of their row and of their column are rounding residue; scaling
+#: must not promote them to data.
+_RESIDUE = 64 * np.finfo(float).eps
+_SWEEPS = 24
+
+
+@dataclass(frozen=True, eq=False)
+class BalancedSystem:
+    """A system in scaled units: ``A = T^-1 A0 T``, ``B = T^-1 B0 U``, ``C = Y C0 T``, ``D = Y D0 U``.
+
+    Attributes
+    ----------
+    A, B, C, D : ndarray
+        The scaled matrices.
+    states, inputs, outputs : ndarray
+        The diagonals of ``T``, ``U`` and ``Y``; all powers of two, so that scaling rounds nothing.
+    """
+
+    A: NDArray[np.float64]
+    B: NDArray[np.float64]
+    C: NDArray[np.float64]
+    D: NDArray[np.float64]
+    states: NDArray[np.float64]
+    inputs: NDArray[np.float64]
+    outputs: NDArray[np.float64]
+
+
+def as_matrix(name: str, M: ArrayLike, shape: tuple[int | None, int | None]) -> NDArray[np.float64]:
+    """Return ``M`` as a finite real matrix of the given shape, ``None`` standing for any number.
+
+    Parameters
+    ----------
+    name : str
+        How the message calls the matrix.
+    M : array_like
+    shape : tuple of (int or None)
+
+    Returns
+    -------
+    ndarray
+
+    Raises
+    ------
+    ModelError
+        Not two-dimensional, complex, not finite, or of another shape.
+    """
+    M = np.asarray(M)
+    if M.ndim != 2:
+        raise ModelError(f"{name} must be a matrix, got {M.ndim} dimension(s)")
+    if np.iscomplexobj(M):
+        raise ModelError(f"{name} must be real")
+    M = M.astype(float)
+    if any(want is not None and want != have for want, have in zip(shape, M.shape, strict=True)):
+        raise ModelError(f"{name} has shape {M.shape}, expected {tuple('any' if s is None else s for s in shape)}")
+    if not np.all(np.isfinite(M)):
+        raise ModelError(f"{name} has {np.count_nonzero(~np.isfinite(M))} entries that are not finite")
+    return M
+
+
+def power_of_two(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the power of two nearest to each positive number; one where it is zero."""
+    x = np.asarray(x, dtype=float)
+    return np.exp2(np.round(np.log2(np.where(x > 0, x, 1.0))))
+
+
+def without_residue(M: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return ``abs(M)`` with the entries set to zero that can only be rounding residue."""
+    M = np.abs(M)
+    if not M.size:
+        return M
+    floor = _RESIDUE * np.minimum(M.max(axis=1, keepdims=True), M.max(axis=0, keepdims=True))
+    return np.where(M > floor, M, 0.0)
+
+
+def _root(numerator: float, denominator: float) -> float:
+    """Return the power of two that evens out two norms; one when either is zero."""
+    if numerator <= 0 or denominator <= 0:
+        return 1.0
+    return float(np.exp2(np.round(0.5 * (np.log2(numerator) - np.log2(denominator)))))
+
+
+def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> BalancedSystem:
+    """Scale the units of states, inputs and outputs until rows and columns of ``[A B; C D]`` match in norm.
+
+    Osborne's sweep over the states, with the rows of ``C`` and the columns of ``B`` taking part, each scaled to the norm of ``A``.
+    Rows and columns that are rounding residue are left as they are.
+
+    Parameters
+    ----------
+    A : array_like, shape (n, n)
+    B : array_like, shape (n, m)
+    C : array_like, shape (p, n)
+    D : array_like, shape (p, m)
+
+    Returns
+    -------
+    BalancedSystem
+
+    References
+    ----------
+    E. E. Osborne, On pre-conditioning of matrices, J. ACM 7 (1960) 338-345. SLICOT routine TB01ID.
+    """
+    A, B, C, D = (np.asarray(M, dtype=float) for M in (A, B, C, D))
+    n, m = B.shape
+    p = C.shape[0]
+    W = np.block([[A, B], [C, D]])
+    W = without_residue(W)
+    np.fill_diagonal(W[:n, :n], 0.0)
+    # Only couplings count in a sweep; the diagonal of A does not change with the units of the states.
+    left, right = np.ones(n + p), np.ones(n + m)
+    level = float(np.linalg.norm(A, 2)) / max(n, 1) ** 0.5 if n and np.any(A) else 1.0
+    for _ in range(_SWEEPS):
+        moved = _scale_channels(W, left, right, n, level)
+        for i in range(n):
+            f = _root(float(np.linalg.norm(W[i])), float(np.linalg.norm(W[:, i])))
+            if f != 1.0:
+                moved = True
+                W[i] /= f
+                W[:, i] *= f
+                left[i] /= f
+                right[i] *= f
+        if not moved:
+            break
+    T, U, Y = right[:n], right[n:], left[n:]
+    return BalancedSystem(
+        A / T[:, None] * T, B / T[:, None] * U, Y[:, None] * C * T, Y[:, None] * D * U, T, U, Y
+    )
+
+
+def _scale_channels(
+    W: NDArray[np.float64], left: NDArray[np.float64], right: NDArray[np.float64], n: int, level: float
+) -> bool:
+    """Bring the rows of outputs and the columns of inputs of ``W`` to one norm, in place."""
+    moved = False
+    for axis, factors, block in ((1, left, W[n:]), (0, right, W[:, n:])):
+        norms = np.linalg.norm(block, axis=axis)
+        real = norms > _RESIDUE**2 * norms.max(initial=0.0)
+        f = np.where(real, power_of_two(level / np.where(real, norms, level)), 1.0)
+        moved |= bool(np.any(f != 1.0))
+        block *= f[:, None] if axis else f
+        factors[n:] *= f
+    return moved

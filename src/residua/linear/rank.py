@@ -1,0 +1,118 @@
+"""Rank decisions that can be seen: every one keeps the singular values on both sides of its gap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+#: Singular values below this fraction of the scale count as zero, unless the caller says otherwise. The
+#: staircase algorithms lose about three digits at order 30, so this stays well above rounding.
+DEFAULT_RTOL = 1e-10
+
+
+@dataclass(frozen=True, eq=False)
+class RankDecision:
+    """A numerical rank with the evidence for it.
+
+    Attributes
+    ----------
+    rank : int
+        Number of singular values above ``tolerance``.
+    singular_values : ndarray
+        All singular values, largest first.
+    tolerance : float
+        The absolute threshold that was used.
+    """
+
+    rank: int
+    singular_values: NDArray[np.float64]
+    tolerance: float
+
+    @property
+    def smallest_kept(self) -> float:
+        """The smallest singular value counted as nonzero (infinity when the rank is zero)."""
+        return float(self.singular_values[self.rank - 1]) if self.rank else float("inf")
+
+    @property
+    def largest_dropped(self) -> float:
+        """The largest singular value counted as zero (zero when none was dropped)."""
+        return float(self.singular_values[self.rank]) if self.rank < len(self.singular_values) else 0.0
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether no singular value lies within a factor of 100 of the tolerance."""
+        return self.largest_dropped < self.tolerance / 100 and self.smallest_kept > self.tolerance * 100
+
+    def __str__(self) -> str:
+        kept = f"{self.smallest_kept:.3g}" if self.rank else "none"
+        return f"rank {self.rank} (smallest kept {kept}, largest dropped {self.largest_dropped:.3g})"
+
+
+def _svd_decision(
+    M: ArrayLike, rtol: float, scale: float | None, full: bool
+) -> tuple[NDArray, NDArray, NDArray, RankDecision]:
+    M = np.atleast_2d(np.asarray(M))
+    rows, columns = M.shape
+    if rows == 0 or columns == 0:
+        U, Vh, s = np.eye(rows), np.eye(columns), np.zeros(0)
+    else:
+        U, s, Vh = np.linalg.svd(M, full_matrices=full)
+    largest = float(s[0]) if s.size else 0.0
+    tolerance = rtol * (largest if scale is None else scale)
+    rank = int(np.count_nonzero(s > tolerance))
+    return U, s, Vh, RankDecision(rank, s, tolerance)
+
+
+def decide_rank(M: ArrayLike, *, rtol: float = DEFAULT_RTOL, scale: float | None = None) -> RankDecision:
+    """Decide the numerical rank of a matrix.
+
+    Parameters
+    ----------
+    M : array_like, shape (p, q)
+    rtol : float
+        Singular values at or below ``rtol * scale`` count as zero.
+    scale : float, optional
+        What ``rtol`` is relative to; the largest singular value of ``M`` when omitted. Give it when ``M`` is
+        a small piece of a larger problem and may be zero up to rounding.
+
+    Returns
+    -------
+    RankDecision
+
+    Examples
+    --------
+    >>> from residua.linear import decide_rank
+    >>> print(decide_rank([[1, 2], [2, 4]]))
+    rank 1 (smallest kept 5, largest dropped ...)
+    """
+    M = np.atleast_2d(np.asarray(M))
+    s = np.linalg.svd(M, compute_uv=False) if M.size else np.zeros(0)
+    largest = float(s[0]) if s.size else 0.0
+    tolerance = rtol * (largest if scale is None else scale)
+    return RankDecision(int(np.count_nonzero(s > tolerance)), s, tolerance)
+
+
+def range_basis(
+    M: ArrayLike, *, rtol: float = DEFAULT_RTOL, scale: float | None = None
+) -> tuple[NDArray, RankDecision]:
+    """Return an orthonormal basis of the column space of ``M`` and the rank decision behind it."""
+    U, _, _, decision = _svd_decision(M, rtol, scale, full=False)
+    return U[:, : decision.rank], decision
+
+
+def null_basis(
+    M: ArrayLike, *, rtol: float = DEFAULT_RTOL, scale: float | None = None
+) -> tuple[NDArray, RankDecision]:
+    """Return an orthonormal basis of ``{x : M x = 0}`` and the rank decision behind it."""
+    _, _, Vh, decision = _svd_decision(M, rtol, scale, full=True)
+    return Vh[decision.rank :].conj().T, decision
+
+
+def left_null_basis(
+    M: ArrayLike, *, rtol: float = DEFAULT_RTOL, scale: float | None = None
+) -> tuple[NDArray, RankDecision]:
+    """Return an orthonormal basis, as columns, of ``{w : w' M = 0}`` and the rank decision behind it."""
+    U, _, _, decision = _svd_decision(M, rtol, scale, full=True)
+    return U[:, decision.rank :], decision

@@ -1,0 +1,75 @@
+"""Where signals can go: reachable subspaces, exact removal of hidden states."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.linear.rank import DEFAULT_RTOL, range_basis
+from residua.linear.state_space import StateSpace
+
+
+def reachable_basis(A: NDArray, B: NDArray, *, rtol: float = DEFAULT_RTOL) -> NDArray:
+    """Return an orthonormal basis of the smallest ``A``-invariant subspace that contains the range of ``B``.
+
+    New directions are sought in the part of ``A V`` that is orthogonal to what is there already, with
+    tolerances relative to the norms of ``A`` and ``B``, so that a power of ``A`` is never formed.
+    """
+    V, _ = range_basis(B, rtol=rtol)
+    fresh = V
+    scale = max(float(np.linalg.norm(A, 2)) if A.size else 0.0, np.finfo(float).tiny)
+    while fresh.shape[1] and V.shape[1] < A.shape[0]:
+        candidate = A @ fresh
+        for _ in range(2):  # twice is enough to stay orthogonal
+            candidate = candidate - V @ (V.T @ candidate)
+        fresh, _ = range_basis(candidate, rtol=rtol, scale=scale)
+        V = np.hstack([V, fresh])
+    return V
+
+
+def output_reachable_basis(
+    system: StateSpace, column: int, *, rtol: float = 1e-8
+) -> tuple[NDArray, NDArray[np.float64]]:
+    """Return a basis of the smallest subspace that holds the outputs for any signal on one input.
+
+    Parameters
+    ----------
+    system : StateSpace
+        With invertible ``E``.
+    column : int
+        Number of the input.
+    rtol : float
+        Relative to the largest direction found.
+
+    Returns
+    -------
+    basis : ndarray, shape (p, k)
+        Orthonormal; ``span{D, C B, C A B, ...}`` of that input.
+    singular_values : ndarray
+        Of the stacked, normalised generators of that subspace: the evidence for ``k``.
+    """
+    system = system.explicit()
+    b, d = system.B[:, [column]], system.D[:, [column]]
+    V = reachable_basis(system.A, b)
+    gain = system.C @ V
+    scale = float(np.linalg.norm(system.C, 2)) if system.C.size else 0.0
+    parts = [gain / scale] if scale else []
+    if np.any(d):
+        parts.append(d / np.linalg.norm(d))
+    if not parts:
+        return np.zeros((system.n_outputs, 0)), np.zeros(0)
+    U, s, _ = np.linalg.svd(np.hstack(parts), full_matrices=False)
+    return U[:, s > rtol * max(1.0, s[0] if s.size else 0.0)], s
+
+
+def without_unobservable(system: StateSpace, *, rtol: float = DEFAULT_RTOL) -> StateSpace:
+    """Return the system without the states that no output sees; its transfer matrix is unchanged.
+
+    The kept states are an orthonormal basis of the observable quotient, so that hidden unstable modes go
+    away without being cancelled numerically.
+    """
+    system = system.explicit()
+    V = reachable_basis(system.A.T, system.C.T, rtol=rtol)
+    if V.shape[1] == system.n_states:
+        return system
+    return system.replaced(A=V.T @ system.A @ V, B=V.T @ system.B, C=system.C @ V, states=None)

@@ -1,0 +1,250 @@
+"""The outcome of a monitor on data: what was seen, when, and who is to blame."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import missing_extra
+
+if TYPE_CHECKING:
+    from residua.design import ResidualGenerator
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A fault, or a group of faults that the monitor cannot tell apart, with how well it explains an alarm.
+
+    Attributes
+    ----------
+    faults : tuple of str
+    score : float
+        Correlation of the residual with the signature of the group, 0 to 1 (``CORR``).
+    distance : float
+        Normalised projection distance of the residual from the signature, 0 to 1 (``NPD``);
+        ``score**2 + distance**2 = 1``.
+    """
+
+    faults: tuple[str, ...]
+    score: float
+    distance: float
+
+    @property
+    def name(self) -> str:
+        """The faults as text."""
+        return " or ".join(self.faults)
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """One alarm: where it lies in the recording and what explains it.
+
+    Attributes
+    ----------
+    onset : float
+        Time at which the statistic first went over the threshold and stayed, in seconds.
+    raised : float
+        Time at which the alarm was raised (later than the onset when persistence was asked for).
+    ended : float or None
+        Time at which it went away, ``None`` when it lasts to the end of the recording.
+    candidates : tuple of Candidate
+        Best first, judged over the window that ends with the alarm.
+    start, stop : int
+        Sample numbers of ``raised`` and of the first sample after the alarm.
+    """
+
+    onset: float
+    raised: float
+    ended: float | None
+    candidates: tuple[Candidate, ...]
+    start: int
+    stop: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the alarm as plain values for JSON."""
+        return {
+            "onset": self.onset,
+            "raised": self.raised,
+            "ended": self.ended,
+            "candidates": [
+                {"faults": list(c.faults), "score": c.score, "distance": c.distance} for c in self.candidates
+            ],
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What a monitor found in a recording. Prints as a table.
+
+    Attributes
+    ----------
+    time : ndarray, shape (T,)
+        Seconds.
+    residuals : ndarray, shape (T, residuals)
+        NaN where a sample was missing.
+    statistic : ndarray, shape (T,)
+        Norm of the whitened residual; NaN where no decision was possible.
+    threshold : float
+    alarm : ndarray of bool, shape (T,)
+    decided : ndarray of bool, shape (T,)
+        Where a decision was taken: not while the filter settles, nor where data are missing.
+    missing : ndarray of bool, shape (T,)
+        Samples with at least one missing value.
+    scores : ndarray, shape (T, groups)
+        Correlation of each group's signature with the residual over the window; NaN outside decisions.
+    groups : tuple of tuple of str
+        The faults, those that this monitor cannot tell apart in one group.
+    unjudged : tuple of str
+        Faults without a usable signature in this monitor.
+    alarms : tuple of Alarm
+    resets : int
+        How often the filter was restarted after a long gap.
+    residual_names : tuple of str
+    center, band : ndarray, shape (residuals,)
+        Fault-free mean of each residual, and how far a single residual can be from it below threshold.
+    generator : ResidualGenerator
+        The sampled generator that ran.
+    source : str
+        Where the recording came from.
+    notes : tuple of str
+    """
+
+    time: NDArray[np.float64] = field(repr=False)
+    residuals: NDArray[np.float64] = field(repr=False)
+    statistic: NDArray[np.float64] = field(repr=False)
+    threshold: float
+    alarm: NDArray[np.bool_] = field(repr=False)
+    decided: NDArray[np.bool_] = field(repr=False)
+    missing: NDArray[np.bool_] = field(repr=False)
+    scores: NDArray[np.float64] = field(repr=False)
+    groups: tuple[tuple[str, ...], ...]
+    unjudged: tuple[str, ...]
+    alarms: tuple[Alarm, ...]
+    resets: int
+    residual_names: tuple[str, ...]
+    center: NDArray[np.float64] = field(repr=False)
+    band: NDArray[np.float64] = field(repr=False)
+    generator: ResidualGenerator = field(repr=False)
+    source: str = ""
+    notes: tuple[str, ...] = ()
+
+    # ------------------------------------------------------------------- facts
+
+    @property
+    def fault_detected(self) -> bool:
+        """Whether any alarm was raised."""
+        return bool(self.alarms)
+
+    @property
+    def main_alarm(self) -> Alarm | None:
+        """The longest alarm."""
+        return max(self.alarms, key=lambda a: a.stop - a.start, default=None)
+
+    @property
+    def onset(self) -> float | None:
+        """Onset of the longest alarm in seconds, ``None`` without an alarm."""
+        return self.main_alarm.onset if self.main_alarm else None
+
+    @property
+    def candidates(self) -> tuple[Candidate, ...]:
+        """Candidates of the longest alarm, best first; empty without an alarm."""
+        return self.main_alarm.candidates if self.main_alarm else ()
+
+    @property
+    def false_alarm_fraction(self) -> float:
+        """Fraction of the decided samples that are in alarm (a false alarm rate on fault-free data)."""
+        decided = int(self.decided.sum())
+        return float((self.alarm & self.decided).sum() / decided) if decided else 0.0
+
+    @property
+    def n_missing(self) -> int:
+        """Number of samples with at least one missing value."""
+        return int(self.missing.sum())
+
+    # ------------------------------------------------------------------ output
+
+    def __str__(self) -> str:
+        lines = [f"{self.generator.plant.name}: {len(self.time)} samples, {self._span()}"]
+        if self.n_missing:
+            lines.append(
+                f"{self.n_missing} samples with missing values: last values held, no decision there; "
+                f"filter restarted {self.resets} times after longer gaps"
+            )
+        if not self.alarms:
+            lines.append("no fault found" if self.decided.any() else "no decision: the recording is too short")
+        for k, alarm in enumerate(self.alarms[:20], 1):
+            until = "to the end" if alarm.ended is None else f"until {alarm.ended:.6g} s"
+            lines.append(f"alarm {k}: onset {alarm.onset:.6g} s, raised {alarm.raised:.6g} s, {until}")
+            for rank, candidate in enumerate(alarm.candidates[:3], 1):
+                lines.append(f"  {rank}. {candidate.name:<40} score {candidate.score:.3f}")
+        if len(self.alarms) > 20:
+            lines.append(f"... and {len(self.alarms) - 20} more alarms")
+        for group in self.groups:
+            if self.alarms and len(group) > 1:
+                lines.append(f"cannot be told apart here: {', '.join(group)}")
+        if self.unjudged and self.alarms:
+            lines.append(f"without a signature here: {', '.join(self.unjudged)}")
+        return "\n".join([*lines, *self.notes])
+
+    def _span(self) -> str:
+        return f"{self.time[0]:.6g} to {self.time[-1]:.6g} s" if len(self.time) else "empty"
+
+    def columns(self) -> dict[str, NDArray]:
+        """Return time, residuals, statistic, alarm and scores as named columns."""
+        out: dict[str, NDArray] = {"time": self.time}
+        out |= {name: self.residuals[:, i] for i, name in enumerate(self.residual_names)}
+        out |= {"statistic": self.statistic, "alarm": self.alarm}
+        out |= {f"score {' or '.join(group)}": self.scores[:, g] for g, group in enumerate(self.groups)}
+        return out
+
+    def to_frame(self, backend: str = "pandas") -> Any:
+        """Return the columns as a data frame.
+
+        Parameters
+        ----------
+        backend : {"pandas", "polars"}
+
+        Raises
+        ------
+        MissingExtraError
+            If that package is not installed.
+        """
+        if backend not in ("pandas", "polars"):
+            raise ValueError(f"backend must be 'pandas' or 'polars', got {backend!r}")
+        try:
+            module = __import__(backend)
+        except ImportError as error:
+            raise missing_extra(backend, "frames") from error
+        return module.DataFrame(self.columns())
+
+    def write_alarms(self, path: str | Path) -> None:
+        """Write one JSON object per alarm and line (JSON Lines)."""
+        text = "".join(json.dumps(alarm.to_dict()) + "\n" for alarm in self.alarms)
+        Path(path).write_text(text, encoding="utf-8")
+
+    def plot(self, ax: Any = None) -> Any:
+        """Plot residuals, statistic with threshold, and candidates over time (needs matplotlib).
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            Draw only the statistic, its threshold and the alarms, on these axes.
+
+        Returns
+        -------
+        matplotlib Figure, or the Axes that were given
+        """
+        from residua.report.plots import plot_diagnosis
+
+        return plot_diagnosis(self, ax=ax)
+
+    def to_html(self, path: str | Path, *, title: str | None = None) -> Path:
+        """Write a self-contained report page and return its path."""
+        from residua.report.page import write_page
+
+        return write_page(self, path, title=title)

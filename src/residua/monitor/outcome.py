@@ -1,0 +1,92 @@
+"""From raw decisions to a diagnosis: alarms with onsets and ranked candidates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.design import ResidualGenerator
+from residua.monitor.diagnosis import Alarm, Candidate, Diagnosis
+from residua.monitor.running import Decisions, Specification
+
+
+def candidates_at(scores: NDArray[np.float64], groups: tuple[tuple[str, ...], ...]) -> tuple[Candidate, ...]:
+    """Return the groups ranked by score, best first; none where the direction is not known."""
+    if scores.size == 0 or np.isnan(scores).all():
+        return ()
+    order = np.argsort(-scores, kind="stable")
+    return tuple(
+        Candidate(groups[g], float(scores[g]), float(np.sqrt(max(0.0, 1.0 - scores[g] ** 2)))) for g in order
+    )
+
+
+def diagnosis_from(
+    parts: Sequence[Decisions],
+    plant: int,
+    time: NDArray[np.float64],
+    spec: Specification,
+    generator: ResidualGenerator,
+    resets: int,
+    source: str,
+    notes: tuple[str, ...],
+) -> Diagnosis:
+    """Return the diagnosis of one plant from the decisions on all pieces of its recording."""
+
+    def joined(name: str) -> NDArray:
+        return np.concatenate([getattr(part, name)[plant] for part in parts], axis=0)
+
+    groups = spec.direction.groups if spec.direction else ()
+    alarm, usable, up = joined("alarm"), joined("usable"), joined("up")
+    scores = joined("scores")
+    return Diagnosis(
+        time=time,
+        residuals=joined("residuals"),
+        statistic=joined("statistic"),
+        threshold=spec.test.threshold,
+        alarm=alarm,
+        decided=usable,
+        missing=joined("missing"),
+        scores=scores,
+        groups=groups,
+        unjudged=spec.direction.unjudged if spec.direction else (),
+        alarms=_alarms(time, alarm, usable, up, joined("exceeded"), scores, groups),
+        resets=resets,
+        residual_names=generator.residuals,
+        center=spec.test.center,
+        band=spec.test.band,
+        generator=generator,
+        source=source,
+        notes=notes,
+    )
+
+
+def _alarms(
+    time: NDArray,
+    alarm: NDArray[np.bool_],
+    usable: NDArray[np.bool_],
+    up: NDArray[np.int64],
+    exceeded: NDArray[np.bool_],
+    scores: NDArray,
+    groups: tuple[tuple[str, ...], ...],
+) -> tuple[Alarm, ...]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], alarm.astype(np.int8), [0]])))
+    counted = np.flatnonzero(usable)
+    out = []
+    for start, stop in edges.reshape(-1, 2):
+        position = int(np.searchsorted(counted, start, side="right")) - 1
+        first = counted[max(0, position - int(up[start]) + 1)]
+        over = np.flatnonzero(exceeded[start:stop])
+        last = start + (int(over[-1]) if over.size else 0)
+        out.append(
+            Alarm(
+                onset=float(time[first]),
+                raised=float(time[start]),
+                ended=float(time[stop]) if stop < len(time) else None,
+                candidates=candidates_at(scores[last], groups) if groups else (),
+                start=int(start),
+                stop=int(stop),
+            )
+        )
+    return tuple(out)

@@ -1,0 +1,281 @@
+"""The arithmetic of a monitor: a pure function from state and data to state and decisions.
+
+Everything here is vectorised over plants and gives the same bits however the time axis is cut.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide.directional import DirectionTest
+from residua.decide.norm_threshold import NormTest
+from residua.decide.persistence import alarm_logic
+from residua.decide.window import moving_sum
+from residua.linear.recursion import ordered_product, run_filter
+
+
+@dataclass(frozen=True, eq=False)
+class Specification:
+    """Everything that running needs and that never changes.
+
+    Attributes
+    ----------
+    A, B, C, D : ndarray
+        Of the sampled generator, driven by ``[u, y]`` as deviations.
+    start : ndarray, shape (states, channels)
+        Maps a sample to the filter state that it would settle to.
+    offset : ndarray, shape (channels,)
+        Operating point.
+    test : NormTest
+    direction : DirectionTest or None
+    settle : int
+        Samples after a start in which nothing is decided.
+    max_hold : int
+        Longest gap over which missing values are held; after a longer one the filter starts anew.
+    """
+
+    A: NDArray[np.float64]
+    B: NDArray[np.float64]
+    C: NDArray[np.float64]
+    D: NDArray[np.float64]
+    start: NDArray[np.float64]
+    offset: NDArray[np.float64]
+    test: NormTest
+    direction: DirectionTest | None
+    settle: int
+    max_hold: int
+
+    @property
+    def window(self) -> int:
+        """Samples over which direction is judged."""
+        return self.direction.window if self.direction else 1
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """What a running monitor remembers; every array has one row per plant.
+
+    Attributes
+    ----------
+    x : filter state; held : last value of each channel; gap : incomplete samples in a row;
+    running : whether the filter has been started; age : samples since its start;
+    up, down : usable samples in a row over and under the threshold; alarm : whether it is on;
+    previous, current, filled : blocks of the moving sum; count : samples so far; resets : restarts.
+    """
+
+    x: NDArray[np.float64]
+    held: NDArray[np.float64]
+    gap: NDArray[np.int64]
+    running: NDArray[np.bool_]
+    age: NDArray[np.int64]
+    up: NDArray[np.int64]
+    down: NDArray[np.int64]
+    alarm: NDArray[np.bool_]
+    previous: NDArray[np.float64]
+    current: NDArray[np.float64]
+    filled: int
+    count: int
+    resets: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Decisions:
+    """What a monitor decided on a block; every array starts with (plants, time).
+
+    Attributes
+    ----------
+    residuals, statistic, exceeded, alarm, up, usable, missing : ndarray
+    scores : ndarray, shape (plants, time, groups)
+        Correlation with the signature of each group; NaN where nothing can be said.
+    """
+
+    residuals: NDArray[np.float64]
+    statistic: NDArray[np.float64]
+    exceeded: NDArray[np.bool_]
+    alarm: NDArray[np.bool_]
+    up: NDArray[np.int64]
+    usable: NDArray[np.bool_]
+    missing: NDArray[np.bool_]
+    scores: NDArray[np.float64]
+
+
+def initial_state(spec: Specification, plants: int) -> State:
+    """Return the state before the first sample."""
+    n, m, k = len(spec.A), spec.B.shape[1], len(spec.C)
+    whole, flag = np.zeros(plants, dtype=np.int64), np.zeros(plants, dtype=bool)
+    block = np.zeros((plants, spec.window, k))
+    return State(
+        x=np.zeros((plants, n)),
+        held=np.zeros((plants, m)),
+        gap=whole,
+        running=flag,
+        age=whole,
+        up=whole,
+        down=whole,
+        alarm=flag,
+        previous=block,
+        current=block,
+        filled=0,
+        count=0,
+        resets=whole,
+    )
+
+
+def run_block(spec: Specification, state: State, data: NDArray[np.float64]) -> tuple[State, Decisions]:
+    """Run filter, test and isolation over a block of samples.
+
+    Parameters
+    ----------
+    spec : Specification
+    state : State
+    data : ndarray, shape (plants, time, channels)
+        Control inputs, then outputs, in plant units; NaN or infinity where a value is missing.
+
+    Returns
+    -------
+    state : State
+        To go on with.
+    decisions : Decisions
+    """
+    state, residuals, usable, missing = _filter(spec, state, data - spec.offset)
+    return _decide(spec, state, residuals, usable, missing)
+
+
+# --------------------------------------------------------------------- filter
+
+
+def _filter(
+    spec: Specification, state: State, v: NDArray
+) -> tuple[State, NDArray, NDArray[np.bool_], NDArray[np.bool_]]:
+    """Run the generator; samples with missing values advance it with held values and yield no residual."""
+    plants, time, _ = v.shape
+    missing = ~np.isfinite(v).all(axis=2)
+    if state.running.all() and not missing.any():
+        x, residuals = run_filter(spec.A, spec.B, spec.C, spec.D, state.x, v)
+        ages = state.age[:, None] + np.arange(1, time + 1)
+        gap = np.zeros_like(state.gap) if time else state.gap
+        held = v[:, -1].copy() if time else state.held
+        state = replace(state, x=x, held=held, gap=gap, age=state.age + time)
+        return state, residuals, ages > spec.settle, missing
+    residuals = np.full((plants, time, len(spec.C)), np.nan)
+    ages = np.zeros((plants, time), dtype=np.int64)
+    fields = {
+        name: getattr(state, name).copy() for name in ("x", "held", "gap", "running", "age", "resets")
+    }
+    for p in range(plants):
+        _filter_with_gaps(spec, fields, p, v[p], missing[p], residuals[p], ages[p])
+    usable = ~missing & (ages > spec.settle)
+    return replace(state, **fields), residuals, usable, missing
+
+
+def _filter_with_gaps(
+    spec: Specification,
+    fields: dict[str, NDArray],
+    p: int,
+    v: NDArray,
+    missing: NDArray[np.bool_],
+    residuals: NDArray,
+    ages: NDArray[np.int64],
+) -> None:
+    """Run one plant over a block with gaps, piece by piece; writes into ``fields`` and the outputs."""
+    time = len(v)
+    filled = _hold(v, fields["held"][p])
+    k = 0
+    while k < time:
+        if not fields["running"][p]:
+            complete = np.flatnonzero(~missing[k:])
+            if complete.size == 0:
+                fields["gap"][p] += time - k
+                break
+            k += int(complete[0])
+            fields["x"][p] = ordered_product(filled[k][None], spec.start.T)[0]
+            fields["running"][p], fields["age"][p], fields["gap"][p] = True, 0, 0
+        stop, gap = _end_of_piece(missing, k, int(fields["gap"][p]), spec.max_hold)
+        x, r = run_filter(spec.A, spec.B, spec.C, spec.D, fields["x"][p][None], filled[None, k:stop])
+        fields["x"][p] = x[0]
+        residuals[k:stop] = np.where(missing[k:stop, None], np.nan, r[0])
+        ages[k:stop] = fields["age"][p] + np.arange(1, stop - k + 1)
+        fields["age"][p] += stop - k
+        fields["gap"][p] = gap
+        if stop < time:  # the gap became too long: stop the filter until a complete sample comes
+            fields["running"][p] = False
+            fields["resets"][p] += 1
+        k = stop
+    if time:
+        fields["held"][p] = filled[-1]
+
+
+def _hold(v: NDArray, held: NDArray) -> NDArray:
+    """Return the samples with missing values replaced by the last value of their channel."""
+    rows = np.where(np.isfinite(v), np.arange(1, len(v) + 1)[:, None], 0)
+    return np.take_along_axis(np.vstack([held, v]), np.maximum.accumulate(rows, axis=0), axis=0)
+
+
+def _end_of_piece(missing: NDArray[np.bool_], k: int, gap: int, max_hold: int) -> tuple[int, int]:
+    """Return where the running filter has to stop (first sample of a gap that is too long) and the gap there."""
+    rest = missing[k:]
+    count = np.arange(1, len(rest) + 1)
+    run = count - np.maximum.accumulate(np.where(rest, -gap, count))
+    too_long = np.flatnonzero(run > max_hold)
+    if too_long.size:
+        return k + int(too_long[0]), int(run[too_long[0]]) - 1
+    return k + len(rest), int(run[-1]) if len(rest) else gap
+
+
+# ------------------------------------------------------------------- decisions
+
+
+def _decide(
+    spec: Specification,
+    state: State,
+    residuals: NDArray,
+    usable: NDArray[np.bool_],
+    missing: NDArray[np.bool_],
+) -> tuple[State, Decisions]:
+    test = spec.test
+    plants, time, k = residuals.shape
+    q = ordered_product(np.where(usable[..., None], residuals - test.center, 0.0), test.whitening)
+    statistic = np.where(usable, _norm(q), np.nan)
+    exceeded = usable & (np.where(usable, statistic, 0.0) > test.threshold)
+    alarm, up, down = alarm_logic(
+        exceeded, usable, state.up, state.down, state.alarm, test.persistence, test.release
+    )
+    sums, previous, current, filled = moving_sum(q, state.previous, state.current, state.filled)
+    scores = _scores(spec.direction, sums, usable)
+    if time:
+        state = replace(
+            state,
+            up=up[:, -1].copy(),
+            down=down[:, -1].copy(),
+            alarm=alarm[:, -1].copy(),
+            previous=previous,
+            current=current,
+            filled=filled,
+            count=state.count + time,
+        )
+    return state, Decisions(residuals, statistic, exceeded, alarm, up, usable, missing, scores)
+
+
+def _scores(test: DirectionTest | None, sums: NDArray, usable: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the correlation of the summed residual with each signature."""
+    if test is None:
+        return np.zeros((*sums.shape[:2], 0))
+    size = _norm(sums)
+    usable = usable & (size > 0)
+    size = np.where(usable, size, 1.0)
+    scores = np.full((*sums.shape[:2], len(test.bases)), np.nan)
+    for g, basis in enumerate(test.bases):
+        part = _norm(ordered_product(sums, basis)) / size
+        scores[..., g] = np.where(usable, np.minimum(part, 1.0), np.nan)
+    return scores
+
+
+def _norm(rows: NDArray) -> NDArray[np.float64]:
+    """Return the norm of each row, its squares added in order."""
+    total = np.zeros(rows.shape[:-1])
+    for j in range(rows.shape[-1]):
+        total = total + rows[..., j] * rows[..., j]
+    return np.sqrt(total)

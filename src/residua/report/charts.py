@@ -1,0 +1,144 @@
+"""What the charts of a page draw, as plain values for its script."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.report.decimate import Bins, choose_bins, runs, spans
+from residua.report.text import rounded
+
+if TYPE_CHECKING:
+    from residua.monitor.diagnosis import Diagnosis
+
+#: Most points that one series is drawn with, and all series of one diagnosis together.
+MAX_POINTS = 20_000
+MAX_POINTS_TOTAL = 400_000
+#: Residuals that are shown at once; the others are behind a click.
+SHOWN_RESIDUALS = 6
+#: The statistic starts on a logarithmic axis when it goes this far over its threshold.
+_LOG_FROM = 20.0
+
+
+def residual_unit(diagnosis: Diagnosis, name: str) -> str:
+    """Return the unit of a residual: that of its output, when it is an output's estimation error."""
+    plant = diagnosis.generator.plant
+    output = name.removeprefix("r ")
+    return str(plant.units.get(output, "")) if output != name and output in plant.outputs else ""
+
+
+def points_per_series(diagnosis: Diagnosis) -> int:
+    """Return how many points a series of this diagnosis may have."""
+    n_series = len(diagnosis.residual_names) + 1 + len(diagnosis.groups)
+    return int(np.clip(MAX_POINTS_TOTAL // n_series, 1000, MAX_POINTS))
+
+
+def chart_data(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return everything that the charts of one diagnosis need, as plain values.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+
+    Returns
+    -------
+    dict
+        ``x`` (times), ``spans`` (alarm, missing, undecided), ``onsets``, ``charts`` and ``binned`` (samples per bin).
+    """
+    bins = choose_bins(len(diagnosis.time), points_per_series(diagnosis))
+    undecided = ~diagnosis.decided & ~diagnosis.missing
+    alarms = np.array([[a.start, a.stop] for a in diagnosis.alarms], dtype=np.int64).reshape(-1, 2)
+    ends = [float(diagnosis.time[0]), float(diagnosis.time[-1])] if len(diagnosis.time) else [0.0, 1.0]
+    return {
+        "x": _axis(bins.times(diagnosis.time)),
+        "ends": ends,
+        "binned": bins.width,
+        "spans": {
+            "alarm": spans(diagnosis.time, alarms),
+            "missing": spans(diagnosis.time, runs(diagnosis.missing)),
+            "undecided": spans(diagnosis.time, runs(undecided)),
+        },
+        "onsets": [float(a.onset) for a in diagnosis.alarms[:50] if np.isfinite(a.onset)],
+        "charts": [
+            *_residual_charts(diagnosis, bins),
+            _statistic_chart(diagnosis, bins),
+            *_score_charts(diagnosis, bins),
+        ],
+    }
+
+
+def by_interest(diagnosis: Diagnosis) -> list[int]:
+    """Return the residual numbers in the order in which they are shown.
+
+    As they come when all are shown at once; otherwise those that went furthest out of their band first.
+    """
+    n = len(diagnosis.residual_names)
+    if n <= SHOWN_RESIDUALS or not len(diagnosis.time):
+        return list(range(n))
+    away = np.abs(diagnosis.residuals - diagnosis.center)
+    largest = np.where(np.isfinite(away), away, 0.0).max(axis=0)
+    band = np.where(np.isfinite(diagnosis.band) & (diagnosis.band > 0), diagnosis.band, np.inf)
+    return np.argsort(-largest / band, kind="stable").tolist()
+
+
+def _residual_charts(diagnosis: Diagnosis, bins: Bins) -> list[dict[str, Any]]:
+    charts = []
+    for i in by_interest(diagnosis):
+        center, band = float(diagnosis.center[i]), float(diagnosis.band[i])
+        known = np.isfinite(center) and np.isfinite(band)
+        name = diagnosis.residual_names[i]
+        charts.append(
+            {
+                "kind": "residual",
+                "label": name,
+                "unit": residual_unit(diagnosis, name),
+                "band": [center - band, center + band] if known else None,
+                "y": [rounded(bins.extremes(diagnosis.residuals[:, i]))],
+                "names": [name],
+            }
+        )
+    return charts
+
+
+def _statistic_chart(diagnosis: Diagnosis, bins: Bins) -> dict[str, Any]:
+    values = bins.extremes(diagnosis.statistic)
+    threshold = float(diagnosis.threshold)
+    usable = np.isfinite(threshold) and threshold > 0
+    seen = values[np.isfinite(values)]
+    return {
+        "kind": "statistic",
+        "label": "statistic",
+        "unit": "",
+        "threshold": threshold if np.isfinite(threshold) else None,
+        "log": bool(usable and seen.size and seen.max() > _LOG_FROM * threshold),
+        "y": [rounded(values, relative=True)],
+        "names": ["statistic"],
+    }
+
+
+def _score_charts(diagnosis: Diagnosis, bins: Bins) -> list[dict[str, Any]]:
+    if not diagnosis.groups or not diagnosis.scores.size:
+        return []
+    columns: list[NDArray[np.float64]] = [bins.extremes(column) for column in diagnosis.scores.T]
+    return [
+        {
+            "kind": "scores",
+            "label": "score",
+            "unit": "",
+            "y": [[None if v is None else round(v, 4) for v in rounded(c)] for c in columns],
+            "names": [" or ".join(group) for group in diagnosis.groups],
+        }
+    ]
+
+
+def _axis(time: NDArray[np.float64]) -> dict[str, Any]:
+    """Return times as start, step and count when they are even, as a list otherwise."""
+    n = len(time)
+    if n > 2:
+        step = float(time[-1] - time[0]) / (n - 1)
+        even = time[0] + step * np.arange(n)
+        if step > 0 and np.abs(time - even).max() <= 1e-3 * step:
+            return {"start": float(time[0]), "step": step, "n": n}
+    return {"list": [float(f"{t:.10g}") for t in time.tolist()]}

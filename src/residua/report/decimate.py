@@ -1,0 +1,114 @@
+"""Fewer points for a chart, without losing an extreme."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class Bins:
+    """How the samples of a recording are gathered into the points of a chart.
+
+    Attributes
+    ----------
+    n_samples : int
+    width : int
+        Samples per bin; 1 when every sample is drawn. Each wider bin becomes two points.
+    """
+
+    n_samples: int
+    width: int
+
+    @property
+    def n_points(self) -> int:
+        """Points per series."""
+        return self.n_samples if self.width == 1 else 2 * -(-self.n_samples // self.width)
+
+    def times(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the times of the points: the start and the middle of each bin."""
+        if self.width == 1:
+            return time
+        at = np.arange(self.n_points) * (self.width // 2)
+        beyond = np.maximum(at - (self.n_samples - 1), 0)
+        step = (time[-1] - time[0]) / max(self.n_samples - 1, 1)
+        return time[np.minimum(at, self.n_samples - 1)] + beyond * step
+
+    def extremes(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the smallest and largest finite value of each bin, in the order in which they came.
+
+        NaN where a bin has no finite value.
+        """
+        values = np.where(np.isfinite(values), values, np.nan)
+        if self.width == 1:
+            return values
+        n_bins = self.n_points // 2
+        blocks = np.full(n_bins * self.width, np.nan)
+        blocks[: self.n_samples] = values
+        blocks = blocks.reshape(n_bins, self.width)
+        rows = np.arange(n_bins)
+        low = np.where(np.isnan(blocks), np.inf, blocks).argmin(axis=1)
+        high = np.where(np.isnan(blocks), -np.inf, blocks).argmax(axis=1)
+        first, second = np.minimum(low, high), np.maximum(low, high)
+        return np.column_stack([blocks[rows, first], blocks[rows, second]]).ravel()
+
+
+def choose_bins(n_samples: int, max_points: int) -> Bins:
+    """Return bins that give at most ``max_points`` points per series.
+
+    Parameters
+    ----------
+    n_samples : int
+    max_points : int
+        At least 2.
+
+    Returns
+    -------
+    Bins
+        One bin per sample when the samples fit; otherwise bins of an even number of samples.
+
+    Examples
+    --------
+    >>> from residua.report.decimate import choose_bins
+    >>> import numpy as np
+    >>> bins = choose_bins(9, 6)
+    >>> bins.width, bins.n_points
+    (4, 6)
+    >>> bins.extremes(np.array([0.0, 5, 1, -2, 3, 3, 3, 4, 7])).tolist()
+    [5.0, -2.0, 3.0, 4.0, 7.0, 7.0]
+    """
+    if n_samples <= max_points:
+        return Bins(n_samples, 1)
+    width = -(-n_samples // max(1, max_points // 2))
+    return Bins(n_samples, width + width % 2)
+
+
+def runs(flags: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return the runs of true samples as rows ``(first, one past the last)``."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return edges.reshape(-1, 2)
+
+
+def spans(time: NDArray[np.float64], intervals: NDArray[np.int64], limit: int = 2000) -> list[list[float]]:
+    """Return sample intervals as times, joining those that a chart could not keep apart.
+
+    Parameters
+    ----------
+    time : ndarray, shape (T,)
+    intervals : ndarray, shape (k, 2)
+        First sample and one past the last, in order.
+    limit : int
+        With more intervals than this, gaps below 1/4000 of the recording are closed.
+    """
+    if len(intervals) == 0 or len(time) == 0:
+        return []
+    last = len(time) - 1
+    start = time[np.minimum(intervals[:, 0], last)]
+    stop = time[np.clip(intervals[:, 1], 0, last)]
+    if len(start) > limit:
+        wide = start[1:] - stop[:-1] > (time[-1] - time[0]) / 4000
+        start = start[np.concatenate([[True], wide])]
+        stop = stop[np.concatenate([wide, [True]])]
+    return [[float(f"{a:.9g}"), float(f"{b:.9g}")] for a, b in zip(start, stop, strict=True)]

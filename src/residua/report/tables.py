@@ -1,0 +1,194 @@
+"""The tables of a page: alarms, structure, similarity of signatures, evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.design.evidence import Evidence, format_pole
+from residua.report.text import escape, number, score, seconds
+from residua.report.verdict import angle
+
+if TYPE_CHECKING:
+    from residua.design.generator import ResidualGenerator
+    from residua.linear.rank import RankDecision
+    from residua.monitor.diagnosis import Diagnosis
+
+#: Rows of a table of alarms, entries of a list of poles or singular values, that are shown at most.
+MAX_ROWS = 200
+MAX_ENTRIES = 24
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of text for a section of a page.
+
+    Attributes
+    ----------
+    header : sequence of str
+    rows : sequence of sequence of object
+        Numbers are shown with four digits, everything else as text; nothing is taken as HTML.
+    caption : str
+    """
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[object]]
+    caption: str = ""
+
+
+def text_table(table: Table) -> str:
+    """Return a user's table as HTML, escaped."""
+    rows = [[_cell(value) for value in row] for row in table.rows]
+    return html_table([escape(h) for h in table.header], rows, caption=escape(table.caption))
+
+
+def html_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, caption: str = "", kind: str = "") -> str:
+    """Return a table from cells that are HTML already; a cell that starts with ``<td`` or ``<th`` is kept whole."""
+    head = "".join(f'<th scope="col">{cell}</th>' for cell in header)
+    body = "".join("<tr>" + "".join(_wrapped(c) for c in row) + "</tr>\n" for row in rows)
+    title = f"<caption>{caption}</caption>" if caption else ""
+    return f'<div class="scroll"><table class="{kind}">{title}<thead><tr>{head}</tr></thead>\n<tbody>{body}</tbody></table></div>'
+
+
+def alarm_table(diagnosis: Diagnosis) -> str:
+    """Return the table of alarms, or a sentence when there are none."""
+    if not diagnosis.alarms:
+        return '<p class="muted">No alarm was raised.</p>'
+    rows = []
+    main = diagnosis.main_alarm
+    for k, alarm in enumerate(diagnosis.alarms[:MAX_ROWS], 1):
+        named = [c for c in alarm.candidates if np.isfinite(c.score)]
+        best, following = (named + [None, None])[:2]
+        mark = ' <span class="tag">main</span>' if alarm is main and len(diagnosis.alarms) > 1 else ""
+        rows.append(
+            [
+                f"{k}{mark}",
+                *(_num(seconds(t)) for t in (alarm.onset, alarm.raised)),
+                _num("end of recording" if alarm.ended is None else seconds(alarm.ended)),
+                escape(best.name) if best else "not isolated",
+                _num(score(best.score)) if best else _num("–"),
+                escape(following.name) if following else "–",
+                _num(score(following.score)) if following else _num("–"),
+                _num(score(best.score - following.score)) if best and following else _num("–"),
+            ]
+        )
+    header = ["Alarm", "Onset", "Raised", "Ended", "Most likely", "Score", "Next", "Score", "Margin"]
+    more = len(diagnosis.alarms) - MAX_ROWS
+    note = f'<p class="muted">… and {more:,} more alarms.</p>' if more > 0 else ""
+    return html_table(header, rows) + note
+
+
+def candidate_table(diagnosis: Diagnosis) -> str:
+    """Return every candidate of the main alarm with its score, best first; empty without candidates."""
+    candidates = diagnosis.candidates
+    if not candidates:
+        return ""
+    rows = []
+    for k, c in enumerate(candidates, 1):
+        width = f"{100 * c.score:.1f}" if np.isfinite(c.score) else "0"
+        bar = f'<td class="bar"><span style="--w:{width}%"></span></td>'
+        rows.append(
+            [str(k), escape(c.name), bar, *map(_num, (score(c.score), angle(c.score), score(c.distance)))]
+        )
+    header = ["Rank", "Fault", "", "Score", "Angle off signature", "Distance"]
+    title = "Candidates of the main alarm" if len(diagnosis.alarms) > 1 else "Candidates"
+    return html_table(header, rows, caption=title)
+
+
+def structure_table(generator: ResidualGenerator) -> str:
+    """Return who fires when what fails: one row per fault, one column per residual."""
+    if not generator.faults:
+        return '<p class="muted">The plant has no faults.</p>'
+    rows = []
+    for j, fault in enumerate(generator.faults):
+        cells = [
+            '<td class="on" title="fires">●</td>' if fires else '<td class="off" title="stays zero">·</td>'
+            for fires in generator.structure[:, j]
+        ]
+        rows.append([f'<th scope="row">{escape(fault)}</th>', *cells])
+    header = ["What fails", *(f"<span>{escape(name)}</span>" for name in generator.residuals)]
+    kind = "matrix upright" if generator.n_residuals > 8 else "matrix"
+    return html_table(header, rows, caption="Which residuals answer to which fault (● fires, · stays zero)", kind=kind)
+
+
+def similarity_table(
+    labels: Sequence[str], values: NDArray[np.float64], observed: NDArray[np.float64] | None
+) -> str:
+    """Return the heat map of the cosines between signatures, with the observed residual as last row."""
+    header = ["Signature", *(f'<abbr title="{escape(name)}">{k}</abbr>' for k, name in enumerate(labels, 1))]
+    rows = []
+    for k, (name, line) in enumerate(zip(labels, values, strict=True), 1):
+        rows.append([f'<th scope="row"><b>{k}</b> {escape(name)}</th>', *map(_heat, line)])
+    if observed is not None:
+        rows.append(['<th scope="row"><i>observed residual, main alarm</i></th>', *map(_heat, observed)])
+    return html_table(header, rows, kind="matrix heat")
+
+
+def evidence_html(evidence: Evidence) -> str:
+    """Return what a design proves about itself, as tables and lists."""
+    poles = [
+        [label, _num(_poles(values))]
+        for label, values in (
+            ("Poles", evidence.poles),
+            ("Poles asked for", evidence.requested_poles),
+            ("Fixed (invariant zeros, no gain moves them)", evidence.fixed_poles),
+        )
+        if len(values)
+    ]
+    gains = [[f"Largest gain from {escape(k)}, relative", _num(number(v, 2))] for k, v in evidence.decoupling.items()]
+    conditions = [[escape(k), _num(number(v, 3))] for k, v in evidence.conditions.items()]
+    parts = []
+    if poles or gains or conditions:
+        parts.append(html_table(["Check", "Value"], [*poles, *gains, *conditions]))
+    if evidence.ranks:
+        ranks = [[escape(k), _num(str(d.rank)), *map(_num, _singular(d))] for k, d in evidence.ranks.items()]
+        header = ["Rank decision", "Rank", "Singular values kept", "Counted as zero", "Tolerance", "Gap"]
+        parts.append(html_table(header, ranks))
+    for title, lines in (("Notes", evidence.notes), ("References", evidence.references)):
+        if lines:
+            parts.append(f"<h4>{title}</h4><ul>{''.join(f'<li>{escape(x)}</li>' for x in lines)}</ul>")
+    return "\n".join(parts) or '<p class="muted">None was recorded.</p>'
+
+
+def _singular(decision: RankDecision) -> tuple[str, str, str, str]:
+    values = [number(float(s), 3) for s in decision.singular_values]
+    gap = "clear" if decision.is_clear else "narrow"
+    kept, dropped = values[: decision.rank], values[decision.rank :]
+    return _cut(kept) or "none", _cut(dropped) or "none", number(decision.tolerance, 2), gap
+
+
+def _poles(values: NDArray[np.complex128]) -> str:
+    return _cut([escape(format_pole(p)).replace("-", "−") for p in values])
+
+
+def _cut(entries: list[str]) -> str:
+    more = len(entries) - MAX_ENTRIES
+    return ", ".join(entries[:MAX_ENTRIES]) + (f" and {more} more" if more > 0 else "")
+
+
+def _heat(value: float) -> str:
+    if not np.isfinite(value):
+        return '<td class="heat-none">–</td>'
+    return f'<td style="--v:{value:.3f}">{value:.2f}</td>'
+
+
+def _num(text: str) -> str:
+    return f'<td class="num">{text}</td>'
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, (bool, np.bool_)):
+        return "yes" if value else "no"
+    if isinstance(value, (int, np.integer)):
+        return _num(f"{int(value):,}")
+    if isinstance(value, (float, np.floating)):
+        return _num(number(float(value)))
+    return f"<td>{escape('' if value is None else value)}</td>"
+
+
+def _wrapped(cell: str) -> str:
+    return cell if cell.startswith(("<td", "<th")) else f"<td>{cell}</td>"

@@ -1,0 +1,77 @@
+"""Numbers and names as text that is safe inside a page."""
+
+from __future__ import annotations
+
+import html
+import json
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def escape(value: object) -> str:
+    """Return any value as text with every character that means something in HTML replaced."""
+    return html.escape(str(value), quote=True)
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """Return a number as short text; a dash when there is none."""
+    if value is None or math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    return f"{value:.{digits}g}".replace("-", "−").replace("e+", "e")
+
+
+def score(value: float) -> str:
+    """Return a correlation with three decimals; a dash when it was not judged."""
+    return f"{value:.3f}" if math.isfinite(value) else "–"
+
+
+def seconds(value: float | None) -> str:
+    """Return a time with its unit."""
+    return "–" if value is None or not math.isfinite(value) else f"{number(value, 6)} s"
+
+
+def with_unit(name: str, unit: str) -> str:
+    """Return a name followed by its unit in brackets, where it has one."""
+    return f"{name} [{unit}]" if unit else name
+
+
+def listing(names: Iterable[str], last: str = "and") -> str:
+    """Return names as a phrase: ``a, b and c``."""
+    items = list(names)
+    if len(items) < 2:
+        return "".join(items)
+    return f"{', '.join(items[:-1])} {last} {items[-1]}"
+
+
+def rounded(values: NDArray[np.float64], relative: bool = False) -> list[float | None]:
+    """Return values with the digits that a chart can show, and ``None`` where they are not finite.
+
+    Five digits of the range that the values span (``relative=False``), so that a small ripple on a large
+    offset survives; or four digits of each value, for a logarithmic axis.
+    """
+    finite = np.isfinite(values)
+    if not finite.any():
+        return [None] * len(values)
+    digits = 4
+    if not relative:
+        seen = values[finite]
+        span = float(np.ptp(seen))
+        largest = float(np.abs(seen).max())
+        if span > 0:
+            digits = min(15, 5 + max(0, math.ceil(math.log10(largest / span))))
+    form = f"%.{digits}g"
+    return [float(form % v) if ok else None for v, ok in zip(values.tolist(), finite.tolist(), strict=True)]
+
+
+def safe_json(value: Any) -> str:
+    """Return JSON that can stand inside a script element: no ``<``, ``>`` or ``&`` remains in it."""
+    text = json.dumps(value, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
+    for character in "<>&\u2028\u2029":
+        text = text.replace(character, f"\\u{ord(character):04x}")
+    return text

@@ -1,0 +1,148 @@
+"""A diagnosis in words."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from residua.report.text import listing, number, score, seconds
+
+if TYPE_CHECKING:
+    from residua.monitor.diagnosis import Candidate, Diagnosis
+
+#: A lead in score at or above the first is called clear, below the second a close call.
+CLEAR_MARGIN = 0.10
+CLOSE_MARGIN = 0.02
+#: Below this score no listed fault explains the residual well (it points more than 45 degrees away).
+POOR_SCORE = 0.70
+
+RULES = (
+    "The score is the cosine of the angle between the residual and a signature, judged over the monitor's window. "
+    f"A lead over the next candidate of {CLEAR_MARGIN:.2f} or more is called clear, below {CLOSE_MARGIN:.2f} a close "
+    f"call; a best score below {POOR_SCORE:.2f} means that no listed fault explains the residual well."
+)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a diagnosis comes to.
+
+    Attributes
+    ----------
+    kind : {"fault", "none", "undecided"}
+    headline : str
+    sentences : tuple of str
+    confidence : {"clear", "moderate", "close call", "no good match", "not isolated", ""}
+    margin : float or None
+        Lead of the best candidate over the next in score.
+    """
+
+    kind: str
+    headline: str
+    sentences: tuple[str, ...]
+    confidence: str = ""
+    margin: float | None = None
+
+
+def verdict(diagnosis: Diagnosis) -> Verdict:
+    """Return the outcome of a diagnosis in words.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+
+    Returns
+    -------
+    Verdict
+    """
+    decided = int(diagnosis.decided.sum())
+    if diagnosis.alarms:
+        return _fault(diagnosis)
+    if decided == 0:
+        why = "the recording is empty" if not len(diagnosis.time) else (
+            "no sample of the recording could be judged: it is shorter than the filter needs to settle, "
+            "or values are missing throughout"
+        )
+        return Verdict("undecided", "No decision.", (f"{why[0].upper()}{why[1:]}.",))
+    sentences = [f"{decided:,} of {len(diagnosis.time):,} samples were judged."]
+    seen = diagnosis.statistic[diagnosis.decided]
+    largest = float(np.nanmax(seen)) if np.isfinite(seen).any() else math.nan
+    if math.isfinite(largest) and math.isfinite(diagnosis.threshold) and diagnosis.threshold > 0:
+        share = 100 * largest / diagnosis.threshold
+        sentences.append(
+            f"The statistic reached {number(share, 3)} % of its threshold at most"
+            + (", but not for long enough to raise an alarm." if share > 100 else ".")
+        )
+    return Verdict("none", "No fault found.", tuple(sentences))
+
+
+def _fault(diagnosis: Diagnosis) -> Verdict:
+    main = diagnosis.main_alarm
+    assert main is not None
+    when = f"since t = {seconds(main.onset)}"
+    sentences = [f"Onset at {seconds(main.onset)}, alarm raised at {seconds(main.raised)}, {_end(main.ended)}."]
+    candidates = [c for c in main.candidates if math.isfinite(c.score)]
+    if not candidates:
+        headline = f"A fault was found, {when}; it was not isolated."
+        sentences.append("This monitor names no candidates for it.")
+        confidence, margin = "not isolated", None
+    else:
+        best = candidates[0]
+        confidence, margin = _confidence(candidates)
+        if confidence == "no good match":
+            headline = f"A fault was found, {when}; no listed fault explains it well. Nearest: {best.name}."
+        else:
+            headline = f"Fault found: {best.name}, {when}."
+        sentences.append(_how_sure(candidates, confidence, margin))
+        if len(best.faults) > 1:
+            sentences.append(f"This monitor cannot tell {listing(best.faults)} apart.")
+    others = [g for g in diagnosis.groups if len(g) > 1 and (not candidates or g != candidates[0].faults)]
+    if others:
+        sentences.append(f"Not told apart here either: {'; '.join(listing(g) for g in others)}.")
+    if diagnosis.unjudged:
+        sentences.append(f"Without a signature in this monitor, so never named: {listing(diagnosis.unjudged)}.")
+    if len(diagnosis.alarms) > 1:
+        sentences.append(f"This is the longest of {len(diagnosis.alarms):,} alarms.")
+    return Verdict("fault", headline, tuple(sentences), confidence, margin)
+
+
+def _end(ended: float | None) -> str:
+    return "lasting to the end of the recording" if ended is None else f"ended at {seconds(ended)}"
+
+
+def _confidence(candidates: list[Candidate]) -> tuple[str, float | None]:
+    margin = candidates[0].score - candidates[1].score if len(candidates) > 1 else None
+    if candidates[0].score < POOR_SCORE:
+        return "no good match", margin
+    if margin is None or margin >= CLEAR_MARGIN:
+        return "clear", margin
+    return ("close call" if margin < CLOSE_MARGIN else "moderate"), margin
+
+
+def _how_sure(candidates: list[Candidate], confidence: str, margin: float | None) -> str:
+    best = candidates[0]
+    text = f"Score {score(best.score)}, {angle(best.score)} off its signature"
+    if margin is None:
+        return f"{text}; there is no other candidate to compare with."
+    following = candidates[1]
+    words = {
+        "clear": "a clear lead",
+        "moderate": "a moderate lead",
+        "close call": "a close call",
+        "no good match": "neither fits",
+    }[confidence]
+    return (
+        f"{text}; next is {following.name} with {score(following.score)} ({angle(following.score)}): "
+        f"{words}, margin {score(margin)}."
+    )
+
+
+def angle(cosine: float) -> str:
+    """Return the angle that a score stands for, in degrees."""
+    if not math.isfinite(cosine):
+        return "–"
+    degrees = math.degrees(math.acos(min(1.0, max(0.0, cosine))))
+    return f"{degrees:.0f}°" if degrees >= 10 else f"{degrees:.1f}°"
