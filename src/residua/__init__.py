@@ -1,6 +1,28 @@
-"""Model-based fault detection and isolation."""
+"""Model-based fault detection and isolation.
 
+From a plant model and the list of what may fail to residual generators, alarms and the name of the faulty
+component.
+"""
+
+from residua import analysis, decide, design, errors, library, linear, plant
+from residua.analysis import diagnosability
+from residua.linear import StateSpace
+from residua.monitor import Diagnosis, Monitor
 from residua.plant import Plant
 
 __version__ = "0.1.0"
-__all__ = ["Plant"]
+
+__all__ = [
+    "Diagnosis",
+    "Monitor",
+    "Plant",
+    "StateSpace",
+    "analysis",
+    "decide",
+    "design",
+    "diagnosability",
+    "errors",
+    "library",
+    "linear",
+    "plant",
+]

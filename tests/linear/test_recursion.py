@@ -59,9 +59,7 @@ def by_hand(
     return x_next, r
 
 
-sizes = st.tuples(
-    st.integers(0, 19), st.integers(0, 9), st.integers(0, 18), st.integers(0, 4), st.integers(0, 7)
-)
+sizes = st.tuples(st.integers(0, 19), st.integers(0, 9), st.integers(0, 18), st.integers(0, 4), st.integers(0, 7))
 
 
 @needs_compiled
@@ -268,7 +266,5 @@ def test_kernel_refuses_what_would_overrun_memory() -> None:
 def test_environment_forces_numpy() -> None:
     code = "import residua.linear.recursion as r; print(r.compiled())"
     environment = {**os.environ, "RESIDUA_NO_COMPILED": "1"}
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
-    )
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"

@@ -142,8 +142,7 @@ def diagnosability(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> Diagnosabilit
     """
     if not plant.faults:
         raise ModelError(
-            "the plant has no faults: name what may fail with with_sensor_faults, "
-            "with_actuator_faults or with_faults"
+            "the plant has no faults: name what may fail with with_sensor_faults, with_actuator_faults or with_faults"
         )
     generic, _, _, _ = _visible_columns(plant, _test_points(plant), rtol)
     steady = _steady_columns(plant, rtol)
@@ -190,20 +189,19 @@ def _test_points(plant: Plant) -> NDArray[np.complex128]:
     if plant.is_discrete:
         size = 1.0
     angles = np.array([0.731, 1.947, 2.653])
-    return size * np.array([1.3170, 0.6931, 2.2360]) * np.exp(1j * angles)
+    return np.asarray(size * np.array([1.3170, 0.6931, 2.2360]) * np.exp(1j * angles), dtype=complex)
 
 
-def _visible_columns(
-    plant: Plant, points: NDArray, rtol: float
-) -> tuple[NDArray, NDArray, NDArray, list]:
+def _visible_columns(plant: Plant, points: NDArray, rtol: float) -> tuple[NDArray, NDArray, NDArray, list]:
     """Return what the disturbances leave of each fault's column at each point.
 
     Shape (points, residual dimension, faults); columns are scaled to unit length before projection.
     """
-    n, p = plant.n_states, plant.n_outputs
+    n = plant.n_states
     E = np.eye(n) if plant.E is None else plant.E
-    size = max(float(np.linalg.norm(plant.A)), 1e-300)
-    row = np.concatenate([np.full(n, 1 / size), 1 / np.maximum(np.linalg.norm(plant.C, axis=1), 1e-300)])
+    size = max(float(np.linalg.norm(plant.A)), float(np.abs(_test_points(plant)).max()))
+    heights = np.linalg.norm(plant.C, axis=1)
+    row = np.concatenate([np.full(n, 1 / size), 1 / np.where(heights > 0, heights, 1.0)])
     Fd, Ff = np.vstack([plant.Bd, plant.Dd]) * row[:, None], np.vstack([plant.Bf, plant.Df]) * row[:, None]
     Fd = Fd / np.maximum(np.linalg.norm(Fd, axis=0), 1e-300)
     norms = np.linalg.norm(Ff, axis=0)

@@ -49,7 +49,7 @@ def output_free_form(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> OutputFreeF
     r = int(np.count_nonzero(s > rtol * s[0]))
     G = plant.Bd @ Vh[:r].T / s[:r] @ U[:, :r].T
     W = U[:, r:].T
-    scale = np.linalg.norm(plant.Bd, 2) if plant.Bd.size else 0.0
+    scale = float(np.linalg.norm(plant.Bd, 2)) if plant.Bd.size else 0.0
     rest = plant.Bd @ Vh[r:].T
     E, decision = factor_disturbance(rest, rtol=rtol)
     if scale and decision.singular_values.size and decision.singular_values[0] <= rtol * scale:

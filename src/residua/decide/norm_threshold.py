@@ -93,9 +93,7 @@ class NormTest:
         return self.threshold * np.sqrt(np.sum(inverse**2, axis=0))
 
 
-def norm_test_from_model(
-    settings: NormThreshold, covariance: NDArray | None, n_residuals: int
-) -> NormTest | None:
+def norm_test_from_model(settings: NormThreshold, covariance: NDArray | None, n_residuals: int) -> NormTest | None:
     """Return the test that needs no data, or ``None`` when data are needed."""
     use_model = settings.whiten in ("auto", "model") and covariance is not None
     whitening = whitening_matrix(covariance) if use_model and covariance is not None else np.eye(n_residuals)

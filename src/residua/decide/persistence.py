@@ -42,7 +42,5 @@ def alarm_logic(
     raised, ended = over & (up_now >= persistence), under & (down_now >= release)
     samples = np.arange(exceeded.shape[1])
     latest = np.maximum.accumulate(np.where(raised | ended, samples, -1), axis=1)
-    state = np.where(
-        latest >= 0, np.take_along_axis(raised, np.maximum(latest, 0), axis=1), alarm[:, None]
-    )
+    state = np.where(latest >= 0, np.take_along_axis(raised, np.maximum(latest, 0), axis=1), alarm[:, None])
     return state, up_now, down_now

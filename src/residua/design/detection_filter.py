@@ -161,9 +161,7 @@ def directional_filters(
     if isinstance(poles, dict):
         _check_names(poles, events)
     notes += [f"{len(designs)} filters: one cannot keep all faults apart"] if len(designs) > 1 else []
-    observers = [
-        _observer(plant, T, H, W, offset, design, base, tuple(notes), decouples) for _, design in designs
-    ]
+    observers = [_observer(plant, T, H, W, offset, design, base, tuple(notes), decouples) for _, design in designs]
     return _stacked(plant, observers, [group for group, _ in designs], events, pole is not None)
 
 
@@ -257,9 +255,7 @@ def _stacked(
         fixed_poles=np.concatenate([part.evidence.fixed_poles for part in parts]),
         decoupling=check_decoupling(system, plant, decoupled=observers[0].decouples),
     )
-    return make_generator(
-        system, plant, parts[0].method, evidence, observer=observers[0], members=tuple(members)
-    )
+    return make_generator(system, plant, parts[0].method, evidence, observer=observers[0], members=tuple(members))
 
 
 def stack_systems(systems: list[StateSpace]) -> StateSpace:

@@ -115,10 +115,10 @@ def scalar_pole(A: NDArray, C: NDArray, poles: Poles, margin: float | None, dt: 
     if poles is None:
         distance = default_margin(A, dt) if margin is None else margin
         return float(np.exp(-distance * dt)) if dt else -float(distance)
-    wanted = np.atleast_1d(np.asarray(poles, dtype=complex))
-    if len(wanted) != n or np.ptp(wanted.real) or np.any(wanted.imag):
+    wanted = np.asarray(poles, dtype=complex).reshape(-1)
+    if len(wanted) != n or np.any(wanted != wanted[0]) or np.any(np.imag(wanted)):
         return None
-    pole = float(wanted[0].real)
+    pole = float(np.real(wanted[0]))
     if not is_stable_mode(np.array([pole]), dt).all():
         raise DesignError(f"the pole {pole:g} is not stable for {'a sampled' if dt else 'a continuous'} plant")
     return pole
@@ -243,9 +243,7 @@ def _without(wanted: NDArray, fixed: NDArray) -> NDArray:
     return np.asarray(left, dtype=complex)
 
 
-def partition(
-    A: NDArray, C: NDArray, events: Sequence[FaultEvent], dt: float
-) -> list[list[FaultEvent]]:
+def partition(A: NDArray, C: NDArray, events: Sequence[FaultEvent], dt: float) -> list[list[FaultEvent]]:
     """Split the events over as few filters as keep them apart.
 
     Searched exactly: first one filter, then two, and so on; a set that fails makes every larger set fail.

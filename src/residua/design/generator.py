@@ -256,9 +256,7 @@ def stack_signals(plant: Plant, u: ArrayLike | None, y: ArrayLike) -> NDArray[np
     if y_.ndim == 1 and n_y == 1:
         y_ = y_[:, None]
     if y_.ndim not in (2, 3) or y_.shape[-1] != n_y:
-        raise DataError(
-            f"y must be (time, {n_y}) with the columns {', '.join(plant.outputs)}, got shape {y_.shape}"
-        )
+        raise DataError(f"y must be (time, {n_y}) with the columns {', '.join(plant.outputs)}, got shape {y_.shape}")
     if u is None:
         if n_u:
             raise DataError(f"u is missing: this plant has the inputs {', '.join(plant.inputs)}")

@@ -103,9 +103,7 @@ def leakage(generator: StateSpace, plant: Plant, w: NDArray | None = None) -> di
     return out
 
 
-def check_decoupling(
-    generator: StateSpace, plant: Plant, *, decoupled: bool, limit: float = 1e-7
-) -> dict[str, float]:
+def check_decoupling(generator: StateSpace, plant: Plant, *, decoupled: bool, limit: float = 1e-7) -> dict[str, float]:
     """Return the leakage of a finished design, or raise when what was promised is not kept."""
     found = leakage(generator, plant)
     promised = {name: gain for name, gain in found.items() if name == "control" or decoupled}

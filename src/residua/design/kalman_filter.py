@@ -53,9 +53,7 @@ def kalman_filter(plant: Plant) -> ResidualGenerator:
     """
     plant = plant.explicit()
     if plant.Bw.shape[1] == 0:
-        raise DesignError(
-            "a Kalman filter needs the noise of the plant: with_noise(process=..., measurement=...)"
-        )
+        raise DesignError("a Kalman filter needs the noise of the plant: with_noise(process=..., measurement=...)")
     solution = filter_riccati(
         plant.A, plant.C, plant.process_noise, plant.measurement_noise, plant.cross_noise, dt=plant.dt
     )
@@ -75,6 +73,14 @@ def kalman_filter(plant: Plant) -> ResidualGenerator:
         references=("Gertler (1991), Automatica 27(4), eqs. (3-14) to (3-17) and section 5.3",),
     )
     observer = Observer(
-        plant, plant.A - K @ plant.C, np.eye(n), np.zeros((n, p)), K, np.eye(p), "Kalman filter", False, evidence
+        plant,
+        plant.A - K @ plant.C,
+        np.eye(n),
+        np.zeros((n, p)),
+        K,
+        np.eye(p),
+        "Kalman filter",
+        False,
+        evidence,
     )
     return observer.residual_generator()

@@ -164,7 +164,11 @@ def assemble(
         requested_poles=np.asarray(placed.requested, dtype=complex),
         fixed_poles=np.asarray(placed.fixed, dtype=complex),
         ranks={"rank(CE)": existence.rank_CE, "rank(E)": existence.rank_E} if q else {},
-        conditions={"|T E| / |E|": identity, "pole error": placed.error, "norm of K1": float(np.linalg.norm(K1))},
+        conditions={
+            "|T E| / |E|": identity,
+            "pole error": placed.error,
+            "norm of K1": float(np.linalg.norm(K1)),
+        },
         notes=notes,
         references=references,
     )

@@ -17,19 +17,19 @@ def frozen(M: NDArray) -> NDArray[np.float64]:
     return out
 
 
-def matrix(
-    value: ArrayLike, name: str, shape: tuple[int | None, int | None], *, what: str = ""
-) -> NDArray[np.float64]:
+def matrix(value: ArrayLike, name: str, shape: tuple[int | None, int | None], *, what: str = "") -> NDArray[np.float64]:
     """Return ``value`` as a read-only finite matrix of the given shape, or say what is wrong with it.
 
     A one-dimensional value is taken as one column when the shape asks for ``shape[0]`` rows, as one row
     when it asks for exactly one row. ``None`` in ``shape`` leaves that side open.
     """
     try:
+        if np.iscomplexobj(value):  # NumPy would only warn, and drop the imaginary parts
+            raise ModelError(f"{name} must be real, got complex entries")
         M = np.asarray(value, dtype=np.float64)
+    except ModelError:
+        raise
     except (TypeError, ValueError) as error:
-        if np.iscomplexobj(np.asarray(value)):
-            raise ModelError(f"{name} must be real, got complex entries") from error
         raise ModelError(f"{name} must be a matrix of numbers: {error}") from error
     rows, columns = shape
     if M.ndim == 0:
@@ -51,9 +51,13 @@ def matrix(
 
 def sample_step(dt: float) -> float:
     """Return ``dt`` as a float: 0 for continuous time, positive for sampled."""
-    if isinstance(dt, bool) or not np.isscalar(dt) or not np.isfinite(float(dt)) or float(dt) < 0:
+    try:
+        step = float(dt)
+    except (TypeError, ValueError):
+        step = np.nan
+    if isinstance(dt, (bool, np.bool_, str, bytes)) or not np.isscalar(dt) or not np.isfinite(step) or step < 0:
         raise ModelError(f"dt must be 0 (continuous) or a positive step in seconds, got {dt!r}")
-    return float(dt)
+    return step
 
 
 def names(given: Iterable[str] | str | None, count: int, prefix: str, what: str) -> tuple[str, ...]:

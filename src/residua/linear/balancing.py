@@ -7,8 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.errors import ModelError
-
 #: Entries this far below both the largest of their row and of their column are rounding residue; scaling
 #: must not promote them to data.
 _RESIDUE = 64 * np.finfo(float).eps
@@ -36,38 +34,6 @@ class BalancedSystem:
     outputs: NDArray[np.float64]
 
 
-def as_matrix(name: str, M: ArrayLike, shape: tuple[int | None, int | None]) -> NDArray[np.float64]:
-    """Return ``M`` as a finite real matrix of the given shape, ``None`` standing for any number.
-
-    Parameters
-    ----------
-    name : str
-        How the message calls the matrix.
-    M : array_like
-    shape : tuple of (int or None)
-
-    Returns
-    -------
-    ndarray
-
-    Raises
-    ------
-    ModelError
-        Not two-dimensional, complex, not finite, or of another shape.
-    """
-    M = np.asarray(M)
-    if M.ndim != 2:
-        raise ModelError(f"{name} must be a matrix, got {M.ndim} dimension(s)")
-    if np.iscomplexobj(M):
-        raise ModelError(f"{name} must be real")
-    M = M.astype(float)
-    if any(want is not None and want != have for want, have in zip(shape, M.shape, strict=True)):
-        raise ModelError(f"{name} has shape {M.shape}, expected {tuple('any' if s is None else s for s in shape)}")
-    if not np.all(np.isfinite(M)):
-        raise ModelError(f"{name} has {np.count_nonzero(~np.isfinite(M))} entries that are not finite")
-    return M
-
-
 def power_of_two(x: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the power of two nearest to each positive number; one where it is zero."""
     x = np.asarray(x, dtype=float)
@@ -80,7 +46,7 @@ def without_residue(M: NDArray[np.float64]) -> NDArray[np.float64]:
     if not M.size:
         return M
     floor = _RESIDUE * np.minimum(M.max(axis=1, keepdims=True), M.max(axis=0, keepdims=True))
-    return np.where(M > floor, M, 0.0)
+    return np.where(floor < M, M, 0.0)
 
 
 def _root(numerator: float, denominator: float) -> float:
@@ -133,9 +99,7 @@ def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> Ba
         if not moved:
             break
     T, U, Y = right[:n], right[n:], left[n:]
-    return BalancedSystem(
-        A / T[:, None] * T, B / T[:, None] * U, Y[:, None] * C * T, Y[:, None] * D * U, T, U, Y
-    )
+    return BalancedSystem(A / T[:, None] * T, B / T[:, None] * U, Y[:, None] * C * T, Y[:, None] * D * U, T, U, Y)
 
 
 def _scale_channels(
@@ -145,7 +109,7 @@ def _scale_channels(
     moved = False
     for axis, factors, block in ((1, left, W[n:]), (0, right, W[:, n:])):
         norms = np.linalg.norm(block, axis=axis)
-        real = norms > _RESIDUE**2 * norms.max(initial=0.0)
+        real = norms > _RESIDUE * norms.max(initial=0.0)
         f = np.where(real, power_of_two(level / np.where(real, norms, level)), 1.0)
         moved |= bool(np.any(f != 1.0))
         block *= f[:, None] if axis else f

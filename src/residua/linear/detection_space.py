@@ -7,7 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.linear.rank import DEFAULT_RTOL, RankDecision, decide_rank, left_null_basis, null_basis, range_basis
+from residua.linear.rank import (
+    DEFAULT_RTOL,
+    RankDecision,
+    decide_rank,
+    left_null_basis,
+    null_basis,
+    range_basis,
+)
 from residua.linear.reachability import reachable_basis
 
 
@@ -150,8 +157,7 @@ class Blocks:
     def gain(self, block_gains: list[NDArray], rest_gain: NDArray) -> NDArray[np.float64]:
         """Return ``K`` from the gains of the blocks and of the rest."""
         columns = [
-            K0 + space.basis @ G
-            for K0, space, G in zip(self._confining, self._spaces, block_gains, strict=True)
+            K0 + space.basis @ G for K0, space, G in zip(self._confining, self._spaces, block_gains, strict=True)
         ]
         return np.hstack([*columns, self._R @ rest_gain]) @ self._read
 

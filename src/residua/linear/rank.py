@@ -102,9 +102,7 @@ def range_basis(
     return U[:, : decision.rank], decision
 
 
-def null_basis(
-    M: ArrayLike, *, rtol: float = DEFAULT_RTOL, scale: float | None = None
-) -> tuple[NDArray, RankDecision]:
+def null_basis(M: ArrayLike, *, rtol: float = DEFAULT_RTOL, scale: float | None = None) -> tuple[NDArray, RankDecision]:
     """Return an orthonormal basis of ``{x : M x = 0}`` and the rank decision behind it."""
     _, _, Vh, decision = _svd_decision(M, rtol, scale, full=True)
     return Vh[decision.rank :].conj().T, decision

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -169,17 +170,17 @@ class StateSpace:
             X = np.linalg.solve(points[:, None, None] * E - self.A, self.B[None].astype(complex))
         except np.linalg.LinAlgError as error:
             raise ModelError(f"the system has a pole at one of the points asked for: {error}") from error
-        return self.C @ X + self.D
+        return np.asarray(self.C @ X + self.D, dtype=complex)
 
     def dc_gain(self) -> NDArray[np.float64]:
-        """Return the gain for constant inputs; raises when the system integrates (a pole at ``s=0``, ``z=1``)."""
+        """Return the gain for constant inputs; raises when the system integrates."""
         return np.asarray(self.evaluate(1.0 if self.is_discrete else 0.0)[0].real)
 
     # ----------------------------------------------------------- new systems
 
     def replaced(self, **changes: object) -> StateSpace:
         """Return a copy with some of the constructor's arguments changed."""
-        fields = {name: getattr(self, name) for name in _FIELDS} | changes
+        fields: dict[str, Any] = {name: getattr(self, name) for name in _FIELDS} | changes
         return StateSpace(**fields)
 
     def select(

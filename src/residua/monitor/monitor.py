@@ -212,9 +212,7 @@ class Monitor:
         data = self._block(u, y)
         if len(data) != 1:
             raise DataError("fit takes one recording, (time, channels)")
-        blank = NormTest(
-            np.zeros(self.generator.n_residuals), np.eye(self.generator.n_residuals), np.inf, 1, 1, ""
-        )
+        blank = NormTest(np.zeros(self.generator.n_residuals), np.eye(self.generator.n_residuals), np.inf, 1, 1, "")
         _, found = run_block(self._specification(blank), initial_state(self._specification(blank), 1), data)
         self._norm_test = fit_norm_test(
             self.test,
@@ -289,7 +287,9 @@ class Monitor:
         if self._state is None:
             self._state = initial_state(spec, len(data))
         if len(self._state.x) != len(data):
-            raise DataError(f"the monitor follows {len(self._state.x)} plants, the block has {len(data)}; reset() first")
+            raise DataError(
+                f"the monitor follows {len(self._state.x)} plants, the block has {len(data)}; reset() first"
+            )
         self._state, found = run_block(spec, self._state, data)
         return found
 
@@ -376,7 +376,7 @@ class Monitor:
             g.system.B,
             g.system.C,
             g.system.D,
-            np.linalg.solve(np.eye(n) - g.system.A, g.system.B),
+            np.asarray(np.linalg.solve(np.eye(n) - g.system.A, g.system.B), dtype=float),
             np.array([*point.inputs, *point.outputs]),
             chosen,
             direction,

@@ -17,9 +17,7 @@ def candidates_at(scores: NDArray[np.float64], groups: tuple[tuple[str, ...], ..
     if scores.size == 0 or np.isnan(scores).all():
         return ()
     order = np.argsort(-scores, kind="stable")
-    return tuple(
-        Candidate(groups[g], float(scores[g]), float(np.sqrt(max(0.0, 1.0 - scores[g] ** 2)))) for g in order
-    )
+    return tuple(Candidate(groups[g], float(scores[g]), float(np.sqrt(max(0.0, 1.0 - scores[g] ** 2)))) for g in order)
 
 
 def diagnosis_from(

@@ -152,7 +152,7 @@ def _filter(
 ) -> tuple[State, NDArray, NDArray[np.bool_], NDArray[np.bool_]]:
     """Run the generator; samples with missing values advance it with held values and yield no residual."""
     plants, time, _ = v.shape
-    missing = ~np.isfinite(v).all(axis=2)
+    missing = np.asarray(~np.isfinite(v).all(axis=2))
     if state.running.all() and not missing.any():
         x, residuals = run_filter(spec.A, spec.B, spec.C, spec.D, state.x, v)
         ages = state.age[:, None] + np.arange(1, time + 1)
@@ -162,9 +162,7 @@ def _filter(
         return state, residuals, ages > spec.settle, missing
     residuals = np.full((plants, time, len(spec.C)), np.nan)
     ages = np.zeros((plants, time), dtype=np.int64)
-    fields = {
-        name: getattr(state, name).copy() for name in ("x", "held", "gap", "running", "age", "resets")
-    }
+    fields = {name: getattr(state, name).copy() for name in ("x", "held", "gap", "running", "age", "resets")}
     for p in range(plants):
         _filter_with_gaps(spec, fields, p, v[p], missing[p], residuals[p], ages[p])
     usable = ~missing & (ages > spec.settle)
@@ -236,13 +234,11 @@ def _decide(
     missing: NDArray[np.bool_],
 ) -> tuple[State, Decisions]:
     test = spec.test
-    plants, time, k = residuals.shape
+    time = residuals.shape[1]
     q = ordered_product(np.where(usable[..., None], residuals - test.center, 0.0), test.whitening)
     statistic = np.where(usable, _norm(q), np.nan)
     exceeded = usable & (np.where(usable, statistic, 0.0) > test.threshold)
-    alarm, up, down = alarm_logic(
-        exceeded, usable, state.up, state.down, state.alarm, test.persistence, test.release
-    )
+    alarm, up, down = alarm_logic(exceeded, usable, state.up, state.down, state.alarm, test.persistence, test.release)
     sums, previous, current, filled = moving_sum(q, state.previous, state.current, state.filled)
     scores = _scores(spec.direction, sums, usable)
     if time:

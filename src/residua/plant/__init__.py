@@ -1,5 +1,7 @@
 """Plants: linear systems whose inputs have roles, from arrays, files and other packages."""
 
+from residua.plant.channels import Fault, OperatingPoint
+from residua.plant.conversion import plant_from_state_space
 from residua.plant.disturbances import (
     disturbance_from_parameters,
     disturbance_from_perturbations,
@@ -7,7 +9,9 @@ from residua.plant.disturbances import (
     factor_disturbance,
     quadratic_terms,
 )
-from residua.plant.plant import Fault, OperatingPoint, Plant
+from residua.plant.plant import Plant
+from residua.plant.plant_file import load_plant, loads_plant
+from residua.plant.plant_writer import dumps_plant, save_plant
 
 __all__ = [
     "Fault",
@@ -16,6 +20,11 @@ __all__ = [
     "disturbance_from_parameters",
     "disturbance_from_perturbations",
     "disturbance_from_steady_states",
+    "dumps_plant",
     "factor_disturbance",
+    "load_plant",
+    "loads_plant",
+    "plant_from_state_space",
     "quadratic_terms",
+    "save_plant",
 ]

@@ -40,9 +40,7 @@ def covariance(
     W = (W + W.T) / 2
     smallest = float(np.linalg.eigvalsh(W)[0]) if n else 0.0
     if smallest < -1e-8 * scale:
-        raise ModelError(
-            f"{what}: a covariance has no negative eigenvalue; the smallest here is {smallest:.3g}"
-        )
+        raise ModelError(f"{what}: a covariance has no negative eigenvalue; the smallest here is {smallest:.3g}")
     return W
 
 

@@ -4,51 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import ModelError
 from residua.linear import StateSpace, arrays
-from residua.linear.arrays import frozen, index_of, matrix, names, unique
+from residua.linear.arrays import frozen, matrix, names, unique
 from residua.linear.rank import DEFAULT_RTOL
 from residua.linear.state_space import square
+from residua.plant.channels import (
+    Direction,
+    Fault,
+    OperatingPoint,
+    channel_units,
+    channel_values,
+    direction,
+    direction_matrices,
+    operating_point as checked_point,
+    positions,
+)
 from residua.plant.disturbances import factor_disturbance
+from residua.plant.facts import PlantFacts
 from residua.plant.noise import covariance, noise_factors, sampled_noise
 
-#: The roles an input of a plant can have, with the letter of its matrices.
-ROLES = {"control": "u", "disturbance": "d", "fault": "f", "noise": "w"}
 
-Direction = ArrayLike | tuple[ArrayLike, ArrayLike] | Mapping[str, ArrayLike]
-
-
-@dataclass(frozen=True)
-class OperatingPoint:
-    """The constant inputs and outputs around which the model holds, in plant units.
-
-    Attributes
-    ----------
-    inputs : tuple of float
-        One per control input.
-    outputs : tuple of float
-        One per output.
-    """
-
-    inputs: tuple[float, ...]
-    outputs: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class Fault:
-    """What one fault is: its name, its kind and the component that it belongs to."""
-
-    name: str
-    kind: str
-    component: str
-
-
-@dataclass(frozen=True, init=False, eq=False)
-class Plant:
+@dataclass(frozen=True, init=False, eq=False, repr=False)
+class Plant(PlantFacts):
     r"""A linear plant with control, disturbance, fault and noise inputs.
 
     .. math::
@@ -79,6 +63,8 @@ class Plant:
         Zero when omitted; recordings have it subtracted before they meet the model.
     units : mapping of str to str, optional
         Unit of each input, output or state, for plots and tables.
+    description : str
+        What the plant is, in a sentence or two.
 
     Raises
     ------
@@ -98,27 +84,6 @@ class Plant:
     ('valve actuator', 'level sensor', 'leak')
     """
 
-    A: NDArray[np.float64]
-    C: NDArray[np.float64]
-    E: NDArray[np.float64] | None
-    Bu: NDArray[np.float64]
-    Du: NDArray[np.float64]
-    Bd: NDArray[np.float64]
-    Dd: NDArray[np.float64]
-    Bf: NDArray[np.float64]
-    Df: NDArray[np.float64]
-    Bw: NDArray[np.float64]
-    Dw: NDArray[np.float64]
-    dt: float
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    states: tuple[str, ...]
-    disturbances: tuple[str, ...]
-    fault_list: tuple[Fault, ...]
-    name: str
-    operating_point: OperatingPoint
-    units: Mapping[str, str]
-
     def __init__(
         self,
         A: ArrayLike,
@@ -134,6 +99,7 @@ class Plant:
         name: str = "plant",
         operating_point: OperatingPoint | None = None,
         units: Mapping[str, str] | None = None,
+        description: str = "",
     ) -> None:
         A_ = square(A, "A")
         n = A_.shape[0]
@@ -156,102 +122,38 @@ class Plant:
             "disturbances": (),
             "fault_list": (),
             "name": str(name),
+            "description": str(description),
         }
         for letter in "dfw":
             fields["B" + letter] = frozen(np.zeros((n, 0)))
             fields["D" + letter] = frozen(np.zeros((p, 0)))
-        point = OperatingPoint((0.0,) * m, (0.0,) * p) if operating_point is None else operating_point
-        if len(point.inputs) != m or len(point.outputs) != p:
-            raise ModelError(f"operating_point: expected {m} inputs and {p} outputs")
-        fields["operating_point"] = point
-        known = {*fields["inputs"], *fields["outputs"], *fields["states"]}
-        for key in units or {}:
-            if key not in known:
-                raise ModelError(f"units: {key!r} is no input, output or state of this plant")
-        fields["units"] = dict(units or {})
+        fields["operating_point"] = checked_point(operating_point, fields["inputs"], fields["outputs"])
+        fields["units"] = channel_units(units, {*fields["inputs"], *fields["outputs"], *fields["states"]})
         unique(fields["inputs"] + fields["outputs"], "inputs and outputs")
         for key, value in fields.items():
             object.__setattr__(self, key, value)
 
-    # ------------------------------------------------------------------- facts
+    # ---------------------------------------------------- from and to elsewhere
 
-    @property
-    def n_states(self) -> int:
-        """Number of states."""
-        return self.A.shape[0]
+    @classmethod
+    def from_state_space(cls, system: Any, **options: Any) -> Plant:
+        """Return the plant made of another package's system; see :func:`plant_from_state_space`."""
+        from residua.plant.conversion import plant_from_state_space
 
-    @property
-    def n_outputs(self) -> int:
-        """Number of measured outputs."""
-        return self.C.shape[0]
+        return plant_from_state_space(system, **options)
 
-    @property
-    def is_discrete(self) -> bool:
-        """Whether the plant is sampled."""
-        return self.dt > 0
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Plant:
+        """Return the plant that a plant file describes; see :func:`load_plant`."""
+        from residua.plant.plant_file import load_plant
 
-    @property
-    def faults(self) -> tuple[str, ...]:
-        """Names of the faults, in the order of the columns of ``Bf`` and ``Df``."""
-        return tuple(fault.name for fault in self.fault_list)
+        return load_plant(path)
 
-    @property
-    def fault_kinds(self) -> tuple[str, ...]:
-        """``"actuator"``, ``"sensor"`` or ``"component"`` for each fault."""
-        return tuple(fault.kind for fault in self.fault_list)
+    def to_toml(self, path: str | Path) -> Path:
+        """Write a plant file from which :meth:`from_toml` makes the same plant, to the last bit."""
+        from residua.plant.plant_writer import save_plant
 
-    @property
-    def fault_components(self) -> tuple[str, ...]:
-        """The component that each fault belongs to."""
-        return tuple(fault.component for fault in self.fault_list)
-
-    @property
-    def noises(self) -> tuple[str, ...]:
-        """Names of the noise inputs."""
-        return tuple(f"w{i + 1}" for i in range(self.Bw.shape[1]))
-
-    @property
-    def process_noise(self) -> NDArray[np.float64]:
-        """Covariance of the state noise, ``Bw Bw'``, shape (n, n)."""
-        return self.Bw @ self.Bw.T
-
-    @property
-    def measurement_noise(self) -> NDArray[np.float64]:
-        """Covariance of the measurement noise, ``Dw Dw'``, shape (outputs, outputs)."""
-        return self.Dw @ self.Dw.T
-
-    @property
-    def cross_noise(self) -> NDArray[np.float64]:
-        """Covariance between state and measurement noise, ``Bw Dw'``."""
-        return self.Bw @ self.Dw.T
-
-    def system(self, roles: Iterable[str] = ("control", "disturbance", "fault", "noise")) -> StateSpace:
-        """Return the plant as a plain system driven by the inputs of the given roles, in that order."""
-        chosen = []
-        for role in (roles,) if isinstance(roles, str) else tuple(roles):
-            if role not in ROLES:
-                raise ModelError(f"unknown role {role!r}; known: {', '.join(ROLES)}")
-            chosen.append(role)
-        channels = {
-            "control": self.inputs,
-            "disturbance": self.disturbances,
-            "fault": self.faults,
-            "noise": self.noises,
-        }
-        letters = [ROLES[role] for role in chosen]
-        labels = [name for role in chosen for name in channels[role]]
-        empty_B, empty_D = np.zeros((self.n_states, 0)), np.zeros((self.n_outputs, 0))
-        return StateSpace(
-            self.A,
-            np.hstack([empty_B, *(getattr(self, "B" + letter) for letter in letters)]),
-            self.C,
-            np.hstack([empty_D, *(getattr(self, "D" + letter) for letter in letters)]),
-            E=self.E,
-            dt=self.dt,
-            inputs=labels if len(set(labels)) == len(labels) else _by_role(chosen, channels),
-            outputs=self.outputs,
-            states=self.states,
-        )
+        return save_plant(self, path)
 
     # -------------------------------------------------------------- new plants
 
@@ -294,10 +196,10 @@ class Plant:
         Chen, Patton and Zhang (1996), section 2, below eq. (1).
         """
         if isinstance(directions, Mapping):
+            if names is not None or output is not None:
+                raise ModelError("a mapping of disturbances brings its own names and (state, output) pairs")
             names = tuple(directions)
-            pairs = [self._direction(value, f"disturbance {key!r}") for key, value in directions.items()]
-            Bd = np.column_stack([b for b, _ in pairs]) if pairs else np.zeros((self.n_states, 0))
-            Dd = np.column_stack([d for _, d in pairs]) if pairs else np.zeros((self.n_outputs, 0))
+            Bd, Dd = direction_matrices(directions, self.states, self.outputs, "disturbance")
         else:
             Bd = matrix(directions, "disturbance directions", (self.n_states, None), what="one row per state")
             shape = (self.n_outputs, Bd.shape[1])
@@ -313,16 +215,14 @@ class Plant:
             labels = arrays.names(names, Bd.shape[1], "d", "disturbances")
         labels = self.disturbances + labels
         unique(labels, "disturbances")
-        return self._with(
-            Bd=frozen(np.hstack([self.Bd, Bd])), Dd=frozen(np.hstack([self.Dd, Dd])), disturbances=labels
-        )
+        return self._with(Bd=frozen(np.hstack([self.Bd, Bd])), Dd=frozen(np.hstack([self.Dd, Dd])), disturbances=labels)
 
     def with_sensor_faults(self, outputs: Iterable[str | int] | str | None = None) -> Plant:
         """Return the plant with an additive fault on each of the given outputs (all when omitted).
 
         The fault of output ``name`` is called ``"name sensor"`` and adds directly to that output.
         """
-        for i in self._channels(outputs, self.outputs, "output"):
+        for i in positions(outputs, self.outputs, "output"):
             column = np.zeros(self.n_outputs)
             column[i] = 1.0
             name = self.outputs[i]
@@ -334,7 +234,7 @@ class Plant:
 
         The fault of input ``name`` is called ``"name actuator"`` and enters as that input does.
         """
-        for i in self._channels(inputs, self.inputs, "input"):
+        for i in positions(inputs, self.inputs, "input"):
             name = self.inputs[i]
             self = self._with_fault(Fault(f"{name} actuator", "actuator", name), self.Bu[:, i], self.Du[:, i])
         return self
@@ -358,13 +258,13 @@ class Plant:
         if kind not in ("component", "actuator", "sensor"):
             raise ModelError(f"kind must be 'component', 'actuator' or 'sensor', got {kind!r}")
         for name, value in directions.items():
-            b, d = self._direction(value, f"fault {name!r}")
+            b, d = direction(value, self.states, self.outputs, f"fault {name!r}")
             self = self._with_fault(Fault(name, kind, component or name), b, d)
         return self
 
     def without_faults(self, names: Iterable[str] | str | None = None) -> Plant:
         """Return the plant without the named faults (without any, when omitted)."""
-        drop = set(self._channels(names, self.faults, "fault"))
+        drop = set(positions(names, self.faults, "fault"))
         keep = [i for i in range(len(self.fault_list)) if i not in drop]
         return self._with(
             Bf=frozen(self.Bf[:, keep]),
@@ -406,15 +306,13 @@ class Plant:
         outputs: ArrayLike | Mapping[str, float] | None = None,
     ) -> Plant:
         """Return the plant with the constant inputs and outputs around which its matrices hold."""
-        u = self._offsets(inputs, self.inputs, self.operating_point.inputs, "operating_point inputs")
-        y = self._offsets(outputs, self.outputs, self.operating_point.outputs, "operating_point outputs")
+        u = channel_values(inputs, self.inputs, self.operating_point.inputs, "operating_point inputs")
+        y = channel_values(outputs, self.outputs, self.operating_point.outputs, "operating_point outputs")
         return self._with(operating_point=OperatingPoint(u, y))
 
     def without_disturbances(self) -> Plant:
         """Return the plant without its disturbances."""
-        return self._with(
-            Bd=frozen(self.Bd[:, :0]), Dd=frozen(self.Dd[:, :0]), disturbances=()
-        )
+        return self._with(Bd=frozen(self.Bd[:, :0]), Dd=frozen(self.Dd[:, :0]), disturbances=())
 
     def explicit(self) -> Plant:
         """Return the plant with an invertible ``E`` divided out; raises when ``E`` is singular."""
@@ -438,11 +336,7 @@ class Plant:
         sizes = np.cumsum([self.Bu.shape[1], self.Bd.shape[1]])
         Bu, Bd, Bf = (frozen(B) for B in np.hsplit(sampled.B, sizes))
         Bw, Dw = sampled_noise(plain.A, plain.Bw, plain.Dw, sampled.dt)
-        return self._with(
-            A=sampled.A, E=None, Bu=Bu, Bd=Bd, Bf=Bf, Bw=frozen(Bw), Dw=frozen(Dw), dt=sampled.dt
-        )
-
-    # ------------------------------------------------------------------ helpers
+        return self._with(A=sampled.A, E=None, Bu=Bu, Bd=Bd, Bf=Bf, Bw=frozen(Bw), Dw=frozen(Dw), dt=sampled.dt)
 
     def _with_fault(self, fault: Fault, b: NDArray, d: NDArray) -> Plant:
         if not fault.name or not isinstance(fault.name, str):
@@ -455,52 +349,3 @@ class Plant:
             Df=frozen(np.column_stack([self.Df, d])),
             fault_list=(*self.fault_list, replace(fault)),
         )
-
-    def _direction(self, value: Direction, what: str) -> tuple[NDArray, NDArray]:
-        """Return the (state, output) vectors of a fault or disturbance."""
-        is_pair = isinstance(value, tuple) and len(value) == 2 and not np.isscalar(value[0])
-        state, output = value if is_pair else (value, None)
-        return (
-            np.asarray(self._offsets(state, self.states, (0.0,) * self.n_states, f"{what}, state direction")),
-            np.asarray(
-                self._offsets(output, self.outputs, (0.0,) * self.n_outputs, f"{what}, output direction")
-            ),
-        )
-
-    @staticmethod
-    def _offsets(
-        value: object, known: tuple[str, ...], default: tuple[float, ...], what: str
-    ) -> tuple[float, ...]:
-        if value is None:
-            return default
-        if isinstance(value, Mapping):
-            out = list(default)
-            for key, entry in value.items():
-                out[index_of(key, known, f"{what}: channel")] = float(entry)
-        else:
-            out = list(matrix(value, what, (len(known), 1)).ravel())  # pyright: ignore[reportArgumentType]
-        if not np.isfinite(out).all():
-            raise ModelError(f"{what}: every number must be finite")
-        return tuple(float(x) for x in out)
-
-    @staticmethod
-    def _channels(
-        chosen: Iterable[str | int] | str | int | None, known: tuple[str, ...], what: str
-    ) -> list[int]:
-        if chosen is None:
-            return list(range(len(known)))
-        if isinstance(chosen, (str, int)):
-            chosen = [chosen]
-        return [index_of(name, known, what) for name in chosen]
-
-    def __repr__(self) -> str:
-        kind = f"dt={self.dt:g} s" if self.is_discrete else "continuous"
-        return (
-            f"Plant({self.name!r}: {self.n_states} states, {len(self.inputs)} inputs, {self.n_outputs} outputs, "
-            f"{len(self.disturbances)} disturbances, {len(self.faults)} faults, {kind})"
-        )
-
-
-def _by_role(chosen: list[str], channels: Mapping[str, tuple[str, ...]]) -> list[str]:
-    """Return channel labels made unique by their role."""
-    return [f"{role} {name}" for role in chosen for name in channels[role]]

@@ -57,7 +57,10 @@ class Signatures:
 
 
 def signatures(
-    generator: ResidualGenerator, groups: tuple[tuple[str, ...], ...] | None = None
+    generator: ResidualGenerator,
+    groups: tuple[tuple[str, ...], ...] | None = None,
+    *,
+    whitening: NDArray[np.float64] | None = None,
 ) -> Signatures:
     """Return the signature of each group of faults.
 
@@ -70,24 +73,23 @@ def signatures(
     generator : ResidualGenerator
     groups : tuple of tuple of str, optional
         One group per fault when omitted.
+    whitening : ndarray, shape (residuals, residuals), optional
+        The matrix ``M`` with which the monitor whitens residual rows, ``r @ M``; from the covariance that
+        the plant's noise gives the residual when omitted.
     """
     n = generator.n_residuals
     chosen = groups if groups is not None else tuple((f,) for f in generator.faults)
-    covariance = generator.covariance
-    whitening = np.eye(n) if covariance is None else _inverse_root(covariance)
+    root, whitened = _whitening_root(generator, whitening)
     bases, steady = [], []
     for group in chosen:
-        vectors = np.zeros((n, 0))
-        stands_in = False
-        for fault in group:
-            basis = np.asarray(generator.subspaces[fault], dtype=float).reshape(n, -1)
-            if n > 1 and basis.shape[1] >= n:
-                basis, stands_in = _steady(generator, fault), True
-            vectors = np.hstack([vectors, basis])
-        bases.append(_orthonormal(whitening @ vectors))
+        # The faults of a group share one signature, up to the monitor's tolerance: the first stands for all.
+        fault = group[0]
+        basis = np.asarray(generator.subspaces[fault], dtype=float).reshape(n, -1)
+        stands_in = n > 1 and basis.shape[1] >= n
+        bases.append(_orthonormal(root @ (_steady(generator, fault) if stands_in else basis)))
         steady.append(stands_in)
     labels = tuple(" or ".join(group) for group in chosen)
-    return Signatures(labels, tuple(bases), tuple(steady), whitening, covariance is not None)
+    return Signatures(labels, tuple(bases), tuple(steady), root, whitened)
 
 
 def _steady(generator: ResidualGenerator, fault: str) -> NDArray[np.float64]:
@@ -106,7 +108,23 @@ def _orthonormal(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     return U[:, s > 1e-8 * s.max(initial=0.0)]
 
 
-def _inverse_root(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+def _whitening_root(
+    generator: ResidualGenerator, whitening: NDArray[np.float64] | None
+) -> tuple[NDArray[np.float64], bool]:
+    """Return the symmetric matrix that whitens residual columns, and whether it does anything.
+
+    Symmetric, so that the whitened axes still belong to one residual each as nearly as can be; angles do
+    not depend on that choice.
+    """
+    n = generator.n_residuals
+    if whitening is not None:
+        information = np.asarray(whitening) @ np.asarray(whitening).T
+        values, vectors = np.linalg.eigh(information)
+        root = vectors @ np.diag(np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+        return root, not np.allclose(information, np.eye(n))
+    covariance = generator.covariance
+    if covariance is None:
+        return np.eye(n), False
     values, vectors = np.linalg.eigh(covariance)
-    floor = 1e-12 * max(float(values[-1]), np.finfo(float).tiny)
-    return vectors @ np.diag(1 / np.sqrt(np.maximum(values, floor))) @ vectors.T
+    floor = 1e-8 * max(float(values[-1]), np.finfo(float).tiny)
+    return vectors @ np.diag(1 / np.sqrt(np.maximum(values, floor))) @ vectors.T, True

@@ -50,8 +50,11 @@ def html_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, caption:
     """Return a table from cells that are HTML already; a cell that starts with ``<td`` or ``<th`` is kept whole."""
     head = "".join(f'<th scope="col">{cell}</th>' for cell in header)
     body = "".join("<tr>" + "".join(_wrapped(c) for c in row) + "</tr>\n" for row in rows)
-    title = f"<caption>{caption}</caption>" if caption else ""
-    return f'<div class="scroll"><table class="{kind}">{title}<thead><tr>{head}</tr></thead>\n<tbody>{body}</tbody></table></div>'
+    title = f'<p class="caption">{caption}</p>' if caption else ""
+    return (
+        f'{title}<div class="scroll"><table class="{kind}"><thead><tr>{head}</tr></thead>\n'
+        f"<tbody>{body}</tbody></table></div>"
+    )
 
 
 def alarm_table(diagnosis: Diagnosis) -> str:
@@ -69,9 +72,9 @@ def alarm_table(diagnosis: Diagnosis) -> str:
                 f"{k}{mark}",
                 *(_num(seconds(t)) for t in (alarm.onset, alarm.raised)),
                 _num("end of recording" if alarm.ended is None else seconds(alarm.ended)),
-                escape(best.name) if best else "not isolated",
+                _name(best.name if best else "not isolated"),
                 _num(score(best.score)) if best else _num("–"),
-                escape(following.name) if following else "–",
+                _name(following.name if following else "–"),
                 _num(score(following.score)) if following else _num("–"),
                 _num(score(best.score - following.score)) if best and following else _num("–"),
             ]
@@ -91,9 +94,7 @@ def candidate_table(diagnosis: Diagnosis) -> str:
     for k, c in enumerate(candidates, 1):
         width = f"{100 * c.score:.1f}" if np.isfinite(c.score) else "0"
         bar = f'<td class="bar"><span style="--w:{width}%"></span></td>'
-        rows.append(
-            [str(k), escape(c.name), bar, *map(_num, (score(c.score), angle(c.score), score(c.distance)))]
-        )
+        rows.append([str(k), _name(c.name), bar, *map(_num, (score(c.score), angle(c.score), score(c.distance)))])
     header = ["Rank", "Fault", "", "Score", "Angle off signature", "Distance"]
     title = "Candidates of the main alarm" if len(diagnosis.alarms) > 1 else "Candidates"
     return html_table(header, rows, caption=title)
@@ -115,16 +116,23 @@ def structure_table(generator: ResidualGenerator) -> str:
     return html_table(header, rows, caption="Which residuals answer to which fault (● fires, · stays zero)", kind=kind)
 
 
-def similarity_table(
-    labels: Sequence[str], values: NDArray[np.float64], observed: NDArray[np.float64] | None
-) -> str:
-    """Return the heat map of the cosines between signatures, with the observed residual as last row."""
+def similarity_table(labels: Sequence[str], values: NDArray[np.float64], observed: NDArray[np.float64] | None) -> str:
+    """Return the heat map of the cosines between signatures, with the observed residual as last row.
+
+    The swatches are the colours of :func:`residua.report.pictures.direction_picture`.
+    """
     header = ["Signature", *(f'<abbr title="{escape(name)}">{k}</abbr>' for k, name in enumerate(labels, 1))]
     rows = []
     for k, (name, line) in enumerate(zip(labels, values, strict=True), 1):
-        rows.append([f'<th scope="row"><b>{k}</b> {escape(name)}</th>', *map(_heat, line)])
+        swatch = f'<span class="swatch c{(k - 1) % 8}"></span>'
+        rows.append([f'<th scope="row">{swatch}<b>{k}</b> {escape(name)}</th>', *map(_heat, line)])
     if observed is not None:
-        rows.append(['<th scope="row"><i>observed residual, main alarm</i></th>', *map(_heat, observed)])
+        rows.append(
+            [
+                '<th scope="row"><span class="swatch observed"></span><i>observed residual, main alarm</i></th>',
+                *map(_heat, observed),
+            ]
+        )
     return html_table(header, rows, kind="matrix heat")
 
 
@@ -178,6 +186,10 @@ def _heat(value: float) -> str:
 
 def _num(text: str) -> str:
     return f'<td class="num">{text}</td>'
+
+
+def _name(text: str) -> str:
+    return f'<td class="name">{escape(text)}</td>'
 
 
 def _cell(value: object) -> str:

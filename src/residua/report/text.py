@@ -33,7 +33,17 @@ def score(value: float) -> str:
 
 def seconds(value: float | None) -> str:
     """Return a time with its unit."""
-    return "–" if value is None or not math.isfinite(value) else f"{number(value, 6)} s"
+    return "–" if value is None or not math.isfinite(value) else f"{number(value, 7)} s"
+
+
+def percent(part: int, whole: int) -> str:
+    """Return a share in per cent that reads 0 or 100 only where it is exactly that."""
+    share = 100 * part / whole if whole else 0.0
+    if 0 < share < 0.01:
+        return "< 0.01 %"
+    if 99.99 < share < 100:
+        return "> 99.99 %"
+    return f"{math.floor(100 * share + 1e-6) / 100:g} %"
 
 
 def with_unit(name: str, unit: str) -> str:

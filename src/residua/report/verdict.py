@@ -35,7 +35,7 @@ class Verdict:
     kind : {"fault", "none", "undecided"}
     headline : str
     sentences : tuple of str
-    confidence : {"clear", "moderate", "close call", "no good match", "not isolated", ""}
+    confidence : {"clear lead", "moderate lead", "close call", "no good match", "not isolated", ""}
     margin : float or None
         Lead of the best candidate over the next in score.
     """
@@ -62,9 +62,13 @@ def verdict(diagnosis: Diagnosis) -> Verdict:
     if diagnosis.alarms:
         return _fault(diagnosis)
     if decided == 0:
-        why = "the recording is empty" if not len(diagnosis.time) else (
-            "no sample of the recording could be judged: it is shorter than the filter needs to settle, "
-            "or values are missing throughout"
+        why = (
+            "the recording is empty"
+            if not len(diagnosis.time)
+            else (
+                "no sample of the recording could be judged: it is shorter than the filter needs to settle, "
+                "or values are missing throughout"
+            )
         )
         return Verdict("undecided", "No decision.", (f"{why[0].upper()}{why[1:]}.",))
     sentences = [f"{decided:,} of {len(diagnosis.time):,} samples were judged."]
@@ -118,8 +122,8 @@ def _confidence(candidates: list[Candidate]) -> tuple[str, float | None]:
     if candidates[0].score < POOR_SCORE:
         return "no good match", margin
     if margin is None or margin >= CLEAR_MARGIN:
-        return "clear", margin
-    return ("close call" if margin < CLOSE_MARGIN else "moderate"), margin
+        return "clear lead", margin
+    return ("close call" if margin < CLOSE_MARGIN else "moderate lead"), margin
 
 
 def _how_sure(candidates: list[Candidate], confidence: str, margin: float | None) -> str:
@@ -129,8 +133,8 @@ def _how_sure(candidates: list[Candidate], confidence: str, margin: float | None
         return f"{text}; there is no other candidate to compare with."
     following = candidates[1]
     words = {
-        "clear": "a clear lead",
-        "moderate": "a moderate lead",
+        "clear lead": "a clear lead",
+        "moderate lead": "a moderate lead",
         "close call": "a close call",
         "no good match": "neither fits",
     }[confidence]

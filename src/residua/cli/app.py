@@ -1,0 +1,309 @@
+"""The commands."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from residua import __version__
+from residua.analysis import diagnosability
+from residua.cli import methods, screen
+from residua.cli.files import check_input, check_outputs, replacing
+from residua.cli.guard import FAULT, NO_FAULT, GuardedGroup, warn
+from residua.cli.methods import Method
+from residua.decide import Directional, NormThreshold
+from residua.errors import DataError, ModelError
+from residua.monitor import Diagnosis, Monitor
+from residua.monitor.recording import Recording, read_recording, write_table
+from residua.plant.plant_file import load_plant
+
+app = typer.Typer(
+    cls=GuardedGroup,
+    help="Model-based fault detection and isolation: from a plant file and a recording to the faulty component.",
+    epilog="Exit status: 0 done, or no fault found; 1 a fault was found; 2 error. "
+    "RESIDUA_TRACEBACK=1 shows where an error comes from.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+demos = typer.Typer(cls=GuardedGroup, help="Runs on data that the package makes itself.", no_args_is_help=True)
+app.add_typer(demos, name="demo")
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"residua {__version__}")
+        raise typer.Exit
+
+
+def _poles(text: str | None) -> str | None:
+    if text is not None:
+        try:
+            methods.parse_poles(text)
+        except ValueError as error:
+            raise typer.BadParameter(str(error)) from None
+    return text
+
+
+def _rate(value: float | None) -> float | None:
+    if value is not None and not 0 < value < 1:
+        raise typer.BadParameter(f"must lie between 0 and 1, got {value:g}")
+    return value
+
+
+def _positive(value: float | None) -> float | None:
+    if value is not None and not 0 < value < float("inf"):
+        raise typer.BadParameter(f"must be positive, got {value:g}")
+    return value
+
+
+PlantFile = Annotated[Path, typer.Argument(metavar="PLANT.toml", help="Plant file.", show_default=False)]
+MonitorFile = Annotated[Path, typer.Argument(metavar="MONITOR.json", help="What design or fit wrote.")]
+TimeColumn = Annotated[str | None, typer.Option("--time", metavar="NAME", help="Column with the times in seconds.")]
+Step = Annotated[
+    float | None,
+    typer.Option("--dt", metavar="S", callback=_positive, help="Step in seconds, for recordings without times."),
+]
+Variable = Annotated[
+    str | None, typer.Option("--variable", metavar="NAME", help="Which array of a .mat or .npz file to read.")
+]
+
+
+@app.callback()
+def _common(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and stop.")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def analyze(
+    plant: PlantFile,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+) -> None:
+    """Tell which faults can be detected and told apart, and why the others cannot."""
+    check_input(plant, "a plant file")
+    found = diagnosability(load_plant(plant))
+    if as_json:
+        typer.echo(json.dumps(screen.diagnosability_values(found), indent=2))
+    else:
+        screen.show_diagnosability(found)
+
+
+@app.command()
+def design(
+    plant: PlantFile,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="OUT.json", help="Monitor to write.")],
+    method: Annotated[
+        Method, typer.Option(help="auto: by what the plant file has of disturbances and noise.")
+    ] = Method.auto,
+    poles: Annotated[
+        str | None,
+        typer.Option(callback=_poles, metavar="LIST", help="Poles, such as -3,-3,-3 or -1+2j,-1-2j,-3."),
+    ] = None,
+    margin: Annotated[
+        float | None,
+        typer.Option(callback=_positive, metavar="RATE", help="Stability margin when no poles are given, in 1/s."),
+    ] = None,
+    sample_time: Annotated[
+        float | None,
+        typer.Option(callback=_positive, metavar="S", help="Step of the recordings, for a continuous plant."),
+    ] = None,
+    false_alarm_rate: Annotated[
+        float, typer.Option(callback=_rate, metavar="RATE", help="Fraction of fault-free samples in alarm.")
+    ] = 1e-3,
+    persistence: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Samples in a row over the threshold that raise an alarm.")
+    ] = 3,
+    window: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Samples over which the direction of the residual is judged.")
+    ] = 50,
+) -> None:
+    """Design a monitor and print what it proves about itself."""
+    check_input(plant, "a plant file")
+    check_outputs([output], [plant])
+    model = load_plant(plant)
+    chosen, why = (method, "") if method is not Method.auto else methods.choose(model)
+    wish = methods.Wish(methods.parse_poles(poles) if poles else None, margin, sample_time)
+    generator = methods.make(model, chosen, wish, why=why)
+    isolate = Directional(window=window)
+    monitor = Monitor(
+        generator,
+        test=NormThreshold(persistence=persistence, false_alarm_rate=false_alarm_rate),
+        isolate=isolate,
+        dt=sample_time,
+    )
+    with replacing(output) as temporary:
+        monitor.save(temporary)
+    screen.say(f"method: {chosen.value}" + (f", because {why}" if why else ""), str(_evidence(monitor)))
+    if model.faults:
+        screen.show_signatures(generator, isolate)
+    screen.say(_readiness(monitor, output), f"written: {output}")
+
+
+def _evidence(monitor: Monitor) -> object:
+    """Return the evidence of what will run: the sampled filter, where the step is known."""
+    try:
+        return monitor.generator.evidence
+    except ModelError:  # a continuous design whose step is not known yet
+        return monitor.design.evidence
+
+
+def _readiness(monitor: Monitor, path: Path) -> str:
+    if monitor.is_fitted:
+        test = monitor.norm_test
+        return f"threshold {test.threshold:.6g}: {test.basis}; 'residua fit' sets it from fault-free data"
+    return f"no threshold yet: residua fit {path} NORMAL.csv -o {path}"
+
+
+@app.command()
+def fit(
+    monitor: MonitorFile,
+    normal: Annotated[Path, typer.Argument(metavar="NORMAL.csv", help="A fault-free recording.")],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="OUT.json", help="Monitor to write.")],
+    false_alarm_rate: Annotated[
+        float | None,
+        typer.Option(callback=_rate, metavar="RATE", help="Fraction in alarm; that of the design when omitted."),
+    ] = None,
+    time: TimeColumn = None,
+    dt: Step = None,
+    variable: Variable = None,
+) -> None:
+    """Set the threshold from fault-free data."""
+    check_input(monitor, "a monitor")
+    check_input(normal, "a recording")
+    check_outputs([output], [normal])
+    watch = Monitor.load(monitor)
+    data = _read(normal, watch, time, dt, variable)
+    rate = watch.test.false_alarm_rate if false_alarm_rate is None else false_alarm_rate
+    watch.fit(data.u, data.y, **_clock(data), false_alarm_rate=rate)
+    found = _run(watch, data)
+    watch.reset()
+    with replacing(output) as temporary:
+        watch.save(temporary)
+    judged = int(found.decided.sum())
+    screen.say(
+        f"threshold: {watch.threshold:.6g}",
+        f"basis: {watch.norm_test.basis}",
+        f"fault-free samples: {len(found.time)} over {_span(found):.6g} s, {judged} judged "
+        f"({found.n_missing} incomplete, the rest while the filter settles)",
+        f"in alarm: {found.false_alarm_fraction:.3g} of them, {rate:g} was asked for",
+        f"written: {output}",
+    )
+    if judged * rate < 10:
+        warn(
+            f"{judged} samples are too few to see a false alarm rate of {rate:g}: give {int(10 / rate) + 1} or more, "
+            "or ask for a higher rate with --false-alarm-rate"
+        )
+
+
+@app.command()
+def run(
+    monitor: MonitorFile,
+    recording: Annotated[Path, typer.Argument(metavar="DATA.csv", help="CSV, Parquet, .mat or .npz.")],
+    report: Annotated[
+        Path | None, typer.Option("--report", metavar="OUT.html", help="Write a page with charts.")
+    ] = None,
+    alarms: Annotated[
+        Path | None, typer.Option("--alarms", metavar="OUT.jsonl", help="Write one JSON object per alarm and line.")
+    ] = None,
+    residuals: Annotated[
+        Path | None,
+        typer.Option("--residuals", metavar="OUT.csv", help="Write residuals, statistic, scores; .csv or .parquet."),
+    ] = None,
+    time: TimeColumn = None,
+    dt: Step = None,
+    variable: Variable = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing; the exit status tells.")] = False,
+) -> None:
+    """Look for faults in a recording: exit status 0 no fault, 1 a fault, 2 error."""
+    check_input(monitor, "a monitor")
+    check_input(recording, "a recording")
+    check_outputs([report, alarms, residuals], [monitor, recording])
+    _check_table(residuals)
+    watch = Monitor.load(monitor)
+    watch.norm_test  # noqa: B018 (a monitor without a threshold says so before a long file is read)
+    found = _run(watch, _read(recording, watch, time, dt, variable))
+    written = _write(found, report=report, alarms=alarms, residuals=residuals)
+    if not quiet:
+        screen.show_diagnosis(found)
+        screen.say(*(f"written: {path}" for path in written))
+    if not found.decided.any():
+        raise DataError(
+            f"{recording}: no sample could be judged, so this is not a verdict: {len(found.time)} samples, "
+            f"{found.n_missing} of them incomplete, and the filter needs {watch.settling_samples} to settle"
+        )
+    raise typer.Exit(FAULT if found.fault_detected else NO_FAULT)
+
+
+def _read(path: Path, watch: Monitor, time: str | None, dt: float | None, variable: str | None) -> Recording:
+    return read_recording(path, watch.design.plant, time=time, dt=dt, variable=variable)
+
+
+def _clock(data: Recording) -> dict:
+    return {"time": data.time} if data.time is not None else {"dt": data.dt}
+
+
+def _run(watch: Monitor, data: Recording) -> Diagnosis:
+    with screen.progress() as bar:
+        found = watch.run(data.u, data.y, **_clock(data), source=data.source, progress=bar)
+    assert isinstance(found, Diagnosis)
+    return found
+
+
+def _span(found: Diagnosis) -> float:
+    return float(found.time[-1] - found.time[0]) if len(found.time) else 0.0
+
+
+def _check_table(path: Path | None) -> None:
+    if path is not None and path.suffix.lower() not in (".csv", ".parquet"):
+        raise DataError(f"{path}: residuals are written as .csv or .parquet, by the ending of the name")
+
+
+def _write(found: Diagnosis, *, report: Path | None, alarms: Path | None, residuals: Path | None) -> list[Path]:
+    """Write what was asked for and return the paths."""
+    if report is not None:
+        with replacing(report) as temporary:
+            found.to_html(temporary)
+    if alarms is not None:
+        with replacing(alarms) as temporary:
+            found.write_alarms(temporary)
+    if residuals is not None:
+        with replacing(residuals) as temporary:
+            write_table(temporary, found.columns())
+    return [path for path in (report, alarms, residuals) if path is not None]
+
+
+Folder = Annotated[
+    Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for what the demo writes; made when absent.")
+]
+
+
+@demos.command("jet-engine")
+def jet_engine(output: Folder = Path("residua-demo")) -> None:
+    """A jet engine with sensor faults: the disturbance-decoupled filter against the plain one."""
+    from residua.demos import jet_engine as demo
+
+    _folder(output)
+    screen_demo(demo.run(output))
+
+
+@demos.command("three-tank")
+def three_tank(output: Folder = Path("residua-demo")) -> None:
+    """Three tanks with a leak: the whole way from a plant file and recordings to the faulty component."""
+    from residua.demos import three_tank as demo
+
+    _folder(output)
+    screen_demo(demo.run(output))
+
+
+def _folder(path: Path) -> None:
+    if path.exists() and not path.is_dir():
+        raise DataError(f"{path} is a file; the demo needs a folder")
+    path.mkdir(parents=True, exist_ok=True)

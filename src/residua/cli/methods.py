@@ -1,0 +1,169 @@
+"""Which design method, and why; poles as text."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+from residua import design
+from residua.design import ResidualGenerator
+from residua.errors import AccuracyError, DesignError
+from residua.plant import Plant
+
+
+class Method(StrEnum):
+    """The design methods of the command line."""
+
+    auto = "auto"
+    robust_detection_filter = "robust-detection-filter"
+    detection_filter = "detection-filter"
+    kalman_filter = "kalman-filter"
+    unknown_input_observer = "unknown-input-observer"
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What was asked of a design.
+
+    Attributes
+    ----------
+    poles : tuple of complex or None
+    margin : float or None
+    sample_time : float or None
+    """
+
+    poles: tuple[complex, ...] | None = None
+    margin: float | None = None
+    sample_time: float | None = None
+
+
+def choose(plant: Plant) -> tuple[Method, str]:
+    """Return the method that fits what is known about a plant, and why.
+
+    Parameters
+    ----------
+    plant : Plant
+
+    Returns
+    -------
+    tuple of Method and str
+    """
+    if plant.disturbances:
+        names = ", ".join(plant.disturbances)
+        return Method.robust_detection_filter, f"the plant has disturbances to be decoupled: {names}"
+    if plant.Bw.shape[1]:
+        return Method.kalman_filter, "the plant has noise and no disturbances"
+    return Method.detection_filter, "the plant has neither disturbances nor noise"
+
+
+def make(plant: Plant, method: Method, wish: Wish, *, why: str = "") -> ResidualGenerator:
+    """Design by one method, or say why that is impossible and which other methods would work.
+
+    Parameters
+    ----------
+    plant : Plant
+    method : Method
+        Not ``auto``: see :func:`choose`.
+    wish : Wish
+    why : str
+        Why the method was chosen, for the message.
+
+    Returns
+    -------
+    ResidualGenerator
+
+    Raises
+    ------
+    DesignError
+    """
+    try:
+        return _DESIGNS[method](plant, wish)
+    except (DesignError, AccuracyError) as error:
+        chosen = f"{method.value} (chosen because {why})" if why else method.value
+        raise type(error)(f"{chosen}: {error}; {_alternatives(plant, method, wish)}") from error
+
+
+def _alternatives(plant: Plant, failed: Method, wish: Wish) -> str:
+    """Return which of the other methods exist for this plant."""
+    possible = []
+    for method, build in _DESIGNS.items():
+        if method is failed:
+            continue
+        fitting = Wish(sample_time=wish.sample_time) if method is Method.kalman_filter else wish
+        try:
+            build(plant, fitting)
+        except (DesignError, AccuracyError):
+            continue
+        note = ""
+        if plant.disturbances and method in (Method.kalman_filter, Method.detection_filter):
+            note = " (does not decouple the disturbances)"
+        possible.append(f"--method {method.value}{note}")
+    if possible:
+        return f"what exists for this plant: {', '.join(possible)}"
+    return "no other method exists for this plant with these options either"
+
+
+def _directional(build: Callable[..., ResidualGenerator]) -> Callable[[Plant, Wish], ResidualGenerator]:
+    def design_it(plant: Plant, wish: Wish) -> ResidualGenerator:
+        return build(plant, poles=wish.poles, margin=wish.margin)
+
+    return design_it
+
+
+def _kalman(plant: Plant, wish: Wish) -> ResidualGenerator:
+    if wish.poles is not None or wish.margin is not None:
+        raise DesignError("the poles of a Kalman filter follow from the noise: leave out --poles and --margin")
+    if wish.sample_time is not None and not plant.is_discrete and plant.Bw.shape[1]:
+        # The optimal filter for the sampled plant, rather than the continuous one, sampled.
+        plant = plant.discretize(wish.sample_time)
+    return design.kalman_filter(plant)
+
+
+def _observer(plant: Plant, wish: Wish) -> ResidualGenerator:
+    return design.unknown_input_observer(plant, poles=wish.poles, margin=wish.margin).residual_generator()
+
+
+_DESIGNS: dict[Method, Callable[[Plant, Wish], ResidualGenerator]] = {
+    Method.robust_detection_filter: _directional(design.robust_detection_filter),
+    Method.detection_filter: _directional(design.detection_filter),
+    Method.kalman_filter: _kalman,
+    Method.unknown_input_observer: _observer,
+}
+
+
+def parse_poles(text: str) -> tuple[complex, ...]:
+    """Return poles from text such as ``-3,-3`` or ``-1+2j, -1-2j`` (``i`` stands for ``j`` too).
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    tuple of complex
+
+    Raises
+    ------
+    ValueError
+        If an entry is no number.
+
+    Examples
+    --------
+    >>> from residua.cli.methods import parse_poles
+    >>> parse_poles("-3, -1+2i, -1-2i")
+    ((-3+0j), (-1+2j), (-1-2j))
+    """
+    poles = []
+    for entry in text.split(","):
+        plain = "".join(entry.split())
+        try:
+            pole = complex(plain[:-1] + "j" if plain.endswith(("i", "I")) else plain)
+        except ValueError:
+            pole = complex("nan")
+        if not (abs(pole) < float("inf")):
+            raise ValueError(
+                f"{entry.strip()!r} is no pole: give numbers with commas between them, such as -3,-3 or -1+2j,-1-2j"
+            )
+        poles.append(pole)
+    return tuple(poles)

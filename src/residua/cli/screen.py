@@ -1,0 +1,297 @@
+"""What the commands print: tables on a terminal, plain columns in a pipe."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from time import monotonic
+from typing import Any
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from residua.analysis import Diagnosability
+from residua.decide import Directional
+from residua.decide.directional import direction_test
+from residua.design import ResidualGenerator
+from residua.monitor.diagnosis import Alarm, Diagnosis
+from residua.report.verdict import verdict
+
+#: Alarms that are listed at most; ``--alarms`` writes all of them.
+MAX_ALARMS = 20
+#: Columns of a pipe or file: wide enough that nothing is cut.
+_PIPE_WIDTH = 10_000
+#: Seconds of work after which a progress bar appears.
+_PATIENCE = 2.0
+
+
+class _Console(Console):
+    def on_broken_pipe(self) -> None:
+        """Leave it to the guard, which knows the exit statuses."""
+        raise BrokenPipeError
+
+
+def console() -> Console:
+    """Return a console on stdout; names are shown as they are, never taken as markup."""
+    width = None if sys.stdout.isatty() else _PIPE_WIDTH
+    return _Console(file=sys.stdout, width=width, markup=False, highlight=False, emoji=False)
+
+
+def say(*lines: str) -> None:
+    """Print lines; a terminal wraps them, a pipe gets them whole."""
+    out = console()
+    for line in lines:
+        out.print(line, soft_wrap=not out.is_terminal)
+
+
+def show_table(header: Sequence[str], rows: Iterable[Sequence[object]], *, title: str = "") -> None:
+    """Print a table: with lines on a terminal, as plain columns elsewhere. Columns of numbers go right."""
+    cells = [[_text(value) for value in row] for row in rows]
+    out = console()
+    if title:
+        out.print(title)
+    if not out.is_terminal:
+        for line in _columns([list(header), *cells]):
+            out.print(line, soft_wrap=True)
+        return
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for k, name in enumerate(header):
+        numeric = bool(cells) and all(_is_number(row[k]) for row in cells)
+        table.add_column(name, justify="right" if numeric else "left")
+    for row in cells:
+        table.add_row(*row)
+    out.print(table)
+
+
+def _columns(rows: list[list[str]]) -> list[str]:
+    """Return rows padded to equal columns, without blanks at the end."""
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    return ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+
+
+def _text(value: object) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, (bool, np.bool_)):
+        return "yes" if value else "no"
+    if isinstance(value, (float, np.floating)):
+        return "-" if not np.isfinite(value) else f"{value:.6g}"
+    return str(value) or "-"
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return text == "-"
+    return True
+
+
+# ----------------------------------------------------------------- diagnosability
+
+
+def show_diagnosability(found: Diagnosability) -> None:
+    """Print what can be told about the faults of a plant, and why the rest cannot."""
+    plant = found.plant
+    time = f"sampled at {plant.dt:g} s" if plant.is_discrete else "continuous"
+    say(
+        f"{plant.name}: {plant.n_states} states, {len(plant.inputs)} inputs, {plant.n_outputs} outputs, "
+        f"{len(plant.disturbances)} disturbances, {len(plant.faults)} faults, {time}"
+    )
+    show_table(
+        [
+            "fault",
+            "kind",
+            "component",
+            "detectable",
+            "when constant",
+            "cannot be told from",
+            "nor, when constant, from",
+        ],
+        [
+            [
+                name,
+                plant.fault_kinds[i],
+                plant.fault_components[i],
+                found.detectable[i],
+                found.strongly_detectable[i],
+                ", ".join(_twins(found, i)),
+                ", ".join(constant_twins(found, i)),
+            ]
+            for i, name in enumerate(found.faults)
+        ],
+    )
+    reasons = found.reasons()
+    say(*(f"{name}: {why}" for name, why in reasons.items()))
+    if not reasons:
+        say("every fault can be detected, also when constant, and told from every other")
+    if found.unknown_input_observer is None:
+        say("unknown input observer: not examined, E is singular")
+    elif plant.disturbances:
+        say(str(found.unknown_input_observer))
+    else:
+        say("no disturbances: an ordinary observer will do")
+
+
+def _twins(found: Diagnosability, i: int) -> list[str]:
+    name = found.faults[i]
+    return [other for group in found.groups if name in group for other in group if other != name]
+
+
+def constant_twins(found: Diagnosability, i: int) -> list[str]:
+    """Return the faults that fault ``i`` cannot be told from when both are constant, though otherwise it can."""
+    return [
+        other
+        for j, other in enumerate(found.faults)
+        if j != i
+        and found.isolable[i, j]
+        and found.strongly_detectable[[i, j]].all()
+        and not found.strongly_isolable[i, j]
+    ]
+
+
+def diagnosability_values(found: Diagnosability) -> dict[str, Any]:
+    """Return the same as plain values for JSON."""
+    plant, reasons, existence = found.plant, found.reasons(), found.unknown_input_observer
+    return {
+        "plant": plant.name,
+        "dt": plant.dt,
+        "states": list(plant.states),
+        "inputs": list(plant.inputs),
+        "outputs": list(plant.outputs),
+        "disturbances": list(plant.disturbances),
+        "faults": [
+            {
+                "name": name,
+                "kind": plant.fault_kinds[i],
+                "component": plant.fault_components[i],
+                "detectable": bool(found.detectable[i]),
+                "strongly_detectable": bool(found.strongly_detectable[i]),
+                "visibility": float(found.visibility[i]),
+                "not_isolable_from": _twins(found, i),
+                "not_isolable_when_constant_from": constant_twins(found, i),
+                "reason": reasons.get(name),
+            }
+            for i, name in enumerate(found.faults)
+        ],
+        "isolable": found.isolable.tolist(),
+        "strongly_isolable": found.strongly_isolable.tolist(),
+        "groups": [list(group) for group in found.groups],
+        "unknown_input_observer": None
+        if existence is None
+        else {
+            "exists": existence.exists,
+            "useful": existence.useful,
+            "reasons": list(existence.reasons),
+            "rank_CE": existence.rank_CE.rank,
+            "rank_E": existence.rank_E.rank,
+            "fixed_poles": [[float(p.real), float(p.imag)] for p in existence.fixed_poles],
+        },
+    }
+
+
+# ------------------------------------------------------------------------- design
+
+
+def show_signatures(generator: ResidualGenerator, isolate: Directional) -> None:
+    """Print what the residual does for each fault, and which faults look the same."""
+    test = direction_test(isolate, generator.subspaces, generator.steady_directions, np.eye(generator.n_residuals))
+    n = generator.n_residuals
+    rows = []
+    for name in generator.faults:
+        k = generator.subspaces[name].shape[1]
+        steady = float(np.linalg.norm(generator.steady_directions[name]))
+        if k == 0:
+            shape = "no response"
+        elif k == n:
+            shape = "steady direction only" if steady else "no fixed direction"
+        else:
+            shape = "line" if k == 1 else "plane" if k == 2 else f"{k}-dimensional"
+        twins = [other for group in test.groups if name in group for other in group if other != name]
+        rows.append([name, shape, steady, ", ".join(twins)])
+    show_table(["fault", "signature", "steady residual per unit", "cannot be told from"], rows)
+    if test.unjudged:
+        say(f"never named, for want of a signature: {', '.join(test.unjudged)}")
+
+
+# ---------------------------------------------------------------------- diagnosis
+
+
+def show_diagnosis(diagnosis: Diagnosis) -> None:
+    """Print what was found in a recording."""
+    found = verdict(diagnosis)
+    say(found.headline)
+    if diagnosis.alarms:
+        shown = diagnosis.alarms[:MAX_ALARMS]
+        show_table(
+            ["alarm", "onset [s]", "raised [s]", "ended [s]", "most likely", "score", "next", "score"],
+            [_alarm_row(k, alarm) for k, alarm in enumerate(shown, 1)],
+        )
+        if len(diagnosis.alarms) > MAX_ALARMS:
+            say(f"... and {len(diagnosis.alarms) - MAX_ALARMS} more alarms (--alarms writes all of them)")
+    if diagnosis.candidates:
+        show_table(
+            ["rank", "candidate", "score", "distance"],
+            [[k, c.name, f"{c.score:.3f}", f"{c.distance:.3f}"] for k, c in enumerate(diagnosis.candidates, 1)],
+            title="candidates of the longest alarm" if len(diagnosis.alarms) > 1 else "",
+        )
+    say(*found.sentences)
+    if diagnosis.n_missing:
+        say(
+            f"{diagnosis.n_missing} samples with missing values: last values held, no decision there; "
+            f"filter restarted {diagnosis.resets} times after longer gaps."
+        )
+    say(*diagnosis.notes)
+
+
+def _alarm_row(k: int, alarm: Alarm) -> list[object]:
+    best, following = [*alarm.candidates, None, None][:2]
+    return [
+        k,
+        alarm.onset,
+        alarm.raised,
+        "end of recording" if alarm.ended is None else alarm.ended,
+        best.name if best else "not isolated",
+        f"{best.score:.3f}" if best else None,
+        following.name if following else None,
+        f"{following.score:.3f}" if following else None,
+    ]
+
+
+class _Bar:
+    """A progress bar on stderr that appears only when the work takes long."""
+
+    def __init__(self) -> None:
+        self.started = monotonic()
+        self.bar: Progress | None = None
+        self.task: Any = None
+
+    def __call__(self, done: int, total: int) -> None:
+        """Show how far the work is."""
+        if self.bar is None and done < total and monotonic() - self.started > _PATIENCE:
+            self.bar = Progress(
+                TextColumn("{task.completed:,.0f} of {task.total:,.0f} samples"),
+                BarColumn(),
+                TimeRemainingColumn(),
+                console=Console(stderr=True),
+                transient=True,
+            )
+            self.bar.start()
+            self.task = self.bar.add_task("", total=total)
+        if self.bar is not None:
+            self.bar.update(self.task, completed=done)
+
+
+@contextmanager
+def progress() -> Iterator[_Bar]:
+    """Yield a callable (done, total) that shows a bar on a terminal once two seconds have gone."""
+    bar = _Bar()
+    try:
+        yield bar
+    finally:
+        if bar.bar is not None:
+            bar.bar.stop()

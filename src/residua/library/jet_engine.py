@@ -1,0 +1,266 @@
+"""The jet engine of Chen, Patton and Zhang (1996), with its second-order model as the real engine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from residua.errors import AccuracyError, ModelError
+from residua.plant import Plant, quadratic_terms
+
+A = ((-1.5581, 0.6925, 0.3974), (0.2619, -2.2228, 0.2238), (0.0, 0.0, -10.0))
+B = ((0.0,), (0.0,), (10.0,))
+C = (
+    (1.0, 0.0, 0.0),
+    (0.0, 1.0, 0.0),
+    (0.0, 0.0, 1.0),
+    (0.55107, 0.13320, 0.30603),
+    (0.55217, 0.13526, 0.32912),
+    (-0.25693, -0.23625, 0.61199),
+)
+
+#: C(6, 3) as printed; the paper's own T and K follow from 0.61199.
+PRINTED_C63 = 0.61299
+
+#: How the second-order terms ``x1^2, x2^2, x3^2, x1 x2, x1 x3, x2 x3`` enter the state equation.
+E_HAT = (
+    (1.3293, 3.4440, 0.1375, -5.1304, -1.7826, -1.8719),
+    (5.6812, -0.5281, -0.3385, -1.6193, 0.5229, 0.0),
+    (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+)
+
+STATES = ("n_low", "n_high", "fuel_flow")
+OUTPUTS = ("n_low", "n_high", "fuel_flow", "p2", "p4", "t4")
+
+
+def jet_engine(*, corrected: bool = True, disturbances: bool = True) -> Plant:
+    r"""Return the linear model of a jet engine at one operating point.
+
+    Three states (speeds of the two shafts and fuel flow), six measurements (the states, two pressures and a
+    temperature), one input. All signals are relative deviations from the operating point. The faults are
+    the sensors of the three states and the actuator.
+
+    Parameters
+    ----------
+    corrected : bool
+        With ``C(6,3) = 0.61199``, which reproduces the paper's ``T`` and ``K``; with the printed ``0.61299``
+        when false.
+    disturbances : bool
+        Whether the linearisation error enters as unknown input, by the factored ``E_HAT``.
+
+    Returns
+    -------
+    Plant
+        Continuous.
+
+    References
+    ----------
+    Chen, Patton and Zhang (1996), Int. J. Control 63(1), section 4.
+
+    Examples
+    --------
+    >>> from residua.library import jet_engine
+    >>> jet_engine().disturbances
+    ('d1', 'd2')
+    """
+    measured = np.array(C)
+    if not corrected:
+        measured[5, 2] = PRINTED_C63
+    engine = Plant(
+        A,
+        B,
+        measured,
+        inputs=["fuel"],
+        outputs=OUTPUTS,
+        states=STATES,
+        name="jet engine",
+        description="Jet engine of Chen, Patton and Zhang (1996), section 4; relative deviations.",
+    )
+    if disturbances:
+        engine = engine.with_disturbances(E_HAT)
+    return engine.with_sensor_faults(STATES).with_actuator_faults()
+
+
+@dataclass(frozen=True, eq=False)
+class JetEngineRecording:
+    """What a simulated jet engine did.
+
+    Attributes
+    ----------
+    time : ndarray, shape (T,)
+        Seconds.
+    u : ndarray, shape (T, 1)
+        Commanded fuel.
+    y : ndarray, shape (T, 6)
+        Measurements, faults included.
+    x : ndarray, shape (T, 3)
+        True states.
+    dt : float
+    """
+
+    time: NDArray[np.float64]
+    u: NDArray[np.float64]
+    y: NDArray[np.float64]
+    x: NDArray[np.float64]
+    dt: float
+
+
+def jet_engine_rate(x: ArrayLike, u: ArrayLike) -> NDArray[np.float64]:
+    r"""Return :math:`\dot x = A x + B u + \hat E d(x)`, the second-order model that stands for the engine.
+
+    Parameters
+    ----------
+    x : array_like, shape (..., 3)
+    u : array_like, shape (..., 1)
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+
+    References
+    ----------
+    Chen, Patton and Zhang (1996), eq. (32).
+    """
+    x = np.asarray(x, dtype=float)
+    return x @ np.array(A).T + np.asarray(u, dtype=float) @ np.array(B).T + quadratic_terms(x) @ np.array(E_HAT).T
+
+
+def jet_engine_steady_state(u: float) -> NDArray[np.float64]:
+    """Return the state at which the second-order engine rests with constant fuel, by Newton's method.
+
+    Parameters
+    ----------
+    u : float
+        Relative deviation of the fuel command.
+
+    Returns
+    -------
+    ndarray, shape (3,)
+
+    Raises
+    ------
+    AccuracyError
+        If there is no steady state near the operating point.
+
+    Examples
+    --------
+    >>> from residua.library import jet_engine_steady_state
+    >>> jet_engine_steady_state(0.2).round(5)
+    array([0.04987, 0.02792, 0.2    ])
+    """
+    command = np.array([float(u)])
+    x = np.zeros(3)
+    for _ in range(50):
+        rate = jet_engine_rate(x, command)
+        step = np.linalg.solve(_jacobian(x), rate)
+        x = x - step
+        if np.abs(step).max() <= 1e-14 * (1 + np.abs(x).max()):
+            break
+    if not np.abs(jet_engine_rate(x, command)).max() < 1e-10 * (1 + abs(float(u))):
+        raise AccuracyError(f"the second-order engine has no steady state at u = {u} that Newton's method finds")
+    return x
+
+
+def simulate_jet_engine(
+    u: ArrayLike,
+    dt: float = 0.01,
+    *,
+    faults: Mapping[str, ArrayLike] | None = None,
+    relative: bool = False,
+    x0: ArrayLike | None = None,
+    noise: float = 0.0,
+    seed: int = 0,
+) -> JetEngineRecording:
+    r"""Simulate the second-order engine with faults.
+
+    Runge-Kutta of fourth order with the input held over each step.
+
+    Parameters
+    ----------
+    u : array_like, shape (T,) or (T, 1)
+        Commanded fuel, as relative deviation.
+    dt : float
+        Step in seconds, at most 0.1.
+    faults : mapping of str to array_like, optional
+        Fault name (as in :func:`jet_engine`: ``"n_low sensor"`` .. ``"t4 sensor"``, ``"fuel actuator"``) to its
+        time course, shape (T,) or one number for a constant fault.
+    relative : bool
+        Whether sensor faults are fractions of the measured deviation (0.02: it reads 2 % too high).
+    x0 : array_like, shape (3,), optional
+        Initial state; zero when omitted.
+    noise : float
+        Standard deviation of white measurement noise.
+    seed : int
+        Of the noise.
+
+    Returns
+    -------
+    JetEngineRecording
+
+    Raises
+    ------
+    ModelError
+        If a fault is unknown, a shape does not fit or the engine leaves the range of its model.
+
+    References
+    ----------
+    Chen, Patton and Zhang (1996), eq. (32).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from residua.library import simulate_jet_engine
+    >>> run = simulate_jet_engine(np.full(1000, 0.2), faults={"n_low sensor": 0.02}, relative=True)
+    >>> run.y.shape
+    (1000, 6)
+    >>> float((run.y[-1, 0] / run.x[-1, 0]).round(6))
+    1.02
+    """
+    command = np.asarray(u, dtype=float).reshape(-1, 1)
+    steps = len(command)
+    if not (np.isfinite(dt) and 0 < dt <= 0.1):
+        raise ModelError(f"dt must lie in (0, 0.1] seconds, got {dt}")
+    courses = _courses(faults or {}, steps)
+    applied = command + courses["fuel actuator"][:, None]
+    x = np.zeros((steps, 3))
+    x[0] = 0.0 if x0 is None else np.asarray(x0, dtype=float)
+    for k in range(steps - 1):
+        x[k + 1] = _runge_kutta(x[k], applied[k], dt)
+    if not np.isfinite(x).all() or np.abs(x).max(initial=0.0) > 10:
+        raise ModelError("the second-order engine runs away: its model holds for small deviations only")
+    y = x @ np.array(C).T
+    bias = np.column_stack([courses[f"{name} sensor"] for name in OUTPUTS])
+    y = y * (1 + bias) if relative else y + bias
+    if noise:
+        y = y + noise * np.random.default_rng(seed).standard_normal(y.shape)
+    return JetEngineRecording(dt * np.arange(steps), command, y, x, float(dt))
+
+
+def _courses(faults: Mapping[str, ArrayLike], steps: int) -> dict[str, NDArray]:
+    known = ("fuel actuator", *(f"{name} sensor" for name in OUTPUTS))
+    out = {name: np.zeros(steps) for name in known}
+    for name, course in faults.items():
+        if name not in known:
+            raise ModelError(f"unknown fault {name!r}; known: {', '.join(known)}")
+        values = np.asarray(course, dtype=float)
+        if values.ndim > 1 or (values.ndim == 1 and len(values) != steps):
+            raise ModelError(f"fault {name!r}: expected one number or {steps}, got shape {values.shape}")
+        out[name] = np.broadcast_to(values, (steps,))
+    return out
+
+
+def _runge_kutta(x: NDArray, u: NDArray, h: float) -> NDArray:
+    k1 = jet_engine_rate(x, u)
+    k2 = jet_engine_rate(x + h / 2 * k1, u)
+    k3 = jet_engine_rate(x + h / 2 * k2, u)
+    k4 = jet_engine_rate(x + h * k3, u)
+    return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+def _jacobian(x: NDArray) -> NDArray:
+    x1, x2, x3 = x
+    terms = np.array([[2 * x1, 0, 0], [0, 2 * x2, 0], [0, 0, 2 * x3], [x2, x1, 0], [x3, 0, x1], [0, x3, x2]])
+    return np.array(A) + np.array(E_HAT) @ terms

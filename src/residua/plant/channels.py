@@ -1,0 +1,125 @@
+"""What users give per channel (numbers by position or by name, chosen channels) as checked arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from residua.errors import ModelError
+from residua.linear.arrays import index_of, matrix
+
+#: The roles an input of a plant can have, with the letter of its matrices.
+ROLES = {"control": "u", "disturbance": "d", "fault": "f", "noise": "w"}
+
+#: How a fault or disturbance enters: a state vector or ``(state, output)``; ``{name: value}`` for either.
+Direction = ArrayLike | tuple[ArrayLike, ArrayLike] | Mapping[str, ArrayLike]
+
+
+@dataclass(frozen=True)
+class OperatingPoint:
+    """The constant inputs and outputs around which the model holds, in plant units.
+
+    Attributes
+    ----------
+    inputs : tuple of float
+        One per control input.
+    outputs : tuple of float
+        One per output.
+    """
+
+    inputs: tuple[float, ...]
+    outputs: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What one fault is: its name, its kind and the component that it belongs to."""
+
+    name: str
+    kind: str
+    component: str
+
+
+def number(value: object, what: str) -> float:
+    """Return ``value`` as a finite float, or say what it is instead."""
+    try:
+        out = float(value)  # pyright: ignore[reportArgumentType]
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"{what}: expected a number, got {value!r}") from error
+    if not np.isfinite(out):
+        raise ModelError(f"{what}: every number must be finite, got {out}")
+    return out
+
+
+def channel_values(value: object, known: tuple[str, ...], default: tuple[float, ...], what: str) -> tuple[float, ...]:
+    """Return one number per channel, from a vector or from ``{name: number}`` over ``default``."""
+    if value is None:
+        return default
+    if isinstance(value, Mapping):
+        out = list(default)
+        for key, entry in value.items():
+            out[index_of(key, known, f"{what}: channel")] = number(entry, f"{what}[{key!r}]")
+        return tuple(out)
+    column = matrix(value, what, (len(known), 1), what="one number per channel")  # pyright: ignore[reportArgumentType]
+    return tuple(float(x) for x in column.ravel())
+
+
+def direction(
+    value: Direction, states: tuple[str, ...], outputs: tuple[str, ...], what: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the state and the output vector of a fault or disturbance."""
+    is_pair = isinstance(value, tuple) and len(value) == 2 and not np.isscalar(value[0])
+    state, output = value if is_pair else (value, None)  # pyright: ignore[reportGeneralTypeIssues]
+    return (
+        np.asarray(channel_values(state, states, (0.0,) * len(states), f"{what}, state direction")),
+        np.asarray(channel_values(output, outputs, (0.0,) * len(outputs), f"{what}, output direction")),
+    )
+
+
+def direction_matrices(
+    directions: Mapping[str, Direction], states: tuple[str, ...], outputs: tuple[str, ...], what: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the state and the output directions of several faults or disturbances, one column each."""
+    pairs = [direction(value, states, outputs, f"{what} {key!r}") for key, value in directions.items()]
+    if not pairs:
+        return np.zeros((len(states), 0)), np.zeros((len(outputs), 0))
+    return np.column_stack([b for b, _ in pairs]), np.column_stack([d for _, d in pairs])
+
+
+def positions(chosen: Iterable[str | int] | str | int | None, known: tuple[str, ...], what: str) -> list[int]:
+    """Return the positions of the chosen channels (all when ``None``)."""
+    if chosen is None:
+        return list(range(len(known)))
+    if isinstance(chosen, (str, int)):
+        chosen = [chosen]
+    return [index_of(name, known, what) for name in chosen]
+
+
+def operating_point(point: OperatingPoint | None, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> OperatingPoint:
+    """Return a checked operating point, zero when ``None``."""
+    if point is None:
+        return OperatingPoint((0.0,) * len(inputs), (0.0,) * len(outputs))
+    if not isinstance(point, OperatingPoint):
+        raise ModelError(f"operating_point must be an OperatingPoint(inputs, outputs), got {point!r}")
+    if len(point.inputs) != len(inputs) or len(point.outputs) != len(outputs):
+        raise ModelError(f"operating_point: expected {len(inputs)} inputs and {len(outputs)} outputs")
+    return OperatingPoint(
+        tuple(number(value, f"operating_point, input {i}") for i, value in enumerate(point.inputs)),
+        tuple(number(value, f"operating_point, output {i}") for i, value in enumerate(point.outputs)),
+    )
+
+
+def channel_units(units: Mapping[str, str] | None, known: set[str]) -> dict[str, str]:
+    """Return a checked copy of the units by channel name."""
+    for key in units or {}:
+        if key not in known:
+            raise ModelError(f"units: {key!r} is no input, output or state of this plant")
+    return dict(units or {})
+
+
+def by_role(roles: list[str], channels: Mapping[str, tuple[str, ...]]) -> list[str]:
+    """Return channel labels made unique by their role."""
+    return [f"{role} {name}" for role in roles for name in channels[role]]

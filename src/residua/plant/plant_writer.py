@@ -1,0 +1,256 @@
+"""Writing plant files, so that what is read back is the same plant to the last bit."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import AccuracyError, ModelError
+from residua.plant.noise import noise_factors
+from residua.plant.plant import Plant
+from residua.plant.plant_file import FORMAT, loads_plant
+
+#: What must come back bit for bit.
+ARRAYS = ("A", "C", "E", "Bu", "Du", "Bd", "Dd", "Bf", "Df", "Bw", "Dw")
+VALUES = (
+    "dt",
+    "name",
+    "description",
+    "states",
+    "inputs",
+    "outputs",
+    "disturbances",
+    "fault_list",
+    "operating_point",
+    "units",
+)
+
+
+def save_plant(plant: Plant, path: str | Path) -> Path:
+    """Write a plant file; see :func:`dumps_plant`.
+
+    Parameters
+    ----------
+    plant : Plant
+    path : str or Path
+
+    Returns
+    -------
+    Path
+        Where it was written.
+    """
+    path = Path(path)
+    path.write_text(dumps_plant(plant), encoding="utf-8")
+    return path
+
+
+def dumps_plant(plant: Plant) -> str:
+    """Return the text of a plant file that describes this plant.
+
+    Guaranteed, and checked here: :func:`load_plant` makes the same plant from it, every float to the last
+    bit.
+
+    Parameters
+    ----------
+    plant : Plant
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    AccuracyError
+        If the text does not give the same plant back (a fault of this function).
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> from residua.plant import dumps_plant
+    >>> print(dumps_plant(rs.Plant([[-1.0]], [[1.0]], [[2.0]], name="lag").with_sensor_faults()))
+    format = "residua-plant/1"
+    name = "lag"
+    dt = 0.0
+    <BLANKLINE>
+    [states]
+    names = ["x1"]
+    <BLANKLINE>
+    [inputs]
+    names = ["u1"]
+    operating_point = [0.0]
+    <BLANKLINE>
+    [outputs]
+    names = ["y1"]
+    operating_point = [0.0]
+    <BLANKLINE>
+    [matrices]
+    A = [[-1.0]]
+    B = [[1.0]]
+    C = [[2.0]]
+    <BLANKLINE>
+    [[faults]]
+    name = "y1 sensor"
+    kind = "sensor"
+    component = "y1"
+    output = "y1"
+    <BLANKLINE>
+    """
+    head = [f"format = {_text(FORMAT)}", f"name = {_text(plant.name)}"]
+    if plant.description:
+        head.append(f"description = {_text(plant.description)}")
+    head.append(f"dt = {_number(plant.dt)}")
+    blocks = [head, *_channels(plant), _matrices(plant)]
+    blocks += [_disturbance(plant, i) for i in range(len(plant.disturbances))]
+    blocks += [_fault(plant, i) for i in range(len(plant.faults))]
+    if plant.Bw.shape[1]:
+        blocks.append(["[noise]", *_noise(plant)])
+    text = "\n\n".join("\n".join(lines) for lines in blocks) + "\n"
+    different = differences(plant, loads_plant(text, source=plant.name))
+    if different:
+        raise AccuracyError(f"the plant file does not give the same plant back: {', '.join(different)} differ")
+    return text
+
+
+def differences(one: Plant, other: Plant) -> list[str]:
+    """Return the names of the attributes in which two plants differ, to the last bit."""
+    out = [key for key in VALUES if getattr(one, key) != getattr(other, key)]
+    return out + [key for key in ARRAYS if not _same_bits(getattr(one, key), getattr(other, key))]
+
+
+def _same_bits(M: NDArray | None, N: NDArray | None) -> bool:
+    if M is None or N is None:
+        return M is N
+    return M.shape == N.shape and M.tobytes() == N.tobytes()
+
+
+def _channels(plant: Plant) -> list[list[str]]:
+    blocks = []
+    point = plant.operating_point
+    for group, names, values in (
+        ("states", plant.states, None),
+        ("inputs", plant.inputs, point.inputs),
+        ("outputs", plant.outputs, point.outputs),
+    ):
+        if not names:
+            continue
+        lines = [f"[{group}]", f"names = {_texts(names)}"]
+        units = {name: plant.units[name] for name in names if name in plant.units}
+        if units and all(units.get(name) for name in names):
+            lines.append(f"units = {_texts(units[name] for name in names)}")
+        elif units:
+            lines.append("units = " + _inline((name, _text(unit)) for name, unit in units.items()))
+        if values is not None:
+            lines.append(f"operating_point = {_row(values)}")
+        blocks.append(lines)
+    return blocks
+
+
+def _matrices(plant: Plant) -> list[str]:
+    lines = ["[matrices]", f"A = {_matrix(plant.A)}"]
+    if plant.inputs:
+        lines.append(f"B = {_matrix(plant.Bu)}")
+    lines.append(f"C = {_matrix(plant.C)}")
+    if plant.inputs and (_matters(plant.Du) or plant.n_states == 0):
+        lines.append(f"D = {_matrix(plant.Du)}")
+    if plant.E is not None:
+        lines.append(f"E = {_matrix(plant.E)}")
+    return lines
+
+
+def _disturbance(plant: Plant, i: int) -> list[str]:
+    lines = ["[[disturbances]]", f"name = {_text(plant.disturbances[i])}"]
+    return lines + _vectors(plant, plant.Bd[:, i], plant.Dd[:, i])
+
+
+def _fault(plant: Plant, i: int) -> list[str]:
+    fault, b, d = plant.fault_list[i], plant.Bf[:, i], plant.Df[:, i]
+    lines = [
+        "[[faults]]",
+        f"name = {_text(fault.name)}",
+        f"kind = {_text(fault.kind)}",
+        f"component = {_text(fault.component)}",
+    ]
+    if fault.kind == "actuator":
+        for j, name in enumerate(plant.inputs):
+            if _same_bits(b, plant.Bu[:, j]) and _same_bits(d, plant.Du[:, j]):
+                return [*lines, f"input = {_text(name)}"]
+    if fault.kind == "sensor" and not _matters(b):
+        for j, name in enumerate(plant.outputs):
+            if _same_bits(d, np.eye(plant.n_outputs)[j]):
+                return [*lines, f"output = {_text(name)}"]
+    return lines + _vectors(plant, b, d)
+
+
+def _vectors(plant: Plant, state: NDArray, output: NDArray) -> list[str]:
+    """Return how a fault or disturbance enters: by name where few numbers are not zero."""
+    lines = []
+    for key, vector, names in (("state", state, plant.states), ("output", output, plant.outputs)):
+        if not _matters(vector):
+            continue
+        entries = [(name, _number(x)) for name, x in zip(names, vector, strict=True) if _matters(x)]
+        lines.append(f"{key} = " + (_inline(entries) if 2 * len(entries) <= len(names) else _row(vector)))
+    return lines
+
+
+def _noise(plant: Plant) -> list[str]:
+    """Return variances where they give the same noise back, otherwise the directions themselves."""
+    try:
+        W, V = (_variances(M @ M.T) for M in (plant.Bw, plant.Dw))
+        Bw, Dw = noise_factors(np.diag(W), np.diag(V))
+        if _same_bits(Bw, plant.Bw) and _same_bits(Dw, plant.Dw):
+            return [f"{key} = {_row(values)}" for key, values in (("process", W), ("measurement", V)) if values.any()]
+    except ModelError:
+        pass
+    lines = [f"state = {_matrix(plant.Bw)}"] if plant.n_states else []
+    return [*lines, f"output = {_matrix(plant.Dw)}"]
+
+
+def _variances(W: NDArray) -> NDArray:
+    """Return the shortest decimal variances with the same square roots as the diagonal."""
+    out = np.diag(W).copy()
+    for i, variance in enumerate(out):
+        for digits in range(1, 18):
+            short = float(f"{variance:.{digits}g}")
+            if np.sqrt(short) == np.sqrt(variance):
+                out[i] = short
+                break
+    return out
+
+
+def _matters(values: NDArray | float) -> bool:
+    """Whether anything is not +0.0 (a negative zero is written, so that it comes back)."""
+    return bool(np.any(values) or np.signbit(values).any())
+
+
+def _number(x: float) -> str:
+    return repr(float(x))
+
+
+def _row(values: Iterable[float]) -> str:
+    return "[" + ", ".join(_number(x) for x in values) + "]"
+
+
+def _matrix(M: NDArray) -> str:
+    rows = [_row(row) for row in M]
+    flat = "[" + ", ".join(rows) + "]"
+    return flat if len(flat) <= 60 else "[\n" + "".join(f"  {row},\n" for row in rows) + "]"
+
+
+def _texts(values: Iterable[str]) -> str:
+    return "[" + ", ".join(_text(value) for value in values) + "]"
+
+
+def _text(value: str) -> str:
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _inline(entries: Iterable[tuple[str, str]]) -> str:
+    pairs: Sequence[str] = [
+        f"{name if re.fullmatch(r'[A-Za-z0-9_-]+', name) else _text(name)} = {value}" for name, value in entries
+    ]
+    return "{" + ", ".join(pairs) + "}"

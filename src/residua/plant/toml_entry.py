@@ -1,0 +1,161 @@
+"""Checked access to the entries of a TOML file, with errors that point at the entry."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import FileFormatError
+
+
+class Entry:
+    """One table of the file: its values, where it stands, and which keys it may have.
+
+    Parameters
+    ----------
+    data : dict
+        As ``tomllib`` returns it.
+    source : str
+        Name of the file, for messages.
+    path : str
+        Where the table stands, such as ``"faults[2]"``; empty for the file itself.
+    keys : sequence of str
+        The keys that are allowed.
+    """
+
+    def __init__(self, data: Any, source: str, path: str, keys: Sequence[str]) -> None:
+        self.data, self.source, self.path = data, source, path
+        if not isinstance(data, dict):
+            raise FileFormatError(f"{source}: {path}: expected a table, got {describe(data)}")
+        for key in data:
+            if key not in keys:
+                raise self.error(key, f"unknown entry{suggestion(key, keys)}; known here: {', '.join(keys)}")
+
+    def where(self, key: str = "") -> str:
+        """Return the full name of an entry."""
+        return ".".join(part for part in (self.path, key) if part)
+
+    def error(self, key: str, message: str) -> FileFormatError:
+        """Return the error that points at an entry of this table."""
+        name = self.data.get("name")
+        named = f" (in {name!r})" if self.path and isinstance(name, str) and key != "name" else ""
+        return FileFormatError(f"{self.source}: {self.where(key)}: {message}{named}")
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.data
+
+    def table(self, key: str, keys: Sequence[str]) -> Entry:
+        """Return a table, empty when it is absent."""
+        return Entry(self.data.get(key, {}), self.source, self.where(key), keys)
+
+    def tables(self, key: str, keys: Sequence[str]) -> list[Entry]:
+        """Return an array of tables, empty when it is absent."""
+        items = self.data.get(key, [])
+        if not isinstance(items, list):
+            raise self.error(key, f"expected tables under [[{key}]], got {describe(items)}")
+        return [Entry(item, self.source, f"{self.where(key)}[{i}]", keys) for i, item in enumerate(items)]
+
+    def text(self, key: str, default: str | None = None) -> str:
+        """Return a string; required when there is no default."""
+        value = self._get(key, default)
+        if not isinstance(value, str):
+            raise self.error(key, f"expected text in quotes, got {describe(value)}")
+        return value
+
+    def choice(self, key: str, known: Sequence[str], default: str | None = None) -> str:
+        """Return one of some words."""
+        value = self.text(key, default)
+        if value not in known:
+            raise self.error(key, f"expected one of {', '.join(map(repr, known))}; got {value!r}")
+        return value
+
+    def number(self, key: str, default: float | None = None) -> float:
+        """Return a finite number."""
+        return self._number(self._get(key, default), key)
+
+    def texts(self, key: str, count: int, each: str) -> tuple[str, ...] | None:
+        """Return a list of strings, ``None`` when it is absent."""
+        if key not in self:
+            return None
+        items = self.data[key]
+        if not isinstance(items, list) or not all(isinstance(item, str) for item in items):
+            raise self.error(key, f"expected a list of texts, got {describe(items)}")
+        if len(items) != count:
+            raise self.error(key, f"expected {count} texts ({each}), got {len(items)}")
+        return tuple(items)
+
+    def by_channel(self, key: str, channels: tuple[str, ...], each: str) -> NDArray[np.float64] | None:
+        """Return one number per channel from a list or a table by name, ``None`` when it is absent."""
+        if key not in self:
+            return None
+        value = self.data[key]
+        if isinstance(value, dict):
+            out = np.zeros(len(channels))
+            for name, entry in value.items():
+                where = f"{key}.{name}"
+                if name not in channels:
+                    known = ", ".join(channels) or "none"
+                    raise self.error(where, f"unknown name{suggestion(name, channels)}; known: {known}")
+                out[channels.index(name)] = self._number(entry, where)
+            return out
+        if not isinstance(value, list):
+            raise self.error(key, f"expected a list of numbers ({each}) or a table by name, got {describe(value)}")
+        if len(value) != len(channels):
+            raise self.error(key, f"expected {len(channels)} numbers ({each}), got {len(value)}")
+        return np.array([self._number(item, f"{key}[{i}]") for i, item in enumerate(value)], dtype=float)
+
+    def matrix(self, key: str, rows: int | None, columns: int | None, each: str) -> NDArray[np.float64] | None:
+        """Return a matrix written as a list of rows, ``None`` when it is absent."""
+        if key not in self:
+            return None
+        value = self.data[key]
+        if not isinstance(value, list) or not all(isinstance(row, list) for row in value):
+            raise self.error(key, f"expected a matrix as a list of rows, [[...], [...]], got {describe(value)}")
+        if rows is not None and len(value) != rows:
+            raise self.error(key, f"expected {rows} rows ({each}), got {len(value)}")
+        width = columns if columns is not None else len(value[0]) if value else 0
+        for i, row in enumerate(value):
+            if len(row) != width:
+                why = each if columns is not None else f"as many as in {key}[0]"
+                raise self.error(f"{key}[{i}]", f"expected {width} numbers ({why}), got {len(row)}")
+        numbers = [[self._number(x, f"{key}[{i}][{j}]") for j, x in enumerate(r)] for i, r in enumerate(value)]
+        return np.array(numbers, dtype=float).reshape(len(value), width)
+
+    def _get(self, key: str, default: Any) -> Any:
+        value = self.data.get(key, default)
+        if value is None:
+            raise self.error(key, "this entry is required")
+        return value
+
+    def _number(self, value: Any, where: str) -> float:
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise self.error(where, f"expected a number, got {describe(value)}")
+        try:
+            out = float(value)
+        except OverflowError:
+            out = math.inf
+        if not math.isfinite(out):
+            raise self.error(where, f"every number must be finite, got {out}")
+        return out
+
+
+def describe(value: Any) -> str:
+    """Say what a TOML value is, briefly."""
+    if isinstance(value, dict):
+        return "a table"
+    if isinstance(value, list):
+        return "a list" if value else "an empty list"
+    text = repr(value)
+    return text if len(text) <= 40 else text[:37] + "..."
+
+
+def suggestion(name: str, known: Iterable[str]) -> str:
+    """Return ``" 'x' (did you mean 'y'?)"``, or the name alone when nothing is near."""
+    lowered = {k.lower(): k for k in known}
+    near = difflib.get_close_matches(name.lower(), list(lowered), n=1)
+    return f" {name!r} (did you mean {lowered[near[0]]!r}?)" if near else f" {name!r}"

@@ -1,0 +1,264 @@
+"""The parts of a page that speak of one diagnosis or of one filter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.report.charts import SHOWN_RESIDUALS, by_interest, residual_unit
+from residua.report.pictures import direction_picture
+from residua.report.signatures import Signatures, signatures
+from residua.report.tables import (
+    alarm_table,
+    candidate_table,
+    evidence_html,
+    html_table,
+    similarity_table,
+    structure_table,
+)
+from residua.report.text import escape, listing, number, percent, score, seconds, with_unit
+from residua.report.verdict import RULES, verdict
+
+if TYPE_CHECKING:
+    from residua.design.generator import ResidualGenerator
+    from residua.monitor.diagnosis import Diagnosis
+
+_MARKS = {"fault": "⚠", "none": "✓", "undecided": "?"}
+
+
+def summary_html(entries: Sequence[tuple[int, str, Diagnosis, tuple[str, ...]]]) -> str:
+    """Return the table that sums up several diagnoses: section number, heading, diagnosis, real faults."""
+    told = any(actual for *_, actual in entries)
+    rows = []
+    for k, heading, diagnosis, actual in entries:
+        v = verdict(diagnosis)
+        best = diagnosis.candidates[0] if diagnosis.candidates else None
+        named = best.name if best else ("a fault, not isolated" if v.kind == "fault" else v.headline.rstrip("."))
+        row = [f'<a href="#s{k}">{escape(heading or f"Diagnosis {k}")}</a>']
+        if told:
+            row.append(escape(listing(actual)) or "–")
+        row.append(f"{escape(named)}{_agreement(actual, best.faults if best else ()) if told else ''}")
+        row += [
+            f'<td class="num">{cell}</td>'
+            for cell in (
+                seconds(diagnosis.onset),
+                score(best.score) if best else "–",
+                score(v.margin) if v.margin is not None else "–",
+            )
+        ]
+        rows.append([*row, escape(v.confidence) or "–"])
+    header = ["Case", *(["Really failed"] if told else []), "Diagnosis", "Onset", "Score", "Margin", "How sure"]
+    return f'<section class="summary"><h2>Summary</h2>{html_table(header, rows)}</section>'
+
+
+def _agreement(actual: tuple[str, ...], named: tuple[str, ...]) -> str:
+    if not actual:
+        return ""
+    if set(actual) & set(named):
+        return ' <span class="tag right">✓ right</span>'
+    return ' <span class="tag wrong">✗ wrong</span>'
+
+
+def diagnosis_html(diagnosis: Diagnosis, charts: dict[str, Any], *, number: int, filter_number: int) -> str:
+    """Return verdict, charts, alarms and directions of one diagnosis.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+    charts : dict
+        From :func:`residua.report.charts.chart_data`.
+    number : int
+        Position of the charts in the page's data.
+    filter_number : int
+        Number of the filter on the page, 0 when it has only one.
+    """
+    v = verdict(diagnosis)
+    tag = f' <span class="tag">{escape(v.confidence)}</span>' if v.confidence else ""
+    sentences = "".join(f"<li>{escape(s)}</li>" for s in v.sentences)
+    link = f'<p><a href="#f{filter_number}">Filter {filter_number}, its structure and evidence</a></p>'
+    return "\n".join(
+        [
+            f'<div class="verdict {v.kind}"><p class="headline"><span class="mark" aria-hidden="true">{_MARKS[v.kind]}'
+            f"</span> {escape(v.headline)}{tag}</p><ul>{sentences}</ul></div>",
+            _recording(diagnosis),
+            _charts(diagnosis, charts, number),
+            "<h3>Alarms</h3>",
+            alarm_table(diagnosis),
+            candidate_table(diagnosis),
+            f'<p class="muted">{escape(RULES)}</p>' if diagnosis.candidates else "",
+            _directions(diagnosis),
+            _residual_table(diagnosis),
+            link if filter_number else "",
+        ]
+    )
+
+
+def _recording(diagnosis: Diagnosis) -> str:
+    n = len(diagnosis.time)
+    if n == 0:
+        return '<p class="recording">The recording is empty.</p>'
+    decided = int(diagnosis.decided.sum())
+    where = f"Recording <b>{escape(diagnosis.source)}</b>" if diagnosis.source else "Recording"
+    parts = [
+        f"{where}: {n:,} samples from {seconds(float(diagnosis.time[0]))} to {seconds(float(diagnosis.time[-1]))}, "
+        f"step {seconds(diagnosis.generator.dt)}; {decided:,} judged ({percent(decided, n)}).",
+        _missing(diagnosis),
+        *(escape(note) for note in diagnosis.notes),
+    ]
+    return '<p class="recording">' + "<br>".join(parts) + "</p>"
+
+
+def _missing(diagnosis: Diagnosis) -> str:
+    if not diagnosis.n_missing:
+        return "No sample has missing values."
+    share = percent(diagnosis.n_missing, len(diagnosis.time))
+    times = "once" if diagnosis.resets == 1 else f"{diagnosis.resets:,} times"
+    restart = f"the filter was restarted {times} after longer gaps" if diagnosis.resets else "no restart was needed"
+    return (
+        f"<b>{diagnosis.n_missing:,} samples ({share}) have missing values:</b> the last values were held, "
+        f"no decision was taken there, {restart}."
+    )
+
+
+def _charts(diagnosis: Diagnosis, charts: dict[str, Any], number: int) -> str:
+    if not len(diagnosis.time):
+        return ""
+    shown, behind, rest = [], [], []
+    for k, chart in enumerate(charts["charts"]):
+        titles = {
+            "statistic": "Statistic and its threshold",
+            "scores": "Candidate scores (faded where no alarm stands)",
+        }
+        title = titles.get(chart["kind"], with_unit(f"Residual {chart['label']}", chart["unit"]))
+        log = (
+            '<label class="screen"><input type="checkbox" class="log"> logarithmic</label>'
+            if chart["kind"] == "statistic"
+            else ""
+        )
+        empty = all(v is None for series in chart["y"] for v in series)
+        nothing = '<p class="muted">No value to draw: all are missing.</p>' if empty else ""
+        readout = "" if chart["kind"] == "scores" else '<span class="readout"></span>'
+        figure = (
+            f'<figure class="chart {chart["kind"]}" data-chart="{k}"><figcaption>{escape(title)}{readout}{log}</figcaption>'
+            f'<div class="plot" role="img" aria-label="{escape(title)} over time"></div>{nothing}</figure>'
+        )
+        if chart["kind"] != "residual":
+            rest.append(figure)
+        else:
+            (shown if k < SHOWN_RESIDUALS else behind).append(figure)
+    more = ""
+    if behind:
+        more = (
+            f'<details class="more"><summary>{len(behind)} more residuals, which stayed closer to their bands'
+            f"</summary>{''.join(behind)}</details>"
+        )
+    return (
+        f'<h3>Residuals, statistic and candidates over time</h3><div class="charts" data-diagnosis="{number}">'
+        f"{_key(charts)}{''.join(shown)}{more}{''.join(rest)}</div>"
+    )
+
+
+def _key(charts: dict[str, Any]) -> str:
+    """Return what the colours mean, for those that occur, and how the samples were binned."""
+    entries = [("band", "fault-free mean ± how far a single residual can be off below the threshold")]
+    present = {"alarm": "alarm", "missing": "values missing", "undecided": "not judged (filter settles)"}
+    entries += [(kind, text) for kind, text in present.items() if charts["spans"][kind]]
+    if charts["onsets"]:
+        entries.append(("onset", "onset"))
+    items = "".join(f'<li><span class="swatch {kind}"></span>{escape(text)}</li>' for kind, text in entries)
+    binned = ""
+    if charts["binned"] > 1:
+        binned = (
+            f'<p class="muted">Drawn from bins of {charts["binned"]} samples: the smallest and the largest value of '
+            "each bin, so no extreme is lost; times in the charts are exact to one bin. "
+            "Verdict and tables rest on every sample.</p>"
+        )
+    return (
+        f'<ul class="legend key">{items}</ul>{binned}<p class="muted screen">Drag over a chart to zoom, double-click '
+        'to see all; the cursors of all charts move together. <button type="button" class="all">Show all</button></p>'
+    )
+
+
+def _directions(diagnosis: Diagnosis) -> str:
+    generator = diagnosis.generator
+    groups = diagnosis.groups or tuple((f,) for f in generator.faults if f not in diagnosis.unjudged)
+    if not groups:
+        return ""
+    if generator.n_residuals < 2:
+        return '<h3>Directions</h3><p class="muted">One residual has no direction: it detects but cannot isolate.</p>'
+    known = signatures(generator, groups, whitening=getattr(diagnosis, "whitening", None))
+    observed = observed_residual(diagnosis, known)
+    correlation = None if observed is None else known.correlation(observed)
+    picture = direction_picture(generator.residuals, known.bases, observed)
+    text = (
+        "Cosine of the smallest angle between the signatures of every two groups: 1 means that they cannot be told "
+        "apart by direction, 0 that they are at right angles."
+    )
+    if known.whitened:
+        text += " Residuals are compared after whitening by their fault-free covariance."
+    if any(known.steady):
+        text += " Where a fault keeps no direction of its own, that of a constant fault in steady state stands in."
+    if observed is not None:
+        text += " The last row is the mean residual over the whole main alarm against each signature."
+    return (
+        f'<h3>Directions</h3><p>{text}</p><div class="pair">{picture}'
+        f"{similarity_table(known.labels, known.similarity(), correlation)}</div>"
+    )
+
+
+def observed_residual(diagnosis: Diagnosis, known: Signatures) -> NDArray[np.float64] | None:
+    """Return the mean whitened residual over the main alarm; ``None`` without one."""
+    alarm = diagnosis.main_alarm
+    if alarm is None:
+        return None
+    center = np.where(np.isfinite(diagnosis.center), diagnosis.center, 0.0)
+    block = diagnosis.residuals[alarm.start : alarm.stop] - center
+    block = block[np.isfinite(block).all(axis=1)]
+    if not len(block):
+        return None
+    mean = known.whitening @ block.mean(axis=0)
+    return mean if np.linalg.norm(mean) > 0 else None
+
+
+def _residual_table(diagnosis: Diagnosis) -> str:
+    rows = []
+    for i in by_interest(diagnosis):
+        name = diagnosis.residual_names[i]
+        column = diagnosis.residuals[:, i]
+        seen = column[np.isfinite(column)]
+        cells = (diagnosis.center[i], diagnosis.band[i], *((seen.min(), seen.max()) if seen.size else (np.nan,) * 2))
+        rows.append(
+            [escape(name), escape(residual_unit(diagnosis, name)) or "–"]
+            + [f'<td class="num">{number(float(c))}</td>' for c in cells]
+        )
+    header = ["Residual", "Unit", "Fault-free mean", "Band (±)", "Smallest seen", "Largest seen"]
+    threshold = number(float(diagnosis.threshold))
+    return (
+        f"<details><summary>Residuals in numbers</summary>{html_table(header, rows)}"
+        f"<p>Threshold of the statistic: {threshold}.</p></details>"
+    )
+
+
+def filter_html(generator: ResidualGenerator, *, number: int, several: bool, used_by: str) -> str:
+    """Return what a filter is, who fires when what fails, and its evidence."""
+    plant = generator.plant
+    title = f"Filter {number}: {generator.method}" if several else "The filter"
+    used = f"<p>Used in: {escape(used_by)}.</p>" if used_by else ""
+    facts = [
+        ("Method", generator.method),
+        ("Filter", f"{generator.system.n_states} states, {generator.n_residuals} residuals"),
+        ("Sample step", seconds(generator.dt) if generator.dt else "continuous"),
+        ("Plant", f"{plant.name}, {plant.n_states} states"),
+        ("Inputs", listing(plant.inputs) or "none"),
+        ("Outputs", listing(plant.outputs)),
+        ("Disturbances in the model", listing(plant.disturbances) or "none"),
+    ]
+    table = html_table(["Property", ""], [[escape(key), escape(value)] for key, value in facts])
+    return (
+        f'<section id="f{number}"><h2>{escape(title)}</h2>{used}{table}{structure_table(generator)}'
+        f"<details{'' if several else ' open'}><summary>Evidence: what the design proves about itself</summary>"
+        f"{evidence_html(generator.evidence)}</details></section>"
+    )

@@ -1,0 +1,220 @@
+"""Report pages: one self-contained HTML file that needs no network."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from residua.report.body import diagnosis_html, filter_html, summary_html
+from residua.report.charts import chart_data
+from residua.report.tables import Table, text_table
+from residua.report.text import escape, listing, safe_json
+
+if TYPE_CHECKING:
+    from residua.design.generator import ResidualGenerator
+    from residua.monitor.diagnosis import Diagnosis
+
+__all__ = ["Section", "Table", "render", "write_demo_page", "write_page"]
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """A part of a page: text, a table and a diagnosis, each of them optional.
+
+    All text is shown as it is; none of it is taken as HTML.
+
+    Attributes
+    ----------
+    heading : str
+    diagnosis : Diagnosis or None
+    paragraphs : sequence of str, or str
+    table : Table or None
+    actual : sequence of str, or str
+        The faults that were really there, where that is known; the summary then says whether the
+        diagnosis names them.
+    """
+
+    heading: str
+    diagnosis: Diagnosis | None = None
+    paragraphs: Sequence[str] | str = ()
+    table: Table | None = None
+    actual: Sequence[str] | str = ()
+
+
+def write_page(diagnosis: Diagnosis, path: str | Path, *, title: str | None = None) -> Path:
+    """Write the report page of one diagnosis.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+    path : str or Path
+        The HTML file to write; its folder is made when absent.
+    title : str, optional
+        ``"<plant>: fault diagnosis"`` when omitted.
+
+    Returns
+    -------
+    Path
+        The file.
+    """
+    if title is None:
+        title = f"{diagnosis.generator.plant.name}: fault diagnosis"
+    return _write(render([Section("", diagnosis)], title), path)
+
+
+def write_demo_page(
+    sections: Sequence[Section], path: str | Path, title: str, *, introduction: Sequence[str] | str = ()
+) -> Path:
+    """Write one page with several diagnoses, a summary of them on top and each filter described once.
+
+    Parameters
+    ----------
+    sections : sequence of Section
+    path : str or Path
+    title : str
+    introduction : sequence of str, or str
+        Paragraphs below the title.
+
+    Returns
+    -------
+    Path
+        The file.
+    """
+    return _write(render(sections, title, introduction), path)
+
+
+def render(sections: Sequence[Section], title: str, introduction: Sequence[str] | str = ()) -> str:
+    """Return the page as text.
+
+    Long recordings are drawn as the smallest and largest value of each bin of samples, so that no extreme
+    is lost; the page says so. The page's security policy allows no network access and no script but its own.
+    """
+    shown = [(k, s) for k, s in enumerate(sections, 1) if s.diagnosis is not None]
+    filters = _filters(sections)
+    body = [f"<header><h1>{escape(title)}</h1>{_paragraphs(introduction)}</header>"]
+    if len(shown) > 1:
+        body.append(summary_html([(k, s.heading, s.diagnosis, _names(s.actual)) for k, s in shown if s.diagnosis]))
+    data = []
+    for k, section in enumerate(sections, 1):
+        body.append(f'<section id="s{k}">')
+        if section.heading:
+            body.append(f"<h2>{escape(section.heading)}</h2>")
+        body.append(_paragraphs(section.paragraphs))
+        if section.table is not None:
+            body.append(text_table(section.table))
+        if section.diagnosis is not None:
+            charts = chart_data(section.diagnosis)
+            link = _filter_number(filters, section.diagnosis) if len(filters) > 1 else 0
+            body.append(diagnosis_html(section.diagnosis, charts, number=len(data), filter_number=link))
+            data.append(charts)
+        body.append("</section>")
+    for k, (generator, users) in enumerate(filters, 1):
+        used = listing(h for h in users if h) if len(filters) > 1 else ""
+        body.append(filter_html(generator, number=k, several=len(filters) > 1, used_by=used))
+    body.append(_footer())
+    return _document(title, "\n".join(body), safe_json({"diagnoses": data}))
+
+
+def _write(page: str, path: str | Path) -> Path:
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(page, encoding="utf-8", newline="\n")
+    return path
+
+
+def _filters(sections: Sequence[Section]) -> list[tuple[ResidualGenerator, list[str]]]:
+    """Return each distinct generator once, with the headings of the sections that it ran in."""
+    found: list[tuple[ResidualGenerator, list[str]]] = []
+    for section in sections:
+        if section.diagnosis is None:
+            continue
+        generator = section.diagnosis.generator
+        for known, headings in found:
+            if known is generator:
+                headings.append(section.heading)
+                break
+        else:
+            found.append((generator, [section.heading]))
+    return found
+
+
+def _filter_number(filters: list[tuple[ResidualGenerator, list[str]]], diagnosis: Diagnosis) -> int:
+    return next(k for k, (generator, _) in enumerate(filters, 1) if generator is diagnosis.generator)
+
+
+def _names(names: Sequence[str] | str) -> tuple[str, ...]:
+    return (names,) if isinstance(names, str) else tuple(names)
+
+
+def _paragraphs(text: Sequence[str] | str) -> str:
+    return "".join(f"<p>{escape(paragraph)}</p>" for paragraph in _names(text))
+
+
+def _version() -> str:
+    from importlib import metadata  # slow to import, and needed only here
+
+    try:
+        return metadata.version("residua")
+    except metadata.PackageNotFoundError:
+        return "of unknown version"
+
+
+def _footer() -> str:
+    return (
+        f'<footer class="muted">Made by residua {escape(_version())}. Charts: uPlot by Leon Sorokin, MIT licence '
+        "(text in the source of this page). This file is complete in itself and loads nothing from elsewhere.</footer>"
+    )
+
+
+@cache
+def _static(name: str) -> str:
+    return resources.files("residua.report").joinpath("static", name).read_text(encoding="utf-8")
+
+
+def _document(title: str, body: str, data: str) -> str:
+    # Hashes let exactly these scripts run: even a name that slipped through unescaped could not.
+    scripts = [_static("guard.js"), _static("uplot.min.js"), _static("page.js")]
+    allowed = " ".join(_hash(script) for script in scripts)
+    policy = (
+        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data:; "
+        "base-uri 'none'; form-action 'none'"
+    )
+    guard, library, page = (f"<script>{script}</script>" for script in scripts)
+    licence = _static("uplot-LICENSE.txt").replace("--", "- -")
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="{policy}">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta name="generator" content="residua">
+<meta name="color-scheme" content="light dark">
+<title>{escape(title)}</title>
+<style>{_static("uplot.min.css")}
+{_static("page.css")}</style>
+{guard}
+</head>
+<body>
+<main>
+{body}
+</main>
+<noscript><p>The charts of this page are drawn by its own script, which is switched off here.</p></noscript>
+<script type="application/json" id="residua-data">{data}</script>
+<!-- uPlot 1.6.32
+{licence}-->
+{library}
+{page}
+</body>
+</html>
+"""
+
+
+def _hash(script: str) -> str:
+    digest = hashlib.sha256(script.encode()).digest()
+    return f"'sha256-{base64.b64encode(digest).decode()}'"

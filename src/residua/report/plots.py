@@ -1,0 +1,236 @@
+"""Plots with matplotlib. Figures are made without pyplot, so none stays open behind the caller's back."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from residua.errors import missing_extra
+from residua.report.charts import by_interest, residual_unit
+from residua.report.decimate import choose_bins, runs
+from residua.report.signatures import signatures
+from residua.report.text import with_unit
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from residua.design.generator import ResidualGenerator
+    from residua.monitor.diagnosis import Diagnosis
+
+_COLOURS = ("#0b5cad", "#c4501b", "#00785a", "#8b3fa0", "#946200", "#007a94", "#b0235f", "#4b5560")
+_STYLES = ("-", "--", ":", "-.")
+_ALARM, _MISSING, _BAND = "#c8281e", "#5a6473", "#00805f"
+#: Residuals that are plotted at most (those furthest out of their band), and points per line.
+_MAX_RESIDUALS = 8
+_MAX_POINTS = 4000
+
+
+def plot_diagnosis(diagnosis: Diagnosis, ax: Axes | None = None, *, figure: Figure | None = None) -> Any:
+    """Plot residuals with their bands, the statistic with its threshold, and the candidates' scores.
+
+    Alarms are shaded red, missing values grey. Long recordings are drawn as the smallest and largest value
+    of each bin of samples. At most eight residuals are drawn: those that went furthest out of their bands.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+    ax : matplotlib Axes, optional
+        Draw only the statistic, its threshold and the alarms, on these axes.
+    figure : matplotlib Figure, optional
+        Draw into this figure, for example one from ``pyplot.figure()``; a new one, unknown to pyplot, when
+        omitted.
+
+    Returns
+    -------
+    matplotlib Figure, or the Axes that were given
+
+    Raises
+    ------
+    MissingExtraError
+        If matplotlib is not installed.
+    """
+    if ax is not None:
+        _statistic(diagnosis, ax, loc="upper left")
+        ax.set_xlabel("time [s]")
+        return ax
+    shown = by_interest(diagnosis)[:_MAX_RESIDUALS]
+    with_scores = bool(diagnosis.groups) and diagnosis.scores.size > 0
+    heights = [1.0] * len(shown) + [1.4] + [1.6] * with_scores
+    figure = figure or _new_figure(8.0, 1.0 + 1.15 * sum(heights))
+    axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
+    for i, panel in zip(shown, axes, strict=False):
+        _residual(diagnosis, i, panel)
+    _statistic(diagnosis, axes[len(shown)], loc="lower left", bbox_to_anchor=(0.0, 1.0))
+    if with_scores:
+        _scores(diagnosis, axes[-1])
+    axes[-1].set_xlabel("time [s]")
+    title = diagnosis.generator.plant.name
+    figure.suptitle(_plain(f"{title}: {diagnosis.source}" if diagnosis.source else title))
+    return figure
+
+
+def plot_structure(generator: ResidualGenerator, ax: Axes | None = None) -> Axes:
+    """Plot who fires when what fails: a dark square where a residual answers to a fault.
+
+    Parameters
+    ----------
+    generator : ResidualGenerator
+    ax : matplotlib Axes, optional
+        A new figure's when omitted (``ax.figure``).
+
+    Returns
+    -------
+    matplotlib Axes
+
+    Raises
+    ------
+    MissingExtraError
+        If matplotlib is not installed.
+    """
+    faults, residuals = generator.faults, generator.residuals
+    if ax is None:
+        ax = _new_figure(2.5 + 0.4 * len(residuals), 1.6 + 0.3 * len(faults)).subplots()
+    fires = generator.structure.T
+    ax.imshow(fires, cmap="Blues", vmin=0, vmax=1.25, aspect="auto")
+    _matrix_axes(ax, residuals, faults)
+    ax.set_xlabel("residual")
+    ax.set_ylabel("what fails")
+    ax.set_title("Which residuals answer to which fault")
+    return ax
+
+
+def plot_directions(generator: ResidualGenerator, ax: Axes | None = None) -> Axes:
+    """Plot how alike the signatures of the faults are: the cosine of the smallest angle between every two.
+
+    1 means that two faults cannot be told apart by direction. With exactly two residuals the directions
+    themselves are drawn.
+
+    Parameters
+    ----------
+    generator : ResidualGenerator
+    ax : matplotlib Axes, optional
+        A new figure's when omitted (``ax.figure``).
+
+    Returns
+    -------
+    matplotlib Axes
+
+    Raises
+    ------
+    MissingExtraError
+        If matplotlib is not installed.
+    """
+    known = signatures(generator)
+    n = len(known.labels)
+    if ax is None:
+        ax = _new_figure(3.4 + 0.42 * n, 2.6 + 0.4 * n).subplots()
+    if generator.n_residuals == 2:
+        return _plane(generator, ax)
+    similarity = known.similarity()
+    image = ax.imshow(np.ma.masked_invalid(similarity), cmap="Blues", vmin=0, vmax=1)
+    _matrix_axes(ax, known.labels, known.labels)
+    for row in range(n):
+        for column in range(n):
+            value = similarity[row, column]
+            text = f"{value:.2f}" if np.isfinite(value) else "–"
+            ax.text(column, row, text, ha="center", va="center", fontsize=8, color="white" if value > 0.6 else "black")
+    bar = ax.figure.colorbar(image, ax=ax, shrink=0.8)
+    bar.set_label("cosine of the smallest angle [–]")
+    ax.set_title("Likeness of signatures" + (", whitened" if known.whitened else ""))
+    return ax
+
+
+def _new_figure(width: float, height: float) -> Figure:
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise missing_extra("matplotlib", "plot") from error
+    return Figure(figsize=(min(width, 16.0), min(height, 20.0)), layout="constrained")
+
+
+def _plain(text: str) -> str:
+    """Return text that matplotlib does not take for mathematics."""
+    return text.replace("$", r"\$")
+
+
+def _line(diagnosis: Diagnosis, values: np.ndarray, ax: Axes, **style: Any) -> None:
+    bins = choose_bins(len(diagnosis.time), _MAX_POINTS)
+    ax.plot(bins.times(diagnosis.time), bins.extremes(values), **style)
+
+
+def _shade(diagnosis: Diagnosis, ax: Axes) -> None:
+    """Shade alarms and missing values; only the first of each gets a name in the legend."""
+    last = len(diagnosis.time) - 1
+    stretches = [(a.start, a.stop) for a in diagnosis.alarms]
+    for pairs, colour, name in (
+        (stretches, _ALARM, "alarm"),
+        (runs(diagnosis.missing).tolist(), _MISSING, "values missing"),
+    ):
+        for k, (start, stop) in enumerate(pairs[:500]):
+            left, right = diagnosis.time[min(start, last)], diagnosis.time[min(stop, last)]
+            ax.axvspan(left, right, color=colour, alpha=0.16, lw=0, label=name if k == 0 else None)
+    for k, alarm in enumerate(diagnosis.alarms[:50]):
+        ax.axvline(alarm.onset, color=_ALARM, lw=1, ls=":", label="onset" if k == 0 else None)
+
+
+def _residual(diagnosis: Diagnosis, i: int, ax: Axes) -> None:
+    name = diagnosis.residual_names[i]
+    center, band = float(diagnosis.center[i]), float(diagnosis.band[i])
+    if np.isfinite(center) and np.isfinite(band):
+        ax.axhspan(center - band, center + band, color=_BAND, alpha=0.16, lw=0)
+    _shade(diagnosis, ax)
+    _line(diagnosis, diagnosis.residuals[:, i], ax, color=_COLOURS[0], lw=0.9)
+    ax.set_ylabel(_plain(with_unit(name, residual_unit(diagnosis, name))))
+    ax.margins(x=0)
+
+
+def _statistic(diagnosis: Diagnosis, ax: Axes, **place: Any) -> None:
+    _shade(diagnosis, ax)
+    _line(diagnosis, diagnosis.statistic, ax, color=_COLOURS[0], lw=0.9, label="statistic")
+    if np.isfinite(diagnosis.threshold):
+        ax.axhline(diagnosis.threshold, color=_ALARM, ls="--", lw=1.2, label="threshold")
+    ax.set_ylabel("statistic [–]")
+    ax.margins(x=0)
+    ax.legend(fontsize="small", ncols=5, **place)
+
+
+def _scores(diagnosis: Diagnosis, ax: Axes) -> None:
+    _shade(diagnosis, ax)
+    handles = []
+    for g, group in enumerate(diagnosis.groups):
+        before = len(ax.lines)
+        style = _STYLES[g // len(_COLOURS) % len(_STYLES)]
+        label = _plain(" or ".join(group))
+        _line(diagnosis, diagnosis.scores[:, g], ax, color=_COLOURS[g % len(_COLOURS)], ls=style, lw=1.2, label=label)
+        handles += ax.lines[before:]
+    ax.set_ylim(0, 1.02)
+    ax.set_ylabel("score [–]")
+    ax.margins(x=0)
+    ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.3), fontsize="small", ncols=4)
+
+
+def _matrix_axes(ax: Axes, columns: tuple[str, ...], rows: tuple[str, ...]) -> None:
+    ax.set_xticks(range(len(columns)), [_plain(c) for c in columns], rotation=45, ha="right", rotation_mode="anchor")
+    ax.set_yticks(range(len(rows)), [_plain(r) for r in rows])
+
+
+def _plane(generator: ResidualGenerator, ax: Axes) -> Axes:
+    known = signatures(generator)
+    turns = np.linspace(0, 2 * np.pi, 181)
+    ax.plot(np.cos(turns), np.sin(turns), color="0.8", lw=1)
+    for k, (label, basis) in enumerate(zip(known.labels, known.bases, strict=True)):
+        style = {"color": _COLOURS[k % len(_COLOURS)], "label": _plain(label), "lw": 1.8}
+        if basis.shape[1] == 1:
+            x, y = basis[:, 0]
+            ax.plot([-x, x], [-y, y], **style)
+        elif basis.shape[1] == 2:
+            ax.fill(np.cos(turns), np.sin(turns), alpha=0.08, **style)
+    ax.set_aspect("equal")
+    for setter, name in zip((ax.set_xlabel, ax.set_ylabel), generator.residuals, strict=True):
+        setter(_plain(name) + (", whitened [–]" if known.whitened else ", direction [–]"))
+    ax.set_title("Signature directions")
+    if known.labels:
+        ax.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.02, 0.5))
+    return ax

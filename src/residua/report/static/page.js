@@ -1,0 +1,308 @@
+(function () {
+  "use strict";
+  const root = document.documentElement;
+  const page = JSON.parse(document.getElementById("residua-data").textContent);
+  const HEIGHT = { residual: 160, statistic: 220, scores: 240 };
+  const everything = [];
+  let colours = {};
+  let drawn = 0;
+
+  function readColours() {
+    const style = getComputedStyle(root);
+    colours = {};
+    for (const name of ["text", "muted", "grid", "alarm", "missing", "undecided", "band", "threshold", "onset", "fade"])
+      colours[name] = style.getPropertyValue("--" + name).trim();
+    colours.series = [0, 1, 2, 3, 4, 5, 6, 7].map((k) => style.getPropertyValue("--c" + k).trim());
+  }
+
+  function times(x) {
+    if (x.list) return x.list;
+    return Float64Array.from({ length: x.n }, (_, k) => x.start + k * x.step);
+  }
+
+  function short(value) {
+    if (value == null) return "";
+    const size = Math.abs(value);
+    if (size !== 0 && (size >= 1e6 || size < 1e-4)) return value.toExponential(3);
+    return String(Number(value.toPrecision(5)));
+  }
+
+  // Tick labels with the digits that neighbouring ticks need, short at any magnitude.
+  function ticks(u, splits) {
+    const seen = splits.filter((v) => v != null);
+    const size = Math.max(...seen.map(Math.abs), 0);
+    const step = seen.length > 1 ? Math.abs(seen[1] - seen[0]) : size;
+    const digits = step > 0 ? Math.min(15, Math.max(1, Math.ceil(Math.log10(size / step)) + 2)) : 4;
+    const exponent = size >= 1e6 || (size < 1e-3 && size > 0);
+    return splits.map((v) => {
+      if (v == null) return "";
+      if (Math.abs(v) < step * 1e-6) return "0";
+      const rounded = Number(v.toPrecision(digits));
+      return exponent ? rounded.toExponential().replace("e+", "e") : String(rounded);
+    });
+  }
+
+  // Canvas fills below and above the lines: spans of time, the band, the threshold, the onsets.
+  function below(chart, data) {
+    return (u) => {
+      const ctx = u.ctx, box = u.bbox;
+      ctx.save();
+      ctx.beginPath();
+      ctx.rect(box.left, box.top, box.width, box.height);
+      ctx.clip();
+      for (const kind of ["undecided", "missing", "alarm"]) {
+        ctx.fillStyle = colours[kind];
+        for (const [a, b] of data.spans[kind]) {
+          const left = u.valToPos(a, "x", true), right = u.valToPos(b, "x", true);
+          if (right < box.left || left > box.left + box.width) continue;
+          ctx.fillRect(left, box.top, Math.max(right - left, devicePixelRatio), box.height);
+        }
+      }
+      if (chart.band) {
+        const low = u.valToPos(chart.band[0], "y", true), high = u.valToPos(chart.band[1], "y", true);
+        ctx.fillStyle = colours.band;
+        ctx.fillRect(box.left, high, box.width, Math.max(low - high, devicePixelRatio));
+      }
+      ctx.restore();
+    };
+  }
+
+  function above(chart, data) {
+    return (u) => {
+      const ctx = u.ctx, box = u.bbox, pixel = devicePixelRatio;
+      ctx.save();
+      ctx.beginPath();
+      ctx.rect(box.left, box.top, box.width, box.height);
+      ctx.clip();
+      if (chart.kind === "scores") {
+        ctx.fillStyle = colours.fade;
+        let from = box.left;
+        for (const [a, b] of [...data.spans.alarm, [Infinity, Infinity]]) {
+          const to = a === Infinity ? box.left + box.width : u.valToPos(a, "x", true);
+          if (to > from) ctx.fillRect(from, box.top, to - from, box.height);
+          from = Math.max(from, a === Infinity ? from : u.valToPos(b, "x", true));
+        }
+      }
+      ctx.lineWidth = 1.25 * pixel;
+      ctx.setLineDash([2 * pixel, 3 * pixel]);
+      ctx.strokeStyle = colours.onset;
+      for (const onset of data.onsets) {
+        const at = u.valToPos(onset, "x", true);
+        ctx.beginPath();
+        ctx.moveTo(at, box.top);
+        ctx.lineTo(at, box.top + box.height);
+        ctx.stroke();
+      }
+      if (chart.threshold != null && !(chart.log && chart.threshold <= 0)) {
+        const at = u.valToPos(chart.threshold, "y", true);
+        ctx.setLineDash([7 * pixel, 4 * pixel]);
+        ctx.strokeStyle = ctx.fillStyle = colours.threshold;
+        ctx.lineWidth = 1.75 * pixel;
+        ctx.beginPath();
+        ctx.moveTo(box.left, at);
+        ctx.lineTo(box.left + box.width, at);
+        ctx.stroke();
+        ctx.textAlign = "left";
+        ctx.font = 12 * pixel + "px system-ui, sans-serif";
+        const room = at - box.top > 20 * pixel;
+        ctx.textBaseline = room ? "bottom" : "top";
+        ctx.fillText("threshold " + short(chart.threshold), box.left + 6 * pixel, at + (room ? -3 : 3) * pixel);
+      }
+      ctx.restore();
+    };
+  }
+
+  function yScale(chart) {
+    if (chart.kind === "scores") return { range: [0, 1.02] };
+    const must = [];
+    if (chart.band) must.push(...chart.band);
+    if (chart.threshold != null) must.push(chart.threshold);
+    if (chart.log)
+      return {
+        distr: 3,
+        range: (u, min, max) => {
+          const top = Math.max(max || 0, ...must.map((v) => 1.5 * v), 1e-300);
+          return uPlot.rangeLog(Math.max(Math.min(min || top, ...must), top * 1e-6), top, 10, false);
+        },
+      };
+    return {
+      range: (u, min, max) => {
+        const low = Math.min(min == null ? Infinity : min, ...must);
+        const high = Math.max(max == null ? -Infinity : max, ...must);
+        if (!(low <= high)) return [0, 1];
+        const room = 0.08 * (high - low) || 0.1 * Math.abs(high) || 1;
+        return [chart.kind === "statistic" ? Math.min(0, low) : low - room, high + room];
+      },
+    };
+  }
+
+  function values(chart) {
+    if (!chart.log) return chart.y;
+    return chart.y.map((series) => series.map((v) => (v == null || v <= 0 ? null : v)));
+  }
+
+  function options(entry, width) {
+    const { chart, data } = entry;
+    const axis = { stroke: () => colours.muted, grid: { stroke: () => colours.grid, width: 1 },
+      ticks: { stroke: () => colours.grid, width: 1 }, font: "12px system-ui, sans-serif",
+      labelFont: "12px system-ui, sans-serif", labelSize: 18 };
+    const names = { residual: "residual", statistic: "statistic [–]", scores: "score [–]" };
+    const label = chart.unit ? names[chart.kind] + " [" + chart.unit + "]" : names[chart.kind];
+    return {
+      width, height: HEIGHT[chart.kind], padding: [8, 14, 0, 0],
+      scales: { x: { time: false, range: (u, min, max) => (min == null ? data.ends : [min, max]) }, y: yScale(chart) },
+      axes: [
+        { ...axis, label: "time [s]", size: 30, values: ticks },
+        { ...axis, label, size: 62, values: chart.log ? undefined : ticks, space: 24 },
+      ],
+      series: [
+        { label: "time [s]", value: (u, v) => (v == null ? "" : String(Number(v.toPrecision(8)))) },
+        ...chart.names.map((name, k) => ({
+          label: name, scale: "y", width: chart.kind === "scores" ? 1.75 : 1.25, value: (u, v) => short(v),
+          stroke: () => colours.series[k % 8], dash: k >= 8 ? [6, 3 + 3 * Math.floor(k / 8)] : undefined,
+        })),
+      ],
+      legend: { show: chart.kind === "scores" },
+      cursor: { y: false, drag: { x: true, y: false, dist: 4 }, bind: { dblclick: () => () => zoom(data, ...data.ends) },
+        sync: { key: "residua" + data.id, setSeries: false, scales: ["x", null],
+          filters: { pub: (type) => type === "mousemove" || type === "mouseleave" } } },
+      hooks: { drawClear: [below(chart, data)], draw: [above(chart, data), () => count(entry)],
+        setCursor: [(u) => read(entry, u)],
+        setScale: [(u, key) => { if (key === "x") zoom(data, u.scales.x.min, u.scales.x.max); }] },
+    };
+  }
+
+  // Time and value under the cursor, beside the title of charts with one line.
+  function read(entry, u) {
+    if (!entry.readout) return;
+    const k = u.cursor.idx, value = k == null ? null : u.data[1][k];
+    const at = k == null ? "" : "t = " + Number(u.data[0][k].toPrecision(8)) + " s: ";
+    entry.readout.textContent = at && at + (value == null ? "no value" : short(value) + (entry.chart.unit ? " " + entry.chart.unit : ""));
+  }
+
+  function count(entry) {
+    if (entry.counted) return;
+    entry.counted = true;
+    for (const series of entry.chart.y) for (const v of series) if (v != null) drawn++;
+    root.dataset.drawnPoints = drawn;
+    root.dataset.drawnCharts = everything.filter((e) => e.counted).length;
+  }
+
+  // One stretch of time for all charts of a diagnosis.
+  function zoom(data, min, max) {
+    if (data.zooming || (data.view && data.view[0] === min && data.view[1] === max)) return;
+    data.zooming = true;
+    data.view = [min, max];
+    for (const { plot } of data.entries)
+      if (plot && (plot.scales.x.min !== min || plot.scales.x.max !== max)) plot.setScale("x", { min, max });
+    data.zooming = false;
+  }
+
+  function draw(entry) {
+    const width = entry.place.clientWidth;
+    if (!width) return;
+    if (entry.plot) entry.plot.destroy();
+    const { data } = entry;
+    entry.plot = new uPlot(options(entry, width), [data.times, ...values(entry.chart)], entry.place);
+    if (data.view !== data.ends) entry.plot.setScale("x", { min: data.view[0], max: data.view[1] });
+  }
+
+  function start() {
+    readColours();
+    const began = performance.now();
+    document.querySelectorAll(".charts").forEach((block) => {
+      const data = page.diagnoses[Number(block.dataset.diagnosis)];
+      data.id = block.dataset.diagnosis;
+      data.times = times(data.x);
+      data.view = data.ends;
+      data.entries = [];
+      block.querySelectorAll("figure.chart").forEach((figure) => {
+        const chart = data.charts[Number(figure.dataset.chart)];
+        const entry = { chart, data, place: figure.querySelector(".plot"), readout: figure.querySelector(".readout") };
+        data.entries.push(entry);
+        everything.push(entry);
+        const box = figure.querySelector("input.log");
+        if (box) {
+          box.checked = chart.log;
+          box.addEventListener("change", () => { chart.log = box.checked; draw(entry); });
+        }
+        draw(entry);
+      });
+      block.querySelector("button.all").addEventListener("click", () => zoom(data, ...data.ends));
+      block.querySelectorAll("details").forEach((details) => details.addEventListener("toggle", () => {
+        if (details.open) data.entries.filter((e) => !e.plot && details.contains(e.place)).forEach(draw);
+      }));
+    });
+    // uPlot draws in a microtask, so the time is taken after those.
+    Promise.resolve().then(() => Promise.resolve()).then(() => {
+      root.dataset.drawMs = (performance.now() - began).toFixed(1);
+      root.dataset.charts = everything.length;
+    });
+  }
+
+  function repaint() {
+    readColours();
+    for (const { plot } of everything) if (plot) plot.redraw(false, true);
+  }
+
+  function resize(width) {
+    for (const { plot, place, chart } of everything)
+      if (plot && (width || place.clientWidth)) plot.setSize({ width: width || place.clientWidth, height: HEIGHT[chart.kind] });
+  }
+
+  let waiting = 0;
+  window.addEventListener("resize", () => { clearTimeout(waiting); waiting = setTimeout(() => resize(), 80); });
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", repaint);
+
+  // On paper: light colours, everything opened, charts as wide as the sheet.
+  let closed = [];
+  window.addEventListener("beforeprint", () => {
+    root.dataset.print = "yes";
+    closed = [...document.querySelectorAll("details:not([open])")];
+    closed.forEach((d) => { d.open = true; });
+    readColours();
+    resize(680);
+    everything.filter((e) => !e.plot).forEach(draw);
+    repaint();
+  });
+  window.addEventListener("afterprint", () => {
+    delete root.dataset.print;
+    closed.forEach((d) => { d.open = false; });
+    resize();
+    repaint();
+  });
+
+  // The picture of three residuals turns when dragged.
+  document.querySelectorAll('svg.picture[data-axes="3"]').forEach((svg) => {
+    let turn = Number(svg.dataset.turn), tilt = Number(svg.dataset.tilt);
+    const radius = Number(svg.querySelector(".sphere").getAttribute("r"));
+    function project(text) {
+      const [a, b, c] = text.split(",").map(Number);
+      const depth = a * Math.sin(turn) + b * Math.cos(turn);
+      return [radius * (a * Math.cos(turn) - b * Math.sin(turn)), -radius * (c * Math.cos(tilt) + depth * Math.sin(tilt))];
+    }
+    function place() {
+      svg.querySelectorAll("polygon").forEach((disc) =>
+        disc.setAttribute("points", disc.dataset.rim.split(";").map((v) => project(v).join(",")).join(" ")));
+      svg.querySelectorAll("g[data-v]").forEach((g) => {
+        const [x, y] = project(g.dataset.v);
+        const back = g.classList.contains("observed") ? 0 : -1, reach = g.classList.contains("axis") ? 1.16 : 1.08;
+        const [first, second] = g.querySelectorAll("line");
+        first.setAttribute("x2", back * x); first.setAttribute("y2", back * y);
+        second.setAttribute("x2", x); second.setAttribute("y2", y);
+        const tip = g.querySelector("circle"), text = g.querySelector("text");
+        tip.setAttribute("cx", x); tip.setAttribute("cy", y);
+        text.setAttribute("x", reach * x); text.setAttribute("y", reach * y);
+      });
+    }
+    svg.addEventListener("pointerdown", (event) => svg.setPointerCapture(event.pointerId));
+    svg.addEventListener("pointermove", (event) => {
+      if (!event.buttons) return;
+      turn += event.movementX / 120;
+      tilt = Math.max(-1.5, Math.min(1.5, tilt + event.movementY / 120));
+      place();
+    });
+  });
+
+  start();
+})();

@@ -1,0 +1,115 @@
+"""Directions: every fault stays on its own line or plane, whatever its time course."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import residua as rs
+from generated import random_plant, simulate
+from residua.errors import DesignError, ModelError
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_residual_stays_on_the_line_of_the_fault(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    plant = random_plant(rng, n=6, outputs=3, faults=2, dt=0.1)
+    generator = rs.design.detection_filter(plant)
+    for name, direction in generator.directions.items():
+        u, y = simulate(plant, rng, 80, fault=name)
+        r = generator.run(u, y)
+        off = r - np.outer(r @ direction, direction)
+        assert np.abs(r).max() > 1e-6
+        assert np.abs(off).max() < 1e-8 * np.abs(r).max()
+    assert set(generator.directions) == set(plant.faults)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_generic_direction_is_where_the_fault_first_shows(seed: int) -> None:
+    rng = np.random.default_rng(1000 + seed)
+    plant = random_plant(rng, n=5, outputs=3, faults=3)
+    generator = rs.design.detection_filter(plant)
+    for i, name in enumerate(plant.faults):
+        expected = plant.C @ plant.Bf[:, i]
+        assert generator.directions[name] @ expected / np.linalg.norm(expected) == pytest.approx(1, abs=1e-8)
+
+
+def test_a_fault_two_steps_from_the_outputs_keeps_its_direction() -> None:
+    A = np.array([[0, 1, 0, 0], [0, 0, 1, 0], [0, 0, -1, 1], [1, 0, 0, -2]], dtype=float)
+    plant = rs.Plant(A, [[0], [0], [0], [1]], [[1, 0, 0, 0], [0, 0, 0, 1]]).with_faults({"deep": [0, 0, 1, 0]})
+    generator = rs.design.detection_filter(plant, poles={"deep": [-1, -2, -3], "rest": [-4]})
+    np.testing.assert_allclose(generator.directions["deep"], [1, 0], atol=1e-9)
+    np.testing.assert_allclose(np.sort(generator.evidence.poles.real), [-4, -3, -2, -1], rtol=1e-6)
+
+
+def test_poles_are_reached_and_invariant_zeros_of_all_faults_are_fixed() -> None:
+    generator = rs.design.detection_filter(rs.library.gertler(), poles=[0.25, 0.3])
+    np.testing.assert_allclose(generator.evidence.fixed_poles, [0.6], atol=1e-9)
+    np.testing.assert_allclose(np.sort(generator.evidence.poles.real), [0.25, 0.3, 0.6], atol=1e-9)
+
+
+def test_an_unstable_invariant_zero_of_the_faults_together_is_told() -> None:
+    A = np.diag([0.4, 0.5, 0.9])
+    C = np.array([[1.0, 1, 0], [0, 1, 1]])
+    F = np.array([[1.0, 0], [1.0, 1], [0, 1]])
+    zero = rs.linear.invariant_zeros(A, F * [1, -3], C).zeros
+    assert len(zero) == 1
+    F2 = F.copy()
+    F2[2, 1] = -0.9  # moves the common zero out of the unit disc
+    assert abs(rs.linear.invariant_zeros(A, F2, C).zeros[0]) > 1
+    plant = rs.Plant(A, np.ones((3, 1)), C, dt=1).with_faults({"p1": F2[:, 0], "p2": F2[:, 1]})
+    generator = rs.design.detection_filter(plant)
+    assert len(generator.members) == 2, "each fault needs a filter of its own"
+    assert generator.system.is_stable()
+
+
+def test_more_faults_than_measurements_are_split_over_as_few_filters_as_needed() -> None:
+    rng = np.random.default_rng(5)
+    plant = random_plant(rng, n=6, outputs=2, faults=5, dt=0.1)
+    generator = rs.design.detection_filter(plant)
+    assert len(generator.members) == 3
+    assert sorted(name for member in generator.members for name in member.faults) == sorted(plant.faults)
+    for member in generator.members:
+        rows = list(member.residuals)
+        for name in member.faults:
+            assert np.linalg.matrix_rank(generator.subspaces[name][rows], tol=1e-7) == 1
+
+
+def test_twins_share_a_direction_and_a_filter() -> None:
+    plant = rs.library.gertler().without_faults("p2").with_faults({"twin": [2, 2, 0]})
+    generator = rs.design.detection_filter(plant)
+    assert len(generator.members) == 1
+    np.testing.assert_allclose(generator.directions["p1"], generator.directions["twin"], atol=1e-9)
+
+
+def test_sensor_faults_stay_in_a_plane() -> None:
+    rng = np.random.default_rng(3)
+    plant = random_plant(rng, n=4, outputs=4, faults=0, sensors=True, dt=0.1)
+    generator = rs.design.detection_filter(plant, poles=[0.3] * 4)
+    assert {basis.shape[1] for basis in generator.subspaces.values()} == {2}
+    for name in plant.faults:
+        r = generator.run(*simulate(plant, rng, 50, fault=name))
+        basis = generator.subspaces[name]
+        assert np.abs(r - r @ basis @ basis.T).max() < 1e-9 * np.abs(r).max()
+
+
+@pytest.mark.parametrize(
+    ("poles", "error", "words"),
+    [
+        ([0.25, 1.3, 0.6], DesignError, "stable"),
+        ([0.25], DesignError, "2 are free"),
+        ([0.25, 0.3 + 0.1j, 0.6], (DesignError, ModelError), "conjugate"),
+        ({"p3": [0.2]}, DesignError, "unknown fault 'p3'"),
+        ({"p1": [0.2, 0.1]}, DesignError, "1 belong"),
+    ],
+)
+def test_wrong_poles_are_refused(poles: object, error: type, words: str) -> None:
+    with pytest.raises(error, match=words):
+        rs.design.detection_filter(rs.library.gertler(), poles=poles)  # pyright: ignore[reportArgumentType]
+
+
+def test_a_plant_without_faults_is_refused() -> None:
+    with pytest.raises(DesignError, match="no faults"):
+        rs.design.detection_filter(rs.library.gertler().without_faults())
+    with pytest.raises(ModelError, match="unknown fault"):
+        rs.design.detection_filter(rs.library.gertler(), faults=["nobody"])

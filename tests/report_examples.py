@@ -1,0 +1,110 @@
+"""Diagnoses made by hand for the tests of the report: small plants, plain observers, known outcomes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from residua.design.evidence import Evidence
+from residua.design.generator import ResidualGenerator, make_generator
+from residua.linear import StateSpace
+from residua.linear.rank import decide_rank
+from residua.monitor.diagnosis import Alarm, Candidate, Diagnosis
+from residua.plant import Plant
+
+
+def generator(n: int = 3, *, names: list[str] | None = None, noise: bool = False, dt: float = 0.1) -> ResidualGenerator:
+    """An observer of ``n`` coupled first-order systems, every state measured."""
+    A = 0.7 * np.eye(n) + 0.15 * np.eye(n, k=1)
+    outputs = names or [f"level {i + 1}" for i in range(n)]
+    plant = Plant(
+        A,
+        np.ones((n, 1)),
+        np.eye(n),
+        dt=dt,
+        inputs=["pump"],
+        outputs=outputs,
+        name="tanks",
+        units={name: "m" for name in outputs},
+    )
+    plant = plant.with_sensor_faults().with_actuator_faults()
+    if noise:
+        plant = plant.with_noise(process=1e-4 * np.eye(n), measurement=1e-3 * np.eye(n))
+    K = A - 0.4 * np.eye(n)
+    system = StateSpace(
+        A - K,
+        np.hstack([plant.Bu, K]),
+        -np.eye(n),
+        np.hstack([np.zeros((n, 1)), np.eye(n)]),
+        dt=dt,
+        outputs=[f"r {name}" for name in outputs],
+    )
+    evidence = Evidence(
+        "full-order observer",
+        poles=np.linalg.eigvals(A - K).astype(complex),
+        requested_poles=np.full(n, 0.4 + 0j),
+        decoupling={"control": 3.1e-16},
+        ranks={"observability": decide_rank(np.eye(n)), "rank [C; CA]": decide_rank(np.diag([1.0] * n + [0.0]))},
+        conditions={"eigenvectors": 1.0},
+        notes=("the poles were asked for",),
+        references=("Chen, Patton and Zhang (1996), eqs. (2) to (8)",),
+    )
+    return make_generator(system, plant, "full-order observer", evidence)
+
+
+def diagnosis(
+    n_samples: int = 600,
+    *,
+    gen: ResidualGenerator | None = None,
+    fault: bool = True,
+    seed: int = 0,
+    **changes: Any,
+) -> Diagnosis:
+    """A recording with a bias on the second sensor in its last half."""
+    gen = gen or generator()
+    rng = np.random.default_rng(seed)
+    n, dt = gen.n_residuals, gen.dt
+    time = dt * np.arange(n_samples)
+    residuals = 0.02 * rng.standard_normal((n_samples, n))
+    start = n_samples // 2 if fault else n_samples
+    direction = gen.steady_directions[gen.faults[min(1, n - 1)]]
+    residuals[start:] += 0.3 * direction / max(np.linalg.norm(direction), 1e-12)
+    statistic = np.linalg.norm(residuals, axis=1) / 0.02
+    groups = tuple((f,) for f in gen.faults)
+    scores = np.clip(0.5 + 0.1 * rng.standard_normal((n_samples, len(groups))), 0, 1)
+    scores[start:, min(1, len(groups) - 1)] = 0.99
+    decided = np.arange(n_samples) >= min(10, n_samples)
+    candidates = tuple(
+        Candidate(g, s, float(np.sqrt(1 - s**2)))
+        for g, s in zip((groups[1:2] + groups[:1] + groups[2:]), (0.991, 0.78, 0.4, 0.3), strict=False)
+    )
+    alarms = (
+        (Alarm(time[start], time[min(start + 2, n_samples - 1)], None, candidates, start + 2, n_samples),)
+        if fault
+        else ()
+    )
+    alarm = np.zeros(n_samples, dtype=bool)
+    alarm[start + 2 :] = fault
+    made = Diagnosis(
+        time=time,
+        residuals=residuals,
+        statistic=statistic,
+        threshold=5.0,
+        alarm=alarm,
+        decided=decided,
+        missing=np.zeros(n_samples, dtype=bool),
+        scores=scores,
+        groups=groups,
+        unjudged=(),
+        alarms=alarms,
+        resets=0,
+        residual_names=gen.residuals,
+        center=np.zeros(n),
+        band=np.full(n, 0.08),
+        generator=gen,
+        source="tank08.csv",
+        notes=(),
+    )
+    return replace(made, **changes)
