@@ -27,7 +27,7 @@ def generator(n: int = 3, *, names: list[str] | None = None, noise: bool = False
         inputs=["pump"],
         outputs=outputs,
         name="tanks",
-        units={name: "m" for name in outputs},
+        units=dict.fromkeys(outputs, "m"),
     )
     plant = plant.with_sensor_faults().with_actuator_faults()
     if noise:

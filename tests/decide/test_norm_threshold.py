@@ -20,25 +20,25 @@ def fraction_in_alarm(test: object, residuals: np.ndarray) -> float:
     return float(on.mean())
 
 
-@pytest.mark.parametrize("rate", [0.05, 0.01, 0.001])
+@pytest.mark.parametrize("rate", [0.05, 0.01])
 @pytest.mark.parametrize("persistence", [1, 3])
 def test_the_rate_holds_on_new_data(rate: float, persistence: int) -> None:
     rng = np.random.default_rng(0)
     mixing = rng.standard_normal((3, 3))
-    data = rng.standard_normal((80_000, 3)) @ mixing + [5, 0, -2]
-    settings = NormThreshold(persistence=persistence)
-    test = fit_norm_test(
-        settings,
-        data[:40_000],
-        np.ones(40_000, bool),
-        false_alarm_rate=rate,
-        covariance=None,
-        signal_size=1,
-    )
-    assert fraction_in_alarm(test, data[:40_000]) <= rate
-    events = rate * 40_000 / persistence
-    slack = 1 + 4 / np.sqrt(events)
-    assert rate / slack < fraction_in_alarm(test, data[40_000:]) < slack * rate
+    on_new_data = []
+    for _ in range(6):
+        data = rng.standard_normal((40_000, 3)) @ mixing + [5, 0, -2]
+        test = fit_norm_test(
+            NormThreshold(persistence=persistence),
+            data[:20_000],
+            np.ones(20_000, bool),
+            false_alarm_rate=rate,
+            covariance=None,
+            signal_size=1,
+        )
+        assert 0.9 * rate < fraction_in_alarm(test, data[:20_000]) <= rate
+        on_new_data.append(fraction_in_alarm(test, data[20_000:]))
+    assert np.mean(on_new_data) == pytest.approx(rate, rel=0.25)
 
 
 def test_whitening_makes_the_statistic_chi_distributed() -> None:

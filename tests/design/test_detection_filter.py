@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
 import residua as rs
 from generated import random_plant, simulate
+from residua.design.detection_filter import event_matrices
+from residua.design.directional_gain import fault_events, obstacle
 from residua.errors import DesignError, ModelError
+from residua.linear.zeros import invariant_zeros
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -27,7 +32,7 @@ def test_the_residual_stays_on_the_line_of_the_fault(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(20))
 def test_a_generic_direction_is_where_the_fault_first_shows(seed: int) -> None:
     rng = np.random.default_rng(1000 + seed)
-    plant = random_plant(rng, n=5, outputs=3, faults=3)
+    plant = random_plant(rng, n=5, outputs=4, faults=3)
     generator = rs.design.detection_filter(plant)
     for i, name in enumerate(plant.faults):
         expected = plant.C @ plant.Bf[:, i]
@@ -48,26 +53,37 @@ def test_poles_are_reached_and_invariant_zeros_of_all_faults_are_fixed() -> None
     np.testing.assert_allclose(np.sort(generator.evidence.poles.real), [0.25, 0.3, 0.6], atol=1e-9)
 
 
-def test_an_unstable_invariant_zero_of_the_faults_together_is_told() -> None:
+def test_an_unstable_invariant_zero_of_the_faults_together_costs_a_second_filter() -> None:
     A = np.diag([0.4, 0.5, 0.9])
     C = np.array([[1.0, 1, 0], [0, 1, 1]])
-    F = np.array([[1.0, 0], [1.0, 1], [0, 1]])
-    zero = rs.linear.invariant_zeros(A, F * [1, -3], C).zeros
-    assert len(zero) == 1
-    F2 = F.copy()
-    F2[2, 1] = -0.9  # moves the common zero out of the unit disc
-    assert abs(rs.linear.invariant_zeros(A, F2, C).zeros[0]) > 1
-    plant = rs.Plant(A, np.ones((3, 1)), C, dt=1).with_faults({"p1": F2[:, 0], "p2": F2[:, 1]})
+    F = np.array([[1.0, 0], [1.0, 1], [0, -0.1]])
+    assert abs(invariant_zeros(A, F, C).zeros[0]) > 1
+    plant = rs.Plant(A, np.ones((3, 1)), C, dt=1).with_faults({"p1": F[:, 0], "p2": F[:, 1]})
     generator = rs.design.detection_filter(plant)
     assert len(generator.members) == 2, "each fault needs a filter of its own"
     assert generator.system.is_stable()
 
 
-def test_more_faults_than_measurements_are_split_over_as_few_filters_as_needed() -> None:
-    rng = np.random.default_rng(5)
-    plant = random_plant(rng, n=6, outputs=2, faults=5, dt=0.1)
+@pytest.mark.parametrize("seed", range(8))
+def test_faults_are_split_over_as_few_filters_as_needed(seed: int) -> None:
+    """Against brute force over all partitions."""
+    rng = np.random.default_rng(seed)
+    plant = random_plant(rng, n=5, outputs=2, faults=4, dt=0.1)
     generator = rs.design.detection_filter(plant)
-    assert len(generator.members) == 3
+    events, _ = fault_events(plant.A, plant.C, event_matrices(plant, np.eye(5), plant.faults))
+
+    def fewest(left: tuple[int, ...]) -> int:
+        if not left:
+            return 0
+        first, rest = left[0], left[1:]
+        best = len(left)
+        for k in range(len(rest) + 1):
+            for others in itertools.combinations(rest, k):
+                if obstacle(plant.A, plant.C, [events[i] for i in (first, *others)], 0.1) is None:
+                    best = min(best, 1 + fewest(tuple(i for i in rest if i not in others)))
+        return best
+
+    assert len(generator.members) == fewest((0, 1, 2, 3))
     assert sorted(name for member in generator.members for name in member.faults) == sorted(plant.faults)
     for member in generator.members:
         rows = list(member.residuals)

@@ -15,7 +15,8 @@ from residua.cli.files import check_input, check_outputs, replacing
 from residua.cli.guard import FAULT, NO_FAULT, GuardedGroup, warn
 from residua.cli.methods import Method
 from residua.decide import Directional, NormThreshold
-from residua.errors import DataError, ModelError
+from residua.demos import Outcome
+from residua.errors import AccuracyError, DataError, ModelError
 from residua.monitor import Diagnosis, Monitor
 from residua.monitor.recording import Recording, read_recording, write_table
 from residua.plant.plant_file import load_plant
@@ -291,7 +292,7 @@ def jet_engine(output: Folder = Path("residua-demo")) -> None:
     from residua.demos import jet_engine as demo
 
     _folder(output)
-    screen_demo(demo.run(output))
+    _present(demo.run(output))
 
 
 @demos.command("three-tank")
@@ -300,7 +301,16 @@ def three_tank(output: Folder = Path("residua-demo")) -> None:
     from residua.demos import three_tank as demo
 
     _folder(output)
-    screen_demo(demo.run(output))
+    _present(demo.run(output))
+
+
+def _present(outcome: Outcome) -> None:
+    screen.say(*outcome.lines)
+    for table in outcome.tables:
+        screen.show_table(table.header, table.rows, title=table.caption)
+    screen.say(f"report page: {outcome.page.resolve()}")
+    if outcome.surprises:
+        raise AccuracyError(f"the demo did not come out as it should: {'; '.join(outcome.surprises)}")
 
 
 def _folder(path: Path) -> None:

@@ -91,6 +91,10 @@ def _is_number(text: str) -> bool:
     return True
 
 
+def _count(number: int, thing: str) -> str:
+    return f"{number} {thing}" + ("" if number == 1 else "s")
+
+
 # ----------------------------------------------------------------- diagnosability
 
 
@@ -99,8 +103,9 @@ def show_diagnosability(found: Diagnosability) -> None:
     plant = found.plant
     time = f"sampled at {plant.dt:g} s" if plant.is_discrete else "continuous"
     say(
-        f"{plant.name}: {plant.n_states} states, {len(plant.inputs)} inputs, {plant.n_outputs} outputs, "
-        f"{len(plant.disturbances)} disturbances, {len(plant.faults)} faults, {time}"
+        f"{plant.name}: {_count(plant.n_states, 'state')}, {_count(len(plant.inputs), 'input')}, "
+        f"{_count(plant.n_outputs, 'output')}, {_count(len(plant.disturbances), 'disturbance')}, "
+        f"{_count(len(plant.faults), 'fault')}, {time}"
     )
     show_table(
         [

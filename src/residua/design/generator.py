@@ -52,7 +52,7 @@ class ResidualGenerator:
         What the design proves about itself.
     subspaces : dict of str to ndarray, shape (residuals, k)
         For each fault an orthonormal basis of the smallest subspace that the residual never leaves,
-        whatever the time course of that fault (paper 000, Definitions 5 and 6; here the reachable part).
+        whatever the time course of that fault (paper 000, Definitions 5 and 6; the part that it can reach).
         When it is the whole residual space, the fault's residual has no fixed direction.
     observer : Observer or None
         The observer that it is made of, where there is one.
@@ -243,7 +243,7 @@ def make_generator(
     members: tuple[Member, ...] = (),
 ) -> ResidualGenerator:
     """Return a generator with its signatures computed from its own internal form."""
-    bases = signature_bases(internal_form(system, plant), plant.faults)
+    bases = signature_bases(system, plant, internal_form(system, plant))
     if not members:
         members = (Member(method, tuple(range(system.n_outputs)), plant.faults),)
     return ResidualGenerator(system, plant, method, evidence, bases, observer, members)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, ModelError
 from residua.linear import StateSpace
-from residua.linear.reachability import output_reachable_basis, without_unobservable
+from residua.linear.reachability import without_unobservable
 from residua.plant import Plant
 
 
@@ -71,7 +71,7 @@ def frequency_grid(*systems: StateSpace, points: int = 60) -> NDArray[np.float64
     dt = max(system.dt for system in systems)
     if dt:
         return np.concatenate([np.pi / dt * np.logspace(-5, 0, points - 1), [0.37 * np.pi / dt]])
-    sizes = np.abs(np.concatenate([system.poles() for system in systems] or [np.ones(1)]))
+    sizes = np.abs(np.concatenate([system.poles() for system in systems]))
     sizes = sizes[sizes > 0]
     low, high = (sizes.min(), sizes.max()) if sizes.size else (1.0, 1.0)
     return np.logspace(np.log10(low) - 2, np.log10(high) + 2, points)
@@ -116,24 +116,51 @@ def check_decoupling(generator: StateSpace, plant: Plant, *, decoupled: bool, li
     return promised
 
 
-def signature_bases(form: StateSpace, faults: tuple[str, ...]) -> dict[str, NDArray[np.float64]]:
+def signature_bases(
+    generator: StateSpace, plant: Plant, form: StateSpace, *, rtol: float = 1e-8
+) -> dict[str, NDArray[np.float64]]:
     """Return for each fault an orthonormal basis of the subspace that its residual never leaves.
 
-    The first vector of a one-dimensional subspace has the sign of the response to a positive fault.
+    The subspace is spanned by the response to the fault at all frequencies; it is found from the singular
+    values of the responses at many, each scaled to unit length. (Krylov spaces of the same would amplify
+    rounding in every step.) The vector of a one-dimensional subspace has the sign of the first response to
+    a positive fault.
+
+    Parameters
+    ----------
+    generator : StateSpace
+    plant : Plant
+    form : StateSpace
+        Their internal form, faults first.
+    rtol : float
+        Directions that carry less than this fraction of the response at every frequency are not there.
     """
+    w = frequency_grid(form, generator)
+    responses = form.frequency_response(w)
+    cancelling = np.abs(generator.frequency_response(w)[:, :, len(plant.inputs) :]) @ np.abs(
+        plant.system("fault").frequency_response(w)
+    )
     bases = {}
-    for i, name in enumerate(faults):
-        basis, _ = output_reachable_basis(form, i)
-        if basis.shape[1] == 1:
-            response = form.D[:, i] if np.any(form.D[:, i]) else first_response(form, i)
-            if basis[:, 0] @ response < 0:
-                basis = -basis
+    for i, name in enumerate(plant.faults):
+        response = responses[:, :, i].T
+        size = np.linalg.norm(response, axis=0)
+        keep = (size > 1e-9 * np.linalg.norm(cancelling[:, :, i], axis=1)) & (size > 1e-7 * size.max(initial=0.0))
+        columns = response[:, keep] / size[keep]
+        if columns.shape[1] == 0:
+            bases[name] = np.zeros((form.n_outputs, 0))
+            continue
+        U, s, _ = np.linalg.svd(np.hstack([columns.real, columns.imag]), full_matrices=False)
+        basis = U[:, s > rtol * s[0]]
+        if basis.shape[1] == 1 and basis[:, 0] @ first_response(form, i) < 0:
+            basis = -basis
         bases[name] = basis
     return bases
 
 
 def first_response(form: StateSpace, column: int) -> NDArray[np.float64]:
-    """Return the first nonzero Markov parameter ``C A^k b`` of one input."""
+    """Return the first nonzero Markov parameter ``D, C B, C A B, ...`` of one input."""
+    if np.any(form.D[:, column]):
+        return form.D[:, column]
     x = form.B[:, column]
     scale = np.linalg.norm(form.C) * np.linalg.norm(x)
     for _ in range(form.n_states):

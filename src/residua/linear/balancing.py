@@ -59,8 +59,8 @@ def _root(numerator: float, denominator: float) -> float:
 def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> BalancedSystem:
     """Scale the units of states, inputs and outputs until rows and columns of ``[A B; C D]`` match in norm.
 
-    Osborne's sweep over the states, with the rows of ``C`` and the columns of ``B`` taking part, each scaled to the norm of ``A``.
-    Rows and columns that are rounding residue are left as they are.
+    Osborne's sweep over the states, with the rows of ``C`` and the columns of ``B`` taking part, each scaled to
+    the norm of ``A``. Rows and columns that are rounding residue are left as they are.
 
     Parameters
     ----------
@@ -80,26 +80,43 @@ def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> Ba
     A, B, C, D = (np.asarray(M, dtype=float) for M in (A, B, C, D))
     n, m = B.shape
     p = C.shape[0]
-    W = np.block([[A, B], [C, D]])
-    W = without_residue(W)
-    np.fill_diagonal(W[:n, :n], 0.0)
+    W = without_residue(np.block([[A, B], [C, D]]))
     # Only couplings count in a sweep; the diagonal of A does not change with the units of the states.
+    np.fill_diagonal(W[:n, :n], 0.0)
     left, right = np.ones(n + p), np.ones(n + m)
-    level = float(np.linalg.norm(A, 2)) / max(n, 1) ** 0.5 if n and np.any(A) else 1.0
+    # The loops within A set the level for the channels, whose units are free; so A is balanced by itself first.
+    _balance_states(W[:n, :n], left[:n], right[:n])
+    W[:n, n:] *= left[:n, None]
+    W[n:, :n] *= right[:n]
+    inner = A * left[:n, None] * right[:n]
+    level = float(np.linalg.norm(inner, 2)) / max(n, 1) ** 0.5 if np.any(inner) else 1.0
     for _ in range(_SWEEPS):
         moved = _scale_channels(W, left, right, n, level)
-        for i in range(n):
-            f = _root(float(np.linalg.norm(W[i])), float(np.linalg.norm(W[:, i])))
-            if f != 1.0:
-                moved = True
-                W[i] /= f
-                W[:, i] *= f
-                left[i] /= f
-                right[i] *= f
+        moved |= _sweep(W, left, right, n)
         if not moved:
             break
     T, U, Y = right[:n], right[n:], left[n:]
     return BalancedSystem(A / T[:, None] * T, B / T[:, None] * U, Y[:, None] * C * T, Y[:, None] * D * U, T, U, Y)
+
+
+def _balance_states(W: NDArray[np.float64], left: NDArray[np.float64], right: NDArray[np.float64]) -> None:
+    for _ in range(_SWEEPS):
+        if not _sweep(W, left, right, W.shape[0]):
+            return
+
+
+def _sweep(W: NDArray[np.float64], left: NDArray[np.float64], right: NDArray[np.float64], n: int) -> bool:
+    """Even out row and column of each of the first ``n`` indices, in place; return whether anything moved."""
+    moved = False
+    for i in range(n):
+        f = _root(float(np.linalg.norm(W[i])), float(np.linalg.norm(W[:, i])))
+        if f != 1.0:
+            moved = True
+            W[i] /= f
+            W[:, i] *= f
+            left[i] /= f
+            right[i] *= f
+    return moved
 
 
 def _scale_channels(

@@ -148,11 +148,11 @@ def _nearest(block: Matrix, reals: list[float], pairs: list[complex]) -> tuple[f
 def _block_gain(block: Matrix, G: Matrix, target: tuple[float, float, float]) -> Matrix | None:
     """Return the smallest found ``f`` with ``eig(block + G f)`` on target, or None when ``G`` cannot reach it."""
     trace, determinant, pole = target
-    U, s, Vh = np.linalg.svd(G, full_matrices=False)
+    U, s, Vh = np.linalg.svd(G)
     if s[0] == 0:
         return None
     if block.shape[0] == 1:
-        return Vh.T * ((pole - block[0, 0]) / s[0]) * U[0, 0]
+        return Vh[:1].T * ((pole - block[0, 0]) / s[0]) * U[0, 0]
     M = U.T @ block @ U
     candidates = []
     if M[1, 0] != 0:
@@ -162,7 +162,7 @@ def _block_gain(block: Matrix, G: Matrix, target: tuple[float, float, float]) ->
         candidates.append(Vh[:1].T @ (np.array([[first, second]]) - M[:1]) @ U.T / s[0])
     if s.size > 1 and s[1] > 1e-12 * s[0]:
         for X in _targets(block, trace, determinant):
-            candidates.append(Vh.T @ ((U.T @ (X - block)) / s[:, None]))
+            candidates.append(Vh[:2].T @ ((U.T @ (X - block)) / s[:, None]))
     return min(candidates, key=lambda f: float(np.linalg.norm(f)), default=None)
 
 

@@ -27,41 +27,6 @@ def reachable_basis(A: NDArray, B: NDArray, *, rtol: float = DEFAULT_RTOL) -> ND
     return V
 
 
-def output_reachable_basis(
-    system: StateSpace, column: int, *, rtol: float = 1e-8
-) -> tuple[NDArray, NDArray[np.float64]]:
-    """Return a basis of the smallest subspace that holds the outputs for any signal on one input.
-
-    Parameters
-    ----------
-    system : StateSpace
-        With invertible ``E``.
-    column : int
-        Number of the input.
-    rtol : float
-        Relative to the largest direction found.
-
-    Returns
-    -------
-    basis : ndarray, shape (p, k)
-        Orthonormal; ``span{D, C B, C A B, ...}`` of that input.
-    singular_values : ndarray
-        Of the stacked, normalised generators of that subspace: the evidence for ``k``.
-    """
-    system = system.explicit()
-    b, d = system.B[:, [column]], system.D[:, [column]]
-    V = reachable_basis(system.A, b)
-    gain = system.C @ V
-    scale = float(np.linalg.norm(system.C, 2)) if system.C.size else 0.0
-    parts = [gain / scale] if scale else []
-    if np.any(d):
-        parts.append(d / np.linalg.norm(d))
-    if not parts:
-        return np.zeros((system.n_outputs, 0)), np.zeros(0)
-    U, s, _ = np.linalg.svd(np.hstack(parts), full_matrices=False)
-    return U[:, s > rtol * max(1.0, s[0] if s.size else 0.0)], s
-
-
 def without_unobservable(system: StateSpace, *, rtol: float = DEFAULT_RTOL) -> StateSpace:
     """Return the system without the states that no output sees; its transfer matrix is unchanged.
 

@@ -59,7 +59,7 @@ def _agreement(actual: tuple[str, ...], named: tuple[str, ...]) -> str:
         return ""
     if set(actual) & set(named):
         return ' <span class="tag right">✓ right</span>'
-    return ' <span class="tag wrong">✗ wrong</span>'
+    return f' <span class="tag wrong">✗ {"wrong" if named else "missed"}</span>'
 
 
 def diagnosis_html(diagnosis: Diagnosis, charts: dict[str, Any], *, number: int, filter_number: int) -> str:
@@ -118,8 +118,8 @@ def _missing(diagnosis: Diagnosis) -> str:
     times = "once" if diagnosis.resets == 1 else f"{diagnosis.resets:,} times"
     restart = f"the filter was restarted {times} after longer gaps" if diagnosis.resets else "no restart was needed"
     return (
-        f"<b>{diagnosis.n_missing:,} samples ({share}) have missing values:</b> the last values were held, "
-        f"no decision was taken there, {restart}."
+        f"<b>{diagnosis.n_missing:,} samples ({share}) have missing values:</b> the last values were held for the "
+        f"filter, no residual is shown and no decision was taken there; {restart}."
     )
 
 
@@ -142,7 +142,8 @@ def _charts(diagnosis: Diagnosis, charts: dict[str, Any], number: int) -> str:
         nothing = '<p class="muted">No value to draw: all are missing.</p>' if empty else ""
         readout = "" if chart["kind"] == "scores" else '<span class="readout"></span>'
         figure = (
-            f'<figure class="chart {chart["kind"]}" data-chart="{k}"><figcaption>{escape(title)}{readout}{log}</figcaption>'
+            f'<figure class="chart {chart["kind"]}" data-chart="{k}">'
+            f"<figcaption>{escape(title)}{readout}{log}</figcaption>"
             f'<div class="plot" role="img" aria-label="{escape(title)} over time"></div>{nothing}</figure>'
         )
         if chart["kind"] != "residual":
@@ -169,15 +170,17 @@ def _key(charts: dict[str, Any]) -> str:
     if charts["onsets"]:
         entries.append(("onset", "onset"))
     items = "".join(f'<li><span class="swatch {kind}"></span>{escape(text)}</li>' for kind, text in entries)
-    binned = ""
+    remarks = []
     if charts["binned"] > 1:
-        binned = (
-            f'<p class="muted">Drawn from bins of {charts["binned"]} samples: the smallest and the largest value of '
-            "each bin, so no extreme is lost; times in the charts are exact to one bin. "
-            "Verdict and tables rest on every sample.</p>"
+        remarks.append(
+            f"Drawn from bins of {charts['binned']} samples: the smallest and the largest value of each bin, so no "
+            "extreme is lost; times in the charts are exact to one bin. Verdict and tables rest on every sample."
         )
+    if charts["spans"]["undecided"]:
+        remarks.append("The residuals' axes fit the judged samples; what a settling filter does may leave them.")
+    remark = f'<p class="muted">{" ".join(remarks)}</p>' if remarks else ""
     return (
-        f'<ul class="legend key">{items}</ul>{binned}<p class="muted screen">Drag over a chart to zoom, double-click '
+        f'<ul class="legend key">{items}</ul>{remark}<p class="muted screen">Drag over a chart to zoom, double-click '
         'to see all; the cursors of all charts move together. <button type="button" class="all">Show all</button></p>'
     )
 

@@ -83,6 +83,16 @@ def by_interest(diagnosis: Diagnosis) -> list[int]:
     return np.argsort(-largest / band, kind="stable").tolist()
 
 
+def judged_range(diagnosis: Diagnosis, i: int) -> list[float] | None:
+    """Return the range of a residual over the samples that were judged; ``None`` when none was.
+
+    A filter that starts from a wrong state settles in a transient that may dwarf every fault.
+    """
+    seen = diagnosis.residuals[diagnosis.decided, i]
+    seen = seen[np.isfinite(seen)]
+    return [float(seen.min()), float(seen.max())] if seen.size else None
+
+
 def _residual_charts(diagnosis: Diagnosis, bins: Bins) -> list[dict[str, Any]]:
     charts = []
     for i in by_interest(diagnosis):
@@ -95,6 +105,7 @@ def _residual_charts(diagnosis: Diagnosis, bins: Bins) -> list[dict[str, Any]]:
                 "label": name,
                 "unit": residual_unit(diagnosis, name),
                 "band": [center - band, center + band] if known else None,
+                "limits": judged_range(diagnosis, i),
                 "y": [rounded(bins.extremes(diagnosis.residuals[:, i]))],
                 "names": [name],
             }

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from residua.errors import missing_extra
-from residua.report.charts import by_interest, residual_unit
+from residua.report.charts import by_interest, judged_range, residual_unit
 from residua.report.decimate import choose_bins, runs
 from residua.report.signatures import signatures
 from residua.report.text import with_unit
@@ -182,6 +182,12 @@ def _residual(diagnosis: Diagnosis, i: int, ax: Axes) -> None:
         ax.axhspan(center - band, center + band, color=_BAND, alpha=0.16, lw=0)
     _shade(diagnosis, ax)
     _line(diagnosis, diagnosis.residuals[:, i], ax, color=_COLOURS[0], lw=0.9)
+    limits = judged_range(diagnosis, i)
+    if limits is not None:
+        known = [v for v in (center - band, center + band) if np.isfinite(v)]
+        low, high = min([limits[0], *known]), max([limits[1], *known])
+        if high > low:
+            ax.set_ylim(low - 0.1 * (high - low), high + 0.1 * (high - low))
     ax.set_ylabel(_plain(with_unit(name, residual_unit(diagnosis, name))))
     ax.margins(x=0)
 

@@ -112,7 +112,7 @@
     };
   }
 
-  function yScale(chart) {
+  function yScale(chart, data) {
     if (chart.kind === "scores") return { range: [0, 1.02] };
     const must = [];
     if (chart.band) must.push(...chart.band);
@@ -127,9 +127,17 @@
       };
     return {
       range: (u, min, max) => {
-        const low = Math.min(min == null ? Infinity : min, ...must);
-        const high = Math.max(max == null ? -Infinity : max, ...must);
+        let low = Math.min(min == null ? Infinity : min, ...must);
+        let high = Math.max(max == null ? -Infinity : max, ...must);
         if (!(low <= high)) return [0, 1];
+        const [from, to] = u.scales.x.min == null ? data.view : [u.scales.x.min, u.scales.x.max];
+        if (chart.limits && !data.spans.undecided.some(([a, b]) => a <= from && to <= b)) {
+          // Room for what was judged, and a quarter more: the transient of a settling filter may leave.
+          const [least, most] = [Math.min(chart.limits[0], ...must), Math.max(chart.limits[1], ...must)];
+          const more = 0.25 * (most - least);
+          if (more > 0) [low, high] = [Math.max(low, least - more), Math.min(high, most + more)];
+          if (!(low < high)) [low, high] = [least, most];
+        }
         const room = 0.08 * (high - low) || 0.1 * Math.abs(high) || 1;
         return [chart.kind === "statistic" ? Math.min(0, low) : low - room, high + room];
       },
@@ -150,7 +158,7 @@
     const label = chart.unit ? names[chart.kind] + " [" + chart.unit + "]" : names[chart.kind];
     return {
       width, height: HEIGHT[chart.kind], padding: [8, 14, 0, 0],
-      scales: { x: { time: false, range: (u, min, max) => (min == null ? data.ends : [min, max]) }, y: yScale(chart) },
+      scales: { x: { time: false, range: (u, min, max) => (min == null ? data.ends : [min, max]) }, y: yScale(chart, data) },
       axes: [
         { ...axis, label: "time [s]", size: 30, values: ticks },
         { ...axis, label, size: 62, values: chart.log ? undefined : ticks, space: 24 },
@@ -200,7 +208,7 @@
 
   function draw(entry) {
     const width = entry.place.clientWidth;
-    if (!width) return;
+    if (!width || entry.place.closest("details:not([open])")) return;
     if (entry.plot) entry.plot.destroy();
     const { data } = entry;
     entry.plot = new uPlot(options(entry, width), [data.times, ...values(entry.chart)], entry.place);

@@ -1,0 +1,301 @@
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+
+from report_examples import diagnosis, generator
+from residua.monitor.diagnosis import Candidate
+from residua.report.page import Section, Table, render, write_demo_page, write_page
+from residua.report.text import safe_json
+
+NASTY = '</script><script>window.bad=1</script><img src=x onerror="window.bad=2">&\'\u2028-->$x_1$'
+VOID = {"meta", "br", "img", "input", "link", "hr"}
+
+
+class Reader(HTMLParser):
+    """Collects elements and text, and checks that tags are balanced."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.text: list[str] = []
+        self.data = ""
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self.open, f"</{tag}> closes nothing"
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] == "script" and dict(self.tags[-1][1]).get("id") == "residua-data":
+            self.data += data
+        elif not self.open or self.open[-1] not in ("script", "style"):
+            self.text.append(data)
+
+
+def read(page: str) -> Reader:
+    reader = Reader()
+    reader.feed(page)
+    reader.close()
+    assert reader.open == []
+    return reader
+
+
+def words(page: str) -> str:
+    return " ".join(" ".join(read(page).text).split())
+
+
+def test_page_states_verdict_margin_and_provenance(tmp_path):
+    path = write_page(diagnosis(), tmp_path / "new folder" / "page.html")
+    text = words(path.read_text(encoding="utf-8"))
+    assert "tanks: fault diagnosis" in text
+    assert "Fault found: level 2 sensor, since t = 30 s." in text
+    assert "Score 0.991, 7.7° off its signature; next is level 1 sensor with 0.780" in text
+    assert "a clear lead, margin 0.211" in text
+    assert "Recording tank08.csv : 600 samples from 0 s to 59.9 s, step 0.1 s" in text
+    assert "No sample has missing values." in text
+    assert re.search(r"Made by residua \d+\.\d+", text)
+    assert "3.1e−16" in text
+    assert "Chen, Patton and Zhang (1996), eqs. (2) to (8)" in text
+
+
+def test_page_loads_nothing_and_allows_only_its_own_scripts():
+    page = render([Section("", diagnosis())], "t")
+    reader = read(page)
+    assert not [a for _, attrs in reader.tags for a in attrs if a in ("src", "srcset") or a.startswith("on")]
+    assert all(attrs.get("href", "#").startswith("#") for _, attrs in reader.tags)
+    assert not re.search(r"url\(|@import", page)
+    policy = next(a["content"] for t, a in reader.tags if a.get("http-equiv") == "Content-Security-Policy")
+    assert policy is not None
+    assert policy.startswith("default-src 'none'; script-src 'sha256-")
+    script_rule = policy.split(";")[1]
+    assert "unsafe" not in script_rule
+    assert "Permission is hereby granted" in page  # uPlot's licence goes with it
+
+
+def test_page_is_the_same_every_time():
+    d = diagnosis()
+    assert render([Section("", d)], "t") == render([Section("", d)], "t")
+
+
+def test_every_text_is_escaped():
+    names = [f"{NASTY} {k}" for k in range(3)]
+    gen = generator(3, names=names)
+    gen = replace(
+        gen, evidence=replace(gen.evidence, notes=(NASTY,), references=(NASTY,), conditions={NASTY: 1.0}), method=NASTY
+    )
+    d = diagnosis(gen=gen, source=NASTY, notes=(NASTY,), unjudged=(NASTY,))
+    sections = [
+        Section(NASTY, d, [NASTY], Table([NASTY], [[NASTY]], NASTY), NASTY),
+        Section(NASTY, diagnosis(gen=generator(2, names=[NASTY, "b"]))),
+    ]
+    page = render(sections, NASTY, NASTY)
+    reader = read(page)
+    assert [t for t, _ in reader.tags].count("script") == 4
+    assert "img" not in [t for t, _ in reader.tags]
+    assert not any(a.startswith("on") for _, attrs in reader.tags for a in attrs)
+    labels = [c["label"] for c in json.loads(reader.data)["diagnoses"][0]["charts"] if c["kind"] == "residual"]
+    assert labels == [f"r {name}" for name in names]
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.text(max_size=60))
+def test_any_name_survives_the_embedded_data(text):
+    embedded = safe_json({"name": text})
+    assert not set("<>&\u2028\u2029") & set(embedded)
+    assert json.loads(embedded) == {"name": text}
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"]), min_size=1, max_size=20))
+def test_any_heading_shows_as_written(text):
+    page = render([Section(text)], "t")
+    assert " ".join(text.split()) in words(page)
+
+
+def test_nan_and_infinity_become_gaps():
+    d = diagnosis(50)
+    residuals = d.residuals.copy()
+    residuals[3, 0], residuals[4, 0], residuals[5, 0] = np.nan, np.inf, -np.inf
+    d = replace(d, residuals=residuals, threshold=np.nan, center=np.full(3, np.nan))
+    charts = json.loads(read(render([Section("", d)], "t")).data)["diagnoses"][0]["charts"]
+    assert charts[0]["y"][0][3:6] == [None, None, None]
+    assert None not in charts[1]["y"][0]
+    assert charts[0]["band"] is None
+    assert next(c for c in charts if c["kind"] == "statistic")["threshold"] is None
+
+
+def test_missing_values_are_counted():
+    missing = np.zeros(600, dtype=bool)
+    missing[100:112] = True
+    d = diagnosis(missing=missing, resets=1)
+    page = render([Section("", d)], "t")
+    assert "12 samples (2 %) have missing values:" in words(page)
+    assert "the filter was restarted once after longer gaps" in words(page)
+    assert json.loads(read(page).data)["diagnoses"][0]["spans"]["missing"] == [[10.0, 11.2]]
+
+
+def _empty(d):
+    nothing = np.zeros(0, dtype=bool)
+    return replace(
+        d,
+        time=np.zeros(0),
+        residuals=np.zeros((0, 3)),
+        statistic=np.zeros(0),
+        alarm=nothing,
+        decided=nothing,
+        missing=nothing,
+        scores=np.zeros((0, len(d.groups))),
+        alarms=(),
+    )
+
+
+def _all_nan(d):
+    n = len(d.time)
+    return replace(
+        d,
+        residuals=np.full_like(d.residuals, np.nan),
+        statistic=np.full(n, np.nan),
+        scores=np.full_like(d.scores, np.nan),
+        decided=np.zeros(n, dtype=bool),
+        missing=np.ones(n, dtype=bool),
+        alarms=(),
+    )
+
+
+EDGES = {
+    "no alarm": (lambda: diagnosis(fault=False), "No fault found."),
+    "no isolation": (
+        lambda: (
+            (d := diagnosis())
+            and replace(d, groups=(), scores=np.zeros((600, 0)), alarms=(replace(d.alarms[0], candidates=()),))
+        ),
+        "it was not isolated",
+    ),
+    "one residual": (lambda: diagnosis(gen=generator(1)), "One residual has no direction"),
+    "two residuals": (lambda: diagnosis(gen=generator(2)), "Fault found"),
+    "many residuals": (lambda: diagnosis(gen=generator(12)), "6 more residuals"),
+    "noise": (lambda: diagnosis(gen=generator(3, noise=True)), "after whitening"),
+    "all missing": (lambda: _all_nan(diagnosis()), "No decision."),
+    "empty": (lambda: _empty(diagnosis()), "The recording is empty."),
+    "one sample": (lambda: diagnosis(1, fault=False, decided=np.zeros(1, dtype=bool)), "No decision."),
+    "no faults": (
+        lambda: diagnosis(
+            gen=(g := generator(2)) and replace(g, plant=g.plant),
+            groups=(),
+            scores=np.zeros((600, 0)),
+            unjudged=generator(2).faults,
+        ),
+        "Without a signature in this monitor",
+    ),
+    "scores not judged": (
+        lambda: (
+            (d := diagnosis())
+            and replace(d, alarms=(replace(d.alarms[0], candidates=(Candidate(("a",), np.nan, np.nan),)),))
+        ),
+        "it was not isolated",
+    ),
+    "one candidate": (
+        lambda: (d := diagnosis()) and replace(d, alarms=(replace(d.alarms[0], candidates=d.candidates[:1]),)),
+        "there is no other candidate",
+    ),
+    "poor match": (
+        lambda: (
+            (d := diagnosis())
+            and replace(d, alarms=(replace(d.alarms[0], candidates=(Candidate(("a",), 0.5, 0.87),)),))
+        ),
+        "no listed fault explains it well",
+    ),
+    "close call": (
+        lambda: (
+            (d := diagnosis())
+            and replace(
+                d,
+                alarms=(
+                    replace(d.alarms[0], candidates=(Candidate(("a", "b"), 0.95, 0.3), Candidate(("c",), 0.94, 0.3))),
+                ),
+            )
+        ),
+        "This monitor cannot tell a and b apart.",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", EDGES)
+def test_unusual_diagnoses_render(case):
+    make, expected = EDGES[case]
+    page = render([Section("", make())], "t")
+    assert expected in words(page)
+    json.loads(read(page).data, parse_constant=lambda c: pytest.fail(f"{c} in the data"))
+
+
+def test_close_calls_are_called_so():
+    page = words(render([Section("", EDGES["close call"][0]())], "t"))
+    assert "a close call, margin 0.010" in page
+
+
+def test_many_alarms_are_cut_with_a_word():
+    d = diagnosis()
+    many = tuple(replace(d.alarms[0], start=k, stop=k + 1, onset=float(k)) for k in range(450))
+    assert "… and 250 more alarms." in words(render([Section("", replace(d, alarms=many))], "t"))
+
+
+def test_several_diagnoses_share_a_summary_and_their_filters(tmp_path):
+    beard, robust = generator(3), generator(2)
+    sections = [
+        Section("Beard, sensor 2", diagnosis(gen=beard), "text", actual="level 2 sensor"),
+        Section("Beard, sensor 1", diagnosis(gen=beard, seed=1), actual=["level 1 sensor"]),
+        Section("Robust", diagnosis(gen=robust), table=Table(["Fault", "NPD"], [["level 1", 0.00213], ["two", 3]])),
+    ]
+    page = write_demo_page(
+        sections, tmp_path / "demo.html", "Two filters", introduction="Which one is right?"
+    ).read_text(encoding="utf-8")
+    text = words(page)
+    assert "level 2 sensor ✓ right" in text
+    assert "level 2 sensor ✗ wrong" in text
+    assert text.count("Evidence: what the design proves") == 2
+    assert "Used in: Beard, sensor 2 and Beard, sensor 1." in text
+    assert "0.00213" in text
+    assert len(json.loads(read(page).data)["diagnoses"]) == 3
+    ids = [a["id"] for _, a in read(page).tags if "id" in a]
+    assert len(ids) == len(set(ids))
+
+
+def test_a_long_recording_is_drawn_from_bins():
+    page = render([Section("", diagnosis(100_000))], "t")
+    data = json.loads(read(page).data)["diagnoses"][0]
+    assert data["binned"] == 10
+    assert all(len(series) == 20_000 for chart in data["charts"] for series in chart["y"])
+    assert data["x"]["n"] == 20_000
+    assert "Drawn from bins of 10 samples: the smallest and the largest value" in words(page)
+    assert len(page) < 2_500_000
+
+
+def test_a_settling_transient_does_not_set_the_axis():
+    d = diagnosis(600, fault=False)
+    residuals = d.residuals.copy()
+    residuals[:10] += 100.0
+    page = render([Section("", replace(d, residuals=residuals))], "t")
+    chart = json.loads(read(page).data)["diagnoses"][0]["charts"][0]
+    assert chart["limits"] == [residuals[10:, 0].min(), residuals[10:, 0].max()]
+    assert max(chart["y"][0]) > 99
+    assert "what a settling filter does may leave them" in words(page)
+
+
+def test_a_fault_that_was_not_found_is_missed_not_wrong():
+    sections = [Section("a", diagnosis(fault=False), actual="x"), Section("b", diagnosis())]
+    assert "No fault found ✗ missed" in words(render(sections, "t"))
