@@ -128,8 +128,7 @@ def unknown_input_observer_existence(plant: Plant, *, rtol: float = DEFAULT_RTOL
     plant = plant.explicit()
     form = output_free_form(plant, rtol=rtol)
     CE = form.C @ form.E
-    scale = float(np.linalg.norm(form.C, 2) * np.linalg.norm(form.E, 2)) if CE.size else 0.0
-    rank_CE = decide_rank(CE, rtol=rtol, scale=scale) if CE.size else RankDecision(0, np.zeros(0), 0.0)
+    rank_CE = _product_rank(form.C, form.E, rtol)
     q = form.E.shape[1]
     reasons: list[str] = []
     fixed = np.zeros(0, dtype=complex)
@@ -152,6 +151,17 @@ def unknown_input_observer_existence(plant: Plant, *, rtol: float = DEFAULT_RTOL
             )
     useful = len(form.W) > q
     return UnknownInputExistence(not reasons, tuple(reasons), rank_CE, form.rank_E, fixed, useful)
+
+
+def _product_rank(C: NDArray, E: NDArray, rtol: float) -> RankDecision:
+    """Return the rank of ``C E``, each entry judged against the terms that it is the sum of."""
+    terms = np.abs(C) @ np.abs(E)
+    if not terms.size:
+        return RankDecision(0, np.zeros(0), 0.0)
+    rows = terms.max(axis=1, keepdims=True)
+    rows = np.where(rows > 0, rows, 1.0)
+    columns = (terms / rows).max(axis=0)
+    return decide_rank(C @ E / rows / np.where(columns > 0, columns, 1.0), rtol=rtol, scale=1.0)
 
 
 def _unseen(plant: Plant, form: OutputFreeForm) -> str:

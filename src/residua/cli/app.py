@@ -183,7 +183,7 @@ def fit(
     watch = Monitor.load(monitor)
     data = _read(normal, watch, time, dt, variable)
     rate = watch.test.false_alarm_rate if false_alarm_rate is None else false_alarm_rate
-    watch.fit(data.u, data.y, **_clock(data), false_alarm_rate=rate)
+    watch.fit(data.u, data.y, time=data.time, false_alarm_rate=rate)
     found = _run(watch, data)
     watch.reset()
     with replacing(output) as temporary:
@@ -194,7 +194,7 @@ def fit(
         f"basis: {watch.norm_test.basis}",
         f"fault-free samples: {len(found.time)} over {_span(found):.6g} s, {judged} judged "
         f"({found.n_missing} incomplete, the rest while the filter settles)",
-        f"in alarm: {found.false_alarm_fraction:.3g} of them, {rate:g} was asked for",
+        f"fraction in alarm: {found.false_alarm_fraction:.3g} (asked for: at most {rate:g})",
         f"written: {output}",
     )
     if judged * rate < 10:
@@ -230,10 +230,13 @@ def run(
     _check_table(residuals)
     watch = Monitor.load(monitor)
     watch.norm_test  # noqa: B018 (a monitor without a threshold says so before a long file is read)
-    found = _run(watch, _read(recording, watch, time, dt, variable))
+    data = _read(recording, watch, time, dt, variable)
+    found = _run(watch, data)
     written = _write(found, report=report, alarms=alarms, residuals=residuals)
     if not quiet:
         screen.show_diagnosis(found)
+        if data.origin:
+            screen.say(f"times count from {data.origin}")
         screen.say(*(f"written: {path}" for path in written))
     if not found.decided.any():
         raise DataError(
@@ -244,16 +247,17 @@ def run(
 
 
 def _read(path: Path, watch: Monitor, time: str | None, dt: float | None, variable: str | None) -> Recording:
-    return read_recording(path, watch.design.plant, time=time, dt=dt, variable=variable)
-
-
-def _clock(data: Recording) -> dict:
-    return {"time": data.time} if data.time is not None else {"dt": data.dt}
+    try:
+        plant = watch.generator.plant  # sampled: knows the step of recordings without times
+    except ModelError:
+        plant = watch.design.plant
+    with screen.reading(path):
+        return read_recording(path, plant, time=time, dt=dt, variable=variable)
 
 
 def _run(watch: Monitor, data: Recording) -> Diagnosis:
     with screen.progress() as bar:
-        found = watch.run(data.u, data.y, **_clock(data), source=data.source, progress=bar)
+        found = watch.run(data.u, data.y, time=data.time, source=data.source, progress=bar)
     assert isinstance(found, Diagnosis)
     return found
 

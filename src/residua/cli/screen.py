@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from time import monotonic
 from typing import Any
 
@@ -27,6 +28,8 @@ MAX_ALARMS = 20
 _PIPE_WIDTH = 10_000
 #: Seconds of work after which a progress bar appears.
 _PATIENCE = 2.0
+#: Bytes from which on reading a file takes long enough to say so.
+_LARGE_FILE = 20_000_000
 
 
 class _Console(Console):
@@ -130,16 +133,29 @@ def show_diagnosability(found: Diagnosability) -> None:
             for i, name in enumerate(found.faults)
         ],
     )
-    reasons = found.reasons()
-    say(*(f"{name}: {why}" for name, why in reasons.items()))
-    if not reasons:
-        say("every fault can be detected, also when constant, and told from every other")
+    why = _why(found)
+    say(*(why or ["every fault can be detected, also when constant, and told from every other"]))
     if found.unknown_input_observer is None:
         say("unknown input observer: not examined, E is singular")
     elif plant.disturbances:
         say(str(found.unknown_input_observer))
     else:
         say("no disturbances: an ordinary observer will do")
+
+
+def _why(found: Diagnosability) -> list[str]:
+    """Return why faults cannot be detected or told apart, one line per fault or group."""
+    together = [group for group in found.groups if len(group) > 1]
+    lines = [f"{', '.join(group)}: the same effect on the outputs, up to a filter" for group in together]
+    grouped = {name for group in together for name in group}
+    lines += [f"{name}: {why}" for name, why in found.reasons().items() if name not in grouped]
+    for i, name in enumerate(found.faults):
+        others = [other for other in constant_twins(found, i) if found.faults.index(other) > i]
+        if others:
+            lines.append(
+                f"{name} and {', '.join(others)}: told apart only while they change; constant, they look alike"
+            )
+    return lines
 
 
 def _twins(found: Diagnosability, i: int) -> list[str]:
@@ -265,6 +281,17 @@ def _alarm_row(k: int, alarm: Alarm) -> list[object]:
         following.name if following else None,
         f"{following.score:.3f}" if following else None,
     ]
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Say on a terminal that a large file is being read."""
+    err = Console(stderr=True, markup=False, highlight=False)
+    if err.is_terminal and path.stat().st_size > _LARGE_FILE:
+        with err.status(f"reading {path.name}"):
+            yield
+    else:
+        yield
 
 
 class _Bar:

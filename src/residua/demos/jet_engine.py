@@ -101,8 +101,7 @@ def diagnose() -> tuple[list[Case], float]:
             )
             assert isinstance(found, Diagnosis)
             distances = {
-                other: projection_distance(found.residuals[-1], generator.subspaces[other])
-                for other in engine.faults
+                other: projection_distance(found.residuals[-1], generator.subspaces[other]) for other in engine.faults
             }
             cases.append(Case(name, fault, found, distances))
     return cases, threshold
@@ -165,8 +164,9 @@ def surprises(cases: list[Case]) -> tuple[str, ...]:
 _INTRODUCTION = (
     "Chen, Patton and Zhang (1996), section 4: a jet engine with six measurements, and a linear model of it. The "
     "engine here is the second-order model of the paper's eq. (32), so that the linear model is slightly wrong as soon "
-    f"as the engine leaves its operating point: the fuel goes up by {FUEL:g} at t = {FUEL_AT:g} s. At t = {FAULT_AT:g} s "
-    f"one of the first three sensors begins to read {100 * FAULT_FRACTION:g} % of its deviation too much.",
+    f"as the engine leaves its operating point: the fuel goes up by {FUEL:g} at t = {FUEL_AT:g} s. "
+    f"At t = {FAULT_AT:g} s one of the first three sensors begins to read {100 * FAULT_FRACTION:g} % of its "
+    "deviation too much.",
     "Both filters have three poles at -3. The Beard filter trusts the linear model. The robust filter is an unknown "
     "input observer: it ignores whatever enters as the second-order terms do, and keeps the fault directions apart in "
     "what is left.",
@@ -189,8 +189,8 @@ def _lines(cases: list[Case], threshold: float) -> tuple[str, ...]:
         f"Without a fault the residual settles at {free[PLAIN]:.2g} (Beard) and {free[ROBUST]:.2g} (robust): "
         f"the error of the linear model. The three faults move the Beard filter's residual by "
         f"{', '.join(f'{s:.2g}' for s in shift)}.",
-        f"The threshold, {threshold:.2g} for both, is half of the smallest effect that the linear model predicts in the "
-        "robust filter.",
+        f"The threshold, {threshold:.2g} for both, is half of the smallest effect that the linear model predicts "
+        "in the robust filter.",
         *(_score(name, right[name], total, alarm_without_fault[name]) for name in (PLAIN, ROBUST)),
     )
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
@@ -25,7 +26,9 @@ from residua.design.observer import Observer
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
 from residua.linear.arrays import index_of
+from residua.linear.balancing import balance_system
 from residua.linear.observability import detectability
+from residua.linear.placement import default_margin
 from residua.linear.rank import DEFAULT_RTOL, decide_rank
 from residua.plant import Plant
 
@@ -143,7 +146,8 @@ def directional_filters(
     if not found.detectable:
         bad = ", ".join(f"{z:.4g}" for z in np.atleast_1d(found.unstable_modes))
         raise DesignError(f"no stable filter exists: no measurement sees the mode {bad}; add a sensor")
-    events, unseen = fault_events(A, C, event_matrices(plant, T, chosen), rtol=rtol)
+    units = _Units.of(A, C, event_matrices(plant, T, chosen))
+    events, unseen = fault_events(units.A, units.C, units.events, rtol=rtol)
     notes = []
     if unseen:
         why = "hidden by the decoupled disturbances" if decouples and plant.disturbances else "seen by no output"
@@ -152,17 +156,102 @@ def directional_filters(
         raise DesignError(f"none of the faults reaches the residual ({'; '.join(notes)})")
     pole = scalar_pole(A, C, poles, margin, plant.dt)
     if pole is not None:
-        designs = [(events, scalar_gain(A, C, pole, plant.dt))]
+        groups = [events]
     else:
-        designs = [
-            (group, block_gain(A, C, group, _poles_for(poles, group), margin, plant.dt, rtol=rtol))
-            for group in partition(A, C, events, plant.dt)
-        ]
-    if isinstance(poles, dict):
+        groups = partition(units.A, units.C, events, plant.dt)
+    if isinstance(poles, Mapping):
         _check_names(poles, events)
-    notes += [f"{len(designs)} filters: one cannot keep all faults apart"] if len(designs) > 1 else []
-    observers = [_observer(plant, T, H, W, offset, design, base, tuple(notes), decouples) for _, design in designs]
-    return _stacked(plant, observers, [group for group, _ in designs], events, pole is not None)
+    notes += [f"{len(groups)} filters: one cannot keep all faults apart"] if len(groups) > 1 else []
+    frame = _Frame(plant, T, H, W, offset, base, decouples)
+    failure = AccuracyError("no design was tried")
+    for distance in _margins(A, plant.dt, poles, margin):
+        try:
+            if pole is not None:
+                gains = [scalar_gain(A, C, pole)]
+            else:
+                gains = [
+                    units.plain(
+                        block_gain(units.A, units.C, group, _poles_for(poles, group), distance, plant.dt, rtol=rtol)
+                    )
+                    for group in groups
+                ]
+            observers = [frame.observer(gain, tuple(notes)) for gain in gains]
+            return _stacked(plant, observers, groups, pole is not None)
+        except AccuracyError as error:
+            failure = error
+            notes = [note for note in notes if "margin" not in note]
+            notes.append(f"the default margin was lowered: {str(error).split(':')[0]}")
+    raise failure
+
+
+def _margins(A: NDArray, dt: float, poles: Poles, margin: float | None) -> list[float | None]:
+    """Return the margins to try: the one asked for, or the default and smaller ones when it asks too much."""
+    if margin is not None or (poles is not None and not isinstance(poles, Mapping)):
+        return [margin]
+    default = default_margin(A, dt)
+    return [default, default / 4, default / 16]
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """What the filters of one design share: the decoupling and the plant."""
+
+    plant: Plant
+    T: NDArray
+    H: NDArray
+    W: NDArray
+    offset: NDArray
+    base: Evidence
+    decouples: bool
+
+    def observer(self, design: DirectionalGain, notes: tuple[str, ...]) -> Observer:
+        """Return the observer of a directional gain."""
+        K1 = design.gain @ self.W + self.offset
+        F = self.T @ self.plant.A - K1 @ self.plant.C
+        evidence = self.base.extended(
+            poles=np.linalg.eigvals(F).astype(complex),
+            requested_poles=design.requested,
+            fixed_poles=design.fixed,
+            conditions={"pole error": design.error, "norm of K1": float(np.linalg.norm(K1))},
+            notes=(*notes, design.note) if design.note else notes,
+        )
+        return Observer(self.plant, F, self.T, self.H, K1, self.W, self.base.method, self.decouples, evidence)
+
+
+@dataclass(frozen=True, eq=False)
+class _Units:
+    """The error pair in balanced units, so that directions do not depend on the units of the model.
+
+    Outputs keep their units when there are more of them than independent rows of ``C``: what the gain
+    ignores, and so the plane of a sensor fault, would change with them.
+    """
+
+    A: NDArray
+    C: NDArray
+    events: dict[str, NDArray]
+    states: NDArray
+    outputs: NDArray
+
+    @staticmethod
+    def of(A: NDArray, C: NDArray, events: dict[str, NDArray]) -> _Units:
+        B = np.hstack([np.zeros((len(A), 0)), *events.values()])
+        found = balance_system(A, B, C, np.zeros((len(C), B.shape[1])))
+        T = found.states
+        if np.ptp(np.log2(T)) > 40:  # a part of the plant without couplings both ways has no units of its own
+            T = np.ones(len(A))
+        scaled = found.outputs[:, None] * C * T
+        outputs = found.outputs if decide_rank(scaled).rank == len(C) else np.ones(len(C))
+        unit = {name: _unit_columns(L / T[:, None]) for name, L in events.items()}
+        return _Units(A / T[:, None] * T, outputs[:, None] * C * T, unit, T, outputs)
+
+    def plain(self, design: DirectionalGain) -> DirectionalGain:
+        """Return the design in the units of the plant."""
+        return replace(design, gain=self.states[:, None] * design.gain * self.outputs)
+
+
+def _unit_columns(L: NDArray) -> NDArray:
+    size = np.linalg.norm(L, axis=0)
+    return L / np.where(size > 0, size, 1.0)
 
 
 def event_matrices(plant: Plant, T: NDArray, faults: tuple[str, ...]) -> dict[str, NDArray]:
@@ -183,55 +272,29 @@ def event_matrices(plant: Plant, T: NDArray, faults: tuple[str, ...]) -> dict[st
             L = T @ f
         size = np.linalg.norm(L, axis=0)
         reference = max(np.linalg.norm(f), np.linalg.norm(d), 1e-300)
-        out[name] = np.where(size > 1e-11 * reference, L, 0.0) / np.maximum(size, 1e-300)
+        out[name] = _unit_columns(np.where(size > 1e-11 * reference, L, 0.0))
     return out
 
 
 def _poles_for(poles: Poles, group: list[FaultEvent]) -> Poles:
     """Return the part of named poles that concerns this group of faults."""
-    if not isinstance(poles, dict):
+    if not isinstance(poles, Mapping):
         return poles
     mine = {name for event in group for name in event.faults} | {"rest"}
     return {name: values for name, values in poles.items() if name in mine}
 
 
-def _check_names(poles: dict, events: list[FaultEvent]) -> None:
+def _check_names(poles: Mapping, events: list[FaultEvent]) -> None:
     known = [name for event in events for name in event.faults] + ["rest"]
     for name in poles:
         if name not in known:
             raise DesignError(f"poles: unknown fault {name!r}; known: {', '.join(known)}")
 
 
-def _observer(
-    plant: Plant,
-    T: NDArray,
-    H: NDArray,
-    W: NDArray,
-    offset: NDArray,
-    design: DirectionalGain,
-    base: Evidence,
-    notes: tuple[str, ...],
-    decouples: bool,
-) -> Observer:
-    K1 = design.gain @ W + offset
-    F = T @ plant.A - K1 @ plant.C
-    achieved = np.linalg.eigvals(F).astype(complex)
-    extra = (design.note,) if design.note else ()
-    evidence = base.extended(
-        poles=achieved,
-        requested_poles=design.requested,
-        fixed_poles=design.fixed,
-        conditions={"pole error": design.error, "norm of K1": float(np.linalg.norm(K1))},
-        notes=(*notes, *extra),
-    )
-    return Observer(plant, F, T, H, K1, W, base.method, decouples, evidence)
-
-
 def _stacked(
     plant: Plant,
     observers: list[Observer],
     groups: list[list[FaultEvent]],
-    events: list[FaultEvent],
     ideal: bool,
 ) -> ResidualGenerator:
     """Return the filters as one generator, after checking the directions that they promise."""
@@ -283,8 +346,8 @@ def _check_directions(generator: ResidualGenerator, group: list[FaultEvent], ide
             basis = generator.subspaces[name]
             promised = 1 if ideal else event.space.outputs.shape[1]
             if basis.shape[1] > promised:
-                s = decide_rank(basis).singular_values
                 raise AccuracyError(
                     f"the residual of {name!r} leaves its direction (dimension {basis.shape[1]} instead of "
-                    f"{promised}; {s}): the plant is too badly conditioned for a directional filter"
+                    f"{promised}): the plant is too badly conditioned for a directional filter with these "
+                    "poles; ask for slower ones, or add a sensor"
                 )

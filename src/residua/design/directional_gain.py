@@ -98,7 +98,7 @@ def obstacle(A: NDArray, C: NDArray, events: Sequence[FaultEvent], dt: float) ->
     return None
 
 
-def scalar_gain(A: NDArray, C: NDArray, pole: float, dt: float) -> DirectionalGain:
+def scalar_gain(A: NDArray, C: NDArray, pole: float) -> DirectionalGain:
     r"""Return :math:`K = (A - \lambda I) C^+`, which makes :math:`A - KC = \lambda I` when rank C = n (eq. 25)."""
     K = (A - pole * np.eye(len(A))) @ np.linalg.pinv(C)
     achieved = np.linalg.eigvals(A - K @ C)

@@ -243,7 +243,9 @@ def make_generator(
     members: tuple[Member, ...] = (),
 ) -> ResidualGenerator:
     """Return a generator with its signatures computed from its own internal form."""
-    bases = signature_bases(system, plant, internal_form(system, plant))
+    bases, off = signature_bases(system, plant, internal_form(system, plant))
+    if plant.faults:
+        evidence = evidence.extended(conditions={"response off the signatures": off})
     if not members:
         members = (Member(method, tuple(range(system.n_outputs)), plant.faults),)
     return ResidualGenerator(system, plant, method, evidence, bases, observer, members)

@@ -117,8 +117,8 @@ def check_decoupling(generator: StateSpace, plant: Plant, *, decoupled: bool, li
 
 
 def signature_bases(
-    generator: StateSpace, plant: Plant, form: StateSpace, *, rtol: float = 1e-8
-) -> dict[str, NDArray[np.float64]]:
+    generator: StateSpace, plant: Plant, form: StateSpace, *, rtol: float = 1e-6
+) -> tuple[dict[str, NDArray[np.float64]], float]:
     """Return for each fault an orthonormal basis of the subspace that its residual never leaves.
 
     The subspace is spanned by the response to the fault at all frequencies; it is found from the singular
@@ -134,13 +134,19 @@ def signature_bases(
         Their internal form, faults first.
     rtol : float
         Directions that carry less than this fraction of the response at every frequency are not there.
+
+    Returns
+    -------
+    bases : dict of str to ndarray, shape (residuals, k)
+    off : float
+        The largest fraction of any response that was taken for rounding and left out.
     """
     w = frequency_grid(form, generator)
     responses = form.frequency_response(w)
     cancelling = np.abs(generator.frequency_response(w)[:, :, len(plant.inputs) :]) @ np.abs(
         plant.system("fault").frequency_response(w)
     )
-    bases = {}
+    bases, off = {}, 0.0
     for i, name in enumerate(plant.faults):
         response = responses[:, :, i].T
         size = np.linalg.norm(response, axis=0)
@@ -151,10 +157,11 @@ def signature_bases(
             continue
         U, s, _ = np.linalg.svd(np.hstack([columns.real, columns.imag]), full_matrices=False)
         basis = U[:, s > rtol * s[0]]
+        off = max(off, float(s[basis.shape[1]] / s[0]) if basis.shape[1] < len(s) else 0.0)
         if basis.shape[1] == 1 and basis[:, 0] @ first_response(form, i) < 0:
             basis = -basis
         bases[name] = basis
-    return bases
+    return bases, off
 
 
 def first_response(form: StateSpace, column: int) -> NDArray[np.float64]:

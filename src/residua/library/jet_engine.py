@@ -149,7 +149,7 @@ def jet_engine_steady_state(u: float) -> NDArray[np.float64]:
     --------
     >>> from residua.library import jet_engine_steady_state
     >>> jet_engine_steady_state(0.2).round(5)
-    array([0.04987, 0.02792, 0.2    ])
+    array([0.04829, 0.02685, 0.2    ])
     """
     command = np.array([float(u)])
     x = np.zeros(3)
@@ -236,7 +236,7 @@ def simulate_jet_engine(
     y = y * (1 + bias) if relative else y + bias
     if noise:
         y = y + noise * np.random.default_rng(seed).standard_normal(y.shape)
-    return JetEngineRecording(dt * np.arange(steps), command, y, x, float(dt))
+    return JetEngineRecording(np.arange(steps, dtype=np.float64) * dt, command, y, x, float(dt))
 
 
 def _courses(faults: Mapping[str, ArrayLike], steps: int) -> dict[str, NDArray]:

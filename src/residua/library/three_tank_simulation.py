@@ -124,7 +124,7 @@ def simulate_three_tank(
         real = np.clip(q[k] + extra[k] + flow[k], 0.0, LARGEST_FLOW)
         h = _step(h, real, leaks[k], clogs[k], dt) + level[k]
         h = np.clip(h, 0.0, HIGHEST_LEVEL)
-    return ThreeTankRecording(dt * np.arange(steps), q, y, x, float(dt))
+    return ThreeTankRecording(np.arange(steps, dtype=np.float64) * dt, q, y, x, float(dt))
 
 
 def _control(error: NDArray, integral: NDArray, dt: float) -> tuple[NDArray, NDArray]:

@@ -10,7 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 #: Entries this far below both the largest of their row and of their column are rounding residue; scaling
 #: must not promote them to data.
 _RESIDUE = 64 * np.finfo(float).eps
-_SWEEPS = 24
+_SWEEPS = 60
+#: No scale leaves this range; a system that asks for it is reducible, and one part can be scaled without end.
+_LARGEST = 2.0**200
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,9 +52,7 @@ def without_residue(M: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _root(numerator: float, denominator: float) -> float:
-    """Return the power of two that evens out two norms; one when either is zero."""
-    if numerator <= 0 or denominator <= 0:
-        return 1.0
+    """Return the power of two that evens out two norms."""
     return float(np.exp2(np.round(0.5 * (np.log2(numerator) - np.log2(denominator)))))
 
 
@@ -84,33 +84,28 @@ def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> Ba
     # Only couplings count in a sweep; the diagonal of A does not change with the units of the states.
     np.fill_diagonal(W[:n, :n], 0.0)
     left, right = np.ones(n + p), np.ones(n + m)
-    # The loops within A set the level for the channels, whose units are free; so A is balanced by itself first.
-    _balance_states(W[:n, :n], left[:n], right[:n])
-    W[:n, n:] *= left[:n, None]
-    W[n:, :n] *= right[:n]
-    inner = A * left[:n, None] * right[:n]
-    level = float(np.linalg.norm(inner, 2)) / max(n, 1) ** 0.5 if np.any(inner) else 1.0
+    # The spectral radius of A sets the level for the channels, whose units are free: it has no units of states.
+    radius = float(np.abs(np.linalg.eigvals(A)).max()) if n else 0.0
+    level = float(power_of_two(np.array(radius or np.linalg.norm(A) or 1.0)))
     for _ in range(_SWEEPS):
         moved = _scale_channels(W, left, right, n, level)
-        moved |= _sweep(W, left, right, n)
+        moved |= _sweep(W, left, right, n, level)
         if not moved:
             break
     T, U, Y = right[:n], right[n:], left[n:]
     return BalancedSystem(A / T[:, None] * T, B / T[:, None] * U, Y[:, None] * C * T, Y[:, None] * D * U, T, U, Y)
 
 
-def _balance_states(W: NDArray[np.float64], left: NDArray[np.float64], right: NDArray[np.float64]) -> None:
-    for _ in range(_SWEEPS):
-        if not _sweep(W, left, right, W.shape[0]):
-            return
+def _sweep(W: NDArray[np.float64], left: NDArray[np.float64], right: NDArray[np.float64], n: int, level: float) -> bool:
+    """Even out row and column of each of the first ``n`` indices, in place; return whether anything moved.
 
-
-def _sweep(W: NDArray[np.float64], left: NDArray[np.float64], right: NDArray[np.float64], n: int) -> bool:
-    """Even out row and column of each of the first ``n`` indices, in place; return whether anything moved."""
+    A state that nothing sees, or nothing drives, has one side only, which is brought to ``level``.
+    """
     moved = False
     for i in range(n):
-        f = _root(float(np.linalg.norm(W[i])), float(np.linalg.norm(W[:, i])))
-        if f != 1.0:
+        row, column = float(np.linalg.norm(W[i])), float(np.linalg.norm(W[:, i]))
+        f = _root(row, column) if row and column else _root(row or level, column or level) ** 2
+        if f != 1.0 and 1 / _LARGEST < right[i] * f < _LARGEST:
             moved = True
             W[i] /= f
             W[:, i] *= f

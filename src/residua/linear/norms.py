@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import AccuracyError, ModelError
 from residua.linear import arrays
-from residua.linear.balancing import balance_system
-from residua.linear.observability import is_stable_mode, modes_with_uncertainty
+from residua.linear.balancing import balance_system, power_of_two
+from residua.linear.observability import is_stable_mode
 from residua.linear.spectrum import describe_modes
 
 Matrix = NDArray[np.float64]
@@ -109,7 +109,10 @@ def _stable_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike | None
         raise ModelError(f"the norm is infinite: the system has the unstable pole {describe_modes(poles[~stable][:1])}")
     # Only the units of states may change: norms depend on those of inputs and outputs.
     T = s.states[:, None]
-    return _System(s.A, B / T, C * T.T, D, dt, poles)
+    B, C = B / T, C * T.T
+    size_B, size_C = float(np.linalg.norm(B)), float(np.linalg.norm(C))
+    even = float(power_of_two(np.sqrt(np.array(size_B / size_C)))) if size_B and size_C else 1.0
+    return _System(s.A, B / even, C * even, D, dt, poles)
 
 
 def _first_frequencies(system: _System) -> list[float]:
@@ -117,8 +120,10 @@ def _first_frequencies(system: _System) -> list[float]:
     if system.dt:
         # Poles at 0 have no frequency.
         poles = system.poles[np.abs(system.poles) > 1e-8]
-        return [0.0, np.pi, np.pi / 2, *np.abs(np.angle(poles)).tolist()]
-    return [0.0, np.inf, *np.abs(system.poles.imag).tolist(), *np.abs(system.poles).tolist()]
+        return [0.0, *np.abs(np.angle(poles)).tolist(), *np.linspace(0.1, np.pi, 16).tolist()]
+    sizes = np.abs(system.poles)
+    grid = np.geomspace(sizes.min() / 3, sizes.max() * 3, 16)
+    return [0.0, np.inf, *np.abs(system.poles.imag).tolist(), *sizes.tolist(), *grid.tolist()]
 
 
 def hinf_norm(
@@ -157,7 +162,8 @@ def hinf_norm(
 
     References
     ----------
-    Bruinsma and Steinbuch, A fast algorithm to compute the H-infinity norm, Systems & Control Letters 14 (1990) 287-293.
+    Bruinsma and Steinbuch, A fast algorithm to compute the H-infinity norm, Systems & Control Letters 14 (1990)
+    287-293.
 
     Examples
     --------

@@ -119,7 +119,7 @@ def is_stable_mode(
     inside = np.asarray(uncertainty, dtype=float)
     if dt:
         return np.abs(modes) + inside < np.exp(-margin * dt)
-    return modes.real + inside < -margin
+    return np.real(modes) + inside < -margin
 
 
 def modes_with_uncertainty(
@@ -281,8 +281,8 @@ def observability_form(A: ArrayLike, C: ArrayLike, *, rtol: float = DEFAULT_RTOL
 def detectability(A: ArrayLike, C: ArrayLike, *, dt: float = 0, rtol: float = DEFAULT_RTOL) -> Detectability:
     """Tell whether every unobservable mode is stable.
 
-    An unobservable mode counts as stable only when it is inside the stability region by more than rounding may have moved
-    it, so that a hidden integrator is never taken for a stable mode.
+    An unobservable mode counts as stable only when it is inside the stability region by more than rounding may have
+    moved it, so that a hidden integrator is never taken for a stable mode.
 
     Parameters
     ----------

@@ -10,14 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear import arrays
-from residua.linear.observability import Staircase, is_stable_mode, modes_with_uncertainty, staircase
+from residua.linear.observability import is_stable_mode
+from residua.linear.observable_part import ObservablePart, observable_part
 from residua.linear.pole_assignment import real_block_diagonal, robust_assignment, schur_assignment
 from residua.linear.rank import DEFAULT_RTOL
 from residua.linear.spectrum import describe_modes, match_poles, spectrum_error
 
 Matrix = NDArray[np.float64]
 Poles = NDArray[np.complex128]
-_EPS = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,71 +52,16 @@ class Placement:
     norm: float
 
 
-@dataclass(frozen=True, eq=False)
-class _Problem:
-    """The observable part in balanced staircase coordinates, where ``H`` has orthonormal rows."""
-
-    A: Matrix
-    C: Matrix
-    dt: float
-    form: Staircase
-    F: Matrix
-    H: Matrix
-    to_outputs: Matrix
-    fixed: Poles
-
-    @property
-    def order(self) -> int:
-        return self.F.shape[0]
-
-    def full_gain(self, L: Matrix) -> Matrix:
-        """Return ``K`` in the caller's units, blind to the left null directions of ``C``."""
-        form = self.form
-        K = form.states[:, None] * (form.Q[:, : self.order] @ (L @ self.to_outputs)) * form.outputs
-        return _without_left_null(K, self.H.shape[0], form)
-
-
-def _without_left_null(K: Matrix, rank: int, form: Staircase) -> Matrix:
-    p = K.shape[1]
-    if rank == p or not rank:
-        return K
-    U = np.linalg.svd(form.C)[0][:, :rank]
-    basis = np.linalg.qr(U / form.outputs[:, None])[0]
-    return (K @ basis) @ basis.T
-
-
-def _problem(A: ArrayLike, C: ArrayLike, dt: float, rtol: float) -> _Problem:
-    dt = arrays.sample_step(dt)
-    A = arrays.matrix(A, "A", (None, None))
-    A = arrays.matrix(A, "A", (A.shape[0], A.shape[0]))
-    C = arrays.matrix(C, "C", (None, A.shape[0]))
-    form = staircase(A, C, rtol=rtol)
-    k, r = form.n_observable, form.n_seen
-    Q1, Q2 = form.Q[:, :k], form.Q[:, k:]
-    # The first step of the staircase is C = U S [I 0] Q'; with S^-1 U' the seen states become the outputs.
-    U, s, _ = np.linalg.svd(form.C) if form.C.size else (np.eye(C.shape[0]), np.zeros(0), None)
-    to_outputs = np.zeros((0, C.shape[0])) if not r else U[:, :r].T / s[:r, None]
-    H = to_outputs @ form.C @ Q1
-    fixed, uncertainty = modes_with_uncertainty(Q2.T @ form.A @ Q2, form.dropped)
-    stable = is_stable_mode(fixed, dt, uncertainty=uncertainty)
-    if not stable.all():
-        raise DesignError(
-            f"not detectable: mode {describe_modes(fixed[~stable])} is not seen by any output and is not stable "
-            f"({k} of {A.shape[0]} states observable); add a sensor that sees it"
-        )
-    return _Problem(A, C, dt, form, Q1.T @ form.A @ Q1, H, to_outputs, fixed)
-
-
 def _checked_poles(poles: ArrayLike, dt: float) -> Poles:
     """Return poles that are finite, stable and exactly closed under conjugation."""
-    given = np.atleast_1d(np.asarray(poles)).astype(complex).ravel()
+    given: Poles = np.atleast_1d(np.asarray(poles, dtype=complex)).ravel()
     if not np.all(np.isfinite(given)):
         raise ModelError(f"pole {describe_modes(given[~np.isfinite(given)][:1])} is not finite")
     unstable = given[~is_stable_mode(given, dt)]
     if unstable.size:
         where = "abs(z) < 1" if dt else "Re(s) < 0"
         raise DesignError(f"pole {describe_modes(unstable[:1])} is not stable: every pole needs {where}")
-    given = np.where(np.abs(given.imag) <= 1e-12 * np.abs(given), given.real + 0j, given)
+    given = np.where(np.abs(np.imag(given)) <= 1e-12 * np.abs(given), np.real(given) + 0j, given)
     waiting = [p for p in given if p.imag < 0]
     out: list[complex] = []
     for p in (p for p in given if p.imag >= 0):
@@ -132,7 +77,7 @@ def _checked_poles(poles: ArrayLike, dt: float) -> Poles:
     return np.array(out, dtype=complex)
 
 
-def _movable(poles: Poles, problem: _Problem, tolerance: float) -> Poles:
+def _movable(poles: Poles, problem: ObservablePart, tolerance: float) -> Poles:
     """Take the fixed poles off a list of ``n`` poles; pass a list of ``n_observable`` through."""
     k, fixed = problem.order, problem.fixed
     n = k + fixed.size
@@ -153,7 +98,7 @@ def _movable(poles: Poles, problem: _Problem, tolerance: float) -> Poles:
     return rest
 
 
-def _candidates(problem: _Problem, poles: Poles) -> list[Matrix]:
+def _candidates(problem: ObservablePart, poles: Poles) -> list[Matrix]:
     """Return gains ``L`` of the observable part from every method that applies."""
     F, H = problem.F, problem.H
     if H.shape[0] == problem.order:
@@ -163,15 +108,15 @@ def _candidates(problem: _Problem, poles: Poles) -> list[Matrix]:
     return [L for L in found if L is not None and np.all(np.isfinite(L))]
 
 
-def _direct_gain(problem: _Problem, poles: Poles) -> Matrix:
+def _direct_gain(problem: ObservablePart, poles: Poles) -> Matrix:
     """Return ``(A - Lambda) C^+`` in the caller's coordinates, for ``C`` of full column rank."""
-    form = problem.form
-    pseudo_inverse = form.states[:, None] * (form.Q @ problem.H.T @ problem.to_outputs) * form.outputs
-    K = (problem.A - real_block_diagonal(poles)) @ pseudo_inverse
-    return _without_left_null(K, problem.order, form)
+    T = problem.form.states
+    # The pair blocks of Lambda belong in balanced units; its real entries are the same in all.
+    target = T[:, None] * real_block_diagonal(poles) / T
+    return problem.without_left_null((problem.A - target) @ problem.pseudo_inverse)
 
 
-def _closed_loop(problem: _Problem, K: Matrix) -> tuple[Matrix, float]:
+def _closed_loop(problem: ObservablePart, K: Matrix) -> tuple[Matrix, float]:
     """Return the observable block of ``A - K C`` in balanced units, and the size of what couples into it."""
     form, k = problem.form, problem.order
     Ks = K / form.states[:, None] / form.outputs
@@ -180,7 +125,7 @@ def _closed_loop(problem: _Problem, K: Matrix) -> tuple[Matrix, float]:
 
 
 def _placement(
-    problem: _Problem, K: Matrix, requested: Poles, error: float, achieved: Poles, block: Matrix
+    problem: ObservablePart, K: Matrix, requested: Poles, error: float, achieved: Poles, block: Matrix
 ) -> Placement:
     vectors = np.linalg.eig(block)[1]
     condition = float(np.linalg.cond(vectors)) if vectors.size else 1.0
@@ -206,9 +151,10 @@ def place_observer_poles(
 ) -> Placement:
     r"""Find a gain that puts the observable poles of ``A - K C`` where they are asked for.
 
-    The unobservable modes are split off first. Where every observable state is seen by an independent output the gain is
-    :math:`K = (A - \Lambda) C^+`, with no iteration; otherwise a robust method and a Schur method compete, and the more exact one wins, the
-    smaller gain among equals. The spectrum of the outcome is checked. Poles may occur any number of times.
+    The unobservable modes are split off first. Where every observable state is seen by an independent output the
+    gain is :math:`K = (A - \Lambda) C^+`, with no iteration; otherwise a robust method and a Schur method compete,
+    and the more exact one wins, the smaller gain among equals. The spectrum of the outcome is checked. Poles may
+    occur any number of times.
 
     Assumes
         Unobservable modes are stable.
@@ -224,8 +170,9 @@ def place_observer_poles(
     rtol : float
         For the rank decisions of the staircase.
     tolerance : float
-        Largest error of a pole, relative (continuous) or absolute (sampled). The members of an m-fold pole may scatter
-        by what rounding does to it, about ``eps**(1/m)``; their mean may not.
+        Largest error of a pole, relative (continuous) or absolute (sampled). A pole may miss it by what rounding of
+        ``A - K C`` does to it, up to a thousandth; the members of an m-fold pole may scatter by about
+        ``eps**(1/m)``, but their mean may not.
 
     Returns
     -------
@@ -251,7 +198,7 @@ def place_observer_poles(
     array([[5.],
            [6.]])
     """
-    problem = _problem(A, C, dt, rtol)
+    problem = observable_part(A, C, dt, rtol)
     wanted = _movable(_checked_poles(poles, problem.dt), problem, tolerance)
     n = problem.A.shape[0]
     if problem.order == 0:
@@ -280,13 +227,13 @@ def place_observer_poles(
             )
         )
         raise AccuracyError(
-            f"the poles {describe_modes(wanted)} cannot be placed to the tolerance: {told}; ask for poles nearer to those of "
-            "the plant or further apart, for a margin (place_observer_margin), or add a sensor"
+            f"the poles {describe_modes(wanted)} cannot be placed to the tolerance: {told}; ask for poles nearer to "
+            "those of the plant or further apart, for a margin (place_observer_margin), or add a sensor"
         )
     return best[1]
 
 
-def _is_closed_loop_stable(problem: _Problem, block: Matrix, leak: float, margin: float = 0.0) -> bool:
+def _is_closed_loop_stable(problem: ObservablePart, block: Matrix, leak: float, margin: float = 0.0) -> bool:
     """Check that the poles are stable, whatever dropped couplings of size ``leak`` do to them.
 
     What couples from the unobservable part into the observable one would be zero but for rounding and for what
@@ -299,8 +246,8 @@ def _is_closed_loop_stable(problem: _Problem, block: Matrix, leak: float, margin
 def default_margin(A: ArrayLike, dt: float = 0) -> float:
     """Return a decay rate that suits the plant: the geometric mean of its nonzero ``abs(s)``.
 
-    Sampled poles are mapped by ``s = log(z) / dt`` first; those at 0 have no rate and are left out. A plant of integrators only
-    gets 1 per second, or one time constant in ten samples.
+    Sampled poles are mapped by ``s = log(z) / dt`` first; those at 0 have no rate and are left out. A plant of
+    integrators only gets 1 per second, or one time constant in ten samples.
 
     Parameters
     ----------
@@ -345,8 +292,8 @@ def place_observer_margin(
 ) -> Placement:
     r"""Find a gain of moderate size that brings every observable pole beyond a decay rate.
 
-    A filter Riccati equation is solved for the plant shifted by the margin :math:`\alpha`: for :math:`A + \alpha I` in continuous
-    time, for :math:`e^{\alpha\,dt} A` in sampled time. Then :math:`\mathrm{Re}\,s < -\alpha`, respectively
+    A filter Riccati equation is solved for the plant shifted by the margin :math:`\alpha`: for :math:`A + \alpha I`
+    in continuous time, for :math:`e^{\alpha\,dt} A` in sampled time. Then :math:`\mathrm{Re}\,s < -\alpha`, respectively
     :math:`|z| < e^{-\alpha\,dt}`, for every observable pole; this is checked. Unobservable modes stay where they are.
 
     Assumes
@@ -384,7 +331,7 @@ def place_observer_margin(
     >>> bool(placed.achieved.real.max() < -2)
     True
     """
-    problem = _problem(A, C, dt, rtol)
+    problem = observable_part(A, C, dt, rtol)
     margin = default_margin(A, dt) if margin is None else float(margin)
     if not np.isfinite(margin) or margin < 0:
         raise DesignError(f"the margin must be a finite rate of at least 0 per second, got {margin}")
@@ -401,12 +348,12 @@ def place_observer_margin(
         if _is_closed_loop_stable(problem, block, leak, margin):
             return _placement(problem, K, none, 0.0, np.linalg.eigvals(block).astype(complex), block)
     raise AccuracyError(
-        f"no gain found with every observable pole beyond the margin {margin:.3g} per second ({problem.order} observable states, "
-        f"{problem.H.shape[0]} independent outputs); ask for a smaller margin or add a sensor"
+        f"no gain found with every observable pole beyond the margin {margin:.3g} per second "
+        f"({problem.order} observable states, {problem.H.shape[0]} independent outputs); ask for a smaller margin or add a sensor"
     )
 
 
-def _shifted_riccati(problem: _Problem, margin: float, weight: float) -> Matrix | None:
+def _shifted_riccati(problem: ObservablePart, margin: float, weight: float) -> Matrix | None:
     """Return the gain of the filter for the shifted plant, or None where the equation is not solved."""
     F, H, dt = problem.F, problem.H, problem.dt
     eye_states, eye_outputs = np.eye(problem.order), np.eye(H.shape[0])

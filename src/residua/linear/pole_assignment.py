@@ -122,7 +122,7 @@ def _bring_block_down(T: Matrix, Z: Matrix, done: int, n_reals: int) -> int | No
     if size == 2 or n_reals:
         return size
     k = T.shape[0]
-    if k - done >= 3 and T[k - 2, k - 3] != 0 and not _exchange(T, Z, k - 3, k - 2):
+    if k - done >= 3 and T[k - 2, k - 3] != 0 and not _exchange(T, Z, k - 3, k - 1):
         return None
     return 2
 

@@ -154,18 +154,19 @@ def _check_solvable(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix, dt: f
         raise ModelError(
             f"[[Q, S], [S', R]] is not a covariance: its correlation matrix has the eigenvalue {lowest:.3g}"
         )
-    correlation, deviations = _correlation(R)
+    correlation, _ = _correlation(R)
     values, vectors = np.linalg.eigh(correlation)
     if values[0] <= 1e-13 * values[-1]:
         worst = int(np.argmax(np.abs(vectors[:, 0])))
         raise DesignError(
-            f"R is singular: rank {decide_rank(correlation, rtol=1e-13).rank} of {R.shape[0]}, no noise in the direction of output "
-            f"number {worst + 1}; give every output measurement noise"
+            f"R is singular: rank {decide_rank(correlation, rtol=1e-13).rank} of {R.shape[0]}, "
+            f"no noise in the direction of output number {worst + 1}; give every output measurement noise"
         )
     found = detectability(A, C, dt=dt)
     if not found:
         raise DesignError(
-            f"not detectable: mode {describe_modes(found.unstable_modes)} is not seen by any output; add a sensor that sees it"
+            f"not detectable: mode {describe_modes(found.unstable_modes)} is not seen by any output; "
+            "add a sensor that sees it"
         )
     # After the measured part of the process noise is taken out, Q - S R^-1 S' drives A - S R^-1 C.
     gain = np.linalg.solve(R, S.T).T
@@ -177,8 +178,8 @@ def _check_solvable(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix, dt: f
     boundary = modes[np.abs(np.abs(modes) - 1 if dt else modes.real) <= near]
     if boundary.size:
         raise DesignError(
-            f"mode {describe_modes(boundary)} on the stability boundary is not disturbed by process noise, so no steady filter is "
-            "stable; add process noise on it"
+            f"mode {describe_modes(boundary)} on the stability boundary is not disturbed by process noise, "
+            "so no steady filter is stable; add process noise on it"
         )
 
 
@@ -189,8 +190,8 @@ def _solve(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix, dt: float) -> 
         P = solver(A.T, C.T, Q, R, s=cross)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise DesignError(
-            f"the Riccati equation has no stabilising solution that can be computed ({error}); a mode near the stability boundary "
-            "is hardly seen by the outputs, or hardly disturbed: add a sensor, or process noise on it"
+            f"the Riccati equation has no stabilising solution that can be computed ({error}); "
+            "a mode near the stability boundary is hardly seen by the outputs, or hardly disturbed: add a sensor, or process noise on it"
         ) from error
     return (P + P.T) / 2
 
@@ -204,7 +205,7 @@ def _gain(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix, P: Matrix, dt: 
     else:
         innovation, cross = R, P @ C.T + S
         first, left = A @ P + P @ A.T, np.zeros_like(P)
-    K = np.linalg.solve(innovation, cross.T).T
+    K: Matrix = np.asarray(np.linalg.solve(innovation, cross.T).T, dtype=np.float64)
     last = K @ cross.T
     size = sum(float(np.linalg.norm(M)) for M in (first, left, Q, last))
     residual = float(np.linalg.norm(first - left + Q - last)) / size if size else 0.0

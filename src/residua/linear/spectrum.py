@@ -7,8 +7,12 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.linear.observability import modes_with_uncertainty
+
 Poles = NDArray[np.complex128]
 _EPS = float(np.finfo(float).eps)
+#: No pole may miss by more than this, however ill-conditioned it is.
+_MOST_BY_ROUNDING = 1e-3
 
 
 def describe_modes(modes: Iterable[complex] | NDArray) -> str:
@@ -56,9 +60,10 @@ def pole_clusters(poles: Poles, nearness: float = 1e-3) -> list[NDArray[np.intp]
 def spectrum_error(block: NDArray[np.float64], wanted: Poles, dt: float, tolerance: float) -> tuple[float, Poles, bool]:
     """Return the error of the poles of ``block``, the poles in the wanted order, and whether they are right.
 
-    A simple pole counts with its own error. The members of a cluster of ``m`` count with the error of their mean, which is
-    well conditioned; each may scatter by ``(eps * condition)**(1/m)`` of the norm, which is what a defective pole does, and
-    the wanted pole must be an eigenvalue of a matrix within rounding of ``block``.
+    A simple pole counts with its own error; beyond the tolerance it passes only if rounding of ``block`` moves it that
+    far. The members of a cluster of ``m`` count with the error of their mean, which is well conditioned; each may
+    scatter by ``(eps * condition)**(1/m)`` of the norm, which is what a defective pole does, and the wanted pole must
+    be an eigenvalue of a matrix within rounding of ``block``.
 
     Parameters
     ----------
@@ -75,21 +80,28 @@ def spectrum_error(block: NDArray[np.float64], wanted: Poles, dt: float, toleran
     reached : bool
     """
     k = wanted.size
-    found = np.linalg.eigvals(block).astype(complex)
-    achieved = found[match_poles(wanted, found)] if k else found
+    if not k:
+        return 0.0, wanted, True
+    found, moved = modes_with_uncertainty(block)
+    order = match_poles(wanted, found)
+    achieved, moved = found[order], 100 * moved[order]
     scale = np.ones(k) if dt else np.abs(wanted)
-    size = max(float(np.linalg.norm(block, 2)), float(np.abs(wanted).max(initial=0.0))) if k else 0.0
-    error, reached = 0.0, True
+    size = max(float(np.linalg.norm(block, 2)), float(np.abs(wanted).max()))
+    worst, reached = 0.0, True
     for members in pole_clusters(wanted):
         unit = float(scale[members].mean())
-        mean = abs(complex(np.mean(achieved[members] - wanted[members]))) / unit
-        error = max(error, mean)
+        error = abs(complex(np.mean(achieved[members] - wanted[members]))) / unit
+        worst = max(worst, error)
         m = members.size
-        if m > 1:
-            scatter = float(np.abs(achieved[members] - wanted[members]).max())
-            allowed = max(tolerance * unit, size * (1e4 * k * _EPS) ** (1 / m))
-            centre = complex(np.mean(wanted[members]))
-            backward = float(np.linalg.svd(block - centre * np.eye(k), compute_uv=False)[-1])
-            spread = float(np.abs(wanted[members] - centre).max())
-            reached &= scatter <= allowed and backward <= 1e4 * k * _EPS * size + spread
-    return error, achieved, bool(reached and error <= tolerance)
+        if m == 1:
+            allowed = max(tolerance, min(float(moved[members][0]) / unit, _MOST_BY_ROUNDING))
+            reached &= error <= allowed
+            continue
+        scatter = float(np.abs(achieved[members] - wanted[members]).max())
+        centre = complex(np.mean(wanted[members]))
+        backward = float(np.linalg.svd(block - centre * np.eye(k), compute_uv=False)[-1])
+        spread = float(np.abs(wanted[members] - centre).max())
+        reached &= error <= tolerance
+        reached &= scatter <= max(tolerance * unit, size * (1e4 * k * _EPS) ** (1 / m))
+        reached &= backward <= 1e4 * k * _EPS * size + spread
+    return worst, achieved, bool(reached)

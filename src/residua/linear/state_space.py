@@ -325,7 +325,11 @@ _FIELDS = ("A", "B", "C", "D", "E", "dt", "inputs", "outputs", "states")
 
 def square(value: ArrayLike, name: str) -> NDArray[np.float64]:
     """Return ``value`` as a read-only square matrix, also the empty one."""
-    if np.size(value) == 0:
+    try:
+        empty = np.size(value) == 0
+    except ValueError:  # ragged: matrix() says so
+        empty = False
+    if empty:
         return frozen(np.zeros((0, 0)))
     M = arrays.matrix(value, name, (None, None))
     if M.shape[0] != M.shape[1]:

@@ -188,8 +188,8 @@ def invariant_zeros(
     rank = D.shape[0]
     if D.shape[0] != D.shape[1]:
         raise AccuracyError(
-            f"the compressed pencil is not square (D is {D.shape[0]} x {D.shape[1]}): a rank decision with rtol={rtol:.3g} "
-            "was not clear; see pencil_rank_at, or choose another rtol"
+            f"the compressed pencil is not square (D is {D.shape[0]} x {D.shape[1]}): a rank decision "
+            f"with rtol={rtol:.3g} was not clear; see pencil_rank_at, or choose another rtol"
         )
     return InvariantZeros(_finite_zeros((A, B, C, D)) * unit, rank - algebraic, tuple(decisions))
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import DataError, ModelError
 from residua.linear.arrays import matrix
-from residua.linear.rank import DEFAULT_RTOL, RankDecision
+from residua.linear.rank import DEFAULT_RTOL, RankDecision, decide_rank, equilibrated
 
 
 def factor_disturbance(E: ArrayLike, *, rtol: float = DEFAULT_RTOL) -> tuple[NDArray, RankDecision]:
@@ -45,8 +45,11 @@ def factor_disturbance(E: ArrayLike, *, rtol: float = DEFAULT_RTOL) -> tuple[NDA
         return M[:, :0], RankDecision(0, np.zeros(0), 0.0)
     U, s, _ = np.linalg.svd(M, full_matrices=False)
     tolerance = rtol * float(s[0])
-    rank = int(np.count_nonzero(s > tolerance))
-    return U[:, :rank] * s[:rank], RankDecision(rank, s, tolerance)
+    decision = RankDecision(int(np.count_nonzero(s > tolerance)), s, tolerance)
+    if decision.rank < M.shape[1]:  # small singular values may be nothing but units
+        other = decide_rank(equilibrated(M), rtol=rtol)
+        decision = other if other.rank > decision.rank else decision
+    return U[:, : decision.rank] * s[: decision.rank], decision
 
 
 def disturbance_from_perturbations(

@@ -10,7 +10,7 @@
   function readColours() {
     const style = getComputedStyle(root);
     colours = {};
-    for (const name of ["text", "muted", "grid", "alarm", "missing", "undecided", "band", "threshold", "onset", "fade"])
+    for (const name of ["paper", "text", "muted", "grid", "alarm", "missing", "undecided", "band", "threshold", "onset", "fade"])
       colours[name] = style.getPropertyValue("--" + name).trim();
     colours.series = [0, 1, 2, 3, 4, 5, 6, 7].map((k) => style.getPropertyValue("--c" + k).trim());
   }
@@ -106,7 +106,13 @@
         ctx.font = 12 * pixel + "px system-ui, sans-serif";
         const room = at - box.top > 20 * pixel;
         ctx.textBaseline = room ? "bottom" : "top";
-        ctx.fillText("threshold " + short(chart.threshold), box.left + 6 * pixel, at + (room ? -3 : 3) * pixel);
+        const place = ["threshold " + short(chart.threshold), box.left + 6 * pixel, at + (room ? -3 : 3) * pixel];
+        ctx.setLineDash([]);
+        ctx.strokeStyle = colours.paper;
+        ctx.lineWidth = 4 * pixel;
+        ctx.lineJoin = "round";
+        ctx.strokeText(...place);
+        ctx.fillText(...place);
       }
       ctx.restore();
     };

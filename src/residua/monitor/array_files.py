@@ -1,0 +1,132 @@
+"""Reading recordings from files of named arrays: MATLAB .mat and NumPy .npz."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import DataError, FileFormatError
+
+Arrays = dict[str, NDArray]
+
+
+def read_mat(path: Path) -> Arrays:
+    """Return the arrays of a .mat file (versions 4 to 7)."""
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
+    try:
+        content = loadmat(str(path), appendmat=False)
+    except NotImplementedError as error:
+        raise FileFormatError(
+            f"{path.name}: this is a version 7.3 .mat file (HDF5); save it with -v7, or as CSV"
+        ) from error
+    except (MatReadError, ValueError, TypeError, OSError, EOFError, KeyError, IndexError) as error:
+        raise FileFormatError(f"{path.name}: not a readable .mat file: {error}") from error
+    return {name: np.asarray(value) for name, value in content.items() if not name.startswith("__")}
+
+
+def read_npz(path: Path) -> Arrays:
+    """Return the arrays of a .npz file; Python objects in it are refused."""
+    from zipfile import BadZipFile
+
+    try:
+        content = np.load(path, allow_pickle=False)
+        if isinstance(content, np.ndarray):
+            raise FileFormatError(f"{path.name}: this is a single array (.npy); save named arrays with numpy.savez")
+        with content:
+            return {name: content[name] for name in content.files}
+    except FileFormatError:
+        raise
+    except (ValueError, BadZipFile, EOFError, OSError, KeyError) as error:
+        if "pickle" in str(error).lower():
+            raise FileFormatError(
+                f"{path.name}: it holds Python objects, or is no .npz file; only arrays of numbers are read"
+            ) from error
+        raise FileFormatError(f"{path.name}: not a readable .npz file: {error}") from error
+
+
+def table_from_arrays(
+    arrays: Arrays,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    *,
+    variable: str | None,
+    names: Sequence[str] | None,
+    source: str,
+) -> dict[str, NDArray]:
+    """Return the named columns that a file of arrays holds.
+
+    In this order: the matrix ``variable``; one array per channel; the matrices ``u`` and ``y``; the only
+    matrix with as many columns as there are channels, inputs first.
+    """
+    channels = (*inputs, *outputs)
+    if variable is not None:
+        if variable not in arrays:
+            raise DataError(f"{source}: no array {variable!r}; there are: {_listed(arrays)}")
+        return _singles(arrays, skip=variable) | _columns(arrays[variable], variable, channels, names, source)
+    if names is not None:
+        chosen = _fitting(arrays, len(names))
+    else:
+        if channels and set(channels) <= set(arrays):
+            return _singles(arrays)
+        parts = [("u", inputs), ("y", outputs)]
+        if channels and all(part in arrays for part, group in parts if group):
+            out = _singles(arrays)
+            for part, group in parts:
+                if group:
+                    out |= _columns(arrays[part], part, group, None, source)
+            return out
+        chosen = _fitting(arrays, len(channels) or None)
+    if len(chosen) != 1:
+        if names is None and set(channels) & set(arrays):
+            return _singles(arrays)  # some channels are there: the caller says which are not
+        wanted = f"{len(names or channels)} columns" if names or channels else "columns"
+        found = f"several matrices have {wanted}" if chosen else f"no matrix has {wanted}"
+        raise DataError(f"{source}: {found}: choose one with variable=; there are: {_listed(arrays)}")
+    return _singles(arrays, skip=chosen[0]) | _columns(arrays[chosen[0]], chosen[0], channels, names, source)
+
+
+def _columns(
+    M: NDArray, label: str, channels: Sequence[str], names: Sequence[str] | None, source: str
+) -> dict[str, NDArray]:
+    """Return the columns of a matrix under their names, or by the order of the channels."""
+    M = M[:, None] if M.ndim == 1 else M
+    if M.ndim != 2 or not _is_numeric(M):
+        raise DataError(f"{source}: {label!r} must be a matrix of numbers, (time, channels)")
+    wanted = tuple(names if names is not None else channels)
+    if not wanted:
+        wanted = tuple(f"{label}{i + 1}" for i in range(M.shape[1]))
+    if M.shape[1] != len(wanted) and 1 in M.shape and len(wanted) == 1:
+        M = M.reshape(-1, 1)
+    if M.shape[1] != len(wanted):
+        hint = "; time runs down the rows: transpose it" if M.shape[0] == len(wanted) else "; name them by columns="
+        raise DataError(
+            f"{source}: {label!r} has {M.shape[1]} columns, expected {len(wanted)} ({', '.join(wanted)}){hint}"
+        )
+    return {name: M[:, i] for i, name in enumerate(wanted)}
+
+
+def _fitting(arrays: Arrays, count: int | None) -> list[str]:
+    return [
+        name
+        for name, M in arrays.items()
+        if _is_numeric(M) and M.ndim == 2 and min(M.shape) > 0 and (count is None or M.shape[1] == count)
+    ]
+
+
+def _singles(arrays: Arrays, skip: str = "") -> dict[str, NDArray]:
+    """Return every array that is one column (or row)."""
+    return {name: M.ravel() for name, M in arrays.items() if name != skip and M.size == max(M.shape, default=0)}
+
+
+def _is_numeric(M: NDArray) -> bool:
+    return M.dtype.kind in "fiub"
+
+
+def _listed(arrays: Arrays) -> str:
+    shapes = [f"{name} {' x '.join(map(str, M.shape))}" for name, M in arrays.items()]
+    return ", ".join(shapes[:30]) + (", ..." if len(shapes) > 30 else "") or "none"

@@ -1,0 +1,103 @@
+"""Matching what a recording holds to what a plant needs: columns, time and step."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from residua.errors import DataError
+from residua.monitor.time_axis import find_time
+from residua.plant import Plant
+
+#: Relative difference between the step of a recording and that of a sampled plant that is let pass.
+STEP_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What a caller asked for."""
+
+    plant: Plant | None
+    time: str | None
+    dt: float | None
+    columns: Mapping[str, str] | Sequence[str] | None
+    variable: str | None
+    tolerance: float
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Control inputs of the plant."""
+        return self.plant.inputs if self.plant else ()
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Outputs of the plant."""
+        return self.plant.outputs if self.plant else ()
+
+    @property
+    def matrix_names(self) -> Sequence[str] | None:
+        """Names of a matrix's columns, where that is what ``columns`` gives."""
+        if self.columns is None or isinstance(self.columns, Mapping):
+            return None
+        return (self.columns,) if isinstance(self.columns, str) else tuple(self.columns)
+
+    def matched(self, names: Sequence[str], source: str) -> tuple[dict[str, str], str | None]:
+        """Return the column of every channel, and the time column."""
+        renamed = self.columns if isinstance(self.columns, Mapping) else {}
+        channels = (*self.inputs, *self.outputs)
+        for channel in renamed:
+            if self.plant and channel not in channels:
+                raise DataError(f"columns: the plant has no channel {channel!r}; it has {', '.join(channels)}")
+        chosen = {channel: renamed.get(channel, channel) for channel in channels or renamed}
+        clock = self.time or find_time(names, chosen.values())
+        if not chosen:
+            chosen = {name: name for name in names if name != clock and name}
+        wanted = [*chosen.values(), *([clock] if clock else [])]
+        absent = [name for name in wanted if name not in names]
+        if absent:
+            raise DataError(missing_columns(absent, names, source))
+        twice = [name for name in dict.fromkeys(wanted) if list(names).count(name) > 1]
+        if twice:
+            raise DataError(f"{source}: more than one column is called {twice[0]!r}")
+        if not chosen:
+            raise DataError(f"{source}: there is no column with data")
+        return chosen, clock
+
+
+def missing_columns(absent: list[str], names: Sequence[str], source: str) -> str:
+    """Say which columns are missing, what may be meant, and what is there."""
+    lowered = {name.lower(): name for name in names}
+    parts = []
+    for name in absent:
+        near = difflib.get_close_matches(name.lower(), list(lowered), n=1)
+        parts.append(f"{name!r}" + (f" (did you mean {lowered[near[0]]!r}?)" if near else ""))
+    there = ", ".join(map(repr, names[:40])) + (", ..." if len(names) > 40 else "")
+    return f"{source}: missing column{'s' * (len(absent) > 1)} {', '.join(parts)}; there are: {there or 'none'}"
+
+
+def settled_step(found: float | None, wish: Wish, source: str) -> float:
+    """Return the step that times, caller and plant agree on."""
+    given, own = wish.dt, wish.plant.dt if wish.plant else 0.0
+    if given is not None and not (np.isfinite(given) and given > 0):
+        raise DataError(f"dt must be a positive step in seconds, got {given!r}")
+    known = [
+        (value, what)
+        for value, what in ((found, "its times are"), (given, "dt= says"), (own or None, "the plant is sampled at"))
+        if value is not None
+    ]
+    if not known:
+        raise DataError(
+            f"{source}: no time column ('time', 't', 'timestamp') and the plant is not sampled: give dt= in "
+            "seconds, or time= with the name of the column"
+        )
+    step, first = known[0]
+    for value, what in known[1:]:
+        if abs(value - step) > STEP_TOLERANCE * value:
+            raise DataError(
+                f"{source}: the steps do not agree: {first} {step:g} s apart, {what} {value:g} s; "
+                "resample the recording, or discretize the plant at its step"
+            )
+    return float(own or step)

@@ -1,0 +1,72 @@
+"""Writing named columns to files."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import DataError, FileFormatError, missing_extra
+
+
+def write_table(path: str | Path, columns: Mapping[str, Iterable[float] | NDArray]) -> Path:
+    """Write named columns to a .csv or .parquet file.
+
+    Numbers in CSV come back to the last bit; NaN is an empty cell, true and false are 1 and 0.
+
+    Parameters
+    ----------
+    path : str or Path
+        The ending of the name tells the format.
+    columns : mapping of str to array_like, shape (T,)
+
+    Returns
+    -------
+    Path
+        Where it was written.
+
+    Raises
+    ------
+    FileFormatError
+        If the ending is another one.
+    DataError
+        If the columns differ in length.
+    MissingExtraError
+        If writing Parquet needs pyarrow and it is not installed.
+    """
+    path = Path(path)
+    arrays = {name: np.asarray(column) for name, column in columns.items()}
+    lengths = {name: len(column) for name, column in arrays.items()}
+    if len(set(lengths.values())) > 1:
+        raise DataError(f"the columns differ in length: {lengths}")
+    suffix = path.suffix.lower()
+    if suffix == ".csv":
+        _write_csv(path, arrays)
+    elif suffix == ".parquet":
+        try:
+            import pyarrow
+            import pyarrow.parquet as parquet
+        except ImportError as error:
+            raise missing_extra("pyarrow", "parquet") from error
+        parquet.write_table(pyarrow.table(arrays), path)
+    else:
+        raise FileFormatError(f"{path.name}: tables are written as .csv or .parquet, not {suffix!r}")
+    return path
+
+
+def _write_csv(path: Path, arrays: Mapping[str, NDArray], rows: int = 50_000) -> None:
+    length = max((len(column) for column in arrays.values()), default=0)
+    with path.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerow(arrays)
+        for start in range(0, length, rows):
+            parts = [_cells(column[start : start + rows]) for column in arrays.values()]
+            file.writelines(",".join(row) + "\n" for row in zip(*parts, strict=True))
+
+
+def _cells(values: NDArray) -> list[str]:
+    if values.dtype.kind == "b":
+        return ["1" if value else "0" for value in values.tolist()]
+    return ["" if value != value else repr(value) for value in values.tolist()]

@@ -1,0 +1,89 @@
+"""The time column of a recording: finding it, reading it, and checking that its steps are equal."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import DataError
+
+#: Names that a time column goes by, in any case, with or without ``[s]``.
+TIME_NAME = re.compile(r"(time|t|timestamp|datetime)\s*([\[(]\s*(s|sec|seconds)\s*[\])])?", re.IGNORECASE)
+
+
+def find_time(names: Iterable[str], channels: Iterable[str]) -> str | None:
+    """Return the name of the time column, ``None`` when there is none; a channel of the plant never is."""
+    taken = set(channels)
+    return next((name for name in names if name not in taken and TIME_NAME.fullmatch(name)), None)
+
+
+def seconds_from_text(cells: Sequence[str], rows: Sequence[int], what: str) -> tuple[NDArray[np.float64], str]:
+    """Return ISO 8601 times as seconds since the first one, and that one as text."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            return seconds_from_dates(np.array([cell.strip() for cell in cells], dtype="datetime64[ns]"))
+    except (ValueError, UserWarning, DeprecationWarning):
+        pass  # a time zone, or a cell that is no time: the slow way tells which
+    out = np.empty(len(cells))
+    start = None
+    for i, cell in enumerate(cells):
+        try:
+            moment = datetime.fromisoformat(cell.strip())
+        except ValueError:
+            raise DataError(f"{what}, line {rows[i]}: expected a time, got {cell!r}") from None
+        moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+        start = start or moment
+        out[i] = (moment - start).total_seconds()
+    return out, cells[0].strip() if cells else ""
+
+
+def seconds_from_dates(dates: NDArray) -> tuple[NDArray[np.float64], str]:
+    """Return ``datetime64`` values as seconds since the first one, and that one as text."""
+    if len(dates) == 0:
+        return np.zeros(0), ""
+    since = (dates - dates[0]) / np.timedelta64(1, "ns")
+    return np.asarray(since, dtype=float) * 1e-9, str(np.datetime_as_string(dates[0], unit="auto"))
+
+
+def regular_step(time: NDArray[np.float64], tolerance: float, first_row: int, source: str) -> float:
+    """Return the step of the times, or say in which row they are not equally spaced.
+
+    Parameters
+    ----------
+    time : ndarray, shape (T,), T >= 2
+    tolerance : float
+        Largest difference of one step from the median step, as a fraction of it.
+    first_row : int
+        Number of the row that ``time[0]`` is from, for messages.
+    source : str
+    """
+    bad = np.flatnonzero(~np.isfinite(time))
+    if len(bad):
+        raise DataError(f"{source}: the time in row {first_row + bad[0]} is missing or not finite")
+    steps = np.diff(time)
+    usual = float(np.median(steps))
+    wrong = np.flatnonzero(steps <= 0)
+    if len(wrong):
+        k = int(wrong[0])
+        what = "repeats" if steps[k] == 0 else "goes backwards"
+        raise DataError(
+            f"{source}: time {what} in row {first_row + k + 1}: {time[k + 1]:.10g} s after {time[k]:.10g} s "
+            f"(usual step {usual:g} s)"
+        )
+    # Times far from zero are rounded; their steps cannot be more regular than that.
+    rounding = 4 * np.finfo(float).eps * float(np.abs(time).max())
+    wrong = np.flatnonzero(np.abs(steps - usual) > tolerance * usual + rounding)
+    if len(wrong):
+        k = int(wrong[0])
+        raise DataError(
+            f"{source}: time is irregular: the step to row {first_row + k + 1} is {steps[k]:.6g} s, the usual one "
+            f"{usual:.6g} s ({len(wrong)} of {len(steps)} steps differ by more than {tolerance:.2g} of it); "
+            "resample the recording first"
+        )
+    return float((time[-1] - time[0]) / len(steps))

@@ -1,0 +1,278 @@
+"""The whole way through files, and what each command prints and writes."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cli_examples import DISTURBED, PLANT, Residua, assert_error, simulate, write_csv
+from residua.cli.methods import parse_poles
+
+# ------------------------------------------------------------------ the whole way
+
+
+def test_run_names_the_faulty_sensor(made: Path, residua: Residua) -> None:
+    status, out, err = residua("run", made / "monitor.json", made / "faulty.csv")
+    assert (status, err) == (1, "")
+    assert "Fault found: level 1 sensor" in out
+    assert "end of recording" in out
+    assert "Q" not in out.splitlines()[0]
+
+
+def test_run_without_a_fault(made: Path, residua: Residua) -> None:
+    status, out, err = residua("run", made / "monitor.json", made / "healthy.csv")
+    assert (status, err) == (0, "")
+    assert out.startswith("No fault found.")
+
+
+def test_run_says_what_cannot_be_told_apart(made: Path, residua: Residua) -> None:
+    _, out, _ = residua("run", made / "monitor.json", made / "faulty.csv")
+    assert "pump actuator or leak" in out
+    assert "pump actuator and leak" in out
+
+
+def test_quiet_prints_nothing(made: Path, residua: Residua) -> None:
+    assert residua("run", made / "monitor.json", made / "faulty.csv", "--quiet") == (1, "", "")
+    assert residua("run", made / "monitor.json", made / "healthy.csv", "-q") == (0, "", "")
+
+
+def test_alarms_as_json_lines(made: Path, tmp_path: Path, residua: Residua) -> None:
+    path = tmp_path / "alarms.jsonl"
+    residua("run", made / "monitor.json", made / "faulty.csv", "--alarms", path)
+    alarms = [json.loads(line) for line in path.read_text().splitlines()]
+    (alarm,) = [a for a in alarms if a["ended"] is None]
+    assert 195 <= alarm["onset"] <= 205 <= alarm["raised"] <= 215
+    assert alarm["candidates"][0]["faults"] == ["level 1 sensor"]
+    assert alarm["candidates"][0]["score"] > alarm["candidates"][1]["score"]
+    residua("run", made / "monitor.json", made / "healthy.csv", "--alarms", path)
+    assert path.read_text() == ""
+
+
+def test_residuals_as_csv_and_parquet(made: Path, tmp_path: Path, residua: Residua) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    for name in ("r.csv", "r.parquet"):
+        residua("run", made / "monitor.json", made / "faulty.csv", "-q", "--residuals", tmp_path / name)
+    rows = list(csv.DictReader((tmp_path / "r.csv").read_text().splitlines()))
+    table = parquet.read_table(tmp_path / "r.parquet")
+    assert len(rows) == table.num_rows == 400
+    assert list(rows[0]) == table.column_names
+    assert {"time", "r level 1", "r level 2", "statistic", "alarm"} < set(table.column_names)
+    assert [float(row["r level 1"]) for row in rows] == table["r level 1"].to_pylist()
+    assert rows[-1]["alarm"] == "1"
+
+
+def test_report_page_and_no_leftovers(made: Path, tmp_path: Path, residua: Residua) -> None:
+    status, out, _ = residua("run", made / "monitor.json", made / "faulty.csv", "--report", tmp_path / "page.html")
+    assert status == 1
+    assert f"written: {tmp_path / 'page.html'}" in out
+    page = (tmp_path / "page.html").read_text()
+    assert page.startswith("<!DOCTYPE html>")
+    assert "level 1 sensor" in page
+    assert [p.name for p in tmp_path.iterdir()] == ["page.html"]
+
+
+@pytest.mark.parametrize("ending", ["parquet", "npz", "mat"])
+def test_other_formats_give_the_same(made: Path, tmp_path: Path, ending: str, residua: Residua) -> None:
+    rows = np.loadtxt(made / "faulty.csv", delimiter=",", skiprows=1)
+    path = tmp_path / f"faulty.{ending}"
+    more: list[str] = []
+    if ending == "parquet":
+        pyarrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+        names = ["time", "pump", "level 1", "level 2"]
+        parquet.write_table(pyarrow.table(dict(zip(names, rows.T, strict=True))), path)
+    elif ending == "npz":
+        np.savez(path, time=rows[:, 0], u=rows[:, 1:2], y=rows[:, 2:])
+    else:
+        import scipy.io
+
+        scipy.io.savemat(path, {"fault08": rows[:, 1:], "other": np.ones((3, 3))})
+        more = ["--variable", "fault08"]
+    _, expected, _ = residua("run", made / "monitor.json", made / "faulty.csv")
+    assert residua("run", made / "monitor.json", path, *more) == (1, expected, "")
+
+
+def test_missing_values_are_counted(made: Path, tmp_path: Path, residua: Residua) -> None:
+    lines = (made / "faulty.csv").read_text().splitlines()
+    for k in (50, 51, 300):
+        lines[k] = ",".join([*lines[k].split(",")[:3], ""])
+    (tmp_path / "gaps.csv").write_text("\n".join(lines) + "\n")
+    status, out, _ = residua("run", made / "monitor.json", tmp_path / "gaps.csv")
+    assert status == 1
+    assert "3 samples with missing values" in out
+
+
+def test_time_column_by_name(made: Path, tmp_path: Path, residua: Residua) -> None:
+    rows = np.loadtxt(made / "faulty.csv", delimiter=",", skiprows=1)
+    path = write_csv(tmp_path / "named.csv", rows, "clock,pump,level 1,level 2")
+    assert residua("run", made / "monitor.json", path, "--time", "clock", "-q")[0] == 1
+    assert_error(residua("run", made / "monitor.json", path, "--time", "watch"), "'watch'", "clock")
+
+
+def test_too_short_a_recording_is_no_verdict(made: Path, tmp_path: Path, residua: Residua) -> None:
+    path = write_csv(tmp_path / "short.csv", simulate(3, 5))
+    status, _, err = residua("run", made / "monitor.json", path)
+    assert status == 2
+    assert "no sample could be judged" in err
+
+
+# ------------------------------------------------------------------------ analyze
+
+
+def test_analyze_prints_groups_and_reasons(made: Path, residua: Residua) -> None:
+    status, out, err = residua("analyze", made / "disturbed.toml")
+    assert (status, err) == (0, "")
+    assert "pump actuator, leak: the same effect on the outputs" in out
+    assert "unknown input observer exists" in out
+
+
+def test_analyze_json(made: Path, residua: Residua) -> None:
+    status, out, _ = residua("analyze", made / "plant.toml", "--json")
+    found = json.loads(out)
+    assert status == 0
+    assert [fault["name"] for fault in found["faults"]] == ["level 1 sensor", "pump actuator", "leak"]
+    assert found["faults"][2]["not_isolable_from"] == ["pump actuator"]
+    assert found["groups"] == [["level 1 sensor"], ["pump actuator", "leak"]]
+    assert found["unknown_input_observer"]["exists"] is True
+
+
+# ------------------------------------------------------------------------- design
+
+
+def design(made: Path, tmp_path: Path, residua: Residua, plant: str, *options: str) -> tuple[int, str, str]:
+    return residua("design", made / plant, "-o", tmp_path / "out.json", *options)
+
+
+def test_design_auto_says_what_and_why(made: Path, tmp_path: Path, residua: Residua) -> None:
+    _, out, _ = design(made, tmp_path, residua, "plant.toml")
+    assert "method: kalman-filter, because the plant has noise" in out
+    _, out, _ = design(made, tmp_path, residua, "disturbed.toml")
+    assert "method: robust-detection-filter, because the plant has disturbances to be decoupled: inflow" in out
+    bare = PLANT.replace("[noise]\nprocess = 1e-4\nmeasurement = 1e-3\n", "")
+    (tmp_path / "bare.toml").write_text(bare)
+    _, out, _ = residua("design", tmp_path / "bare.toml", "-o", tmp_path / "out.json")
+    assert "method: detection-filter, because" in out
+    assert "no threshold yet: residua fit" in out
+
+
+@pytest.mark.parametrize("method", ["detection-filter", "unknown-input-observer", "kalman-filter"])
+def test_design_by_each_method(made: Path, tmp_path: Path, method: str, residua: Residua) -> None:
+    status, out, _ = design(made, tmp_path, residua, "plant.toml", "--method", method)
+    assert status == 0
+    assert f"method: {method}\n" in out
+    assert "poles:" in out
+    assert json.loads((tmp_path / "out.json").read_text())
+
+
+def test_design_reaches_the_poles_it_was_given(made: Path, tmp_path: Path, residua: Residua) -> None:
+    options = ("--method", "detection-filter", "--poles", "0.3, 0.3")
+    _, out, _ = design(made, tmp_path, residua, "plant.toml", *options)
+    assert "poles: 0.3, 0.3" in out
+    options = ("--method", "unknown-input-observer", "--poles", "0.3+0.2j,0.3-0.2j")
+    _, out, _ = design(made, tmp_path, residua, "plant.toml", *options)
+    assert "0.3+0.2i" in out
+    assert "0.3-0.2i" in out
+
+
+def test_design_that_does_not_exist_says_what_does(tmp_path: Path, residua: Residua) -> None:
+    hidden = PLANT.replace("C = [[1.0, 0.0], [0.0, 1.0]]", "C = [[1.0, 0.0], [2.0, 0.0]]") + DISTURBED
+    (tmp_path / "hidden.toml").write_text(hidden)
+    outcome = residua("design", tmp_path / "hidden.toml", "-o", tmp_path / "out.json")
+    assert_error(outcome, "robust-detection-filter (chosen because", "rank(CE)=0 < rank(E)=1", "--method kalman-filter")
+    assert not (tmp_path / "out.json").exists()
+
+
+def test_design_samples_a_continuous_plant(made: Path, tmp_path: Path, residua: Residua) -> None:
+    continuous = PLANT.replace("dt = 1.0", "").replace("[[0.9, 0.05], [0.05, 0.8]]", "[[-1.0, 0.1], [0.1, -2.0]]")
+    (tmp_path / "c.toml").write_text(continuous)
+    for method in ("kalman-filter", "detection-filter"):
+        options = ("-o", tmp_path / "out.json", "--sample-time", "0.1", "--method", method)
+        status, _, _ = residua("design", tmp_path / "c.toml", *options)
+        assert status == 0
+    # Without the step, fit learns it from the recording.
+    residua("design", tmp_path / "c.toml", "-o", tmp_path / "out.json", "--method", "detection-filter")
+    rows = simulate(3000, 1)
+    rows[:, 0] *= 0.1
+    normal = write_csv(tmp_path / "normal.csv", rows)
+    status, _, _ = residua("fit", tmp_path / "out.json", normal, "-o", tmp_path / "out.json")
+    assert status == 0
+    bare = write_csv(tmp_path / "bare.csv", rows[:, 1:], "pump,level 1,level 2")
+    assert residua("run", tmp_path / "out.json", bare, "-q")[0] in (0, 1)
+
+
+@pytest.mark.parametrize(
+    ("options", "part"),
+    [
+        (("--method", "kalman-filter", "--poles", "0.3,0.3"), "leave out --poles"),
+        (("--method", "detection-filter", "--poles", "0.3+0.1j,0.3"), "conjugate"),
+        (("--method", "detection-filter", "--poles", "1.3,0.3"), "stable"),
+        (("--sample-time", "2.0"), "dt"),
+    ],
+)
+def test_design_refuses(made: Path, tmp_path: Path, options: tuple[str, ...], part: str, residua: Residua) -> None:
+    assert_error(design(made, tmp_path, residua, "plant.toml", *options), part)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--poles", "fast"),
+        ("--poles", "nan,-1"),
+        ("--method", "magic"),
+        ("--false-alarm-rate", "2"),
+        ("--sample-time", "-1"),
+        ("--margin", "0"),
+        ("--persistence", "0"),
+        ("--window", "0"),
+        ("--nonsense",),
+    ],
+)
+def test_wrong_options_are_usage_errors(made: Path, tmp_path: Path, options: tuple[str, ...], residua: Residua) -> None:
+    status, out, err = design(made, tmp_path, residua, "plant.toml", *options)
+    assert (status, out) == (2, "")
+    assert "Traceback" not in err
+    assert options[0] in err
+    assert not list(tmp_path.iterdir())
+
+
+def test_poles_as_text() -> None:
+    assert parse_poles("-3,-3") == (-3, -3)
+    assert parse_poles(" -1+2j , -1-2i,-3e-1") == (-1 + 2j, -1 - 2j, -0.3)
+    for text in ("", "a", "-3;-3", "inf", "-3,,-3"):
+        with pytest.raises(ValueError, match="is no pole"):
+            parse_poles(text)
+
+
+# ---------------------------------------------------------------------------- fit
+
+
+def test_fit_reports_and_warns(made: Path, tmp_path: Path, residua: Residua) -> None:
+    status, out, err = residua("fit", made / "design.json", made / "normal.csv", "-o", tmp_path / "m.json")
+    assert (status, err) == (0, "")
+    assert "threshold: " in out
+    assert "fraction in alarm: " in out
+    assert "3000 over 2999 s" in out
+    options = ("-o", tmp_path / "m.json", "--false-alarm-rate", "1e-6")
+    status, _, err = residua("fit", made / "design.json", made / "normal.csv", *options)
+    assert status == 0
+    assert err.startswith("warning: ")
+    assert "too few to see a false alarm rate of 1e-06" in err
+
+
+def test_fit_may_overwrite_its_monitor(made: Path, tmp_path: Path, residua: Residua) -> None:
+    path = tmp_path / "m.json"
+    path.write_bytes((made / "design.json").read_bytes())
+    before = path.read_text()
+    assert residua("fit", path, made / "normal.csv", "-o", path)[0] == 0
+    assert path.read_text() != before
+    assert path.read_text() == (made / "monitor.json").read_text()
+
+
+def test_fit_refuses_too_little_data(made: Path, tmp_path: Path, residua: Residua) -> None:
+    path = write_csv(tmp_path / "short.csv", simulate(20, 5))
+    assert_error(residua("fit", made / "design.json", path, "-o", tmp_path / "m.json"), "too few")
+    assert not (tmp_path / "m.json").exists()

@@ -1,0 +1,70 @@
+"""The demos say what they claim to say, and say so when they do not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cli_examples import Residua, assert_error
+
+
+def test_demo_jet_engine(tmp_path: Path, residua: Residua) -> None:
+    status, out, err = residua("demo", "jet-engine", "--output", tmp_path / "new")
+    assert (status, err) == (0, "")
+    assert f"report page: {tmp_path / 'new' / 'jet-engine.html'}" in out
+    assert "names 3 of 3 sensors right" in out
+    assert "names 1 of 3 sensors right" in out
+    assert (tmp_path / "new" / "jet-engine.html").stat().st_size < 4e6
+
+
+def test_jet_engine_distances_are_the_ideal_ones() -> None:
+    """METHODS V2: distances of constant sensor faults in the disturbance-free case, computed by algebra."""
+    from residua.demos.jet_engine import ROBUST, diagnose
+
+    cases, _ = diagnose()
+    found = [list(case.distances.values()) for case in cases if case.filter == ROBUST and case.fault]
+    ideal = [[0, 0.48443, 0.85635], [0.41584, 0, 0.70509], [0.21139, 0.20276, 0]]
+    np.testing.assert_allclose(found, ideal, atol=1e-5)
+
+
+def test_demo_says_when_it_fails(tmp_path: Path, residua: Residua, monkeypatch: pytest.MonkeyPatch) -> None:
+    from residua.demos import jet_engine
+
+    monkeypatch.setattr(jet_engine, "MISLED", ("n_low sensor",))
+    status, out, err = residua("demo", "jet-engine", "-o", tmp_path)
+    assert status == 2
+    assert "report page: " in out
+    assert err.startswith("error: the demo did not come out as it should")
+
+
+def test_demo_three_tank_and_the_same_by_hand(tmp_path: Path, residua: Residua) -> None:
+    status, out, err = residua("demo", "three-tank", "-o", tmp_path)
+    assert (status, err) == (0, "")
+    assert "the monitor names leak 3" in out
+    plant, monitor = tmp_path / "three_tank.toml", tmp_path / "by_hand.json"
+    residua("design", plant, "-o", monitor, "--persistence", "10")
+    residua("fit", monitor, tmp_path / "normal.csv", "-o", monitor)
+    status, out, _ = residua("run", monitor, tmp_path / "leak.csv")
+    assert status == 1
+    assert "Fault found: leak 3" in out
+    assert residua("run", monitor, tmp_path / "healthy.csv", "-q")[0] == 0
+
+
+def test_demo_plant_file_is_the_library_plant() -> None:
+    from residua.demos.three_tank import plant_file
+    from residua.library import three_tank
+    from residua.plant.plant_file import loads_plant
+
+    ours, read = three_tank(), loads_plant(plant_file(three_tank()))
+    for name in ("A", "C", "Bu", "Bf", "Df"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(ours, name))
+    np.testing.assert_allclose(read.process_noise, ours.process_noise, rtol=1e-12)
+    np.testing.assert_allclose(read.measurement_noise, ours.measurement_noise, rtol=1e-12)
+    assert read.fault_list == ours.fault_list
+    assert read.operating_point == ours.operating_point
+
+
+def test_demo_folder_that_is_a_file(made: Path, residua: Residua) -> None:
+    assert_error(residua("demo", "three-tank", "-o", made / "plant.toml"), "needs a folder")
