@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from residua.decide import whitening_matrix
 from residua.design.evidence import Evidence
 from residua.design.generator import ResidualGenerator, make_generator
 from residua.linear import StateSpace
@@ -104,6 +105,8 @@ def diagnosis(
         center=np.zeros(n),
         band=np.full(n, 0.08),
         generator=gen,
+        whitening=np.eye(n) if gen.covariance is None else whitening_matrix(gen.covariance),
+        settings={"threshold": "5 (given)"},
         source="tank08.csv",
         notes=(),
     )

@@ -16,7 +16,7 @@ from residua.linear.zeros import invariant_zeros, normal_rank, pencil_rank_at
 def slicot_zeros(A, B, C, D):
     slycot = pytest.importorskip("slycot")
     n, m, p = A.shape[0], B.shape[1], C.shape[0]
-    nu, rank, *_, Af, Bf = slycot.ab08nd(n, m, p, A, B, C, D, equil="S", ldwork=20 * (n + m + p + 10) ** 2)
+    nu, rank, *_, Af, Bf = slycot.ab08nd(n, m, p, A, B, C, D, equil="S", tol=1e-10, ldwork=20 * (n + m + p + 10) ** 2)
     return (scipy.linalg.eigvals(Af[:nu, :nu], Bf[:nu, :nu]) if nu else np.zeros(0, complex)), rank
 
 

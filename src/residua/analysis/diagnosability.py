@@ -53,6 +53,18 @@ class Diagnosability:
     visibility: NDArray[np.float64]
     unknown_input_observer: UnknownInputExistence | None
 
+    def constant_twins(self, fault: str) -> tuple[str, ...]:
+        """Return the faults that cannot be told from this one while both are constant, though else they can."""
+        i = self.faults.index(fault)
+        return tuple(
+            other
+            for j, other in enumerate(self.faults)
+            if j != i
+            and self.strongly_detectable[[i, j]].all()
+            and self.isolable[i, j]
+            and not self.strongly_isolable[i, j]
+        )
+
     def reasons(self) -> dict[str, str]:
         """Return for each fault that cannot be detected or told apart, why."""
         out = {}
@@ -66,6 +78,11 @@ class Diagnosability:
                 others = [other for other in group if other != name]
                 if others:
                     out[name] = f"same effect on the outputs as {', '.join(others)}, up to a filter"
+        for name in self.faults:
+            others = self.constant_twins(name)
+            if others:
+                more = f"while constant, it looks like {', '.join(others)}"
+                out[name] = f"{out[name]}; {more}" if name in out else more
         return out
 
     def _why_undetectable(self, i: int) -> str:
@@ -144,6 +161,7 @@ def diagnosability(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> Diagnosabilit
         raise ModelError(
             "the plant has no faults: name what may fail with with_sensor_faults, with_actuator_faults or with_faults"
         )
+    _check_regular(plant, _test_points(plant))
     generic, _, _, _ = _visible_columns(plant, _test_points(plant), rtol)
     steady = _steady_columns(plant, rtol)
     detectable, isolable = _decide(generic, VISIBLE)
@@ -199,9 +217,7 @@ def _visible_columns(plant: Plant, points: NDArray, rtol: float) -> tuple[NDArra
     """
     n = plant.n_states
     E = np.eye(n) if plant.E is None else plant.E
-    size = max(float(np.linalg.norm(plant.A)), float(np.abs(_test_points(plant)).max()))
-    heights = np.linalg.norm(plant.C, axis=1)
-    row = np.concatenate([np.full(n, 1 / size), 1 / np.where(heights > 0, heights, 1.0)])
+    row = _row_units(plant, float(np.abs(_test_points(plant)).max()))
     Fd, Ff = np.vstack([plant.Bd, plant.Dd]) * row[:, None], np.vstack([plant.Bf, plant.Df]) * row[:, None]
     Fd = Fd / np.maximum(np.linalg.norm(Fd, axis=0), 1e-300)
     norms = np.linalg.norm(Ff, axis=0)
@@ -211,13 +227,44 @@ def _visible_columns(plant: Plant, points: NDArray, rtol: float) -> tuple[NDArra
         scale = np.maximum(np.linalg.norm(pencil, axis=0), 1e-300)
         U, values, _ = np.linalg.svd(pencil / scale)
         rank = int(np.count_nonzero(values > rtol * values[0]))
-        if rank < n:
-            raise ModelError("det(sE - A) is zero for every s: the model is not a plant (check E and A)")
         decisions.append(rank)
         left.append(U)
     rank = max(decisions)
     columns = np.stack([U[:, rank:].conj().T @ (Ff / norms) for U in left])
     return columns, np.asarray(decisions), norms, left
+
+
+def _row_units(plant: Plant, size: float) -> NDArray[np.float64]:
+    """Return factors for the rows of the pencil that make its entries comparable, whatever the units."""
+    E = np.eye(plant.n_states) if plant.E is None else plant.E
+    top = np.hstack([size * np.abs(E) + np.abs(plant.A), np.abs(plant.Bd), np.abs(plant.Bf)])
+    M = np.vstack([top, np.abs(np.hstack([plant.C, plant.Dd, plant.Df]))])
+    row = np.ones(len(M))
+    for _ in range(10):
+        height = np.sqrt(M.max(axis=1, initial=0.0))
+        height = np.where(height > 0, height, 1.0)
+        width = np.sqrt(M.max(axis=0, initial=0.0))
+        M = M / height[:, None] / np.where(width > 0, width, 1.0)
+        row /= height
+    return row
+
+
+def _check_regular(plant: Plant, points: NDArray) -> None:
+    """Raise when det(sE - A) vanishes for every s."""
+    if plant.E is None or plant.n_states == 0:
+        return
+    ranks = [decide_rank(equilibrated_pencil(s * plant.E - plant.A), rtol=1e-13).rank for s in points]
+    if max(ranks) < plant.n_states:
+        raise ModelError("det(sE - A) is zero for every s: the model is not a plant (check E and A)")
+
+
+def equilibrated_pencil(M: NDArray) -> NDArray:
+    """Return a complex matrix with rows and columns of unit size."""
+    for _ in range(3):
+        for axis in (1, 0):
+            size = np.abs(M).max(axis=axis, keepdims=True, initial=0.0)
+            M = M / np.where(size > 0, size, 1.0)
+    return M
 
 
 def _steady_columns(plant: Plant, rtol: float) -> NDArray:
@@ -228,12 +275,9 @@ def _steady_columns(plant: Plant, rtol: float) -> NDArray:
     """
     limit = 1.0 if plant.is_discrete else 0.0
     generic_rank = _visible_columns(plant, _test_points(plant), rtol)[1].max()
-    try:
-        columns, ranks, _, _ = _visible_columns(plant, np.array([limit + 0j]), rtol)
-        if ranks[0] == generic_rank:
-            return columns
-    except ModelError:
-        pass
+    columns, ranks, _, _ = _visible_columns(plant, np.array([limit + 0j]), rtol)
+    if ranks[0] == generic_rank:
+        return columns
     size = np.abs(_test_points(plant)).max()
     direction = np.exp(0.731j)
     near = limit + size * direction * np.array([1e-3, 1e-4])

@@ -123,7 +123,7 @@ def unknown_input_observer_existence(plant: Plant, *, rtol: float = DEFAULT_RTOL
     >>> import residua as rs
     >>> plant = rs.Plant([[-1, 1], [0, -2]], [[0], [1]], [[1, 0]])
     >>> print(rs.analysis.unknown_input_observer_existence(plant.with_disturbances({"gust": [0, 1]})))
-    no unknown input observer: rank(CE)=0 < rank(E)=1 ...
+    no unknown input observer: rank(CE)=0 < rank(E)=1: no exact unknown input observer; ...
     """
     plant = plant.explicit()
     form = output_free_form(plant, rtol=rtol)

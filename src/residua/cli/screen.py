@@ -128,7 +128,7 @@ def show_diagnosability(found: Diagnosability) -> None:
                 found.detectable[i],
                 found.strongly_detectable[i],
                 ", ".join(_twins(found, i)),
-                ", ".join(constant_twins(found, i)),
+                ", ".join(found.constant_twins(name)),
             ]
             for i, name in enumerate(found.faults)
         ],
@@ -149,30 +149,12 @@ def _why(found: Diagnosability) -> list[str]:
     lines = [f"{', '.join(group)}: the same effect on the outputs, up to a filter" for group in together]
     grouped = {name for group in together for name in group}
     lines += [f"{name}: {why}" for name, why in found.reasons().items() if name not in grouped]
-    for i, name in enumerate(found.faults):
-        others = [other for other in constant_twins(found, i) if found.faults.index(other) > i]
-        if others:
-            lines.append(
-                f"{name} and {', '.join(others)}: told apart only while they change; constant, they look alike"
-            )
     return lines
 
 
 def _twins(found: Diagnosability, i: int) -> list[str]:
     name = found.faults[i]
     return [other for group in found.groups if name in group for other in group if other != name]
-
-
-def constant_twins(found: Diagnosability, i: int) -> list[str]:
-    """Return the faults that fault ``i`` cannot be told from when both are constant, though otherwise it can."""
-    return [
-        other
-        for j, other in enumerate(found.faults)
-        if j != i
-        and found.isolable[i, j]
-        and found.strongly_detectable[[i, j]].all()
-        and not found.strongly_isolable[i, j]
-    ]
 
 
 def diagnosability_values(found: Diagnosability) -> dict[str, Any]:
@@ -194,7 +176,7 @@ def diagnosability_values(found: Diagnosability) -> dict[str, Any]:
                 "strongly_detectable": bool(found.strongly_detectable[i]),
                 "visibility": float(found.visibility[i]),
                 "not_isolable_from": _twins(found, i),
-                "not_isolable_when_constant_from": constant_twins(found, i),
+                "not_isolable_when_constant_from": list(found.constant_twins(name)),
                 "reason": reasons.get(name),
             }
             for i, name in enumerate(found.faults)

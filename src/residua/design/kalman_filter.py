@@ -49,7 +49,7 @@ def kalman_filter(plant: Plant) -> ResidualGenerator:
     >>> plant = rs.Plant([[0.9]], [[1.0]], [[1.0]], dt=1).with_sensor_faults()
     >>> kalman = rs.design.kalman_filter(plant.with_noise(process=0.1, measurement=0.2))
     >>> kalman.covariance.round(4)
-    array([[0.4226]])
+    array([[0.3758]])
     """
     plant = plant.explicit()
     if plant.Bw.shape[1] == 0:

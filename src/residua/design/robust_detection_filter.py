@@ -70,10 +70,9 @@ def robust_detection_filter(
     Examples
     --------
     >>> import residua as rs
-    >>> engine = rs.library.jet_engine().with_sensor_faults(["n_low", "n_high", "fuel_flow"])
-    >>> flt = rs.design.robust_detection_filter(engine, poles=[-3, -3, -3])
-    >>> {name: basis.shape[1] for name, basis in flt.subspaces.items()}
-    {'n_low sensor': 2, 'n_high sensor': 2, 'fuel_flow sensor': 2}
+    >>> flt = rs.design.robust_detection_filter(rs.library.jet_engine(), poles=[-3, -3, -3])
+    >>> {name: basis.shape[1] for name, basis in flt.subspaces.items() if name.startswith("n_")}
+    {'n_low sensor': 2, 'n_high sensor': 2}
     """
     plant = plant.explicit()
     existence = unknown_input_observer_existence(plant, rtol=rtol)

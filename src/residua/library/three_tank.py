@@ -89,7 +89,7 @@ def three_tank(dt: float = 1.0) -> Plant:
     )
     plant = plant.with_operating_point(inputs=FLOWS, outputs=LEVELS).with_actuator_faults().with_sensor_faults()
     for i, name in enumerate(LEAKS):
-        plant = plant.with_faults({name: -leak[i] / AREA * np.eye(3)[i]}, component=f"tank {i + 1}")
+        plant = plant.with_faults({name: {f"h{i + 1}": -leak[i] / AREA}}, component=f"tank {i + 1}")
     directions = (q13 * np.array([1, 0, -1]), q20 * np.array([0, 1, 0]), q32 * np.array([0, -1, 1]))
     for name, direction in zip(CLOGS, directions, strict=True):
         plant = plant.with_faults({name: direction / AREA}, component=name.replace("clog", "pipe"))

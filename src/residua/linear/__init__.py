@@ -1,7 +1,45 @@
 """Linear systems as values, and the matrix and pencil algorithms that SciPy lacks."""
 
+from residua.linear.detection_space import DetectionSpace, detection_space
+from residua.linear.norms import PeakGain, h2_norm, hinf_norm
+from residua.linear.observability import (
+    Detectability,
+    ObservabilityForm,
+    detectability,
+    is_stable_mode,
+    observability_form,
+)
+from residua.linear.placement import Placement, default_margin, place_observer_margin, place_observer_poles
 from residua.linear.rank import DEFAULT_RTOL, RankDecision, decide_rank
+from residua.linear.riccati import RiccatiSolution, filter_riccati
 from residua.linear.sampling import sample
 from residua.linear.state_space import StateSpace
+from residua.linear.zeros import InvariantZeros, invariant_zeros, normal_rank, pencil_rank_at
 
-__all__ = ["DEFAULT_RTOL", "RankDecision", "StateSpace", "decide_rank", "sample"]
+__all__ = [
+    "DEFAULT_RTOL",
+    "Detectability",
+    "DetectionSpace",
+    "InvariantZeros",
+    "ObservabilityForm",
+    "PeakGain",
+    "Placement",
+    "RankDecision",
+    "RiccatiSolution",
+    "StateSpace",
+    "decide_rank",
+    "default_margin",
+    "detectability",
+    "detection_space",
+    "filter_riccati",
+    "h2_norm",
+    "hinf_norm",
+    "invariant_zeros",
+    "is_stable_mode",
+    "normal_rank",
+    "observability_form",
+    "pencil_rank_at",
+    "place_observer_margin",
+    "place_observer_poles",
+    "sample",
+]

@@ -45,6 +45,7 @@ class ObservablePart:
 
     @property
     def order(self) -> int:
+        """Number of observable states."""
         return self.F.shape[0]
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -293,8 +294,9 @@ def place_observer_margin(
     r"""Find a gain of moderate size that brings every observable pole beyond a decay rate.
 
     A filter Riccati equation is solved for the plant shifted by the margin :math:`\alpha`: for :math:`A + \alpha I`
-    in continuous time, for :math:`e^{\alpha\,dt} A` in sampled time. Then :math:`\mathrm{Re}\,s < -\alpha`, respectively
-    :math:`|z| < e^{-\alpha\,dt}`, for every observable pole; this is checked. Unobservable modes stay where they are.
+    in continuous time, for :math:`e^{\alpha\,dt} A` in sampled time. Then :math:`\mathrm{Re}\,s < -\alpha`,
+    respectively :math:`|z| < e^{-\alpha\,dt}`, for every observable pole; this is checked.
+    Unobservable modes stay where they are.
 
     Assumes
         Unobservable modes are stable.
@@ -349,25 +351,28 @@ def place_observer_margin(
             return _placement(problem, K, none, 0.0, np.linalg.eigvals(block).astype(complex), block)
     raise AccuracyError(
         f"no gain found with every observable pole beyond the margin {margin:.3g} per second "
-        f"({problem.order} observable states, {problem.H.shape[0]} independent outputs); ask for a smaller margin or add a sensor"
+        f"({problem.order} observable states, {problem.H.shape[0]} independent outputs); "
+        "ask for a smaller margin or add a sensor"
     )
 
 
 def _shifted_riccati(problem: ObservablePart, margin: float, weight: float) -> Matrix | None:
     """Return the gain of the filter for the shifted plant, or None where the equation is not solved."""
-    F, H, dt = problem.F, problem.H, problem.dt
-    eye_states, eye_outputs = np.eye(problem.order), np.eye(H.shape[0])
     try:
-        if dt:
-            radius = float(np.exp(-margin * dt))
-            P = scipy.linalg.solve_discrete_are((F / radius).T, H.T, weight * eye_states, eye_outputs)
-            L = np.linalg.solve(H @ P @ H.T + eye_outputs, H @ P @ F.T).T
-        else:
-            rate = max(margin, default_margin(F))
-            P = scipy.linalg.solve_continuous_are(
-                (F + margin * eye_states).T, H.T, weight * rate**2 * eye_states, eye_outputs
-            )
-            L = P @ H.T
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the caller checks the outcome
+            L = _shifted_gain(problem.F, problem.H, problem.dt, margin, weight)
     except (np.linalg.LinAlgError, ValueError):
         return None
     return L if np.all(np.isfinite(L)) else None
+
+
+def _shifted_gain(F: Matrix, H: Matrix, dt: float, margin: float, weight: float) -> Matrix:
+    eye_states, eye_outputs = np.eye(F.shape[0]), np.eye(H.shape[0])
+    if dt:
+        shifted = F * np.exp(margin * dt)
+        P = scipy.linalg.solve_discrete_are(shifted.T, H.T, weight * eye_states, eye_outputs)
+        return np.linalg.solve(H @ P @ H.T + eye_outputs, H @ P @ F.T).T
+    rate = max(margin, default_margin(F))
+    noise = weight * rate**2 * eye_states
+    return scipy.linalg.solve_continuous_are((F + margin * eye_states).T, H.T, noise, eye_outputs) @ H.T

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear import arrays
-from residua.linear.balancing import balance_system
+from residua.linear.balancing import balance_system, power_of_two
 from residua.linear.observability import detectability, is_stable_mode, observability_form
 from residua.linear.rank import DEFAULT_RTOL, decide_rank
 from residua.linear.spectrum import describe_modes
@@ -115,21 +116,26 @@ def filter_riccati(
         return RiccatiSolution(np.zeros((0, 0)), np.zeros((0, p)), R, np.zeros(0, complex), 0.0)
     _check_solvable(A, C, Q, R, S, dt)
     scaled = balance_system(A, np.zeros((n, 0)), C, np.zeros((p, 0)))
-    T, Y = scaled.states[:, None], scaled.outputs[:, None]
-    # The size of the noise divides out of the gain.
-    unit = float(np.trace(Y * R * Y.T)) / p
-    terms = (scaled.A, scaled.C, Q / T / T.T / unit, Y * R * Y.T / unit, S / T * Y.T / unit)
+    # Outputs in units of their noise: R becomes a correlation matrix, however C is scaled.
+    Y = 1 / power_of_two(np.sqrt(np.diag(R)))
+    T, to_T, to_Y = scaled.states, 1 / scaled.states[:, None], Y[:, None]
+    A, C, S = scaled.A, to_Y * C * T, to_T * S * Y
+    # The size of the state follows from the noise; common units keep P near one.
+    unit = float(power_of_two(np.sqrt(np.array(np.trace(to_T * Q * to_T.T))))) or 1.0
+    terms = (A, C * unit, to_T * Q * to_T.T / unit**2, to_Y * R * Y, S / unit)
+    T = T[:, None] * unit
+    Y = to_Y
     P = _solve(*terms, dt)
     K, innovation, residual = _gain(*terms, P, dt)
     if residual > 1e-12:
         P, K, innovation, residual = _refine(terms, P, K, innovation, residual, dt)
-    poles = np.linalg.eigvals(scaled.A - K @ scaled.C).astype(complex)
+    poles = np.linalg.eigvals(terms[0] - K @ terms[1]).astype(complex)
     if not is_stable_mode(poles, dt).all() or not residual <= _RESIDUAL_LIMIT:
         raise AccuracyError(
             f"the Riccati equation was not solved: relative residual {residual:.3g} (limit {_RESIDUAL_LIMIT:.0e}), "
             f"poles {describe_modes(poles)}; scale the noise covariances nearer to one another"
         )
-    return RiccatiSolution(unit * T * P * T.T, T * K * Y.T, unit * innovation / Y / Y.T, poles, residual)
+    return RiccatiSolution(T * P * T.T, T * K * Y.T, innovation / Y / Y.T, poles, residual)
 
 
 def _covariance(M: ArrayLike, name: str, n: int) -> Matrix:
@@ -187,11 +193,14 @@ def _solve(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix, dt: float) -> 
     solver = scipy.linalg.solve_discrete_are if dt else scipy.linalg.solve_continuous_are
     cross = S if np.any(S) else None
     try:
-        P = solver(A.T, C.T, Q, R, s=cross)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the outcome is checked here
+            P = solver(A.T, C.T, Q, R, s=cross)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise DesignError(
             f"the Riccati equation has no stabilising solution that can be computed ({error}); "
-            "a mode near the stability boundary is hardly seen by the outputs, or hardly disturbed: add a sensor, or process noise on it"
+            "a mode near the stability boundary is hardly seen by the outputs, or hardly disturbed: "
+            "add a sensor, or process noise on it"
         ) from error
     return (P + P.T) / 2
 
@@ -229,7 +238,9 @@ def _refine(
             break
         W = Q - K @ S.T - S @ K.T + K @ R @ K.T
         try:
-            better = solver(closed, W if dt else -W)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                better = solver(closed, W if dt else -W)
         except (np.linalg.LinAlgError, ValueError):
             break
         better = (better + better.T) / 2

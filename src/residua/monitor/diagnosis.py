@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -107,6 +108,10 @@ class Diagnosis:
     residual_names : tuple of str
     center, band : ndarray, shape (residuals,)
         Fault-free mean of each residual, and how far a single residual can be from it below threshold.
+    whitening : ndarray, shape (residuals, residuals)
+        Applied as ``(r - center) @ whitening`` before norm and direction are judged.
+    settings : mapping of str to str
+        How threshold, alarms and isolation were set, in words.
     generator : ResidualGenerator
         The sampled generator that ran.
     source : str
@@ -130,6 +135,8 @@ class Diagnosis:
     center: NDArray[np.float64] = field(repr=False)
     band: NDArray[np.float64] = field(repr=False)
     generator: ResidualGenerator = field(repr=False)
+    whitening: NDArray[np.float64] = field(repr=False)
+    settings: Mapping[str, str] = field(default_factory=dict)
     source: str = ""
     notes: tuple[str, ...] = ()
 

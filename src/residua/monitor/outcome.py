@@ -55,9 +55,27 @@ def diagnosis_from(
         center=spec.test.center,
         band=spec.test.band,
         generator=generator,
+        whitening=spec.test.whitening,
+        settings=_settings(spec, generator),
         source=source,
         notes=notes,
     )
+
+
+def _settings(spec: Specification, generator: ResidualGenerator) -> dict[str, str]:
+    """Return how the monitor was set, in words."""
+    test, step = spec.test, generator.dt
+    out = {
+        "sample step": f"{step:g} s",
+        "threshold": f"{test.threshold:.4g} ({test.basis})",
+        "alarm": f"raised by {test.persistence} samples in a row over it, ended by {test.release} below it",
+        "settling": f"no decision in the first {spec.settle} samples after a start ({spec.settle * step:g} s)",
+        "missing values": f"held for up to {spec.max_hold} samples, then the filter starts anew",
+    }
+    if spec.direction is not None:
+        window = spec.direction.window
+        out["isolation"] = f"direction of the residual averaged over {window} samples ({window * step:g} s)"
+    return out
 
 
 def _alarms(

@@ -24,23 +24,25 @@ def find_time(names: Iterable[str], channels: Iterable[str]) -> str | None:
 
 def seconds_from_text(cells: Sequence[str], rows: Sequence[int], what: str) -> tuple[NDArray[np.float64], str]:
     """Return ISO 8601 times as seconds since the first one, and that one as text."""
+    stripped = [cell.strip() for cell in cells]
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            return seconds_from_dates(np.array([cell.strip() for cell in cells], dtype="datetime64[ns]"))
+            if all(cell[:1].isdigit() for cell in stripped):  # NumPy also takes "now", and "" for no time
+                return seconds_from_dates(np.array(stripped, dtype="datetime64[ns]"))
     except (ValueError, UserWarning, DeprecationWarning):
         pass  # a time zone, or a cell that is no time: the slow way tells which
     out = np.empty(len(cells))
     start = None
-    for i, cell in enumerate(cells):
+    for i, cell in enumerate(stripped):
         try:
-            moment = datetime.fromisoformat(cell.strip())
+            moment = datetime.fromisoformat(cell)
         except ValueError:
             raise DataError(f"{what}, line {rows[i]}: expected a time, got {cell!r}") from None
         moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
         start = start or moment
         out[i] = (moment - start).total_seconds()
-    return out, cells[0].strip() if cells else ""
+    return out, stripped[0] if stripped else ""
 
 
 def seconds_from_dates(dates: NDArray) -> tuple[NDArray[np.float64], str]:

@@ -192,7 +192,7 @@ def _directions(diagnosis: Diagnosis) -> str:
         return ""
     if generator.n_residuals < 2:
         return '<h3>Directions</h3><p class="muted">One residual has no direction: it detects but cannot isolate.</p>'
-    known = signatures(generator, groups, whitening=getattr(diagnosis, "whitening", None))
+    known = signatures(generator, groups, whitening=diagnosis.whitening)
     observed = observed_residual(diagnosis, known)
     correlation = None if observed is None else known.correlation(observed)
     picture = direction_picture(generator.residuals, known.bases, observed)
@@ -222,7 +222,7 @@ def observed_residual(diagnosis: Diagnosis, known: Signatures) -> NDArray[np.flo
     block = block[np.isfinite(block).all(axis=1)]
     if not len(block):
         return None
-    mean = known.whitening @ block.mean(axis=0)
+    mean = known.whitening @ (block.mean(axis=0) - diagnosis.center)
     return mean if np.linalg.norm(mean) > 0 else None
 
 
@@ -238,11 +238,9 @@ def _residual_table(diagnosis: Diagnosis) -> str:
             + [f'<td class="num">{number(float(c))}</td>' for c in cells]
         )
     header = ["Residual", "Unit", "Fault-free mean", "Band (±)", "Smallest seen", "Largest seen"]
-    threshold = number(float(diagnosis.threshold))
-    return (
-        f"<details><summary>Residuals in numbers</summary>{html_table(header, rows)}"
-        f"<p>Threshold of the statistic: {threshold}.</p></details>"
-    )
+    settings = [[escape(key), escape(value)] for key, value in diagnosis.settings.items()]
+    how = html_table(["Setting", ""], settings) if settings else ""
+    return f"<details><summary>Settings, and residuals in numbers</summary>{how}{html_table(header, rows)}</details>"
 
 
 def filter_html(generator: ResidualGenerator, *, number: int, several: bool, used_by: str) -> str:
