@@ -4,11 +4,11 @@ From a plant model and the list of what may fail to residual generators, alarms 
 component.
 """
 
-from residua import analysis, decide, design, errors, library, linear, plant
+from residua import analysis, decide, design, errors, library, linear, monitor, plant
 from residua.analysis import diagnosability
 from residua.linear import StateSpace
-from residua.monitor import Diagnosis, Monitor
-from residua.plant import Plant
+from residua.monitor import Diagnosis, Monitor, read_recording
+from residua.plant import Plant, load_plant
 
 __version__ = "0.1.0"
 
@@ -24,5 +24,8 @@ __all__ = [
     "errors",
     "library",
     "linear",
+    "load_plant",
+    "monitor",
     "plant",
+    "read_recording",
 ]

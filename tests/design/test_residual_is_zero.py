@@ -83,5 +83,5 @@ def test_continuous_designs_by_their_internal_form(seed: int) -> None:
     whole = np.abs(form.frequency_response(w)).max()
     assert np.abs(form.frequency_response(w)[:, :, d]).max() < 1e-9 * whole
     assert form.n_states <= plant.n_states  # the hidden states of the plant are gone
-    other = generator.internal_form(plant.with_operating_point())  # another object: controls are shown too
+    other = generator.internal_form(plant, controls=True)
     assert np.abs(other.frequency_response(w)[:, :, -len(plant.inputs) :]).max() < 1e-8 * whole

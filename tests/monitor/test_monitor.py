@@ -192,7 +192,7 @@ def test_sampling_cost_falls_with_the_square_of_the_step() -> None:
     cost = []
     for dt in (0.04, 0.02, 0.01):
         sampled = flt.discretize(dt)
-        form = sampled.internal_form(plant.discretize(dt).with_operating_point())
+        form = sampled.internal_form(plant.discretize(dt), controls=True)
         cost.append(np.abs(form.frequency_response(w)[:, :, -1]).max())
     assert cost[1] / cost[0] < 0.6
     assert cost[2] / cost[1] < 0.6
@@ -216,13 +216,29 @@ def test_wrong_shapes_are_refused(u: np.ndarray | None, y: np.ndarray, words: st
     ("time", "words"),
     [
         (np.r_[np.arange(9.0), 12.0], "irregular"),
-        (np.zeros(10), "increase"),
+        (np.zeros(10), "repeats"),
         (np.full(10, np.nan), "finite"),
     ],
 )
 def test_irregular_time_is_refused(time: np.ndarray, words: str) -> None:
     with pytest.raises(DataError, match=words):
         make().run(np.zeros((10, 1)), np.zeros((10, 2)), time=time)
+
+
+@pytest.mark.parametrize("backend", ["pandas", "polars"])
+def test_data_frames_are_matched_by_name(backend: str) -> None:
+    module = pytest.importorskip(backend)
+    monitor = make()
+    u, y = recording()
+    frame = module.DataFrame({"y2": y[:, 1], "time": np.arange(1200.0), "u1": u[:, 0], "y1": y[:, 0]})
+    found, expected = monitor.run(frame), monitor.run(u, y)
+    assert isinstance(found, rs.Diagnosis)
+    assert isinstance(expected, rs.Diagnosis)
+    assert np.array_equal(found.statistic, expected.statistic, equal_nan=True)
+    with pytest.raises(DataError, match="y1"):
+        monitor.run(frame[["y2", "time", "u1"]])
+    with pytest.raises(DataError, match="arrays, or one data frame"):
+        monitor.run(u)
 
 
 def test_an_empty_recording_is_no_accident() -> None:

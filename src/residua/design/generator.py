@@ -135,24 +135,27 @@ class ResidualGenerator:
 
     # ----------------------------------------------------------------- results
 
-    def internal_form(self, plant: Plant | None = None) -> StateSpace:
+    def internal_form(self, plant: Plant | None = None, *, controls: bool = False) -> StateSpace:
         """Return what faults, disturbances and noise do to the residual.
 
         Parameters
         ----------
         plant : Plant, optional
-            The plant to look at; the one it was designed for when omitted. Another plant shows what the
-            residual does there, with its control inputs as further columns.
+            The plant to look at; the one it was designed for when omitted. With another plant the result
+            shows what the residual does there.
+        controls : bool
+            Whether the control inputs are further columns, at the end: zero for the plant that the
+            generator was designed for, not for another.
 
         Returns
         -------
         StateSpace
-            Inputs are faults, disturbances and noise of the plant (then, for another plant, its control
-            inputs, which the residual of a wrong model does answer to).
+            Inputs are the faults, disturbances and noise of the plant. The states that the residual does
+            not see are removed, so that an unstable plant is no obstacle.
         """
-        if plant is None or plant is self.plant:
+        if (plant is None or plant is self.plant) and not controls:
             return self._internal_form
-        return internal_form(self.system, plant, with_controls=True)
+        return internal_form(self.system, self.plant if plant is None else plant, with_controls=controls)
 
     @cached_property
     def _internal_form(self) -> StateSpace:

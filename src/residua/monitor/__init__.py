@@ -2,5 +2,16 @@
 
 from residua.monitor.diagnosis import Alarm, Candidate, Diagnosis
 from residua.monitor.monitor import Decision, Monitor
+from residua.monitor.recording import Recording, read_recording, recording_from_frame, write_table
 
-__all__ = ["Alarm", "Candidate", "Decision", "Diagnosis", "Monitor"]
+__all__ = [
+    "Alarm",
+    "Candidate",
+    "Decision",
+    "Diagnosis",
+    "Monitor",
+    "Recording",
+    "read_recording",
+    "recording_from_frame",
+    "write_table",
+]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +22,7 @@ from residua.design import ResidualGenerator
 from residua.design.generator import stack_signals
 from residua.errors import DataError, ModelError, NotFittedError
 from residua.monitor.diagnosis import Candidate, Diagnosis
+from residua.monitor.inputs import settling_samples, signal_size, signals
 from residua.monitor.outcome import candidates_at, diagnosis_from
 from residua.monitor.running import Decisions, Specification, State, initial_state, run_block
 
@@ -169,14 +171,14 @@ class Monitor:
     @property
     def settling_samples(self) -> int:
         """Samples after a start in which nothing is decided."""
-        return _settling(self.generator) if self.settle is None else int(self.settle)
+        return settling_samples(self.generator) if self.settle is None else int(self.settle)
 
     # ----------------------------------------------------------------- fitting
 
     def fit(
         self,
-        u: ArrayLike | None,
-        y: ArrayLike,
+        u: Any,
+        y: ArrayLike | None = None,
         *,
         time: ArrayLike | None = None,
         dt: float | None = None,
@@ -187,6 +189,7 @@ class Monitor:
         Parameters
         ----------
         u : array_like, shape (time, inputs), or None
+            Without ``y``: a data frame with named columns, or a :class:`residua.monitor.Recording`.
         y : array_like, shape (time, outputs)
             In plant units.
         time : array_like, shape (time,), optional
@@ -208,8 +211,9 @@ class Monitor:
         """
         rate = self.test.false_alarm_rate if false_alarm_rate is None else float(false_alarm_rate)
         check_rate(rate)
-        self._learn_step(dt, time)
-        data = self._block(u, y)
+        given = signals(u, y, time, dt, "", self.design.plant)
+        self._learn_step(given.dt)
+        data = self._block(given.u, given.y)
         if len(data) != 1:
             raise DataError("fit takes one recording, (time, channels)")
         blank = NormTest(np.zeros(self.generator.n_residuals), np.eye(self.generator.n_residuals), np.inf, 1, 1, "")
@@ -220,7 +224,7 @@ class Monitor:
             found.usable[0],
             false_alarm_rate=rate,
             covariance=self.generator.covariance,
-            signal_size=_signal_size(self.generator, data[0] - self._specification(blank).offset),
+            signal_size=signal_size(self.generator, data[0] - self._specification(blank).offset),
         )
         self._spec = self._state = None
         return self
@@ -229,8 +233,8 @@ class Monitor:
 
     def run(
         self,
-        u: ArrayLike | None,
-        y: ArrayLike,
+        u: Any,
+        y: ArrayLike | None = None,
         *,
         time: ArrayLike | None = None,
         dt: float | None = None,
@@ -242,6 +246,7 @@ class Monitor:
         Parameters
         ----------
         u : array_like, shape (time, inputs) or (plants, time, inputs), or None
+            Without ``y``: a data frame with named columns, or a :class:`residua.monitor.Recording`.
         y : array_like, shape (time, outputs) or (plants, time, outputs)
             In plant units.
         time : array_like, shape (time,), optional
@@ -263,8 +268,9 @@ class Monitor:
         The state afterwards is that at the end of the recording: :meth:`step` and :meth:`update` go on
         from there.
         """
-        self._learn_step(dt, time)
-        data = self._block(u, y)
+        given = signals(u, y, time, dt, source, self.design.plant)
+        self._learn_step(given.dt)
+        data = self._block(given.u, given.y)
         spec = self._specification()
         self._state = initial_state(spec, len(data))
         parts: list[Decisions] = []
@@ -273,12 +279,12 @@ class Monitor:
             parts.append(part)
             if progress is not None:
                 progress(min(start + PIECE, data.shape[1]), data.shape[1])
-        clock = self.generator.dt * np.arange(data.shape[1]) if time is None else np.asarray(time, dtype=float)
+        clock = self.generator.dt * np.arange(data.shape[1]) if given.time is None else given.time
         whole = [
-            diagnosis_from(parts, p, clock, spec, self.generator, int(self._state.resets[p]), source, self.notes)
+            diagnosis_from(parts, p, clock, spec, self.generator, int(self._state.resets[p]), given.source, self.notes)
             for p in range(len(data))
         ]
-        return whole if np.ndim(y) == 3 else whole[0]
+        return whole if np.ndim(given.y) == 3 else whole[0]
 
     def update(self, u: ArrayLike | None, y: ArrayLike) -> Decisions:
         """Go on with a block of samples and return the raw decisions, arrays of (plants, time, ...)."""
@@ -341,12 +347,7 @@ class Monitor:
         self._norm_test = norm_test_from_model(self.test, sampled.covariance, sampled.n_residuals)
         self._spec = self._state = None
 
-    def _learn_step(self, dt: float | None, time: ArrayLike | None) -> None:
-        if time is not None:
-            found = regular_step(np.asarray(time, dtype=float))
-            if dt is not None and abs(dt - found) > 1e-6 * found:
-                raise DataError(f"dt={dt:g} s was given, the times are {found:g} s apart")
-            dt = found
+    def _learn_step(self, dt: float | None) -> None:
         if dt is None:
             return
         if self._generator is None:
@@ -390,33 +391,3 @@ class Monitor:
     def __repr__(self) -> str:
         state = f"threshold {self.threshold:.4g}" if self.is_fitted else "not fitted"
         return f"Monitor({self.design.method}, {self.design.plant.name!r}, {state})"
-
-
-def regular_step(time: NDArray[np.float64]) -> float:
-    """Return the step of regular sample times, or say where they are irregular."""
-    if time.ndim != 1 or len(time) < 2 or not np.isfinite(time).all():
-        raise DataError("time must be one column of at least two finite numbers")
-    steps = np.diff(time)
-    step = float(np.median(steps))
-    if step <= 0:
-        raise DataError("time must increase")
-    worst = int(np.argmax(np.abs(steps - step)))
-    if abs(steps[worst] - step) > 0.01 * step:
-        raise DataError(
-            f"time is irregular: step {steps[worst]:g} s after sample {worst}, {step:g} s elsewhere; resample it"
-        )
-    return float((time[-1] - time[0]) / (len(time) - 1))
-
-
-def _settling(generator: ResidualGenerator) -> int:
-    """Return how many samples the slowest pole needs to decay to 1 %."""
-    slowest = float(np.abs(generator.system.poles()).max(initial=0.0))
-    return 1 if slowest < 1e-6 else int(np.ceil(np.log(0.01) / np.log(min(slowest, 1 - 1e-9))))
-
-
-def _signal_size(generator: ResidualGenerator, v: NDArray) -> float:
-    """Return the size of the signals that cancel in the residual."""
-    finite = np.where(np.isfinite(v), v, 0.0)
-    rms = np.sqrt(np.mean(finite**2, axis=0))
-    gain = np.abs(generator.system.dc_gain()) + np.abs(generator.system.D)
-    return float(np.max(gain @ rms, initial=0.0))

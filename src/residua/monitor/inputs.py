@@ -1,0 +1,73 @@
+"""What users hand to a monitor: arrays, data frames or recordings, made into one form."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from residua.design import ResidualGenerator
+from residua.errors import DataError
+from residua.monitor.recording import Recording, recording_from_frame
+from residua.monitor.time_axis import regular_step
+from residua.plant import Plant
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """Inputs and outputs of a recording, with its clock where one is known.
+
+    Attributes
+    ----------
+    u, y : array_like
+    time : ndarray or None
+    dt : float or None
+    source : str
+    """
+
+    u: Any
+    y: Any
+    time: NDArray[np.float64] | None
+    dt: float | None
+    source: str
+
+
+def signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, source: str, plant: Plant) -> Signals:
+    """Return what was handed over as arrays, with the step that the times imply.
+
+    Without ``y``, ``u`` is a :class:`residua.monitor.Recording` or a data frame whose columns are matched by
+    name.
+    """
+    if y is None:
+        if not isinstance(u, Recording):
+            if not hasattr(u, "columns"):
+                raise DataError("give u and y as arrays, or one data frame or recording with named columns")
+            u = recording_from_frame(u, plant, dt=dt or plant.dt or None, source=source or "data frame")
+        return Signals(u.u, u.y, u.time, u.dt, source or u.source)
+    if time is None:
+        return Signals(u, y, None, dt, source)
+    clock = np.asarray(time, dtype=float)
+    if clock.shape != (np.shape(y)[-2],):
+        raise DataError(f"time has shape {clock.shape}, y has {np.shape(y)[-2]} samples")
+    if len(clock) < 2:
+        raise DataError("time must be one column of at least two finite numbers")
+    found = regular_step(clock, 0.01, 0, source or "recording")
+    if dt is not None and abs(dt - found) > 1e-6 * found:
+        raise DataError(f"dt={dt:g} s was given, the times are {found:g} s apart")
+    return Signals(u, y, clock, found, source)
+
+
+def settling_samples(generator: ResidualGenerator) -> int:
+    """Return how many samples the slowest pole of a sampled generator needs to decay to 1 %."""
+    slowest = float(np.abs(generator.system.poles()).max(initial=0.0))
+    return 1 if slowest < 1e-6 else int(np.ceil(np.log(0.01) / np.log(min(slowest, 1 - 1e-9))))
+
+
+def signal_size(generator: ResidualGenerator, v: NDArray) -> float:
+    """Return the size of the signals that cancel in the residual, from deviations of shape (time, channels)."""
+    finite = np.where(np.isfinite(v), v, 0.0)
+    rms = np.sqrt(np.mean(finite**2, axis=0))
+    gain = np.abs(generator.system.dc_gain()) + np.abs(generator.system.D)
+    return float(np.max(gain @ rms, initial=0.0))
