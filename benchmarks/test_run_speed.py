@@ -77,9 +77,7 @@ def test_summary() -> None:
         print(f"{name:32s} {1e-6 / seconds:16.2f} {reference / seconds:12.1f}")
     if "compiled" in best:
         roofline = best["memory: plain copy"] / best["compiled"]
-        print(
-            f"the compiled run reaches {100 * roofline:.0f} % of the speed of a plain copy of the same bytes"
-        )
+        print(f"the compiled run reaches {100 * roofline:.0f} % of the speed of a plain copy of the same bytes")
         assert reference / best["compiled"] > 50
 
 

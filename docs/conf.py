@@ -14,7 +14,8 @@ extensions = [
     "numpydoc",
     "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["_build", "examples"]
+exclude_patterns = ["_build", "_templates", "examples"]
+templates_path = ["_templates"]
 nitpicky = False
 default_role = None
 
@@ -34,11 +35,13 @@ sphinx_gallery_conf = {
     "show_signature": False,
     "plot_gallery": True,
     "remove_config_comments": True,
-    "min_reported_time": 10,
+    "min_reported_time": 1000,  # no page with computation times
+    "within_subsection_order": "FileNameSortKey",
 }
 
 html_theme = "pydata_sphinx_theme"
 html_title = "residua"
+html_static_path = ["_static"]
 html_show_sourcelink = False
 html_theme_options = {
     "navigation_depth": 3,
@@ -47,4 +50,6 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": [],
 }
-html_sidebars = {"install": [], "getting-started": [], "plant-file": []}
+html_sidebars = {
+    name: [] for name in ("install", "getting-started", "plant-file", "command-line", "limits", "changelog")
+}

@@ -221,7 +221,9 @@ for process in (1e-6, 1e-5, 1e-4, 1e-3):
         other = rs.design.kalman_filter(plant.with_noise(process=process, measurement=measurement))
         table[process, measurement] = log_likelihood(other)
         published = "  published" if (process, measurement) == (1e-4, 0.02) else ""
-        print(f"{process:13.0e}  {measurement:17g}  {table[process, measurement]:14.4f}  {count_right(other):5}{published}")
+        print(
+            f"{process:13.0e}  {measurement:17g}  {table[process, measurement]:14.4f}  {count_right(other):5}{published}"
+        )
 best_noise = max(table, key=table.get)
 print(f"most likely on fault-free data: process {best_noise[0]:g}, measurement {best_noise[1]:g}")
 

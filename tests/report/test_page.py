@@ -259,6 +259,8 @@ def test_several_diagnoses_share_a_summary_and_their_filters(tmp_path):
     sections = [
         Section("Beard, sensor 2", diagnosis(gen=beard), "text", actual="level 2 sensor"),
         Section("Beard, sensor 1", diagnosis(gen=beard, seed=1), actual=["level 1 sensor"]),
+        Section("Beard, healthy", diagnosis(gen=beard, seed=2), actual=()),
+        Section("Quiet", diagnosis(gen=beard, fault=False), actual=()),
         Section("Robust", diagnosis(gen=robust), table=Table(["Fault", "NPD"], [["level 1", 0.00213], ["two", 3]])),
     ]
     page = write_demo_page(
@@ -268,9 +270,11 @@ def test_several_diagnoses_share_a_summary_and_their_filters(tmp_path):
     assert "level 2 sensor ✓ right" in text
     assert "level 2 sensor ✗ wrong" in text
     assert text.count("Evidence: what the design proves") == 2
-    assert "Used in: Beard, sensor 2 and Beard, sensor 1." in text
+    assert "level 2 sensor ✗ false alarm" in text
+    assert "No fault found ✓ right" in text
+    assert "Used in: Beard, sensor 2, Beard, sensor 1, Beard, healthy and Quiet." in text
     assert "0.00213" in text
-    assert len(json.loads(read(page).data)["diagnoses"]) == 3
+    assert len(json.loads(read(page).data)["diagnoses"]) == 5
     ids = [a["id"] for _, a in read(page).tags if "id" in a]
     assert len(ids) == len(set(ids))
 

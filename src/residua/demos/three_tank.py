@@ -62,7 +62,7 @@ def run(folder: Path) -> Outcome:
         [
             Section("The diagnosis in short", paragraphs=lines, table=table),
             Section("A leak in tank 3", diagnosis=leak, actual=actual),
-            Section("A healthy recording", diagnosis=healthy),
+            Section("A healthy recording", diagnosis=healthy, actual=()),
         ],
         folder / "three-tank.html",
         "Three tanks: what has failed?",

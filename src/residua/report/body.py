@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 _MARKS = {"fault": "⚠", "none": "✓", "undecided": "?"}
 
 
-def summary_html(entries: Sequence[tuple[int, str, Diagnosis, tuple[str, ...]]]) -> str:
+def summary_html(entries: Sequence[tuple[int, str, Diagnosis, tuple[str, ...] | None]]) -> str:
     """Return the table that sums up several diagnoses: section number, heading, diagnosis, real faults."""
-    told = any(actual for *_, actual in entries)
+    told = any(actual is not None for *_, actual in entries)
     rows = []
     for k, heading, diagnosis, actual in entries:
         v = verdict(diagnosis)
@@ -39,8 +39,8 @@ def summary_html(entries: Sequence[tuple[int, str, Diagnosis, tuple[str, ...]]])
         named = best.name if best else ("a fault, not isolated" if v.kind == "fault" else v.headline.rstrip("."))
         row = [f'<a href="#s{k}">{escape(heading or f"Diagnosis {k}")}</a>']
         if told:
-            row.append(escape(listing(actual)) or "–")
-        row.append(f"{escape(named)}{_agreement(actual, best.faults if best else ()) if told else ''}")
+            row.append("–" if actual is None else escape(listing(actual)) or "nothing")
+        row.append(f"{escape(named)}{_agreement(actual, best.faults if best else (), v.kind == 'fault')}")
         row += [
             f'<td class="num">{cell}</td>'
             for cell in (
@@ -54,12 +54,14 @@ def summary_html(entries: Sequence[tuple[int, str, Diagnosis, tuple[str, ...]]])
     return f'<section class="summary"><h2>Summary</h2>{html_table(header, rows)}</section>'
 
 
-def _agreement(actual: tuple[str, ...], named: tuple[str, ...]) -> str:
-    if not actual:
+def _agreement(actual: tuple[str, ...] | None, named: tuple[str, ...], alarm: bool) -> str:
+    """Return a mark that says whether the diagnosis is right, where the truth is known."""
+    if actual is None:
         return ""
-    if set(actual) & set(named):
+    if set(actual) & set(named) or (not actual and not alarm):
         return ' <span class="tag right">✓ right</span>'
-    return f' <span class="tag wrong">✗ {"wrong" if named else "missed"}</span>'
+    word = "false alarm" if not actual else "wrong" if named else "missed"
+    return f' <span class="tag wrong">✗ {word}</span>'
 
 
 def diagnosis_html(diagnosis: Diagnosis, charts: dict[str, Any], *, number: int, filter_number: int) -> str:

@@ -35,16 +35,16 @@ class Section:
     diagnosis : Diagnosis or None
     paragraphs : sequence of str, or str
     table : Table or None
-    actual : sequence of str, or str
-        The faults that were really there, where that is known; the summary then says whether the
-        diagnosis names them.
+    actual : sequence of str, or str, or None
+        The faults that were really there (an empty sequence: none); the summary then says whether the
+        diagnosis is right. ``None`` where that is not known.
     """
 
     heading: str
     diagnosis: Diagnosis | None = None
     paragraphs: Sequence[str] | str = ()
     table: Table | None = None
-    actual: Sequence[str] | str = ()
+    actual: Sequence[str] | str | None = None
 
 
 def write_page(diagnosis: Diagnosis, path: str | Path, *, title: str | None = None) -> Path:
@@ -99,7 +99,15 @@ def render(sections: Sequence[Section], title: str, introduction: Sequence[str] 
     filters = _filters(sections)
     body = [f"<header><h1>{escape(title)}</h1>{_paragraphs(introduction)}</header>"]
     if len(shown) > 1:
-        body.append(summary_html([(k, s.heading, s.diagnosis, _names(s.actual)) for k, s in shown if s.diagnosis]))
+        body.append(
+            summary_html(
+                [
+                    (k, s.heading, s.diagnosis, None if s.actual is None else _names(s.actual))
+                    for k, s in shown
+                    if s.diagnosis
+                ]
+            )
+        )
     data = []
     for k, section in enumerate(sections, 1):
         body.append(f'<section id="s{k}">')

@@ -1,0 +1,95 @@
+"""Checks that every residual generator must pass, for designs of your own."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from residua.design import ResidualGenerator
+from residua.design.internal_form import leakage
+from residua.errors import AccuracyError
+
+
+def check_residual_generator(
+    generator: ResidualGenerator,
+    *,
+    decoupled: bool | None = None,
+    samples: int = 200,
+    seed: int = 0,
+    tolerance: float = 1e-7,
+) -> None:
+    """Check what is guaranteed of a residual generator, or raise with the first thing that does not hold.
+
+    Checked: it is stable; it takes the signals of its plant; it does not answer to control inputs (nor to
+    disturbances, where they are decoupled), in the frequency domain and, when it is sampled, by running
+    it on simulated data; every fault keeps to the subspace that is claimed for it; running in pieces gives
+    the same bits as running at once.
+
+    Parameters
+    ----------
+    generator : ResidualGenerator
+    decoupled : bool, optional
+        Whether disturbances are claimed to be decoupled; by default what its observer says, else ``False``.
+    samples : int
+        Length of the simulated data.
+    seed : int
+    tolerance : float
+        Relative to the terms that have to cancel.
+
+    Raises
+    ------
+    AccuracyError
+        Says what does not hold, with the number.
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> from residua.testing import check_residual_generator
+    >>> check_residual_generator(rs.design.detection_filter(rs.library.gertler()))
+    """
+    if not generator.system.is_stable():
+        raise AccuracyError(f"not stable: poles {generator.system.poles()}")
+    plant = generator.plant
+    width = len(plant.inputs) + plant.n_outputs
+    if generator.system.n_inputs != width:
+        raise AccuracyError(f"takes {generator.system.n_inputs} signals, the plant has {width}")
+    if decoupled is None:
+        decoupled = bool(generator.observer is not None and generator.observer.decouples)
+    for name, gain in leakage(generator.system, plant).items():
+        if (name == "control" or decoupled) and gain > tolerance:
+            raise AccuracyError(f"answers to the {name} inputs: relative gain {gain:.2g}")
+    _check_subspaces(generator, tolerance)
+    if generator.system.is_discrete:
+        _check_runs(generator, decoupled, samples, np.random.default_rng(seed), tolerance)
+
+
+def _check_subspaces(generator: ResidualGenerator, tolerance: float) -> None:
+    form = generator.internal_form()
+    w = np.logspace(-3, 1, 40) / (generator.dt or 1.0)
+    response = form.frequency_response(w)
+    for i, name in enumerate(generator.faults):
+        basis = generator.subspaces[name]
+        column = response[:, :, i]
+        outside = column - column @ basis @ basis.T
+        size = np.abs(response).max(initial=0.0)
+        if np.abs(outside).max(initial=0.0) > max(tolerance, 1e-5) * size:
+            raise AccuracyError(f"fault {name!r} leaves its subspace: {np.abs(outside).max() / size:.2g} of the gain")
+
+
+def _check_runs(
+    generator: ResidualGenerator, decoupled: bool, samples: int, rng: np.random.Generator, tolerance: float
+) -> None:
+    plant = generator.plant
+    roles = ("control", "disturbance") if decoupled else ("control",)
+    system = plant.system(roles)
+    v = rng.standard_normal((samples, system.n_inputs))
+    y = system.simulate(v)
+    if not np.isfinite(y).all():
+        return  # the plant is unstable and left the range of floating point
+    u = v[:, : len(plant.inputs)]
+    r = generator.run(u, y)
+    size = max(1.0, float(np.abs(y).max(initial=0.0))) * max(1.0, float(np.abs(generator.system.D).max(initial=0.0)))
+    if np.abs(r).max(initial=0.0) > tolerance * size:
+        raise AccuracyError(f"residual {np.abs(r).max():.2g} on fault-free data of size {size:.2g}")
+    together = generator.run(np.stack([u, u[::-1]]), np.stack([y, y[::-1]]))
+    if not np.array_equal(together[0], r):
+        raise AccuracyError("two plants run together do not give what each gives alone")
