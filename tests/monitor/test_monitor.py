@@ -45,9 +45,10 @@ def with_gaps(u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return u, y
 
 
-def make(kind: str = "kalman_filter", window: int = 37) -> rs.Monitor:
+def make(kind: str = "kalman_filter", window: int = 37, average: int = 1) -> rs.Monitor:
     generator = getattr(rs.design, kind)(noisy_plant())
-    monitor = rs.Monitor(generator, isolate=rs.decide.Directional(window=window))
+    test = rs.decide.NormThreshold(window=average)
+    monitor = rs.Monitor(generator, test=test, isolate=rs.decide.Directional(window=window))
     return monitor.fit(*recording(1400, fault=None, seed=1), false_alarm_rate=0.01)
 
 
@@ -65,8 +66,9 @@ def same(found: list[Decisions], diagnosis: rs.Diagnosis) -> None:
 
 @pytest.mark.parametrize("kind", ["kalman_filter", "detection_filter"])
 @pytest.mark.parametrize("gaps", [False, True])
-def test_any_cutting_gives_the_same_bits(kind: str, gaps: bool) -> None:
-    monitor = make(kind)
+@pytest.mark.parametrize("average", [1, 25])
+def test_any_cutting_gives_the_same_bits(kind: str, gaps: bool, average: int) -> None:
+    monitor = make(kind, average=average)
     u, y = with_gaps(*recording()) if gaps else recording()
     diagnosis = monitor.run(u, y)
     assert isinstance(diagnosis, rs.Diagnosis)
@@ -97,8 +99,9 @@ def test_step_equals_run_to_the_last_bit(gaps: bool) -> None:
 
 
 @pytest.mark.parametrize("at", [0, 1, 401, 415, 900])
-def test_a_saved_monitor_continues_bit_for_bit(tmp_path: Path, at: int) -> None:
-    monitor = make()
+@pytest.mark.parametrize("average", [1, 25])
+def test_a_saved_monitor_continues_bit_for_bit(tmp_path: Path, at: int, average: int) -> None:
+    monitor = make(average=average)
     u, y = with_gaps(*recording())
     diagnosis = monitor.run(u, y)
     assert isinstance(diagnosis, rs.Diagnosis)
@@ -134,6 +137,17 @@ def test_it_finds_and_names_the_fault() -> None:
     clean = monitor.run(*recording(5000, fault=None, seed=9))
     assert isinstance(clean, rs.Diagnosis)
     assert clean.false_alarm_fraction < 0.02
+
+
+def test_a_window_sees_a_smaller_fault() -> None:
+    u, y = recording(fault=None, seed=11)
+    y[700:, 1] += 0.2
+    short, long = make().run(u, y), make(average=50).run(u, y)
+    assert isinstance(short, rs.Diagnosis)
+    assert isinstance(long, rs.Diagnosis)
+    assert short.alarm[750:].mean() < 0.2
+    assert long.alarm[750:].mean() > 0.95
+    assert long.candidates[0].faults == ("y2 sensor",)
 
 
 def test_missing_values_are_bridged_counted_and_shown() -> None:

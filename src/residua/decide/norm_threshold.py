@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from residua.decide.persistence import alarm_logic
 from residua.decide.whitening import residual_moments, whitening_matrix
+from residua.decide.window import moving_sum
 from residua.errors import DataError
 
 
@@ -17,7 +18,10 @@ from residua.errors import DataError
 class NormThreshold:
     r"""Alarm while the norm of the whitened residual stays over a threshold.
 
-    .. math:: J_k = \sqrt{(r_k - \bar r)^T \Sigma^{-1} (r_k - \bar r)} > J_{th}
+    .. math:: J_k = \sqrt{\bar q_k^T \bar q_k} > J_{th}, \qquad
+       \bar q_k = \frac{1}{\sqrt N} \sum_{i=0}^{N-1} \Sigma^{-1/2} (r_{k-i} - \bar r)
+
+    With a window of one sample (``N = 1``) this is the norm of the whitened residual itself.
 
     Parameters
     ----------
@@ -28,6 +32,9 @@ class NormThreshold:
         Samples in a row over the threshold that raise an alarm.
     release : int, optional
         Samples in a row below it that end the alarm; as many as ``persistence`` when omitted.
+    window : int
+        Samples ``N`` over which the residual is summed. A longer window sees smaller and slower faults, and
+        sees large ones no more than that later.
     whiten : {"auto", "data", "model", "none"}
         Whose covariance :math:`\Sigma` is used: that of the fault-free data, that of the plant's noise
         model, or the identity. ``"auto"`` takes the data when fitted, else the model, else none.
@@ -42,6 +49,7 @@ class NormThreshold:
     threshold: float | None = None
     persistence: int = 3
     release: int | None = None
+    window: int = 1
     whiten: str = "auto"
     false_alarm_rate: float = 1e-3
 
@@ -49,7 +57,7 @@ class NormThreshold:
         """Check the settings."""
         if self.threshold is not None and not (np.isfinite(self.threshold) and self.threshold > 0):
             raise ValueError(f"threshold must be positive, got {self.threshold!r}")
-        for name in ("persistence", "release"):
+        for name in ("persistence", "release", "window"):
             value = getattr(self, name)
             if value is not None and (int(value) != value or value < 1):
                 raise ValueError(f"{name} must be a whole number of samples, at least 1, got {value!r}")
@@ -74,7 +82,7 @@ class NormTest:
         Fault-free mean.
     whitening : ndarray, shape (k, k)
     threshold : float
-    persistence, release : int
+    persistence, release, window : int
     basis : str
         Where threshold and covariance come from, in words.
     """
@@ -84,13 +92,14 @@ class NormTest:
     threshold: float
     persistence: int
     release: int
+    window: int
     basis: str
 
     @property
     def band(self) -> NDArray[np.float64]:
-        """How far each residual alone can be from its mean with the norm still below threshold."""
+        """How far each residual alone, averaged over the window, can be from its mean below threshold."""
         inverse = np.linalg.pinv(self.whitening)
-        return self.threshold * np.sqrt(np.sum(inverse**2, axis=0))
+        return self.threshold * np.sqrt(np.sum(inverse**2, axis=0) / self.window)
 
 
 def norm_test_from_model(settings: NormThreshold, covariance: NDArray | None, n_residuals: int) -> NormTest | None:
@@ -105,7 +114,7 @@ def norm_test_from_model(settings: NormThreshold, covariance: NDArray | None, n_
     else:
         return None
     release = settings.release or settings.persistence
-    return NormTest(np.zeros(n_residuals), whitening, threshold, settings.persistence, release, basis)
+    return NormTest(np.zeros(n_residuals), whitening, threshold, settings.persistence, release, settings.window, basis)
 
 
 def fit_norm_test(
@@ -156,10 +165,13 @@ def fit_norm_test(
     else:
         whitening = whitening_matrix(source)
     release = settings.release or settings.persistence
-    test = NormTest(mean, whitening, np.inf, settings.persistence, release, "")
+    test = NormTest(mean, whitening, np.inf, settings.persistence, release, settings.window, "")
     if settings.threshold is not None:
         return replace(test, threshold=settings.threshold, basis="threshold given, mean and covariance fitted")
-    statistic = np.sqrt(np.sum(((residuals - mean) @ whitening) ** 2, axis=1))
+    whitened = np.where(usable[:, None], (residuals - mean) @ whitening, 0.0)[None]
+    blank = np.zeros((1, settings.window, k))
+    sums, *_ = moving_sum(whitened, blank, blank, 0)
+    statistic = np.linalg.norm(sums[0], axis=1) / np.sqrt(settings.window)
     fitted = _smallest_threshold(statistic, usable, test, false_alarm_rate)
     basis = f"fitted to {len(rows)} fault-free samples, at most {false_alarm_rate:g} of them in alarm"
     if len(rows) * false_alarm_rate < 10:

@@ -31,6 +31,8 @@ def moving_sum(
     """
     plants, time, k = values.shape
     window = previous.shape[1]
+    if window == 1:
+        return values, previous, current, 0
     total = filled + time
     n_blocks = -(-total // window) or 1
     padded = np.zeros((plants, n_blocks * window, k))

@@ -216,7 +216,7 @@ class Monitor:
         data = self._block(given.u, given.y)
         if len(data) != 1:
             raise DataError("fit takes one recording, (time, channels)")
-        blank = NormTest(np.zeros(self.generator.n_residuals), np.eye(self.generator.n_residuals), np.inf, 1, 1, "")
+        blank = NormTest(np.zeros(self.generator.n_residuals), np.eye(self.generator.n_residuals), np.inf, 1, 1, 1, "")
         _, found = run_block(self._specification(blank), initial_state(self._specification(blank), 1), data)
         self._norm_test = fit_norm_test(
             self.test,

@@ -68,6 +68,7 @@ def _settings(spec: Specification, generator: ResidualGenerator) -> dict[str, st
     out = {
         "sample step": f"{step:g} s",
         "threshold": f"{test.threshold:.4g} ({test.basis})",
+        "test": f"norm of the whitened residual{f', summed over {test.window} samples' if test.window > 1 else ''}",
         "alarm": f"raised by {test.persistence} samples in a row over it, ended by {test.release} below it",
         "settling": f"no decision in the first {spec.settle} samples after a start ({spec.settle * step:g} s)",
         "missing values": f"held for up to {spec.max_hold} samples, then the filter starts anew",

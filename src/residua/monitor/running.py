@@ -63,7 +63,8 @@ class State:
     x : filter state; held : last value of each channel; gap : incomplete samples in a row;
     running : whether the filter has been started; age : samples since its start;
     up, down : usable samples in a row over and under the threshold; alarm : whether it is on;
-    previous, current, filled : blocks of the moving sum; count : samples so far; resets : restarts.
+    previous, current, filled : blocks of the moving sum for the direction, and the same with ``test_`` for
+    the threshold test; count : samples so far; resets : restarts.
     """
 
     x: NDArray[np.float64]
@@ -77,6 +78,9 @@ class State:
     previous: NDArray[np.float64]
     current: NDArray[np.float64]
     filled: int
+    test_previous: NDArray[np.float64]
+    test_current: NDArray[np.float64]
+    test_filled: int
     count: int
     resets: NDArray[np.int64]
 
@@ -106,7 +110,7 @@ def initial_state(spec: Specification, plants: int) -> State:
     """Return the state before the first sample."""
     n, m, k = len(spec.A), spec.B.shape[1], len(spec.C)
     whole, flag = np.zeros(plants, dtype=np.int64), np.zeros(plants, dtype=bool)
-    block = np.zeros((plants, spec.window, k))
+    block, test_block = np.zeros((plants, spec.window, k)), np.zeros((plants, spec.test.window, k))
     return State(
         x=np.zeros((plants, n)),
         held=np.zeros((plants, m)),
@@ -119,6 +123,9 @@ def initial_state(spec: Specification, plants: int) -> State:
         previous=block,
         current=block,
         filled=0,
+        test_previous=test_block,
+        test_current=test_block,
+        test_filled=0,
         count=0,
         resets=whole,
     )
@@ -236,7 +243,8 @@ def _decide(
     test = spec.test
     time = residuals.shape[1]
     q = ordered_product(np.where(usable[..., None], residuals - test.center, 0.0), test.whitening)
-    statistic = np.where(usable, _norm(q), np.nan)
+    tested, *test_blocks = moving_sum(q, state.test_previous, state.test_current, state.test_filled)
+    statistic = np.where(usable, _norm(tested) / np.sqrt(test.window), np.nan)
     exceeded = usable & (np.where(usable, statistic, 0.0) > test.threshold)
     alarm, up, down = alarm_logic(exceeded, usable, state.up, state.down, state.alarm, test.persistence, test.release)
     sums, previous, current, filled = moving_sum(q, state.previous, state.current, state.filled)
@@ -250,6 +258,9 @@ def _decide(
             previous=previous,
             current=current,
             filled=filled,
+            test_previous=test_blocks[0],
+            test_current=test_blocks[1],
+            test_filled=test_blocks[2],
             count=state.count + time,
         )
     return state, Decisions(residuals, statistic, exceeded, alarm, up, usable, missing, scores)

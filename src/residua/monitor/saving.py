@@ -332,6 +332,8 @@ def _check_state(monitor: Monitor) -> None:
         "held": (plants, m),
         "previous": (plants, window, k),
         "current": (plants, window, k),
+        "test_previous": (plants, spec.test.window, k),
+        "test_current": (plants, spec.test.window, k),
     }
     for name in _fields(State):
         value = getattr(state, name)

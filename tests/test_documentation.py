@@ -1,0 +1,114 @@
+"""What README and documentation show is what happens, and the reference names everything that is public."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+DOCS = REPOSITORY / "docs"
+FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+PAGES = sorted(page for page in DOCS.glob("*.rst") if ">>> " in page.read_text(encoding="utf-8"))
+PUBLIC = ("residua", "analysis", "decide", "design", "errors", "library", "linear", "monitor", "plant", "report")
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder to leave files in."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def fenced(text: str, language: str) -> list[str]:
+    """Return the blocks of a language in a Markdown text."""
+    return re.findall(rf"```{language}\n(.*?)```", text, flags=re.DOTALL)
+
+
+def readme() -> str:
+    return (REPOSITORY / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_readmes_python_prints_what_it_says(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (code,) = fenced(readme(), "python")
+    (promised,) = fenced(readme(), "text")
+    exec(compile(code, "README.md", "exec"), {"__name__": "readme"})
+    assert capsys.readouterr().out == promised
+    assert (here / "report.html").stat().st_size > 10_000
+    assert len([line for line in code.splitlines() if line.strip()]) <= 22  # imports included
+
+
+def test_the_readmes_picture_is_small() -> None:
+    (picture,) = re.findall(r"!\[.*?\]\((.*?)\)", readme())
+    assert 20_000 < (REPOSITORY / picture).stat().st_size < 250_000
+
+
+def test_links_of_the_readme_lead_somewhere() -> None:
+    for target in re.findall(r"\]\(([^)]+)\)", readme()):
+        assert (REPOSITORY / target).exists(), target
+
+
+def test_the_readmes_commands_run(here: Path) -> None:
+    (block,) = fenced(readme(), "sh")
+    commands = [line.split("#")[0] for line in block.splitlines()]
+    assert [command.split()[1] for command in commands] == ["analyze", "design", "fit", "run"]
+    outcomes = list(after_demo(commands, here))
+    assert [status for _, status in outcomes] == [0, 0, 0, 1]
+
+
+def test_the_commands_of_getting_started_print_what_it_says(here: Path) -> None:
+    text = (DOCS / "getting-started.rst").read_text(encoding="utf-8")
+    (block,) = re.findall(r"code-block:: console\n\n(.*?)\n(?=\S)", text, flags=re.DOTALL)
+    entries = [entry.split("\n", 1) for entry in re.split(r"^ +\$ ", block, flags=re.MULTILINE)[1:]]
+    compare = doctest.OutputChecker().check_output
+    statuses = []
+    for (command, promised), (printed, status) in zip(
+        entries, after_demo([command for command, _ in entries], here), strict=True
+    ):
+        assert compare(promised, printed, FLAGS), f"{command}\n{printed}"
+        statuses.append(status)
+    assert statuses == [0, 0, 0, 0, 1]
+
+
+def after_demo(commands: list[str], folder: Path) -> Iterator[tuple[str, int]]:
+    """Run the three-tank demo, then each command in its folder; yield what it printed and its exit status."""
+    runner = pytest.importorskip("typer.testing").CliRunner()
+    from residua.cli.app import app
+
+    assert runner.invoke(app, ["demo", "three-tank", "--output", str(folder)]).exit_code == 0
+    for command in commands:
+        name, *arguments = command.split()
+        assert name == "residua"
+        result = runner.invoke(app, arguments)
+        yield result.output, result.exit_code
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_what_pages_show_is_what_happens(page: Path, here: Path) -> None:
+    pytest.importorskip("matplotlib").use("Agg")
+    failed, tried = doctest.testfile(str(page), module_relative=False, optionflags=FLAGS)
+    assert tried
+    assert not failed
+
+
+def test_the_reference_names_everything_that_is_public() -> None:
+    listed = set()
+    for page in (DOCS / "api").glob("*.rst"):
+        module = ""
+        for line in page.read_text(encoding="utf-8").splitlines():
+            if line.startswith(".. currentmodule::"):
+                module = line.split("::")[1].strip()
+            elif re.fullmatch(r"   [A-Za-z_]\w*", line):
+                listed.add(getattr(importlib.import_module(module), line.strip(), f"{module}.{line.strip()}"))
+    strays = [name for name in listed if isinstance(name, str)]
+    assert strays == ["model"] or not strays, strays
+    for name in PUBLIC:
+        module = importlib.import_module("residua" if name == "residua" else f"residua.{name}")
+        for entry in getattr(module, "__all__", ()):
+            value = getattr(module, entry)
+            if callable(value):
+                assert value in listed, f"{module.__name__}.{entry} is missing from docs/api"
