@@ -1,7 +1,7 @@
 """Make _static/report.png: the report page of the README's example, as a browser shows it.
 
 Run it after a change of the report page: ``python docs/make_picture.py``. It needs Chromium (or Google Chrome) and
-Pillow, which matplotlib brings. The picture is the upper part of the page, in 128 colours to keep it small.
+Pillow, which matplotlib brings. The picture is the upper part of the page, in 256 colours to keep it small.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pathlib import Path
 from PIL import Image
 
 DOCS = Path(__file__).resolve().parent
-WIDTH, HEIGHT, COLOURS, LARGEST = 1240, 1330, 128, 250_000
+WIDTH, HEIGHT, COLOURS, LARGEST = 1240, 1535, 256, 250_000
 
 
 def readme_example() -> str:
@@ -44,11 +44,12 @@ def main() -> None:
         exec(compile(readme_example(), "README.md", "exec"), {"__name__": "readme"})
         sandbox = ["--no-sandbox"] if os.name == "posix" and os.geteuid() == 0 else []
         command = [browser(), "--headless", *sandbox, "--disable-gpu", "--hide-scrollbars"]
-        command += [f"--user-data-dir={folder}/profile", f"--window-size={WIDTH},{HEIGHT}", "--virtual-time-budget=5000"]
+        command += [f"--user-data-dir={folder}/profile", f"--window-size={WIDTH},{HEIGHT}", "--virtual-time-budget=2000"]
         command += [f"--screenshot={folder}/page.png", Path("report.html").absolute().as_uri()]
         subprocess.run(command, check=True, capture_output=True, timeout=120)
         with Image.open("page.png") as page:
-            page.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(target, optimize=True)
+            small = page.convert("RGB").quantize(COLOURS, kmeans=2, dither=Image.Dither.NONE)
+            small.save(target, optimize=True)
     size = target.stat().st_size
     print(f"{target.relative_to(DOCS.parent)}: {size / 1000:.0f} kB")
     if size > LARGEST:

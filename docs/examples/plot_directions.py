@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import residua as rs
-from residua.linear.zeros import invariant_zeros
+from residua.linear import invariant_zeros
 
 plant = rs.library.gertler()
 print(plant)

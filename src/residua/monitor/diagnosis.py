@@ -45,6 +45,8 @@ class Candidate:
 class Alarm:
     """One alarm: where it lies in the recording and what explains it.
 
+    Alarms that follow each other by less than the isolation window and name the same fault are one.
+
     Attributes
     ----------
     onset : float

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +50,9 @@ def diagnosis_from(
         scores=scores,
         groups=groups,
         unjudged=spec.direction.unjudged if spec.direction else (),
-        alarms=_alarms(time, alarm, usable, up, joined("exceeded"), scores, groups),
+        alarms=_joined_alarms(
+            _alarms(time, alarm, usable, up, joined("exceeded"), scores, groups), max(spec.window, spec.test.window)
+        ),
         resets=resets,
         residual_names=generator.residuals,
         center=spec.test.center,
@@ -107,3 +110,28 @@ def _alarms(
             )
         )
     return tuple(out)
+
+
+def _joined_alarms(alarms: tuple[Alarm, ...], apart: int) -> tuple[Alarm, ...]:
+    """Return the alarms with those joined that lie less than ``apart`` samples apart and name the same fault.
+
+    A small fault takes the statistic over the threshold and back many times; that is one event, and its
+    onset is that of the first alarm. The candidates are those of the longest part.
+    """
+    out: list[Alarm] = []
+    longest = 0
+    for alarm in alarms:
+        last = out[-1] if out else None
+        length = alarm.stop - alarm.start
+        if last is None or alarm.start - last.stop >= apart or _leader(last) != _leader(alarm):
+            out.append(alarm)
+            longest = length
+            continue
+        candidates = alarm.candidates if length >= longest else last.candidates
+        longest = max(longest, length)
+        out[-1] = replace(last, ended=alarm.ended, stop=alarm.stop, candidates=candidates)
+    return tuple(out)
+
+
+def _leader(alarm: Alarm) -> tuple[str, ...]:
+    return alarm.candidates[0].faults if alarm.candidates else ()
