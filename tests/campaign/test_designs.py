@@ -53,9 +53,7 @@ def outcome(design: object, plant: rs.Plant) -> str:
 
 
 @pytest.mark.campaign
-@pytest.mark.parametrize(
-    ("decades", "largest", "verified"), [(0, 10, 0.99), (3, 10, 0.9), (5, 10, 0.4), (0, 24, 0.85)]
-)
+@pytest.mark.parametrize(("decades", "largest", "verified"), [(0, 10, 0.99), (3, 10, 0.9), (5, 10, 0.4), (0, 24, 0.85)])
 @pytest.mark.parametrize("method", ["unknown_input_observer", "directional"])
 def test_designs_are_verified_or_refused(decades: float, largest: int, verified: float, method: str) -> None:
     count: Counter[str] = Counter()
