@@ -1,6 +1,10 @@
 """Sphinx configuration."""
 
+import sys
 from importlib.metadata import version as installed_version
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))  # for gallery_order
 
 project = "residua"
 author = "residua developers"
@@ -36,7 +40,7 @@ sphinx_gallery_conf = {
     "plot_gallery": True,
     "remove_config_comments": True,
     "min_reported_time": 1000,  # no page with computation times
-    "within_subsection_order": "FileNameSortKey",
+    "within_subsection_order": "gallery_order.by_interest",
 }
 
 html_theme = "pydata_sphinx_theme"
@@ -50,6 +54,8 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": [],
 }
+html_css_files = ["wide.css"]
+# Only the reference has enough pages for a navigation of its own.
 html_sidebars = {
-    name: [] for name in ("install", "getting-started", "plant-file", "command-line", "limits", "changelog")
+    name: [] for name in ("install", "getting-started", "plant-file", "command-line", "limits", "gallery/**")
 }

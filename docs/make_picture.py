@@ -44,7 +44,11 @@ def main() -> None:
         exec(compile(readme_example(), "README.md", "exec"), {"__name__": "readme"})
         sandbox = ["--no-sandbox"] if os.name == "posix" and os.geteuid() == 0 else []
         command = [browser(), "--headless", *sandbox, "--disable-gpu", "--hide-scrollbars"]
-        command += [f"--user-data-dir={folder}/profile", f"--window-size={WIDTH},{HEIGHT}", "--virtual-time-budget=2000"]
+        command += [
+            f"--user-data-dir={folder}/profile",
+            f"--window-size={WIDTH},{HEIGHT}",
+            "--virtual-time-budget=2000",
+        ]
         command += [f"--screenshot={folder}/page.png", Path("report.html").absolute().as_uri()]
         subprocess.run(command, check=True, capture_output=True, timeout=120)
         with Image.open("page.png") as page:

@@ -63,7 +63,7 @@ for ax, (title, r) in zip(axes, residuals.items(), strict=True):
     for (name, direction), colour in zip(flt.directions.items(), ("tab:blue", "tab:orange"), strict=True):
         ax.axline((0, 0), tuple(direction), color=colour, linewidth=1, label=f"signature of {name}")
     ax.plot(*r.T, ".-", color="0.25", linewidth=0.6, markersize=3, label="residual")
-    ax.set(title=title, xlabel="residual r y1 [–]", xlim=(-3, 3), ylim=(-3, 3), aspect="equal")
+    ax.set(title=title, xlabel="residual r y1 [–]", xlim=(-4.5, 4.5), ylim=(-4.5, 4.5), aspect="equal")
 axes[0].set_ylabel("residual r y2 [–]")
 axes[0].legend(loc="lower right", fontsize=8)
 plt.show()

@@ -79,11 +79,11 @@ print(rs.diagnosability(plant))
 kalman = rs.design.kalman_filter(plant)
 
 
-def monitor_for(generator):
+def monitor_for(generator, window=30):
     """Return a monitor fitted on the first half of the fault-free recording."""
     monitor = rs.Monitor(
         generator,
-        test=rs.decide.NormThreshold(persistence=10),  # ten samples in a row over the threshold
+        test=rs.decide.NormThreshold(window=window, persistence=10),  # sums over 30 s, ten in a row over the threshold
         isolate=rs.decide.Directional(window=300),  # the direction is judged over 300 s
     )
     return monitor.fit(normal[0][:half], normal[1][:half], false_alarm_rate=0.005)
@@ -99,9 +99,11 @@ assert second_half.false_alarm_fraction <= 0.01
 # %%
 # Eleven faults
 # -------------
-# For each recording: how long after its beginning the fault raised the first alarm, and which group of faults scores
-# best over the last 300 samples. The score is the cosine of the angle between the averaged residual and the group's
-# direction; the margin is the lead over the next group, and negative where a wrong group is in front.
+# For each recording: how long after its beginning the fault raised an alarm, with the test above and, for comparison, with
+# single samples instead of sums over 30 s; and which group of faults scores best over the last 300 samples. The score is
+# the cosine of the angle between the averaged residual and the group's direction. The margin is the lead of the right group
+# over the best other one: negative where a wrong group is in front.
+single = monitor_for(kalman, window=1)
 diagnoses = {number: monitor.run(*recording, source=f"fault {number}") for number, recording in faulty.items()}
 
 
@@ -119,21 +121,27 @@ def delay(diagnosis):
     return next(alarm.raised - ONSET for alarm in diagnosis.alarms if alarm.raised >= ONSET)
 
 
-print(f"{'':2}  {'really failed':<13} {'delay':>6} {'alarms':>6}  {'best at the end':<33} {'score':>6} {'margin':>7}")
+print(
+    f"{'':2}  {'really failed':<13} {'delay':>6} {'(single)':>9}   {'best at the end':<32} {'score':>6} {'margin':>7}"
+)
 verdicts = {number: verdict(diagnosis, really[number]) for number, diagnosis in diagnoses.items()}
 for number, diagnosis in diagnoses.items():
     best, score, margin, rival = verdicts[number]
     mark = "" if really[number] in best else "  WRONG"
-    print(
-        f"{number:2}  {really[number]:<13} {delay(diagnosis):4.0f} s {len(diagnosis.alarms):>6}  {' or '.join(best):<33}"
-        f" {score:6.3f} {margin:+7.3f}{mark}"
-    )
+    delays = f"{delay(diagnosis):4.0f} s {delay(single.run(*faulty[number])):7.0f} s"
+    print(f"{number:2}  {really[number]:<13} {delays}   {' or '.join(best):<32} {score:6.3f} {margin:+7.3f}{mark}")
 correct = [number for number, (best, *_) in verdicts.items() if really[number] in best]
-print(f"detected: {sum(d.fault_detected for d in diagnoses.values())} of {len(diagnoses)}")
+lasting = sum(d.alarm[-300:].all() for d in diagnoses.values())
+early = [number for number, d in diagnoses.items() if any(alarm.raised < ONSET for alarm in d.alarms)]
+print(f"in alarm throughout the last 300 samples: {lasting} of {len(diagnoses)}")
+print(f"recordings with a false alarm before the fault: {', '.join(f'fault {n}' for n in early) or 'none'}")
 print(f"best group contains the component that failed: {len(correct)} of {len(diagnoses)}")
+assert lasting == len(diagnoses)
 assert len(correct) >= 10
 
 # %%
+# Where a recording had a false alarm before the fault, a very short delay may be chance as well.
+#
 # One of them in full, a leak that the controllers hide (fault 9):
 figure = plt.figure(figsize=(8, 8), layout="constrained")
 plot_diagnosis(diagnoses[9], figure=figure)
@@ -151,8 +159,8 @@ plt.show()
 # - **The sensor of h1 and the clogged pipe 1-3** (faults 4 and 10) have the very same direction: the monitor names them
 #   as one group and does not pretend to know which of the two it is. Both rows above that name this group are right
 #   only in this sense.
-# - **The sensor of h2 and the clogged pipe 3-2** (faults 5 and 12) are 14 degrees apart. Their scores run close
-#   together, and here is how they develop:
+# - **The sensor of h2 and the clogged pipe 3-2** (faults 5 and 12) are nearly parallel, 0.97 in this picture. Their
+#   scores run close together, and here is how they develop:
 figure, axes = plt.subplots(1, 2, figsize=(9, 3.4), sharey=True, layout="constrained")
 for ax, number in zip(axes, (5, 12), strict=True):
     diagnosis = diagnoses[number]
@@ -193,9 +201,9 @@ print(f"flow 1-3: the linear model says {linear_13:.1f} cm3/s, the healthy pipe 
 # %%
 # Is the noise model tuned to this result?
 # ----------------------------------------
-# It must not be: with labelled faults at hand one can always find the noise that ranks them best. Two things can be
-# computed from the fault-free half alone: the likelihood of its innovations, per sample, for several noise models. Next
-# to it stands how many of the eleven faults the same monitor would rank right.
+# It must not be: with labelled faults at hand one can always find the noise that ranks them best. This can be computed
+# from the fault-free half alone: the likelihood of its innovations for several noise models, here per sample, of
+# which there are thousands. Next to it stands how many of the eleven faults the same monitor would rank right.
 settle = 300
 
 

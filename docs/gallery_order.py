@@ -1,0 +1,8 @@
+"""The order of the examples: what a newcomer wants to see first."""
+
+ORDER = ("plot_three_tank.py", "plot_jet_engine.py", "plot_directions.py", "plot_live.py")
+
+
+def by_interest(filename: str) -> int:
+    """Return the place of an example; new ones come last."""
+    return ORDER.index(filename) if filename in ORDER else len(ORDER)
