@@ -98,6 +98,7 @@ def diagnosis(
         missing=np.zeros(n_samples, dtype=bool),
         scores=scores,
         groups=groups,
+        signatures=tuple(np.eye(n)[:, [k % n]] for k in range(len(groups))),
         unjudged=(),
         alarms=alarms,
         resets=0,

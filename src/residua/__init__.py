@@ -4,11 +4,16 @@ From a plant model and the list of what may fail to residual generators, alarms 
 component.
 """
 
+from importlib import import_module
+from types import ModuleType
+
 from residua import analysis, decide, design, errors, library, linear, monitor, plant
 from residua.analysis import diagnosability
 from residua.linear import StateSpace
 from residua.monitor import Diagnosis, Monitor, read_recording
 from residua.plant import Plant, load_plant
+
+_LAZY = ("report", "testing")  # they are not needed to run a monitor, and slower to import
 
 __version__ = "0.1.0"
 
@@ -29,3 +34,13 @@ __all__ = [
     "plant",
     "read_recording",
 ]
+
+
+def __getattr__(name: str) -> ModuleType:
+    if name in _LAZY:
+        return import_module(f"residua.{name}")
+    raise AttributeError(f"module 'residua' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_LAZY])

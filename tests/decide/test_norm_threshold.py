@@ -66,8 +66,26 @@ def test_few_data_use_the_tail() -> None:
         covariance=None,
         signal_size=1,
     )
-    assert "chi-squared" in test.basis
-    assert test.threshold == pytest.approx(np.sqrt(scipy.stats.chi2.ppf(1 - 1e-5, 2)), rel=0.15)
+    assert "too few" in test.basis
+    assert test.threshold == pytest.approx(np.sqrt(scipy.stats.chi2.ppf(1 - 1e-5, 2)), rel=0.2)
+
+
+@pytest.mark.parametrize("persistence", [1, 3])
+def test_the_extended_tail_holds_on_many_new_data(persistence: int) -> None:
+    rng = np.random.default_rng(4)
+    rate, found = 1e-3, []
+    for _ in range(12):
+        data = rng.standard_normal((2000, 2))
+        test = fit_norm_test(
+            NormThreshold(persistence=persistence),
+            data,
+            np.ones(2000, bool),
+            false_alarm_rate=rate,
+            covariance=None,
+            signal_size=1,
+        )
+        found.append(fraction_in_alarm(test, rng.standard_normal((100_000, 2))))
+    assert rate / 3 < np.mean(found) < 3 * rate
 
 
 def test_too_few_data_are_refused() -> None:

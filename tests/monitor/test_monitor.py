@@ -166,7 +166,9 @@ def test_missing_values_are_bridged_counted_and_shown() -> None:
 
 
 def test_without_data_the_noise_model_gives_the_threshold() -> None:
-    monitor = rs.Monitor(rs.design.kalman_filter(noisy_plant()), test=rs.decide.NormThreshold(persistence=1))
+    monitor = rs.Monitor(
+        rs.design.kalman_filter(noisy_plant()), test=rs.decide.NormThreshold(persistence=1, false_alarm_rate=1e-3)
+    )
     diagnosis = monitor.run(*recording(20_000, fault=None, seed=2))
     assert isinstance(diagnosis, rs.Diagnosis)
     assert diagnosis.false_alarm_fraction == pytest.approx(1e-3, abs=7e-4)

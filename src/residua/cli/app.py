@@ -118,10 +118,13 @@ def design(
     ] = None,
     false_alarm_rate: Annotated[
         float, typer.Option(callback=_rate, metavar="RATE", help="Fraction of fault-free samples in alarm.")
-    ] = 1e-3,
+    ] = 1e-4,
     persistence: Annotated[
         int, typer.Option(min=1, metavar="N", help="Samples in a row over the threshold that raise an alarm.")
     ] = 3,
+    average: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Samples over which the residual is summed before its test.")
+    ] = 1,
     window: Annotated[
         int, typer.Option(min=1, metavar="N", help="Samples over which the direction of the residual is judged.")
     ] = 50,
@@ -136,7 +139,7 @@ def design(
     isolate = Directional(window=window)
     monitor = Monitor(
         generator,
-        test=NormThreshold(persistence=persistence, false_alarm_rate=false_alarm_rate),
+        test=NormThreshold(persistence=persistence, window=average, false_alarm_rate=false_alarm_rate),
         isolate=isolate,
         dt=sample_time,
     )

@@ -51,7 +51,7 @@ class NormThreshold:
     release: int | None = None
     window: int = 1
     whiten: str = "auto"
-    false_alarm_rate: float = 1e-3
+    false_alarm_rate: float = 1e-4
 
     def __post_init__(self) -> None:
         """Check the settings."""
@@ -129,9 +129,8 @@ def fit_norm_test(
     """Fit mean, covariance and threshold to fault-free residuals.
 
     The threshold is the smallest for which the fraction of usable samples in alarm, persistence and release
-    included, is at most ``false_alarm_rate``. Where fewer than ten samples would be left above it, the data
-    cannot tell, and the tail of a scaled chi-squared distribution with the same mean and variance is used
-    if it is higher.
+    included, is at most ``false_alarm_rate``. Where fewer than ten samples would be left in alarm, the data
+    cannot tell: the threshold for ten is then extended by the exponential tail of the data.
 
     Parameters
     ----------
@@ -172,13 +171,14 @@ def fit_norm_test(
     blank = np.zeros((1, settings.window, k))
     sums, *_ = moving_sum(whitened, blank, blank, 0)
     statistic = np.linalg.norm(sums[0], axis=1) / np.sqrt(settings.window)
-    fitted = _smallest_threshold(statistic, usable, test, false_alarm_rate)
-    basis = f"fitted to {len(rows)} fault-free samples, at most {false_alarm_rate:g} of them in alarm"
-    if len(rows) * false_alarm_rate < 10:
-        tail = _chi_squared_tail(statistic[usable], false_alarm_rate)
-        if tail > fitted:
-            fitted = tail
-            basis += "; too few for that rate, so the tail is that of a scaled chi-squared distribution"
+    count = len(rows)
+    seen_rate = max(false_alarm_rate, min(0.2, 10 / count))
+    fitted = _smallest_threshold(statistic, usable, test, seen_rate)
+    basis = f"fitted to {count} fault-free samples, at most {false_alarm_rate:g} of them in alarm"
+    if seen_rate > false_alarm_rate:
+        decay = _tail_decay(statistic[usable], test.persistence)
+        fitted = float(np.sqrt(fitted**2 + decay * np.log(seen_rate / false_alarm_rate)))
+        basis += f" (too few to see that: extended from a rate of {seen_rate:.2g} by the tail of the data)"
     if noise_free:
         fitted = max(fitted, rounding, np.finfo(float).tiny)
         basis += "; no noise in these data: the threshold is at rounding level"
@@ -207,11 +207,15 @@ def _smallest_threshold(statistic: NDArray, usable: NDArray, test: NormTest, rat
     return float(levels[low] + 0.5 * (above - levels[low]))
 
 
-def _chi_squared_tail(statistic: NDArray, rate: float) -> float:
-    """Return the threshold from a scaled chi-squared distribution with the moments of the squared statistic."""
-    squared = statistic**2
-    mean, variance = float(squared.mean()), float(squared.var())
-    if variance <= 0:
-        return float(statistic.max())
-    degrees = 2 * mean**2 / variance
-    return float(np.sqrt(mean / degrees * scipy.special.chdtri(degrees, rate)))
+def _tail_decay(statistic: NDArray, persistence: int) -> float:
+    """Return the scale of the exponential tail of the squared statistic, persistence taken into account.
+
+    An alarm needs the statistic over the threshold ``persistence`` times in a row, so the tail of the smallest
+    of as many is what counts; that of a squared Gaussian norm is exponential.
+    """
+    if len(statistic) < persistence:
+        return 0.0
+    lowest = np.lib.stride_tricks.sliding_window_view(statistic**2, persistence).min(axis=1)
+    level = float(np.quantile(lowest, 0.95))
+    above = lowest[lowest > level]
+    return float(np.mean(above - level)) if above.size else 0.0

@@ -56,7 +56,8 @@ class Alarm:
     ended : float or None
         Time at which it went away, ``None`` when it lasts to the end of the recording.
     candidates : tuple of Candidate
-        Best first, judged over the window that ends with the alarm.
+        Best first, judged over the isolation window that ends with the last sample over the threshold (of the
+        longest part, where alarms were joined).
     start, stop : int
         Sample numbers of ``raised`` and of the first sample after the alarm.
     """
@@ -102,6 +103,9 @@ class Diagnosis:
         Correlation of each group's signature with the residual over the window; NaN outside decisions.
     groups : tuple of tuple of str
         The faults, those that this monitor cannot tell apart in one group.
+    signatures : tuple of ndarray, shape (residuals, dimension)
+        For each group an orthonormal basis of the direction or subspace that it was judged by, in whitened
+        residual space.
     unjudged : tuple of str
         Faults without a usable signature in this monitor.
     alarms : tuple of Alarm
@@ -130,6 +134,7 @@ class Diagnosis:
     missing: NDArray[np.bool_] = field(repr=False)
     scores: NDArray[np.float64] = field(repr=False)
     groups: tuple[tuple[str, ...], ...]
+    signatures: tuple[NDArray[np.float64], ...] = field(repr=False)
     unjudged: tuple[str, ...]
     alarms: tuple[Alarm, ...]
     resets: int

@@ -49,6 +49,7 @@ def diagnosis_from(
         missing=joined("missing"),
         scores=scores,
         groups=groups,
+        signatures=spec.direction.bases if spec.direction else (),
         unjudged=spec.direction.unjudged if spec.direction else (),
         alarms=_joined_alarms(
             _alarms(time, alarm, usable, up, joined("exceeded"), scores, groups), max(spec.window, spec.test.window)

@@ -1,7 +1,8 @@
-"""Plots with matplotlib. Figures are made without pyplot, so none stays open behind the caller's back."""
+"""Plots with matplotlib. Only a caller who has imported pyplot gets figures that pyplot knows."""
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,8 +40,7 @@ def plot_diagnosis(diagnosis: Diagnosis, ax: Axes | None = None, *, figure: Figu
     ax : matplotlib Axes, optional
         Draw only the statistic, its threshold and the alarms, on these axes.
     figure : matplotlib Figure, optional
-        Draw into this figure, for example one from ``pyplot.figure()``; a new one, unknown to pyplot, when
-        omitted.
+        Draw into this figure; a new one when omitted, which pyplot knows if it has been imported.
 
     Returns
     -------
@@ -147,7 +147,11 @@ def _new_figure(width: float, height: float) -> Figure:
         from matplotlib.figure import Figure
     except ImportError as error:
         raise missing_extra("matplotlib", "plot") from error
-    return Figure(figsize=(min(width, 16.0), min(height, 20.0)), layout="constrained")
+    size = (min(width, 16.0), min(height, 20.0))
+    pyplot = sys.modules.get("matplotlib.pyplot")
+    if pyplot is not None:  # the caller works with pyplot: notebooks and show() then know the figure
+        return pyplot.figure(figsize=size, layout="constrained")
+    return Figure(figsize=size, layout="constrained")
 
 
 def _plain(text: str) -> str:
