@@ -146,7 +146,7 @@ def diagnosability(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> Diagnosabilit
 
     References
     ----------
-    METHODS of Gertler (1991), eq. (4-3); Chen, Patton and Zhang (1996), section 3; the rank tests are those
+    Gertler (1991), eq. (4-3); Chen, Patton and Zhang (1996), section 3; the rank tests are those
     of the unknown input observer with one fault as disturbance.
 
     Examples

@@ -14,6 +14,7 @@ from residua.design.directional_gain import (
     FaultEvent,
     Poles,
     block_gain,
+    checked_options,
     fault_events,
     partition,
     scalar_gain,
@@ -68,8 +69,8 @@ def detection_filter(
         (``"rest"`` for the poles that belong to no fault). With several filters, a list is used for each.
         Those not given are placed beyond ``margin``.
     margin : float, optional
-        Stability margin in 1/s for poles that are not given; the geometric mean of the plant's own pole
-        sizes when omitted.
+        Stability margin in 1/s for poles that are not given; when omitted, the geometric mean of the sizes of
+        the poles of the error equation without feedback, or less where that proves too much.
     faults : iterable of str, optional
         The faults to be kept apart; all faults of the plant when omitted.
     rtol : float
@@ -137,9 +138,9 @@ def directional_filters(
     Shared by the plain filter (``T = I``, ``H = 0``) and the robust one, whose pair is that of the unknown
     input observer.
     """
-    chosen = plant.faults if faults is None else tuple(faults)
-    for name in chosen:
-        index_of(name, plant.faults, "fault")
+    poles, margin = checked_options(poles, margin)
+    wanted = plant.faults if faults is None else (faults,) if isinstance(faults, str) else tuple(faults)
+    chosen = tuple(plant.faults[index_of(name, plant.faults, "fault")] for name in wanted)
     if not chosen:
         raise DesignError("the plant has no faults to tell apart: add some with with_sensor_faults, with_faults")
     found = detectability(A, C, dt=plant.dt, rtol=rtol)
@@ -163,11 +164,11 @@ def directional_filters(
         _check_names(poles, events)
     notes += [f"{len(groups)} filters: one cannot keep all faults apart"] if len(groups) > 1 else []
     frame = _Frame(plant, T, H, W, offset, base, decouples)
-    failure = AccuracyError("no design was tried")
+    failure, lowered = AccuracyError("no design was tried"), ()
     for distance in _margins(A, plant.dt, poles, margin):
         try:
             if pole is not None:
-                gains = [scalar_gain(A, C, pole)]
+                gains = [scalar_gain(A, C, pole, asked=poles is not None)]
             else:
                 gains = [
                     units.plain(
@@ -175,12 +176,11 @@ def directional_filters(
                     )
                     for group in groups
                 ]
-            observers = [frame.observer(gain, tuple(notes)) for gain in gains]
+            observers = [frame.observer(gain, (*notes, *lowered)) for gain in gains]
             return _stacked(plant, observers, groups, pole is not None)
         except AccuracyError as error:
             failure = error
-            notes = [note for note in notes if "margin" not in note]
-            notes.append(f"the default margin was lowered: {str(error).split(':')[0]}")
+            lowered = (f"the default margin was lowered: {str(error).split(':')[0]}",)
     raise failure
 
 
@@ -308,9 +308,7 @@ def _stacked(
         _check_directions(part, group, ideal)
     if len(parts) == 1:
         first = parts[0]
-        return make_generator(
-            first.system, plant, first.method, first.evidence, observer=observers[0], members=tuple(members)
-        )
+        return replace(first, members=tuple(members))
     system = stack_systems([part.system for part in parts])
     evidence = parts[0].evidence.extended(
         poles=system.poles(),
@@ -318,7 +316,15 @@ def _stacked(
         fixed_poles=np.concatenate([part.evidence.fixed_poles for part in parts]),
         decoupling=check_decoupling(system, plant, decoupled=observers[0].decouples),
     )
-    return make_generator(system, plant, parts[0].method, evidence, observer=observers[0], members=tuple(members))
+    return make_generator(
+        system,
+        plant,
+        parts[0].method,
+        evidence,
+        state_map=np.vstack([observer.T for observer in observers]),
+        observer=observers[0],
+        members=tuple(members),
+    )
 
 
 def stack_systems(systems: list[StateSpace]) -> StateSpace:
@@ -341,10 +347,10 @@ def _check_directions(generator: ResidualGenerator, group: list[FaultEvent], ide
     for event in group:
         for name in event.faults:
             d = plant.Df[:, plant.faults.index(name)]
-            if np.any(d):
-                continue  # the plane of a sensor fault contains its own unit vector as well
             basis = generator.subspaces[name]
             promised = 1 if ideal else event.space.outputs.shape[1]
+            if np.any(d):  # what enters the outputs adds its own direction
+                promised = 2 if ideal else promised + 1
             if basis.shape[1] > promised:
                 raise AccuracyError(
                     f"the residual of {name!r} leaves its direction (dimension {basis.shape[1]} instead of "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -98,13 +99,29 @@ def obstacle(A: NDArray, C: NDArray, events: Sequence[FaultEvent], dt: float) ->
     return None
 
 
-def scalar_gain(A: NDArray, C: NDArray, pole: float) -> DirectionalGain:
+def checked_options(poles: Poles, margin: float | None) -> tuple[Any, float | None]:
+    """Return the wanted poles as numbers and the margin, or say what is wrong with them."""
+    if margin is not None:
+        if isinstance(margin, bool) or not isinstance(margin, (int, float, np.number)) or not 0 < margin < np.inf:
+            raise DesignError(f"margin must be a positive number in 1/s, got {margin!r}")
+        if poles is not None and not isinstance(poles, Mapping):
+            raise DesignError("give poles or margin, not both")
+    try:
+        if isinstance(poles, Mapping):
+            return {name: np.asarray(values, dtype=complex).reshape(-1) for name, values in poles.items()}, margin
+        return (None if poles is None else np.asarray(cast("ArrayLike", poles), dtype=complex).reshape(-1)), margin
+    except (TypeError, ValueError) as error:
+        raise DesignError(f"poles must be numbers, or a mapping of fault name to numbers: {error}") from error
+
+
+def scalar_gain(A: NDArray, C: NDArray, pole: float, *, asked: bool) -> DirectionalGain:
     r"""Return :math:`K = (A - \lambda I) C^+`, which makes :math:`A - KC = \lambda I` when rank C = n (eq. 25)."""
     K = (A - pole * np.eye(len(A))) @ np.linalg.pinv(C)
     achieved = np.linalg.eigvals(A - K @ C)
     error = float(np.abs(achieved - pole).max(initial=0.0))
     note = "as many independent measurements as states: every fault keeps its direction or plane"
-    return DirectionalGain(K, np.zeros(0, complex), np.full(len(A), pole, complex), error, note)
+    requested = np.full(len(A) if asked else 0, pole, dtype=complex)
+    return DirectionalGain(K, np.zeros(0, complex), requested, error, note)
 
 
 def scalar_pole(A: NDArray, C: NDArray, poles: Poles, margin: float | None, dt: float) -> float | None:
@@ -115,7 +132,7 @@ def scalar_pole(A: NDArray, C: NDArray, poles: Poles, margin: float | None, dt: 
     if poles is None:
         distance = default_margin(A, dt) if margin is None else margin
         return float(np.exp(-distance * dt)) if dt else -float(distance)
-    wanted = np.asarray(poles, dtype=complex).reshape(-1)
+    wanted = np.asarray(poles, dtype=complex)
     if len(wanted) != n or np.any(wanted != wanted[0]) or np.any(np.imag(wanted)):
         return None
     pole = float(np.real(wanted[0]))

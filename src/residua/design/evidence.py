@@ -30,8 +30,8 @@ class Evidence:
     fixed_poles : ndarray
         Poles that no gain can move: unobservable modes, which are invariant zeros of the plant.
     decoupling : mapping of str to float
-        Largest gain to the residual, relative to the gain of the generator itself, from each group of
-        inputs that must not be seen (``"control"``, ``"disturbance"``).
+        Largest gain to the residual from each group of inputs that must not be seen (``"control"``,
+        ``"disturbance"``), relative to the terms that have to cancel.
     ranks : mapping of str to RankDecision
         Every rank decision with the singular values on both sides of its gap.
     conditions : mapping of str to float

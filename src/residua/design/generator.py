@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -11,9 +12,9 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
-from residua.design.evidence import Evidence
-from residua.design.internal_form import internal_form, leakage, signature_bases
-from residua.errors import DataError, ModelError
+from residua.design.evidence import Evidence, format_pole
+from residua.design.internal_form import check_state_map, internal_form, leakage, signature_bases
+from residua.errors import AccuracyError, DataError, ModelError
 from residua.linear import StateSpace
 from residua.plant import Plant
 
@@ -58,6 +59,9 @@ class ResidualGenerator:
         The observer that it is made of, where there is one.
     members : tuple of Member
         The filters that it is stacked from.
+    state_map : ndarray or None, shape (states of the filter, states of the plant)
+        ``M`` with ``xi = M x`` while nothing fails; ``None`` for a filter that only approximates one, such as
+        a sampled continuous design.
 
     References
     ----------
@@ -71,6 +75,7 @@ class ResidualGenerator:
     subspaces: Mapping[str, NDArray[np.float64]] = field(repr=False)
     observer: Observer | None = field(default=None, repr=False)
     members: tuple[Member, ...] = ()
+    state_map: NDArray[np.float64] | None = field(default=None, repr=False)
 
     # ------------------------------------------------------------------- facts
 
@@ -122,15 +127,39 @@ class ResidualGenerator:
         """Stationary covariance of the fault-free residual, from the plant's noise.
 
         ``None`` when the plant has no noise, or is continuous (white measurement noise has no finite
-        variance there: sample the generator first).
+        variance there: sample the generator first), or the residual has no stationary covariance, as with a
+        sampled continuous design on an unstable plant.
         """
-        if not self.system.is_discrete or self.plant.Bw.shape[1] == 0:
+        return self.covariance_of_sums(1)
+
+    def covariance_of_sums(self, window: int) -> NDArray[np.float64] | None:
+        r"""Return the covariance of the residual summed over ``window`` samples, divided by ``window``.
+
+        :math:`R_0 + \sum_{k=1}^{N-1} (1 - k/N) (R_k + R_k^T)` with the autocovariances
+        :math:`R_0 = C X C^T + D D^T`, :math:`R_k = C A^{k-1} (A X C^T + B D^T)`. For white residuals, such as
+        Kalman innovations, it does not depend on the window.
+
+        Parameters
+        ----------
+        window : int
+
+        Returns
+        -------
+        ndarray, shape (residuals, residuals), or None
+            ``None`` under the conditions of :attr:`covariance`.
+        """
+        if not self.system.is_discrete or self.plant.Bw.shape[1] == 0 or not self._internal_form.is_stable():
             return None
-        form = self.internal_form()
+        form = self._internal_form
         n_other = len(self.faults) + len(self.plant.disturbances)
-        B, D = form.B[:, n_other:], form.D[:, n_other:]
-        X = scipy.linalg.solve_discrete_lyapunov(form.A, B @ B.T) if form.n_states else np.zeros((0, 0))
-        S = form.C @ X @ form.C.T + D @ D.T
+        A, C, B, D = form.A, form.C, form.B[:, n_other:], form.D[:, n_other:]
+        X = state_covariance(A, B @ B.T)
+        S = C @ X @ C.T + D @ D.T
+        step = A @ X @ C.T + B @ D.T
+        for k in range(1, window):
+            R = C @ step
+            S = S + (1 - k / window) * (R + R.T)
+            step = A @ step
         return (S + S.T) / 2
 
     # ----------------------------------------------------------------- results
@@ -153,13 +182,15 @@ class ResidualGenerator:
             Inputs are the faults, disturbances and noise of the plant. The states that the residual does
             not see are removed, so that an unstable plant is no obstacle.
         """
-        if (plant is None or plant is self.plant) and not controls:
+        own = plant is None or plant is self.plant
+        if own and not controls:
             return self._internal_form
-        return internal_form(self.system, self.plant if plant is None else plant, with_controls=controls)
+        plant = self.plant if plant is None else plant
+        return internal_form(self.system, plant, self.state_map if own else None, with_controls=controls)
 
     @cached_property
     def _internal_form(self) -> StateSpace:
-        return internal_form(self.system, self.plant)
+        return internal_form(self.system, self.plant, self.state_map)
 
     def run(
         self,
@@ -225,8 +256,14 @@ class ResidualGenerator:
             f"sampled at {system.dt:g} s: inputs held, outputs {hold_outputs} between samples; "
             "the gains marked 'sampled' are what that costs"
         )
-        evidence = self.evidence.extended(decoupling=cost, notes=(note,), poles=system.poles())
-        return replace(self, system=system, plant=plant, evidence=evidence)
+        evidence = self.evidence.extended(
+            decoupling=cost,
+            notes=(note,),
+            poles=system.poles(),
+            requested_poles=np.exp(self.evidence.requested_poles * system.dt),
+            fixed_poles=np.exp(self.evidence.fixed_poles * system.dt),
+        )
+        return replace(self, system=system, plant=plant, evidence=evidence, state_map=None)
 
     def __repr__(self) -> str:
         kind = f"dt={self.dt:g} s" if self.system.is_discrete else "continuous"
@@ -242,16 +279,35 @@ def make_generator(
     method: str,
     evidence: Evidence,
     *,
+    state_map: NDArray[np.float64],
     observer: Observer | None = None,
     members: tuple[Member, ...] = (),
 ) -> ResidualGenerator:
-    """Return a generator with its signatures computed from its own internal form."""
-    bases, off = signature_bases(system, plant, internal_form(system, plant))
-    if plant.faults:
-        evidence = evidence.extended(conditions={"response off the signatures": off})
+    """Return a generator with its signatures, after checking that it is stable and that its identities hold."""
+    if not system.is_stable():
+        raise AccuracyError(f"the filter is not stable: poles {', '.join(map(format_pole, system.poles()))}")
+    identity = check_state_map(system, plant, state_map)
+    bases, off = signature_bases(system, plant, internal_form(system, plant, state_map))
+    conditions = {"identities": identity} | ({"response off the signatures": off} if plant.faults else {})
+    evidence = evidence.extended(conditions=conditions)
     if not members:
         members = (Member(method, tuple(range(system.n_outputs)), plant.faults),)
-    return ResidualGenerator(system, plant, method, evidence, bases, observer, members)
+    return ResidualGenerator(system, plant, method, evidence, bases, observer, members, state_map)
+
+
+def state_covariance(A: NDArray, Q: NDArray) -> NDArray[np.float64]:
+    """Return ``X = A X A' + Q``, or raise when the solution misses the equation."""
+    if not len(A):
+        return np.zeros((0, 0))
+    units = np.sqrt(np.where(np.diag(Q) > 0, np.diag(Q), 1.0))  # comparable states, whatever the units of the model
+    A, Q = A / units[:, None] * units, Q / units[:, None] / units
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # ill-conditioning shows in the residual below
+        X = scipy.linalg.solve_discrete_lyapunov(A, Q)
+    missed = float(np.linalg.norm(X - A @ X @ A.T - Q) / max(np.linalg.norm(X), 1e-300))
+    if not missed < 1e-8:
+        raise AccuracyError(f"the covariance of the residual misses its equation by {missed:.2g}: rescale the plant")
+    return X * units[:, None] * units
 
 
 def stack_signals(plant: Plant, u: ArrayLike | None, y: ArrayLike) -> NDArray[np.float64]:

@@ -7,32 +7,83 @@ from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, ModelError
 from residua.linear import StateSpace
+from residua.linear.balancing import balance_system
 from residua.linear.reachability import without_unobservable
 from residua.plant import Plant
 
 
-def internal_form(generator: StateSpace, plant: Plant, *, with_controls: bool = False) -> StateSpace:
-    """Return the system from faults, disturbances and noise (and controls) of ``plant`` to the residual.
+def internal_form(
+    generator: StateSpace, plant: Plant, state_map: NDArray | None = None, *, with_controls: bool = False
+) -> StateSpace:
+    r"""Return the system from faults, disturbances and noise (and controls) of ``plant`` to the residual.
 
-    The generator is driven by the plant, and the states that the residual does not see are removed: for the
-    plant that it was designed for, what is left is the error system, and an unstable plant is no obstacle.
+    With a state map ``M``, the state that the fault-free plant gives the generator, :math:`\xi = M x`, the error
+    :math:`e = M x - \xi` obeys :math:`\dot e = A_g e + (M B - G_y D) v`, :math:`r = -C_g e + H_y D v`: exact, of
+    the order of the generator, whatever the plant. Without one the generator is driven by the plant, and
+    the states that the residual does not see are removed.
 
     Parameters
     ----------
     generator : StateSpace
         From control inputs and outputs of the plant to residuals.
     plant : Plant
+    state_map : ndarray, shape (states of the generator, states of the plant), optional
     with_controls : bool
         Whether the control inputs are further columns, at the end.
 
     Returns
     -------
     StateSpace
+
+    References
+    ----------
+    Gertler (1991), eqs. (4-15) to (4-20).
     """
-    whole = _driven(generator, plant)
     n_u = len(plant.inputs)
-    order = list(range(n_u, whole.n_inputs)) + (list(range(n_u)) if with_controls else [])
-    return without_unobservable(whole.select(inputs=order))
+    if state_map is None:
+        whole = _driven(generator, plant)
+        order = list(range(n_u, whole.n_inputs)) + (list(range(n_u)) if with_controls else [])
+        return without_unobservable(whole.select(inputs=order))
+    p = plant.system(("fault", "disturbance", "noise", *(("control",) if with_controls else ()))).explicit()
+    Gy, Hy = generator.B[:, n_u:], generator.D[:, n_u:]
+    B, D = state_map @ p.B - Gy @ p.D, Hy @ p.D
+    if with_controls:
+        B[:, -n_u:] -= generator.B[:, :n_u]
+        D[:, -n_u:] += generator.D[:, :n_u]
+    return StateSpace(generator.A, B, -generator.C, D, dt=plant.dt, inputs=p.inputs, outputs=generator.outputs)
+
+
+def check_state_map(generator: StateSpace, plant: Plant, M: NDArray, *, limit: float = 1e-8) -> float:
+    r"""Return how far :math:`M A - G_y C = A_g M`, :math:`C_g M + H_y C = 0` are missed, or raise.
+
+    In balanced units, relative to the terms that have to cancel.
+    """
+    n_u = len(plant.inputs)
+    p = plant.system(("control", "disturbance", "fault")).explicit()
+    units = balance_system(p.A, p.B, p.C, p.D).states
+    if np.ptp(np.log2(units)) > 40:  # a hidden part of the plant has no units of its own
+        units = np.ones_like(units)
+    rows = np.resize(units, len(M))  # stacked observers repeat the states of the plant
+    Gy, Hy = generator.B[:, n_u:], generator.D[:, n_u:]
+    terms = np.abs(M) @ np.abs(p.A) + np.abs(Gy) @ np.abs(p.C) + np.abs(generator.A) @ np.abs(M)
+    first = _largest(M @ p.A - Gy @ p.C - generator.A @ M, units / rows[:, None])
+    first /= max(_largest(terms, units / rows[:, None]), _largest(p.A, units / units[:, None]), 1e-300)
+    terms = np.abs(generator.C) @ np.abs(M) + np.abs(Hy) @ np.abs(p.C)
+    heights = np.abs(p.C) @ units
+    scale = units / np.where(heights > 0, heights, 1.0)[:, None] if len(Hy) == len(p.C) else units[None, :]
+    second = _largest(generator.C @ M + Hy @ p.C, scale) / max(_largest(terms, scale), 1e-300)
+    worst = max(first, second)
+    if not worst <= limit:
+        raise AccuracyError(
+            f"the identities of the residual generator are missed by {worst:.2g} > {limit:.0e}: the plant is too "
+            "badly scaled or conditioned for this design; rescale its states and channels"
+        )
+    return worst
+
+
+def _largest(M: NDArray, units: NDArray) -> float:
+    """Return the largest entry of a matrix in given units."""
+    return float(np.max(np.abs(M * units), initial=0.0))
 
 
 def _driven(generator: StateSpace, plant: Plant) -> StateSpace:
@@ -80,8 +131,9 @@ def frequency_grid(*systems: StateSpace, points: int = 60) -> NDArray[np.float64
 def leakage(generator: StateSpace, plant: Plant, w: NDArray | None = None) -> dict[str, float]:
     """Return the gain to the residual from controls and from disturbances, relative to the parts it is made of.
 
-    The largest singular value over frequency of the residual's response, divided by the sum of the same for
-    the terms that have to cancel; 1e-16 is exact, 1 is no decoupling at all.
+    At each frequency the largest entry of the response of the residual, divided by the largest entry of the sum
+    of the magnitudes of the terms that have to cancel; of these the largest over frequency. 1e-16 is exact,
+    1 is no decoupling at all.
     """
     if w is None:
         w = frequency_grid(generator, plant.system(()))
@@ -97,9 +149,8 @@ def leakage(generator: StateSpace, plant: Plant, w: NDArray | None = None) -> di
         if through.shape[-1] == 0:
             continue
         total = np.abs(direct + Qy @ through).max(axis=(1, 2), initial=0.0)
-        parts = np.abs(direct) + np.abs(Qy) @ np.abs(through)
-        worst = parts.max(initial=0.0)
-        out[name] = float(total.max(initial=0.0) / worst) if worst > 0 else 0.0
+        parts = (np.abs(direct) + np.abs(Qy) @ np.abs(through)).max(axis=(1, 2), initial=0.0)
+        out[name] = float(np.max(total / np.where(parts > 0, parts, 1.0), initial=0.0))
     return out
 
 

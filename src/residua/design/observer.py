@@ -133,4 +133,4 @@ class Observer:
         )
         gains = check_decoupling(system, p, decoupled=self.decouples)
         evidence = self.evidence.extended(decoupling=gains)
-        return make_generator(system, p, self.method, evidence, observer=self)
+        return make_generator(system, p, self.method, evidence, state_map=self.T, observer=self)

@@ -13,6 +13,7 @@ from residua.analysis.unknown_input import (
     output_free_form,
     unknown_input_observer_existence,
 )
+from residua.design.directional_gain import checked_options
 from residua.design.evidence import Evidence
 from residua.design.observer import Observer
 from residua.errors import AccuracyError, DesignError
@@ -50,8 +51,8 @@ def unknown_input_observer(
     poles : sequence of complex, optional
         Poles of the error, closed under conjugation: as many as states, or as many as are free.
     margin : float, optional
-        Stability margin in 1/s when no poles are given; the geometric mean of the plant's own pole sizes
-        when omitted.
+        Stability margin in 1/s when no poles are given; when omitted, the geometric mean of the sizes of the
+        poles of ``T A``.
     H0 : array_like, shape (n, outputs), optional
         The free matrix of the general solution; zero when omitted. Of ``H0 [I - CE(CE)^+]`` only what acts
         on the outputs left over by the decoupling matters.
@@ -98,7 +99,7 @@ def unknown_input_observer(
 
 
 def decoupling_gain(form: OutputFreeForm, H0: ArrayLike | None = None) -> NDArray[np.float64]:
-    """Return ``H`` on the measured outputs, with ``(H C - I) E = 0`` (eq. 10, Lemma 1)."""
+    """Return ``H`` on the measured outputs, with ``(H C - I) E = 0`` (eq. 5; Lemma 1)."""
     CE = form.C @ form.E
     p = len(form.C)
     inverse = np.linalg.pinv(CE) if CE.size else np.zeros((CE.shape[1], p))
@@ -119,8 +120,7 @@ def place(
     rtol: float,
 ) -> Placement:
     """Place the poles that were asked for, or all of them beyond a margin."""
-    if poles is not None and margin is not None:
-        raise DesignError("give poles or margin, not both")
+    poles, margin = checked_options(poles, margin)
     if poles is None:
         return place_observer_margin(A, C, default_margin(A, dt) if margin is None else margin, dt=dt, rtol=rtol)
     return place_observer_poles(A, C, poles, dt=dt, rtol=rtol)
@@ -132,10 +132,6 @@ def assemble(
     H: NDArray,
     placed: Placement,
     existence: UnknownInputExistence,
-    *,
-    method: str = "unknown input observer",
-    references: tuple[str, ...] = (REFERENCE,),
-    notes: tuple[str, ...] = (),
 ) -> Observer:
     """Return the observer of a decoupling gain and a placed gain, with its identities checked."""
     T = np.eye(plant.n_states) - H @ plant.C
@@ -152,11 +148,11 @@ def assemble(
             "weakly for this scaling; rescale the channels"
         )
     q, p = form.E.shape[1], len(form.W)
+    method, notes = "unknown input observer", ()
     if q and p > q:
         notes = (
             f"{p - q} of the {p} residuals are independent: the others are filtered copies, the price of "
             f"decoupling {q} disturbances",
-            *notes,
         )
     evidence = Evidence(
         method=method,
@@ -170,6 +166,6 @@ def assemble(
             "norm of K1": float(np.linalg.norm(K1)),
         },
         notes=notes,
-        references=references,
+        references=(REFERENCE,),
     )
     return Observer(plant, F, T, H, K1, form.W, method, True, evidence)

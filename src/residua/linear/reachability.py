@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.linear.observability import staircase
 from residua.linear.rank import DEFAULT_RTOL, range_basis
 from residua.linear.state_space import StateSpace
 
@@ -30,11 +31,20 @@ def reachable_basis(A: NDArray, B: NDArray, *, rtol: float = DEFAULT_RTOL) -> ND
 def without_unobservable(system: StateSpace, *, rtol: float = DEFAULT_RTOL) -> StateSpace:
     """Return the system without the states that no output sees; its transfer matrix is unchanged.
 
-    The kept states are an orthonormal basis of the observable quotient, so that hidden unstable modes go
-    away without being cancelled numerically.
+    The kept states are an orthonormal basis, in balanced units, of the observable quotient, so that hidden
+    unstable modes go away without being cancelled numerically.
     """
     system = system.explicit()
-    V = reachable_basis(system.A.T, system.C.T, rtol=rtol)
-    if V.shape[1] == system.n_states:
+    form = staircase(system.A, system.C, rtol=rtol)
+    if np.ptp(np.log2(form.states)) > 40:  # hidden parts have no units of their own
+        form = staircase(system.A, system.C, rtol=rtol, balance=False)
+    k = form.n_observable
+    if k == system.n_states:
         return system
-    return system.replaced(A=V.T @ system.A @ V, B=V.T @ system.B, C=system.C @ V, states=None)
+    Q = form.Q[:, :k]
+    return system.replaced(
+        A=Q.T @ form.A @ Q,
+        B=Q.T @ (system.B / form.states[:, None]),
+        C=(system.C * form.states) @ Q,
+        states=None,
+    )
