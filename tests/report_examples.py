@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from residua.decide import whitening_matrix
+from residua.decide import Directional, whitening_matrix
+from residua.decide.directional import direction_test
 from residua.design.evidence import Evidence
 from residua.design.generator import ResidualGenerator, make_generator
 from residua.linear import StateSpace
@@ -52,7 +53,7 @@ def generator(n: int = 3, *, names: list[str] | None = None, noise: bool = False
         notes=("the poles were asked for",),
         references=("Chen, Patton and Zhang (1996), eqs. (2) to (8)",),
     )
-    return make_generator(system, plant, "full-order observer", evidence)
+    return make_generator(system, plant, "full-order observer", evidence, state_map=np.eye(n))
 
 
 def diagnosis(
@@ -74,6 +75,7 @@ def diagnosis(
     residuals[start:] += 0.3 * direction / max(np.linalg.norm(direction), 1e-12)
     statistic = np.linalg.norm(residuals, axis=1) / 0.02
     groups = tuple((f,) for f in gen.faults)
+    whitening = np.eye(n) if gen.covariance is None else whitening_matrix(gen.covariance)
     scores = np.clip(0.5 + 0.1 * rng.standard_normal((n_samples, len(groups))), 0, 1)
     scores[start:, min(1, len(groups) - 1)] = 0.99
     decided = np.arange(n_samples) >= min(10, n_samples)
@@ -98,7 +100,7 @@ def diagnosis(
         missing=np.zeros(n_samples, dtype=bool),
         scores=scores,
         groups=groups,
-        signatures=tuple(np.eye(n)[:, [k % n]] for k in range(len(groups))),
+        signatures=_signatures(gen, whitening),
         unjudged=(),
         alarms=alarms,
         resets=0,
@@ -106,9 +108,15 @@ def diagnosis(
         center=np.zeros(n),
         band=np.full(n, 0.08),
         generator=gen,
-        whitening=np.eye(n) if gen.covariance is None else whitening_matrix(gen.covariance),
+        whitening=whitening,
         settings={"threshold": "5 (given)"},
         source="tank08.csv",
         notes=(),
     )
     return replace(made, **changes)
+
+
+def _signatures(gen: ResidualGenerator, whitening: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Every fault's own, also where a monitor would put several into one group."""
+    steady = gen.steady_directions
+    return tuple(direction_test(Directional(), {f: gen.subspaces[f]}, steady, whitening).bases[0] for f in gen.faults)

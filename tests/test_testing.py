@@ -21,6 +21,12 @@ def test_our_own_designs_pass(dt: float) -> None:
     check_residual_generator(rs.design.unknown_input_observer(engine).residual_generator())
 
 
+def test_sampled_continuous_designs_pass_with_what_sampling_costs() -> None:
+    engine = rs.library.jet_engine()
+    for dt in (0.001, 0.01, 0.1):
+        check_residual_generator(rs.design.robust_detection_filter(engine).discretize(dt))
+
+
 def test_wrong_ones_are_refused() -> None:
     good = rs.design.detection_filter(rs.library.gertler())
     for change, words in (

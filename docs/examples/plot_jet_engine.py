@@ -149,7 +149,7 @@ command = np.where(time >= 1.0, 0.2, 0.0)
 
 def record(fault=None):
     faults = {} if fault is None else {fault: np.where(time >= 7.0, 0.02, 0.0)}
-    return simulate_jet_engine(command, dt, faults=faults, relative=True)
+    return simulate_jet_engine(command, dt=dt, faults=faults, relative=True)
 
 
 cases = {fault: record(fault) for fault in (None, *engine.faults)}

@@ -27,6 +27,10 @@ class FileFormatError(ResiduaError, ValueError):
     """A plant file or a saved design that cannot be read; the message points at the entry."""
 
 
+class SettingError(ResiduaError, ValueError):
+    """An option that makes no sense: its name, what it must be, and what it was."""
+
+
 class NotFittedError(ResiduaError, RuntimeError):
     """A monitor that needs thresholds from fault-free data was run before it had them."""
 

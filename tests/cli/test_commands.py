@@ -23,6 +23,19 @@ def test_run_names_the_faulty_sensor(made: Path, residua: Residua) -> None:
     assert "Q" not in out.splitlines()[0]
 
 
+def test_a_short_alarm_is_named_with_caution(made: Path, tmp_path: Path, residua: Residua) -> None:
+    rows = simulate(400, 3, sensor=0.5, from_=200)
+    rows[215:, 2] -= 0.5
+    fit = ("fit", made / "design.json", made / "normal.csv", "-o", tmp_path / "m.json", "--false-alarm-rate", "1e-4")
+    residua(*fit)
+    status, out, _ = residua("run", tmp_path / "m.json", write_csv(tmp_path / "blip.csv", rows))
+    assert status == 1
+    assert "Fault found" not in out
+    assert "too short to be sure of the name; nearest: level 1 sensor." in out.splitlines()[0]
+    assert "level 1 sensor (short)" in out
+    assert "(short)" not in residua("run", made / "monitor.json", made / "faulty.csv")[1]
+
+
 def test_run_without_a_fault(made: Path, residua: Residua) -> None:
     status, out, err = residua("run", made / "monitor.json", made / "healthy.csv")
     assert (status, err) == (0, "")
@@ -125,7 +138,7 @@ def test_too_short_a_recording_is_no_verdict(made: Path, tmp_path: Path, residua
 def test_analyze_prints_groups_and_reasons(made: Path, residua: Residua) -> None:
     status, out, err = residua("analyze", made / "disturbed.toml")
     assert (status, err) == (0, "")
-    assert "pump actuator, leak: the same effect on the outputs" in out
+    assert "leak: same effect on the outputs as level 1 sensor, pump actuator, up to a filter" in out
     assert "unknown input observer exists" in out
 
 
@@ -256,6 +269,7 @@ def test_fit_reports_and_warns(made: Path, tmp_path: Path, residua: Residua) -> 
     assert "threshold: " in out
     assert "fraction in alarm: " in out
     assert "3000 over 2999 s" in out
+    assert "expect on fault-free data: up to 10 alarms per 10,000 samples (each lasts 10 samples or more)" in out
     options = ("-o", tmp_path / "m.json", "--false-alarm-rate", "1e-6")
     status, _, err = residua("fit", made / "design.json", made / "normal.csv", *options)
     assert status == 0

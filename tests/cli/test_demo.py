@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 
 from cli_examples import Residua, assert_error
+from residua.library import three_tank
+from residua.plant import load_plant
+from residua.plant.plant_writer import differences
 
 
 def test_demo_jet_engine(tmp_path: Path, residua: Residua) -> None:
@@ -50,20 +53,7 @@ def test_demo_three_tank_and_the_same_by_hand(tmp_path: Path, residua: Residua) 
     assert status == 1
     assert "Fault found: leak 3" in out
     assert residua("run", monitor, tmp_path / "healthy.csv", "-q")[0] == 0
-
-
-def test_demo_plant_file_is_the_library_plant() -> None:
-    from residua.demos.three_tank import plant_file
-    from residua.library import three_tank
-    from residua.plant.plant_file import loads_plant
-
-    ours, read = three_tank(), loads_plant(plant_file(three_tank()))
-    for name in ("A", "C", "Bu", "Bf", "Df"):
-        np.testing.assert_array_equal(getattr(read, name), getattr(ours, name))
-    np.testing.assert_allclose(read.process_noise, ours.process_noise, rtol=1e-12)
-    np.testing.assert_allclose(read.measurement_noise, ours.measurement_noise, rtol=1e-12)
-    assert read.fault_list == ours.fault_list
-    assert read.operating_point == ours.operating_point
+    assert differences(load_plant(plant), three_tank()) == []
 
 
 def test_demo_folder_that_is_a_file(made: Path, residua: Residua) -> None:

@@ -7,7 +7,9 @@ import pytest
 import scipy.linalg
 
 from plant_examples import A, B, C, example, random_plant
+from residua.design import robust_detection_filter
 from residua.errors import ModelError
+from residua.library import jet_engine
 from residua.plant import Fault, OperatingPoint, Plant
 
 
@@ -49,6 +51,22 @@ def test_dependent_disturbances_are_factored() -> None:
     plant = example().with_disturbances([[1, 2, 3], [2, 4, 6], [0, 0, 0]])
     assert plant.Bd.shape == (3, 1)
     assert abs(np.array([1, 2, 0]) @ plant.Bd[:, 0]) == pytest.approx(np.sqrt(5) * np.linalg.norm(plant.Bd), rel=1e-12)
+
+
+def test_named_disturbances_keep_names_and_columns_though_they_depend_on_one_another() -> None:
+    plant = example().with_disturbances({"gust": [1, 0, 0], "wave": [2, 0, 0]})
+    assert plant.disturbances == ("gust", "wave")
+    np.testing.assert_array_equal(plant.Bd, [[1, 2], [0, 0], [0, 0]])
+    assert plant.with_disturbances({}).disturbances == ("gust", "wave")
+
+
+def test_designs_factor_named_disturbances() -> None:
+    plant = jet_engine(disturbances=False)
+    both = robust_detection_filter(plant.with_disturbances({"gust": [1, 0, 0], "wave": [2, 0, 0]}))
+    alone = robust_detection_filter(plant.with_disturbances({"gust": [1, 0, 0]}))
+    np.testing.assert_allclose(np.sort(both.system.poles()), np.sort(alone.system.poles()), atol=1e-9)
+    assert both.plant.disturbances == ("gust", "wave")
+    assert max(both.evidence.decoupling.values()) < 1e-9
 
 
 def test_named_disturbances_keep_their_columns() -> None:
@@ -159,6 +177,11 @@ BAD_PLANTS = {
         lambda: example().with_disturbances([[1.0], [2.0], [0.0]], names=["a", "b"]),
         "expected 1 names, got 2",
     ),
+    "disturbance without effect": (lambda: example().with_disturbances({"gust": [0, 0, 0]}), "'gust' has no effect"),
+    "disturbance that exists": (
+        lambda: example().with_disturbances({"d": [1, 0, 0]}).with_disturbances({"d": [0, 1, 0]}),
+        "occurs twice",
+    ),
     "disturbance mapping with names": (
         lambda: example().with_disturbances({"d": [1, 0, 0]}, names=["e"]),
         "brings its own names",
@@ -170,6 +193,9 @@ BAD_PLANTS = {
     "noise indefinite": (lambda: example().with_noise(measurement=[1.0, -1.0]), "no negative eigenvalue"),
     "noise of wrong size": (lambda: example().with_noise(process=np.eye(2)), "must be 3 x 3"),
     "noise of an unknown channel": (lambda: example().with_noise(process={"z": 1.0}), "'z'"),
+    "noise in words": (lambda: example().with_noise(process={"a": "much"}), "expected a number, got 'much'"),
+    "noise in quotes": (lambda: example().with_noise(process={"a": "0.1"}), "expected a number, got '0.1'"),
+    "noise in one word": (lambda: example().with_noise(measurement="much"), "expected a number, got 'much'"),
     "noise not finite": (lambda: example().with_noise(process=np.nan), "finite"),
     "sampled twice": (lambda: example(dt=1.0).discretize(0.1), "sampled already"),
     "step zero": (lambda: example().discretize(0), "positive step"),

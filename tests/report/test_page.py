@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from report_examples import diagnosis, generator
+from residua.errors import FileFormatError
 from residua.monitor.diagnosis import Candidate
 from residua.report.page import Section, Table, render, write_demo_page, write_page
 from residua.report.text import safe_json
@@ -60,7 +61,7 @@ def words(page: str) -> str:
 
 
 def test_page_states_verdict_margin_and_provenance(tmp_path):
-    path = write_page(diagnosis(), tmp_path / "new folder" / "page.html")
+    path = write_page(diagnosis(), tmp_path / "page.html")
     text = words(path.read_text(encoding="utf-8"))
     assert "tanks: fault diagnosis" in text
     assert "Fault found: level 2 sensor, since t = 30 s." in text
@@ -71,6 +72,26 @@ def test_page_states_verdict_margin_and_provenance(tmp_path):
     assert re.search(r"Made by residua \d+\.\d+", text)
     assert "3.1e−16" in text
     assert "Chen, Patton and Zhang (1996), eqs. (2) to (8)" in text
+
+
+def test_pages_need_a_folder_that_exists(tmp_path):
+    path = tmp_path / "new folder" / "page.html"
+    for write in (lambda: write_page(diagnosis(50), path), lambda: write_demo_page([], path, "t")):
+        with pytest.raises(FileFormatError, match="does not exist"):
+            write()
+    assert not path.parent.exists()
+    with pytest.raises(FileFormatError, match="is a folder"):
+        write_page(diagnosis(50), tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_directions_of_a_monitor_that_does_not_isolate():
+    page = words(render([Section("", EDGES["no isolation"][0]())], "t"))
+    assert "This monitor does not isolate; these are the signatures that it would judge by." in page
+
+
+def test_the_band_is_said_to_be_of_averaged_residuals():
+    assert "averaged over the test window, where there is one" in words(render([Section("", diagnosis())], "t"))
 
 
 def test_page_loads_nothing_and_allows_only_its_own_scripts():
@@ -182,7 +203,13 @@ EDGES = {
     "no isolation": (
         lambda: (
             (d := diagnosis())
-            and replace(d, groups=(), scores=np.zeros((600, 0)), alarms=(replace(d.alarms[0], candidates=()),))
+            and replace(
+                d,
+                groups=(),
+                signatures=(),
+                scores=np.zeros((600, 0)),
+                alarms=(replace(d.alarms[0], candidates=()),),
+            )
         ),
         "it was not isolated",
     ),
@@ -197,6 +224,7 @@ EDGES = {
         lambda: diagnosis(
             gen=(g := generator(2)) and replace(g, plant=g.plant),
             groups=(),
+            signatures=(),
             scores=np.zeros((600, 0)),
             unjudged=generator(2).faults,
         ),

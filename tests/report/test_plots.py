@@ -14,6 +14,13 @@ from residua.report.plots import plot_diagnosis, plot_directions, plot_structure
 matplotlib = pytest.importorskip("matplotlib")
 
 
+@pytest.fixture(autouse=True)
+def _no_figure_stays():
+    yield
+    if "matplotlib.pyplot" in sys.modules:
+        sys.modules["matplotlib.pyplot"].close("all")
+
+
 def drawn(figure) -> str:
     """Draw for real, and return every text of the figure."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -35,6 +42,19 @@ def test_nothing_is_left_in_pyplot():
         "import sys, report_examples as e; from residua.report.plots import *; d = e.diagnosis(50)\n"
         "plot_diagnosis(d); plot_structure(d.generator); plot_directions(d.generator)\n"
         "assert 'matplotlib.pyplot' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=__file__.rsplit("report", 1)[0])
+
+
+def test_pyplot_knows_the_figures_of_a_caller_who_uses_it():
+    code = (
+        "import matplotlib; matplotlib.use('Agg')\n"
+        "import matplotlib.pyplot as plt, report_examples as e; from residua.report.plots import *\n"
+        "d = e.diagnosis(50)\n"
+        "figures = [plot_diagnosis(d), plot_structure(d.generator).figure, plot_directions(d.generator).figure]\n"
+        "assert [plt.figure(k) for k in plt.get_fignums()] == figures\n"
+        "given = matplotlib.figure.Figure()\n"
+        "assert plot_diagnosis(d, figure=given) is given and len(plt.get_fignums()) == 3"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=__file__.rsplit("report", 1)[0])
 
@@ -83,6 +103,22 @@ def test_generator_plots(n):
     ax = plot_directions(gen)
     assert "pump actuator" in drawn(ax.figure)
     assert ("whitened" in ax.get_title()) == (n == 5)
+
+
+@pytest.mark.parametrize("n", [2, 3])
+def test_directions_are_grouped_and_faults_without_one_are_named(n):
+    gen = generator(n)
+    unseen = gen.faults[0]
+    gen = replace(gen, subspaces={**gen.subspaces, unseen: np.zeros((n, 0))})
+    gen.__dict__["steady_directions"] = {**gen.steady_directions, unseen: np.zeros(n)}
+    ax = plot_directions(gen)
+    assert unseen in drawn(ax.figure)
+    if n == 2:
+        assert f"{unseen} (no signature)" in drawn(ax.figure)
+    else:
+        assert [t.get_text() for t in ax.texts].count("–") == 2 * len(ax.get_xticks()) - 1
+    same = replace(generator(n), subspaces=dict.fromkeys(gen.faults, np.eye(n)[:, :1]))
+    assert " or ".join(gen.faults) in drawn(plot_directions(same).figure).replace("\n", " ")
 
 
 def test_long_recordings_are_thinned():

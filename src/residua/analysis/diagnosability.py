@@ -140,6 +140,9 @@ def diagnosability(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> Diagnosabilit
 
     Notes
     -----
+    Assumes: the model is exact, linear and time-invariant, one fault is there at a time, and disturbances may be
+    any signals. Noise is not considered: what can be told in principle may take long in noise.
+
     The pencil is evaluated at a few fixed points; what the disturbances leave of each fault's column is its
     projection on the left null space there. At ``s = 0`` the limit is taken, since a zero of the plant there
     enlarges the null space at that one point.

@@ -21,7 +21,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 for success and no fault, 1 when ``residua run`` found a fault, 2 for an error, 130 when
+        0 for success and no fault, 1 when ``residua run`` raised an alarm, 2 for an error, 130 when
         interrupted.
     """
     try:

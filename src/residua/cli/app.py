@@ -11,12 +11,13 @@ import typer
 from residua import __version__
 from residua.analysis import diagnosability
 from residua.cli import methods, screen
-from residua.cli.files import check_input, check_outputs, replacing
+from residua.cli.files import check_outputs
 from residua.cli.guard import FAULT, NO_FAULT, GuardedGroup, warn
 from residua.cli.methods import Method
 from residua.decide import Directional, NormThreshold
 from residua.demos import Outcome
 from residua.errors import AccuracyError, DataError, ModelError
+from residua.files import check_input, replacing
 from residua.monitor import Diagnosis, Monitor
 from residua.monitor.recording import Recording, read_recording, write_table
 from residua.plant.plant_file import load_plant
@@ -24,7 +25,7 @@ from residua.plant.plant_file import load_plant
 app = typer.Typer(
     cls=GuardedGroup,
     help="Model-based fault detection and isolation: from a plant file and a recording to the faulty component.",
-    epilog="Exit status: 0 done, or no fault found; 1 a fault was found; 2 error. "
+    epilog="Exit status: 0 done, or no alarm; 1 an alarm was raised; 2 error. "
     "RESIDUA_TRACEBACK=1 shows where an error comes from.",
     no_args_is_help=True,
     add_completion=False,
@@ -134,8 +135,8 @@ def design(
     check_outputs([output], [plant])
     model = load_plant(plant)
     chosen, why = (method, "") if method is not Method.auto else methods.choose(model)
-    wish = methods.Wish(methods.parse_poles(poles) if poles else None, margin, sample_time)
-    generator = methods.make(model, chosen, wish, why=why)
+    options = methods.DesignOptions(methods.parse_poles(poles) if poles else None, margin, sample_time)
+    generator = methods.make(model, chosen, options, why=why)
     isolate = Directional(window=window)
     monitor = Monitor(
         generator,
@@ -143,8 +144,7 @@ def design(
         isolate=isolate,
         dt=sample_time,
     )
-    with replacing(output) as temporary:
-        monitor.save(temporary)
+    monitor.save(output)
     screen.say(f"method: {chosen.value}" + (f", because {why}" if why else ""), str(_evidence(monitor)))
     if model.faults:
         screen.show_signatures(generator, isolate)
@@ -189,8 +189,7 @@ def fit(
     watch.fit(data.u, data.y, time=data.time, false_alarm_rate=rate)
     found = _run(watch, data)
     watch.reset()
-    with replacing(output) as temporary:
-        watch.save(temporary)
+    watch.save(output)
     judged = int(found.decided.sum())
     screen.say(
         f"threshold: {watch.threshold:.6g}",
@@ -198,6 +197,7 @@ def fit(
         f"fault-free samples: {len(found.time)} over {_span(found):.6g} s, {judged} judged "
         f"({found.n_missing} incomplete, the rest while the filter settles)",
         f"fraction in alarm: {found.false_alarm_fraction:.3g} (asked for: at most {rate:g})",
+        _expected_alarms(watch, rate, len(found.alarms)),
         f"written: {output}",
     )
     if judged * rate < 10:
@@ -205,6 +205,15 @@ def fit(
             f"{judged} samples are too few to see a false alarm rate of {rate:g}: give {int(10 / rate) + 1} or more, "
             "or ask for a higher rate with --false-alarm-rate"
         )
+
+
+def _expected_alarms(watch: Monitor, rate: float, here: int) -> str:
+    """Say how many alarms fault-free data bring: each lasts at least as long as it takes to end."""
+    shortest = watch.norm_test.release
+    return (
+        f"expect on fault-free data: up to {1e4 * rate / shortest:.2g} alarms per 10,000 samples "
+        f"(each lasts {shortest} samples or more); here: {here}"
+    )
 
 
 @app.command()
@@ -226,7 +235,7 @@ def run(
     variable: Variable = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing; the exit status tells.")] = False,
 ) -> None:
-    """Look for faults in a recording: exit status 0 no fault, 1 a fault, 2 error."""
+    """Look for faults in a recording: exit status 0 no alarm, 1 an alarm, however short, 2 error."""
     check_input(monitor, "a monitor")
     check_input(recording, "a recording")
     check_outputs([report, alarms, residuals], [monitor, recording])
@@ -237,7 +246,7 @@ def run(
     found = _run(watch, data)
     written = _write(found, report=report, alarms=alarms, residuals=residuals)
     if not quiet:
-        screen.show_diagnosis(found)
+        screen.show_diagnosis(found, watch.isolate.window if watch.isolate else 0)
         if data.origin:
             screen.say(f"times count from {data.origin}")
         screen.say(*(f"written: {path}" for path in written))
@@ -277,14 +286,12 @@ def _check_table(path: Path | None) -> None:
 def _write(found: Diagnosis, *, report: Path | None, alarms: Path | None, residuals: Path | None) -> list[Path]:
     """Write what was asked for and return the paths."""
     if report is not None:
-        with replacing(report) as temporary:
-            found.to_html(temporary)
+        found.to_html(report)
     if alarms is not None:
         with replacing(alarms) as temporary:
             found.write_alarms(temporary)
     if residuals is not None:
-        with replacing(residuals) as temporary:
-            write_table(temporary, found.columns())
+        write_table(residuals, found.columns())
     return [path for path in (report, alarms, residuals) if path is not None]
 
 

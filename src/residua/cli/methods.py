@@ -23,7 +23,7 @@ class Method(StrEnum):
 
 
 @dataclass(frozen=True)
-class Wish:
+class DesignOptions:
     """What was asked of a design.
 
     Attributes
@@ -57,7 +57,7 @@ def choose(plant: Plant) -> tuple[Method, str]:
     return Method.detection_filter, "the plant has neither disturbances nor noise"
 
 
-def make(plant: Plant, method: Method, wish: Wish, *, why: str = "") -> ResidualGenerator:
+def make(plant: Plant, method: Method, options: DesignOptions, *, why: str = "") -> ResidualGenerator:
     """Design by one method, or say why that is impossible and which other methods would work.
 
     Parameters
@@ -65,7 +65,7 @@ def make(plant: Plant, method: Method, wish: Wish, *, why: str = "") -> Residual
     plant : Plant
     method : Method
         Not ``auto``: see :func:`choose`.
-    wish : Wish
+    options : DesignOptions
     why : str
         Why the method was chosen, for the message.
 
@@ -78,19 +78,19 @@ def make(plant: Plant, method: Method, wish: Wish, *, why: str = "") -> Residual
     DesignError
     """
     try:
-        return _DESIGNS[method](plant, wish)
+        return _DESIGNS[method](plant, options)
     except (DesignError, AccuracyError) as error:
         chosen = f"{method.value} (chosen because {why})" if why else method.value
-        raise type(error)(f"{chosen}: {error}; {_alternatives(plant, method, wish)}") from error
+        raise type(error)(f"{chosen}: {error}; {_alternatives(plant, method, options)}") from error
 
 
-def _alternatives(plant: Plant, failed: Method, wish: Wish) -> str:
+def _alternatives(plant: Plant, failed: Method, options: DesignOptions) -> str:
     """Return which of the other methods exist for this plant."""
     possible = []
     for method, build in _DESIGNS.items():
         if method is failed:
             continue
-        fitting = Wish(sample_time=wish.sample_time) if method is Method.kalman_filter else wish
+        fitting = DesignOptions(sample_time=options.sample_time) if method is Method.kalman_filter else options
         try:
             build(plant, fitting)
         except (DesignError, AccuracyError):
@@ -104,27 +104,27 @@ def _alternatives(plant: Plant, failed: Method, wish: Wish) -> str:
     return "no other method exists for this plant with these options either"
 
 
-def _directional(build: Callable[..., ResidualGenerator]) -> Callable[[Plant, Wish], ResidualGenerator]:
-    def design_it(plant: Plant, wish: Wish) -> ResidualGenerator:
-        return build(plant, poles=wish.poles, margin=wish.margin)
+def _directional(build: Callable[..., ResidualGenerator]) -> Callable[[Plant, DesignOptions], ResidualGenerator]:
+    def design_it(plant: Plant, options: DesignOptions) -> ResidualGenerator:
+        return build(plant, poles=options.poles, margin=options.margin)
 
     return design_it
 
 
-def _kalman(plant: Plant, wish: Wish) -> ResidualGenerator:
-    if wish.poles is not None or wish.margin is not None:
+def _kalman(plant: Plant, options: DesignOptions) -> ResidualGenerator:
+    if options.poles is not None or options.margin is not None:
         raise DesignError("the poles of a Kalman filter follow from the noise: leave out --poles and --margin")
-    if wish.sample_time is not None and not plant.is_discrete and plant.Bw.shape[1]:
+    if options.sample_time is not None and not plant.is_discrete and plant.Bw.shape[1]:
         # The optimal filter for the sampled plant, rather than the continuous one, sampled.
-        plant = plant.discretize(wish.sample_time)
+        plant = plant.discretize(options.sample_time)
     return design.kalman_filter(plant)
 
 
-def _observer(plant: Plant, wish: Wish) -> ResidualGenerator:
-    return design.unknown_input_observer(plant, poles=wish.poles, margin=wish.margin).residual_generator()
+def _observer(plant: Plant, options: DesignOptions) -> ResidualGenerator:
+    return design.unknown_input_observer(plant, poles=options.poles, margin=options.margin).residual_generator()
 
 
-_DESIGNS: dict[Method, Callable[[Plant, Wish], ResidualGenerator]] = {
+_DESIGNS: dict[Method, Callable[[Plant, DesignOptions], ResidualGenerator]] = {
     Method.robust_detection_filter: _directional(design.robust_detection_filter),
     Method.detection_filter: _directional(design.detection_filter),
     Method.kalman_filter: _kalman,

@@ -127,13 +127,13 @@ def show_diagnosability(found: Diagnosability) -> None:
                 plant.fault_components[i],
                 found.detectable[i],
                 found.strongly_detectable[i],
-                ", ".join(_twins(found, i)),
+                ", ".join(_twins(found.groups, name)),
                 ", ".join(found.constant_twins(name)),
             ]
             for i, name in enumerate(found.faults)
         ],
     )
-    why = _why(found)
+    why = [f"{name}: {reason}" for name, reason in found.reasons().items()]
     say(*(why or ["every fault can be detected, also when constant, and told from every other"]))
     if found.unknown_input_observer is None:
         say("unknown input observer: not examined, E is singular")
@@ -143,18 +143,9 @@ def show_diagnosability(found: Diagnosability) -> None:
         say("no disturbances: an ordinary observer will do")
 
 
-def _why(found: Diagnosability) -> list[str]:
-    """Return why faults cannot be detected or told apart, one line per fault or group."""
-    together = [group for group in found.groups if len(group) > 1]
-    lines = [f"{', '.join(group)}: the same effect on the outputs, up to a filter" for group in together]
-    grouped = {name for group in together for name in group}
-    lines += [f"{name}: {why}" for name, why in found.reasons().items() if name not in grouped]
-    return lines
-
-
-def _twins(found: Diagnosability, i: int) -> list[str]:
-    name = found.faults[i]
-    return [other for group in found.groups if name in group for other in group if other != name]
+def _twins(groups: Iterable[tuple[str, ...]], name: str) -> list[str]:
+    """Return the others in the group of a fault."""
+    return [other for group in groups if name in group for other in group if other != name]
 
 
 def diagnosability_values(found: Diagnosability) -> dict[str, Any]:
@@ -175,7 +166,7 @@ def diagnosability_values(found: Diagnosability) -> dict[str, Any]:
                 "detectable": bool(found.detectable[i]),
                 "strongly_detectable": bool(found.strongly_detectable[i]),
                 "visibility": float(found.visibility[i]),
-                "not_isolable_from": _twins(found, i),
+                "not_isolable_from": _twins(found.groups, name),
                 "not_isolable_when_constant_from": list(found.constant_twins(name)),
                 "reason": reasons.get(name),
             }
@@ -214,8 +205,7 @@ def show_signatures(generator: ResidualGenerator, isolate: Directional) -> None:
             shape = "steady direction only" if steady else "no fixed direction"
         else:
             shape = "line" if k == 1 else "plane" if k == 2 else f"{k}-dimensional"
-        twins = [other for group in test.groups if name in group for other in group if other != name]
-        rows.append([name, shape, steady, ", ".join(twins)])
+        rows.append([name, shape, steady, ", ".join(_twins(test.groups, name))])
     show_table(["fault", "signature", "steady residual per unit", "cannot be told from"], rows)
     if test.unjudged:
         say(f"never named, for want of a signature: {', '.join(test.unjudged)}")
@@ -224,16 +214,30 @@ def show_signatures(generator: ResidualGenerator, isolate: Directional) -> None:
 # ---------------------------------------------------------------------- diagnosis
 
 
-def show_diagnosis(diagnosis: Diagnosis) -> None:
-    """Print what was found in a recording."""
+def show_diagnosis(diagnosis: Diagnosis, window: int) -> None:
+    """Print what was found in a recording.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+    window : int
+        Samples over which the direction of the residual is judged: a shorter alarm is not sure of its name.
+    """
     found = verdict(diagnosis)
-    say(found.headline)
+    main = diagnosis.main_alarm
+    if main is not None and main.candidates and _samples(diagnosis, main) < window:
+        nearest = main.candidates[0].name
+        say(f"Alarm since t = {main.onset:.6g} s, too short to be sure of the name; nearest: {nearest}.")
+    else:
+        say(found.headline)
     if diagnosis.alarms:
         shown = diagnosis.alarms[:MAX_ALARMS]
         show_table(
-            ["alarm", "onset [s]", "raised [s]", "ended [s]", "most likely", "score", "next", "score"],
-            [_alarm_row(k, alarm) for k, alarm in enumerate(shown, 1)],
+            ["alarm", "onset [s]", "raised [s]", "ended [s]", "samples", "most likely", "score", "next", "score"],
+            [_alarm_row(k, alarm, _samples(diagnosis, alarm), window) for k, alarm in enumerate(shown, 1)],
         )
+        if any(alarm.candidates and _samples(diagnosis, alarm) < window for alarm in shown):
+            say(f"(short): fewer samples than the {window} that a name is judged by: too short to be sure of the name")
         if len(diagnosis.alarms) > MAX_ALARMS:
             say(f"... and {len(diagnosis.alarms) - MAX_ALARMS} more alarms (--alarms writes all of them)")
     if diagnosis.candidates:
@@ -251,14 +255,22 @@ def show_diagnosis(diagnosis: Diagnosis) -> None:
     say(*diagnosis.notes)
 
 
-def _alarm_row(k: int, alarm: Alarm) -> list[object]:
+def _samples(diagnosis: Diagnosis, alarm: Alarm) -> int:
+    """Return how many samples lie between the onset of an alarm and the last one over the threshold."""
+    onset = int(np.searchsorted(diagnosis.time, alarm.onset))
+    over = np.flatnonzero(diagnosis.statistic[onset : alarm.stop] > diagnosis.threshold)
+    return int(over[-1]) + 1 if over.size else 0
+
+
+def _alarm_row(k: int, alarm: Alarm, samples: int, window: int) -> list[object]:
     best, following = [*alarm.candidates, None, None][:2]
     return [
         k,
         alarm.onset,
         alarm.raised,
         "end of recording" if alarm.ended is None else alarm.ended,
-        best.name if best else "not isolated",
+        samples,
+        best.name + (" (short)" if samples < window else "") if best else "not isolated",
         f"{best.score:.3f}" if best else None,
         following.name if following else None,
         f"{following.score:.3f}" if following else None,

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.decide.norm_threshold import check_samples
+from residua.errors import SettingError
 from residua.linear.rank import range_basis
 
 #: Signatures whose largest principal angle is below this (sine) are one and the same.
@@ -37,10 +39,9 @@ class Directional:
 
     def __post_init__(self) -> None:
         """Check the settings."""
-        if int(self.window) != self.window or self.window < 1:
-            raise ValueError(f"window must be a whole number of samples, at least 1, got {self.window!r}")
+        check_samples(self.window, "window")
         if self.signature not in ("auto", "subspace", "steady"):
-            raise ValueError(f"signature must be 'auto', 'subspace' or 'steady', got {self.signature!r}")
+            raise SettingError(f"signature must be 'auto', 'subspace' or 'steady', got {self.signature!r}")
 
 
 @dataclass(frozen=True, eq=False)

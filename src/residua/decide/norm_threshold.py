@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import isfinite
 
 import numpy as np
-import scipy.special
 from numpy.typing import NDArray
 
 from residua.decide.persistence import alarm_logic
 from residua.decide.whitening import residual_moments, whitening_matrix
 from residua.decide.window import moving_sum
-from residua.errors import DataError
+from residua.errors import DataError, SettingError
 
 
 @dataclass(frozen=True)
@@ -19,9 +19,10 @@ class NormThreshold:
     r"""Alarm while the norm of the whitened residual stays over a threshold.
 
     .. math:: J_k = \sqrt{\bar q_k^T \bar q_k} > J_{th}, \qquad
-       \bar q_k = \frac{1}{\sqrt N} \sum_{i=0}^{N-1} \Sigma^{-1/2} (r_{k-i} - \bar r)
+       \bar q_k = \frac{1}{\sqrt N} \sum_{i=0}^{N-1} \Sigma_N^{-1/2} (r_{k-i} - \bar r)
 
-    With a window of one sample (``N = 1``) this is the norm of the whitened residual itself.
+    with the covariance :math:`\Sigma_N` of the residual summed over ``N`` samples, divided by ``N``. With a
+    window of one sample this is the norm of the whitened residual itself.
 
     Parameters
     ----------
@@ -36,7 +37,7 @@ class NormThreshold:
         Samples ``N`` over which the residual is summed. A longer window sees smaller and slower faults, and
         sees large ones no more than that later.
     whiten : {"auto", "data", "model", "none"}
-        Whose covariance :math:`\Sigma` is used: that of the fault-free data, that of the plant's noise
+        Whose covariance :math:`\Sigma_N` is used: that of the fault-free data, that of the plant's noise
         model, or the identity. ``"auto"`` takes the data when fitted, else the model, else none.
     false_alarm_rate : float
         Fraction of fault-free samples in alarm that is aimed at, unless ``fit`` is told otherwise.
@@ -55,21 +56,32 @@ class NormThreshold:
 
     def __post_init__(self) -> None:
         """Check the settings."""
-        if self.threshold is not None and not (np.isfinite(self.threshold) and self.threshold > 0):
-            raise ValueError(f"threshold must be positive, got {self.threshold!r}")
-        for name in ("persistence", "release", "window"):
-            value = getattr(self, name)
-            if value is not None and (int(value) != value or value < 1):
-                raise ValueError(f"{name} must be a whole number of samples, at least 1, got {value!r}")
+        if self.threshold is not None and not (is_number(self.threshold) and self.threshold > 0):
+            raise SettingError(f"threshold must be a positive number, got {self.threshold!r}")
+        for name in ("persistence", "window"):
+            check_samples(getattr(self, name), name)
+        if self.release is not None:
+            check_samples(self.release, "release")
         if self.whiten not in ("auto", "data", "model", "none"):
-            raise ValueError(f"whiten must be 'auto', 'data', 'model' or 'none', got {self.whiten!r}")
+            raise SettingError(f"whiten must be 'auto', 'data', 'model' or 'none', got {self.whiten!r}")
         check_rate(self.false_alarm_rate)
+
+
+def is_number(value: object) -> bool:
+    """Tell whether a setting is one finite number."""
+    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool) and isfinite(value)
+
+
+def check_samples(value: object, name: str, *, least: int = 1) -> None:
+    """Raise unless a setting is a whole number of samples."""
+    if not is_number(value) or int(value) != value or value < least:  # pyright: ignore
+        raise SettingError(f"{name} must be a whole number of samples, at least {least}, got {value!r}")
 
 
 def check_rate(rate: float) -> None:
     """Raise unless ``rate`` is a usable false alarm rate."""
-    if not 0 < rate < 1:
-        raise ValueError(f"false_alarm_rate must lie between 0 and 1, got {rate!r}")
+    if not is_number(rate) or not 0 < rate < 1:
+        raise SettingError(f"false_alarm_rate must lie between 0 and 1, got {rate!r}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +121,9 @@ def norm_test_from_model(settings: NormThreshold, covariance: NDArray | None, n_
     if settings.threshold is not None:
         threshold, basis = settings.threshold, "threshold given"
     elif use_model:
-        threshold = float(np.sqrt(scipy.special.chdtri(n_residuals, settings.false_alarm_rate)))
+        from scipy.special import chdtri  # slow to import, and needed only here
+
+        threshold = float(np.sqrt(chdtri(n_residuals, settings.false_alarm_rate)))
         basis = f"chi-squared distribution at {settings.false_alarm_rate:g} per sample, noise model of the plant"
     else:
         return None
@@ -139,7 +153,7 @@ def fit_norm_test(
     usable : ndarray of bool, shape (time,)
     false_alarm_rate : float
     covariance : ndarray or None
-        From the plant's noise model.
+        From the plant's noise model, of sums over the window.
     signal_size : float
         Size of the signals that the residual is the difference of; residuals below 1e-12 of it are rounding.
 
@@ -156,6 +170,8 @@ def fit_norm_test(
             "fault-free samples after the filter has settled"
         )
     mean, spread = residual_moments(rows)
+    if settings.window > 1:
+        _, spread = residual_moments(_sums(residuals - mean, usable, settings.window)[usable])
     source = covariance if settings.whiten == "model" and covariance is not None else spread
     rounding = 1e-12 * signal_size
     noise_free = bool(np.sqrt(np.trace(spread)) <= rounding)
@@ -167,10 +183,7 @@ def fit_norm_test(
     test = NormTest(mean, whitening, np.inf, settings.persistence, release, settings.window, "")
     if settings.threshold is not None:
         return replace(test, threshold=settings.threshold, basis="threshold given, mean and covariance fitted")
-    whitened = np.where(usable[:, None], (residuals - mean) @ whitening, 0.0)[None]
-    blank = np.zeros((1, settings.window, k))
-    sums, *_ = moving_sum(whitened, blank, blank, 0)
-    statistic = np.linalg.norm(sums[0], axis=1) / np.sqrt(settings.window)
+    statistic = np.linalg.norm(_sums((residuals - mean) @ whitening, usable, settings.window), axis=1)
     count = len(rows)
     seen_rate = max(false_alarm_rate, min(0.2, 10 / count))
     fitted = _smallest_threshold(statistic, usable, test, seen_rate)
@@ -183,6 +196,13 @@ def fit_norm_test(
         fitted = max(fitted, rounding, np.finfo(float).tiny)
         basis += "; no noise in these data: the threshold is at rounding level"
     return replace(test, threshold=float(fitted), basis=basis)
+
+
+def _sums(residuals: NDArray, usable: NDArray[np.bool_], window: int) -> NDArray[np.float64]:
+    """Return the sums over the window, divided by its square root."""
+    blank = np.zeros((1, window, residuals.shape[1]))
+    sums, *_ = moving_sum(np.where(usable[:, None], residuals, 0.0)[None], blank, blank, 0)
+    return sums[0] / np.sqrt(window)
 
 
 def _smallest_threshold(statistic: NDArray, usable: NDArray, test: NormTest, rate: float) -> float:

@@ -12,8 +12,12 @@ from numpy.typing import NDArray
 from residua.decide import Directional, NormThreshold, projection_distance
 from residua.demos.outcome import Outcome
 from residua.design import ResidualGenerator, detection_filter, robust_detection_filter
-from residua.library import jet_engine as library_engine, jet_engine_steady_state, simulate_jet_engine
-from residua.library.jet_engine import JetEngineRecording
+from residua.library import (
+    SimulatedRecording,
+    jet_engine as library_engine,
+    jet_engine_steady_state,
+    simulate_jet_engine,
+)
 from residua.monitor import Diagnosis, Monitor
 from residua.report.page import Section, write_demo_page
 from residua.report.tables import Table
@@ -107,12 +111,12 @@ def diagnose() -> tuple[list[Case], float]:
     return cases, threshold
 
 
-def record(fault: str) -> JetEngineRecording:
+def record(fault: str) -> SimulatedRecording:
     """Return the manoeuvre on the second-order engine, with a fault of 2 % of the measured steady deviation."""
     time = STEP * np.arange(round(END / STEP))
     command = np.where(time >= FUEL_AT - STEP / 2, FUEL, 0.0)
     faults = {fault: np.where(time >= FAULT_AT - STEP / 2, fault_size(fault), 0.0)} if fault else {}
-    return simulate_jet_engine(command, STEP, faults=faults)
+    return simulate_jet_engine(command, dt=STEP, faults=faults)
 
 
 def fault_size(fault: str) -> float:

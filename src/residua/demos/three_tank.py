@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
-import numpy as np
 from numpy.typing import NDArray
 
 from residua.analysis import diagnosability
 from residua.decide import NormThreshold
 from residua.demos.outcome import Outcome
 from residua.design import kalman_filter
-from residua.library import ThreeTankRecording, simulate_three_tank, three_tank as library_tank, three_tank_fault
+from residua.library import SimulatedRecording, simulate_three_tank, three_tank as library_tank, three_tank_fault
 from residua.monitor import Diagnosis, Monitor
-from residua.plant import Plant
-from residua.plant.plant_file import FORMAT, load_plant
+from residua.monitor.recording import write_table
+from residua.plant import Plant, load_plant, save_plant
 from residua.report.page import Section, write_demo_page
 from residua.report.tables import Table
 
@@ -40,8 +38,7 @@ def run(folder: Path) -> Outcome:
     -------
     Outcome
     """
-    (folder / "three_tank.toml").write_text(plant_file(library_tank()), encoding="utf-8")
-    plant = load_plant(folder / "three_tank.toml")
+    plant = load_plant(save_plant(library_tank(), folder / "three_tank.toml"))
     fault = three_tank_fault(NUMBER, STEPS, onset=ONSET)
     recordings = {
         "normal": simulate_three_tank(NORMAL_STEPS, seed=SEEDS["normal"]),
@@ -49,7 +46,7 @@ def run(folder: Path) -> Outcome:
         "leak": simulate_three_tank(STEPS, faults=fault, seed=SEEDS["leak"]),
     }
     for name, recording in recordings.items():
-        _write_csv(recording, plant, folder / f"{name}.csv")
+        write_table(folder / f"{name}.csv", _columns(recording, plant))
     monitor = Monitor(kalman_filter(plant), test=NormThreshold(persistence=PERSISTENCE))
     normal = recordings["normal"]
     monitor.fit(normal.u, normal.y, time=normal.time)
@@ -93,7 +90,12 @@ _INTRODUCTION = (
 )
 
 
-def _diagnose(monitor: Monitor, recording: ThreeTankRecording, source: str) -> Diagnosis:
+def _columns(recording: SimulatedRecording, plant: Plant) -> dict[str, NDArray]:
+    channels = dict(zip((*plant.inputs, *plant.outputs), (*recording.u.T, *recording.y.T), strict=True))
+    return {"time": recording.time} | channels
+
+
+def _diagnose(monitor: Monitor, recording: SimulatedRecording, source: str) -> Diagnosis:
     found = monitor.run(recording.u, recording.y, time=recording.time, source=source)
     assert isinstance(found, Diagnosis)
     return found
@@ -129,46 +131,3 @@ def _commands(folder: Path) -> tuple[str, ...]:
         f"residua design three_tank.toml -o tank.json --persistence {PERSISTENCE}; "
         "residua fit tank.json normal.csv -o tank.json; residua run tank.json leak.csv --report leak.html",
     )
-
-
-def _write_csv(recording: ThreeTankRecording, plant: Plant, path: Path) -> None:
-    header = ",".join(["time", *plant.inputs, *plant.outputs])
-    rows = np.column_stack([recording.time, recording.u, recording.y])
-    np.savetxt(path, rows, delimiter=",", fmt="%.10g", header=header, comments="")
-
-
-def plant_file(plant: Plant) -> str:
-    """Return a plant without disturbances as the text of a plant file.
-
-    Parameters
-    ----------
-    plant : Plant
-        With diagonal noise covariances and no ``E``.
-
-    Returns
-    -------
-    str
-    """
-    lines = [f'format = "{FORMAT}"', f"name = {json.dumps(plant.name)}", f"dt = {plant.dt!r}", "", "[matrices]"]
-    lines += [f"{key} = {_numbers(M)}" for key, M in zip("ABC", (plant.A, plant.Bu, plant.C), strict=True)]
-    point = plant.operating_point
-    for group, names, values in (
-        ("inputs", plant.inputs, point.inputs),
-        ("outputs", plant.outputs, point.outputs),
-        ("states", plant.states, None),
-    ):
-        lines += ["", f"[{group}]", f"names = {json.dumps(names)}"]
-        lines.append(f"units = {json.dumps([plant.units.get(name, '') for name in names])}")
-        if values is not None:
-            lines.append(f"operating_point = {_numbers(np.array(values))}")
-    lines += ["", "[noise]", f"process = {_numbers(np.diag(plant.process_noise))}"]
-    lines.append(f"measurement = {_numbers(np.diag(plant.measurement_noise))}")
-    for i, fault in enumerate(plant.fault_list):
-        lines += ["", "[[faults]]"]
-        lines += [f"{key} = {json.dumps(getattr(fault, key))}" for key in ("name", "kind", "component")]
-        lines += [f"state = {_numbers(plant.Bf[:, i])}", f"output = {_numbers(plant.Df[:, i])}"]
-    return "\n".join(lines) + "\n"
-
-
-def _numbers(values: NDArray[np.float64]) -> str:
-    return json.dumps(values.tolist())

@@ -86,6 +86,12 @@ def detection_filter(
     DesignError
         If the pair (C, A) is not detectable, or a fault cannot be kept to a direction by a stable filter.
 
+    Notes
+    -----
+    Assumes: the model is exact, linear and time-invariant, there are no disturbances (or none that matter),
+    and one fault is there at a time: with two, the residual lies in the sum of their spaces. Faults may have
+    any time course.
+
     References
     ----------
     Chen, Patton and Zhang (1996), eqs. (14) to (18) and (25); Gertler (1991), eqs. (5-1) to (5-8).

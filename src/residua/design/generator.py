@@ -312,7 +312,7 @@ def state_covariance(A: NDArray, Q: NDArray) -> NDArray[np.float64]:
 
 def stack_signals(plant: Plant, u: ArrayLike | None, y: ArrayLike) -> NDArray[np.float64]:
     """Return ``[u, y]`` as one block, after checking widths and lengths against the plant."""
-    y_ = np.asarray(y, dtype=float)
+    y_ = _numbers(y, "y")
     n_u, n_y = len(plant.inputs), plant.n_outputs
     if y_.ndim == 1 and n_y == 1:
         y_ = y_[:, None]
@@ -322,7 +322,7 @@ def stack_signals(plant: Plant, u: ArrayLike | None, y: ArrayLike) -> NDArray[np
         if n_u:
             raise DataError(f"u is missing: this plant has the inputs {', '.join(plant.inputs)}")
         return y_
-    u_ = np.asarray(u, dtype=float)
+    u_ = _numbers(u, "u")
     if u_.ndim == y_.ndim - 1 and n_u == 1:
         u_ = u_[..., None]
     if u_.shape != (*y_.shape[:-1], n_u):
@@ -331,3 +331,15 @@ def stack_signals(plant: Plant, u: ArrayLike | None, y: ArrayLike) -> NDArray[np
             f"to go with y of shape {y_.shape}, got {u_.shape}"
         )
     return np.concatenate([u_, y_], axis=-1)
+
+
+def _numbers(value: ArrayLike, name: str) -> NDArray[np.float64]:
+    """Return data as floats; masked entries are missing ones."""
+    try:
+        if isinstance(value, np.ma.MaskedArray):
+            value = np.ma.filled(value.astype(float), np.nan)
+        if np.iscomplexobj(value):
+            raise TypeError("complex numbers")
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise DataError(f"{name} must be an array of numbers: {error}") from error

@@ -38,6 +38,12 @@ def kalman_filter(plant: Plant) -> ResidualGenerator:
         If the plant has no noise, the measurement noise is singular, the pair (C, A) is not detectable or a
         mode on the stability boundary gets no noise.
 
+    Notes
+    -----
+    Assumes: the model is exact, linear and time-invariant; noise is white and Gaussian with the covariances
+    of the plant, and the filter has settled. A steady direction holds for constant faults after the
+    transient only.
+
     References
     ----------
     Gertler (1991), eqs. (3-14) to (3-17); steady-state directions: section 5.3, eqs. (5-19) to (5-21),

@@ -63,6 +63,12 @@ def robust_detection_filter(
         If no unknown input observer exists, the disturbances use up all measurements, they hide every
         fault, or no stable directional filter exists.
 
+    Notes
+    -----
+    Assumes: the model is exact, linear and time-invariant; disturbances enter where the model says, and may be
+    any signals; one fault is there at a time. Costs: as many independent measurements as disturbances are
+    used up, so fewer faults can be kept apart than by the plain filter.
+
     References
     ----------
     Chen, Patton and Zhang (1996), eqs. (19) to (25), Definitions 5 and 6.

@@ -71,6 +71,12 @@ def unknown_input_observer(
     AccuracyError
         If the poles or the decoupling missed their tolerance.
 
+    Notes
+    -----
+    Assumes: the model is exact, linear and time-invariant; disturbances enter where the model says, and may
+    be any signals; ``E`` of a descriptor plant is invertible. Costs: as many independent measurements as
+    disturbances are used up, and the error's poles include the invariant zeros of (A, E, C).
+
     References
     ----------
     Chen, Patton and Zhang (1996), eqs. (2) to (13), Lemma 1 and Theorem 1; the general solution with

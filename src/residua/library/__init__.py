@@ -3,20 +3,19 @@
 from residua.library.gertler import gertler
 from residua.library.jet_engine import (
     E_HAT,
-    JetEngineRecording,
     jet_engine,
     jet_engine_rate,
     jet_engine_steady_state,
     simulate_jet_engine,
 )
+from residua.library.simulation import SimulatedRecording
 from residua.library.three_tank import three_tank, three_tank_fault, three_tank_rate
-from residua.library.three_tank_simulation import ThreeTankRecording, simulate_three_tank
+from residua.library.three_tank_simulation import simulate_three_tank
 from residua.library.twardy import twardy
 
 __all__ = [
     "E_HAT",
-    "JetEngineRecording",
-    "ThreeTankRecording",
+    "SimulatedRecording",
     "gertler",
     "jet_engine",
     "jet_engine_rate",

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import AccuracyError, ModelError
+from residua.library.simulation import SimulatedRecording, fault_courses, filled, runge_kutta
 from residua.plant import Plant, quadratic_terms
 
 A = ((-1.5581, 0.6925, 0.3974), (0.2619, -2.2228, 0.2238), (0.0, 0.0, -10.0))
@@ -84,30 +85,6 @@ def jet_engine(*, corrected: bool = True, disturbances: bool = True) -> Plant:
     return engine.with_sensor_faults(STATES).with_actuator_faults()
 
 
-@dataclass(frozen=True, eq=False)
-class JetEngineRecording:
-    """What a simulated jet engine did.
-
-    Attributes
-    ----------
-    time : ndarray, shape (T,)
-        Seconds.
-    u : ndarray, shape (T, 1)
-        Commanded fuel.
-    y : ndarray, shape (T, 6)
-        Measurements, faults included.
-    x : ndarray, shape (T, 3)
-        True states.
-    dt : float
-    """
-
-    time: NDArray[np.float64]
-    u: NDArray[np.float64]
-    y: NDArray[np.float64]
-    x: NDArray[np.float64]
-    dt: float
-
-
 def jet_engine_rate(x: ArrayLike, u: ArrayLike) -> NDArray[np.float64]:
     r"""Return :math:`\dot x = A x + B u + \hat E d(x)`, the second-order model that stands for the engine.
 
@@ -166,14 +143,14 @@ def jet_engine_steady_state(u: float) -> NDArray[np.float64]:
 
 def simulate_jet_engine(
     u: ArrayLike,
-    dt: float = 0.01,
     *,
+    dt: float = 0.01,
     faults: Mapping[str, ArrayLike] | None = None,
     relative: bool = False,
     x0: ArrayLike | None = None,
     noise: float = 0.0,
     seed: int = 0,
-) -> JetEngineRecording:
+) -> SimulatedRecording:
     r"""Simulate the second-order engine with faults.
 
     Runge-Kutta of fourth order with the input held over each step.
@@ -198,7 +175,7 @@ def simulate_jet_engine(
 
     Returns
     -------
-    JetEngineRecording
+    SimulatedRecording
 
     Raises
     ------
@@ -219,16 +196,16 @@ def simulate_jet_engine(
     >>> float((run.y[-1, 0] / run.x[-1, 0]).round(6))
     1.02
     """
-    command = np.asarray(u, dtype=float).reshape(-1, 1)
-    steps = len(command)
+    steps = np.size(u)
+    command = filled(np.reshape(u, (-1, 1)), (steps, 1), "u")
     if not (np.isfinite(dt) and 0 < dt <= 0.1):
         raise ModelError(f"dt must lie in (0, 0.1] seconds, got {dt}")
-    courses = _courses(faults or {}, steps)
+    courses = fault_courses(faults, ("fuel actuator", *(f"{name} sensor" for name in OUTPUTS)), steps)
     applied = command + courses["fuel actuator"][:, None]
     x = np.zeros((steps, 3))
     x[0] = 0.0 if x0 is None else np.asarray(x0, dtype=float)
     for k in range(steps - 1):
-        x[k + 1] = _runge_kutta(x[k], applied[k], dt)
+        x[k + 1] = runge_kutta(partial(jet_engine_rate, u=applied[k]), x[k], dt)
         if not np.abs(x[k + 1]).max() < 10:
             raise ModelError(
                 f"the second-order engine runs away at {(k + 1) * dt:g} s: its model holds for small deviations only"
@@ -238,28 +215,7 @@ def simulate_jet_engine(
     y = y * (1 + bias) if relative else y + bias
     if noise:
         y = y + noise * np.random.default_rng(seed).standard_normal(y.shape)
-    return JetEngineRecording(np.arange(steps, dtype=np.float64) * dt, command, y, x, float(dt))
-
-
-def _courses(faults: Mapping[str, ArrayLike], steps: int) -> dict[str, NDArray]:
-    known = ("fuel actuator", *(f"{name} sensor" for name in OUTPUTS))
-    out = {name: np.zeros(steps) for name in known}
-    for name, course in faults.items():
-        if name not in known:
-            raise ModelError(f"unknown fault {name!r}; known: {', '.join(known)}")
-        values = np.asarray(course, dtype=float)
-        if values.ndim > 1 or (values.ndim == 1 and len(values) != steps):
-            raise ModelError(f"fault {name!r}: expected one number or {steps}, got shape {values.shape}")
-        out[name] = np.broadcast_to(values, (steps,))
-    return out
-
-
-def _runge_kutta(x: NDArray, u: NDArray, h: float) -> NDArray:
-    k1 = jet_engine_rate(x, u)
-    k2 = jet_engine_rate(x + h / 2 * k1, u)
-    k3 = jet_engine_rate(x + h / 2 * k2, u)
-    k4 = jet_engine_rate(x + h * k3, u)
-    return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return SimulatedRecording(np.arange(steps, dtype=np.float64) * dt, command, y, x, float(dt))
 
 
 def _jacobian(x: NDArray) -> NDArray:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import ModelError
+from residua.library.simulation import SimulatedRecording, fault_courses, filled, runge_kutta
 from residua.library.three_tank import (
     ACTUATORS,
     CLOGS,
@@ -28,40 +29,16 @@ from residua.library.three_tank import (
 GAINS, INTEGRAL_TIME = (5.0, 3.0), 60.0
 
 
-@dataclass(frozen=True, eq=False)
-class ThreeTankRecording:
-    """What a simulated three-tank system did.
-
-    Attributes
-    ----------
-    time : ndarray, shape (T,)
-        Seconds.
-    u : ndarray, shape (T, 2)
-        Commanded pump flows Q1, Q2 in cm³/s.
-    y : ndarray, shape (T, 3)
-        Measured levels h1, h2, h3 in cm, with noise and sensor faults.
-    x : ndarray, shape (T, 3)
-        True levels in cm.
-    dt : float
-    """
-
-    time: NDArray[np.float64]
-    u: NDArray[np.float64]
-    y: NDArray[np.float64]
-    x: NDArray[np.float64]
-    dt: float
-
-
 def simulate_three_tank(
     steps: int = 2001,
-    dt: float = 1.0,
     *,
+    dt: float = 1.0,
     faults: Mapping[str, ArrayLike] | None = None,
     u: ArrayLike | None = None,
     setpoints: ArrayLike | None = None,
     noise: float = 1.0,
     seed: int = 0,
-) -> ThreeTankRecording:
+) -> SimulatedRecording:
     """Simulate the nonlinear three-tank system from its nominal point.
 
     Runge-Kutta of fourth order; pump flows and faults are held over each step. Pumps deliver between 0 and
@@ -86,7 +63,7 @@ def simulate_three_tank(
 
     Returns
     -------
-    ThreeTankRecording
+    SimulatedRecording
 
     Raises
     ------
@@ -104,9 +81,9 @@ def simulate_three_tank(
         raise ModelError(f"dt must lie in (0, 5] seconds, got {dt}")
     if int(steps) != steps or steps < 1:
         raise ModelError(f"steps must be a positive whole number, got {steps!r}")
-    course = _courses(faults or {}, steps)
-    commands = None if u is None else _shaped(u, (steps, 2), "u")
-    wanted = _shaped(LEVELS[:2] if setpoints is None else setpoints, (steps, 2), "setpoints")
+    course = fault_courses(faults, (*ACTUATORS, *SENSORS, *LEAKS, *CLOGS), steps)
+    commands = None if u is None else filled(u, (steps, 2), "u")
+    wanted = filled(LEVELS[:2] if setpoints is None else setpoints, (steps, 2), "setpoints")
     sensor, level, flow = _noise(steps, dt, noise, seed)
     offset = np.column_stack([course[name] for name in SENSORS])
     extra = np.column_stack([course[name] for name in ACTUATORS])
@@ -122,9 +99,10 @@ def simulate_three_tank(
         else:
             q[k] = commands[k]
         real = np.clip(q[k] + extra[k] + flow[k], 0.0, LARGEST_FLOW)
-        h = _step(h, real, leaks[k], clogs[k], dt) + level[k]
+        rate = partial(three_tank_rate, q=real, leaks=leaks[k], clogs=clogs[k])
+        h = runge_kutta(rate, h, dt) + level[k]
         h = np.clip(h, 0.0, HIGHEST_LEVEL)
-    return ThreeTankRecording(np.arange(steps, dtype=np.float64) * dt, q, y, x, float(dt))
+    return SimulatedRecording(np.arange(steps, dtype=np.float64) * dt, q, y, x, float(dt))
 
 
 def _control(error: NDArray, integral: NDArray, dt: float) -> tuple[NDArray, NDArray]:
@@ -132,37 +110,6 @@ def _control(error: NDArray, integral: NDArray, dt: float) -> tuple[NDArray, NDA
     wanted = np.array(FLOWS) + np.array(GAINS) * (error + integral)
     q = np.clip(wanted, 0.0, LARGEST_FLOW)
     return q, np.where(q == wanted, integral + error * dt / INTEGRAL_TIME, integral)
-
-
-def _step(h: NDArray, q: NDArray, leaks: NDArray, clogs: NDArray, dt: float) -> NDArray:
-    def rate(levels: NDArray) -> NDArray:
-        return three_tank_rate(levels, q, leaks=leaks, clogs=clogs)
-
-    k1 = rate(h)
-    k2 = rate(h + dt / 2 * k1)
-    k3 = rate(h + dt / 2 * k2)
-    k4 = rate(h + dt * k3)
-    return h + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-
-
-def _courses(faults: Mapping[str, ArrayLike], steps: int) -> dict[str, NDArray]:
-    known = (*ACTUATORS, *SENSORS, *LEAKS, *CLOGS)
-    out = {name: np.zeros(steps) for name in known}
-    for name, course in faults.items():
-        if name not in known:
-            raise ModelError(f"unknown fault {name!r}; known: {', '.join(known)}")
-        out[name] = _shaped(course, (steps,), f"fault {name!r}")
-    return out
-
-
-def _shaped(value: ArrayLike, shape: tuple[int, ...], what: str) -> NDArray[np.float64]:
-    array = np.asarray(value, dtype=float)
-    if not np.isfinite(array).all():
-        raise ModelError(f"{what}: every number must be finite")
-    try:
-        return np.broadcast_to(array, shape)
-    except ValueError as error:
-        raise ModelError(f"{what}: expected shape {shape}, got {array.shape}") from error
 
 
 def _noise(steps: int, dt: float, factor: float, seed: int) -> tuple[NDArray, NDArray, NDArray]:

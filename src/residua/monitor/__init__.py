@@ -3,11 +3,13 @@
 from residua.monitor.diagnosis import Alarm, Candidate, Diagnosis
 from residua.monitor.monitor import Decision, Monitor
 from residua.monitor.recording import Recording, read_recording, recording_from_frame, write_table
+from residua.monitor.running import Decisions
 
 __all__ = [
     "Alarm",
     "Candidate",
     "Decision",
+    "Decisions",
     "Diagnosis",
     "Monitor",
     "Recording",

@@ -113,7 +113,8 @@ class Diagnosis:
         How often the filter was restarted after a long gap.
     residual_names : tuple of str
     center, band : ndarray, shape (residuals,)
-        Fault-free mean of each residual, and how far a single residual can be from it below threshold.
+        Fault-free mean of each residual, and how far it alone (averaged over the window of the test, where there
+        is one) can be from it below threshold.
     whitening : ndarray, shape (residuals, residuals)
         Applied as ``(r - center) @ whitening`` before norm and direction are judged.
     settings : mapping of str to str

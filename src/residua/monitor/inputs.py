@@ -49,8 +49,9 @@ def signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, source: st
     if time is None:
         return Signals(u, y, None, dt, source)
     clock = np.asarray(time, dtype=float)
-    if clock.shape != (np.shape(y)[-2],):
-        raise DataError(f"time has shape {clock.shape}, y has {np.shape(y)[-2]} samples")
+    samples = np.shape(y)[-2] if np.ndim(y) > 1 else np.size(y)
+    if clock.shape != (samples,):
+        raise DataError(f"time has shape {clock.shape}, y has {samples} samples")
     if len(clock) < 2:
         raise DataError("time must be one column of at least two finite numbers")
     found = regular_step(clock, 0.01, 0, source or "recording")

@@ -17,7 +17,7 @@ STEP_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
-class Wish:
+class ReadOptions:
     """What a caller asked for."""
 
     plant: Plant | None
@@ -78,9 +78,9 @@ def missing_columns(absent: list[str], names: Sequence[str], source: str) -> str
     return f"{source}: missing column{'s' * (len(absent) > 1)} {', '.join(parts)}; there are: {there or 'none'}"
 
 
-def settled_step(found: float | None, wish: Wish, source: str) -> float:
+def settled_step(found: float | None, options: ReadOptions, source: str) -> float:
     """Return the step that times, caller and plant agree on."""
-    given, own = wish.dt, wish.plant.dt if wish.plant else 0.0
+    given, own = options.dt, options.plant.dt if options.plant else 0.0
     if given is not None and not (np.isfinite(given) and given > 0):
         raise DataError(f"dt must be a positive step in seconds, got {given!r}")
     known = [

@@ -15,6 +15,7 @@ from residua.decide.norm_threshold import (
     NormTest,
     NormThreshold,
     check_rate,
+    check_samples,
     fit_norm_test,
     norm_test_from_model,
 )
@@ -109,10 +110,9 @@ class Monitor:
                 f"a monitor runs a residual generator, got {type(generator).__name__}"
                 + ("; use its residual_generator()" if hasattr(generator, "residual_generator") else "")
             )
-        if settle is not None and (int(settle) != settle or settle < 0):
-            raise ValueError(f"settle must be a whole number of samples, got {settle!r}")
-        if int(max_hold) != max_hold or max_hold < 0:
-            raise ValueError(f"max_hold must be a whole number of samples, got {max_hold!r}")
+        if settle is not None:
+            check_samples(settle, "settle", least=0)
+        check_samples(max_hold, "max_hold", least=0)
         self.design = generator
         self.test = NormThreshold() if test is None else test
         self.isolate = isolate
@@ -223,7 +223,7 @@ class Monitor:
             found.residuals[0],
             found.usable[0],
             false_alarm_rate=rate,
-            covariance=self.generator.covariance,
+            covariance=self.generator.covariance_of_sums(self.test.window),
             signal_size=signal_size(self.generator, data[0] - self._specification(blank).offset),
         )
         self._spec = self._state = None
@@ -287,7 +287,24 @@ class Monitor:
         return whole if np.ndim(given.y) == 3 else whole[0]
 
     def update(self, u: ArrayLike | None, y: ArrayLike) -> Decisions:
-        """Go on with a block of samples and return the raw decisions, arrays of (plants, time, ...)."""
+        """Go on with a block of samples.
+
+        Parameters
+        ----------
+        u : array_like, shape (time, inputs) or (plants, time, inputs), or None
+        y : array_like, shape (time, outputs) or (plants, time, outputs)
+            In plant units; NaN where a value is missing.
+
+        Returns
+        -------
+        Decisions
+            Arrays of (plants, time, ...): the same numbers as :meth:`run` over the whole would give.
+
+        Raises
+        ------
+        DataError
+            If the block does not fit the plant, or has another number of plants than the one before.
+        """
         data = self._block(u, y)
         spec = self._specification()
         if self._state is None:
@@ -328,7 +345,18 @@ class Monitor:
         self._state = None
 
     def save(self, path: str | Path) -> None:
-        """Write the monitor, its thresholds and its running state as JSON."""
+        """Write the monitor, its thresholds and its running state as JSON.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file appears whole or not at all.
+
+        Raises
+        ------
+        FileFormatError
+            If the folder does not exist.
+        """
         from residua.monitor.saving import save_monitor
 
         save_monitor(self, path)
@@ -344,7 +372,9 @@ class Monitor:
 
     def _use(self, sampled: ResidualGenerator) -> None:
         self._generator = sampled
-        self._norm_test = norm_test_from_model(self.test, sampled.covariance, sampled.n_residuals)
+        self._norm_test = norm_test_from_model(
+            self.test, sampled.covariance_of_sums(self.test.window), sampled.n_residuals
+        )
         self._spec = self._state = None
 
     def _learn_step(self, dt: float | None) -> None:

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import DataError, FileFormatError, missing_extra
+from residua.files import check_input, read_bytes
 from residua.monitor.array_files import read_mat, read_npz, table_from_arrays
 from residua.monitor.csv_table import MISSING, CsvTable, open_csv
-from residua.monitor.matching import Wish, settled_step
+from residua.monitor.matching import ReadOptions, settled_step
 from residua.monitor.table_writer import write_table
 from residua.monitor.time_axis import regular_step, seconds_from_dates, seconds_from_text
 from residua.plant import Plant
@@ -104,7 +105,7 @@ def read_recording(
         are missing, repeated, backwards or irregular (with the row and both steps), the step is not the
         plant's, or there are no data.
     FileFormatError
-        If the file is not what its ending says.
+        If there is no such file, it cannot be read, or it is not what its ending says.
     MissingExtraError
         If reading Parquet needs pyarrow and it is not installed.
     """
@@ -112,8 +113,9 @@ def read_recording(
     suffix = path.suffix.lower()
     if suffix not in _READERS:
         raise FileFormatError(f"{path.name}: unknown format {suffix!r}; known: {', '.join(sorted(_READERS))}")
-    wish = Wish(plant, time, dt, columns, variable, tolerance)
-    return _READERS[suffix](path, wish)
+    check_input(path, "a recording")
+    options = ReadOptions(plant, time, dt, columns, variable, tolerance)
+    return _READERS[suffix](path, options)
 
 
 def recording_from_frame(
@@ -161,15 +163,15 @@ def recording_from_frame(
     index = getattr(frame, "index", None)
     if getattr(getattr(index, "dtype", None), "kind", "") == "M":
         table.setdefault("time", np.asarray(index))
-    wish = Wish(plant, time, dt, columns, None, tolerance)
-    return _from_arrays(table, wish, source)
+    options = ReadOptions(plant, time, dt, columns, None, tolerance)
+    return _from_arrays(table, options, source)
 
 
-def _from_csv(path: Path, wish: Wish) -> Recording:
-    if wish.matrix_names is not None:
+def _from_csv(path: Path, options: ReadOptions) -> Recording:
+    if options.matrix_names is not None:
         raise DataError("columns must be a mapping {channel: column} here: the file has a header")
-    table = open_csv(path.read_bytes(), path.name)
-    chosen, clock = wish.matched(table.names, path.name)
+    table = open_csv(read_bytes(path, "a recording"), path.name)
+    chosen, clock = options.matched(table.names, path.name)
     numeric = list(dict.fromkeys(chosen.values()))
     dates = clock is not None and not _reads_as_number(table, clock)
     if clock is not None and not dates and clock not in numeric:
@@ -179,7 +181,7 @@ def _from_csv(path: Path, wish: Wish) -> Recording:
     if clock is not None and dates:
         cells, rows = table.texts(clock)
         data[clock], origin = seconds_from_text(cells, rows, f"{path.name}: column {clock!r}")
-    return _assembled(data, chosen, clock, wish, path.name, origin, first_row=2)
+    return _assembled(data, chosen, clock, options, path.name, origin, first_row=2)
 
 
 def _reads_as_number(table: CsvTable, name: str) -> bool:
@@ -193,8 +195,8 @@ def _reads_as_number(table: CsvTable, name: str) -> bool:
     return True
 
 
-def _from_parquet(path: Path, wish: Wish) -> Recording:
-    if wish.matrix_names is not None:
+def _from_parquet(path: Path, options: ReadOptions) -> Recording:
+    if options.matrix_names is not None:
         raise DataError("columns must be a mapping {channel: column} here: the file has named columns")
     try:
         import pyarrow
@@ -203,34 +205,32 @@ def _from_parquet(path: Path, wish: Wish) -> Recording:
         raise missing_extra("pyarrow", "parquet") from error
     try:
         names = parquet.read_schema(path).names
-        chosen, clock = wish.matched(names, path.name)
+        chosen, clock = options.matched(names, path.name)
         wanted = list(dict.fromkeys([*chosen.values(), *([clock] if clock else [])]))
         content = parquet.read_table(path, columns=wanted)
     except (pyarrow.ArrowException, OSError) as error:
-        if isinstance(error, FileNotFoundError):
-            raise
         raise FileFormatError(f"{path.name}: not a readable Parquet file: {error}") from error
     table = {str(name): np.asarray(content[name].to_numpy()) for name in wanted}
-    return _from_arrays(table, wish, path.name)
+    return _from_arrays(table, options, path.name)
 
 
-def _from_named_arrays(read: Callable[[Path], dict[str, NDArray]]) -> Callable[[Path, Wish], Recording]:
-    def reader(path: Path, wish: Wish) -> Recording:
-        renamed = wish.columns if isinstance(wish.columns, Mapping) else {}
+def _from_named_arrays(read: Callable[[Path], dict[str, NDArray]]) -> Callable[[Path, ReadOptions], Recording]:
+    def reader(path: Path, options: ReadOptions) -> Recording:
+        renamed = options.columns if isinstance(options.columns, Mapping) else {}
         table = table_from_arrays(
             read(path),
-            [renamed.get(name, name) for name in wish.inputs],
-            [renamed.get(name, name) for name in wish.outputs],
-            variable=wish.variable,
-            names=wish.matrix_names,
+            [renamed.get(name, name) for name in options.inputs],
+            [renamed.get(name, name) for name in options.outputs],
+            variable=options.variable,
+            names=options.matrix_names,
             source=path.name,
         )
-        return _from_arrays(table, wish, path.name)
+        return _from_arrays(table, options, path.name)
 
     return reader
 
 
-_READERS: dict[str, Callable[[Path, Wish], Recording]] = {
+_READERS: dict[str, Callable[[Path, ReadOptions], Recording]] = {
     ".csv": _from_csv,
     ".tsv": _from_csv,
     ".txt": _from_csv,
@@ -240,9 +240,9 @@ _READERS: dict[str, Callable[[Path, Wish], Recording]] = {
 }
 
 
-def _from_arrays(table: dict[str, NDArray], wish: Wish, source: str) -> Recording:
+def _from_arrays(table: dict[str, NDArray], options: ReadOptions, source: str) -> Recording:
     """Make a recording of named columns that are arrays already."""
-    chosen, clock = wish.matched(list(table), source)
+    chosen, clock = options.matched(list(table), source)
     data: dict[str, NDArray] = {}
     origin = ""
     for name in dict.fromkeys(chosen.values()):
@@ -258,7 +258,7 @@ def _from_arrays(table: dict[str, NDArray], wish: Wish, source: str) -> Recordin
             data[clock], origin = seconds_from_text(cells, range(len(cells)), f"{source}: column {clock!r}")
         else:
             data[clock] = _as_numbers(values, f"{source}: column {clock!r}")
-    return _assembled(data, chosen, clock, wish, source, origin, first_row=0)
+    return _assembled(data, chosen, clock, options, source, origin, first_row=0)
 
 
 def _as_numbers(values: NDArray, what: str) -> NDArray[np.float64]:
@@ -281,7 +281,7 @@ def _assembled(
     data: Mapping[str, NDArray],
     chosen: Mapping[str, str],
     clock: str | None,
-    wish: Wish,
+    options: ReadOptions,
     source: str,
     origin: str,
     first_row: int,
@@ -292,15 +292,15 @@ def _assembled(
         raise DataError(f"{source}: the columns differ in length: {lengths}")
     if steps == 0:
         raise DataError(f"{source}: there are no data rows")
-    outputs = wish.outputs or tuple(chosen)
+    outputs = options.outputs or tuple(chosen)
     u, y = (
         np.column_stack([data[chosen[name]] for name in group]) if group else np.zeros((steps, 0))
-        for group in (wish.inputs, outputs)
+        for group in (options.inputs, outputs)
     )
     found = None
     if clock is not None and steps > 1:
-        found = regular_step(np.asarray(data[clock]), wish.tolerance, first_row, source)
-    dt = settled_step(found, wish, source)
+        found = regular_step(np.asarray(data[clock]), options.tolerance, first_row, source)
+    dt = settled_step(found, options, source)
     time = np.arange(steps, dtype=np.float64) * dt if clock is None else np.asarray(data[clock], dtype=np.float64)
     n_missing = int((~np.isfinite(u)).sum() + (~np.isfinite(y)).sum())
     return Recording(time, u, y, dt, source, dict(chosen), n_missing, origin)

@@ -160,18 +160,17 @@ def _filter(
     """Run the generator; samples with missing values advance it with held values and yield no residual."""
     plants, time, _ = v.shape
     missing = np.asarray(~np.isfinite(v).all(axis=2))
-    if state.running.all() and not missing.any():
-        x, residuals = run_filter(spec.A, spec.B, spec.C, spec.D, state.x, v)
-        ages = state.age[:, None] + np.arange(1, time + 1)
-        gap = np.zeros_like(state.gap) if time else state.gap
-        held = v[:, -1].copy() if time else state.held
-        state = replace(state, x=x, held=held, gap=gap, age=state.age + time)
-        return state, residuals, ages > spec.settle, missing
     residuals = np.full((plants, time, len(spec.C)), np.nan)
     ages = np.zeros((plants, time), dtype=np.int64)
     fields = {name: getattr(state, name).copy() for name in ("x", "held", "gap", "running", "age", "resets")}
-    for p in range(plants):
-        _filter_with_gaps(spec, fields, p, v[p], missing[p], residuals[p], ages[p])
+    clean = state.running & ~missing.any(axis=1)
+    if time and clean.any():
+        fields["x"][clean], residuals[clean] = run_filter(spec.A, spec.B, spec.C, spec.D, state.x[clean], v[clean])
+        fields["held"][clean], fields["gap"][clean] = v[clean, -1], 0
+        ages[clean] = state.age[clean, None] + np.arange(1, time + 1)
+        fields["age"][clean] += time
+    for p in np.flatnonzero(~clean):
+        _filter_with_gaps(spec, fields, int(p), v[p], missing[p], residuals[p], ages[p])
     usable = ~missing & (ages > spec.settle)
     return replace(state, **fields), residuals, usable, missing
 

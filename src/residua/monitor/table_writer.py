@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import DataError, FileFormatError, missing_extra
+from residua.files import replacing
 
 
 def write_table(path: str | Path, columns: Mapping[str, Iterable[float] | NDArray]) -> Path:
     """Write named columns to a .csv or .parquet file.
 
-    Numbers in CSV come back to the last bit; NaN is an empty cell, true and false are 1 and 0.
+    Numbers in CSV come back to the last bit; NaN is an empty cell, true and false are 1 and 0. The file
+    appears whole or not at all.
 
     Parameters
     ----------
@@ -31,7 +33,7 @@ def write_table(path: str | Path, columns: Mapping[str, Iterable[float] | NDArra
     Raises
     ------
     FileFormatError
-        If the ending is another one.
+        If the ending is another one, or the folder does not exist or must not be written to.
     DataError
         If the columns differ in length.
     MissingExtraError
@@ -44,14 +46,16 @@ def write_table(path: str | Path, columns: Mapping[str, Iterable[float] | NDArra
         raise DataError(f"the columns differ in length: {lengths}")
     suffix = path.suffix.lower()
     if suffix == ".csv":
-        _write_csv(path, arrays)
+        with replacing(path) as temporary:
+            _write_csv(temporary, arrays)
     elif suffix == ".parquet":
         try:
             import pyarrow
             import pyarrow.parquet as parquet
         except ImportError as error:
             raise missing_extra("pyarrow", "parquet") from error
-        parquet.write_table(pyarrow.table(arrays), path)
+        with replacing(path) as temporary:
+            parquet.write_table(pyarrow.table(arrays), temporary)
     else:
         raise FileFormatError(f"{path.name}: tables are written as .csv or .parquet, not {suffix!r}")
     return path

@@ -46,6 +46,8 @@ class Fault:
 def number(value: object, what: str) -> float:
     """Return ``value`` as a finite float, or say what it is instead."""
     try:
+        if isinstance(value, (str, bytes)):
+            raise TypeError
         out = float(value)  # pyright: ignore[reportArgumentType]
     except (TypeError, ValueError) as error:
         raise ModelError(f"{what}: expected a number, got {value!r}") from error
@@ -84,6 +86,9 @@ def direction_matrices(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the state and the output directions of several faults or disturbances, one column each."""
     pairs = [direction(value, states, outputs, f"{what} {key!r}") for key, value in directions.items()]
+    for key, (b, d) in zip(directions, pairs, strict=True):
+        if not (np.any(b) or np.any(d)):
+            raise ModelError(f"{what} {key!r} has no effect: its direction is zero everywhere")
     if not pairs:
         return np.zeros((len(states), 0)), np.zeros((len(outputs), 0))
     return np.column_stack([b for b, _ in pairs]), np.column_stack([d for _, d in pairs])

@@ -40,7 +40,7 @@ def factor_disturbance(E: ArrayLike, *, rtol: float = DEFAULT_RTOL) -> tuple[NDA
     >>> E1.shape, decision.rank
     ((2, 1), 1)
     """
-    M = np.atleast_2d(np.asarray(E, dtype=float))
+    M = matrix(np.atleast_2d(np.asarray(E)), "disturbance matrix", (None, None))
     if not M.size:
         return M[:, :0], RankDecision(0, np.zeros(0), 0.0)
     U, s, _ = np.linalg.svd(M, full_matrices=False)
@@ -86,11 +86,11 @@ def disturbance_from_perturbations(
     parts = [*A_parts, *B_parts]
     if not parts:
         raise ModelError("give at least one perturbation matrix")
-    blocks = [np.atleast_2d(np.asarray(part, dtype=float)) for part in parts]
+    blocks = [matrix(np.atleast_2d(np.asarray(part)), "perturbation", (None, None)) for part in parts]
     rows = {block.shape[0] for block in blocks}
     if len(rows) > 1:
         raise ModelError(f"all perturbation matrices need one row per state; got row counts {sorted(rows)}")
-    return np.asarray(matrix(np.hstack(blocks), "perturbations", (None, None))).copy()
+    return np.hstack(blocks)
 
 
 def disturbance_from_parameters(

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua.errors import ModelError
 from residua.linear.arrays import index_of, matrix
 from residua.linear.sampling import exponentials, noise_covariance
+from residua.plant.channels import number
 
 
 def covariance(
@@ -22,10 +23,10 @@ def covariance(
     if isinstance(value, Mapping):
         diagonal = np.zeros(n)
         for key, entry in value.items():
-            diagonal[index_of(key, channels, f"{what}: channel")] = float(entry)
+            diagonal[index_of(key, channels, f"{what}: channel")] = number(entry, f"{what}[{key!r}]")
         value = diagonal
     if np.ndim(value) == 0:
-        W = float(np.asarray(value, dtype=float)) * np.eye(n)
+        W = number(value, what) * np.eye(n)
     elif np.ndim(value) == 1:
         W = np.diag(matrix(value, f"{what} (diagonal)", (n, 1)).ravel())
     else:

@@ -173,23 +173,29 @@ class Plant(PlantFacts):
     ) -> Plant:
         r"""Return the plant with unknown inputs added.
 
-        A matrix without full column rank is factored, :math:`E d = E_1 (E_2 d)`, and :math:`E_1 = U_r S_r`
-        of its singular value decomposition is kept: decoupling depends on its range only.
+        A mapping keeps its names and directions as they are, also where these depend on one another: the
+        designs factor them. A matrix without full column rank is factored here, :math:`E d = E_1 (E_2 d)`, and
+        :math:`E_1 = U_r S_r` of its singular value decomposition is kept: decoupling depends on its range only.
 
         Parameters
         ----------
         directions : array_like, shape (n, q), or mapping of name to direction
             How each disturbance enters the state equation; a mapping may also give ``(state, output)`` pairs.
         names : sequence of str, optional
-            ``d1..`` when omitted, and whenever the matrix had to be factored.
+            For a matrix; ``d1..`` when omitted, and whenever it had to be factored.
         output : array_like, shape (outputs, q), optional
             How each disturbance enters the outputs; zero when omitted.
         rtol : float
-            Singular values of ``[directions; output]`` below this fraction of the largest count as zero.
+            Of a matrix: singular values of ``[directions; output]`` below this fraction of the largest count as zero.
 
         Returns
         -------
         Plant
+
+        Raises
+        ------
+        ModelError
+            If a named disturbance has no effect, a shape does not fit or a name occurs twice.
 
         References
         ----------
@@ -198,12 +204,11 @@ class Plant(PlantFacts):
         if isinstance(directions, Mapping):
             if names is not None or output is not None:
                 raise ModelError("a mapping of disturbances brings its own names and (state, output) pairs")
-            names = tuple(directions)
             Bd, Dd = direction_matrices(directions, self.states, self.outputs, "disturbance")
-        else:
-            Bd = matrix(directions, "disturbance directions", (self.n_states, None), what="one row per state")
-            shape = (self.n_outputs, Bd.shape[1])
-            Dd = np.zeros(shape) if output is None else matrix(output, "output", shape)
+            return self._with_disturbances(Bd, Dd, arrays.names(tuple(directions), Bd.shape[1], "d", "disturbances"))
+        Bd = matrix(directions, "disturbance directions", (self.n_states, None), what="one row per state")
+        shape = (self.n_outputs, Bd.shape[1])
+        Dd = np.zeros(shape) if output is None else matrix(output, "output", shape)
         factored, decision = factor_disturbance(np.vstack([Bd, Dd]), rtol=rtol)
         full = decision.rank == Bd.shape[1]
         start = len(self.disturbances)
@@ -213,9 +218,7 @@ class Plant(PlantFacts):
             labels = tuple(f"d{start + i + 1}" for i in range(Bd.shape[1]))
         else:
             labels = arrays.names(names, Bd.shape[1], "d", "disturbances")
-        labels = self.disturbances + labels
-        unique(labels, "disturbances")
-        return self._with(Bd=frozen(np.hstack([self.Bd, Bd])), Dd=frozen(np.hstack([self.Dd, Dd])), disturbances=labels)
+        return self._with_disturbances(Bd, Dd, labels)
 
     def with_sensor_faults(self, outputs: Iterable[str | int] | str | None = None) -> Plant:
         """Return the plant with an additive fault on each of the given outputs (all when omitted).
@@ -337,6 +340,11 @@ class Plant(PlantFacts):
         Bu, Bd, Bf = (frozen(B) for B in np.hsplit(sampled.B, sizes))
         Bw, Dw = sampled_noise(plain.A, plain.Bw, plain.Dw, sampled.dt)
         return self._with(A=sampled.A, E=None, Bu=Bu, Bd=Bd, Bf=Bf, Bw=frozen(Bw), Dw=frozen(Dw), dt=sampled.dt)
+
+    def _with_disturbances(self, Bd: NDArray, Dd: NDArray, labels: tuple[str, ...]) -> Plant:
+        labels = self.disturbances + labels
+        unique(labels, "disturbances")
+        return self._with(Bd=frozen(np.hstack([self.Bd, Bd])), Dd=frozen(np.hstack([self.Dd, Dd])), disturbances=labels)
 
     def _with_fault(self, fault: Fault, b: NDArray, d: NDArray) -> Plant:
         if not fault.name or not isinstance(fault.name, str):

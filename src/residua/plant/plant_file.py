@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import FileFormatError, ModelError
+from residua.files import read_bytes
 from residua.linear.arrays import frozen
 from residua.plant.channels import OperatingPoint
 from residua.plant.plant import Plant
@@ -53,10 +54,8 @@ def load_plant(path: str | Path) -> Plant:
     Raises
     ------
     FileFormatError
-        If the file is not TOML (the message has line and column), an entry is missing, unknown, of the wrong
-        shape or not finite (the message names the entry), or the plant it describes is not valid.
-    OSError
-        If the file cannot be opened.
+        If there is no such file, it is not TOML (the message has line and column), an entry is missing, unknown,
+        of the wrong shape or not finite (the message names the entry), or the plant it describes is not valid.
 
     Examples
     --------
@@ -64,11 +63,11 @@ def load_plant(path: str | Path) -> Plant:
     >>> load_plant("no_such_plant.toml")
     Traceback (most recent call last):
         ...
-    FileNotFoundError: [Errno 2] No such file or directory: 'no_such_plant.toml'
+    residua.errors.FileFormatError: no_such_plant.toml: no such file; it was to be a plant file
     """
     path = Path(path)
     try:
-        text = path.read_bytes().decode("utf-8-sig")
+        text = read_bytes(path, "a plant file").decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise FileFormatError(f"{path.name}: not a text file in UTF-8 (byte {error.start})") from error
     return loads_plant(text, source=path.name)
@@ -182,7 +181,6 @@ def _units(table: Entry, labels: tuple[str, ...], group: str) -> dict[str, str]:
 def _with_disturbance(plant: Plant, entry: Entry) -> Plant:
     name = entry.text("name")
     state, output = _vectors(plant, entry)
-    # One at a time: vectors that depend on one another keep their names; the designs factor them.
     return _pointing(entry, lambda: plant.with_disturbances({name: (state, output)}))
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, ModelError
+from residua.files import write_text
 from residua.plant.noise import noise_factors
 from residua.plant.plant import Plant
 from residua.plant.plant_file import FORMAT, loads_plant
@@ -42,11 +43,9 @@ def save_plant(plant: Plant, path: str | Path) -> Path:
     Returns
     -------
     Path
-        Where it was written.
+        Where it was written; the file appears whole or not at all.
     """
-    path = Path(path)
-    path.write_text(dumps_plant(plant), encoding="utf-8")
-    return path
+    return write_text(path, dumps_plant(plant))
 
 
 def dumps_plant(plant: Plant) -> str:

@@ -31,7 +31,7 @@ class Entry:
     def __init__(self, data: Any, source: str, path: str, keys: Sequence[str]) -> None:
         self.data, self.source, self.path = data, source, path
         if not isinstance(data, dict):
-            raise FileFormatError(f"{source}: {path}: expected a table, got {describe(data)}")
+            raise FileFormatError(f"{source}: {path}: expected a table, got {kind_of(data)}")
         for key in data:
             if key not in keys:
                 raise self.error(key, f"unknown entry{suggestion(key, keys)}; known here: {', '.join(keys)}")
@@ -57,14 +57,14 @@ class Entry:
         """Return an array of tables, empty when it is absent."""
         items = self.data.get(key, [])
         if not isinstance(items, list):
-            raise self.error(key, f"expected tables under [[{key}]], got {describe(items)}")
+            raise self.error(key, f"expected tables under [[{key}]], got {kind_of(items)}")
         return [Entry(item, self.source, f"{self.where(key)}[{i}]", keys) for i, item in enumerate(items)]
 
     def text(self, key: str, default: str | None = None) -> str:
         """Return a string; required when there is no default."""
         value = self._get(key, default)
         if not isinstance(value, str):
-            raise self.error(key, f"expected text in quotes, got {describe(value)}")
+            raise self.error(key, f"expected text in quotes, got {kind_of(value)}")
         return value
 
     def choice(self, key: str, known: Sequence[str], default: str | None = None) -> str:
@@ -84,7 +84,7 @@ class Entry:
             return None
         items = self.data[key]
         if not isinstance(items, list) or not all(isinstance(item, str) for item in items):
-            raise self.error(key, f"expected a list of texts, got {describe(items)}")
+            raise self.error(key, f"expected a list of texts, got {kind_of(items)}")
         if len(items) != count:
             raise self.error(key, f"expected {count} texts ({each}), got {len(items)}")
         return tuple(items)
@@ -104,7 +104,7 @@ class Entry:
                 out[channels.index(name)] = self._number(entry, where)
             return out
         if not isinstance(value, list):
-            raise self.error(key, f"expected a list of numbers ({each}) or a table by name, got {describe(value)}")
+            raise self.error(key, f"expected a list of numbers ({each}) or a table by name, got {kind_of(value)}")
         if len(value) != len(channels):
             raise self.error(key, f"expected {len(channels)} numbers ({each}), got {len(value)}")
         return np.array([self._number(item, f"{key}[{i}]") for i, item in enumerate(value)], dtype=float)
@@ -115,7 +115,7 @@ class Entry:
             return None
         value = self.data[key]
         if not isinstance(value, list) or not all(isinstance(row, list) for row in value):
-            raise self.error(key, f"expected a matrix as a list of rows, [[...], [...]], got {describe(value)}")
+            raise self.error(key, f"expected a matrix as a list of rows, [[...], [...]], got {kind_of(value)}")
         if rows is not None and len(value) != rows:
             raise self.error(key, f"expected {rows} rows ({each}), got {len(value)}")
         width = columns if columns is not None else len(value[0]) if value else 0
@@ -134,7 +134,7 @@ class Entry:
 
     def _number(self, value: Any, where: str) -> float:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise self.error(where, f"expected a number, got {describe(value)}")
+            raise self.error(where, f"expected a number, got {kind_of(value)}")
         try:
             out = float(value)
         except OverflowError:
@@ -144,7 +144,7 @@ class Entry:
         return out
 
 
-def describe(value: Any) -> str:
+def kind_of(value: Any) -> str:
     """Say what a TOML value is, briefly."""
     if isinstance(value, dict):
         return "a table"

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from residua.report.charts import SHOWN_RESIDUALS, by_interest, residual_unit
 from residua.report.pictures import direction_picture
-from residua.report.signatures import Signatures, signatures
+from residua.report.signatures import Signatures, judged_signatures
 from residua.report.tables import (
     alarm_table,
     candidate_table,
@@ -166,7 +166,11 @@ def _charts(diagnosis: Diagnosis, charts: dict[str, Any], number: int) -> str:
 
 def _key(charts: dict[str, Any]) -> str:
     """Return what the colours mean, for those that occur, and how the samples were binned."""
-    entries = [("band", "fault-free mean ± how far a single residual can be off below the threshold")]
+    band = (
+        "fault-free mean ± how far a residual (averaged over the test window, where there is one) can be off below "
+        "the threshold"
+    )
+    entries = [("band", band)]
     present = {"alarm": "alarm", "missing": "values missing", "undecided": "not judged (filter settles)"}
     entries += [(kind, text) for kind, text in present.items() if charts["spans"][kind]]
     if charts["onsets"]:
@@ -189,23 +193,27 @@ def _key(charts: dict[str, Any]) -> str:
 
 def _directions(diagnosis: Diagnosis) -> str:
     generator = diagnosis.generator
-    groups = diagnosis.groups or tuple((f,) for f in generator.faults if f not in diagnosis.unjudged)
-    if not groups:
+    known = judged_signatures(diagnosis)
+    if not known.labels:
         return ""
     if generator.n_residuals < 2:
         return '<h3>Directions</h3><p class="muted">One residual has no direction: it detects but cannot isolate.</p>'
-    known = signatures(generator, groups, whitening=diagnosis.whitening)
     observed = observed_residual(diagnosis, known)
     correlation = None if observed is None else known.correlation(observed)
     picture = direction_picture(generator.residuals, known.bases, observed)
     text = (
-        "Cosine of the smallest angle between the signatures of every two groups: 1 means that they cannot be told "
-        "apart by direction, 0 that they are at right angles."
+        "Cosine of the smallest angle between the signatures of every two groups (the largest principal cosine): 1 "
+        "means that they share a direction, 0 that they are at right angles."
     )
+    if not diagnosis.groups:
+        text = "This monitor does not isolate; these are the signatures that it would judge by. " + text
     if known.whitened:
         text += " Residuals are compared after whitening by their fault-free covariance."
     if any(known.steady):
-        text += " Where a fault keeps no direction of its own, that of a constant fault in steady state stands in."
+        text += (
+            " For some faults the signature is the direction that a constant fault settles to; the residual can "
+            "leave it while the fault changes."
+        )
     if observed is not None:
         text += " The last row is the mean residual over the whole main alarm against each signature."
     return (
@@ -219,8 +227,7 @@ def observed_residual(diagnosis: Diagnosis, known: Signatures) -> NDArray[np.flo
     alarm = diagnosis.main_alarm
     if alarm is None:
         return None
-    center = np.where(np.isfinite(diagnosis.center), diagnosis.center, 0.0)
-    block = diagnosis.residuals[alarm.start : alarm.stop] - center
+    block = diagnosis.residuals[alarm.start : alarm.stop]
     block = block[np.isfinite(block).all(axis=1)]
     if not len(block):
         return None

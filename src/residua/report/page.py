@@ -11,6 +11,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from residua.files import write_text
 from residua.report.body import diagnosis_html, filter_html, summary_html
 from residua.report.charts import chart_data
 from residua.report.tables import Table, text_table
@@ -54,7 +55,7 @@ def write_page(diagnosis: Diagnosis, path: str | Path, *, title: str | None = No
     ----------
     diagnosis : Diagnosis
     path : str or Path
-        The HTML file to write; its folder is made when absent.
+        The HTML file to write, in a folder that exists.
     title : str, optional
         ``"<plant>: fault diagnosis"`` when omitted.
 
@@ -62,10 +63,15 @@ def write_page(diagnosis: Diagnosis, path: str | Path, *, title: str | None = No
     -------
     Path
         The file.
+
+    Raises
+    ------
+    FileFormatError
+        If the folder does not exist, the path is a folder, or writing there is not allowed.
     """
     if title is None:
         title = f"{diagnosis.generator.plant.name}: fault diagnosis"
-    return _write(render([Section("", diagnosis)], title), path)
+    return write_text(path, render([Section("", diagnosis)], title))
 
 
 def write_demo_page(
@@ -77,6 +83,7 @@ def write_demo_page(
     ----------
     sections : sequence of Section
     path : str or Path
+        The HTML file to write, in a folder that exists.
     title : str
     introduction : sequence of str, or str
         Paragraphs below the title.
@@ -85,8 +92,13 @@ def write_demo_page(
     -------
     Path
         The file.
+
+    Raises
+    ------
+    FileFormatError
+        If the folder does not exist, the path is a folder, or writing there is not allowed.
     """
-    return _write(render(sections, title, introduction), path)
+    return write_text(path, render(sections, title, introduction))
 
 
 def render(sections: Sequence[Section], title: str, introduction: Sequence[str] | str = ()) -> str:
@@ -127,13 +139,6 @@ def render(sections: Sequence[Section], title: str, introduction: Sequence[str] 
         body.append(filter_html(generator, number=k, several=len(filters) > 1, used_by=used))
     body.append(_footer())
     return _document(title, "\n".join(body), safe_json({"diagnoses": data}))
-
-
-def _write(page: str, path: str | Path) -> Path:
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(page, encoding="utf-8", newline="\n")
-    return path
 
 
 def _filters(sections: Sequence[Section]) -> list[tuple[ResidualGenerator, list[str]]]:

@@ -10,7 +10,7 @@ import numpy as np
 from residua.errors import missing_extra
 from residua.report.charts import by_interest, judged_range, residual_unit
 from residua.report.decimate import choose_bins, runs
-from residua.report.signatures import signatures
+from residua.report.signatures import Signatures, generator_signatures
 from residua.report.text import with_unit
 
 if TYPE_CHECKING:
@@ -104,8 +104,10 @@ def plot_structure(generator: ResidualGenerator, ax: Axes | None = None) -> Axes
 def plot_directions(generator: ResidualGenerator, ax: Axes | None = None) -> Axes:
     """Plot how alike the signatures of the faults are: the cosine of the smallest angle between every two.
 
-    1 means that two faults cannot be told apart by direction. With exactly two residuals the directions
-    themselves are drawn.
+    That is the largest principal cosine: 1 means that two signatures share a direction. Signatures and groups
+    are those of a monitor with default settings (:class:`residua.decide.Directional`), with residuals whitened
+    by the covariance that the plant's noise gives them. Faults without a signature come last, without values.
+    With exactly two residuals the directions themselves are drawn.
 
     Parameters
     ----------
@@ -122,15 +124,18 @@ def plot_directions(generator: ResidualGenerator, ax: Axes | None = None) -> Axe
     MissingExtraError
         If matplotlib is not installed.
     """
-    known = signatures(generator)
+    known = generator_signatures(generator)
     n = len(known.labels)
+    labels = tuple(label.replace(" or ", " or\n") for label in known.labels)
     if ax is None:
-        ax = _new_figure(3.4 + 0.42 * n, 2.6 + 0.4 * n).subplots()
+        lines = 1 + max((label.count("\n") for label in labels), default=0)
+        side = n * (0.24 + 0.18 * lines)
+        ax = _new_figure(3.0 + 0.4 * lines + side, 2.2 + 0.4 * lines + side).subplots()
     if generator.n_residuals == 2:
-        return _plane(generator, ax)
+        return _plane(known, generator.residuals, ax)
     similarity = known.similarity()
     image = ax.imshow(np.ma.masked_invalid(similarity), cmap="Blues", vmin=0, vmax=1)
-    _matrix_axes(ax, known.labels, known.labels)
+    _matrix_axes(ax, labels, labels)
     for row in range(n):
         for column in range(n):
             value = similarity[row, column]
@@ -226,8 +231,7 @@ def _matrix_axes(ax: Axes, columns: tuple[str, ...], rows: tuple[str, ...]) -> N
     ax.set_yticks(range(len(rows)), [_plain(r) for r in rows])
 
 
-def _plane(generator: ResidualGenerator, ax: Axes) -> Axes:
-    known = signatures(generator)
+def _plane(known: Signatures, residuals: tuple[str, ...], ax: Axes) -> Axes:
     turns = np.linspace(0, 2 * np.pi, 181)
     ax.plot(np.cos(turns), np.sin(turns), color="0.8", lw=1)
     for k, (label, basis) in enumerate(zip(known.labels, known.bases, strict=True)):
@@ -237,8 +241,10 @@ def _plane(generator: ResidualGenerator, ax: Axes) -> Axes:
             ax.plot([-x, x], [-y, y], **style)
         elif basis.shape[1] == 2:
             ax.fill(np.cos(turns), np.sin(turns), alpha=0.08, **style)
+        else:  # only its name: nothing to draw
+            ax.plot([], [], ls="none", label=f"{_plain(label)} (no signature)")
     ax.set_aspect("equal")
-    for setter, name in zip((ax.set_xlabel, ax.set_ylabel), generator.residuals, strict=True):
+    for setter, name in zip((ax.set_xlabel, ax.set_ylabel), residuals, strict=True):
         setter(_plain(name) + (", whitened [–]" if known.whitened else ", direction [–]"))
     ax.set_title("Signature directions")
     if known.labels:

@@ -1,32 +1,41 @@
-"""Where the residual points for each fault, and how alike two faults look."""
+"""The signatures that faults are judged by, turned so that they can be drawn, and how alike they are."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.design.generator import ResidualGenerator
+from residua.decide import Directional, correlation, whitening_matrix
+from residua.decide.directional import direction_test
 
-#: Steady residuals below this fraction of the largest count as not seen.
-_UNSEEN = 1e-9
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from residua.design.generator import ResidualGenerator
+    from residua.monitor.diagnosis import Diagnosis
 
 
 @dataclass(frozen=True, eq=False)
 class Signatures:
     """Orthonormal signature bases of groups of faults, in the space in which they are compared.
 
+    That space is the whitened one, turned (an orthogonal matrix: angles stay) so that its axes are as near to
+    the residuals' as they can be.
+
     Attributes
     ----------
     labels : tuple of str
     bases : tuple of ndarray, shape (residuals, k)
-        Empty (k = 0) where a group is not seen.
+        Empty (k = 0) where a fault has no signature.
     steady : tuple of bool
-        Whether the residual of a constant fault stands in, because the fault has no direction of its own.
+        Whether the direction of a constant fault stands in for more that the residual can do.
     whitening : ndarray, shape (residuals, residuals)
-        What residuals are multiplied with before they are compared.
+        What residuals less their fault-free mean are multiplied with before they are compared; symmetric.
     whitened : bool
+        Whether that does anything.
     """
 
     labels: tuple[str, ...]
@@ -36,7 +45,7 @@ class Signatures:
     whitened: bool
 
     def similarity(self) -> NDArray[np.float64]:
-        """Return the cosine of the smallest angle between every two signatures; NaN where one is empty."""
+        """Return the largest principal cosine between every two signatures; NaN where one is empty."""
         n = len(self.bases)
         out = np.full((n, n), np.nan)
         for i in range(n):
@@ -47,84 +56,49 @@ class Signatures:
         return out
 
     def correlation(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the cosine between a (whitened) residual vector and every signature."""
-        length = np.linalg.norm(residual)
-        if not length:
-            return np.full(len(self.bases), np.nan)
-        return np.array(
-            [min(1.0, float(np.linalg.norm(B.T @ residual) / length)) if B.shape[1] else np.nan for B in self.bases]
-        )
+        """Return ``CORR`` of a (whitened) residual vector with every signature; NaN where there is none."""
+        values = [correlation(residual, B) if B.shape[1] else np.nan for B in self.bases]
+        return np.minimum(np.array(values, dtype=float), 1.0)
 
 
-def signatures(
-    generator: ResidualGenerator,
-    groups: tuple[tuple[str, ...], ...] | None = None,
-    *,
-    whitening: NDArray[np.float64] | None = None,
-) -> Signatures:
-    """Return the signature of each group of faults.
+def judged_signatures(diagnosis: Diagnosis) -> Signatures:
+    """Return the signatures that a diagnosis was judged by; of a monitor that does not isolate, its generator's."""
+    if not diagnosis.groups and not diagnosis.unjudged:
+        return generator_signatures(diagnosis.generator, diagnosis.whitening)
+    return _turned(diagnosis.generator, diagnosis.groups, diagnosis.signatures, diagnosis.whitening)
 
-    The subspace that the residual never leaves, where that is smaller than the whole residual space;
-    otherwise the direction that a constant fault settles to. Residuals are whitened by their covariance
-    where the plant's noise gives one.
+
+def generator_signatures(generator: ResidualGenerator, whitening: NDArray[np.float64] | None = None) -> Signatures:
+    """Return the signatures that a monitor with default settings judges by, faults without one at the end.
 
     Parameters
     ----------
     generator : ResidualGenerator
-    groups : tuple of tuple of str, optional
-        One group per fault when omitted.
     whitening : ndarray, shape (residuals, residuals), optional
-        The matrix ``M`` with which the monitor whitens residual rows, ``r @ M``; from the covariance that
-        the plant's noise gives the residual when omitted.
+        Applied as ``r @ whitening``; from the covariance that the plant's noise gives the residual when omitted.
     """
-    n = generator.n_residuals
-    chosen = groups if groups is not None else tuple((f,) for f in generator.faults)
-    root, whitened = _whitening_root(generator, whitening)
-    bases, steady = [], []
-    for group in chosen:
-        # The faults of a group share one signature, up to the monitor's tolerance: the first stands for all.
-        fault = group[0]
-        basis = np.asarray(generator.subspaces[fault], dtype=float).reshape(n, -1)
-        stands_in = n > 1 and basis.shape[1] >= n
-        bases.append(_orthonormal(root @ (_steady(generator, fault) if stands_in else basis)))
-        steady.append(stands_in)
-    labels = tuple(" or ".join(group) for group in chosen)
-    return Signatures(labels, tuple(bases), tuple(steady), root, whitened)
+    if whitening is None:
+        covariance = generator.covariance
+        whitening = np.eye(generator.n_residuals) if covariance is None else whitening_matrix(covariance)
+    test = direction_test(Directional(), generator.subspaces, generator.steady_directions, whitening)
+    groups = [*test.groups, *((fault,) for fault in test.unjudged)]
+    nothing = np.zeros((generator.n_residuals, 0))
+    return _turned(generator, groups, [*test.bases, *(nothing for _ in test.unjudged)], whitening)
 
 
-def _steady(generator: ResidualGenerator, fault: str) -> NDArray[np.float64]:
-    everything = generator.steady_directions
-    largest = max((float(np.linalg.norm(v)) for v in everything.values()), default=0.0)
-    vector = np.asarray(everything[fault], dtype=float).reshape(-1, 1)
-    return vector if np.linalg.norm(vector) > _UNSEEN * largest else vector[:, :0]
-
-
-def _orthonormal(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    if vectors.shape[1] == 0 or not np.isfinite(vectors).all():
-        return vectors[:, :0]
-    lengths = np.linalg.norm(vectors, axis=0)
-    vectors = vectors[:, lengths > 0] / lengths[lengths > 0]
-    U, s, _ = np.linalg.svd(vectors, full_matrices=False)
-    return U[:, s > 1e-8 * s.max(initial=0.0)]
-
-
-def _whitening_root(
-    generator: ResidualGenerator, whitening: NDArray[np.float64] | None
-) -> tuple[NDArray[np.float64], bool]:
-    """Return the symmetric matrix that whitens residual columns, and whether it does anything.
-
-    Symmetric, so that the whitened axes still belong to one residual each as nearly as can be; angles do
-    not depend on that choice.
-    """
-    n = generator.n_residuals
-    if whitening is not None:
-        information = np.asarray(whitening) @ np.asarray(whitening).T
-        values, vectors = np.linalg.eigh(information)
-        root = vectors @ np.diag(np.sqrt(np.maximum(values, 0.0))) @ vectors.T
-        return root, not np.allclose(information, np.eye(n))
-    covariance = generator.covariance
-    if covariance is None:
-        return np.eye(n), False
-    values, vectors = np.linalg.eigh(covariance)
-    floor = 1e-8 * max(float(values[-1]), np.finfo(float).tiny)
-    return vectors @ np.diag(1 / np.sqrt(np.maximum(values, floor))) @ vectors.T, True
+def _turned(
+    generator: ResidualGenerator,
+    groups: Sequence[tuple[str, ...]],
+    bases: Sequence[NDArray[np.float64]],
+    whitening: NDArray[np.float64],
+) -> Signatures:
+    """Return bases of whitened space turned towards the residuals' axes, by the polar form of the whitening."""
+    U, s, Vt = np.linalg.svd(whitening)
+    turn, root = U @ Vt, (U * s) @ U.T
+    steady = tuple(
+        any(0 < basis.shape[1] < generator.subspaces[fault].shape[1] for fault in group)
+        for group, basis in zip(groups, bases, strict=True)
+    )
+    labels = tuple(" or ".join(group) for group in groups)
+    plain = np.allclose(root, np.eye(len(root)))
+    return Signatures(labels, tuple(turn @ basis for basis in bases), steady, root, not plain)

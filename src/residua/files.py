@@ -1,0 +1,136 @@
+"""Reading and writing files: outputs appear whole or not at all, and what is wrong is said in the same words."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from residua.errors import FileFormatError
+
+
+def check_input(path: str | Path, what: str) -> None:
+    """Raise unless ``path`` is a file that can be read.
+
+    Parameters
+    ----------
+    path : str or Path
+    what : str
+        What it is to be, for the message.
+
+    Raises
+    ------
+    FileFormatError
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise FileFormatError(f"{path} is a folder; it was to be {what}")
+    if not path.exists():
+        raise FileFormatError(f"{path}: no such file; it was to be {what}")
+    if not os.access(path, os.R_OK):
+        raise FileFormatError(f"{path}: no permission to read it; it was to be {what}")
+
+
+def check_output(path: str | Path) -> None:
+    """Raise unless a file can be written there.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Raises
+    ------
+    FileFormatError
+    """
+    path = Path(path)
+    folder = real(path).parent
+    if not folder.is_dir():
+        raise FileFormatError(f"{path}: the folder {folder} does not exist; make it first")
+    if path.is_dir():
+        raise FileFormatError(f"{path} is a folder; name a file")
+    if not os.access(path if special(path) else folder, os.W_OK):
+        raise FileFormatError(f"{path}: no permission to write there")
+
+
+def read_bytes(path: str | Path, what: str) -> bytes:
+    """Return what is in a file; see :func:`check_input`.
+
+    Parameters
+    ----------
+    path : str or Path
+    what : str
+
+    Returns
+    -------
+    bytes
+    """
+    check_input(path, what)
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise FileFormatError(f"{path}: {error.strerror or error}; it was to be {what}") from error
+
+
+@contextmanager
+def replacing(path: str | Path) -> Iterator[Path]:
+    """Yield a temporary path in the same folder that takes the place of ``path`` when all went well.
+
+    Links are followed; a device or pipe, which must not be replaced, is written to directly. The ending of
+    the name is kept, since writers choose the format by it. A new file gets the permissions that any new
+    file gets, an old one keeps its own.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Raises
+    ------
+    FileFormatError
+        If the folder does not exist, the path is a folder, or writing there is not allowed.
+    """
+    path = Path(path)
+    check_output(path)
+    if special(path):
+        yield path
+        return
+    target = real(path)
+    temporary = target.with_name(f".residua-{os.urandom(6).hex()}.partial{target.suffix}")
+    os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))  # ours alone; the umask applies
+    try:
+        yield temporary
+        if target.exists():
+            shutil.copymode(target, temporary)
+        os.replace(temporary, target)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_text(path: str | Path, text: str) -> Path:
+    """Write a text file in UTF-8 with plain line ends; it appears whole or not at all.
+
+    Parameters
+    ----------
+    path : str or Path
+    text : str
+
+    Returns
+    -------
+    Path
+        Where it was written.
+    """
+    content = text.encode("utf-8")
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
+    return Path(path)
+
+
+def real(path: Path) -> Path:
+    """Return the path with links followed."""
+    return Path(os.path.realpath(path))
+
+
+def special(path: Path) -> bool:
+    """Whether the path is a device or pipe."""
+    return path.exists() and not path.is_file() and not path.is_dir()

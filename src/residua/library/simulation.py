@@ -1,0 +1,104 @@
+"""What the simulated plants of the library share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from residua.errors import ModelError
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedRecording:
+    """What a simulated plant did.
+
+    Attributes
+    ----------
+    time : ndarray, shape (T,)
+        Seconds.
+    u : ndarray, shape (T, inputs)
+        Commanded inputs, in plant units.
+    y : ndarray, shape (T, outputs)
+        Measurements, with noise and sensor faults.
+    x : ndarray, shape (T, states)
+        True states.
+    dt : float
+        Step in seconds.
+    """
+
+    time: NDArray[np.float64]
+    u: NDArray[np.float64]
+    y: NDArray[np.float64]
+    x: NDArray[np.float64]
+    dt: float
+
+
+def runge_kutta(rate: Callable[[NDArray], NDArray], x: NDArray, dt: float) -> NDArray:
+    """Return the state one step later, by the Runge-Kutta method of fourth order.
+
+    Parameters
+    ----------
+    rate : callable
+        The derivative of the state.
+    x : ndarray, shape (n,)
+    dt : float
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    k1 = rate(x)
+    k2 = rate(x + dt / 2 * k1)
+    k3 = rate(x + dt / 2 * k2)
+    k4 = rate(x + dt * k3)
+    return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+def fault_courses(faults: Mapping[str, ArrayLike] | None, known: tuple[str, ...], steps: int) -> dict[str, NDArray]:
+    """Return the time course of every known fault, zero where none is given.
+
+    Parameters
+    ----------
+    faults : mapping of str to array_like, shape (steps,), or to one number
+    known : tuple of str
+    steps : int
+
+    Returns
+    -------
+    dict of str to ndarray, shape (steps,)
+    """
+    out = {name: np.zeros(steps) for name in known}
+    for name, course in (faults or {}).items():
+        if name not in known:
+            raise ModelError(f"unknown fault {name!r}; known: {', '.join(known)}")
+        out[name] = filled(course, (steps,), f"fault {name!r}")
+    return out
+
+
+def filled(value: ArrayLike, shape: tuple[int, ...], what: str) -> NDArray[np.float64]:
+    """Return finite numbers as an array of the given shape, repeated where there are fewer.
+
+    Parameters
+    ----------
+    value : array_like
+    shape : tuple of int
+    what : str
+        What to call it in messages.
+
+    Returns
+    -------
+    ndarray
+    """
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"{what}: expected numbers") from error
+    if not np.isfinite(array).all():
+        raise ModelError(f"{what}: every number must be finite")
+    try:
+        return np.broadcast_to(array, shape)
+    except ValueError as error:
+        raise ModelError(f"{what}: expected shape {shape}, got {array.shape}") from error

@@ -1,0 +1,241 @@
+"""Plants and designs as records for JSON, complete to the last bit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.design import Evidence, Member, Observer, ResidualGenerator
+from residua.errors import FileFormatError
+from residua.linear import RankDecision, StateSpace
+from residua.linear.arrays import frozen
+from residua.monitor.encoding import (
+    array_in,
+    array_out,
+    flag_in,
+    float_in,
+    float_out,
+    joined,
+    list_in,
+    record,
+    table_in,
+    text_in,
+    texts_in,
+    whole_in,
+)
+from residua.plant import Fault, OperatingPoint, Plant
+
+_SYSTEM_ENTRIES = ("A", "B", "C", "D", "dt", "inputs", "outputs", "states")
+_PLANT_ARRAYS = ("A", "C", "Bu", "Du", "Bd", "Dd", "Bf", "Df", "Bw", "Dw")
+_PLANT_TEXTS = ("name", "description")
+_PLANT_NAMES = ("inputs", "outputs", "states", "disturbances")
+_PLANT_ENTRIES = (*_PLANT_ARRAYS, "E", "dt", *_PLANT_TEXTS, *_PLANT_NAMES, "faults", "operating_point", "units")
+_POLES = ("poles", "requested_poles", "fixed_poles")
+_EVIDENCE_ENTRIES = ("method", *_POLES, "decoupling", "conditions", "ranks", "notes", "references")
+_OBSERVER_ARRAYS = ("F", "T", "H", "K1", "W")
+_SAMPLED_ENTRIES = ("system", "plant", "evidence", "subspaces", "state_map")
+_GENERATOR_ENTRIES = (*_SAMPLED_ENTRIES, "method", "members", "observer")
+
+
+def generator_out(generator: ResidualGenerator) -> dict[str, Any]:
+    """Return a generator as a record."""
+    observer = generator.observer
+    return sampled_out(generator) | {
+        "method": generator.method,
+        "members": [[m.name, list(m.residuals), list(m.faults)] for m in generator.members],
+        "observer": None
+        if observer is None
+        else {
+            **{name: array_out(getattr(observer, name)) for name in _OBSERVER_ARRAYS},
+            "plant": _plant_out(observer.plant),
+            "method": observer.method,
+            "decouples": bool(observer.decouples),
+            "evidence": _evidence_out(observer.evidence),
+        },
+    }
+
+
+def generator_in(value: Any, where: str) -> ResidualGenerator:
+    """Return the generator that a record describes."""
+    content = record(value, where, _GENERATOR_ENTRIES)
+    members = [list_in(member, joined(where, "members"), 3) for member in list_in(content["members"], where)]
+    return _checked(
+        ResidualGenerator(
+            **_sampled_fields(content, where),
+            method=text_in(content["method"], joined(where, "method")),
+            observer=None
+            if content["observer"] is None
+            else _observer_in(content["observer"], joined(where, "observer")),
+            members=tuple(
+                Member(
+                    text_in(name, joined(where, "members")),
+                    tuple(whole_in(row, joined(where, "members")) for row in list_in(rows, joined(where, "members"))),
+                    texts_in(faults, joined(where, "members")),
+                )
+                for name, rows, faults in members
+            ),
+        ),
+        where,
+    )
+
+
+def sampled_out(generator: ResidualGenerator) -> dict[str, Any]:
+    """Return what sampling changes of a generator, as a record."""
+    return {
+        "system": _system_out(generator.system),
+        "plant": _plant_out(generator.plant),
+        "evidence": _evidence_out(generator.evidence),
+        "subspaces": {name: array_out(basis) for name, basis in generator.subspaces.items()},
+        "state_map": None if generator.state_map is None else array_out(generator.state_map),
+    }
+
+
+def sampled_in(design: ResidualGenerator, value: Any, where: str) -> ResidualGenerator:
+    """Return the sampled generator of a continuous design."""
+    fields = _sampled_fields(record(value, where, _SAMPLED_ENTRIES), where)
+    return _checked(replace(design, **fields), where)
+
+
+def _sampled_fields(content: Mapping[str, Any], where: str) -> dict[str, Any]:
+    subspaces, state_map = joined(where, "subspaces"), joined(where, "state_map")
+    return {
+        "system": _system_in(content["system"], joined(where, "system")),
+        "plant": _plant_in(content["plant"], joined(where, "plant")),
+        "evidence": _evidence_in(content["evidence"], joined(where, "evidence")),
+        "subspaces": {
+            name: array_in(basis, joined(subspaces, name))
+            for name, basis in table_in(content["subspaces"], subspaces).items()
+        },
+        "state_map": None if content["state_map"] is None else array_in(content["state_map"], state_map),
+    }
+
+
+def _checked(generator: ResidualGenerator, where: str) -> ResidualGenerator:
+    """Return the generator if its parts fit together."""
+    system, plant, k = generator.system, generator.plant, generator.n_residuals
+    if system.n_inputs != len(plant.inputs) + plant.n_outputs:
+        raise FileFormatError(f"{where}: the filter and the plant have different channels")
+    if tuple(generator.subspaces) != plant.faults:
+        raise FileFormatError(f"{where}: subspaces must be those of the faults of the plant")
+    if any(basis.ndim != 2 or len(basis) != k for basis in generator.subspaces.values()):
+        raise FileFormatError(f"{where}: every subspace needs {k} rows, one per residual")
+    if any(row >= k for member in generator.members for row in member.residuals):
+        raise FileFormatError(f"{where}: a member has residuals that are not there")
+    if generator.state_map is not None and generator.state_map.shape != (system.n_states, plant.n_states):
+        raise FileFormatError(f"{where}: state_map must be {system.n_states} x {plant.n_states}")
+    return generator
+
+
+def _system_out(system: StateSpace) -> dict[str, Any]:
+    out: dict[str, Any] = {name: array_out(getattr(system, name)) for name in "ABCD"}
+    names = {name: list(getattr(system, name)) for name in ("inputs", "outputs", "states")}
+    return out | {"dt": float_out(system.dt)} | names
+
+
+def _system_in(value: Any, where: str) -> StateSpace:
+    content = record(value, where, _SYSTEM_ENTRIES)
+    matrices = [array_in(content[name], joined(where, name)) for name in "ABCD"]
+    names = {name: texts_in(content[name], joined(where, name)) for name in ("inputs", "outputs", "states")}
+    return StateSpace(*matrices, dt=float_in(content["dt"], joined(where, "dt")), **names)
+
+
+def _plant_out(plant: Plant) -> dict[str, Any]:
+    point = plant.operating_point
+    return {
+        **{name: array_out(getattr(plant, name)) for name in _PLANT_ARRAYS},
+        **{name: getattr(plant, name) for name in _PLANT_TEXTS},
+        **{name: list(getattr(plant, name)) for name in _PLANT_NAMES},
+        "E": None if plant.E is None else array_out(plant.E),
+        "dt": float_out(plant.dt),
+        "faults": [[fault.name, fault.kind, fault.component] for fault in plant.fault_list],
+        "operating_point": [list(map(float_out, point.inputs)), list(map(float_out, point.outputs))],
+        "units": dict(plant.units),
+    }
+
+
+def _plant_in(value: Any, where: str) -> Plant:
+    content = record(value, where, _PLANT_ENTRIES)
+    a = {name: array_in(content[name], joined(where, name)) for name in _PLANT_ARRAYS}
+    names = {name: texts_in(content[name], joined(where, name)) for name in _PLANT_NAMES}
+    at, units = joined(where, "operating_point"), joined(where, "units")
+    point = [tuple(float_in(x, at) for x in list_in(part, at)) for part in list_in(content["operating_point"], at, 2)]
+    plant = Plant(
+        a["A"],
+        a["Bu"],
+        a["C"],
+        a["Du"],
+        E=None if content["E"] is None else array_in(content["E"], joined(where, "E")),
+        dt=float_in(content["dt"], joined(where, "dt")),
+        inputs=names["inputs"],
+        outputs=names["outputs"],
+        states=names["states"],
+        operating_point=OperatingPoint(*point),
+        units={key: text_in(unit, joined(units, key)) for key, unit in table_in(content["units"], units).items()},
+        **{name: text_in(content[name], joined(where, name)) for name in _PLANT_TEXTS},
+    )
+    faults = tuple(Fault(*texts_in(entry, joined(where, "faults"))) for entry in list_in(content["faults"], where))
+    columns = {"d": len(names["disturbances"]), "f": len(faults), "w": a["Bw"].shape[-1]}
+    for letter, count in columns.items():
+        if a["B" + letter].shape != (plant.n_states, count) or a["D" + letter].shape != (plant.n_outputs, count):
+            raise FileFormatError(f"{where}: B{letter} and D{letter} must have {count} columns and fit the plant")
+    return plant._with(
+        **{name: frozen(a[name]) for name in _PLANT_ARRAYS[4:]}, disturbances=names["disturbances"], fault_list=faults
+    )
+
+
+def _observer_in(value: Any, where: str) -> Observer:
+    content = record(value, where, (*_OBSERVER_ARRAYS, "plant", "method", "decouples", "evidence"))
+    arrays: dict[str, NDArray] = {name: array_in(content[name], joined(where, name)) for name in _OBSERVER_ARRAYS}
+    return Observer(
+        plant=_plant_in(content["plant"], joined(where, "plant")),
+        method=text_in(content["method"], joined(where, "method")),
+        decouples=flag_in(content["decouples"], joined(where, "decouples")),
+        evidence=_evidence_in(content["evidence"], joined(where, "evidence")),
+        **arrays,
+    )
+
+
+def _evidence_out(evidence: Evidence) -> dict[str, Any]:
+    return {
+        "method": evidence.method,
+        **{name: array_out(getattr(evidence, name)) for name in _POLES},
+        **{
+            name: {key: float_out(number) for key, number in getattr(evidence, name).items()}
+            for name in ("decoupling", "conditions")
+        },
+        "ranks": {
+            name: [int(d.rank), array_out(np.asarray(d.singular_values)), float_out(d.tolerance)]
+            for name, d in evidence.ranks.items()
+        },
+        "notes": list(evidence.notes),
+        "references": list(evidence.references),
+    }
+
+
+def _evidence_in(value: Any, where: str) -> Evidence:
+    content = record(value, where, _EVIDENCE_ENTRIES)
+
+    def numbers(name: str) -> dict[str, float]:
+        at = joined(where, name)
+        return {key: float_in(number, joined(at, key)) for key, number in table_in(content[name], at).items()}
+
+    ranks = {}
+    for name, entry in table_in(content["ranks"], joined(where, "ranks")).items():
+        at = joined(joined(where, "ranks"), name)
+        rank, values, tolerance = list_in(entry, at, 3)
+        ranks[name] = RankDecision(whole_in(rank, at), array_in(values, at), float_in(tolerance, at))
+    return Evidence(
+        method=text_in(content["method"], joined(where, "method")),
+        poles=array_in(content["poles"], joined(where, "poles")),
+        requested_poles=array_in(content["requested_poles"], joined(where, "requested_poles")),
+        fixed_poles=array_in(content["fixed_poles"], joined(where, "fixed_poles")),
+        decoupling=numbers("decoupling"),
+        conditions=numbers("conditions"),
+        ranks=ranks,
+        notes=texts_in(content["notes"], joined(where, "notes")),
+        references=texts_in(content["references"], joined(where, "references")),
+    )
