@@ -45,16 +45,28 @@ def output_free_form(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> OutputFreeF
         E1, decision = factor_disturbance(plant.Bd, rtol=rtol)
         E = plant.Bd if decision.rank == plant.Bd.shape[1] else E1
         return OutputFreeForm(plant.A, plant.C, E, np.zeros((n, p)), np.eye(p), decision)
-    U, s, Vh = np.linalg.svd(plant.Dd)
+    rows, columns = _units(np.vstack([plant.Bd, plant.Dd]), plant.n_states)
+    Bd, Dd = plant.Bd * columns, rows[:, None] * plant.Dd * columns
+    U, s, Vh = np.linalg.svd(Dd)
     r = int(np.count_nonzero(s > rtol * s[0]))
-    G = plant.Bd @ Vh[:r].T / s[:r] @ U[:, :r].T
-    W = U[:, r:].T
-    scale = float(np.linalg.norm(plant.Bd, 2)) if plant.Bd.size else 0.0
-    rest = plant.Bd @ Vh[r:].T
+    G = Bd @ Vh[:r].T / s[:r] @ U[:, :r].T * rows
+    W = np.linalg.qr((U[:, r:].T * rows).T)[0].T
+    rest = Bd @ Vh[r:].T
+    scale = float(np.linalg.norm(Bd, 2)) if Bd.size else 0.0
     E, decision = factor_disturbance(rest, rtol=rtol)
     if scale and decision.singular_values.size and decision.singular_values[0] <= rtol * scale:
         E, decision = rest[:, :0], RankDecision(0, decision.singular_values, rtol * scale)
     return OutputFreeForm(plant.A - G @ plant.C, W @ plant.C, E, G, W, decision)
+
+
+def _units(F: NDArray, n_states: int) -> tuple[NDArray, NDArray]:
+    """Return factors for the outputs and for the disturbances that make their entries comparable."""
+    columns = 1.0 / np.maximum(np.abs(F).max(axis=0, initial=0.0), 1e-300)
+    heights = np.abs(F[n_states:] * columns).max(axis=1, initial=0.0)
+    rows = 1.0 / np.where(heights > 0, heights, 1.0)
+    columns = 1.0 / np.maximum(np.abs(rows[:, None] * F[n_states:]).max(axis=0, initial=0.0), 1e-300)
+    silent = ~np.any(F[n_states:], axis=0)
+    return rows, np.where(silent, 1.0 / np.maximum(np.abs(F).max(axis=0, initial=0.0), 1e-300), columns)
 
 
 @dataclass(frozen=True, eq=False)

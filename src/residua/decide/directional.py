@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.decide.norm_threshold import check_samples
-from residua.errors import SettingError
+from residua.errors import DataError, SettingError
 from residua.linear.rank import range_basis
 
 #: Signatures whose largest principal angle is below this (sine) are one and the same.
@@ -40,6 +40,7 @@ class Directional:
     def __post_init__(self) -> None:
         """Check the settings."""
         check_samples(self.window, "window")
+        object.__setattr__(self, "window", int(self.window))
         if self.signature not in ("auto", "subspace", "steady"):
             raise SettingError(f"signature must be 'auto', 'subspace' or 'steady', got {self.signature!r}")
 
@@ -93,9 +94,7 @@ def correlation(residual: ArrayLike, signature: ArrayLike, *, rtol: float = 1e-9
     >>> round(correlation([3.0, 4.0], [1.0, 0.0]), 3), round(projection_distance([3.0, 4.0], [1.0, 0.0]), 3)
     (0.6, 0.8)
     """
-    r = np.asarray(residual, dtype=float)
-    Phi = np.asarray(signature, dtype=float).reshape(len(r), -1)
-    Q, _ = range_basis(Phi, rtol=rtol)
+    r, Q = _vector_and_basis(residual, signature, rtol)
     size = float(np.linalg.norm(r))
     return float(np.linalg.norm(Q.T @ r) / size) if size > 0 else float("nan")
 
@@ -119,11 +118,16 @@ def projection_distance(residual: ArrayLike, signature: ArrayLike, *, rtol: floa
     ----------
     Chen, Patton and Zhang (1996), eq. (30).
     """
-    r = np.asarray(residual, dtype=float)
-    Phi = np.asarray(signature, dtype=float).reshape(len(r), -1)
-    Q, _ = range_basis(Phi, rtol=rtol)
+    r, Q = _vector_and_basis(residual, signature, rtol)
     size = float(np.linalg.norm(r))
     return float(np.linalg.norm(r - Q @ (Q.T @ r)) / size) if size > 0 else float("nan")
+
+
+def _vector_and_basis(residual: ArrayLike, signature: ArrayLike, rtol: float) -> tuple[NDArray, NDArray]:
+    r, Phi = np.asarray(residual, dtype=float), np.asarray(signature, dtype=float)
+    if r.ndim != 1 or Phi.ndim not in (1, 2) or len(Phi) != len(r):
+        raise DataError(f"a residual of {r.shape} does not go with a signature of {Phi.shape}: one row per residual")
+    return r, range_basis(Phi.reshape(len(r), -1), rtol=rtol)[0]
 
 
 def direction_test(

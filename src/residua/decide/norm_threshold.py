@@ -65,6 +65,12 @@ class NormThreshold:
         if self.whiten not in ("auto", "data", "model", "none"):
             raise SettingError(f"whiten must be 'auto', 'data', 'model' or 'none', got {self.whiten!r}")
         check_rate(self.false_alarm_rate)
+        for name in ("persistence", "release", "window"):  # plain numbers, whatever they came as
+            value = getattr(self, name)
+            object.__setattr__(self, name, None if value is None else int(value))
+        for name in ("threshold", "false_alarm_rate"):
+            value = getattr(self, name)
+            object.__setattr__(self, name, None if value is None else float(value))
 
 
 def is_number(value: object) -> bool:
@@ -164,10 +170,11 @@ def fit_norm_test(
     check_rate(false_alarm_rate)
     rows = residuals[usable]
     k = residuals.shape[1]
-    if len(rows) < max(10 * k, 30):
+    least = max(10 * k, 30, 10 * settings.window)
+    if len(rows) < least:
         raise DataError(
-            f"{len(rows)} usable samples are too few to fit {k} residuals: give at least {max(10 * k, 30)} "
-            "fault-free samples after the filter has settled"
+            f"{len(rows)} usable samples are too few to fit {k} residuals with a window of {settings.window}: give at "
+            f"least {least} fault-free samples after the filter has settled"
         )
     mean, spread = residual_moments(rows)
     if settings.window > 1:
@@ -190,7 +197,8 @@ def fit_norm_test(
     basis = f"fitted to {count} fault-free samples, at most {false_alarm_rate:g} of them in alarm"
     if seen_rate > false_alarm_rate:
         decay = _tail_decay(statistic[usable], test.persistence)
-        fitted = float(np.sqrt(fitted**2 + decay * np.log(seen_rate / false_alarm_rate)))
+        extended = float(np.sqrt(fitted**2 + decay * np.log(seen_rate / false_alarm_rate)))
+        fitted = max(extended, _smallest_threshold(statistic, usable, test, false_alarm_rate))
         basis += f" (too few to see that: extended from a rate of {seen_rate:.2g} by the tail of the data)"
     if noise_free:
         fitted = max(fitted, rounding, np.finfo(float).tiny)

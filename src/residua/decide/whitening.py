@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-#: Variances below this fraction of the largest are raised to it: a combination of residuals that never moved
-#: on fault-free data must not turn rounding into alarms.
+#: In units of each residual's own spread, variances below this fraction of the largest are raised to it: a
+#: combination of residuals that never moved on fault-free data must not turn rounding into alarms.
 VARIANCE_FLOOR = 1e-8
 
 
@@ -17,7 +17,8 @@ def whitening_matrix(covariance: NDArray[np.float64], *, floor: float = VARIANCE
     ----------
     covariance : ndarray, shape (k, k)
     floor : float
-        Eigenvalues below this fraction of the largest are raised to it.
+        Eigenvalues of the correlation matrix below this fraction of the largest are raised to it. A residual
+        that never moved at all is given the smallest spread among the others.
 
     Returns
     -------
@@ -33,11 +34,14 @@ def whitening_matrix(covariance: NDArray[np.float64], *, floor: float = VARIANCE
     array([[1., 0.],
            [0., 1.]])
     """
-    values, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
+    covariance = (covariance + covariance.T) / 2
+    spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    spread = np.where(spread > 0, spread, spread[spread > 0].min(initial=np.inf) if spread.any() else 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(spread, spread))
     largest = float(values[-1]) if values.size else 0.0
     if largest <= 0:
         return np.eye(len(covariance))
-    return vectors / np.sqrt(np.maximum(values, floor * largest))
+    return vectors / np.sqrt(np.maximum(values, floor * largest)) / spread[:, None]
 
 
 def residual_moments(residuals: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -9,6 +9,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
+from residua.analysis.unknown_input import output_free_form
 from residua.design.directional_gain import (
     DirectionalGain,
     FaultEvent,
@@ -155,7 +156,12 @@ def directional_filters(
         raise DesignError(f"no stable filter exists: no measurement sees the mode {bad}; add a sensor")
     units = _Units.of(A, C, event_matrices(plant, T, chosen))
     events, unseen = fault_events(units.A, units.C, units.events, rtol=rtol)
-    notes = []
+    notes = [
+        f"{', '.join(event.faults)} share one signature: this filter cannot tell them apart"
+        for event in events
+        if len(event.faults) > 1
+    ]
+    unseen = [name for name in unseen if not _seen_directly(plant, H, W, name)]
     if unseen:
         why = "hidden by the decoupled disturbances" if decouples and plant.disturbances else "seen by no output"
         notes.append(f"{', '.join(unseen)}: {why}")
@@ -243,7 +249,7 @@ class _Units:
         B = np.hstack([np.zeros((len(A), 0)), *events.values()])
         found = balance_system(A, B, C, np.zeros((len(C), B.shape[1])))
         T = found.states
-        if np.ptp(np.log2(T)) > 40:  # a part of the plant without couplings both ways has no units of its own
+        if T.size and np.ptp(np.log2(T)) > 40:  # a hidden part of the plant has no units
             T = np.ones(len(A))
         scaled = found.outputs[:, None] * C * T
         outputs = found.outputs if decide_rank(scaled).rank == len(C) else np.ones(len(C))
@@ -264,22 +270,31 @@ def event_matrices(plant: Plant, T: NDArray, faults: tuple[str, ...]) -> dict[st
     r"""Return what each fault does to the error equation: ``T f``, or two columns for one in the outputs.
 
     A fault with output part ``d`` acts, after the shift :math:`e + T g \eta` with :math:`C g = d`, as the
-    events :math:`T g` (with its derivative) and :math:`T (f - A g)`.
+    events :math:`T g` (with its derivative) and :math:`T (f - A g)`; ``A``, ``C`` and ``d`` here after
+    disturbances have been removed from the outputs.
     """
     out = {}
-    inverse = np.linalg.pinv(plant.C)
+    form = output_free_form(plant)
+    inverse = np.linalg.pinv(form.C)
     for name in faults:
         i = plant.faults.index(name)
         f, d = plant.Bf[:, [i]], plant.Df[:, [i]]
         if np.any(d):
-            g = inverse @ d
-            L = T @ np.hstack([g, f - plant.A @ g])
+            g = inverse @ (form.W @ d)
+            L = T @ np.hstack([g, f - form.G @ d - form.A @ g])
         else:
             L = T @ f
         size = np.linalg.norm(L, axis=0)
         reference = max(np.linalg.norm(f), np.linalg.norm(d), 1e-300)
         out[name] = _unit_columns(np.where(size > 1e-11 * reference, L, 0.0))
     return out
+
+
+def _seen_directly(plant: Plant, H: NDArray, W: NDArray, name: str) -> bool:
+    """Tell whether a fault in the outputs reaches the residual without the help of the state."""
+    d = plant.Df[:, plant.faults.index(name)]
+    direct = W @ (d - plant.C @ (H @ d))
+    return bool(np.linalg.norm(direct) > 1e-9 * np.linalg.norm(d)) if np.any(d) else False
 
 
 def _poles_for(poles: Poles, group: list[FaultEvent]) -> Poles:

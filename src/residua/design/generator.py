@@ -62,6 +62,8 @@ class ResidualGenerator:
     state_map : ndarray or None, shape (states of the filter, states of the plant)
         ``M`` with ``xi = M x`` while nothing fails; ``None`` for a filter that only approximates one, such as
         a sampled continuous design.
+    steady : mapping of str to ndarray, or None
+        Steady responses where they are known from elsewhere: sampling a continuous design keeps them.
 
     References
     ----------
@@ -76,6 +78,7 @@ class ResidualGenerator:
     observer: Observer | None = field(default=None, repr=False)
     members: tuple[Member, ...] = ()
     state_map: NDArray[np.float64] | None = field(default=None, repr=False)
+    steady: Mapping[str, NDArray[np.float64]] | None = field(default=None, repr=False)
 
     # ------------------------------------------------------------------- facts
 
@@ -110,17 +113,22 @@ class ResidualGenerator:
 
         A zero vector means that a constant fault is not seen (it is not strongly detectable).
         """
+        if self.steady is not None:
+            return {name: vector.copy() for name, vector in self.steady.items()}
         form = self.internal_form()
-        gain = form.dc_gain()[:, : len(self.faults)]
-        scale = np.abs(form.D[:, : len(self.faults)]).max(initial=0.0) + np.abs(gain).max(initial=0.0)
+        n = len(self.faults)
+        gain, direct = form.dc_gain()[:, :n], np.abs(form.D[:, :n])
+        scale = (direct + np.abs(gain)).max(axis=1, initial=0.0)[:, None]  # each residual has its own units
         gain = np.where(np.abs(gain) > 1e-10 * scale, gain, 0.0)
         return {name: gain[:, i] for i, name in enumerate(self.faults)}
 
     @cached_property
     def structure(self) -> NDArray[np.bool_]:
         """Who fires when what fails: boolean, shape (residuals, faults)."""
-        rows = [np.abs(self.subspaces[name]).max(axis=1, initial=0.0) > 1e-7 for name in self.faults]
-        return np.array(rows, dtype=bool).reshape(len(self.faults), self.n_residuals).T
+        reach = np.array([np.abs(self.subspaces[name]).max(axis=1, initial=0.0) for name in self.faults])
+        reach = reach.reshape(len(self.faults), self.n_residuals).T
+        largest = reach.max(axis=1, keepdims=True, initial=0.0)  # each residual has its own units
+        return (reach > 1e-7 * largest) & (reach > 0)
 
     @cached_property
     def covariance(self) -> NDArray[np.float64] | None:
@@ -263,7 +271,9 @@ class ResidualGenerator:
             requested_poles=np.exp(self.evidence.requested_poles * system.dt),
             fixed_poles=np.exp(self.evidence.fixed_poles * system.dt),
         )
-        return replace(self, system=system, plant=plant, evidence=evidence, state_map=None)
+        return replace(
+            self, system=system, plant=plant, evidence=evidence, state_map=None, steady=self.steady_directions
+        )
 
     def __repr__(self) -> str:
         kind = f"dt={self.dt:g} s" if self.system.is_discrete else "continuous"

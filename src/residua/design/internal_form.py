@@ -61,7 +61,7 @@ def check_state_map(generator: StateSpace, plant: Plant, M: NDArray, *, limit: f
     n_u = len(plant.inputs)
     p = plant.system(("control", "disturbance", "fault")).explicit()
     units = balance_system(p.A, p.B, p.C, p.D).states
-    if np.ptp(np.log2(units)) > 40:  # a hidden part of the plant has no units of its own
+    if units.size and np.ptp(np.log2(units)) > 40:  # a hidden part of the plant has no units of its own
         units = np.ones_like(units)
     rows = np.resize(units, len(M))  # stacked observers repeat the states of the plant
     Gy, Hy = generator.B[:, n_u:], generator.D[:, n_u:]
@@ -122,18 +122,23 @@ def frequency_grid(*systems: StateSpace, points: int = 60) -> NDArray[np.float64
     dt = max(system.dt for system in systems)
     if dt:
         return np.concatenate([np.pi / dt * np.logspace(-5, 0, points - 1), [0.37 * np.pi / dt]])
-    sizes = np.abs(np.concatenate([system.poles() for system in systems]))
-    sizes = sizes[sizes > 0]
+    sizes = np.concatenate([np.zeros(0), *(_pole_sizes(system) for system in systems)])
     low, high = (sizes.min(), sizes.max()) if sizes.size else (1.0, 1.0)
     return np.logspace(np.log10(low) - 2, np.log10(high) + 2, points)
+
+
+def _pole_sizes(system: StateSpace) -> NDArray[np.float64]:
+    """Return the sizes of the poles that are not rounding."""
+    size = float(np.linalg.norm(system.A)) if system.n_states else 0.0
+    poles = np.abs(system.poles())
+    return poles[poles > np.sqrt(np.finfo(float).eps) * size]
 
 
 def leakage(generator: StateSpace, plant: Plant, w: NDArray | None = None) -> dict[str, float]:
     """Return the gain to the residual from controls and from disturbances, relative to the parts it is made of.
 
-    At each frequency the largest entry of the response of the residual, divided by the largest entry of the sum
-    of the magnitudes of the terms that have to cancel; of these the largest over frequency. 1e-16 is exact,
-    1 is no decoupling at all.
+    For each input and each residual the largest response over frequency, divided by the largest sum of the
+    magnitudes of the terms that have to cancel; of these the largest. 1e-16 is exact, 1 is no decoupling.
     """
     if w is None:
         w = frequency_grid(generator, plant.system(()))
@@ -148,8 +153,11 @@ def leakage(generator: StateSpace, plant: Plant, w: NDArray | None = None) -> di
     ):
         if through.shape[-1] == 0:
             continue
-        total = np.abs(direct + Qy @ through).max(axis=(1, 2), initial=0.0)
-        parts = (np.abs(direct) + np.abs(Qy) @ np.abs(through)).max(axis=(1, 2), initial=0.0)
+        total = np.abs(direct + Qy @ through).max(axis=0)
+        parts = (np.abs(direct) + np.abs(Qy) @ np.abs(through)).max(axis=0)
+        # a path that is itself what rounding left of nothing cannot leak
+        paths = np.abs(Qy).max(axis=(0, 2))[:, None] * np.abs(through).max(axis=(0, 1))[None, :]
+        parts = np.maximum(parts, 1e-9 * paths)
         out[name] = float(np.max(total / np.where(parts > 0, parts, 1.0), initial=0.0))
     return out
 
@@ -197,17 +205,20 @@ def signature_bases(
     cancelling = np.abs(generator.frequency_response(w)[:, :, len(plant.inputs) :]) @ np.abs(
         plant.system("fault").frequency_response(w)
     )
+    units = cancelling.max(axis=(0, 2), initial=0.0)  # of each residual: the size of what it is made of
+    units = np.where(units > 0, units, 1.0)
     bases, off = {}, 0.0
     for i, name in enumerate(plant.faults):
-        response = responses[:, :, i].T
+        response = responses[:, :, i].T / units[:, None]
         size = np.linalg.norm(response, axis=0)
-        keep = (size > 1e-9 * np.linalg.norm(cancelling[:, :, i], axis=1)) & (size > 1e-7 * size.max(initial=0.0))
+        terms = np.linalg.norm(cancelling[:, :, i] / units, axis=1)
+        keep = (size > 1e-9 * terms) & (size > 1e-7 * size.max(initial=0.0))
         columns = response[:, keep] / size[keep]
         if columns.shape[1] == 0:
             bases[name] = np.zeros((form.n_outputs, 0))
             continue
         U, s, _ = np.linalg.svd(np.hstack([columns.real, columns.imag]), full_matrices=False)
-        basis = U[:, s > rtol * s[0]]
+        basis = np.linalg.qr(units[:, None] * U[:, s > rtol * s[0]])[0]
         off = max(off, float(s[basis.shape[1]] / s[0]) if basis.shape[1] < len(s) else 0.0)
         if basis.shape[1] == 1 and basis[:, 0] @ first_response(form, i) < 0:
             basis = -basis

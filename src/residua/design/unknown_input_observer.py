@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -110,6 +110,8 @@ def decoupling_gain(form: OutputFreeForm, H0: ArrayLike | None = None) -> NDArra
     p = len(form.C)
     inverse = np.linalg.pinv(CE) if CE.size else np.zeros((CE.shape[1], p))
     H = form.E @ inverse
+    for _ in range(2):  # channels in very different units make one pseudoinverse inexact
+        H = H + (form.E - H @ CE) @ inverse
     if H0 is not None:
         n = len(form.A)
         free = matrix(H0, "H0", (n, form.W.shape[1]), what="states x outputs") @ form.W.T
@@ -127,6 +129,8 @@ def place(
 ) -> Placement:
     """Place the poles that were asked for, or all of them beyond a margin."""
     poles, margin = checked_options(poles, margin)
+    if isinstance(poles, Mapping):
+        raise DesignError("an observer takes a list of poles; poles per fault are for the detection filters")
     if poles is None:
         return place_observer_margin(A, C, default_margin(A, dt) if margin is None else margin, dt=dt, rtol=rtol)
     return place_observer_poles(A, C, poles, dt=dt, rtol=rtol)

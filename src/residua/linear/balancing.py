@@ -85,8 +85,10 @@ def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> Ba
     np.fill_diagonal(W[:n, :n], 0.0)
     left, right = np.ones(n + p), np.ones(n + m)
     # The spectral radius of A sets the level for the channels, whose units are free: it has no units of states.
-    radius = float(np.abs(np.linalg.eigvals(A)).max()) if n else 0.0
-    level = float(power_of_two(np.array(radius or np.linalg.norm(A) or 1.0)))
+    radius, size = (float(np.abs(np.linalg.eigvals(A)).max()), float(np.linalg.norm(A))) if n else (0.0, 0.0)
+    if radius < np.sqrt(np.finfo(float).eps) * size:  # numerically nilpotent: the radius is rounding
+        radius = size
+    level = float(power_of_two(np.array(radius or 1.0)))
     for _ in range(_SWEEPS):
         moved = _scale_channels(W, left, right, n, level)
         moved |= _sweep(W, left, right, n, level)

@@ -85,6 +85,12 @@ class Staircase:
     outputs: NDArray[np.float64]
     dropped: float
 
+    @property
+    def rounding(self) -> float:
+        """What rounding and dropped parts may have done to the blocks: relative to the whole, not the block."""
+        n = self.A.shape[0]
+        return self.dropped + 10 * n * _EPS * (float(np.linalg.norm(self.A, 2)) if n else 0.0)
+
 
 def is_stable_mode(
     modes: ArrayLike, dt: float = 0, margin: float = 0, *, uncertainty: ArrayLike = 0
@@ -274,7 +280,7 @@ def observability_form(A: ArrayLike, C: ArrayLike, *, rtol: float = DEFAULT_RTOL
     At[:k, k:] = 0.0
     Ct[:, k:] = 0.0
     Q2 = form.Q[:, k:]
-    modes, uncertainty = modes_with_uncertainty(Q2.T @ form.A @ Q2, form.dropped)
+    modes, uncertainty = modes_with_uncertainty(Q2.T @ form.A @ Q2, form.rounding)
     return ObservabilityForm(Q, At, Ct, k, form.decisions, modes, uncertainty, residual)
 
 

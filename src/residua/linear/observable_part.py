@@ -107,7 +107,7 @@ def observable_part(A: ArrayLike, C: ArrayLike, dt: float, rtol: float) -> Obser
     U, s, _ = np.linalg.svd(form.C) if form.C.size else (np.eye(C.shape[0]), np.zeros(0), None)
     to_outputs = np.zeros((0, C.shape[0])) if not r else U[:, :r].T / s[:r, None]
     H = to_outputs @ form.C @ Q1
-    fixed, uncertainty = modes_with_uncertainty(Q2.T @ form.A @ Q2, form.dropped)
+    fixed, uncertainty = modes_with_uncertainty(Q2.T @ form.A @ Q2, form.rounding)
     stable = is_stable_mode(fixed, dt, uncertainty=uncertainty)
     if not stable.all():
         raise DesignError(

@@ -86,7 +86,7 @@ def spectrum_error(block: NDArray[np.float64], wanted: Poles, dt: float, toleran
     order = match_poles(wanted, found)
     achieved, moved = found[order], 100 * moved[order]
     scale = np.ones(k) if dt else np.abs(wanted)
-    size = max(float(np.linalg.norm(block, 2)), float(np.abs(wanted).max()))
+    size = max(float(np.linalg.norm(block, 2)), float(np.abs(wanted).max()), 1.0 if dt else 0.0)
     worst, reached = 0.0, True
     for members in pole_clusters(wanted):
         unit = float(scale[members].mean())

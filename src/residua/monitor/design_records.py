@@ -37,7 +37,7 @@ _PLANT_ENTRIES = (*_PLANT_ARRAYS, "E", "dt", *_PLANT_TEXTS, *_PLANT_NAMES, "faul
 _POLES = ("poles", "requested_poles", "fixed_poles")
 _EVIDENCE_ENTRIES = ("method", *_POLES, "decoupling", "conditions", "ranks", "notes", "references")
 _OBSERVER_ARRAYS = ("F", "T", "H", "K1", "W")
-_SAMPLED_ENTRIES = ("system", "plant", "evidence", "subspaces", "state_map")
+_SAMPLED_ENTRIES = ("system", "plant", "evidence", "subspaces", "state_map", "steady")
 _GENERATOR_ENTRIES = (*_SAMPLED_ENTRIES, "method", "members", "observer")
 
 
@@ -91,6 +91,9 @@ def sampled_out(generator: ResidualGenerator) -> dict[str, Any]:
         "evidence": _evidence_out(generator.evidence),
         "subspaces": {name: array_out(basis) for name, basis in generator.subspaces.items()},
         "state_map": None if generator.state_map is None else array_out(generator.state_map),
+        "steady": None
+        if generator.steady is None
+        else {name: array_out(vector) for name, vector in generator.steady.items()},
     }
 
 
@@ -106,12 +109,14 @@ def _sampled_fields(content: Mapping[str, Any], where: str) -> dict[str, Any]:
         "system": _system_in(content["system"], joined(where, "system")),
         "plant": _plant_in(content["plant"], joined(where, "plant")),
         "evidence": _evidence_in(content["evidence"], joined(where, "evidence")),
-        "subspaces": {
-            name: array_in(basis, joined(subspaces, name))
-            for name, basis in table_in(content["subspaces"], subspaces).items()
-        },
+        "subspaces": _arrays_in(content["subspaces"], subspaces),
+        "steady": None if content["steady"] is None else _arrays_in(content["steady"], joined(where, "steady")),
         "state_map": None if content["state_map"] is None else array_in(content["state_map"], state_map),
     }
+
+
+def _arrays_in(value: Any, where: str) -> dict[str, NDArray[np.float64]]:
+    return {name: array_in(entry, joined(where, name)) for name, entry in table_in(value, where).items()}
 
 
 def _checked(generator: ResidualGenerator, where: str) -> ResidualGenerator:
@@ -125,6 +130,14 @@ def _checked(generator: ResidualGenerator, where: str) -> ResidualGenerator:
         raise FileFormatError(f"{where}: every subspace needs {k} rows, one per residual")
     if any(row >= k for member in generator.members for row in member.residuals):
         raise FileFormatError(f"{where}: a member has residuals that are not there")
+    if generator.steady is not None and any(
+        vector.shape != (k,) or not np.isfinite(vector).all() for vector in generator.steady.values()
+    ):
+        raise FileFormatError(f"{where}: every steady response needs {k} finite entries")
+    if generator.steady is not None:
+        record(generator.steady, joined(where, "steady"), plant.faults)
+    if not system.is_stable():
+        raise FileFormatError(f"{where}: the filter is not stable")
     if generator.state_map is not None and generator.state_map.shape != (system.n_states, plant.n_states):
         raise FileFormatError(f"{where}: state_map must be {system.n_states} x {plant.n_states}")
     return generator

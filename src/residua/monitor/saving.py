@@ -83,7 +83,7 @@ def load_monitor(path: str | Path) -> Monitor:
     content = loads(read_bytes(path, "a monitor"), path.name)
     if content.get("format") != FORMAT:
         raise FileFormatError(f'{path.name} is not a monitor of residua (no "format": {FORMAT!r} in it)')
-    if content.get("version") != VERSION:
+    if content.get("version") != VERSION or content.get("version") is True:
         raise FileFormatError(
             f"{path.name} has schema version {content.get('version')!r}, this residua reads version {VERSION}: "
             "make the monitor anew with this version"
@@ -111,6 +111,11 @@ def _monitor_in(content: Mapping[str, Any]) -> Monitor:
     if content["fitted"] is not None:
         monitor._norm_test = _values_in(content["fitted"], "fitted", NormTest)
         _check_shapes(monitor)
+        test = monitor.norm_test
+        if not (np.isfinite(test.center).all() and np.isfinite(test.whitening).all() and test.threshold > 0):
+            raise FileFormatError("fitted: center and whitening must be finite, and the threshold positive")
+        if min(test.persistence, test.release, test.window) < 1:
+            raise FileFormatError("fitted: persistence, release and window must be at least 1")
     if content["running"] is not None:
         monitor._spec = _running_in(monitor._specification(), content["running"], monitor.design.plant)
     if content["state"] is not None:

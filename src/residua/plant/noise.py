@@ -50,9 +50,11 @@ def factor(W: NDArray[np.float64]) -> NDArray[np.float64]:
     diagonal = np.diag(W)
     if np.array_equal(W, np.diag(diagonal)):  # keep variances recognisable, exact and sparse
         return np.diag(np.sqrt(np.maximum(diagonal, 0)))[:, diagonal > 0]
-    values, vectors = np.linalg.eigh(W)
+    spread = np.sqrt(np.maximum(diagonal, 0.0))  # mixed units: factor the correlation matrix
+    unit = np.where(spread > 0, spread, 1.0)
+    values, vectors = np.linalg.eigh(W / np.outer(unit, unit))
     keep = values > 1e-14 * values[-1]
-    return vectors[:, keep] * np.sqrt(values[keep])
+    return unit[:, None] * vectors[:, keep] * np.sqrt(values[keep])
 
 
 def noise_factors(W: NDArray, V: NDArray) -> tuple[NDArray, NDArray]:
