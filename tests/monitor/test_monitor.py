@@ -313,3 +313,38 @@ def test_frames_and_alarm_files(tmp_path: Path) -> None:
     lines = (tmp_path / "alarms.jsonl").read_text().splitlines()
     assert len(lines) == len(diagnosis.alarms)
     assert json.loads(lines[-1])["candidates"][0]["faults"] == ["p2"]
+
+
+def test_two_frames_are_matched_by_name_too() -> None:
+    pandas = pytest.importorskip("pandas")
+    monitor = make()
+    u, y = recording()
+    swapped = pandas.DataFrame({"y2": y[:, 1], "y1": y[:, 0]})
+    found, expected = monitor.run(u, swapped), monitor.run(u, y)
+    assert isinstance(found, rs.Diagnosis)
+    assert isinstance(expected, rs.Diagnosis)
+    assert np.array_equal(found.statistic, expected.statistic, equal_nan=True)
+    with pytest.raises(DataError, match="no column 'y1'"):
+        monitor.run(u, swapped[["y2"]])
+
+
+def test_dates_are_times() -> None:
+    monitor = make()
+    u, y = recording()
+    start = np.datetime64("2026-01-01T00:00:00")
+    assert isinstance(monitor.run(u, y, time=start + np.arange(1200) * np.timedelta64(1, "s")), rs.Diagnosis)
+    with pytest.raises(DataError, match=r"0\.001"):
+        monitor.run(u, y, time=start + np.arange(1200) * np.timedelta64(1, "ms"))
+    with pytest.raises(DataError, match="dt must be"):
+        monitor.run(u, y, dt=float("nan"))
+
+
+def test_heavy_leakage_by_sampling_is_said() -> None:
+    plant = rs.Plant([[-1.0, 5.0], [-5.0, -1.0]], [[1], [1]], np.eye(2)).with_sensor_faults()
+    monitor = rs.Monitor(rs.design.detection_filter(plant, poles=[-30, -30]), dt=0.3)
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal((600, 1))
+    y = plant.discretize(0.3).system("control").simulate(u)
+    found = monitor.fit(u, y).run(u, y)
+    assert isinstance(found, rs.Diagnosis)
+    assert any("sampling at 0.3 s" in note for note in found.notes)

@@ -9,11 +9,9 @@ from numpy.typing import NDArray
 
 from residua.analysis.unknown_input import UnknownInputExistence, unknown_input_observer_existence
 from residua.errors import ModelError
+from residua.linear.balancing import balance_system
 from residua.linear.rank import DEFAULT_RTOL, decide_rank
 from residua.plant import Plant
-
-#: A fault whose visible part is below this fraction counts as unseen.
-VISIBLE = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +87,8 @@ class Diagnosability:
         if len(self.plant.disturbances) == 0:
             return "no output sees it"
         bare = self.plant.without_disturbances()
-        alone, _, _, _ = _visible_columns(bare, _test_points(bare), DEFAULT_RTOL)
-        if np.max(np.linalg.norm(alone[:, :, i], axis=1)) > VISIBLE:
+        alone = _visible_columns(_in_balanced_units(bare), _test_points(bare), DEFAULT_RTOL)
+        if _decide(alone, DEFAULT_RTOL)[0][i]:
             return f"hidden by the disturbances {', '.join(self.plant.disturbances)}, which can imitate it"
         return "no output sees it"
 
@@ -126,7 +124,8 @@ def diagnosability(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> Diagnosabilit
     plant : Plant
         ``E`` may be singular.
     rtol : float
-        Relative tolerance of the rank decisions.
+        Relative tolerance of the rank decisions. A fault is seen when more than ``10 * rtol`` of its direction
+        (and more than rounding) is left; two are told apart when their angle exceeds 1e-7.
 
     Returns
     -------
@@ -165,10 +164,10 @@ def diagnosability(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> Diagnosabilit
             "the plant has no faults: name what may fail with with_sensor_faults, with_actuator_faults or with_faults"
         )
     _check_regular(plant, _test_points(plant))
-    generic, _, _, _ = _visible_columns(plant, _test_points(plant), rtol)
-    steady = _steady_columns(plant, rtol)
-    detectable, isolable = _decide(generic, VISIBLE)
-    strong, strongly_isolable = _decide(steady, 1e-5)
+    model = _in_balanced_units(plant)
+    generic = _visible_columns(model, _test_points(plant), rtol)
+    detectable, isolable = _decide(generic, rtol)
+    strong, strongly_isolable = _decide_in_the_limit(model, generic, rtol)
     strong &= detectable
     strongly_isolable &= isolable
     existence = None
@@ -182,7 +181,7 @@ def diagnosability(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> Diagnosabilit
         isolable=isolable,
         strongly_isolable=strongly_isolable,
         groups=group_twins(plant.faults, detectable, isolable),
-        visibility=np.linalg.norm(generic, axis=1).max(axis=0),
+        visibility=np.linalg.norm(generic.columns, axis=1).max(axis=0),
         unknown_input_observer=existence,
     )
 
@@ -213,28 +212,58 @@ def _test_points(plant: Plant) -> NDArray[np.complex128]:
     return np.asarray(size * np.array([1.3170, 0.6931, 2.2360]) * np.exp(1j * angles), dtype=complex)
 
 
-def _visible_columns(plant: Plant, points: NDArray, rtol: float) -> tuple[NDArray, NDArray, NDArray, list]:
-    """Return what the disturbances leave of each fault's column at each point.
+@dataclass(frozen=True, eq=False)
+class _Visible:
+    """What the disturbances leave of each fault's column at some points.
 
-    Shape (points, residual dimension, faults); columns are scaled to unit length before projection.
+    Attributes
+    ----------
+    columns : ndarray, shape (points, residual dimension, faults)
+        Projections of the columns, scaled to unit length before.
+    rank : int
+        Normal rank of the pencil of the plant with its disturbances.
+    rounding : ndarray, shape (points,)
+        What rounding may have put into a projection.
     """
+
+    columns: NDArray[np.complex128]
+    rank: int
+    rounding: NDArray[np.float64]
+
+
+def _in_balanced_units(plant: Plant) -> Plant:
+    """Return the plant in units in which couplings and channels are comparable; what is visible stays so."""
+    if plant.E is not None or plant.n_states == 0:
+        return plant
+    B = np.hstack([plant.Bd, plant.Bf])
+    T = balance_system(plant.A, B, plant.C, np.zeros((plant.n_outputs, B.shape[1]))).states
+    if np.ptp(np.log2(T)) > 64:  # a hidden part of the plant has no units
+        return plant
+    return plant._with(A=plant.A / T[:, None] * T, C=plant.C * T, Bd=plant.Bd / T[:, None], Bf=plant.Bf / T[:, None])
+
+
+def _visible_columns(plant: Plant, points: NDArray, rtol: float, rank: int | None = None) -> _Visible:
+    """Return what the disturbances leave of each fault at each point; ``rank`` overrides the decision."""
     n = plant.n_states
     E = np.eye(n) if plant.E is None else plant.E
     row = _row_units(plant, float(np.abs(_test_points(plant)).max()))
     Fd, Ff = np.vstack([plant.Bd, plant.Dd]) * row[:, None], np.vstack([plant.Bf, plant.Df]) * row[:, None]
     Fd = Fd / np.maximum(np.linalg.norm(Fd, axis=0), 1e-300)
     norms = np.linalg.norm(Ff, axis=0)
-    decisions, left = [], []
+    spectra, left = [], []
     for s in points:
         pencil = np.hstack([np.vstack([s * E - plant.A, plant.C]) * row[:, None], Fd])
         scale = np.maximum(np.linalg.norm(pencil, axis=0), 1e-300)
         U, values, _ = np.linalg.svd(pencil / scale)
-        rank = int(np.count_nonzero(values > rtol * values[0]))
-        decisions.append(rank)
+        spectra.append(values)
         left.append(U)
-    rank = max(decisions)
+    if rank is None:
+        rank = max((int(np.count_nonzero(v > rtol * v[0])) for v in spectra if v.size), default=0)
+    smallest = np.array([v[rank - 1] / v[0] if rank else 1.0 for v in spectra])
+    # the bound is pessimistic where the pencil is nearly singular for reasons that no fault shares
+    rounding = np.minimum(1e3 * np.finfo(float).eps / np.maximum(smallest, 1e-300), 1e-6)
     columns = np.stack([U[:, rank:].conj().T @ (Ff / norms) for U in left])
-    return columns, np.asarray(decisions), norms, left
+    return _Visible(columns, rank, rounding)
 
 
 def _row_units(plant: Plant, size: float) -> NDArray[np.float64]:
@@ -270,44 +299,47 @@ def equilibrated_pencil(M: NDArray) -> NDArray:
     return M
 
 
-def _steady_columns(plant: Plant, rtol: float) -> NDArray:
-    """Return the visible columns in the limit of constant signals.
+def _decide(found: _Visible, rtol: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return who is visible and who can be told from whom, the best over the test points."""
+    size = np.linalg.norm(found.columns, axis=1)
+    floor = np.maximum(found.rounding, 10 * rtol)[:, None]
+    visible = (size > floor).any(axis=0)
+    sines = _sines(found.columns)
+    weaker = np.maximum(np.minimum(size[:, :, None], size[:, None]), 1e-300)
+    limit = np.clip(10 * floor[:, :, None] / weaker, 1e-7, 1e-2)
+    apart = (sines > limit).any(axis=0)
+    return visible, visible[:, None] & (apart | ~visible[None, :]) & ~np.eye(len(visible), dtype=bool)
 
-    Points approach the limit; a part that shrinks with the distance is zero there. Where the pencil loses no
-    rank at the limit itself, that point is used as it is.
+
+def _sines(columns: NDArray) -> NDArray[np.float64]:
+    """Return the sine of the angle between every two columns at every point, shape (points, faults, faults)."""
+    unit = columns / np.maximum(np.linalg.norm(columns, axis=1, keepdims=True), 1e-300)
+    out = np.zeros((len(columns), columns.shape[2], columns.shape[2]))
+    for k, U in enumerate(unit):
+        cosines = U.conj().T @ U
+        for j in range(U.shape[1]):
+            out[k, :, j] = np.linalg.norm(U - np.outer(U[:, j], cosines[j]), axis=0)
+    return out
+
+
+def _decide_in_the_limit(plant: Plant, generic: _Visible, rtol: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return the same for constant signals.
+
+    Where the pencil loses no rank at the limit, that point is used. Where it does (a zero of the plant), two
+    points near it are compared: what shrinks with the distance is nothing in the limit.
     """
     limit = 1.0 if plant.is_discrete else 0.0
-    generic_rank = _visible_columns(plant, _test_points(plant), rtol)[1].max()
-    columns, ranks, _, _ = _visible_columns(plant, np.array([limit + 0j]), rtol)
-    if ranks[0] == generic_rank:
-        return columns
+    there = _visible_columns(plant, np.array([limit + 0j]), rtol)
+    if there.rank == generic.rank:
+        return _decide(there, rtol)
     size = np.abs(_test_points(plant)).max()
-    direction = np.exp(0.731j)
-    near = limit + size * direction * np.array([1e-3, 1e-4])
-    columns, _, _, _ = _visible_columns(plant, near, rtol * 1e-4)
-    far, close = (np.linalg.norm(columns[k], axis=0) for k in (0, 1))
-    vanishing = close < 0.3 * far
-    return np.where(vanishing, 0.0, columns[1:])
-
-
-def _decide(columns: NDArray, tolerance: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return who is visible and who can be told from whom, the best over the test points."""
-    count = columns.shape[2]
-    visible = np.linalg.norm(columns, axis=1).max(axis=0) > tolerance
-    isolable = np.zeros((count, count), dtype=bool)
-    for i in range(count):
-        for j in range(count):
-            if i == j or not visible[i]:
-                continue
-            if not visible[j]:
-                isolable[i, j] = True
-                continue
-            for point in columns:
-                pair = point[:, [i, j]] / np.maximum(np.linalg.norm(point[:, [i, j]], axis=0), 1e-300)
-                if decide_rank(pair, rtol=max(tolerance, 1e-6)).rank == 2:
-                    isolable[i, j] = True
-                    break
-    return visible, isolable
+    points = limit + size * np.exp(0.731j) * np.array([1e-3, 1e-4])
+    near = _visible_columns(plant, points, rtol, generic.rank)
+    far, close = np.linalg.norm(near.columns, axis=1)
+    visible = (close > np.maximum(near.rounding[1], 10 * rtol)) & (close > 0.3 * far)
+    sines = _sines(near.columns)
+    apart = (sines[1] > 1e-7) & (sines[1] > 0.3 * sines[0])
+    return visible, visible[:, None] & (apart | ~visible[None, :]) & ~np.eye(len(visible), dtype=bool)
 
 
 def _yes(value: bool | np.bool_) -> str:

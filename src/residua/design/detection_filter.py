@@ -165,13 +165,14 @@ def directional_filters(
     if unseen:
         why = "hidden by the decoupled disturbances" if decouples and plant.disturbances else "seen by no output"
         notes.append(f"{', '.join(unseen)}: {why}")
-    if not events:
+    directly = [name for name in chosen if _seen_directly(plant, H, W, name)]
+    if not events and not directly:
         raise DesignError(f"none of the faults reaches the residual ({'; '.join(notes)})")
     pole = scalar_pole(A, C, poles, margin, plant.dt)
     if pole is not None:
         groups = [events]
     else:
-        groups = partition(units.A, units.C, events, plant.dt)
+        groups = partition(units.A, units.C, events, plant.dt) if events else [[]]
     if isinstance(poles, Mapping):
         _check_names(poles, events)
     notes += [f"{len(groups)} filters: one cannot keep all faults apart"] if len(groups) > 1 else []
@@ -249,7 +250,7 @@ class _Units:
         B = np.hstack([np.zeros((len(A), 0)), *events.values()])
         found = balance_system(A, B, C, np.zeros((len(C), B.shape[1])))
         T = found.states
-        if T.size and np.ptp(np.log2(T)) > 40:  # a hidden part of the plant has no units
+        if T.size and np.ptp(np.log2(T)) > 64:  # a hidden part of the plant has no units
             T = np.ones(len(A))
         scaled = found.outputs[:, None] * C * T
         outputs = found.outputs if decide_rank(scaled).rank == len(C) else np.ones(len(C))

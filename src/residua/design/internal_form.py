@@ -61,7 +61,7 @@ def check_state_map(generator: StateSpace, plant: Plant, M: NDArray, *, limit: f
     n_u = len(plant.inputs)
     p = plant.system(("control", "disturbance", "fault")).explicit()
     units = balance_system(p.A, p.B, p.C, p.D).states
-    if units.size and np.ptp(np.log2(units)) > 40:  # a hidden part of the plant has no units of its own
+    if units.size and np.ptp(np.log2(units)) > 64:  # a hidden part of the plant has no units of its own
         units = np.ones_like(units)
     rows = np.resize(units, len(M))  # stacked observers repeat the states of the plant
     Gy, Hy = generator.B[:, n_u:], generator.D[:, n_u:]
@@ -124,7 +124,8 @@ def frequency_grid(*systems: StateSpace, points: int = 60) -> NDArray[np.float64
         return np.concatenate([np.pi / dt * np.logspace(-5, 0, points - 1), [0.37 * np.pi / dt]])
     sizes = np.concatenate([np.zeros(0), *(_pole_sizes(system) for system in systems)])
     low, high = (sizes.min(), sizes.max()) if sizes.size else (1.0, 1.0)
-    return np.logspace(np.log10(low) - 2, np.log10(high) + 2, points)
+    # the factor keeps round numbers, where models have their poles, off the grid
+    return 1.0371 * np.logspace(np.log10(low) - 2, np.log10(high) + 2, points)
 
 
 def _pole_sizes(system: StateSpace) -> NDArray[np.float64]:

@@ -18,6 +18,7 @@ from residua.linear.rank import DEFAULT_RTOL
 from residua.linear.spectrum import describe_modes, match_poles, spectrum_error
 
 Matrix = NDArray[np.float64]
+_EPS = float(np.finfo(float).eps)
 Poles = NDArray[np.complex128]
 
 
@@ -275,8 +276,8 @@ def default_margin(A: ArrayLike, dt: float = 0) -> float:
         rates = np.abs(np.log(modes)) / dt
         rates = rates[rates * dt > 1e-6]
     else:
-        rates = np.abs(modes)
-        rates = rates[rates > 1e-8 * rates.max(initial=0.0)]
+        rates = np.abs(modes)  # those below sqrt(eps) of the norm may be rounding of a multiple pole at zero
+        rates = rates[rates > max(1e-8 * rates.max(initial=0.0), np.sqrt(_EPS) * float(np.linalg.norm(A)))]
     if not rates.size:
         return 0.1 / dt if dt else 1.0
     mean = float(np.exp(np.mean(np.log(rates))))

@@ -36,7 +36,7 @@ def without_unobservable(system: StateSpace, *, rtol: float = DEFAULT_RTOL) -> S
     """
     system = system.explicit()
     form = staircase(system.A, system.C, rtol=rtol)
-    if system.n_states and np.ptp(np.log2(form.states)) > 40:  # hidden parts have no units of their own
+    if system.n_states and np.ptp(np.log2(form.states)) > 64:  # hidden parts have no units of their own
         form = staircase(system.A, system.C, rtol=rtol, balance=False)
     k = form.n_observable
     if k == system.n_states:

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.errors import missing_extra
+from residua.errors import MissingExtraError
+from residua.files import write_text
 
 if TYPE_CHECKING:
     from residua.design import ResidualGenerator
@@ -234,13 +235,13 @@ class Diagnosis:
         try:
             module = __import__(backend)
         except ImportError as error:
-            raise missing_extra(backend, "frames") from error
+            raise MissingExtraError(f"this needs the package {backend!r}: pip install {backend}") from error
         return module.DataFrame(self.columns())
 
     def write_alarms(self, path: str | Path) -> None:
         """Write one JSON object per alarm and line (JSON Lines)."""
         text = "".join(json.dumps(alarm.to_dict()) + "\n" for alarm in self.alarms)
-        Path(path).write_text(text, encoding="utf-8")
+        write_text(path, text)
 
     def plot(self, ax: Any = None) -> Any:
         """Plot residuals, statistic with threshold, and candidates over time (needs matplotlib).

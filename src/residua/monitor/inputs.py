@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua.design import ResidualGenerator
 from residua.errors import DataError
 from residua.monitor.recording import Recording, recording_from_frame
-from residua.monitor.time_axis import regular_step
+from residua.monitor.time_axis import regular_step, seconds_from_dates
 from residua.plant import Plant
 
 
@@ -46,9 +46,12 @@ def signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, source: st
                 raise DataError("give u and y as arrays, or one data frame or recording with named columns")
             u = recording_from_frame(u, plant, dt=dt or plant.dt or None, source=source or "data frame")
         return Signals(u.u, u.y, u.time, u.dt, source or u.source)
+    if dt is not None and not (np.isfinite(dt) and dt > 0):
+        raise DataError(f"dt must be a positive step in seconds, got {dt!r}")
+    u, y = _by_name(u, plant.inputs, "u"), _by_name(y, plant.outputs, "y")
     if time is None:
         return Signals(u, y, None, dt, source)
-    clock = np.asarray(time, dtype=float)
+    clock = _seconds(time)
     samples = np.shape(y)[-2] if np.ndim(y) > 1 else np.size(y)
     if clock.shape != (samples,):
         raise DataError(f"time has shape {clock.shape}, y has {samples} samples")
@@ -58,6 +61,32 @@ def signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, source: st
     if dt is not None and abs(dt - found) > 1e-6 * found:
         raise DataError(f"dt={dt:g} s was given, the times are {found:g} s apart")
     return Signals(u, y, clock, found, source)
+
+
+def _by_name(data: Any, channels: tuple[str, ...], what: str) -> Any:
+    """Return the columns of a data frame in the order of the plant; arrays are taken as they are."""
+    columns = getattr(data, "columns", None)
+    if columns is None:
+        return data
+    missing = [name for name in channels if name not in list(columns)]
+    if missing:
+        raise DataError(
+            f"{what} has no column {', '.join(map(repr, missing))}; there are {', '.join(map(repr, columns))}"
+        )
+    return np.column_stack([np.asarray(data[name], dtype=float) for name in channels])
+
+
+def _seconds(time: ArrayLike) -> NDArray[np.float64]:
+    """Return times in seconds; dates and time differences are counted from the first."""
+    clock = np.asarray(time)
+    if clock.dtype.kind == "M":
+        return seconds_from_dates(clock)[0]
+    if clock.dtype.kind == "m":
+        return clock / np.timedelta64(1, "s")
+    try:
+        return np.asarray(clock, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise DataError(f"time must be seconds, or dates: {error}") from error
 
 
 def settling_samples(generator: ResidualGenerator) -> int:

@@ -62,7 +62,17 @@ def diagnosis_from(
         whitening=spec.test.whitening,
         settings=_settings(spec, generator),
         source=source,
-        notes=notes,
+        notes=(*notes, *_sampling_notes(generator)),
+    )
+
+
+def _sampling_notes(generator: ResidualGenerator) -> tuple[str, ...]:
+    """Return a warning where sampling a continuous design let a notable part of a signal through."""
+    return tuple(
+        f"sampling at {generator.dt:g} s lets {100 * gain:.2g} % of the {name.removesuffix(', sampled')} signals "
+        "into the residual at some frequency: design on the sampled plant, plant.discretize(dt), to avoid it"
+        for name, gain in generator.evidence.decoupling.items()
+        if name.endswith(", sampled") and gain > 0.01
     )
 
 
