@@ -117,3 +117,45 @@ def test_settings_that_make_no_sense_are_refused(value: object) -> None:
     if value != 0:
         with pytest.raises(SettingError, match="max_hold"):
             rs.Monitor(rs.design.detection_filter(rs.library.gertler()), max_hold=value)  # pyright: ignore
+
+
+def test_disturbances_in_the_outputs_with_very_different_units_are_all_decoupled() -> None:
+    rng = np.random.default_rng(0)
+    plant = rs.Plant(rng.standard_normal((3, 3)) - 3 * np.eye(3), np.ones((3, 1)), rng.standard_normal((4, 3)))
+    plant = plant.with_disturbances(
+        {
+            "gust": (1e5 * rng.standard_normal(3), [1e5, 0, 0, 0]),
+            "drift": (1e-6 * rng.standard_normal(3), [0, 1e-6, 0, 0]),
+        }
+    )
+    generator = rs.design.unknown_input_observer(plant).residual_generator()
+    assert generator.n_residuals == 2
+    form = generator.internal_form()
+    response = np.abs(form.frequency_response(np.logspace(-2, 2, 20)))
+    assert response[:, :, 0].max() < 1e-9 * 1e5
+    assert response[:, :, 1].max() < 1e-9 * 1e-6
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_sampling_keeps_the_steady_directions_also_with_integrators(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    A = np.array([[0, 1, 0], [0, 0, 1], [0, 0, -1.0]])
+    plant = rs.Plant(A, rng.standard_normal((3, 1)), np.eye(3)[[0, 2]]).with_faults({"f": rng.standard_normal(3)})
+    plant = plant.with_sensor_faults().with_noise(process=1.0, measurement=0.1)
+    for design in (rs.design.kalman_filter, lambda p: rs.design.unknown_input_observer(p).residual_generator()):
+        generator = design(plant)
+        sampled = generator.discretize(0.05)
+        for name in plant.faults:
+            np.testing.assert_allclose(sampled.steady_directions[name], generator.steady_directions[name])
+        assert rs.Monitor(generator, dt=0.05, test=rs.decide.NormThreshold(threshold=1.0)).groups
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_sensor_faults_stay_narrow_with_more_outputs_than_states_and_disturbances_in_them(seed: int) -> None:
+    rng = np.random.default_rng(100 + seed)
+    plant = random_plant(rng, n=3, outputs=6, faults=1, sensors=True, dt=0.1)
+    plant = plant.with_disturbances({"d": (rng.standard_normal(3), rng.standard_normal(6))})
+    generator = rs.design.robust_detection_filter(plant, faults=plant.faults[1:])
+    rows = {name: list(m.residuals) for m in generator.members for name in m.faults}
+    for name in plant.faults[1:]:
+        assert np.linalg.matrix_rank(generator.subspaces[name][rows[name]], tol=1e-6) <= 3

@@ -97,3 +97,18 @@ def test_malformed_pairs_are_refused():
         observability_form(np.ones((2, 3)), np.ones((1, 3)))
     with pytest.raises(ModelError, match="finite"):
         observability_form([[np.nan]], [[1.0]])
+
+
+def test_hidden_integrators_are_not_taken_for_stable() -> None:
+    """Rounding of the whole matrix decides, not that of the small hidden block."""
+    A = np.array([[0.0, 2, 0], [0, 2, -1], [0, -2, 2]])
+    assert not detectability(A, [[0, 1, 1]])
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        n = int(rng.integers(3, 7))
+        Q = np.linalg.qr(rng.standard_normal((n, n)))[0]
+        block = np.zeros((n, n))
+        block[1:, 1:] = rng.standard_normal((n - 1, n - 1))
+        block[0, 1:] = rng.standard_normal(n - 1)  # an integrator that nothing sees
+        C = np.hstack([np.zeros((2, 1)), rng.standard_normal((2, n - 1))]) @ Q.T
+        assert not detectability(Q @ block @ Q.T, C)

@@ -208,3 +208,9 @@ def test_bad_input_gets_a_clear_error(case: str) -> None:
     make, message = BAD_PLANTS[case]
     with pytest.raises(ModelError, match=message):
         make()
+
+
+def test_covariances_in_mixed_units_are_kept() -> None:
+    V = np.array([[1e-10, 0.5], [0.5, 1e10]])
+    plant = Plant([[-1.0]], [[1]], [[1], [1]]).with_noise(measurement=V)
+    np.testing.assert_allclose(plant.measurement_noise, V, rtol=1e-9)
