@@ -41,6 +41,7 @@ test: $(VENV)/.made-test
 	$(BIN)/pytest --cov --cov-report=term
 
 docs: $(VENV)/.made-docs
+	rm -rf docs/api/generated  # pages of names that are gone would fail the build
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
 	@echo "docs/_build/html/index.html"
 
