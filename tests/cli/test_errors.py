@@ -96,13 +96,10 @@ def test_outputs_are_checked_before_any_work(made: Path, tmp_path: Path, residua
 def test_failed_output_leaves_the_old_file(
     made: Path, tmp_path: Path, residua: Residua, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from residua.monitor import Diagnosis
-
-    def full(self: Diagnosis, path: Path) -> None:
-        Path(path).write_text("half")
+    def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Diagnosis, "write_alarms", full)
+    monkeypatch.setattr(os, "replace", full)  # the last step of writing
     path = tmp_path / "alarms.jsonl"
     path.write_text("old")
     assert_error(residua("run", made / "monitor.json", made / "faulty.csv", "--alarms", path), "No space left")

@@ -17,7 +17,7 @@ from residua.cli.methods import Method
 from residua.decide import Directional, NormThreshold
 from residua.demos import Outcome
 from residua.errors import AccuracyError, DataError, ModelError
-from residua.files import check_input, replacing
+from residua.files import check_input
 from residua.monitor import Diagnosis, Monitor
 from residua.monitor.recording import Recording, read_recording, write_table
 from residua.plant.plant_file import load_plant
@@ -288,8 +288,7 @@ def _write(found: Diagnosis, *, report: Path | None, alarms: Path | None, residu
     if report is not None:
         found.to_html(report)
     if alarms is not None:
-        with replacing(alarms) as temporary:
-            found.write_alarms(temporary)
+        found.write_alarms(alarms)
     if residuals is not None:
         write_table(residuals, found.columns())
     return [path for path in (report, alarms, residuals) if path is not None]

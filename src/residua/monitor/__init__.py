@@ -1,7 +1,8 @@
 """A generator with its decision logic, running on data."""
 
+from residua.monitor.decision import Decision
 from residua.monitor.diagnosis import Alarm, Candidate, Diagnosis
-from residua.monitor.monitor import Decision, Monitor
+from residua.monitor.monitor import Monitor
 from residua.monitor.recording import Recording, read_recording, recording_from_frame, write_table
 from residua.monitor.running import Decisions
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -22,39 +21,14 @@ from residua.decide.norm_threshold import (
 from residua.design import ResidualGenerator
 from residua.design.generator import stack_signals
 from residua.errors import DataError, ModelError, NotFittedError
-from residua.monitor.diagnosis import Candidate, Diagnosis
+from residua.monitor.decision import Decision
+from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.inputs import settling_samples, signal_size, signals
 from residua.monitor.outcome import candidates_at, diagnosis_from
 from residua.monitor.running import Decisions, Specification, State, initial_state, run_block
 
 #: Samples per piece when a recording is run: bounds memory and lets progress be shown.
 PIECE = 100_000
-
-
-@dataclass(frozen=True, eq=False)
-class Decision:
-    """What a monitor decided on one sample.
-
-    Attributes
-    ----------
-    residual : ndarray, shape (residuals,)
-        NaN when a value was missing.
-    statistic : float
-        Norm of the whitened residual; NaN when nothing was decided.
-    alarm : bool
-    decided : bool
-        False while the filter settles and where data are missing.
-    missing : bool
-    candidates : tuple of Candidate
-        Best first while the alarm is on; empty otherwise.
-    """
-
-    residual: NDArray[np.float64]
-    statistic: float
-    alarm: bool
-    decided: bool
-    missing: bool
-    candidates: tuple[Candidate, ...] = field(default=())
 
 
 class Monitor:
