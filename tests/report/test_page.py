@@ -331,3 +331,10 @@ def test_a_settling_transient_does_not_set_the_axis():
 def test_a_fault_that_was_not_found_is_missed_not_wrong():
     sections = [Section("a", diagnosis(fault=False), actual="x"), Section("b", diagnosis())]
     assert "No fault found ✗ missed" in words(render(sections, "t"))
+
+
+def test_a_short_alarm_is_not_sure_of_its_name():
+    d = diagnosis()
+    brief = replace(d, window=d.alarms[0].stop - d.alarms[0].start + 1)
+    assert "too short to be sure of the name" in words(render([Section("", brief)], "t"))
+    assert "too short to be sure of the name" not in words(render([Section("", d)], "t"))

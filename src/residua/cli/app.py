@@ -246,7 +246,7 @@ def run(
     found = _run(watch, data)
     written = _write(found, report=report, alarms=alarms, residuals=residuals)
     if not quiet:
-        screen.show_diagnosis(found, watch.isolate.window if watch.isolate else 0)
+        screen.show_diagnosis(found)
         if data.origin:
             screen.say(f"times count from {data.origin}")
         screen.say(*(f"written: {path}" for path in written))

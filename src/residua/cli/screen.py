@@ -214,22 +214,15 @@ def show_signatures(generator: ResidualGenerator, isolate: Directional) -> None:
 # ---------------------------------------------------------------------- diagnosis
 
 
-def show_diagnosis(diagnosis: Diagnosis, window: int) -> None:
+def show_diagnosis(diagnosis: Diagnosis) -> None:
     """Print what was found in a recording.
 
     Parameters
     ----------
     diagnosis : Diagnosis
-    window : int
-        Samples over which the direction of the residual is judged: a shorter alarm is not sure of its name.
     """
-    found = verdict(diagnosis)
-    main = diagnosis.main_alarm
-    if main is not None and main.candidates and _samples(diagnosis, main) < window:
-        nearest = main.candidates[0].name
-        say(f"Alarm since t = {main.onset:.6g} s, too short to be sure of the name; nearest: {nearest}.")
-    else:
-        say(found.headline)
+    found, window = verdict(diagnosis), diagnosis.window
+    say(found.headline)
     if diagnosis.alarms:
         shown = diagnosis.alarms[:MAX_ALARMS]
         show_table(

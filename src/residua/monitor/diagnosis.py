@@ -118,6 +118,8 @@ class Diagnosis:
         is one) can be from it below threshold.
     whitening : ndarray, shape (residuals, residuals)
         Applied as ``(r - center) @ whitening`` before norm and direction are judged.
+    window : int
+        Samples over which direction is judged: an alarm that is shorter is not sure of its name.
     settings : mapping of str to str
         How threshold, alarms and isolation were set, in words.
     generator : ResidualGenerator
@@ -145,6 +147,7 @@ class Diagnosis:
     band: NDArray[np.float64] = field(repr=False)
     generator: ResidualGenerator = field(repr=False)
     whitening: NDArray[np.float64] = field(repr=False)
+    window: int = 1
     settings: Mapping[str, str] = field(default_factory=dict)
     source: str = ""
     notes: tuple[str, ...] = ()

@@ -60,6 +60,7 @@ def diagnosis_from(
         band=spec.test.band,
         generator=generator,
         whitening=spec.test.whitening,
+        window=spec.window,
         settings=_settings(spec, generator),
         source=source,
         notes=(*notes, *_sampling_notes(generator)),

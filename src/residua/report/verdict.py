@@ -35,7 +35,7 @@ class Verdict:
     kind : {"fault", "none", "undecided"}
     headline : str
     sentences : tuple of str
-    confidence : {"clear lead", "moderate lead", "close call", "no good match", "not isolated", ""}
+    confidence : {"clear lead", "moderate lead", "close call", "no good match", "short alarm", "not isolated", ""}
     margin : float or None
         Lead of the best candidate over the next in score.
     """
@@ -96,7 +96,10 @@ def _fault(diagnosis: Diagnosis) -> Verdict:
     else:
         best = candidates[0]
         confidence, margin = _confidence(candidates)
-        if confidence == "no good match":
+        if main.stop - main.start < diagnosis.window:
+            confidence = "short alarm"
+            headline = f"Alarm {when}, too short to be sure of the name; nearest: {best.name}."
+        elif confidence == "no good match":
             headline = f"A fault was found, {when}; no listed fault explains it well. Nearest: {best.name}."
         else:
             headline = f"Fault found: {best.name}, {when}."
@@ -137,6 +140,7 @@ def _how_sure(candidates: list[Candidate], confidence: str, margin: float | None
         "moderate lead": "a moderate lead",
         "close call": "a close call",
         "no good match": "neither fits",
+        "short alarm": "judged over a window that is longer than the alarm",
     }[confidence]
     return (
         f"{text}; next is {following.name} with {score(following.score)} ({angle(following.score)}): "
