@@ -27,7 +27,8 @@ class Directional:
     signature : {"auto", "subspace", "steady"}
         ``"subspace"``: the line or plane that the residual of a fault never leaves. ``"steady"``: the
         direction that it settles to when the fault is constant. ``"auto"`` takes the line or plane where
-        the design has one that is smaller than the residual space, and the steady direction elsewhere.
+        the design has one that is smaller than the space that the residual can reach, and the steady direction
+        elsewhere.
 
     References
     ----------
@@ -64,6 +65,11 @@ class DirectionTest:
     groups: tuple[tuple[str, ...], ...]
     bases: tuple[NDArray[np.float64], ...]
     unjudged: tuple[str, ...]
+
+    @property
+    def dimensions(self) -> tuple[int, ...]:
+        """Dimension of each group's signature."""
+        return tuple(basis.shape[1] for basis in self.bases)
 
 
 def correlation(residual: ArrayLike, signature: ArrayLike, *, rtol: float = 1e-9) -> float:
@@ -135,9 +141,14 @@ def direction_test(
     subspaces: Mapping[str, NDArray],
     steady: Mapping[str, NDArray],
     whitening: NDArray[np.float64],
+    rank: int | None = None,
 ) -> DirectionTest:
-    """Return the signatures of all faults in whitened space, with equal ones grouped."""
-    n = len(whitening)
+    """Return the signatures of all faults in whitened space, with equal ones grouped.
+
+    ``rank`` is the number of independent directions of the residual (all of them when omitted): a subspace
+    of that dimension holds every residual and tells nothing.
+    """
+    n = len(whitening) if rank is None else rank
     names: list[list[str]] = []
     bases: list[NDArray] = []
     unjudged = []
@@ -162,7 +173,7 @@ def _signature(
     has_steady = steady is not None and bool(np.any(steady))
     narrow = 0 < subspace.shape[1] < n
     if kind == "subspace" or (kind == "auto" and narrow):
-        if subspace.shape[1] == 0:
+        if not narrow:
             return None
         chosen = subspace
     elif has_steady and steady is not None:

@@ -13,9 +13,9 @@ import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from residua.design.evidence import Evidence, format_pole
-from residua.design.internal_form import check_state_map, internal_form, leakage, signature_bases
+from residua.design.internal_form import check_state_map, frequency_grid, internal_form, leakage, signature_bases
 from residua.errors import AccuracyError, DataError, ModelError
-from residua.linear import StateSpace
+from residua.linear import StateSpace, decide_rank
 from residua.plant import Plant
 
 if TYPE_CHECKING:
@@ -121,6 +121,22 @@ class ResidualGenerator:
         scale = (direct + np.abs(gain)).max(axis=1, initial=0.0)[:, None]  # each residual has its own units
         gain = np.where(np.abs(gain) > 1e-10 * scale, gain, 0.0)
         return {name: gain[:, i] for i, name in enumerate(self.faults)}
+
+    @cached_property
+    def residual_rank(self) -> int:
+        """Number of independent directions in which faults and noise can move the residual.
+
+        Less than the number of residuals where decoupling disturbances made some of them copies of others: a
+        signature of this dimension says nothing.
+        """
+        form = self._internal_form
+        skip = range(len(self.faults), len(self.faults) + len(self.plant.disturbances))
+        columns = [i for i in range(form.n_inputs) if i not in skip]
+        response = form.frequency_response(frequency_grid(form))[:, :, columns]
+        units = np.abs(response).max(axis=(0, 2), initial=0.0)
+        scaled = response / np.where(units > 0, units, 1.0)[:, None]
+        flat = scaled.transpose(1, 0, 2).reshape(self.n_residuals, -1)
+        return decide_rank(np.hstack([flat.real, flat.imag]), rtol=1e-6).rank
 
     @cached_property
     def structure(self) -> NDArray[np.bool_]:

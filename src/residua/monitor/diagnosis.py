@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from residua.design import ResidualGenerator
 
 
+#: A lead in score below this is a close call.
+CLOSE_MARGIN = 0.02
+
+
 @dataclass(frozen=True)
 class Candidate:
     """A fault, or a group of faults that the monitor cannot tell apart, with how well it explains an alarm.
@@ -70,12 +74,20 @@ class Alarm:
     start: int
     stop: int
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the alarm as plain values for JSON."""
+    @property
+    def margin(self) -> float | None:
+        """Lead of the best candidate over the next in score; ``None`` with fewer than two."""
+        return self.candidates[0].score - self.candidates[1].score if len(self.candidates) > 1 else None
+
+    def to_dict(self, *, window: int = 1) -> dict[str, Any]:
+        """Return the alarm as plain values for JSON; ``short`` means shorter than the isolation window."""
         return {
             "onset": self.onset,
             "raised": self.raised,
             "ended": self.ended,
+            "samples": self.stop - self.start,
+            "short": self.stop - self.start < window,
+            "margin": self.margin,
             "candidates": [
                 {"faults": list(c.faults), "score": c.score, "distance": c.distance} for c in self.candidates
             ],
@@ -195,10 +207,14 @@ class Diagnosis:
                 f"filter restarted {self.resets} times after longer gaps"
             )
         if not self.alarms:
-            lines.append("no fault found" if self.decided.any() else "no decision: the recording is too short")
+            lines.append("no fault found" if self.decided.any() else self._why_undecided())
         for k, alarm in enumerate(self.alarms[:20], 1):
             until = "to the end" if alarm.ended is None else f"until {alarm.ended:.6g} s"
             lines.append(f"alarm {k}: onset {alarm.onset:.6g} s, raised {alarm.raised:.6g} s, {until}")
+            if alarm.candidates and alarm.stop - alarm.start < self.window:
+                lines.append(f"  shorter than the {self.window} samples that a name is judged by: not sure of its name")
+            elif alarm.margin is not None and alarm.margin < CLOSE_MARGIN:
+                lines.append(f"  a close call: the first two are {alarm.margin:.3f} apart")
             for rank, candidate in enumerate(alarm.candidates[:3], 1):
                 lines.append(f"  {rank}. {candidate.name:<40} score {candidate.score:.3f}")
         if len(self.alarms) > 20:
@@ -206,9 +222,14 @@ class Diagnosis:
         for group in self.groups:
             if self.alarms and len(group) > 1:
                 lines.append(f"cannot be told apart here: {', '.join(group)}")
-        if self.unjudged and self.alarms:
-            lines.append(f"without a signature here: {', '.join(self.unjudged)}")
+        if self.unjudged:
+            lines.append(f"never named by this monitor, for want of a signature: {', '.join(self.unjudged)}")
         return "\n".join([*lines, *self.notes])
+
+    def _why_undecided(self) -> str:
+        if self.missing.size and self.missing.all():
+            return "no decision: every sample misses a value"
+        return "no decision: the recording is too short, or has too many gaps, for the filter to settle"
 
     def _span(self) -> str:
         return f"{self.time[0]:.6g} to {self.time[-1]:.6g} s" if len(self.time) else "empty"
@@ -243,7 +264,7 @@ class Diagnosis:
 
     def write_alarms(self, path: str | Path) -> None:
         """Write one JSON object per alarm and line (JSON Lines)."""
-        text = "".join(json.dumps(alarm.to_dict()) + "\n" for alarm in self.alarms)
+        text = "".join(json.dumps(alarm.to_dict(window=self.window)) + "\n" for alarm in self.alarms)
         write_text(path, text)
 
     def plot(self, ax: Any = None) -> Any:

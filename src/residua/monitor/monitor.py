@@ -36,9 +36,10 @@ class Monitor:
 
     Data are in plant units: the plant's operating point is subtracted inside. A continuous generator is
     sampled at ``dt``. Missing values (NaN, infinity) never end a run: the last value of that channel is held
-    for the filter, no residual is reported and nothing is decided on that sample; after more than
-    ``max_hold`` incomplete samples in a row the filter starts anew with the next complete sample. A start
-    assumes that the plant was at rest at the first sample; nothing is decided while the filter settles.
+    for the filter, no residual is reported on that sample, and nothing is decided until the filter has settled
+    again; after more than ``max_hold`` incomplete samples in a row the filter starts anew with the next
+    complete sample. A start assumes that the plant was at rest at the first sample: where a state integrates,
+    give ``settle`` enough samples.
 
     Parameters
     ----------
@@ -51,7 +52,7 @@ class Monitor:
         Step in seconds at which a continuous generator is sampled; may also come from the recording that
         is fitted.
     settle : int, optional
-        Samples after a start in which nothing is decided. By default until the slowest pole of the filter
+        Samples after a start or a gap in which nothing is decided. By default until the slowest pole of the filter
         has decayed to 1 %.
     max_hold : int
         Longest gap in samples that is bridged by holding values.
@@ -190,6 +191,9 @@ class Monitor:
         data = self._block(given.u, given.y)
         if len(data) != 1:
             raise DataError("fit takes one recording, (time, channels)")
+        outputs = data[0, :, len(self.design.plant.inputs) :]
+        if len(outputs) > 1 and not np.nanmax(np.ptp(np.where(np.isfinite(outputs), outputs, 0.0), axis=0)) > 0:
+            raise DataError("no output ever changes in this recording: it cannot show what is normal")
         blank = NormTest(np.zeros(self.generator.n_residuals), np.eye(self.generator.n_residuals), np.inf, 1, 1, 1, "")
         _, found = run_block(self._specification(blank), initial_state(self._specification(blank), 1), data)
         self._norm_test = fit_norm_test(
@@ -311,7 +315,7 @@ class Monitor:
             alarm=alarm,
             decided=bool(found.usable[0, 0]),
             missing=bool(found.missing[0, 0]),
-            candidates=candidates_at(found.scores[0, 0], self.groups) if alarm else (),
+            candidates=candidates_at(found.scores[0, 0], self.groups, self._dimensions()) if alarm else (),
         )
 
     def reset(self) -> None:
@@ -344,6 +348,10 @@ class Monitor:
 
     # ------------------------------------------------------------------ helpers
 
+    def _dimensions(self) -> tuple[int, ...]:
+        direction = self._specification().direction
+        return direction.dimensions if direction else ()
+
     def _use(self, sampled: ResidualGenerator) -> None:
         self._generator = sampled
         self._norm_test = norm_test_from_model(
@@ -375,7 +383,9 @@ class Monitor:
         point = g.plant.operating_point
         direction = None
         if self.isolate is not None and test is None:
-            direction = direction_test(self.isolate, g.subspaces, g.steady_directions, chosen.whitening)
+            direction = direction_test(
+                self.isolate, g.subspaces, g.steady_directions, chosen.whitening, g.residual_rank
+            )
         spec = Specification(
             g.system.A,
             g.system.B,

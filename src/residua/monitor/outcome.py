@@ -13,11 +13,17 @@ from residua.monitor.diagnosis import Alarm, Candidate, Diagnosis
 from residua.monitor.running import Decisions, Specification
 
 
-def candidates_at(scores: NDArray[np.float64], groups: tuple[tuple[str, ...], ...]) -> tuple[Candidate, ...]:
-    """Return the groups ranked by score, best first; none where the direction is not known."""
+def candidates_at(
+    scores: NDArray[np.float64], groups: tuple[tuple[str, ...], ...], dimensions: tuple[int, ...]
+) -> tuple[Candidate, ...]:
+    """Return the groups ranked by score, best first; none where the direction is not known.
+
+    Scores that agree to three digits are a tie, which the narrower signature wins: a plane contains more
+    residuals by chance than a line.
+    """
     if scores.size == 0 or np.isnan(scores).all():
         return ()
-    order = np.argsort(-scores, kind="stable")
+    order = np.lexsort((-scores, np.asarray(dimensions), -np.round(scores, 3)))
     return tuple(Candidate(groups[g], float(scores[g]), float(np.sqrt(max(0.0, 1.0 - scores[g] ** 2)))) for g in order)
 
 
@@ -37,6 +43,7 @@ def diagnosis_from(
         return np.concatenate([getattr(part, name)[plant] for part in parts], axis=0)
 
     groups = spec.direction.groups if spec.direction else ()
+    dimensions = spec.direction.dimensions if spec.direction else ()
     alarm, usable, up = joined("alarm"), joined("usable"), joined("up")
     scores = joined("scores")
     return Diagnosis(
@@ -52,7 +59,8 @@ def diagnosis_from(
         signatures=spec.direction.bases if spec.direction else (),
         unjudged=spec.direction.unjudged if spec.direction else (),
         alarms=_joined_alarms(
-            _alarms(time, alarm, usable, up, joined("exceeded"), scores, groups), max(spec.window, spec.test.window)
+            _alarms(time, alarm, usable, up, joined("exceeded"), scores, groups, dimensions),
+            max(spec.window, spec.test.window),
         ),
         resets=resets,
         residual_names=generator.residuals,
@@ -102,6 +110,7 @@ def _alarms(
     exceeded: NDArray[np.bool_],
     scores: NDArray,
     groups: tuple[tuple[str, ...], ...],
+    dimensions: tuple[int, ...],
 ) -> tuple[Alarm, ...]:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], alarm.astype(np.int8), [0]])))
     counted = np.flatnonzero(usable)
@@ -116,7 +125,7 @@ def _alarms(
                 onset=float(time[first]),
                 raised=float(time[start]),
                 ended=float(time[stop]) if stop < len(time) else None,
-                candidates=candidates_at(scores[last], groups) if groups else (),
+                candidates=candidates_at(scores[last], groups, dimensions) if groups else (),
                 start=int(start),
                 stop=int(stop),
             )

@@ -32,7 +32,7 @@ class Specification:
     test : NormTest
     direction : DirectionTest or None
     settle : int
-        Samples after a start in which nothing is decided.
+        Samples after a start, or after a held value, in which nothing is decided.
     max_hold : int
         Longest gap over which missing values are held; after a longer one the filter starts anew.
     """
@@ -61,7 +61,7 @@ class State:
     Attributes
     ----------
     x : filter state; held : last value of each channel; gap : incomplete samples in a row;
-    running : whether the filter has been started; age : samples since its start;
+    running : whether the filter has been started; age : samples since its start or the last held value;
     up, down : usable samples in a row over and under the threshold; alarm : whether it is on;
     previous, current, filled : blocks of the moving sum for the direction, and the same with ``test_`` for
     the threshold test; count : samples so far; resets : restarts.
@@ -201,8 +201,9 @@ def _filter_with_gaps(
         x, r = run_filter(spec.A, spec.B, spec.C, spec.D, fields["x"][p][None], filled[None, k:stop])
         fields["x"][p] = x[0]
         residuals[k:stop] = np.where(missing[k:stop, None], np.nan, r[0])
-        ages[k:stop] = fields["age"][p] + np.arange(1, stop - k + 1)
-        fields["age"][p] += stop - k
+        count = np.arange(1, stop - k + 1)  # samples since the start, or since the last held value
+        ages[k:stop] = count - np.maximum.accumulate(np.where(missing[k:stop], count, -fields["age"][p]))
+        fields["age"][p] = ages[stop - 1]
         fields["gap"][p] = gap
         if stop < time:  # the gap became too long: stop the filter until a complete sample comes
             fields["running"][p] = False

@@ -80,6 +80,8 @@ def save_monitor(monitor: Monitor, path: str | Path) -> None:
 def load_monitor(path: str | Path) -> Monitor:
     """Read a monitor; raises :class:`FileFormatError` that says which entry is wrong."""
     path = Path(path)
+    if path.suffix.lower() == ".toml":
+        raise FileFormatError(f"{path.name} looks like a plant file: design a monitor from it first (residua design)")
     content = loads(read_bytes(path, "a monitor"), path.name)
     if content.get("format") != FORMAT:
         raise FileFormatError(f'{path.name} is not a monitor of residua (no "format": {FORMAT!r} in it)')

@@ -80,7 +80,9 @@ def generator_signatures(generator: ResidualGenerator, whitening: NDArray[np.flo
     if whitening is None:
         covariance = generator.covariance
         whitening = np.eye(generator.n_residuals) if covariance is None else whitening_matrix(covariance)
-    test = direction_test(Directional(), generator.subspaces, generator.steady_directions, whitening)
+    test = direction_test(
+        Directional(), generator.subspaces, generator.steady_directions, whitening, generator.residual_rank
+    )
     groups = [*test.groups, *((fault,) for fault in test.unjudged)]
     nothing = np.zeros((generator.n_residuals, 0))
     return _turned(generator, groups, [*test.bases, *(nothing for _ in test.unjudged)], whitening)

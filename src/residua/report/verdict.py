@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from residua.monitor.diagnosis import CLOSE_MARGIN
 from residua.report.text import listing, number, score, seconds
 
 if TYPE_CHECKING:
     from residua.monitor.diagnosis import Candidate, Diagnosis
 
-#: A lead in score at or above the first is called clear, below the second a close call.
+#: A lead in score at or above this is called clear.
 CLEAR_MARGIN = 0.10
-CLOSE_MARGIN = 0.02
 #: Below this score no listed fault explains the residual well (it points more than 45 degrees away).
 POOR_SCORE = 0.70
 
@@ -80,6 +80,8 @@ def verdict(diagnosis: Diagnosis) -> Verdict:
             f"The statistic reached {number(share, 3)} % of its threshold at most"
             + (", but not for long enough to raise an alarm." if share > 100 else ".")
         )
+    if diagnosis.unjudged:
+        sentences.append(f"This monitor may not see {listing(diagnosis.unjudged)}: without a signature in it.")
     return Verdict("none", "No fault found.", tuple(sentences))
 
 
@@ -101,8 +103,12 @@ def _fault(diagnosis: Diagnosis) -> Verdict:
             headline = f"Alarm {when}, too short to be sure of the name; nearest: {best.name}."
         elif confidence == "no good match":
             headline = f"A fault was found, {when}; no listed fault explains it well. Nearest: {best.name}."
+        elif confidence == "close call":
+            headline = f"Fault found: {best.name}, or {candidates[1].name} (a close call), {when}."
         else:
             headline = f"Fault found: {best.name}, {when}."
+        if diagnosis.unjudged and (main.ended is not None or best.score < 0.9):
+            headline = f"{headline[:-1]}; or {listing(diagnosis.unjudged)}, which this monitor never names."
         sentences.append(_how_sure(candidates, confidence, margin))
         if len(best.faults) > 1:
             sentences.append(f"This monitor cannot tell {listing(best.faults)} apart.")
