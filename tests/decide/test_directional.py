@@ -1,0 +1,66 @@
+"""Signatures that are judged: those that tell something."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import residua as rs
+from residua.decide import correlation, projection_distance
+from residua.decide.directional import direction_test
+from residua.errors import DataError
+from residua.monitor.outcome import candidates_at
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_plane_that_holds_every_residual_is_not_judged_by(seed: int) -> None:
+    """Decoupling one disturbance leaves two independent residuals of three: a plane is then everything."""
+    rng = np.random.default_rng(seed)
+    plant = rs.Plant(rng.standard_normal((3, 3)) - 3 * np.eye(3), rng.standard_normal((3, 1)), np.eye(3), dt=0)
+    plant = plant.with_disturbances(rng.standard_normal((3, 1))).with_actuator_faults().with_sensor_faults()
+    generator = rs.design.robust_detection_filter(plant.discretize(0.05))
+    assert generator.residual_rank == 2
+    monitor = rs.Monitor(
+        generator, test=rs.decide.NormThreshold(threshold=1e-6), isolate=rs.decide.Directional(window=20)
+    )
+    sampled = generator.plant
+    for name in ("u1 actuator", "y1 sensor", "y3 sensor"):
+        f = np.zeros((2000, 4))
+        f[1000:, sampled.faults.index(name)] = 1.0
+        y = sampled.system("fault").simulate(f)
+        found = monitor.run(np.zeros((2000, 1)), y)
+        assert isinstance(found, rs.Diagnosis)
+        assert all(basis.shape[1] < 2 for basis in found.signatures)
+        assert name in found.candidates[0].faults
+
+
+def test_ties_go_to_the_narrower_signature() -> None:
+    groups = (("plane",), ("line",), ("other",))
+    found = candidates_at(np.array([0.99996, 0.99991, 0.5]), groups, (2, 1, 1))
+    assert [c.faults[0] for c in found] == ["line", "plane", "other"]
+    found = candidates_at(np.array([0.99, 0.95, 0.5]), groups, (2, 1, 1))
+    assert found[0].faults == ("plane",)
+
+
+def test_signatures_are_grouped_and_missing_ones_listed() -> None:
+    e = np.eye(3)
+    subspaces = {"a": e[:, :1], "b": -2 * e[:, :1], "c": e, "d": e[:, :0]}
+    steady = {"a": e[0], "b": e[0], "c": e[1], "d": np.zeros(3)}
+    test = direction_test(rs.decide.Directional(), subspaces, steady, np.eye(3))
+    assert test.groups == (("a", "b"), ("c",))
+    assert test.unjudged == ("d",)
+    assert test.dimensions == (1, 1)
+    only = direction_test(rs.decide.Directional(signature="subspace"), subspaces, steady, np.eye(3))
+    assert only.unjudged == ("c", "d")
+
+
+def test_correlation_and_distance_by_pseudoinverse() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        r, Phi = rng.standard_normal(5), rng.standard_normal((5, 2))
+        padded = np.column_stack([Phi, Phi[:, 0], np.zeros(5)])  # dependent and zero columns
+        assert correlation(r, padded) == pytest.approx(correlation(r, Phi), abs=1e-12)
+        assert correlation(r, Phi) ** 2 + projection_distance(r, Phi) ** 2 == pytest.approx(1, abs=1e-12)
+    assert np.isnan(correlation(np.zeros(3), np.eye(3)))
+    with pytest.raises(DataError, match="one row per residual"):
+        correlation([1.0, 2.0], np.eye(3))
