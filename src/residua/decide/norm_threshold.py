@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from residua.decide.persistence import alarm_logic
 from residua.decide.whitening import residual_moments, whitening_matrix
-from residua.decide.window import moving_sum
+from residua.decide.window import empty_window, moving_sum
 from residua.errors import DataError, SettingError
 
 
@@ -208,8 +208,8 @@ def fit_norm_test(
 
 def _sums(residuals: NDArray, usable: NDArray[np.bool_], window: int) -> NDArray[np.float64]:
     """Return the sums over the window, divided by its square root."""
-    blank = np.zeros((1, window, residuals.shape[1]))
-    sums, *_ = moving_sum(np.where(usable[:, None], residuals, 0.0)[None], blank, blank, 0)
+    counted = np.where(usable[:, None], residuals, 0.0)[None]
+    sums, _ = moving_sum(counted, empty_window(1, window, residuals.shape[1]))
     return sums[0] / np.sqrt(window)
 
 

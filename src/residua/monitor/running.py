@@ -6,6 +6,7 @@ Everything here is vectorised over plants and gives the same bits however the ti
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from residua.decide.directional import DirectionTest
 from residua.decide.norm_threshold import NormTest
 from residua.decide.persistence import alarm_logic
-from residua.decide.window import moving_sum
+from residua.decide.window import WindowState, empty_window, moving_sum
 from residua.linear.recursion import ordered_product, run_filter
 
 
@@ -63,8 +64,8 @@ class State:
     x : filter state; held : last value of each channel; gap : incomplete samples in a row;
     running : whether the filter has been started; age : samples since its start or the last held value;
     up, down : usable samples in a row over and under the threshold; alarm : whether it is on;
-    previous, current, filled : blocks of the moving sum for the direction, and the same with ``test_`` for
-    the threshold test; count : samples so far; resets : restarts.
+    ends, block, begun, filled : of the moving sum for the direction (:class:`residua.decide.window.WindowState`),
+    and the same with ``test_`` for the threshold test; count : samples so far; resets : restarts.
     """
 
     x: NDArray[np.float64]
@@ -75,11 +76,13 @@ class State:
     up: NDArray[np.int64]
     down: NDArray[np.int64]
     alarm: NDArray[np.bool_]
-    previous: NDArray[np.float64]
-    current: NDArray[np.float64]
+    ends: NDArray[np.float64]
+    block: NDArray[np.float64]
+    begun: NDArray[np.float64]
     filled: int
-    test_previous: NDArray[np.float64]
-    test_current: NDArray[np.float64]
+    test_ends: NDArray[np.float64]
+    test_block: NDArray[np.float64]
+    test_begun: NDArray[np.float64]
     test_filled: int
     count: int
     resets: NDArray[np.int64]
@@ -110,7 +113,7 @@ def initial_state(spec: Specification, plants: int) -> State:
     """Return the state before the first sample."""
     n, m, k = len(spec.A), spec.B.shape[1], len(spec.C)
     whole, flag = np.zeros(plants, dtype=np.int64), np.zeros(plants, dtype=bool)
-    block, test_block = np.zeros((plants, spec.window, k)), np.zeros((plants, spec.test.window, k))
+    judged, tested = empty_window(plants, spec.window, k), empty_window(plants, spec.test.window, k)
     return State(
         x=np.zeros((plants, n)),
         held=np.zeros((plants, m)),
@@ -120,12 +123,8 @@ def initial_state(spec: Specification, plants: int) -> State:
         up=whole,
         down=whole,
         alarm=flag,
-        previous=block,
-        current=block,
-        filled=0,
-        test_previous=test_block,
-        test_current=test_block,
-        test_filled=0,
+        **_window_fields(judged, ""),
+        **_window_fields(tested, "test_"),
         count=0,
         resets=whole,
     )
@@ -243,11 +242,12 @@ def _decide(
     test = spec.test
     time = residuals.shape[1]
     q = ordered_product(np.where(usable[..., None], residuals - test.center, 0.0), test.whitening)
-    tested, *test_blocks = moving_sum(q, state.test_previous, state.test_current, state.test_filled)
+    test_window = WindowState(state.test_ends, state.test_block, state.test_begun, state.test_filled)
+    tested, test_window = moving_sum(q, test_window)
     statistic = np.where(usable, _norm(tested) / np.sqrt(test.window), np.nan)
     exceeded = usable & (np.where(usable, statistic, 0.0) > test.threshold)
     alarm, up, down = alarm_logic(exceeded, usable, state.up, state.down, state.alarm, test.persistence, test.release)
-    sums, previous, current, filled = moving_sum(q, state.previous, state.current, state.filled)
+    sums, window = moving_sum(q, WindowState(state.ends, state.block, state.begun, state.filled))
     scores = _scores(spec.direction, sums, usable)
     if time:
         state = replace(
@@ -255,15 +255,16 @@ def _decide(
             up=up[:, -1].copy(),
             down=down[:, -1].copy(),
             alarm=alarm[:, -1].copy(),
-            previous=previous,
-            current=current,
-            filled=filled,
-            test_previous=test_blocks[0],
-            test_current=test_blocks[1],
-            test_filled=test_blocks[2],
+            **_window_fields(window, ""),
+            **_window_fields(test_window, "test_"),
             count=state.count + time,
         )
     return state, Decisions(residuals, statistic, exceeded, alarm, up, usable, missing, scores)
+
+
+def _window_fields(window: WindowState, prefix: str) -> dict[str, Any]:
+    """Return the fields of a monitor's state that hold a window."""
+    return {prefix + name: getattr(window, name) for name in ("ends", "block", "begun", "filled")}
 
 
 def _scores(test: DirectionTest | None, sums: NDArray, usable: NDArray[np.bool_]) -> NDArray[np.float64]:

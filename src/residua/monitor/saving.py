@@ -116,8 +116,6 @@ def _monitor_in(content: Mapping[str, Any]) -> Monitor:
         test = monitor.norm_test
         if not (np.isfinite(test.center).all() and np.isfinite(test.whitening).all() and test.threshold > 0):
             raise FileFormatError("fitted: center and whitening must be finite, and the threshold positive")
-        if min(test.persistence, test.release, test.window) < 1:
-            raise FileFormatError("fitted: persistence, release and window must be at least 1")
     if content["running"] is not None:
         monitor._spec = _running_in(monitor._specification(), content["running"], monitor.design.plant)
     if content["state"] is not None:
@@ -237,11 +235,12 @@ def _check_state(monitor: Monitor) -> None:
     wanted = {
         "x": (plants, n),
         "held": (plants, m),
-        "previous": (plants, window, k),
-        "current": (plants, window, k),
-        "test_previous": (plants, spec.test.window, k),
-        "test_current": (plants, spec.test.window, k),
     }
+    for prefix, length in (("", window), ("test_", spec.test.window)):
+        wanted |= {prefix + "ends": (plants, length, k), prefix + "block": (plants, length, k)}
+        wanted[prefix + "begun"] = (plants, k)
+        if not 0 <= getattr(state, prefix + "filled") < max(length, 2):
+            raise FileFormatError(f"state.{prefix}filled must be below the window of {length}")
     for name in _names(State):
         value = getattr(state, name)
         shape = wanted.get(name, (plants,))
