@@ -85,3 +85,11 @@ def test_continuous_designs_by_their_internal_form(seed: int) -> None:
     assert form.n_states <= plant.n_states  # the hidden states of the plant are gone
     other = generator.internal_form(plant, controls=True)
     assert np.abs(other.frequency_response(w)[:, :, -len(plant.inputs) :]).max() < 1e-8 * whole
+
+
+def test_a_plant_without_control_inputs_has_an_internal_form_with_controls_too() -> None:
+    rng = np.random.default_rng(0)
+    plant = rs.Plant(-np.eye(3), np.zeros((3, 0)), np.eye(3)).with_faults({"f": rng.standard_normal(3)})
+    generator = rs.design.detection_filter(plant)
+    both = (generator.internal_form(plant, controls=c).frequency_response([1.0]) for c in (False, True))
+    np.testing.assert_array_equal(*both)

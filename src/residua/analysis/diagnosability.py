@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from residua.analysis.unknown_input import UnknownInputExistence, unknown_input_observer_existence
 from residua.errors import ModelError
-from residua.linear.balancing import balance_system
-from residua.linear.rank import DEFAULT_RTOL, decide_rank
+from residua.linear.balancing import state_units
+from residua.linear.rank import DEFAULT_RTOL, decide_rank, equilibrated
 from residua.plant import Plant
 
 
@@ -236,9 +236,7 @@ def _in_balanced_units(plant: Plant) -> Plant:
     if plant.E is not None or plant.n_states == 0:
         return plant
     B = np.hstack([plant.Bd, plant.Bf])
-    T = balance_system(plant.A, B, plant.C, np.zeros((plant.n_outputs, B.shape[1]))).states
-    if np.ptp(np.log2(T)) > 64:  # a hidden part of the plant has no units
-        return plant
+    T = state_units(plant.A, B, plant.C)
     return plant._with(A=plant.A / T[:, None] * T, C=plant.C * T, Bd=plant.Bd / T[:, None], Bf=plant.Bf / T[:, None])
 
 
@@ -285,18 +283,9 @@ def _check_regular(plant: Plant, points: NDArray) -> None:
     """Raise when det(sE - A) vanishes for every s."""
     if plant.E is None or plant.n_states == 0:
         return
-    ranks = [decide_rank(equilibrated_pencil(s * plant.E - plant.A), rtol=1e-13).rank for s in points]
+    ranks = [decide_rank(equilibrated(s * plant.E - plant.A, residue=0.0), rtol=1e-13).rank for s in points]
     if max(ranks) < plant.n_states:
         raise ModelError("det(sE - A) is zero for every s: the model is not a plant (check E and A)")
-
-
-def equilibrated_pencil(M: NDArray) -> NDArray:
-    """Return a complex matrix with rows and columns of unit size."""
-    for _ in range(3):
-        for axis in (1, 0):
-            size = np.abs(M).max(axis=axis, keepdims=True, initial=0.0)
-            M = M / np.where(size > 0, size, 1.0)
-    return M
 
 
 def _decide(found: _Visible, rtol: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, ModelError
 from residua.linear import StateSpace
-from residua.linear.balancing import balance_system
+from residua.linear.balancing import state_units
 from residua.linear.reachability import without_unobservable
 from residua.plant import Plant
 
@@ -48,8 +48,9 @@ def internal_form(
     Gy, Hy = generator.B[:, n_u:], generator.D[:, n_u:]
     B, D = state_map @ p.B - Gy @ p.D, Hy @ p.D
     if with_controls:
-        B[:, -n_u:] -= generator.B[:, :n_u]
-        D[:, -n_u:] += generator.D[:, :n_u]
+        first = p.n_inputs - n_u
+        B[:, first:] -= generator.B[:, :n_u]
+        D[:, first:] += generator.D[:, :n_u]
     return StateSpace(generator.A, B, -generator.C, D, dt=plant.dt, inputs=p.inputs, outputs=generator.outputs)
 
 
@@ -60,9 +61,7 @@ def check_state_map(generator: StateSpace, plant: Plant, M: NDArray, *, limit: f
     """
     n_u = len(plant.inputs)
     p = plant.system(("control", "disturbance", "fault")).explicit()
-    units = balance_system(p.A, p.B, p.C, p.D).states
-    if units.size and np.ptp(np.log2(units)) > 64:  # a hidden part of the plant has no units of its own
-        units = np.ones_like(units)
+    units = state_units(p.A, p.B, p.C, p.D)
     rows = np.resize(units, len(M))  # stacked observers repeat the states of the plant
     Gy, Hy = generator.B[:, n_u:], generator.D[:, n_u:]
     terms = np.abs(M) @ np.abs(p.A) + np.abs(Gy) @ np.abs(p.C) + np.abs(generator.A) @ np.abs(M)

@@ -92,3 +92,12 @@ def index_of(name: str | int, known: tuple[str, ...], what: str) -> int:
     if name in known:
         return known.index(name)  # pyright: ignore[reportArgumentType]
     raise ModelError(f"unknown {what} {name!r}; known: {', '.join(known) or 'none'}")
+
+
+def positions(chosen: Iterable[str | int] | str | int | None, known: tuple[str, ...], what: str) -> list[int]:
+    """Return the positions of the chosen channels (all when ``None``)."""
+    if chosen is None:
+        return list(range(len(known)))
+    if isinstance(chosen, (str, int)):
+        chosen = [chosen]
+    return [index_of(name, known, what) for name in chosen]

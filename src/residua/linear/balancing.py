@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 #: must not promote them to data.
 _RESIDUE = 64 * np.finfo(float).eps
 _SWEEPS = 60
+#: Units of states further apart than this power of two come from parts without couplings both ways.
+_WIDEST = 64
 #: No scale leaves this range; a system that asks for it is reducible, and one part can be scaled without end.
 _LARGEST = 2.0**200
 
@@ -96,6 +98,18 @@ def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> Ba
             break
     T, U, Y = right[:n], right[n:], left[n:]
     return BalancedSystem(A / T[:, None] * T, B / T[:, None] * U, Y[:, None] * C * T, Y[:, None] * D * U, T, U, Y)
+
+
+def has_units(states: NDArray[np.float64]) -> bool:
+    """Tell whether balanced units of states mean something: a hidden part of a system has no units of its own."""
+    return not states.size or bool(np.ptp(np.log2(states)) <= _WIDEST)
+
+
+def state_units(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike | None = None) -> NDArray[np.float64]:
+    """Return balanced units of the states, or ones where :func:`has_units` says that they mean nothing."""
+    D = np.zeros((np.shape(C)[0], np.shape(B)[1])) if D is None else D
+    T = balance_system(A, B, C, D).states
+    return T if has_units(T) else np.ones_like(T)
 
 
 def _sweep(W: NDArray[np.float64], left: NDArray[np.float64], right: NDArray[np.float64], n: int, level: float) -> bool:

@@ -94,16 +94,16 @@ def decide_rank(M: ArrayLike, *, rtol: float = DEFAULT_RTOL, scale: float | None
     return RankDecision(int(np.count_nonzero(s > tolerance)), s, tolerance)
 
 
-def equilibrated(M: ArrayLike) -> NDArray[np.float64]:
+def equilibrated(M: ArrayLike, *, residue: float = 1e-14) -> NDArray:
     """Return ``M`` with rows and columns scaled to about unit size, so that its rank shows whatever its units.
 
-    Rows and columns below 1e-14 of the largest entry can only be rounding and are left as they are.
+    Rows and columns below ``residue`` of the largest entry can only be rounding and are left as they are.
     """
-    out = np.array(M, dtype=float)
+    out = np.array(M, dtype=np.result_type(np.asarray(M), float))
     for _ in range(3):
         for axis in (1, 0):
             size = np.abs(out).max(axis=axis, keepdims=True, initial=0.0)
-            out = out / np.where(size > 1e-14 * size.max(initial=0.0), size, 1.0)
+            out = out / np.where(size > residue * size.max(initial=0.0), size, 1.0)
     return out
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.linear.balancing import has_units
 from residua.linear.observability import staircase
 from residua.linear.rank import DEFAULT_RTOL, range_basis
 from residua.linear.state_space import StateSpace
@@ -36,7 +37,7 @@ def without_unobservable(system: StateSpace, *, rtol: float = DEFAULT_RTOL) -> S
     """
     system = system.explicit()
     form = staircase(system.A, system.C, rtol=rtol)
-    if system.n_states and np.ptp(np.log2(form.states)) > 64:  # hidden parts have no units of their own
+    if not has_units(form.states):
         form = staircase(system.A, system.C, rtol=rtol, balance=False)
     k = form.n_observable
     if k == system.n_states:

@@ -187,8 +187,8 @@ class StateSpace:
         self, *, outputs: Iterable[str | int] | None = None, inputs: Iterable[str | int] | None = None
     ) -> StateSpace:
         """Return the system with only the named (or numbered) channels, in that order."""
-        rows = _positions(outputs, self.outputs, "output")
-        columns = _positions(inputs, self.inputs, "input")
+        rows = arrays.positions(outputs, self.outputs, "output")
+        columns = arrays.positions(inputs, self.inputs, "input")
         return self.replaced(
             B=self.B[:, columns],
             C=self.C[rows],
@@ -244,18 +244,6 @@ class StateSpace:
             inputs=_joined(self.inputs, other.inputs),
             outputs=_joined(self.outputs, other.outputs),
             states=_joined(self.states, other.states),
-        )
-
-    def transformed(self, T: ArrayLike) -> StateSpace:
-        """Return the same system in the coordinates ``z`` with ``x = T z`` (``T`` invertible)."""
-        T_ = arrays.matrix(T, "T", (self.n_states, self.n_states))
-        solve = scipy.linalg.lu_factor(T_)
-        return self.replaced(
-            A=scipy.linalg.lu_solve(solve, self.A @ T_) if self.E is None else self.A @ T_,
-            B=scipy.linalg.lu_solve(solve, self.B) if self.E is None else self.B,
-            C=self.C @ T_,
-            E=None if self.E is None else self.E @ T_,
-            states=None,
         )
 
     def explicit(self) -> StateSpace:
@@ -335,14 +323,6 @@ def square(value: ArrayLike, name: str) -> NDArray[np.float64]:
     if M.shape[0] != M.shape[1]:
         raise ModelError(f"{name} must be square, got {M.shape[0]} x {M.shape[1]}")
     return M
-
-
-def _positions(chosen: Iterable[str | int] | None, known: tuple[str, ...], what: str) -> list[int]:
-    if chosen is None:
-        return list(range(len(known)))
-    if isinstance(chosen, (str, int)):
-        chosen = [chosen]
-    return [arrays.index_of(name, known, what) for name in chosen]
 
 
 def _block_E(first: StateSpace, second: StateSpace) -> NDArray | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,15 +92,6 @@ def direction_matrices(
     if not pairs:
         return np.zeros((len(states), 0)), np.zeros((len(outputs), 0))
     return np.column_stack([b for b, _ in pairs]), np.column_stack([d for _, d in pairs])
-
-
-def positions(chosen: Iterable[str | int] | str | int | None, known: tuple[str, ...], what: str) -> list[int]:
-    """Return the positions of the chosen channels (all when ``None``)."""
-    if chosen is None:
-        return list(range(len(known)))
-    if isinstance(chosen, (str, int)):
-        chosen = [chosen]
-    return [index_of(name, known, what) for name in chosen]
 
 
 def operating_point(point: OperatingPoint | None, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> OperatingPoint:

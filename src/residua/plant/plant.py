@@ -24,7 +24,6 @@ from residua.plant.channels import (
     direction,
     direction_matrices,
     operating_point as checked_point,
-    positions,
 )
 from residua.plant.disturbances import factor_disturbance
 from residua.plant.facts import PlantFacts
@@ -225,7 +224,7 @@ class Plant(PlantFacts):
 
         The fault of output ``name`` is called ``"name sensor"`` and adds directly to that output.
         """
-        for i in positions(outputs, self.outputs, "output"):
+        for i in arrays.positions(outputs, self.outputs, "output"):
             column = np.zeros(self.n_outputs)
             column[i] = 1.0
             name = self.outputs[i]
@@ -237,7 +236,7 @@ class Plant(PlantFacts):
 
         The fault of input ``name`` is called ``"name actuator"`` and enters as that input does.
         """
-        for i in positions(inputs, self.inputs, "input"):
+        for i in arrays.positions(inputs, self.inputs, "input"):
             name = self.inputs[i]
             self = self._with_fault(Fault(f"{name} actuator", "actuator", name), self.Bu[:, i], self.Du[:, i])
         return self
@@ -267,7 +266,7 @@ class Plant(PlantFacts):
 
     def without_faults(self, names: Iterable[str] | str | None = None) -> Plant:
         """Return the plant without the named faults (without any, when omitted)."""
-        drop = set(positions(names, self.faults, "fault"))
+        drop = set(arrays.positions(names, self.faults, "fault"))
         keep = [i for i in range(len(self.fault_list)) if i not in drop]
         return self._with(
             Bf=frozen(self.Bf[:, keep]),
