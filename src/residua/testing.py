@@ -55,7 +55,7 @@ def check_residual_generator(
     if generator.system.n_inputs != width:
         raise AccuracyError(f"takes {generator.system.n_inputs} signals, the plant has {width}")
     if decoupled is None:
-        decoupled = bool(generator.observer is not None and generator.observer.decouples)
+        decoupled = "disturbance" in generator.evidence.decoupling
     allowed = {name: generator.evidence.decoupling.get(f"{name}, sampled", 0.0) for name in ("control", "disturbance")}
     for name, gain in leakage(generator.system, plant).items():
         if (name == "control" or decoupled) and gain > tolerance + 1.01 * allowed[name]:

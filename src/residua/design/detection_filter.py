@@ -228,7 +228,8 @@ class _Frame:
             conditions={"pole error": design.error, "norm of K1": float(np.linalg.norm(K1))},
             notes=(*notes, design.note) if design.note else notes,
         )
-        return Observer(self.plant, F, self.T, self.H, K1, self.W, self.base.method, self.decouples, evidence)
+        K, M = K1 + F @ self.H, np.eye(len(F))
+        return Observer(self.plant, F, self.T, K, M, self.H, self.W, self.base.method, self.decouples, evidence)
 
 
 @dataclass(frozen=True, eq=False)

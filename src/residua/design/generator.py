@@ -13,7 +13,15 @@ import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from residua.design.evidence import Evidence, format_pole
-from residua.design.internal_form import check_state_map, frequency_grid, internal_form, leakage, signature_bases
+from residua.design.internal_form import (
+    check_known_form,
+    check_state_map,
+    frequency_grid,
+    internal_form,
+    leakage,
+    signature_bases,
+    with_silent_inputs,
+)
 from residua.errors import AccuracyError, DataError, ModelError
 from residua.linear import StateSpace, decide_rank
 from residua.plant import Plant
@@ -60,8 +68,16 @@ class ResidualGenerator:
     members : tuple of Member
         The filters that it is stacked from.
     state_map : ndarray or None, shape (states of the filter, states of the plant)
-        ``M`` with ``xi = M x`` while nothing fails; ``None`` for a filter that only approximates one, such as
-        a sampled continuous design.
+        ``T`` with ``xi = T E x`` while nothing fails; ``None`` for a filter that only approximates one, such as
+        a sampled continuous design, or whose states are filtered signals.
+    static_map : ndarray or None, shape (residuals, states of the plant)
+        ``V`` with ``V E = 0``: the algebraic equations of a singular plant that the residual reads.
+    known_form : StateSpace or None
+        The internal form of a filter that has no state map.
+    codes : ndarray of bool or None, shape (members, faults)
+        For a bank: which of its members each fault fires, as its structure promises.
+    estimated : tuple of str
+        For an estimator: the fault that each residual estimates, in its own units; empty otherwise.
     steady : mapping of str to ndarray, or None
         Steady responses where they are known from elsewhere: sampling a continuous design keeps them.
 
@@ -78,6 +94,10 @@ class ResidualGenerator:
     observer: Observer | None = field(default=None, repr=False)
     members: tuple[Member, ...] = ()
     state_map: NDArray[np.float64] | None = field(default=None, repr=False)
+    static_map: NDArray[np.float64] | None = field(default=None, repr=False)
+    known_form: StateSpace | None = field(default=None, repr=False)
+    codes: NDArray[np.bool_] | None = field(default=None, repr=False)
+    estimated: tuple[str, ...] = ()
     steady: Mapping[str, NDArray[np.float64]] | None = field(default=None, repr=False)
 
     # ------------------------------------------------------------------- facts
@@ -210,11 +230,16 @@ class ResidualGenerator:
         if own and not controls:
             return self._internal_form
         plant = self.plant if plant is None else plant
-        return internal_form(self.system, plant, self.state_map if own else None, with_controls=controls)
+        if own and self.known_form is not None:
+            return with_silent_inputs(self.known_form, plant.inputs)
+        maps = (self.state_map, self.static_map) if own else (None, None)
+        return internal_form(self.system, plant, *maps, with_controls=controls)
 
     @cached_property
     def _internal_form(self) -> StateSpace:
-        return internal_form(self.system, self.plant, self.state_map)
+        if self.known_form is not None:
+            return self.known_form
+        return internal_form(self.system, self.plant, self.state_map, self.static_map)
 
     def run(
         self,
@@ -241,17 +266,7 @@ class ResidualGenerator:
         -------
         ndarray, shape (time, residuals) or (plants, time, residuals)
         """
-        sampled = self
-        if not self.system.is_discrete:
-            if dt is None:
-                raise ModelError(
-                    "this generator is continuous: give the step of the recording, run(u, y, dt=...), "
-                    "or sample it once with discretize(dt)"
-                )
-            sampled = self.discretize(dt)
-        elif dt is not None and abs(dt - self.dt) > 1e-9 * self.dt:
-            raise DataError(f"the generator has dt={self.dt:g} s, the recording {dt:g} s")
-        return sampled.system.simulate(stack_signals(self.plant, u, y), x0)
+        return sampled_filter(self.system, self.plant, dt).simulate(stack_signals(self.plant, u, y), x0)
 
     def discretize(self, dt: float, *, hold_outputs: str = "linear") -> ResidualGenerator:
         """Return the generator sampled with step ``dt``.
@@ -272,8 +287,7 @@ class ResidualGenerator:
         -------
         ResidualGenerator
         """
-        n_u, n_y = len(self.plant.inputs), self.plant.n_outputs
-        system = self.system.discretize(dt, hold=["zero"] * n_u + [hold_outputs] * n_y)
+        system = _discretized(self.system, self.plant, dt, hold_outputs)
         plant = self.plant.discretize(dt)
         cost = {f"{name}, sampled": value for name, value in leakage(system, plant).items()}
         note = (
@@ -287,8 +301,16 @@ class ResidualGenerator:
             requested_poles=np.exp(self.evidence.requested_poles * system.dt),
             fixed_poles=np.exp(self.evidence.fixed_poles * system.dt),
         )
+        known = None if self.known_form is None else self.known_form.discretize(dt)
         return replace(
-            self, system=system, plant=plant, evidence=evidence, state_map=None, steady=self.steady_directions
+            self,
+            system=system,
+            plant=plant,
+            evidence=evidence,
+            state_map=None,
+            static_map=None,
+            known_form=known,
+            steady=self.steady_directions,
         )
 
     def __repr__(self) -> str:
@@ -305,20 +327,46 @@ def make_generator(
     method: str,
     evidence: Evidence,
     *,
-    state_map: NDArray[np.float64],
+    state_map: NDArray[np.float64] | None = None,
+    static_map: NDArray[np.float64] | None = None,
+    known_form: StateSpace | None = None,
     observer: Observer | None = None,
     members: tuple[Member, ...] = (),
+    codes: NDArray[np.bool_] | None = None,
+    estimated: tuple[str, ...] = (),
 ) -> ResidualGenerator:
-    """Return a generator with its signatures, after checking that it is stable and that its identities hold."""
+    """Return a generator with its signatures, after checking that it is stable and that its identities hold.
+
+    A filter whose states are no linear function of the plant's brings its internal form, ``known_form``.
+    """
     if not system.is_stable():
         raise AccuracyError(f"the filter is not stable: poles {', '.join(map(format_pole, system.poles()))}")
-    identity = check_state_map(system, plant, state_map)
-    bases, off = signature_bases(system, plant, internal_form(system, plant, state_map))
+    if known_form is not None:
+        form = known_form
+        identity = check_known_form(system, plant, known_form)
+    elif state_map is not None:
+        form = internal_form(system, plant, state_map, static_map)
+        identity = check_state_map(system, plant, state_map, static_map)
+    else:
+        raise TypeError("make_generator needs a state_map or a known_form")
+    bases, off = signature_bases(system, plant, form)
     conditions = {"identities": identity} | ({"response off the signatures": off} if plant.faults else {})
-    evidence = evidence.extended(conditions=conditions)
     if not members:
         members = (Member(method, tuple(range(system.n_outputs)), plant.faults),)
-    return ResidualGenerator(system, plant, method, evidence, bases, observer, members, state_map)
+    return ResidualGenerator(
+        system,
+        plant,
+        method,
+        evidence.extended(conditions=conditions),
+        bases,
+        observer=observer,
+        members=members,
+        state_map=state_map,
+        static_map=static_map,
+        known_form=known_form,
+        codes=codes,
+        estimated=estimated,
+    )
 
 
 def state_covariance(A: NDArray, Q: NDArray) -> NDArray[np.float64]:
@@ -334,6 +382,25 @@ def state_covariance(A: NDArray, Q: NDArray) -> NDArray[np.float64]:
     if not missed < 1e-8:
         raise AccuracyError(f"the covariance of the residual misses its equation by {missed:.2g}: rescale the plant")
     return X * units[:, None] * units
+
+
+def sampled_filter(system: StateSpace, plant: Plant, dt: float | None) -> StateSpace:
+    """Return a filter from inputs and outputs of a plant, sampled at the step of a recording if it is continuous."""
+    if not system.is_discrete:
+        if dt is None:
+            raise ModelError(
+                "this filter is continuous: give the step of the recording, dt=..., "
+                "or design for the sampled plant, plant.discretize(dt)"
+            )
+        return _discretized(system, plant, dt, "linear")
+    if dt is not None and abs(dt - system.dt) > 1e-9 * system.dt:
+        raise DataError(f"the filter has dt={system.dt:g} s, the recording {dt:g} s")
+    return system
+
+
+def _discretized(system: StateSpace, plant: Plant, dt: float, hold_outputs: str) -> StateSpace:
+    """Sample a filter with the control inputs held between samples."""
+    return system.discretize(dt, hold=["zero"] * len(plant.inputs) + [hold_outputs] * plant.n_outputs)
 
 
 def stack_signals(plant: Plant, u: ArrayLike | None, y: ArrayLike) -> NDArray[np.float64]:

@@ -13,14 +13,20 @@ from residua.plant import Plant
 
 
 def internal_form(
-    generator: StateSpace, plant: Plant, state_map: NDArray | None = None, *, with_controls: bool = False
+    generator: StateSpace,
+    plant: Plant,
+    state_map: NDArray | None = None,
+    static_map: NDArray | None = None,
+    *,
+    with_controls: bool = False,
 ) -> StateSpace:
     r"""Return the system from faults, disturbances and noise (and controls) of ``plant`` to the residual.
 
-    With a state map ``M``, the state that the fault-free plant gives the generator, :math:`\xi = M x`, the error
-    :math:`e = M x - \xi` obeys :math:`\dot e = A_g e + (M B - G_y D) v`, :math:`r = -C_g e + H_y D v`: exact, of
-    the order of the generator, whatever the plant. Without one the generator is driven by the plant, and
-    the states that the residual does not see are removed.
+    With a state map ``T``, the state that the fault-free plant gives the generator, :math:`\xi = T E x`, the error
+    :math:`e = T E x - \xi` obeys :math:`\dot e = A_g e + (T B - G_y D) v`,
+    :math:`r = -C_g e + (H_y D + V B) v`, where ``V``, with ``V E = 0``, reads the algebraic equations of a
+    singular plant: exact, of the order of the generator, whatever the plant. Without a state map the
+    generator is driven by the plant, and the states that the residual does not see are removed.
 
     Parameters
     ----------
@@ -28,6 +34,8 @@ def internal_form(
         From control inputs and outputs of the plant to residuals.
     plant : Plant
     state_map : ndarray, shape (states of the generator, states of the plant), optional
+    static_map : ndarray, shape (residuals, states of the plant), optional
+        Zero when omitted.
     with_controls : bool
         Whether the control inputs are further columns, at the end.
 
@@ -44,9 +52,11 @@ def internal_form(
         whole = _driven(generator, plant)
         order = list(range(n_u, whole.n_inputs)) + (list(range(n_u)) if with_controls else [])
         return without_unobservable(whole.select(inputs=order))
-    p = plant.system(("fault", "disturbance", "noise", *(("control",) if with_controls else ()))).explicit()
+    p = plant.system(("fault", "disturbance", "noise", *(("control",) if with_controls else ())))
     Gy, Hy = generator.B[:, n_u:], generator.D[:, n_u:]
     B, D = state_map @ p.B - Gy @ p.D, Hy @ p.D
+    if static_map is not None:
+        D = D + static_map @ p.B
     if with_controls:
         first = p.n_inputs - n_u
         B[:, first:] -= generator.B[:, :n_u]
@@ -54,30 +64,87 @@ def internal_form(
     return StateSpace(generator.A, B, -generator.C, D, dt=plant.dt, inputs=p.inputs, outputs=generator.outputs)
 
 
-def check_state_map(generator: StateSpace, plant: Plant, M: NDArray, *, limit: float = 1e-8) -> float:
-    r"""Return how far :math:`M A - G_y C = A_g M`, :math:`C_g M + H_y C = 0` are missed, or raise.
+def with_silent_inputs(form: StateSpace, names: tuple[str, ...]) -> StateSpace:
+    """Return an internal form with further inputs that do nothing."""
+    if not names:
+        return form
+    clash = set(names) & set(form.inputs)
+    return form.replaced(
+        B=np.hstack([form.B, np.zeros((form.n_states, len(names)))]),
+        D=np.hstack([form.D, np.zeros((form.n_outputs, len(names)))]),
+        inputs=(*form.inputs, *(f"control {name}" if name in clash else name for name in names)),
+    )
 
-    In balanced units, relative to the terms that have to cancel.
+
+def check_state_map(
+    generator: StateSpace, plant: Plant, T: NDArray, V: NDArray | None = None, *, limit: float = 1e-8
+) -> float:
+    r"""Return how far the identities of a generator are missed, or raise.
+
+    :math:`T A - G_y C = A_g T E`, :math:`C_g T E + H_y C + V A = 0` and :math:`V E = 0`, in balanced units,
+    relative to the terms that have to cancel.
     """
     n_u = len(plant.inputs)
-    p = plant.system(("control", "disturbance", "fault")).explicit()
-    units = state_units(p.A, p.B, p.C, p.D)
-    rows = np.resize(units, len(M))  # stacked observers repeat the states of the plant
+    p = plant.system(("control", "disturbance", "fault"))
+    units = _units(p)
+    V = np.zeros((generator.n_outputs, plant.n_states)) if V is None else V
+    TE, VE = (T, 0.0 * V) if p.E is None else (T @ p.E, V @ p.E)
+    absolute_TE, absolute_VE = (
+        (np.abs(T), 0.0 * V) if p.E is None else (np.abs(T) @ np.abs(p.E), np.abs(V) @ np.abs(p.E))
+    )
+    if len(T) % max(p.n_states, 1) == 0:
+        rows = np.resize(units, len(T))  # stacked observers repeat the states of the plant
+    else:
+        rows = np.maximum((absolute_TE * units).max(axis=1, initial=0.0), 1e-300)
     Gy, Hy = generator.B[:, n_u:], generator.D[:, n_u:]
-    terms = np.abs(M) @ np.abs(p.A) + np.abs(Gy) @ np.abs(p.C) + np.abs(generator.A) @ np.abs(M)
-    first = _largest(M @ p.A - Gy @ p.C - generator.A @ M, units / rows[:, None])
-    first /= max(_largest(terms, units / rows[:, None]), _largest(p.A, units / units[:, None]), 1e-300)
-    terms = np.abs(generator.C) @ np.abs(M) + np.abs(Hy) @ np.abs(p.C)
+    terms = np.abs(T) @ np.abs(p.A) + np.abs(Gy) @ np.abs(p.C) + np.abs(generator.A) @ absolute_TE
+    first = _largest(T @ p.A - Gy @ p.C - generator.A @ TE, units / rows[:, None])
+    own = _largest(p.A, units / units[:, None]) if p.E is None else 0.0
+    first /= max(_largest(terms, units / rows[:, None]), own, 1e-300)
+    terms = np.abs(generator.C) @ absolute_TE + np.abs(Hy) @ np.abs(p.C) + np.abs(V) @ np.abs(p.A)
     heights = np.abs(p.C) @ units
     scale = units / np.where(heights > 0, heights, 1.0)[:, None] if len(Hy) == len(p.C) else units[None, :]
-    second = _largest(generator.C @ M + Hy @ p.C, scale) / max(_largest(terms, scale), 1e-300)
-    worst = max(first, second)
+    second = _largest(generator.C @ TE + Hy @ p.C + V @ p.A, scale) / max(_largest(terms, scale), 1e-300)
+    third = _largest(VE, scale) / max(_largest(absolute_VE, scale), 1e-300) if np.any(V) and p.E is not None else 0.0
+    return _accepted(max(first, second, third), limit)
+
+
+def check_known_form(generator: StateSpace, plant: Plant, form: StateSpace, *, limit: float = 1e-7) -> float:
+    """Return how far an internal form is from the generator driven by the plant, over frequency, or raise."""
+    w = frequency_grid(generator, plant.system(()))
+    n_u = len(plant.inputs)
+    Q = generator.frequency_response(w)[..., n_u:]
+    P = plant.system(("fault", "disturbance", "noise")).frequency_response(w)
+    known = form.frequency_response(w)
+    if known.shape != (len(w), Q.shape[1], P.shape[2]):
+        raise ModelError(f"the internal form is {form.n_outputs} x {form.n_inputs}, not residuals x (f, d, w)")
+    terms = (np.abs(Q) @ np.abs(P)).max(axis=0)
+    missed = np.abs(Q @ P - known).max(axis=0)
+    return _accepted(float(np.max(missed / np.where(terms > 0, terms, 1.0), initial=0.0)), limit)
+
+
+def _accepted(worst: float, limit: float) -> float:
     if not worst <= limit:
         raise AccuracyError(
             f"the identities of the residual generator are missed by {worst:.2g} > {limit:.0e}: the plant is too "
             "badly scaled or conditioned for this design; rescale its states and channels"
         )
     return worst
+
+
+def _units(p: StateSpace) -> NDArray[np.float64]:
+    """Return balanced units of the states, for a descriptor system those that even out its columns."""
+    if p.E is None:
+        return state_units(p.A, p.B, p.C, p.D)
+    W = np.vstack([np.abs(p.A) + np.abs(p.E), np.abs(p.C)])
+    units = np.ones(p.n_states)
+    for _ in range(4):
+        for axis in (1, 0):
+            size = W.max(axis=axis, keepdims=True)
+            size = np.where(size > 0, size, 1.0)
+            W = W / size
+        units = units / size.ravel()
+    return units
 
 
 def _largest(M: NDArray, units: NDArray) -> float:

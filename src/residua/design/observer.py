@@ -1,4 +1,4 @@
-"""Observers of one form: full-order, with or without unknown inputs."""
+"""Observers of one family: full or reduced order, with or without unknown inputs, regular or singular plants."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.design.evidence import Evidence
-from residua.design.generator import ResidualGenerator, make_generator, stack_signals
+from residua.design.generator import ResidualGenerator, make_generator, sampled_filter, stack_signals
 from residua.design.internal_form import check_decoupling
 from residua.errors import DesignError
 from residua.linear import StateSpace
@@ -17,40 +17,66 @@ from residua.plant import Plant
 
 @dataclass(frozen=True, eq=False)
 class Observer:
-    r"""A full-order observer, with the matrices named as in paper 000.
+    r"""An observer of ``E x' = A x + B u + ...``, with the matrices named as in paper 001.
 
     .. math::
 
-       \dot z = F z + T B u + K (y - D u), \qquad \hat x = z + H (y - D u)
+       \dot z = F z + T B u + K (y - D u), \qquad \hat x = M z + H (y - D u)
 
-    with :math:`T = I - H C`, :math:`A_1 = T A`, :math:`F = A_1 - K_1 C`, :math:`K = K_1 + F H`. The error
-    :math:`e = x - \hat x` obeys :math:`\dot e = F e` for any control input and any disturbance with
-    :math:`T E = 0`. With ``H = 0`` it is Luenberger's observer.
+    with :math:`T A - K C = F T E` and :math:`M T E + H C = I`. The error of what it tracks,
+    :math:`\varepsilon = T E x - z`, obeys :math:`\dot\varepsilon = F \varepsilon` for any control input and any
+    disturbance that it decouples, and :math:`x - \hat x = M \varepsilon`. Every observer here is of this form:
+
+    ========================  ===========  ======================================
+    observer                  order        special about it
+    ========================  ===========  ======================================
+    Luenberger                n            T = I, M = I, H = 0
+    unknown input             n            M = I, T E + H C = I, T E_d = 0
+    reduced order             n - p        [M H] is the inverse of [T; C]
+    descriptor                n - p        [M H] is the inverse of [T E; C]
+    ========================  ===========  ======================================
+
+    A perfect observer has no dynamics and is a class of its own, :class:`residua.design.PerfectObserver`.
 
     Attributes
     ----------
     plant : Plant
-    F, T, A1 : ndarray, shape (n, n)
-    H, K, K1 : ndarray, shape (n, outputs)
+    F : ndarray, shape (r, r)
+        ``r`` is the order of the observer.
+    T : ndarray, shape (r, n)
+    K : ndarray, shape (r, outputs)
+    M : ndarray, shape (n, r)
+    H : ndarray, shape (n, outputs)
     W : ndarray, shape (residuals, outputs)
         What of the output error is used as residual: the identity, or a projection that removes the output
-        directions of disturbances.
+        directions of disturbances, or outputs that the observer does not use.
     evidence : Evidence
 
     References
     ----------
-    Chen, Patton and Zhang (1996), eqs. (2) to (8) and (21).
+    Chen, Patton and Zhang (1996), eqs. (2) to (8) and (21); Twardy and Kaczorek, part I, eqs. (3), (18) to (29).
     """
 
     plant: Plant
     F: NDArray[np.float64]
     T: NDArray[np.float64]
+    K: NDArray[np.float64]
+    M: NDArray[np.float64]
     H: NDArray[np.float64]
-    K1: NDArray[np.float64]
     W: NDArray[np.float64]
     method: str
     decouples: bool
     evidence: Evidence = field(repr=False)
+
+    @property
+    def order(self) -> int:
+        """Number of states of the observer."""
+        return len(self.F)
+
+    @property
+    def G(self) -> NDArray[np.float64]:
+        """``T B``: how control inputs enter the observer."""
+        return self.T @ self.plant.Bu
 
     @property
     def A1(self) -> NDArray[np.float64]:
@@ -58,14 +84,16 @@ class Observer:
         return self.T @ self.plant.A
 
     @property
-    def K2(self) -> NDArray[np.float64]:
-        """``F H``."""
-        return self.F @ self.H
+    def K1(self) -> NDArray[np.float64]:
+        """``K - F H``, of a full-order observer: ``F = A1 - K1 C``."""
+        return self.K - self.K2
 
     @property
-    def K(self) -> NDArray[np.float64]:
-        """``K1 + K2``."""
-        return self.K1 + self.K2
+    def K2(self) -> NDArray[np.float64]:
+        """``F H``, of a full-order observer."""
+        if self.order != self.plant.n_states:
+            raise DesignError("K1 and K2 belong to full-order observers; this one has K alone")
+        return self.F @ self.H
 
     @property
     def poles(self) -> NDArray[np.complex128]:
@@ -76,11 +104,10 @@ class Observer:
     def system(self) -> StateSpace:
         """The observer as a system from control inputs and outputs to the state estimate."""
         p = self.plant
-        n = p.n_states
         return StateSpace(
             self.F,
-            np.hstack([self.T @ p.Bu - self.K @ p.Du, self.K]),
-            np.eye(n),
+            np.hstack([self.G - self.K @ p.Du, self.K]),
+            self.M,
             np.hstack([-self.H @ p.Du, self.H]),
             dt=p.dt,
             inputs=[f"input {x}" for x in p.inputs] + [f"output {x}" for x in p.outputs],
@@ -95,42 +122,52 @@ class Observer:
         u : array_like, shape (time, inputs), or None
         y : array_like, shape (time, outputs)
         dt : float, optional
-            Step of the recording; needed when the observer is continuous.
+            Step of the recording; needed when the observer is continuous. It is then sampled with inputs held
+            and outputs linear between samples; the error of that is of second order in the step.
         """
-        system = self.system
-        if not system.is_discrete:
-            if dt is None:
-                raise DesignError("this observer is continuous: give the step of the recording, dt=...")
-            hold = ["zero"] * len(self.plant.inputs) + ["linear"] * self.plant.n_outputs
-            system = system.discretize(dt, hold=hold)
-        return system.simulate(stack_signals(self.plant, u, y))
+        return sampled_filter(self.system, self.plant, dt).simulate(stack_signals(self.plant, u, y))
 
     def residual_generator(self) -> ResidualGenerator:
-        r"""Return the output error as residual, :math:`r = W (y - D u - C \hat x) = W[(I - CH)(y - Du) - C z]`.
+        r"""Return the output error as residual, :math:`r = W (y - D u - C \hat x) = W[(I - CH)(y - Du) - C M z]`.
 
         Raises
         ------
         DesignError
-            If as many disturbances are decoupled as there are measurements: the residual is then zero
-            whatever fails.
+            If as many disturbances are decoupled as there are measurements, or all measurements were needed to
+            reduce the order: the residual is then zero whatever fails.
         """
         p = self.plant
         through = self.W @ (np.eye(p.n_outputs) - p.C @ self.H)
         if np.abs(through).max(initial=0.0) <= 1e-10 * max(1.0, np.abs(p.C @ self.H).max(initial=0.0)):
-            raise DesignError(
-                f"the residual is zero whatever fails: {p.n_outputs} measurements are all used up to decouple "
-                f"{len(p.disturbances)} disturbances; add a sensor or decouple fewer disturbances"
-            )
+            raise DesignError(self._why_blind())
         plain = p.n_outputs == len(self.W) and np.array_equal(self.W, np.eye(p.n_outputs))
         system = StateSpace(
             self.F,
-            np.hstack([self.T @ p.Bu - self.K @ p.Du, self.K]),
-            -self.W @ p.C,
+            np.hstack([self.G - self.K @ p.Du, self.K]),
+            -self.W @ p.C @ self.M,
             np.hstack([-through @ p.Du, through]),
             dt=p.dt,
             inputs=[f"input {x}" for x in p.inputs] + [f"output {x}" for x in p.outputs],
-            outputs=[f"r {x}" for x in p.outputs] if plain else [f"r{i + 1}" for i in range(len(self.W))],
+            outputs=[f"r {x}" for x in p.outputs] if plain else self._residual_names(),
         )
         gains = check_decoupling(system, p, decoupled=self.decouples)
         evidence = self.evidence.extended(decoupling=gains)
         return make_generator(system, p, self.method, evidence, state_map=self.T, observer=self)
+
+    def _residual_names(self) -> list[str]:
+        """Return the output that a residual is the error of, where it is one, and numbers elsewhere."""
+        single = [np.flatnonzero(row) if np.isclose(np.abs(row).max(), 1.0) else np.zeros(2) for row in self.W]
+        names = [f"r {self.plant.outputs[int(at[0])]}" if len(at) == 1 else "" for at in single]
+        return names if all(names) and len(set(names)) == len(names) else [f"r{i + 1}" for i in range(len(self.W))]
+
+    def _why_blind(self) -> str:
+        p = self.plant
+        if self.order < p.n_states:
+            return (
+                "the residual is zero whatever fails: this observer reproduces the measurements that it uses; "
+                "leave some out of the estimate, outputs=[...], and their errors become the residual"
+            )
+        return (
+            f"the residual is zero whatever fails: {p.n_outputs} measurements are all used up to decouple "
+            f"{len(p.disturbances)} disturbances; add a sensor or decouple fewer disturbances"
+        )

@@ -178,4 +178,4 @@ def assemble(
         notes=notes,
         references=(REFERENCE,),
     )
-    return Observer(plant, F, T, H, K1, form.W, method, True, evidence)
+    return Observer(plant, F, T, K, np.eye(plant.n_states), H, form.W, method, True, evidence)

@@ -36,9 +36,10 @@ _PLANT_NAMES = ("inputs", "outputs", "states", "disturbances")
 _PLANT_ENTRIES = (*_PLANT_ARRAYS, "E", "dt", *_PLANT_TEXTS, *_PLANT_NAMES, "faults", "operating_point", "units")
 _POLES = ("poles", "requested_poles", "fixed_poles")
 _EVIDENCE_ENTRIES = ("method", *_POLES, "decoupling", "conditions", "ranks", "notes", "references")
-_OBSERVER_ARRAYS = ("F", "T", "H", "K1", "W")
-_SAMPLED_ENTRIES = ("system", "plant", "evidence", "subspaces", "state_map", "steady")
-_GENERATOR_ENTRIES = (*_SAMPLED_ENTRIES, "method", "members", "observer")
+_OBSERVER_ARRAYS = ("F", "T", "K", "M", "H", "W")
+_MAPS = ("state_map", "static_map")
+_SAMPLED_ENTRIES = ("system", "plant", "evidence", "subspaces", *_MAPS, "known_form", "steady")
+_GENERATOR_ENTRIES = (*_SAMPLED_ENTRIES, "method", "members", "observer", "codes", "estimated")
 
 
 def generator_out(generator: ResidualGenerator) -> dict[str, Any]:
@@ -46,6 +47,8 @@ def generator_out(generator: ResidualGenerator) -> dict[str, Any]:
     observer = generator.observer
     return sampled_out(generator) | {
         "method": generator.method,
+        "codes": None if generator.codes is None else [[bool(x) for x in row] for row in generator.codes],
+        "estimated": list(generator.estimated),
         "members": [[m.name, list(m.residuals), list(m.faults)] for m in generator.members],
         "observer": None
         if observer is None
@@ -67,6 +70,8 @@ def generator_in(value: Any, where: str) -> ResidualGenerator:
         ResidualGenerator(
             **_sampled_fields(content, where),
             method=text_in(content["method"], joined(where, "method")),
+            codes=_codes_in(content["codes"], joined(where, "codes")),
+            estimated=texts_in(content["estimated"], joined(where, "estimated")),
             observer=None
             if content["observer"] is None
             else _observer_in(content["observer"], joined(where, "observer")),
@@ -90,7 +95,8 @@ def sampled_out(generator: ResidualGenerator) -> dict[str, Any]:
         "plant": _plant_out(generator.plant),
         "evidence": _evidence_out(generator.evidence),
         "subspaces": {name: array_out(basis) for name, basis in generator.subspaces.items()},
-        "state_map": None if generator.state_map is None else array_out(generator.state_map),
+        **{name: _array_or_none(getattr(generator, name)) for name in _MAPS},
+        "known_form": None if generator.known_form is None else _system_out(generator.known_form),
         "steady": None
         if generator.steady is None
         else {name: array_out(vector) for name, vector in generator.steady.items()},
@@ -104,15 +110,27 @@ def sampled_in(design: ResidualGenerator, value: Any, where: str) -> ResidualGen
 
 
 def _sampled_fields(content: Mapping[str, Any], where: str) -> dict[str, Any]:
-    subspaces, state_map = joined(where, "subspaces"), joined(where, "state_map")
+    subspaces, known = joined(where, "subspaces"), content["known_form"]
     return {
         "system": _system_in(content["system"], joined(where, "system")),
         "plant": _plant_in(content["plant"], joined(where, "plant")),
         "evidence": _evidence_in(content["evidence"], joined(where, "evidence")),
         "subspaces": _arrays_in(content["subspaces"], subspaces),
         "steady": None if content["steady"] is None else _arrays_in(content["steady"], joined(where, "steady")),
-        "state_map": None if content["state_map"] is None else array_in(content["state_map"], state_map),
+        "known_form": None if known is None else _system_in(known, joined(where, "known_form")),
+        **{name: None if content[name] is None else array_in(content[name], joined(where, name)) for name in _MAPS},
     }
+
+
+def _array_or_none(M: NDArray | None) -> Any:
+    return None if M is None else array_out(M)
+
+
+def _codes_in(value: Any, where: str) -> NDArray[np.bool_] | None:
+    """Return the codes of a bank."""
+    if value is None:
+        return None
+    return np.array([[flag_in(x, where) for x in list_in(row, where)] for row in list_in(value, where)], dtype=bool)
 
 
 def _arrays_in(value: Any, where: str) -> dict[str, NDArray[np.float64]]:
@@ -138,8 +156,19 @@ def _checked(generator: ResidualGenerator, where: str) -> ResidualGenerator:
         record(generator.steady, joined(where, "steady"), plant.faults)
     if not system.is_stable():
         raise FileFormatError(f"{where}: the filter is not stable")
-    if generator.state_map is not None and generator.state_map.shape != (system.n_states, plant.n_states):
-        raise FileFormatError(f"{where}: state_map must be {system.n_states} x {plant.n_states}")
+    for name, rows in zip(_MAPS, (system.n_states, k), strict=True):
+        M = getattr(generator, name)
+        if M is not None and M.shape != (rows, plant.n_states):
+            raise FileFormatError(f"{where}: {name} must be {rows} x {plant.n_states}")
+    if generator.codes is not None and generator.codes.shape != (len(generator.members), len(plant.faults)):
+        raise FileFormatError(f"{where}: codes must have a row per member and a column per fault")
+    if generator.estimated and len(generator.estimated) != k:
+        raise FileFormatError(f"{where}: an estimator names one fault per residual")
+    if set(generator.estimated) - set(plant.faults):
+        raise FileFormatError(f"{where}: a fault is estimated that the plant does not have")
+    form = generator.known_form
+    if form is not None and (form.n_outputs != k or form.n_inputs < len(plant.faults)):
+        raise FileFormatError(f"{where}: known_form does not fit the filter")
     return generator
 
 

@@ -316,6 +316,15 @@ class Plant(PlantFacts):
         """Return the plant without its disturbances."""
         return self._with(Bd=frozen(self.Bd[:, :0]), Dd=frozen(self.Dd[:, :0]), disturbances=())
 
+    def faults_as_disturbances(self, names: Iterable[str] | str | None = None) -> Plant:
+        """Return the plant in which the named faults (all when omitted) are disturbances, after those it has.
+
+        A residual that no disturbance of the new plant reaches is one that ignores these faults.
+        """
+        chosen = arrays.positions(names, self.faults, "fault")
+        labels = tuple(self.faults[i] for i in chosen)
+        return self.without_faults(labels or ())._with_disturbances(self.Bf[:, chosen], self.Df[:, chosen], labels)
+
     def explicit(self) -> Plant:
         """Return the plant with an invertible ``E`` divided out; raises when ``E`` is singular."""
         if self.E is None:
