@@ -53,3 +53,38 @@ def simulate(
         f[:, plant.faults.index(fault)] = size * rng.standard_normal(samples)
     system = plant.system(("control", "disturbance", "fault"))
     return u, system.simulate(np.hstack([u, d, f]))
+
+
+def singular_plant(
+    rng: np.random.Generator,
+    *,
+    n: int | None = None,
+    rank: int | None = None,
+    outputs: int | None = None,
+    inputs: int | None = None,
+    disturbances: int = 0,
+    faults: int = 1,
+    sensors: bool = True,
+    dt: float | None = None,
+) -> rs.Plant:
+    """Return a plant with a random ``E`` of the given rank, with enough outputs for observers to exist."""
+    n = int(rng.integers(3, 8)) if n is None else n
+    rank = int(rng.integers(1, n)) if rank is None else rank
+    p = n - rank + disturbances + int(rng.integers(1, 3)) if outputs is None else outputs
+    m = int(rng.integers(1, 3)) if inputs is None else inputs
+    dt = float(rng.choice([0.0, 0.1])) if dt is None else dt
+    E = rng.standard_normal((n, rank)) @ rng.standard_normal((rank, n))
+    plant = rs.Plant(
+        rng.standard_normal((n, n)),
+        rng.standard_normal((n, m)),
+        rng.standard_normal((p, n)),
+        E=E,
+        dt=dt,
+        name="singular plant",
+    )
+    if disturbances:
+        plant = plant.with_disturbances(rng.standard_normal((n, disturbances)))
+    if faults:
+        plant = plant.with_faults({f"f{i}": rng.standard_normal(n) for i in range(faults)})
+    plant = plant.with_actuator_faults()
+    return plant.with_sensor_faults() if sensors else plant

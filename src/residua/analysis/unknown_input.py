@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.linear.balancing import descriptor_units
 from residua.linear.observability import detectability
-from residua.linear.rank import DEFAULT_RTOL, RankDecision, decide_rank
+from residua.linear.rank import DEFAULT_RTOL, RankDecision, decide_rank, equilibrated
 from residua.plant import Plant
 from residua.plant.disturbances import factor_disturbance
 
@@ -118,7 +119,9 @@ def unknown_input_observer_existence(plant: Plant, *, rtol: float = DEFAULT_RTOL
     Parameters
     ----------
     plant : Plant
-        With invertible ``E`` matrix. Disturbances in the outputs are eliminated first.
+        Disturbances in the outputs are eliminated first. For a singular ``E`` the conditions are
+        :math:`\operatorname{rank}[E\ E_d; C\ 0] = n + \operatorname{rank} E_d`, and stable finite invariant zeros
+        of :math:`(E, A, E_d, C)`.
     rtol : float
         Relative tolerance of every rank decision.
 
@@ -137,6 +140,8 @@ def unknown_input_observer_existence(plant: Plant, *, rtol: float = DEFAULT_RTOL
     >>> print(rs.analysis.unknown_input_observer_existence(plant.with_disturbances({"gust": [0, 1]})))
     no unknown input observer: rank(CE)=0 < rank(E)=1: no exact unknown input observer; ...
     """
+    if is_singular(plant):
+        return _singular_existence(plant, rtol)
     plant = plant.explicit()
     form = output_free_form(plant, rtol=rtol)
     CE = form.C @ form.E
@@ -163,6 +168,74 @@ def unknown_input_observer_existence(plant: Plant, *, rtol: float = DEFAULT_RTOL
             )
     useful = len(form.W) > q
     return UnknownInputExistence(not reasons, tuple(reasons), rank_CE, form.rank_E, fixed, useful)
+
+
+def is_singular(plant: Plant) -> bool:
+    """Tell whether ``E`` of a plant is singular."""
+    return plant.E is not None and decide_rank(equilibrated(plant.E), rtol=1e-12).rank < plant.n_states
+
+
+@dataclass(frozen=True, eq=False)
+class Decoupling:
+    """A solution of ``T E + H C = I``, ``T E_d = 0`` for a singular plant, on outputs without disturbances.
+
+    Attributes
+    ----------
+    T : ndarray, shape (n, n)
+    H : ndarray, shape (n, outputs left)
+    rank, rank_D : RankDecision
+        Of ``[E E_d; C 0]`` and of ``E_d``.
+    """
+
+    T: NDArray
+    H: NDArray
+    rank: RankDecision
+    rank_D: RankDecision
+
+
+def singular_decoupling(plant: Plant, form: OutputFreeForm, *, rtol: float = DEFAULT_RTOL) -> Decoupling:
+    r"""Return the smallest :math:`[T\ H]` with :math:`[T\ H] [E\ E_d; C\ 0] = [I\ 0]`, in balanced units.
+
+    It solves the equations only where ``rank`` is ``n`` more than ``rank_D``.
+    """
+    n, q, p = plant.n_states, form.E.shape[1], len(form.C)
+    E = np.eye(n) if plant.E is None else plant.E
+    u = descriptor_units(form.A, E, np.hstack([plant.Bu, form.E]), form.C, np.zeros((p, len(plant.inputs) + q)))
+    R, S, Y = u.equations[:, None], u.states, u.outputs[:, None]
+    D = R * form.E
+    size = np.linalg.norm(D, axis=0)
+    D = D / np.where(size > 0, size, 1.0)
+    whole = np.block([[R * E * S, D], [Y * form.C * S, np.zeros((p, q))]])
+    level = np.linalg.norm(whole[:, :n], axis=0)  # time has units too: E may be small against C
+    whole[:, :n] /= np.where(level > 0, level, 1.0)
+    found = np.linalg.pinv(whole, rcond=rtol)[:n] / np.where(level > 0, level, 1.0)[:, None]
+    T, H = S[:, None] * found[:, :n] * u.equations, S[:, None] * found[:, n:] * u.outputs
+    return Decoupling(T, H, decide_rank(whole, rtol=rtol, scale=1.0), decide_rank(D, rtol=rtol, scale=1.0))
+
+
+def _singular_existence(plant: Plant, rtol: float) -> UnknownInputExistence:
+    form = output_free_form(plant, rtol=rtol)
+    found = singular_decoupling(plant, form, rtol=rtol)
+    n, q = plant.n_states, found.rank_D.rank
+    reasons: list[str] = []
+    fixed = np.zeros(0, dtype=complex)
+    if found.rank.rank < n + q:
+        reasons.append(
+            f"rank [E D; C 0] = {found.rank.rank} < n + rank D = {n + q}: no exact unknown input observer; add "
+            "a sensor that sees the states without equations of their own"
+            + (f", or decouple fewer disturbances than {', '.join(plant.disturbances)}" if q else "")
+        )
+    else:
+        seen = detectability(found.T @ form.A, form.C, dt=plant.dt, rtol=rtol)
+        fixed = seen.unobservable_modes
+        if not seen.detectable:
+            bad = ", ".join(f"{z:.4g}" for z in np.atleast_1d(seen.unstable_modes))
+            reasons.append(
+                f"(C, T A) is not detectable: the finite invariant zero {bad} of (E, A, D, C) is a fixed pole outside "
+                "the stability region; add a sensor, or decouple other disturbances"
+            )
+    useful = bool(np.linalg.norm(np.eye(len(form.C)) - form.C @ found.H) > 1e-9)
+    return UnknownInputExistence(not reasons, tuple(reasons), found.rank, found.rank_D, fixed, useful)
 
 
 def _product_rank(C: NDArray, E: NDArray, rtol: float) -> RankDecision:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, ModelError
 from residua.linear import StateSpace
-from residua.linear.balancing import state_units
+from residua.linear.balancing import descriptor_units, state_units
 from residua.linear.reachability import without_unobservable
 from residua.plant import Plant
 
@@ -86,7 +86,7 @@ def check_state_map(
     """
     n_u = len(plant.inputs)
     p = plant.system(("control", "disturbance", "fault"))
-    units = _units(p)
+    units = state_units(p.A, p.B, p.C, p.D) if p.E is None else descriptor_units(p.A, p.E, p.B, p.C, p.D).states
     V = np.zeros((generator.n_outputs, plant.n_states)) if V is None else V
     TE, VE = (T, 0.0 * V) if p.E is None else (T @ p.E, V @ p.E)
     absolute_TE, absolute_VE = (
@@ -130,21 +130,6 @@ def _accepted(worst: float, limit: float) -> float:
             "badly scaled or conditioned for this design; rescale its states and channels"
         )
     return worst
-
-
-def _units(p: StateSpace) -> NDArray[np.float64]:
-    """Return balanced units of the states, for a descriptor system those that even out its columns."""
-    if p.E is None:
-        return state_units(p.A, p.B, p.C, p.D)
-    W = np.vstack([np.abs(p.A) + np.abs(p.E), np.abs(p.C)])
-    units = np.ones(p.n_states)
-    for _ in range(4):
-        for axis in (1, 0):
-            size = W.max(axis=axis, keepdims=True)
-            size = np.where(size > 0, size, 1.0)
-            W = W / size
-        units = units / size.ravel()
-    return units
 
 
 def _largest(M: NDArray, units: NDArray) -> float:

@@ -167,7 +167,9 @@ class Observer:
                 "the residual is zero whatever fails: this observer reproduces the measurements that it uses; "
                 "leave some out of the estimate, outputs=[...], and their errors become the residual"
             )
+        used = [f"{len(p.disturbances)} disturbances are decoupled"] if p.disturbances else []
+        used += ["states have no equation of their own"] if p.E is not None else []
         return (
-            f"the residual is zero whatever fails: {p.n_outputs} measurements are all used up to decouple "
-            f"{len(p.disturbances)} disturbances; add a sensor or decouple fewer disturbances"
+            f"the residual is zero whatever fails: the {p.n_outputs} measurements are all used up "
+            f"({' and '.join(used)}); add a sensor or decouple fewer disturbances"
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,16 +10,18 @@ from numpy.typing import ArrayLike, NDArray
 from residua.analysis.unknown_input import (
     OutputFreeForm,
     UnknownInputExistence,
+    is_singular,
     output_free_form,
+    singular_decoupling,
     unknown_input_observer_existence,
 )
-from residua.design.directional_gain import checked_options
 from residua.design.evidence import Evidence
 from residua.design.observer import Observer
+from residua.design.observer_gain import place, pole_evidence
 from residua.errors import AccuracyError, DesignError
 from residua.linear.arrays import matrix
-from residua.linear.placement import Placement, default_margin, place_observer_margin, place_observer_poles
-from residua.linear.rank import DEFAULT_RTOL
+from residua.linear.placement import Placement
+from residua.linear.rank import DEFAULT_RTOL, RankDecision
 from residua.plant import Plant
 
 REFERENCE = "Chen, Patton and Zhang (1996), Int. J. Control 63(1), eqs. (2) to (13)"
@@ -40,14 +42,15 @@ def unknown_input_observer(
        \dot z = F z + T B u + K y, \qquad \hat x = z + H y
 
     with :math:`H = E(CE)^+ + H_0 [I - CE(CE)^+]`, :math:`T = I - HC`, :math:`A_1 = T A`,
-    :math:`F = A_1 - K_1 C` stable and :math:`K = K_1 + F H`. Guaranteed: the error obeys
-    :math:`\dot e = F e` for any control input and any disturbance.
+    :math:`F = A_1 - K_1 C` stable and :math:`K = K_1 + F H`. For a singular plant :math:`E_s \dot x = A x + \dots`,
+    :math:`T E_s + H C = I` and :math:`T E = 0` take the place of the first two; the observer itself is an ordinary
+    system. Guaranteed: the error obeys :math:`\dot e = F e` for any control input and any disturbance.
 
     Parameters
     ----------
     plant : Plant
-        Continuous or sampled; the disturbances of the plant are what is decoupled. A disturbance in the
-        outputs is eliminated first.
+        Continuous or sampled, ``E`` singular or not; its disturbances are what is decoupled. A disturbance in
+        the outputs is eliminated first.
     poles : sequence of complex, optional
         Poles of the error, closed under conjugation: as many as states, or as many as are free.
     margin : float, optional
@@ -74,7 +77,7 @@ def unknown_input_observer(
     Notes
     -----
     Assumes: the model is exact, linear and time-invariant; disturbances enter where the model says, and may
-    be any signals; ``E`` of a descriptor plant is invertible. Costs: as many independent measurements as
+    be any signals. Costs: as many independent measurements as
     disturbances are used up, and the error's poles include the invariant zeros of (A, E, C).
 
     References
@@ -92,16 +95,22 @@ def unknown_input_observer(
            [0., 0.],
            [0., 0.]])
     """
-    plant = plant.explicit()
+    singular = is_singular(plant)
+    plant = plant if singular else plant.explicit()
     existence = unknown_input_observer_existence(plant, rtol=rtol)
     if not existence:
         raise DesignError("; ".join(existence.reasons))
     form = output_free_form(plant, rtol=rtol)
-    H = decoupling_gain(form, H0)
-    T = np.eye(plant.n_states) - H @ plant.C
-    A1 = T @ form.A
-    placed = place(A1, form.C, poles, margin, plant.dt, rtol)
-    return assemble(plant, form, H, placed, existence)
+    if singular:
+        if H0 is not None:
+            raise DesignError("H0 is the free matrix of an ordinary plant; for a singular one leave it out")
+        found = singular_decoupling(plant, form, rtol=rtol)
+        T, H = found.T, found.H @ form.W
+    else:
+        H = decoupling_gain(form, H0)
+        T = np.eye(plant.n_states) - H @ plant.C
+    placed = place(T @ form.A, form.C, poles, margin, plant.dt, rtol)
+    return assemble(plant, form, T, H, placed, existence)
 
 
 def decoupling_gain(form: OutputFreeForm, H0: ArrayLike | None = None) -> NDArray[np.float64]:
@@ -119,32 +128,15 @@ def decoupling_gain(form: OutputFreeForm, H0: ArrayLike | None = None) -> NDArra
     return H @ form.W
 
 
-def place(
-    A: NDArray,
-    C: NDArray,
-    poles: Sequence[complex] | ArrayLike | None,
-    margin: float | None,
-    dt: float,
-    rtol: float,
-) -> Placement:
-    """Place the poles that were asked for, or all of them beyond a margin."""
-    poles, margin = checked_options(poles, margin)
-    if isinstance(poles, Mapping):
-        raise DesignError("an observer takes a list of poles; poles per fault are for the detection filters")
-    if poles is None:
-        return place_observer_margin(A, C, default_margin(A, dt) if margin is None else margin, dt=dt, rtol=rtol)
-    return place_observer_poles(A, C, poles, dt=dt, rtol=rtol)
-
-
 def assemble(
     plant: Plant,
     form: OutputFreeForm,
+    T: NDArray,
     H: NDArray,
     placed: Placement,
     existence: UnknownInputExistence,
 ) -> Observer:
-    """Return the observer of a decoupling gain and a placed gain, with its identities checked."""
-    T = np.eye(plant.n_states) - H @ plant.C
+    """Return the observer of a decoupling and a placed gain, with its identities checked."""
     K1 = placed.gain @ form.W + T @ form.G
     F = T @ plant.A - K1 @ plant.C
     size_E = float(np.linalg.norm(plant.Bd)) or 1.0
@@ -157,6 +149,11 @@ def assemble(
             f"the disturbances are not decoupled: |T E| / |E| = {identity:.2g}; the outputs see them too "
             "weakly for this scaling; rescale the channels"
         )
+    TE = T if plant.E is None else T @ plant.E
+    terms = float(np.abs(TE).max(initial=0.0) + (np.abs(H) @ np.abs(plant.C)).max(initial=0.0))
+    whole = float(np.abs(TE + H @ plant.C - np.eye(plant.n_states)).max(initial=0.0)) / max(terms, 1e-300)
+    if not whole < 1e-8:
+        raise AccuracyError(f"T E + H C = I is missed by {whole:.2g} (relative): rescale the states and channels")
     q, p = form.E.shape[1], len(form.W)
     method, notes = "unknown input observer", ()
     if q and p > q:
@@ -166,12 +163,11 @@ def assemble(
         )
     evidence = Evidence(
         method=method,
-        poles=np.linalg.eigvals(F).astype(complex),
-        requested_poles=np.asarray(placed.requested, dtype=complex),
-        fixed_poles=np.asarray(placed.fixed, dtype=complex),
-        ranks={"rank(CE)": existence.rank_CE, "rank(E)": existence.rank_E} if q else {},
+        **pole_evidence(placed, F),
+        ranks=_ranks(plant, existence),
         conditions={
             "|T E| / |E|": identity,
+            "T E + H C = I": whole,
             "pole error": placed.error,
             "norm of K1": float(np.linalg.norm(K1)),
         },
@@ -179,3 +175,9 @@ def assemble(
         references=(REFERENCE,),
     )
     return Observer(plant, F, T, K, np.eye(plant.n_states), H, form.W, method, True, evidence)
+
+
+def _ranks(plant: Plant, existence: UnknownInputExistence) -> dict[str, RankDecision]:
+    if plant.E is not None:
+        return {"rank [E D; C 0]": existence.rank_CE, "rank D": existence.rank_E}
+    return {"rank(CE)": existence.rank_CE, "rank(E)": existence.rank_E} if existence.rank_E.rank else {}

@@ -100,6 +100,44 @@ def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> Ba
     return BalancedSystem(A / T[:, None] * T, B / T[:, None] * U, Y[:, None] * C * T, Y[:, None] * D * U, T, U, Y)
 
 
+@dataclass(frozen=True, eq=False)
+class DescriptorUnits:
+    """Units for ``E x' = A x + B v``, ``y = C x``: ``R E S``, ``R A S``, ``Y C S`` have entries of about one size.
+
+    Attributes
+    ----------
+    equations, states, outputs : ndarray
+        The diagonals of ``R``, ``S`` and ``Y``, powers of two. Without ``E``, ``R`` is the inverse of ``S``.
+    """
+
+    equations: NDArray[np.float64]
+    states: NDArray[np.float64]
+    outputs: NDArray[np.float64]
+
+
+def descriptor_units(A: NDArray, E: NDArray | None, B: NDArray, C: NDArray, D: NDArray) -> DescriptorUnits:
+    """Return units in which the rows and columns of a system, also of a descriptor system, are of one size.
+
+    Time is scaled along with ``E``, so that its units do not matter.
+    """
+    if E is None:
+        found = balance_system(A, B, C, D)
+        if not has_units(found.states):
+            return DescriptorUnits(np.ones(len(A)), np.ones(len(A)), np.ones(len(C)))
+        return DescriptorUnits(1 / found.states, found.states, found.outputs)
+    n = len(A)
+    size_A, size_E = float(np.linalg.norm(A)), float(np.linalg.norm(E))
+    unit = size_A / size_E if size_A and size_E else 1.0
+    W = without_residue(np.block([[np.abs(A) + unit * np.abs(E), np.abs(B)], [np.abs(C), np.abs(D)]]))
+    rows, columns = np.ones(W.shape[0]), np.ones(W.shape[1])
+    for _ in range(4):
+        f = power_of_two(np.linalg.norm(W, axis=1))
+        W, rows = W / f[:, None], rows / f
+        f = power_of_two(np.linalg.norm(W, axis=0))
+        W, columns = W / f, columns / f
+    return DescriptorUnits(rows[:n], columns[:n], rows[n:])
+
+
 def has_units(states: NDArray[np.float64]) -> bool:
     """Tell whether balanced units of states mean something: a hidden part of a system has no units of its own."""
     return not states.size or bool(np.ptp(np.log2(states)) <= _WIDEST)

@@ -69,7 +69,8 @@ def detection_space(A: NDArray, C: NDArray, L: NDArray, *, rtol: float = DEFAULT
         return DetectionSpace(W, outputs)
     D = confining_gain(A, C, W)
     H, _ = left_null_basis(outputs) if outputs.shape[1] else (np.eye(len(C)), None)
-    seen = reachable_basis((A - D @ C).T, (H.T @ C).T, rtol=rtol)
+    read, _ = range_basis(C.T @ H, rtol=rtol, scale=scale)  # against C: nothing left is not to be taken for something
+    seen = reachable_basis((A - D @ C).T, read, rtol=rtol)
     basis, _ = left_null_basis(seen) if seen.shape[1] else (np.eye(len(A)), None)
     return DetectionSpace(basis, outputs)
 

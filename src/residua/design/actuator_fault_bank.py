@@ -1,0 +1,97 @@
+"""Banks of observers that name the faulty actuator."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from numpy.typing import ArrayLike
+
+from residua.design.bank import Bank, Wanted, build_bank
+from residua.design.member_design import member_design
+from residua.errors import DesignError
+from residua.linear.rank import DEFAULT_RTOL
+from residua.plant import Plant
+
+
+def actuator_fault_bank(
+    plant: Plant,
+    *,
+    scheme: str = "generalized",
+    observer: str = "unknown-input",
+    poles: Sequence[complex] | ArrayLike | None = None,
+    margin: float | None = None,
+    allow_missing: bool = False,
+    rtol: float = DEFAULT_RTOL,
+) -> Bank:
+    r"""Design one observer per actuator, none of which any disturbance reaches.
+
+    ``"generalized"``: observer ``i`` is decoupled from actuator ``i``, which costs one measurement, so that actuator
+    ``i`` is faulty when all fire but the ``i``-th. ``"dedicated"``: observer ``i`` is decoupled from all other
+    actuators, so that each fires for its own; with ``q`` disturbances and ``r`` actuators it needs more than
+    ``q + r - 1`` measurements, and names faults that come together.
+
+    Parameters
+    ----------
+    plant : Plant
+        Continuous or sampled, ``E`` singular or not. Its actuator faults are what is isolated; a plant without any
+        gets one per control input. Its other faults have codes too: a sensor fault fires every observer.
+    scheme : {"generalized", "dedicated"}
+    observer : {"unknown-input", "reduced-order", "perfect", "minimal"}
+        See :func:`sensor_fault_bank`.
+    poles : sequence of complex, optional
+        The same for every member.
+    margin : float, optional
+        Stability margin in 1/s when no poles are given.
+    allow_missing : bool
+        Whether members that do not exist are left out, and told in ``failures``, instead of raised.
+    rtol : float
+        Relative tolerance of every rank decision.
+
+    Returns
+    -------
+    Bank
+
+    Raises
+    ------
+    DesignError
+        For each member that does not exist, which condition failed.
+
+    References
+    ----------
+    Chen and Patton (1999), section 3.5; Twardy and Kaczorek, part II.
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> plant = rs.Plant([[-1, 0], [0, -2]], [[1, 0], [0, 1]], [[1, 0], [0, 1], [1, 1]], inputs=["left", "right"])
+    >>> print(rs.design.actuator_fault_bank(plant))
+    generalized bank of unknown-input observers, 2 members
+                             1  2
+    decoupled from left      .  x
+    decoupled from right     x  .
+      1: left actuator
+      2: right actuator
+    """
+    if "actuator" not in plant.fault_kinds:
+        if not plant.inputs:
+            raise DesignError("the plant has neither control inputs nor actuator faults")
+        plant = plant.with_actuator_faults()
+    actuators = [fault for fault in plant.fault_list if fault.kind == "actuator"]
+    names = tuple(fault.name for fault in actuators)
+    if scheme not in ("generalized", "dedicated"):
+        raise DesignError(f"scheme must be 'generalized' or 'dedicated', got {scheme!r}")
+    wanted = []
+    for fault in actuators:
+        others = tuple(name for name in names if name != fault.name)
+        if scheme == "generalized":
+            wanted.append(Wanted(f"decoupled from {fault.component}", (fault.name,), others))
+        else:
+            wanted.append(Wanted(f"only {fault.component}", others, (fault.name,)))
+    return build_bank(
+        plant,
+        wanted,
+        member_design(observer, poles=poles, margin=margin, rtol=rtol),
+        f"{scheme} bank of {observer} observers",
+        allow_missing=allow_missing,
+        reference="Chen and Patton (1999), section 3.5; Twardy and Kaczorek, part II",
+    )

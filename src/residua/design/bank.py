@@ -1,0 +1,240 @@
+"""Banks: residual generators with a structure, running as one stacked filter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.design.detection_filter import stack_systems
+from residua.design.evidence import Evidence
+from residua.design.generator import Member, ResidualGenerator, make_generator
+from residua.design.internal_form import check_decoupling
+from residua.design.observer import Observer
+from residua.errors import AccuracyError, DesignError
+from residua.linear import StateSpace
+from residua.plant import Plant
+
+#: Designs one member: takes the plant in which what the member ignores are disturbances.
+MemberDesign = Callable[[Plant], ResidualGenerator]
+
+
+@dataclass(frozen=True, eq=False)
+class Bank:
+    """Residual generators that each ignore some faults, so that who fires names the fault.
+
+    Attributes
+    ----------
+    generator : ResidualGenerator
+        All members, stacked: runs as one filter, and goes into a :class:`residua.Monitor`.
+    structure : ndarray of bool, shape (members, faults)
+        Which members answer to which fault: the columns are the codes of the faults.
+    observers : mapping of str to Observer
+        By member, where it is made of one: each estimates the state without what it ignores.
+    failures : mapping of str to str
+        Members that could not be designed, and why.
+
+    References
+    ----------
+    Chen and Patton (1999), chapter 3; Gertler (1991), section 4.
+    """
+
+    generator: ResidualGenerator
+    structure: NDArray[np.bool_]
+    observers: Mapping[str, Observer] = field(repr=False)
+    failures: Mapping[str, str]
+
+    @property
+    def plant(self) -> Plant:
+        """The plant that the bank watches."""
+        return self.generator.plant
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Names of the plant's faults: the columns of the structure."""
+        return self.generator.faults
+
+    @property
+    def members(self) -> tuple[str, ...]:
+        """Names of the members: the rows of the structure."""
+        return tuple(member.name for member in self.generator.members)
+
+    @property
+    def evidence(self) -> Evidence:
+        """The checks that all members have passed."""
+        return self.generator.evidence
+
+    @property
+    def groups(self) -> tuple[tuple[str, ...], ...]:
+        """The faults with the same code, which this bank cannot tell apart; faults that no member sees are left out."""
+        found: dict[bytes, list[str]] = {}
+        for name, code in zip(self.faults, self.structure.T, strict=True):
+            if code.any():
+                found.setdefault(code.tobytes(), []).append(name)
+        return tuple(tuple(names) for names in found.values())
+
+    @property
+    def strongly_isolating(self) -> bool:
+        """Whether no code becomes another when some of its members stay silent: columns form an antichain."""
+        codes = np.unique(self.structure[:, self.structure.any(axis=0)], axis=1)
+        covered = (codes[:, :, None] <= codes[:, None, :]).all(axis=0)
+        return int(covered.sum()) == codes.shape[1]
+
+    def residual_generator(self) -> ResidualGenerator:
+        """Return the stacked generator."""
+        return self.generator
+
+    def __str__(self) -> str:
+        width = max([len(name) for name in self.members], default=0) + 2
+        lines = [f"{self.generator.method}, {len(self.members)} members"]
+        columns = [f"{k + 1}" for k in range(len(self.faults))]
+        lines.append(" " * width + " ".join(f"{c:>2}" for c in columns))
+        for name, row in zip(self.members, self.structure, strict=True):
+            lines.append(f"{name:<{width}}" + " ".join(" x" if fires else " ." for fires in row))
+        lines += [f"  {k + 1}: {name}" for k, name in enumerate(self.faults)]
+        lines += [f"no member '{name}': {reason}" for name, reason in self.failures.items()]
+        lines += [f"same code: {', '.join(group)}" for group in self.groups if len(group) > 1]
+        unseen = [name for name, code in zip(self.faults, self.structure.T, strict=True) if not code.any()]
+        lines += [f"seen by no member: {', '.join(unseen)}"] if unseen else []
+        return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """One member as it was asked for: what it must ignore and what it must answer to."""
+
+    name: str
+    ignored: tuple[str, ...]
+    seen: tuple[str, ...]
+
+
+def build_bank(
+    plant: Plant, wanted: list[Wanted], design: MemberDesign, method: str, *, allow_missing: bool, reference: str
+) -> Bank:
+    """Design all members, stack them, and check that the structure is the one that was promised."""
+    parts: dict[str, ResidualGenerator] = {}
+    observers: dict[str, Observer] = {}
+    failures: dict[str, str] = {}
+    for one in wanted:
+        try:
+            part = design(plant.faults_as_disturbances(one.ignored))
+            generator = _for_whole_plant(part, plant)
+            _check_promise(generator, one)
+        except (DesignError, AccuracyError) as error:
+            failures[one.name] = str(error)
+            continue
+        parts[one.name] = generator
+        if part.observer is not None:
+            observers[one.name] = part.observer
+    if failures and (not allow_missing or not parts):
+        told = "; ".join(f"'{name}': {reason}" for name, reason in list(failures.items())[:3])
+        told += f"; and {len(failures) - 3} more" if len(failures) > 3 else ""
+        hint = "" if not parts else "; allow_missing=True builds the bank without them"
+        raise DesignError(f"{len(failures)} of {len(wanted)} members of the bank do not exist: {told}{hint}")
+    generator = _stacked(plant, parts, method, reference)
+    codes = generator.codes
+    assert codes is not None  # _stacked gives them
+    return Bank(generator, codes, observers, failures)
+
+
+def _for_whole_plant(part: ResidualGenerator, plant: Plant) -> ResidualGenerator:
+    """Return a member as generator of the plant with all its faults, in their order."""
+    if plant.E is not None and part.plant.E is None:
+        plant = plant.explicit()
+    known = part.known_form
+    if known is not None:
+        known = known.select(inputs=_columns(part.plant, plant))
+    return make_generator(
+        part.system,
+        plant,
+        part.method,
+        part.evidence,
+        state_map=part.state_map,
+        static_map=part.static_map,
+        known_form=known,
+    )
+
+
+def _columns(part: Plant, plant: Plant) -> list[int]:
+    """Return where the faults, disturbances and noises of a plant stand among those of its member's plant."""
+    n_f, n_d = len(part.faults), len(part.disturbances)
+    faults = [
+        part.faults.index(name) if name in part.faults else n_f + part.disturbances.index(name) for name in plant.faults
+    ]
+    return (
+        faults + [n_f + i for i in range(len(plant.disturbances))] + [n_f + n_d + i for i in range(len(plant.noises))]
+    )
+
+
+def _check_promise(generator: ResidualGenerator, one: Wanted) -> None:
+    """Raise when a member answers to what it should ignore, or is blind to what it should see."""
+    seen = dict(zip(generator.faults, _code(generator), strict=True))
+    leaking = [name for name in one.ignored if seen[name]]
+    if leaking:
+        raise AccuracyError(
+            f"the residual answers to {', '.join(leaking)}, which it should ignore: the plant is too badly scaled or "
+            "conditioned; rescale its states and channels"
+        )
+    blind = [name for name in one.seen if not seen[name]]
+    if blind:
+        raise DesignError(
+            f"a residual that ignores {', '.join(one.ignored) or 'the disturbances'} cannot see {', '.join(blind)}"
+        )
+
+
+def _stacked(plant: Plant, parts: dict[str, ResidualGenerator], method: str, reference: str) -> ResidualGenerator:
+    """Return the members as one generator, with their codes."""
+    generators = list(parts.values())
+    plant = generators[0].plant
+    system = _named(stack_systems([g.system for g in generators]), parts)
+    members, codes, start = [], [], 0
+    for name, g in parts.items():
+        code = _code(g)
+        rows = tuple(range(start, start + g.n_residuals))
+        members.append(Member(name, rows, tuple(f for f, seen in zip(plant.faults, code, strict=True) if seen)))
+        codes.append(code)
+        start += g.n_residuals
+    evidence = Evidence(
+        method=method,
+        poles=system.poles(),
+        requested_poles=np.concatenate([g.evidence.requested_poles for g in generators]),
+        fixed_poles=np.concatenate([g.evidence.fixed_poles for g in generators]),
+        decoupling=check_decoupling(system, plant, decoupled=True),
+        conditions=_worst([g.evidence for g in generators]),
+        notes=tuple(f"{name}: {note}" for name, g in parts.items() for note in g.evidence.notes),
+        references=(reference,),
+    )
+    whole = np.array(codes, dtype=bool).reshape(len(codes), len(plant.faults))
+    common = {"members": tuple(members), "codes": whole}
+    if all(g.state_map is not None for g in generators):
+        maps = [g.state_map for g in generators]
+        static = None
+        if any(g.static_map is not None for g in generators):
+            zeros = [np.zeros((g.n_residuals, plant.n_states)) for g in generators]
+            static = np.vstack(
+                [z if g.static_map is None else g.static_map for z, g in zip(zeros, generators, strict=True)]
+            )
+        return make_generator(system, plant, method, evidence, state_map=np.vstack(maps), static_map=static, **common)  # pyright: ignore[reportArgumentType, reportCallIssue]
+    form = _named(stack_systems([g.internal_form() for g in generators]), parts)
+    return make_generator(system, plant, method, evidence, known_form=form, **common)
+
+
+def _code(generator: ResidualGenerator) -> list[bool]:
+    """Return for each fault whether any of the residuals answers to it."""
+    return [bool(column.any()) for column in list(generator.structure.T)]
+
+
+def _named(system: StateSpace, parts: dict[str, ResidualGenerator]) -> StateSpace:
+    """Return a stacked system with its outputs named after member and residual."""
+    return system.replaced(outputs=[f"{r}, {name}" for name, g in parts.items() for r in g.residuals])
+
+
+def _worst(all_evidence: list[Evidence]) -> dict[str, float]:
+    """Return the largest value of each condition over the members."""
+    out: dict[str, float] = {}
+    for evidence in all_evidence:
+        for name, value in evidence.conditions.items():
+            out[name] = max(out.get(name, 0.0), value)
+    return out

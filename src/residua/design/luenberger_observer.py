@@ -1,0 +1,95 @@
+"""Luenberger's observer: full order, nothing decoupled."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from residua.analysis.unknown_input import is_singular
+from residua.design.evidence import Evidence
+from residua.design.observer import Observer
+from residua.design.observer_gain import place, pole_evidence
+from residua.errors import DesignError
+from residua.linear import arrays
+from residua.linear.rank import DEFAULT_RTOL
+from residua.plant import Plant
+
+
+def luenberger_observer(
+    plant: Plant,
+    *,
+    poles: Sequence[complex] | ArrayLike | None = None,
+    margin: float | None = None,
+    outputs: Iterable[str | int] | str | None = None,
+    rtol: float = DEFAULT_RTOL,
+) -> Observer:
+    r"""Design a full-order observer by pole placement.
+
+    .. math:: \dot z = (A - K C) z + B u + K y, \qquad \hat x = z
+
+    Guaranteed: without disturbances the error obeys :math:`\dot e = (A - KC) e`. It exists exactly when the pair
+    :math:`(C, A)` is detectable: a pair that is not observable goes through the observability form, its
+    unobservable modes stay where they are and are reported as ``evidence.fixed_poles``.
+
+    Parameters
+    ----------
+    plant : Plant
+        Continuous or sampled, with invertible ``E``. Its disturbances are not decoupled.
+    poles : sequence of complex, optional
+        Poles of the error, closed under conjugation: as many as states, or as many as are observable.
+    margin : float, optional
+        Stability margin in 1/s when no poles are given; when omitted, the geometric mean of the sizes of the
+        plant's poles.
+    outputs : sequence of str, optional
+        The measurements that drive the observer, all when omitted. The residual is the error of these.
+    rtol : float
+        Relative tolerance of every rank decision.
+
+    Returns
+    -------
+    Observer
+
+    Raises
+    ------
+    DesignError
+        If a mode that no measurement sees is not stable; the message names it.
+    AccuracyError
+        If the poles missed their tolerance.
+
+    Notes
+    -----
+    Assumes: the model is exact, linear and time-invariant.
+
+    References
+    ----------
+    Twardy and Kaczorek, part I, Theorems 1 and 2 and steps 5 to 10 of Procedure 1.
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> plant = rs.Plant([[0, 1], [-2, -3]], [[0], [1]], [[1, 0]])
+    >>> rs.design.luenberger_observer(plant, poles=[-4, -5]).K.ravel().round(9) + 0.0
+    array([6., 0.])
+    """
+    if is_singular(plant):
+        raise DesignError(
+            "Luenberger's observer needs state equations, and E is singular: use descriptor_observer, or "
+            "unknown_input_observer, which also serves singular plants without disturbances"
+        )
+    plant = plant.explicit()
+    used = arrays.positions(outputs, plant.outputs, "output")
+    placed = place(plant.A, plant.C[used], poles, margin, plant.dt, rtol)
+    n, W = plant.n_states, np.eye(plant.n_outputs)[used]
+    K = placed.gain @ W
+    F = plant.A - K @ plant.C
+    names = ", ".join(plant.disturbances)
+    evidence = Evidence(
+        method="Luenberger observer",
+        **pole_evidence(placed, F),
+        conditions={"pole error": placed.error, "norm of K": placed.norm},
+        notes=(f"disturbances are not decoupled by a Luenberger observer: {names}",) if names else (),
+        references=("Twardy and Kaczorek, part I, Theorem 2",),
+    )
+    return Observer(plant, F, np.eye(n), K, np.eye(n), np.zeros(K.shape), W, evidence.method, False, evidence)

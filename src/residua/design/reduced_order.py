@@ -1,0 +1,158 @@
+"""The algebra of observers of order n - p, for plants with and without singular E and with unknown inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import ArrayLike, NDArray
+
+from residua.design.evidence import Evidence
+from residua.design.observer import Observer
+from residua.design.observer_gain import place, pole_evidence
+from residua.errors import AccuracyError, DesignError
+from residua.linear import arrays
+from residua.linear.balancing import descriptor_units
+from residua.linear.placement import Placement
+from residua.linear.rank import RankDecision, decide_rank, left_null_basis
+from residua.plant import Plant
+
+
+def reduced_observer(
+    plant: Plant,
+    method: str,
+    reference: str,
+    *,
+    poles: Sequence[complex] | ArrayLike | None,
+    margin: float | None,
+    outputs: Iterable[str | int] | str | None,
+    rtol: float,
+) -> Observer:
+    r"""Return the observer of order n - p.
+
+    With :math:`x = C^+ y + Q w`, ``Q`` a basis of the null space of ``C``, only ``w`` is to be estimated. Any
+    ``X`` with :math:`X [E Q, E_d] = [I, 0]` gives :math:`z = X E x` and :math:`F = X A Q`; all of them are
+    :math:`X = X_0 - L N`, where the rows of ``N`` annihilate :math:`[E Q, E_d]`, so that ``F`` is that of an
+    ordinary observer for the pair :math:`(N A Q, X_0 A Q)`.
+    """
+    used = arrays.positions(outputs, plant.outputs, "output")
+    n, p = plant.n_states, plant.n_outputs
+    free = np.zeros((p, 0))  # combinations of the used outputs that no disturbance enters
+    free = _embedded(left_null_basis(plant.Dd[used])[0], used, p) if np.any(plant.Dd) else np.eye(p)[:, used]
+    G = _through_outputs(plant, used)
+    A = plant.A - G @ plant.C
+    drive = np.hstack([plant.Bu, plant.Bd])
+    u = descriptor_units(A, plant.E, drive, free.T @ plant.C, np.zeros((free.shape[1], drive.shape[1])))
+    R, S = u.equations[:, None], u.states
+    As, Es = R * A * S, R * (np.eye(n) if plant.E is None else plant.E) * S
+    Cs = u.outputs[:, None] * (free.T @ plant.C) * S
+    Ds = R * (plant.Bd - G @ plant.Dd)
+    U, s, Vh = np.linalg.svd(Cs) if Cs.size else (np.eye(len(Cs)), np.zeros(0), np.eye(n))
+    k = decide_rank(Cs, rtol=rtol).rank
+    inverse, Q = Vh[:k].T / s[:k] @ U[:, :k].T, Vh[k:].T
+    X0, N = _particular(Es @ Q, _full_rank_columns(Ds, rtol), n - k, plant, rtol)
+    placed = _placed(N @ As @ Q, X0 @ As @ Q, poles, margin, plant, rtol)
+    Xs = X0 - placed.gain @ N
+    F = Xs @ As @ Q
+    # back to the units of the plant: x = S xs, equations R
+    T = Xs * u.equations
+    lift = (u.outputs * inverse) * S[:, None] @ free.T  # x = lift y + S Q w
+    L = Xs @ Es @ (u.outputs * inverse) @ free.T  # w = z - L y
+    M = S[:, None] * Q
+    H = lift - M @ L
+    K = T @ A @ lift - F @ L + T @ G
+    _check(plant, T, F, K, M, H, u.states, rtol)
+    evidence = Evidence(
+        method=method,
+        **pole_evidence(placed, F),
+        ranks={"independent measurements": RankDecision(k, s, rtol * float(s[0]) if s.size else 0.0)},
+        conditions={
+            "pole error": placed.error,
+            "condition of [T E; C]": float(np.linalg.cond(np.vstack([Xs @ Es, Vh[:k]]))),
+        },
+        notes=(f"uses {', '.join(plant.outputs[i] for i in used)}",) if len(used) < p else (),
+        references=(reference,),
+    )
+    return Observer(plant, F, T, K, M, H, _unused(plant, used), method, True, evidence)
+
+
+def _particular(EQ: NDArray, D: NDArray, order: int, plant: Plant, rtol: float) -> tuple[NDArray, NDArray]:
+    """Return the smallest ``X`` with ``X [E Q, D] = [I, 0]`` and a basis of the rows that annihilate both."""
+    level = float(np.linalg.norm(EQ, 2)) if EQ.size else 1.0  # it has the unit of time
+    whole = np.hstack([EQ / (level or 1.0), D])
+    decision = decide_rank(whole, rtol=rtol, scale=1.0)
+    if decision.rank < whole.shape[1]:
+        got = f"rank [E D; C 0] = {plant.n_states - order + decision.rank} < n + rank D = {plant.n_states + D.shape[1]}"
+        raise DesignError(
+            f"{got}: the measurements do not determine what the equations leave open; "
+            + (
+                f"add a sensor or decouple fewer disturbances than {', '.join(plant.disturbances)}"
+                if D.shape[1]
+                else "add a sensor that sees the states without equations of their own"
+            )
+        )
+    X = np.linalg.pinv(whole)[:order] / (level or 1.0)
+    return X, left_null_basis(whole)[0].T
+
+
+def _placed(C: NDArray, A: NDArray, poles: object, margin: float | None, plant: Plant, rtol: float) -> Placement:
+    if len(A):
+        return place(A, C, poles, margin, plant.dt, rtol)  # pyright: ignore[reportArgumentType]
+    if poles is not None and np.size(np.asarray(poles)):
+        raise DesignError("there is nothing to place: the measurements determine all states, the order is 0")
+    none = np.zeros(0, dtype=complex)
+    return Placement(np.zeros((0, len(C))), none, none, none, 0.0, 1.0, 0.0)
+
+
+def _full_rank_columns(D: NDArray, rtol: float) -> NDArray:
+    """Return an orthonormal basis of the range of the disturbances, each first brought to unit size."""
+    size = np.linalg.norm(D, axis=0)
+    D = D[:, size > 0] / size[size > 0]
+    U, s, _ = np.linalg.svd(D, full_matrices=False)
+    return U[:, s > rtol]
+
+
+def _through_outputs(plant: Plant, used: list[int]) -> NDArray:
+    """Return ``G`` with ``d = ... (y - C x)`` put into the state equation for disturbances that enter used outputs."""
+    Dd = plant.Dd[used]
+    if not np.any(Dd):
+        return np.zeros((plant.n_states, plant.n_outputs))
+    rows, columns = np.abs(Dd).max(axis=1), np.abs(Dd).max(axis=0)
+    rows, columns = np.where(rows > 0, rows, 1.0), np.where(columns > 0, columns, 1.0)
+    inverse = np.linalg.pinv(Dd / rows[:, None] / columns, rcond=1e-10) / rows / columns[:, None]
+    return _embedded((plant.Bd @ inverse).T, used, plant.n_outputs).T
+
+
+def _embedded(rows: NDArray, used: list[int], p: int) -> NDArray:
+    out = np.zeros((p, rows.shape[1]))
+    out[used] = rows
+    return out
+
+
+def _unused(plant: Plant, used: list[int]) -> NDArray:
+    """Return the combinations of unused outputs that no disturbance enters: their errors are the residual."""
+    p = plant.n_outputs
+    rest = [i for i in range(p) if i not in set(used)]
+    rest = rest or list(range(p))  # of more outputs than states some are redundant
+    if not np.any(plant.Dd[rest]):
+        return np.eye(p)[rest]
+    return _embedded(scipy.linalg.null_space(plant.Dd[rest].T), rest, p).T
+
+
+def _check(
+    plant: Plant, T: NDArray, F: NDArray, K: NDArray, M: NDArray, H: NDArray, units: NDArray, rtol: float
+) -> None:
+    """Raise when ``M T E + H C = I`` or ``T E_d = K D_d`` is missed, in balanced units."""
+    TE = T if plant.E is None else T @ plant.E
+    missed = (M @ TE + H @ plant.C - np.eye(plant.n_states)) * units / units[:, None]
+    terms = (np.abs(M) @ np.abs(TE) + np.abs(H) @ np.abs(plant.C)) * units / units[:, None]
+    first = np.abs(missed).max(initial=0.0) / max(np.abs(terms).max(initial=0.0), 1e-300)
+    unknown = np.abs(T @ plant.Bd - K @ plant.Dd).max(initial=0.0)
+    terms = np.abs(T) @ np.abs(plant.Bd) + np.abs(K) @ np.abs(plant.Dd)
+    second = unknown / max(terms.max(initial=0.0), 1e-300)
+    if not max(first, second) < 1e-8:
+        raise AccuracyError(
+            f"M T E + H C = I is missed by {first:.2g} and T E_d = K D_d by {second:.2g} (relative): the plant is too "
+            "badly scaled or conditioned for an observer of reduced order; rescale its states and channels"
+        )

@@ -1,0 +1,84 @@
+"""Observers of order n - p for ordinary plants."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from numpy.typing import ArrayLike
+
+from residua.analysis.unknown_input import is_singular
+from residua.design.observer import Observer
+from residua.design.reduced_order import reduced_observer
+from residua.errors import DesignError
+from residua.linear.rank import DEFAULT_RTOL
+from residua.plant import Plant
+
+
+def reduced_order_observer(
+    plant: Plant,
+    *,
+    poles: Sequence[complex] | ArrayLike | None = None,
+    margin: float | None = None,
+    outputs: Iterable[str | int] | str | None = None,
+    rtol: float = DEFAULT_RTOL,
+) -> Observer:
+    r"""Design an observer of order n - p: what the measurements say is not estimated again.
+
+    .. math:: \dot z = F z + T B u + K y, \qquad \hat x = M z + H y, \qquad
+              \begin{bmatrix} M & H \end{bmatrix} = \begin{bmatrix} T \\ C \end{bmatrix}^{-1}
+
+    Guaranteed: :math:`C \hat x = y`, and :math:`\varepsilon = T x - z` obeys :math:`\dot\varepsilon = F \varepsilon`
+    for any control input and any disturbance of the plant. Noise on the measurements reaches the estimate unfiltered.
+
+    Parameters
+    ----------
+    plant : Plant
+        Continuous or sampled, with invertible ``E``. Its disturbances are decoupled.
+    poles : sequence of complex, optional
+        n - p of them (``p`` independent measurements), or as many as are free; closed under conjugation.
+    margin : float, optional
+        Stability margin in 1/s when no poles are given.
+    outputs : sequence of str, optional
+        The measurements that are used, all when omitted. The errors of those that are left out are the residual:
+        with all of them used there is none.
+    rtol : float
+        Relative tolerance of every rank decision, in balanced units.
+
+    Returns
+    -------
+    Observer
+
+    Raises
+    ------
+    DesignError
+        If no such observer exists; the message says which condition failed, with its numbers.
+    AccuracyError
+        If poles or identities missed their tolerance.
+
+    Notes
+    -----
+    Assumes: the model is exact, linear and time-invariant.
+
+    References
+    ----------
+    Twardy and Kaczorek, part I, eqs. (3) and (18) to (29) with E = I.
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> plant = rs.Plant([[0, 1], [-2, -3]], [[0], [1]], [[1, 0]])
+    >>> observer = rs.design.reduced_order_observer(plant, poles=[-5])
+    >>> observer.order, observer.poles.real.round(9)
+    (1, array([-5.]))
+    """
+    if is_singular(plant):
+        raise DesignError("E is singular: use descriptor_observer, which is the same for singular plants")
+    return reduced_observer(
+        plant.explicit(),
+        "reduced-order observer",
+        "Twardy and Kaczorek, part I, eqs. (18) to (29)",
+        poles=poles,
+        margin=margin,
+        outputs=outputs,
+        rtol=rtol,
+    )

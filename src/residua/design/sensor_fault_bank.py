@@ -1,0 +1,113 @@
+"""Banks of observers that name the faulty sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from residua.design.bank import Bank, Wanted, build_bank
+from residua.design.member_design import member_design
+from residua.errors import DesignError
+from residua.linear.rank import DEFAULT_RTOL
+from residua.plant import Plant
+
+
+def sensor_fault_bank(
+    plant: Plant,
+    *,
+    scheme: str = "generalized",
+    observer: str = "unknown-input",
+    poles: Sequence[complex] | ArrayLike | None = None,
+    margin: float | None = None,
+    allow_missing: bool = False,
+    rtol: float = DEFAULT_RTOL,
+) -> Bank:
+    r"""Design one observer per sensor, none of which any disturbance reaches.
+
+    ``"generalized"``: observer ``j`` uses all measurements but ``y_j``, so that sensor ``j`` is faulty when all
+    fire but the ``j``-th. It names single faults, and leaves freedom to decouple disturbances. ``"dedicated"``:
+    observer ``j`` uses ``y_j`` alone (and the sensors that have no fault in the model), so that each fires for its own
+    sensor; it names faults that come together, but these measurements must suffice to observe the plant, and
+    disturbances use them up.
+
+    Parameters
+    ----------
+    plant : Plant
+        Continuous or sampled, ``E`` singular or not. Its sensor faults are what is isolated; a plant without any gets
+        one per output. Its other faults have codes too: an actuator fault fires every observer that sees it.
+    scheme : {"generalized", "dedicated"}
+    observer : {"unknown-input", "reduced-order", "perfect", "minimal"}
+        What the members are: full-order unknown input observers, observers of order n - p whose residual is one
+        measurement held out, perfect observers, or :func:`decoupled_residual`, which exists whenever any does.
+    poles : sequence of complex, optional
+        The same for every member.
+    margin : float, optional
+        Stability margin in 1/s when no poles are given.
+    allow_missing : bool
+        Whether members that do not exist are left out, and told in ``failures``, instead of raised.
+    rtol : float
+        Relative tolerance of every rank decision.
+
+    Returns
+    -------
+    Bank
+        With an observer per member (``bank.observers``), except for ``"minimal"``.
+
+    Raises
+    ------
+    DesignError
+        For each member that does not exist, which condition failed: among others when the remaining measurements are
+        all used up by the disturbances, so that its residual would be zero whatever fails.
+
+    References
+    ----------
+    Chen and Patton (1999), section 3.4; Clark (1978) (dedicated); Frank (1990) (generalized);
+    Twardy and Kaczorek, part II.
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> print(rs.design.sensor_fault_bank(rs.library.jet_engine().without_faults().with_sensor_faults([0, 1, 2])))
+    generalized bank of unknown-input observers, 3 members
+    ...
+    """
+    kinds = plant.fault_kinds
+    if "sensor" not in kinds:
+        plant = plant.with_sensor_faults()
+    sensors = _sensors(plant)
+    names = tuple(sensors)
+    if scheme == "generalized":
+        wanted = [
+            Wanted(f"without {plant.outputs[k]}", (name,), tuple(other for other in names if other != name))
+            for name, k in sensors.items()
+        ]
+    elif scheme == "dedicated":
+        wanted = [
+            Wanted(f"only {plant.outputs[k]}", tuple(other for other in names if other != name), (name,))
+            for name, k in sensors.items()
+        ]
+    else:
+        raise DesignError(f"scheme must be 'generalized' or 'dedicated', got {scheme!r}")
+    return build_bank(
+        plant,
+        wanted,
+        member_design(observer, poles=poles, margin=margin, rtol=rtol),
+        f"{scheme} bank of {observer} observers",
+        allow_missing=allow_missing,
+        reference="Chen and Patton (1999), section 3.4; Twardy and Kaczorek, part II",
+    )
+
+
+def _sensors(plant: Plant) -> dict[str, int]:
+    """Return for each sensor fault the output that it is in, or say which is not in one output alone."""
+    out = {}
+    for i, fault in enumerate(plant.fault_list):
+        if fault.kind != "sensor":
+            continue
+        at = np.flatnonzero(plant.Df[:, i])
+        if len(at) != 1 or np.any(plant.Bf[:, i]):
+            raise DesignError(f"sensor fault {fault.name!r} must enter one output and no state; use structured_bank")
+        out[fault.name] = int(at[0])
+    return out
