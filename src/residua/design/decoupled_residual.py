@@ -94,7 +94,7 @@ def decoupled_residual(
     F = quotient.A - placed.gain @ quotient.C
     K = quotient.inject + placed.gain @ quotient.read
     n_y = plant.n_outputs
-    T = (quotient.T1 - K[:, n_y:] @ parts.algebra) * parts.equations
+    T = _without_rounding(quotient.T1 - K[:, n_y:] @ parts.algebra) * parts.equations
     V = quotient.read[:, n_y:] @ parts.algebra * parts.equations
     used = _above_rounding(K[:, :n_y]) | _above_rounding(quotient.read[:, :n_y])
     Ky, Hy = K[:, :n_y] * parts.outputs * used, quotient.read[:, :n_y] * parts.outputs * used
@@ -118,6 +118,11 @@ def decoupled_residual(
     )
     static = V if plant.E is not None else None
     return make_generator(system, plant, "decoupled residual", evidence, state_map=T, static_map=static)
+
+
+def _without_rounding(M: NDArray) -> NDArray:
+    """Return a matrix without the entries that are rounding against the largest of their row."""
+    return np.where(np.abs(M) > 1e-14 * np.abs(M).max(axis=1, keepdims=True, initial=0.0), M, 0.0)
 
 
 def _above_rounding(M: NDArray) -> NDArray[np.bool_]:

@@ -264,7 +264,9 @@ def signature_bases(
         response = responses[:, :, i].T / units[:, None]
         size = np.linalg.norm(response, axis=0)
         terms = np.linalg.norm(cancelling[:, :, i] / units, axis=1)
-        keep = (size > 1e-9 * terms) & (size > 1e-7 * size.max(initial=0.0))
+        # far out the plant's response can fall faster than what rounding left of a path to the residual
+        seen = size.max(initial=0.0) > 1e-12 * terms.max(initial=0.0)
+        keep = seen & (size > 1e-9 * terms) & (size > 1e-7 * size.max(initial=0.0))
         columns = response[:, keep] / size[keep]
         if columns.shape[1] == 0:
             bases[name] = np.zeros((form.n_outputs, 0))

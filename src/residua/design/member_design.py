@@ -38,7 +38,7 @@ def member_design(
     if kind == "unknown-input":
         return lambda p: unknown_input_observer(p, poles=poles, margin=margin, rtol=rtol).residual_generator()
     if kind == "reduced-order":
-        return lambda p: _with_one_held_out(p, poles, margin, rtol)
+        return lambda p: _with_some_held_out(p, poles, margin, rtol)
     if kind == "minimal":
         return lambda p: decoupled_residual(p, poles=poles, margin=margin, rtol=rtol)
     if kind == "perfect":
@@ -50,31 +50,35 @@ def member_design(
     raise DesignError(f"unknown kind of observer {kind!r}; known: {', '.join(KINDS)}")
 
 
-def _with_one_held_out(
+def _with_some_held_out(
     plant: Plant, poles: Sequence[complex] | ArrayLike | None, margin: float | None, rtol: float
 ) -> ResidualGenerator:
-    """Return the reduced observer that uses all measurements but one, which is the one it is judged by.
+    """Return a reduced observer that leaves some measurements out of the estimate and is judged by those.
 
-    The held-out measurement is the first that leaves an observer that sees every remaining fault, or else the
-    most of them.
+    As few as make it see every remaining fault, or else the set with which it sees most of them: with all
+    measurements but one in use, what is left of the dynamics may not react to an actuator.
     """
+    usable = [k for k in range(plant.n_outputs) if not plant.Dd[k].any()]  # others would say nothing when held out
     best: tuple[int, ResidualGenerator] | None = None
-    reasons = []
-    for k, name in enumerate(plant.outputs):
-        if plant.Dd[k].any():
-            continue  # a disturbance enters it: its error would say nothing
-        used = [i for i in range(plant.n_outputs) if i != k]
-        try:
-            found = descriptor_observer(plant, poles=poles, margin=margin, outputs=used, rtol=rtol)
-            generator = found.residual_generator()
-        except DesignError as error:
-            reasons.append(f"without {name}: {error}")
-            continue
-        seen = int(generator.structure.any(axis=0).sum())
-        if seen == len(plant.faults):
-            return generator
-        if best is None or seen > best[0]:
-            best = (seen, generator)
+    reason = "every measurement carries a disturbance or an ignored fault"
+    for count in range(1, len(usable)):
+        failed = 0
+        for start in range(len(usable)):
+            held = {usable[(start + k) % len(usable)] for k in range(count)}
+            used = [i for i in range(plant.n_outputs) if i not in held]
+            try:
+                found = descriptor_observer(plant, poles=poles, margin=margin, outputs=used, rtol=rtol)
+                generator = found.residual_generator()
+            except DesignError as error:
+                reason, failed = str(error), failed + 1
+                continue
+            seen = int(generator.structure.any(axis=0).sum())
+            if seen == len(plant.faults):
+                return generator
+            if best is None or seen > best[0]:
+                best = (seen, generator)
+        if failed == len(usable):
+            break  # fewer measurements determine less
     if best is None:
-        raise DesignError("; ".join(reasons) or "every measurement carries a disturbance or an ignored fault")
+        raise DesignError(reason)
     return best[1]
