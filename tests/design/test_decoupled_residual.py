@@ -120,3 +120,53 @@ def test_poles_are_placed_and_counted() -> None:
 def test_all_measurements_used_up() -> None:
     with pytest.raises(DesignError, match="used up"):
         rs.design.decoupled_residual(rs.library.gertler(), insensitive_to=["p1", "p2"])
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_with_noise_and_nothing_to_ignore_it_is_the_kalman_filter(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    plant = random_plant(rng, outputs=3, faults=1, dt=0.1).with_noise(process=1.0, measurement=0.1)
+    kalman, found = rs.design.kalman_filter(plant), rs.design.decoupled_residual(plant)
+    z = np.exp(1j * np.array([0.2, 1.5]))
+    a, b = kalman.system.evaluate(z), found.system.evaluate(z)
+    Q = b[0] @ np.linalg.pinv(a[0])  # a constant change of residual coordinates
+    np.testing.assert_allclose(Q @ a, b, atol=1e-8 * np.abs(b).max())
+    np.testing.assert_allclose(Q @ Q.conj().T, Q.real @ Q.real.T, atol=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("singular", [False, True])
+def test_with_noise_the_residual_is_white(seed: int, singular: bool) -> None:
+    rng = np.random.default_rng(seed)
+    plant = (
+        singular_plant(rng, disturbances=1, dt=0.1)
+        if singular
+        else random_plant(rng, outputs=4, disturbances=1, faults=2, sensors=True, dt=0.1)
+    ).with_noise(process=0.5, measurement=0.2)
+    found = rs.design.decoupled_residual(plant, insensitive_to="y1 sensor")
+    assert "gain of the Kalman filter" in found.evidence.notes
+    one, many = found.covariance_of_sums(1), found.covariance_of_sums(30)
+    assert one is not None
+    assert many is not None
+    np.testing.assert_allclose(many, one, atol=1e-8 * np.abs(one).max())
+    placed = rs.design.decoupled_residual(plant, insensitive_to="y1 sensor", gain="placement")
+    other = placed.covariance
+    assert other is not None
+    if placed.n_residuals == found.n_residuals == 1 or placed.system.n_states == 0:
+        assert one[0, 0] <= other[0, 0] * (1 + 1e-9)  # the smallest variance there is
+
+
+def test_the_gain_is_checked() -> None:
+    plant = rs.library.gertler()
+    with pytest.raises(DesignError, match="'kalman' or 'placement'"):
+        rs.design.decoupled_residual(plant, gain="best")
+    with pytest.raises(DesignError, match="with_noise"):
+        rs.design.decoupled_residual(plant, gain="kalman")
+    noisy = plant.with_noise(process=1.0, measurement=1.0)
+    with pytest.raises(DesignError, match="leave them out"):
+        rs.design.decoupled_residual(noisy, gain="kalman", margin=1.0)
+    silent = plant.with_noise(process=1.0)  # no measurement noise: no Kalman filter, and that is said
+    found = rs.design.decoupled_residual(silent)
+    assert any("there is no Kalman filter" in note for note in found.evidence.notes)
+    with pytest.raises(DesignError):
+        rs.design.decoupled_residual(silent, gain="kalman")

@@ -67,3 +67,34 @@ def test_the_failed_component_is_named_in_ten_of_eleven(monitor: rs.Monitor, rec
             named.append(number)
     assert len(named) >= 10
     assert set(FAILED) - set(named) <= {12}, "fault 12 is the close call: a clogged pipe against the level sensor"
+
+
+@pytest.fixture(scope="module")
+def sensor_bank(recordings: dict[str, np.ndarray]) -> rs.Monitor:
+    bank = rs.design.sensor_fault_bank(rs.library.three_tank(), observer="minimal")
+    made = rs.Monitor(bank, test=rs.decide.NormThreshold(window=30, persistence=10))
+    normal = recordings["normal"]
+    return made.fit(normal[:8004, :2], normal[:8004, 2:], false_alarm_rate=0.005)
+
+
+def test_the_sensor_bank_alarms_as_often_as_asked(sensor_bank: rs.Monitor, recordings: dict[str, np.ndarray]) -> None:
+    assert diagnosis(sensor_bank, recordings["normal"][8004:]).false_alarm_fraction <= 0.01
+
+
+@pytest.mark.parametrize("number", FAILED)
+def test_the_sensor_bank_knows_sensors_from_the_rest(
+    sensor_bank: rs.Monitor, recordings: dict[str, np.ndarray], number: int
+) -> None:
+    """Every sensor alone; everything else as none of them, but for the clog that looks like h1 while it is constant."""
+    alarm = diagnosis(sensor_bank, recordings[f"fault{number:02d}"]).main_alarm
+    assert alarm is not None
+    assert START <= alarm.onset < 450
+    named = alarm.candidates[0].faults
+    name = FAILED[number]
+    if name.endswith("sensor"):
+        assert named == (name,)
+    elif name == "clog 13":
+        assert named == ("h1 sensor",)
+    else:
+        assert name in named
+        assert not any(other.endswith("sensor") for other in named)

@@ -117,6 +117,7 @@ def build_bank(
     parts: dict[str, ResidualGenerator] = {}
     observers: dict[str, Observer] = {}
     failures: dict[str, str] = {}
+    kinds: set[type[DesignError] | type[AccuracyError]] = set()
     for one in wanted:
         try:
             part = design(plant.faults_as_disturbances(one.ignored))
@@ -124,6 +125,7 @@ def build_bank(
             _check_promise(generator, one)
         except (DesignError, AccuracyError) as error:
             failures[one.name] = str(error)
+            kinds.add(type(error))
             continue
         parts[one.name] = generator
         if part.observer is not None:
@@ -132,7 +134,9 @@ def build_bank(
         told = "; ".join(f"'{name}': {reason}" for name, reason in list(failures.items())[:3])
         told += f"; and {len(failures) - 3} more" if len(failures) > 3 else ""
         hint = "" if not parts else "; allow_missing=True builds the bank without them"
-        raise DesignError(f"{len(failures)} of {len(wanted)} members of the bank do not exist: {told}{hint}")
+        missing = "do not exist" if DesignError in kinds else "missed their tolerance"
+        kind = DesignError if DesignError in kinds else AccuracyError
+        raise kind(f"{len(failures)} of {len(wanted)} members of the bank {missing}: {told}{hint}")
     generator = _stacked(plant, parts, method, reference)
     codes = generator.codes
     assert codes is not None  # _stacked gives them

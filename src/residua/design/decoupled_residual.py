@@ -16,8 +16,10 @@ from residua.errors import DesignError
 from residua.linear import StateSpace, arrays
 from residua.linear.balancing import descriptor_units
 from residua.linear.detection_space import confining_gain, detection_space
+from residua.linear.placement import Placement
 from residua.linear.rank import DEFAULT_RTOL, RankDecision, decide_rank, left_null_basis, range_basis
 from residua.linear.reachability import reachable_basis
+from residua.linear.riccati import filter_riccati
 from residua.plant import Plant
 
 
@@ -27,6 +29,7 @@ def decoupled_residual(
     insensitive_to: Iterable[str | int] | str = (),
     poles: Sequence[complex] | ArrayLike | None = None,
     margin: float | None = None,
+    gain: str | None = None,
     rtol: float = DEFAULT_RTOL,
 ) -> ResidualGenerator:
     r"""Design a residual that neither the disturbances nor the named faults reach, whatever their time course.
@@ -52,6 +55,10 @@ def decoupled_residual(
         does not fit.
     margin : float, optional
         Stability margin in 1/s when no poles are given.
+    gain : {"kalman", "placement"}, optional
+        ``"kalman"`` takes the gain of the Kalman filter of what is left of the plant, so that the residual of a sampled
+        plant is white; ``"placement"`` the poles or the margin. When omitted: ``"kalman"`` for a plant with noise, if
+        neither poles nor margin are given and that filter exists (the evidence says which).
     rtol : float
         Relative tolerance of every rank decision, in balanced units.
 
@@ -90,7 +97,7 @@ def decoupled_residual(
             f"no residual ignores {names or 'nothing'}: the {plant.n_outputs} measurements are all used up; "
             "add a sensor or ignore less"
         )
-    placed = place(quotient.A, quotient.C, poles, margin, plant.dt, rtol)
+    placed, note = _gain(quotient, poles, margin, gain, plant, rtol)
     F = quotient.A - placed.gain @ quotient.C
     K = quotient.inject + placed.gain @ quotient.read
     n_y = plant.n_outputs
@@ -113,11 +120,42 @@ def decoupled_residual(
         decoupling=check_decoupling(system, plant, decoupled=True),
         ranks={"unknown inputs in the outputs": quotient.direct},
         conditions={"pole error": placed.error, "norm of the gain": placed.norm},
-        notes=(f"ignores {', '.join(ignored)}",) if ignored else (),
+        notes=((f"ignores {', '.join(ignored)}",) if ignored else ()) + ((note,) if note else ()),
         references=("Massoumnia, Verghese and Willsky (1989), IEEE TAC 34(3)", "Gertler (1991), section 4"),
     )
     static = V if plant.E is not None else None
     return make_generator(system, plant, "decoupled residual", evidence, state_map=T, static_map=static)
+
+
+def _gain(
+    quotient: _Quotient,
+    poles: Sequence[complex] | ArrayLike | None,
+    margin: float | None,
+    kind: str | None,
+    plant: Plant,
+    rtol: float,
+) -> tuple[Placement, str]:
+    """Return the gain on the quotient, and what to say about it."""
+    if kind not in (None, "kalman", "placement"):
+        raise DesignError(f"gain must be 'kalman' or 'placement', got {kind!r}")
+    free = poles is None and margin is None
+    if kind == "kalman" and not free:
+        raise DesignError("the gain of a Kalman filter has no poles or margin to choose: leave them out")
+    if kind == "kalman" and not plant.Bw.shape[1]:
+        raise DesignError("a Kalman filter needs the noise of the plant: with_noise(process=..., measurement=...)")
+    if kind != "kalman" and not (kind is None and free and plant.Bw.shape[1]):
+        return place(quotient.A, quotient.C, poles, margin, plant.dt, rtol), ""
+    G, J = quotient.process_noise, quotient.measurement_noise
+    try:
+        found = filter_riccati(quotient.A, quotient.C, G @ G.T, J @ J.T, G @ J.T, dt=plant.dt)
+    except DesignError as error:
+        if kind == "kalman":
+            raise
+        placed = place(quotient.A, quotient.C, None, None, plant.dt, rtol)
+        return placed, f"poles placed, for there is no Kalman filter: {error}"
+    none, K = np.zeros(0, dtype=complex), np.asarray(found.gain)
+    achieved = np.asarray(found.poles, dtype=complex)
+    return Placement(K, none, achieved, none, 0.0, 1.0, float(np.linalg.norm(K))), "gain of the Kalman filter"
 
 
 def _without_rounding(M: NDArray) -> NDArray:
@@ -145,6 +183,8 @@ class _Parts:
     D: NDArray
     derivative: NDArray  # T1 with x1' = T1 (A x + ...), x1 = T1 E x
     algebra: NDArray  # rows that annihilate E
+    process_noise: NDArray
+    measurement_noise: NDArray
     equations: NDArray
     outputs: NDArray
 
@@ -165,8 +205,9 @@ def _explicit_parts(plant: Plant) -> _Parts:
     size = np.linalg.norm(unknown, axis=0)
     unknown = unknown / np.where(size > 0, size, 1.0)
     B, D = unknown[:n], unknown[n:]
+    noise, seen = R * plant.Bw, Y * plant.Dw
     if plant.E is None:
-        return _Parts(A, C, B, D, np.eye(n), np.zeros((0, n)), units.equations, units.outputs)
+        return _Parts(A, C, B, D, np.eye(n), np.zeros((0, n)), noise, seen, units.equations, units.outputs)
     E = R * plant.E * S
     U, s, Vh = np.linalg.svd(E)
     k = decide_rank(E).rank
@@ -181,6 +222,8 @@ def _explicit_parts(plant: Plant) -> _Parts:
         np.vstack([np.hstack([C @ V2, D]), algebra @ np.hstack([A @ V2, B])]),
         derivative,
         algebra,
+        derivative @ noise,
+        np.vstack([seen, algebra @ noise]),
         units.equations,
         units.outputs,
     )
@@ -195,6 +238,8 @@ class _Quotient:
     T1: NDArray  # z = T1 E x, before the algebraic equations take part
     inject: NDArray
     read: NDArray
+    process_noise: NDArray
+    measurement_noise: NDArray
     direct: RankDecision
 
 
@@ -216,12 +261,16 @@ def _quotient(parts: _Parts, rtol: float) -> _Quotient:
         P = left_null_basis(S)[0]
     else:
         inject, H, P = np.zeros((n, len(C))), np.eye(len(C)), np.eye(n)
+    F = P.T @ (A - inject @ C) @ P
+    inject, read = P.T @ (G + inject @ W), H @ W
     return _Quotient(
-        P.T @ (A - inject @ C) @ P,
+        F,
         H @ C @ P,
         P.T @ parts.derivative,
-        P.T @ (G + inject @ W),
-        H @ W,
+        inject,
+        read,
+        P.T @ parts.process_noise - inject @ parts.measurement_noise,
+        read @ parts.measurement_noise,
         direct,
     )
 
