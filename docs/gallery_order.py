@@ -1,6 +1,16 @@
 """The order of the examples: what a newcomer wants to see first."""
 
-ORDER = ("plot_three_tank.py", "plot_jet_engine.py", "plot_directions.py", "plot_live.py")
+ORDER = (
+    "plot_three_tank.py",
+    "plot_bank_three_tank.py",
+    "plot_jet_engine.py",
+    "plot_fault_estimation.py",
+    "plot_sensor_fault_estimation.py",
+    "plot_accommodation.py",
+    "plot_singular_plant.py",
+    "plot_directions.py",
+    "plot_live.py",
+)
 
 
 def by_interest(filename: str) -> int:

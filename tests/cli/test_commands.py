@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -171,13 +172,81 @@ def test_design_auto_says_what_and_why(made: Path, tmp_path: Path, residua: Resi
     assert "no threshold yet: residua fit" in out
 
 
-@pytest.mark.parametrize("method", ["detection-filter", "unknown-input-observer", "kalman-filter"])
+@pytest.mark.parametrize(
+    "method",
+    [
+        "detection-filter",
+        "unknown-input-observer",
+        "kalman-filter",
+        "luenberger-observer",
+        "sensor-bank",
+        "actuator-bank",
+    ],
+)
 def test_design_by_each_method(made: Path, tmp_path: Path, method: str, residua: Residua) -> None:
     status, out, _ = design(made, tmp_path, residua, "plant.toml", "--method", method)
     assert status == 0
     assert f"method: {method}\n" in out
     assert "poles:" in out
     assert json.loads((tmp_path / "out.json").read_text())
+
+
+TWO_SENSORS = PLANT.split("[[faults]]")[0] + "".join(
+    f'[[faults]]\nkind = "sensor"\noutput = "level {k}"\n' for k in (1, 2)
+)
+
+
+def test_a_bank_names_by_code(made: Path, tmp_path: Path, residua: Residua) -> None:
+    (tmp_path / "two.toml").write_text(TWO_SENSORS)
+    options = ("--method", "sensor-bank", "--persistence", "10", "--false-alarm-rate", "0.01")
+    status, out, _ = residua("design", tmp_path / "two.toml", "-o", tmp_path / "bank.json", *options)
+    assert status == 0
+    assert re.search(r"^fault +without level 1 +without level 2 +cannot be told from$", out, flags=re.MULTILINE)
+    assert re.search(r"^level 1 sensor +\. +x +-$", out, flags=re.MULTILINE)
+    assert "thresholds: without level 1 " in out
+    assert "1/2 of the rate of the whole bank" in out
+    status, out, _ = residua("fit", tmp_path / "bank.json", made / "normal.csv", "-o", tmp_path / "bank.json")
+    assert status == 0
+    assert re.search(r"thresholds: without level 1 [\d.]+, without level 2 [\d.]+", out)
+    files = ("--alarms", tmp_path / "a.jsonl", "--report", tmp_path / "r.html", "--residuals", tmp_path / "r.csv")
+    status, out, _ = residua("run", tmp_path / "bank.json", made / "faulty.csv", *files)
+    assert status == 1
+    assert "Fault found: level 1 sensor, since t = " in out
+    assert "Fired: without level 2; code of 'level 1 sensor' (exact)." in out
+    line = json.loads((tmp_path / "a.jsonl").read_text().splitlines()[-1])
+    assert line["code"]["fired"] == ["without level 2"]
+    header = (tmp_path / "r.csv").read_text().splitlines()[0]
+    assert "statistic without level 1,fired without level 1," in header
+    assert "Codes" in (tmp_path / "r.html").read_text()
+
+
+def test_two_faults_are_no_name(made: Path, tmp_path: Path, residua: Residua) -> None:
+    (tmp_path / "two.toml").write_text(TWO_SENSORS)
+    residua("design", tmp_path / "two.toml", "-o", tmp_path / "bank.json", "--method", "sensor-bank")
+    rows = simulate(400, 3, sensor=3.0, from_=200)
+    rows[200:, -1] += 2.0
+    both = write_csv(tmp_path / "both.csv", rows)
+    status, out, _ = residua("run", tmp_path / "bank.json", both)
+    assert status == 1
+    assert "More than one fault, such as level 1 sensor and level 2 sensor, or one that the bank does not know" in out
+    assert "several, or not known" in out
+
+
+def test_an_estimator_tells_the_size(made: Path, tmp_path: Path, residua: Residua) -> None:
+    options = ("--method", "fault-estimator", "--faults", "level 1 sensor", "--average", "20")
+    status, _, _ = design(made, tmp_path, residua, "plant.toml", *options)
+    assert status == 0
+    status, out, _ = residua("run", tmp_path / "out.json", made / "faulty.csv", "--alarms", tmp_path / "a.jsonl")
+    assert status == 1
+    found = re.search(r"Estimated size of level 1 sensor: ([\d.]+) ", out)
+    assert found is not None
+    assert float(found[1]) == pytest.approx(0.5, abs=0.1)
+    assert "estimated size" in out
+    line = json.loads((tmp_path / "a.jsonl").read_text().splitlines()[-1])
+    assert line["sizes"][0]["mean"] == pytest.approx(float(found[1]), abs=0.01)
+    wrong = design(made, tmp_path, residua, "plant.toml", "--method", "sensor-bank", "--faults", "leak")
+    assert_error(wrong, "--faults says what --method fault-estimator estimates")
+    assert_error(design(made, tmp_path, residua, "plant.toml", *options[:3], "nothing"), "nothing")
 
 
 def test_design_reaches_the_poles_it_was_given(made: Path, tmp_path: Path, residua: Residua) -> None:

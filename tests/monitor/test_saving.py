@@ -32,6 +32,11 @@ def sampled_monitor() -> rs.Monitor:
     return monitor.fit(*recording(3000, 1))
 
 
+def sampled_bank() -> rs.Monitor:
+    bank = rs.design.sensor_fault_bank(continuous())
+    return rs.Monitor(bank, test=NormThreshold(window=5), dt=1.0).fit(*recording(3000, 1))
+
+
 def assert_same(one: Any, other: Any, where: str = "") -> None:
     """Compare whatever hangs below two objects, floats by their bits."""
     assert type(one) is type(other), where
@@ -60,6 +65,9 @@ def monitors() -> dict[str, Callable[[], rs.Monitor]]:
     return {
         "fitted Kalman filter": lambda: rs.Monitor(rs.design.kalman_filter(plant)).fit(*recording(3000, 1)),
         "sampled detection filter": sampled_monitor,
+        "sampled bank, fitted": sampled_bank,
+        "bank, step not known": lambda: rs.Monitor(rs.design.sensor_fault_bank(continuous())),
+        "bank without isolation": lambda: rs.Monitor(rs.design.sensor_fault_bank(plant), isolate=None),
         "decoupled filter, step not known": lambda: rs.Monitor(rs.design.robust_detection_filter(engine)),
         "observer": lambda: rs.Monitor(
             rs.design.unknown_input_observer(engine).residual_generator(), dt=0.01, settle=7, isolate=None
@@ -85,10 +93,11 @@ def test_everything_comes_back(kind: str, tmp_path: Path) -> None:
     assert (tmp_path / "again.json").read_text() == (tmp_path / "m.json").read_text()
 
 
+@pytest.mark.parametrize("make", [sampled_monitor, sampled_bank])
 def test_a_loaded_monitor_does_not_depend_on_the_linear_algebra_here(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    make: Callable[[], rs.Monitor], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monitor = sampled_monitor()
+    monitor = make()
     u, y = recording(400, 3)
     monitor.update(u[:200], y[:200])
     monitor.save(tmp_path / "m.json")
@@ -120,9 +129,10 @@ def walk(value: Any, path: tuple = ()) -> Any:
 FREE = {"subspaces", "units", "decoupling", "conditions", "ranks"}  # tables by name
 
 
-def test_every_missing_and_unknown_entry_is_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize("make", [sampled_monitor, sampled_bank])
+def test_every_missing_and_unknown_entry_is_named(make: Callable[[], rs.Monitor], tmp_path: Path) -> None:
     path = tmp_path / "m.json"
-    monitor = sampled_monitor()
+    monitor = make()
     monitor.update(*recording(50, 2))
     monitor.save(path)
     text = path.read_text()

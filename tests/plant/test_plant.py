@@ -122,7 +122,7 @@ def test_an_invertible_E_is_divided_out(seed: int) -> None:
     w = [0.1, 1.0]
     np.testing.assert_allclose(plain.system().frequency_response(w), plant.system().frequency_response(w), atol=1e-10)
     with pytest.raises(ModelError, match="singular"):
-        example(E=np.diag([1.0, 1.0, 0.0])).discretize(0.1)
+        example(E=np.diag([1.0, 1.0, 0.0])).explicit()
 
 
 def test_operating_point_by_name() -> None:

@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import residua as rs
+from bank_examples import hand_made_bank, recording, sampled_plant, static_estimator
 from report_examples import diagnosis, generator
 from residua.report.page import Section, write_demo_page, write_page
 
@@ -76,6 +78,17 @@ def test_a_hard_page_draws_too(tmp_path):
     assert int(seen["charts"]) == 4 + 5 + 10 + 3
     assert int(seen["drawn-charts"]) == 4 + 5 + 8 + 3  # two residuals wait behind a click
     assert not re.search(r"<img", dom)
+
+
+def test_a_bank_with_an_estimator_is_drawn(tmp_path):
+    plant = sampled_plant(5, outputs=5)
+    watch = rs.Monitor(hand_made_bank(plant), estimator=static_estimator(plant, "y2 sensor"))
+    found = watch.run(*recording(plant, faults={"y2 sensor": 4.0}))
+    assert isinstance(found, rs.Diagnosis)
+    seen = facts(browse(found.to_html(tmp_path / "page.html"), tmp_path, "--dump-dom"))
+    assert seen["error"] == ""
+    assert int(seen["charts"]) == len(found.residual_names) + 1 + 5 + 1
+    assert int(seen["drawn-charts"]) == 1 + 1 + 5 + 1  # the bank's own residuals wait behind a click
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

@@ -3,61 +3,17 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from page_reader import NASTY, read, words
 from report_examples import diagnosis, generator
 from residua.errors import FileFormatError
 from residua.monitor.diagnosis import Candidate
 from residua.report.page import Section, Table, render, write_demo_page, write_page
 from residua.report.text import safe_json
-
-NASTY = '</script><script>window.bad=1</script><img src=x onerror="window.bad=2">&\'\u2028-->$x_1$'
-VOID = {"meta", "br", "img", "input", "link", "hr"}
-
-
-class Reader(HTMLParser):
-    """Collects elements and text, and checks that tags are balanced."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.tags: list[tuple[str, dict[str, str | None]]] = []
-        self.text: list[str] = []
-        self.data = ""
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append((tag, dict(attrs)))
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag, attrs):
-        self.tags.append((tag, dict(attrs)))
-
-    def handle_endtag(self, tag):
-        assert self.open, f"</{tag}> closes nothing"
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        if self.open and self.open[-1] == "script" and dict(self.tags[-1][1]).get("id") == "residua-data":
-            self.data += data
-        elif not self.open or self.open[-1] not in ("script", "style"):
-            self.text.append(data)
-
-
-def read(page: str) -> Reader:
-    reader = Reader()
-    reader.feed(page)
-    reader.close()
-    assert reader.open == []
-    return reader
-
-
-def words(page: str) -> str:
-    return " ".join(" ".join(read(page).text).split())
 
 
 def test_page_states_verdict_margin_and_provenance(tmp_path):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.linear.balancing import descriptor_units
+from residua.linear.balancing import descriptor_units, without_rounding
 from residua.linear.observability import detectability
 from residua.linear.rank import DEFAULT_RTOL, RankDecision, decide_rank, equilibrated
 from residua.plant import Plant
@@ -155,7 +155,7 @@ def unknown_input_observer_existence(plant: Plant, *, rtol: float = DEFAULT_RTOL
             f"{_unseen(plant, form)}, or decouple fewer disturbances"
         )
     else:
-        A1 = form.A - form.E @ np.linalg.pinv(CE) @ form.C @ form.A if q else form.A
+        A1 = _projected(form, CE) if q else form.A
         found = detectability(A1, form.C, dt=plant.dt, rtol=rtol)
         fixed = found.unobservable_modes
         if not found.detectable:
@@ -168,6 +168,13 @@ def unknown_input_observer_existence(plant: Plant, *, rtol: float = DEFAULT_RTOL
             )
     useful = len(form.W) > q
     return UnknownInputExistence(not reasons, tuple(reasons), rank_CE, form.rank_E, fixed, useful)
+
+
+def _projected(form: OutputFreeForm, CE: NDArray) -> NDArray:
+    """Return ``A - E (CE)^+ C A``, exactly zero where only rounding is left."""
+    whole = np.eye(len(form.A))
+    H = form.E @ np.linalg.pinv(CE)
+    return without_rounding(without_rounding(np.hstack([whole, -H]), np.vstack([whole, form.C])), form.A)
 
 
 def is_singular(plant: Plant) -> bool:
@@ -208,7 +215,9 @@ def singular_decoupling(plant: Plant, form: OutputFreeForm, *, rtol: float = DEF
     whole = np.block([[R * E * S, D], [Y * form.C * S, np.zeros((p, q))]])
     level = np.linalg.norm(whole[:, :n], axis=0)  # time has units too: E may be small against C
     whole[:, :n] /= np.where(level > 0, level, 1.0)
-    found = np.linalg.pinv(whole, rcond=rtol)[:n] / np.where(level > 0, level, 1.0)[:, None]
+    found = np.linalg.pinv(whole, rcond=rtol)[:n]
+    found = np.where(np.abs(found) > 1e-14 * np.abs(found).max(initial=0.0), found, 0.0)  # rounding is no coupling
+    found = found / np.where(level > 0, level, 1.0)[:, None]
     T, H = S[:, None] * found[:, :n] * u.equations, S[:, None] * found[:, n:] * u.outputs
     return Decoupling(T, H, decide_rank(whole, rtol=rtol, scale=1.0), decide_rank(D, rtol=rtol, scale=1.0))
 
@@ -226,7 +235,7 @@ def _singular_existence(plant: Plant, rtol: float) -> UnknownInputExistence:
             + (f", or decouple fewer disturbances than {', '.join(plant.disturbances)}" if q else "")
         )
     else:
-        seen = detectability(found.T @ form.A, form.C, dt=plant.dt, rtol=rtol)
+        seen = detectability(without_rounding(found.T, form.A), form.C, dt=plant.dt, rtol=rtol)
         fixed = seen.unobservable_modes
         if not seen.detectable:
             bad = ", ".join(f"{z:.4g}" for z in np.atleast_1d(seen.unstable_modes))

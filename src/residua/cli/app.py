@@ -14,7 +14,7 @@ from residua.cli import methods, screen
 from residua.cli.files import check_outputs
 from residua.cli.guard import FAULT, NO_FAULT, GuardedGroup, warn
 from residua.cli.methods import Method
-from residua.decide import Directional, NormThreshold
+from residua.decide import Directional, NormTest, NormThreshold, Structured
 from residua.demos import Outcome
 from residua.errors import AccuracyError, DataError, ModelError
 from residua.files import check_input
@@ -117,6 +117,10 @@ def design(
         float | None,
         typer.Option(callback=_positive, metavar="S", help="Step of the recordings, for a continuous plant."),
     ] = None,
+    faults: Annotated[
+        str | None,
+        typer.Option(metavar="LIST", help="What fault-estimator estimates, with commas; all faults when omitted."),
+    ] = None,
     false_alarm_rate: Annotated[
         float, typer.Option(callback=_rate, metavar="RATE", help="Fraction of fault-free samples in alarm.")
     ] = 1e-4,
@@ -127,7 +131,12 @@ def design(
         int, typer.Option(min=1, metavar="N", help="Samples over which the residual is summed before its test.")
     ] = 1,
     window: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Samples over which the direction of the residual is judged.")
+        int,
+        typer.Option(
+            min=1,
+            metavar="N",
+            help="Samples over which the direction of the residual, or the code of a bank, is judged.",
+        ),
     ] = 50,
 ) -> None:
     """Design a monitor and print what it proves about itself."""
@@ -135,9 +144,10 @@ def design(
     check_outputs([output], [plant])
     model = load_plant(plant)
     chosen, why = (method, "") if method is not Method.auto else methods.choose(model)
-    options = methods.DesignOptions(methods.parse_poles(poles) if poles else None, margin, sample_time)
+    names = None if faults is None else tuple(name.strip() for name in faults.split(","))
+    options = methods.DesignOptions(methods.parse_poles(poles) if poles else None, margin, sample_time, names)
     generator = methods.make(model, chosen, options, why=why)
-    isolate = Directional(window=window)
+    isolate = Directional(window=window) if generator.codes is None else Structured(window=window)
     monitor = Monitor(
         generator,
         test=NormThreshold(persistence=persistence, window=average, false_alarm_rate=false_alarm_rate),
@@ -147,7 +157,10 @@ def design(
     monitor.save(output)
     screen.say(f"method: {chosen.value}" + (f", because {why}" if why else ""), str(_evidence(monitor)))
     if model.faults:
-        screen.show_signatures(generator, isolate)
+        if isinstance(isolate, Structured):
+            screen.show_codes(generator, isolate)
+        else:
+            screen.show_signatures(generator, isolate)
     screen.say(_readiness(monitor, output), f"written: {output}")
 
 
@@ -162,8 +175,18 @@ def _evidence(monitor: Monitor) -> object:
 def _readiness(monitor: Monitor, path: Path) -> str:
     if monitor.is_fitted:
         test = monitor.norm_test
-        return f"threshold {test.threshold:.6g}: {test.basis}; 'residua fit' sets it from fault-free data"
+        what = f"threshold {test.threshold:.6g}" if isinstance(test, NormTest) else _thresholds(monitor)
+        return f"{what}: {test.basis}; 'residua fit' sets it from fault-free data"
     return f"no threshold yet: residua fit {path} NORMAL.csv -o {path}"
+
+
+def _thresholds(monitor: Monitor) -> str:
+    """Return the threshold, or those of the members of a bank."""
+    test = monitor.norm_test
+    if isinstance(test, NormTest):
+        return f"threshold: {test.threshold:.6g}"
+    names = [member.name for member in monitor.generator.members]
+    return f"thresholds: {', '.join(f'{n} {t:.6g}' for n, t in zip(names, test.thresholds, strict=True))}"
 
 
 @app.command()
@@ -192,7 +215,7 @@ def fit(
     watch.save(output)
     judged = int(found.decided.sum())
     screen.say(
-        f"threshold: {watch.threshold:.6g}",
+        _thresholds(watch),
         f"basis: {watch.norm_test.basis}",
         f"fault-free samples: {len(found.time)} over {_span(found):.6g} s, {judged} judged "
         f"({found.n_missing} incomplete, the rest while the filter settles)",

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import Any
 
 from residua import design
 from residua.design import ResidualGenerator
+from residua.design.fault_estimator import fault_estimator
 from residua.errors import AccuracyError, DesignError
 from residua.plant import Plant
 
@@ -20,6 +22,10 @@ class Method(StrEnum):
     detection_filter = "detection-filter"
     kalman_filter = "kalman-filter"
     unknown_input_observer = "unknown-input-observer"
+    luenberger_observer = "luenberger-observer"
+    sensor_bank = "sensor-bank"
+    actuator_bank = "actuator-bank"
+    fault_estimator = "fault-estimator"
 
 
 @dataclass(frozen=True)
@@ -31,11 +37,14 @@ class DesignOptions:
     poles : tuple of complex or None
     margin : float or None
     sample_time : float or None
+    faults : tuple of str or None
+        What a fault estimator estimates.
     """
 
     poles: tuple[complex, ...] | None = None
     margin: float | None = None
     sample_time: float | None = None
+    faults: tuple[str, ...] | None = None
 
 
 def choose(plant: Plant) -> tuple[Method, str]:
@@ -77,6 +86,8 @@ def make(plant: Plant, method: Method, options: DesignOptions, *, why: str = "")
     ------
     DesignError
     """
+    if options.faults is not None and method is not Method.fault_estimator:
+        raise DesignError(f"--faults says what --method fault-estimator estimates, and does not go with {method.value}")
     try:
         return _DESIGNS[method](plant, options)
     except (DesignError, AccuracyError) as error:
@@ -91,12 +102,14 @@ def _alternatives(plant: Plant, failed: Method, options: DesignOptions) -> str:
         if method is failed:
             continue
         fitting = DesignOptions(sample_time=options.sample_time) if method is Method.kalman_filter else options
+        if method is not Method.fault_estimator:
+            fitting = replace(fitting, faults=None)
         try:
             build(plant, fitting)
         except (DesignError, AccuracyError):
             continue
         note = ""
-        if plant.disturbances and method in (Method.kalman_filter, Method.detection_filter):
+        if plant.disturbances and method in _NOT_DECOUPLED:
             note = " (does not decouple the disturbances)"
         possible.append(f"--method {method.value}{note}")
     if possible:
@@ -120,15 +133,32 @@ def _kalman(plant: Plant, options: DesignOptions) -> ResidualGenerator:
     return design.kalman_filter(plant)
 
 
-def _observer(plant: Plant, options: DesignOptions) -> ResidualGenerator:
-    return design.unknown_input_observer(plant, poles=options.poles, margin=options.margin).residual_generator()
+def _inner(build: Callable[..., Any]) -> Callable[[Plant, DesignOptions], ResidualGenerator]:
+    """Return a design whose result is an observer, a bank or an estimator, and has a residual generator."""
 
+    def design_it(plant: Plant, options: DesignOptions) -> ResidualGenerator:
+        return build(plant, poles=options.poles, margin=options.margin).residual_generator()
+
+    return design_it
+
+
+def _estimator(plant: Plant, options: DesignOptions) -> ResidualGenerator:
+    found = fault_estimator(plant, faults=options.faults, poles=options.poles, margin=options.margin)
+    return found.residual_generator()
+
+
+#: Methods that do not decouple disturbances.
+_NOT_DECOUPLED = (Method.kalman_filter, Method.detection_filter, Method.luenberger_observer)
 
 _DESIGNS: dict[Method, Callable[[Plant, DesignOptions], ResidualGenerator]] = {
     Method.robust_detection_filter: _directional(design.robust_detection_filter),
     Method.detection_filter: _directional(design.detection_filter),
     Method.kalman_filter: _kalman,
-    Method.unknown_input_observer: _observer,
+    Method.unknown_input_observer: _inner(design.unknown_input_observer),
+    Method.luenberger_observer: _inner(design.luenberger_observer),
+    Method.sensor_bank: _inner(design.sensor_fault_bank),
+    Method.actuator_bank: _inner(design.actuator_fault_bank),
+    Method.fault_estimator: _estimator,
 }
 
 

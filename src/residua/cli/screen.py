@@ -16,10 +16,12 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from residua.analysis import Diagnosability
-from residua.decide import Directional
+from residua.decide import Directional, Structured
 from residua.decide.directional import direction_test
+from residua.decide.structured import code_test
 from residua.design import ResidualGenerator
 from residua.monitor.diagnosis import Alarm, Diagnosis
+from residua.report.text import size_text
 from residua.report.verdict import verdict
 
 #: Alarms that are listed at most; ``--alarms`` writes all of them.
@@ -211,6 +213,23 @@ def show_signatures(generator: ResidualGenerator, isolate: Directional) -> None:
         say(f"never named, for want of a signature: {', '.join(test.unjudged)}")
 
 
+def show_codes(generator: ResidualGenerator, isolate: Structured) -> None:
+    """Print which members of a bank fire for each fault, and which faults have the same code."""
+    assert generator.codes is not None
+    test = code_test(isolate, generator.codes, generator.faults, [member.name for member in generator.members])
+    show_table(
+        ["fault", *test.members, "cannot be told from"],
+        [
+            [name, *("x" if on else "." for on in generator.codes[:, j]), ", ".join(_twins(test.groups, name))]
+            for j, name in enumerate(generator.faults)
+        ],
+    )
+    if test.unjudged:
+        say(f"never named, for want of a code: {', '.join(test.unjudged)}")
+    if not test.strongly_isolating:
+        say("a code is part of another: a pattern with members silent is not read as degraded")
+
+
 # ---------------------------------------------------------------------- diagnosis
 
 
@@ -234,9 +253,13 @@ def show_diagnosis(diagnosis: Diagnosis) -> None:
         if len(diagnosis.alarms) > MAX_ALARMS:
             say(f"... and {len(diagnosis.alarms) - MAX_ALARMS} more alarms (--alarms writes all of them)")
     if diagnosis.candidates:
+        sized = any(c.sizes for c in diagnosis.candidates)
         show_table(
-            ["rank", "candidate", "score", "distance"],
-            [[k, c.name, f"{c.score:.3f}", f"{c.distance:.3f}"] for k, c in enumerate(diagnosis.candidates, 1)],
+            ["rank", "candidate", "score", "distance", *(["estimated size"] if sized else [])],
+            [
+                [k, c.name, f"{c.score:.3f}", f"{c.distance:.3f}", *(["; ".join(map(size_text, c.sizes))] * sized)]
+                for k, c in enumerate(diagnosis.candidates, 1)
+            ],
             title="candidates of the longest alarm" if len(diagnosis.alarms) > 1 else "",
         )
     say(*found.sentences)
@@ -263,11 +286,15 @@ def _alarm_row(k: int, alarm: Alarm, samples: int, window: int) -> list[object]:
         alarm.raised,
         "end of recording" if alarm.ended is None else alarm.ended,
         samples,
-        best.name + (" (short)" if samples < window else "") if best else "not isolated",
+        best.name + (" (short)" if samples < window else "") if best else _unnamed(alarm),
         f"{best.score:.3f}" if best else None,
         following.name if following else None,
         f"{following.score:.3f}" if following else None,
     ]
+
+
+def _unnamed(alarm: Alarm) -> str:
+    return "not isolated" if alarm.reading is None else "several, or not known"
 
 
 @contextmanager

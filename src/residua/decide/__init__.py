@@ -1,15 +1,23 @@
 """From residuals to alarms and named faults."""
 
 from residua.decide.directional import Directional, DirectionTest, correlation, projection_distance
+from residua.decide.member_thresholds import BankTest
 from residua.decide.norm_threshold import NormTest, NormThreshold
+from residua.decide.structured import CodeReading, CodeTest, Structured, read_code, read_codes
 from residua.decide.whitening import whitening_matrix
 
 __all__ = [
+    "BankTest",
+    "CodeReading",
+    "CodeTest",
     "DirectionTest",
     "Directional",
     "NormTest",
     "NormThreshold",
+    "Structured",
     "correlation",
     "projection_distance",
+    "read_code",
+    "read_codes",
     "whitening_matrix",
 ]

@@ -77,7 +77,8 @@ class ResidualGenerator:
     codes : ndarray of bool or None, shape (members, faults)
         For a bank: which of its members each fault fires, as its structure promises.
     estimated : tuple of str
-        For an estimator: the fault that each residual estimates, in its own units; empty otherwise.
+        For an estimator: the fault that each residual estimates, in its own units (``""`` for one that estimates
+        none); empty otherwise.
     steady : mapping of str to ndarray, or None
         Steady responses where they are known from elsewhere: sampling a continuous design keeps them.
 

@@ -92,12 +92,14 @@ def check_state_map(
     absolute_TE, absolute_VE = (
         (np.abs(T), 0.0 * V) if p.E is None else (np.abs(T) @ np.abs(p.E), np.abs(V) @ np.abs(p.E))
     )
+    Gy, Hy = generator.B[:, n_u:], generator.D[:, n_u:]
+    terms = np.abs(T) @ np.abs(p.A) + np.abs(Gy) @ np.abs(p.C) + np.abs(generator.A) @ absolute_TE
     if len(T) % max(p.n_states, 1) == 0:
         rows = np.resize(units, len(T))  # stacked observers repeat the states of the plant
     else:
-        rows = np.maximum((absolute_TE * units).max(axis=1, initial=0.0), 1e-300)
-    Gy, Hy = generator.B[:, n_u:], generator.D[:, n_u:]
-    terms = np.abs(T) @ np.abs(p.A) + np.abs(Gy) @ np.abs(p.C) + np.abs(generator.A) @ absolute_TE
+        heights = (absolute_TE * units).max(axis=1, initial=0.0)
+        others = (terms * units).max(axis=1, initial=0.0)  # of a row of T that is zero
+        rows = np.where(heights > 1e-12 * heights.max(initial=0.0), heights, np.where(others > 0, others, 1.0))
     first = _largest(T @ p.A - Gy @ p.C - generator.A @ TE, units / rows[:, None])
     own = _largest(p.A, units / units[:, None]) if p.E is None else 0.0
     first /= max(_largest(terms, units / rows[:, None]), own, 1e-300)
@@ -254,9 +256,10 @@ def signature_bases(
     """
     w = frequency_grid(form, generator)
     responses = form.frequency_response(w)
-    cancelling = np.abs(generator.frequency_response(w)[:, :, len(plant.inputs) :]) @ np.abs(
-        plant.system("fault").frequency_response(w)
-    )
+    paths = np.abs(generator.frequency_response(w)[:, :, len(plant.inputs) :])
+    cancelling = paths @ np.abs(plant.system("fault").frequency_response(w))
+    # where a filter has zeros of high order its response is rounding, which says nothing about what cancels
+    rounding = paths.max(axis=2) < 1e-10 * paths.max(axis=(0, 2), initial=0.0)
     units = cancelling.max(axis=(0, 2), initial=0.0)  # of each residual: the size of what it is made of
     units = np.where(units > 0, units, 1.0)
     bases, off = {}, 0.0
@@ -265,7 +268,8 @@ def signature_bases(
         size = np.linalg.norm(response, axis=0)
         terms = np.linalg.norm(cancelling[:, :, i] / units, axis=1)
         # far out the plant's response can fall faster than what rounding left of a path to the residual
-        seen = size.max(initial=0.0) > 1e-12 * terms.max(initial=0.0)
+        known = np.linalg.norm(np.where(rounding, 0.0, cancelling[:, :, i]) / units, axis=1)
+        seen = size.max(initial=0.0) > 1e-12 * known.max(initial=0.0)
         keep = seen & (size > 1e-9 * terms) & (size > 1e-7 * size.max(initial=0.0))
         columns = response[:, keep] / size[keep]
         if columns.shape[1] == 0:
@@ -281,15 +285,15 @@ def signature_bases(
 
 
 def first_response(form: StateSpace, column: int) -> NDArray[np.float64]:
-    """Return the first nonzero Markov parameter ``D, C B, C A B, ...`` of one input."""
+    """Return the first nonzero Markov parameter ``D, C B, C A B, ...`` of one input, up to a positive factor."""
     if np.any(form.D[:, column]):
         return form.D[:, column]
+    A = form.A / max(float(np.linalg.norm(form.A)), 1e-300)  # only the direction matters: no power overflows
     x = form.B[:, column]
     scale = np.linalg.norm(form.C) * np.linalg.norm(x)
     for _ in range(form.n_states):
         y = form.C @ x
         if np.linalg.norm(y) > 1e-10 * scale:
             return y
-        x = form.A @ x
-        scale *= max(np.linalg.norm(form.A), 1e-300)
+        x = A @ x
     return np.zeros(form.n_outputs)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from residua.analysis.unknown_input import is_singular
+from residua.design.estimate_check import check_estimate
 from residua.design.evidence import Evidence
 from residua.design.observer import Observer
 from residua.design.observer_gain import place, pole_evidence
@@ -92,4 +94,5 @@ def luenberger_observer(
         notes=(f"disturbances are not decoupled by a Luenberger observer: {names}",) if names else (),
         references=("Twardy and Kaczorek, part I, Theorem 2",),
     )
-    return Observer(plant, F, np.eye(n), K, np.eye(n), np.zeros(K.shape), W, evidence.method, False, evidence)
+    made = Observer(plant, F, np.eye(n), K, np.eye(n), np.zeros(K.shape), W, evidence.method, False, evidence)
+    return replace(made, evidence=evidence.extended(conditions={"estimate off the state": check_estimate(made)}))

@@ -9,8 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.design.directional_gain import checked_options
-from residua.errors import DesignError
+from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear.placement import Placement, default_margin, place_observer_margin, place_observer_poles
+from residua.linear.pole_assignment import real_block_diagonal
+from residua.plant import Plant
+
+#: Largest error of a pole of an observer, relative (sampled: absolute).
+_POLE_ERROR = 1e-6
 
 
 def place(
@@ -27,7 +32,32 @@ def place(
         raise DesignError("an observer takes a list of poles; poles per fault are for the detection filters")
     if poles is None:
         return place_observer_margin(A, C, default_margin(A, dt) if margin is None else margin, dt=dt, rtol=rtol)
-    return place_observer_poles(A, C, poles, dt=dt, rtol=rtol)
+    placed = place_observer_poles(A, C, poles, dt=dt, rtol=rtol)
+    if placed.error > _POLE_ERROR:  # within what rounding does to it, which the placement itself allows
+        raise AccuracyError(
+            f"a pole is off by {placed.error:.2g} > {_POLE_ERROR:.0e} of what was asked for: so ill-conditioned that "
+            "rounding moves it; ask for poles nearer to those of the plant or further apart, for a margin, or add a "
+            "sensor"
+        )
+    return placed
+
+
+def margin_from(A1: NDArray, plant: Plant) -> float:
+    """Return the margin that suits an error system, or the plant, where decoupling left no dynamics of its own."""
+    modes = np.linalg.eigvals(A1)
+    if np.abs(modes).max(initial=0.0) > 1e-8 * np.linalg.norm(plant.A) and np.any(A1):
+        return default_margin(A1, plant.dt)
+    try:
+        poles = plant.system(()).poles()
+    except ModelError:  # the pencil of a singular plant need not be regular
+        return default_margin(A1, plant.dt)
+    return default_margin(real_block_diagonal(_in_pairs(poles)), plant.dt)
+
+
+def _in_pairs(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Return real poles and the pairs with positive imaginary part first, each followed by its conjugate."""
+    upper = poles[poles.imag > 0]
+    return np.concatenate([poles[poles.imag == 0], upper, upper.conj()])
 
 
 def pole_evidence(placed: Placement, F: NDArray) -> dict[str, Any]:

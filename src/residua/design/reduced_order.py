@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
+from residua.design.estimate_check import check_estimate
 from residua.design.evidence import Evidence
 from residua.design.observer import Observer
 from residua.design.observer_gain import place, pole_evidence
 from residua.errors import AccuracyError, DesignError
 from residua.linear import arrays
-from residua.linear.balancing import descriptor_units
+from residua.linear.balancing import descriptor_units, without_rounding
 from residua.linear.placement import Placement
 from residua.linear.rank import RankDecision, decide_rank, left_null_basis
 from residua.plant import Plant
@@ -52,7 +54,7 @@ def reduced_observer(
     k = decide_rank(Cs, rtol=rtol).rank
     inverse, Q = Vh[:k].T / s[:k] @ U[:, :k].T, Vh[k:].T
     X0, N = _particular(Es @ Q, _full_rank_columns(Ds, rtol), n - k, plant, rtol)
-    placed = _placed(N @ As @ Q, X0 @ As @ Q, poles, margin, plant, rtol)
+    placed = _placed(without_rounding(N, As, Q), without_rounding(X0, As, Q), poles, margin, plant, rtol)
     Xs = X0 - placed.gain @ N
     F = Xs @ As @ Q
     # back to the units of the plant: x = S xs, equations R
@@ -74,7 +76,8 @@ def reduced_observer(
         notes=(f"uses {', '.join(plant.outputs[i] for i in used)}",) if len(used) < p else (),
         references=(reference,),
     )
-    return Observer(plant, F, T, K, M, H, _unused(plant, used), method, True, evidence)
+    made = Observer(plant, F, T, K, M, H, _unused(plant, used), method, True, evidence)
+    return replace(made, evidence=evidence.extended(conditions={"estimate off the state": check_estimate(made)}))
 
 
 def _particular(EQ: NDArray, D: NDArray, order: int, plant: Plant, rtol: float) -> tuple[NDArray, NDArray]:

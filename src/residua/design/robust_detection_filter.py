@@ -12,8 +12,9 @@ from residua.design.detection_filter import REFERENCES, directional_filters
 from residua.design.directional_gain import Poles
 from residua.design.evidence import Evidence
 from residua.design.generator import ResidualGenerator
-from residua.design.unknown_input_observer import REFERENCE, decoupling_gain
+from residua.design.unknown_input_observer import REFERENCE, decoupling_gain, decoupling_map
 from residua.errors import DesignError
+from residua.linear.balancing import without_rounding
 from residua.linear.rank import DEFAULT_RTOL
 from residua.plant import Plant
 
@@ -91,7 +92,7 @@ def robust_detection_filter(
         )
     form = output_free_form(plant, rtol=rtol)
     H = decoupling_gain(form, H0)
-    T = np.eye(plant.n_states) - H @ plant.C
+    T = decoupling_map(plant, H)
     p, q = len(form.W), form.E.shape[1]
     base = Evidence(
         method="robust detection filter",
@@ -102,7 +103,7 @@ def robust_detection_filter(
     )
     return directional_filters(
         plant,
-        T @ form.A,
+        without_rounding(T, form.A),
         form.C,
         T=T,
         H=H,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,11 +16,13 @@ from residua.analysis.unknown_input import (
     singular_decoupling,
     unknown_input_observer_existence,
 )
+from residua.design.estimate_check import check_estimate
 from residua.design.evidence import Evidence
 from residua.design.observer import Observer
-from residua.design.observer_gain import place, pole_evidence
+from residua.design.observer_gain import margin_from, place, pole_evidence
 from residua.errors import AccuracyError, DesignError
 from residua.linear.arrays import matrix
+from residua.linear.balancing import without_rounding
 from residua.linear.placement import Placement
 from residua.linear.rank import DEFAULT_RTOL, RankDecision
 from residua.plant import Plant
@@ -108,8 +111,11 @@ def unknown_input_observer(
         T, H = found.T, found.H @ form.W
     else:
         H = decoupling_gain(form, H0)
-        T = np.eye(plant.n_states) - H @ plant.C
-    placed = place(T @ form.A, form.C, poles, margin, plant.dt, rtol)
+        T = decoupling_map(plant, H)
+    A1 = without_rounding(T, form.A)
+    if poles is None and margin is None:
+        margin = margin_from(A1, plant)
+    placed = place(A1, form.C, poles, margin, plant.dt, rtol)
     return assemble(plant, form, T, H, placed, existence)
 
 
@@ -121,11 +127,19 @@ def decoupling_gain(form: OutputFreeForm, H0: ArrayLike | None = None) -> NDArra
     H = form.E @ inverse
     for _ in range(2):  # channels in very different units make one pseudoinverse inexact
         H = H + (form.E - H @ CE) @ inverse
+    # what rounding left of nothing would couple states that nothing couples, in some units strongly
+    H = np.where(np.abs(H) > 1e-13 * p * (np.abs(form.E) @ np.abs(inverse)), H, 0.0)
     if H0 is not None:
         n = len(form.A)
         free = matrix(H0, "H0", (n, form.W.shape[1]), what="states x outputs") @ form.W.T
         H = H + free @ (np.eye(p) - CE @ inverse)
     return H @ form.W
+
+
+def decoupling_map(plant: Plant, H: NDArray) -> NDArray[np.float64]:
+    """Return ``T = I - H C`` of an ordinary plant, exactly zero where only rounding is left."""
+    whole = np.eye(plant.n_states)
+    return without_rounding(np.hstack([whole, -H]), np.vstack([whole, plant.C]))
 
 
 def assemble(
@@ -174,7 +188,8 @@ def assemble(
         notes=notes,
         references=(REFERENCE,),
     )
-    return Observer(plant, F, T, K, np.eye(plant.n_states), H, form.W, method, True, evidence)
+    made = Observer(plant, F, T, K, np.eye(plant.n_states), H, form.W, method, True, evidence)
+    return replace(made, evidence=evidence.extended(conditions={"estimate off the state": check_estimate(made)}))
 
 
 def _ranks(plant: Plant, existence: UnknownInputExistence) -> dict[str, RankDecision]:

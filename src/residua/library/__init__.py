@@ -8,10 +8,12 @@ from residua.library.jet_engine import (
     jet_engine_steady_state,
     simulate_jet_engine,
 )
+from residua.library.ladder_circuit import ladder_circuit
 from residua.library.simulation import SimulatedRecording
 from residua.library.three_tank import three_tank, three_tank_fault, three_tank_rate
 from residua.library.three_tank_simulation import simulate_three_tank
 from residua.library.twardy import twardy
+from residua.library.vtol import vtol
 
 __all__ = [
     "E_HAT",
@@ -20,10 +22,12 @@ __all__ = [
     "jet_engine",
     "jet_engine_rate",
     "jet_engine_steady_state",
+    "ladder_circuit",
     "simulate_jet_engine",
     "simulate_three_tank",
     "three_tank",
     "three_tank_fault",
     "three_tank_rate",
     "twardy",
+    "vtol",
 ]

@@ -1,5 +1,17 @@
 """Linear systems as values, and the matrix and pencil algorithms that SciPy lacks."""
 
+from residua.linear.descriptor import WeierstrassForm, is_regular, weierstrass_form
+from residua.linear.descriptor_properties import (
+    DescriptorProperty,
+    descriptor_controllability,
+    descriptor_observability,
+)
+from residua.linear.descriptor_simulation import (
+    ConsistentState,
+    DescriptorRun,
+    consistent_state,
+    simulate_descriptor,
+)
 from residua.linear.detection_space import DetectionSpace, detection_space
 from residua.linear.norms import PeakGain, h2_norm, hinf_norm
 from residua.linear.observability import (
@@ -18,6 +30,9 @@ from residua.linear.zeros import InvariantZeros, invariant_zeros, normal_rank, p
 
 __all__ = [
     "DEFAULT_RTOL",
+    "ConsistentState",
+    "DescriptorProperty",
+    "DescriptorRun",
     "Detectability",
     "DetectionSpace",
     "InvariantZeros",
@@ -27,14 +42,19 @@ __all__ = [
     "RankDecision",
     "RiccatiSolution",
     "StateSpace",
+    "WeierstrassForm",
+    "consistent_state",
     "decide_rank",
     "default_margin",
+    "descriptor_controllability",
+    "descriptor_observability",
     "detectability",
     "detection_space",
     "filter_riccati",
     "h2_norm",
     "hinf_norm",
     "invariant_zeros",
+    "is_regular",
     "is_stable_mode",
     "normal_rank",
     "observability_form",
@@ -42,4 +62,6 @@ __all__ = [
     "place_observer_margin",
     "place_observer_poles",
     "sample",
+    "simulate_descriptor",
+    "weierstrass_form",
 ]

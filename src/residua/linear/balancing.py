@@ -53,6 +53,17 @@ def without_residue(M: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(floor < M, M, 0.0)
 
 
+def without_rounding(*factors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the product of matrices, exactly zero where it is nothing but the rounding of its terms.
+
+    Such entries would seem to be couplings, and balancing would take a row of them for a state in small units.
+    """
+    product, terms = factors[0], np.abs(factors[0])
+    for factor in factors[1:]:
+        product, terms = product @ factor, terms @ np.abs(factor)
+    return np.where(np.abs(product) > 1e-13 * terms.shape[1] * terms, product, 0.0)
+
+
 def _root(numerator: float, denominator: float) -> float:
     """Return the power of two that evens out two norms."""
     return float(np.exp2(np.round(0.5 * (np.log2(numerator) - np.log2(denominator)))))

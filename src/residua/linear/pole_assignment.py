@@ -52,10 +52,15 @@ def robust_assignment(F: Matrix, H: Matrix, poles: NDArray[np.complex128]) -> Ma
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            L = place_poles(F.T, H.T, poles, maxiter=60).gain_matrix.T
+            L = place_poles(F.T, H.T, poles, maxiter=_sweeps(len(F))).gain_matrix.T
     except (ValueError, np.linalg.LinAlgError):
         return None
     return np.real(L) if np.all(np.isfinite(L)) else None
+
+
+def _sweeps(order: int) -> int:
+    """Return how many sweeps over the poles to allow: each costs the fifth power of the order."""
+    return max(1, round(60 * min(1.0, (24 / max(order, 1)) ** 4)))
 
 
 def schur_assignment(F: Matrix, H: Matrix, poles: NDArray[np.complex128]) -> Matrix | None:

@@ -125,12 +125,13 @@ class StateSpace:
     def _poles(self) -> NDArray[np.complex128]:
         if self.E is None:
             return np.asarray(scipy.linalg.eigvals(self.A), dtype=complex).reshape(-1)
-        alpha, beta = scipy.linalg.eigvals(self.A, self.E, homogeneous_eigvals=True)
-        finite = np.abs(beta) > 1e-12 * np.maximum(np.abs(alpha), np.abs(beta))
-        return np.asarray(alpha[finite] / beta[finite], dtype=complex)
+        # Poles at infinity are found by rank decisions: rounding throws those in chains far into the plane.
+        from residua.linear.descriptor import finite_poles
+
+        return finite_poles(self.A, self.E)
 
     def poles(self) -> NDArray[np.complex128]:
-        """Return the finite poles: the finite ``s`` with ``det(s E - A) = 0``."""
+        """Return the finite poles: those finite ``s`` with ``det(s E - A) = 0``; raises if every ``s`` has."""
         return self._poles.copy()
 
     def is_stable(self) -> bool:

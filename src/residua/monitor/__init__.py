@@ -1,7 +1,8 @@
 """A generator with its decision logic, running on data."""
 
+from residua.monitor.alarm import Alarm, Candidate, Size
 from residua.monitor.decision import Decision
-from residua.monitor.diagnosis import Alarm, Candidate, Diagnosis
+from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.monitor import Monitor
 from residua.monitor.recording import Recording, read_recording, recording_from_frame, write_table
 from residua.monitor.running import Decisions
@@ -14,6 +15,7 @@ __all__ = [
     "Diagnosis",
     "Monitor",
     "Recording",
+    "Size",
     "read_recording",
     "recording_from_frame",
     "write_table",

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.monitor.diagnosis import Candidate
+from residua.decide.structured import CodeReading
+from residua.design import ResidualGenerator
+from residua.monitor.alarm import Candidate
+from residua.monitor.naming import candidates_at, candidates_of_code, estimates_of
+from residua.monitor.running import Decisions, Specification
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,13 +24,20 @@ class Decision:
     residual : ndarray, shape (residuals,)
         NaN when a value was missing.
     statistic : float
-        Norm of the whitened residual; NaN when nothing was decided.
+        Norm of the whitened residual; for a bank the largest ratio of a member's to its threshold; NaN when
+        nothing was decided.
     alarm : bool
     decided : bool
         False while the filter settles and where data are missing.
     missing : bool
     candidates : tuple of Candidate
         Best first while the alarm is on; empty otherwise.
+    fired : tuple of str
+        For a bank: the members that are in alarm.
+    reading : CodeReading or None
+        For a bank while the alarm is on: what the members that fired over the window say.
+    estimates : mapping of str to float
+        For an estimator: the estimated size of every fault now.
     """
 
     residual: NDArray[np.float64]
@@ -34,3 +46,32 @@ class Decision:
     decided: bool
     missing: bool
     candidates: tuple[Candidate, ...] = field(default=())
+    fired: tuple[str, ...] = ()
+    reading: CodeReading | None = None
+    estimates: Mapping[str, float] = field(default_factory=dict)
+
+
+def decision_from(found: Decisions, spec: Specification, generator: ResidualGenerator) -> Decision:
+    """Return the decision on the first sample of the first plant of a block."""
+    alarm = bool(found.alarm[0, 0])
+    candidates: tuple[Candidate, ...] = ()
+    fired: tuple[str, ...] = ()
+    reading = None
+    if spec.codes is not None:
+        fired = tuple(name for name, on in zip(spec.codes.members, found.fired[0, 0], strict=True) if on)
+        if alarm:
+            reading = spec.codes.read(found.code[0, 0])
+            candidates = candidates_of_code(reading, spec.codes)
+    elif alarm and spec.direction is not None:
+        candidates = candidates_at(found.scores[0, 0], spec.direction.groups, spec.direction.dimensions)
+    return Decision(
+        residual=found.residuals[0, 0],
+        statistic=float(found.statistic[0, 0]),
+        alarm=alarm,
+        decided=bool(found.usable[0, 0]),
+        missing=bool(found.missing[0, 0]),
+        candidates=candidates,
+        fired=fired,
+        reading=reading,
+        estimates={name: float(value) for name, value in estimates_of(generator, found.residuals[0, 0]).items()},
+    )

@@ -164,7 +164,7 @@ def _checked(generator: ResidualGenerator, where: str) -> ResidualGenerator:
         raise FileFormatError(f"{where}: codes must have a row per member and a column per fault")
     if generator.estimated and len(generator.estimated) != k:
         raise FileFormatError(f"{where}: an estimator names one fault per residual")
-    if set(generator.estimated) - set(plant.faults):
+    if set(generator.estimated) - {"", *plant.faults}:
         raise FileFormatError(f"{where}: a fault is estimated that the plant does not have")
     form = generator.known_form
     if form is not None and (form.n_outputs != k or form.n_inputs < len(plant.faults)):

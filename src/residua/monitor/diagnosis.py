@@ -11,87 +11,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.structured import CodeTest
 from residua.errors import MissingExtraError
 from residua.files import write_text
+from residua.monitor.alarm import Alarm, Candidate
+from residua.monitor.naming import estimates_of
 
 if TYPE_CHECKING:
     from residua.design import ResidualGenerator
 
 
+__all__ = ["CLOSE_MARGIN", "Alarm", "Candidate", "Diagnosis"]
+
 #: A lead in score below this is a close call.
 CLOSE_MARGIN = 0.02
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A fault, or a group of faults that the monitor cannot tell apart, with how well it explains an alarm.
-
-    Attributes
-    ----------
-    faults : tuple of str
-    score : float
-        Correlation of the residual with the signature of the group, 0 to 1 (``CORR``).
-    distance : float
-        Normalised projection distance of the residual from the signature, 0 to 1 (``NPD``);
-        ``score**2 + distance**2 = 1``.
-    """
-
-    faults: tuple[str, ...]
-    score: float
-    distance: float
-
-    @property
-    def name(self) -> str:
-        """The faults as text."""
-        return " or ".join(self.faults)
-
-
-@dataclass(frozen=True)
-class Alarm:
-    """One alarm: where it lies in the recording and what explains it.
-
-    Alarms that follow each other by less than the isolation window and name the same fault are one.
-
-    Attributes
-    ----------
-    onset : float
-        Time at which the statistic first went over the threshold and stayed, in seconds.
-    raised : float
-        Time at which the alarm was raised (later than the onset when persistence was asked for).
-    ended : float or None
-        Time at which it went away, ``None`` when it lasts to the end of the recording.
-    candidates : tuple of Candidate
-        Best first, judged over the isolation window that ends with the last sample over the threshold (of the
-        longest part, where alarms were joined).
-    start, stop : int
-        Sample numbers of ``raised`` and of the first sample after the alarm.
-    """
-
-    onset: float
-    raised: float
-    ended: float | None
-    candidates: tuple[Candidate, ...]
-    start: int
-    stop: int
-
-    @property
-    def margin(self) -> float | None:
-        """Lead of the best candidate over the next in score; ``None`` with fewer than two."""
-        return self.candidates[0].score - self.candidates[1].score if len(self.candidates) > 1 else None
-
-    def to_dict(self, *, window: int = 1) -> dict[str, Any]:
-        """Return the alarm as plain values for JSON; ``short`` means shorter than the isolation window."""
-        return {
-            "onset": self.onset,
-            "raised": self.raised,
-            "ended": self.ended,
-            "samples": self.stop - self.start,
-            "short": self.stop - self.start < window,
-            "margin": self.margin,
-            "candidates": [
-                {"faults": list(c.faults), "score": c.score, "distance": c.distance} for c in self.candidates
-            ],
-        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +38,8 @@ class Diagnosis:
     residuals : ndarray, shape (T, residuals)
         NaN where a sample was missing.
     statistic : ndarray, shape (T,)
-        Norm of the whitened residual; NaN where no decision was possible.
+        Norm of the whitened residual, of a bank the largest ratio of a member's to its threshold; NaN where no
+        decision was possible.
     threshold : float
     alarm : ndarray of bool, shape (T,)
     decided : ndarray of bool, shape (T,)
@@ -113,12 +47,13 @@ class Diagnosis:
     missing : ndarray of bool, shape (T,)
         Samples with at least one missing value.
     scores : ndarray, shape (T, groups)
-        Correlation of each group's signature with the residual over the window; NaN outside decisions.
+        Correlation of each group's signature with the residual over the window, or the fraction of the members of
+        a bank that agree with its code; NaN outside decisions.
     groups : tuple of tuple of str
         The faults, those that this monitor cannot tell apart in one group.
     signatures : tuple of ndarray, shape (residuals, dimension)
         For each group an orthonormal basis of the direction or subspace that it was judged by, in whitened
-        residual space.
+        residual space; empty for a bank that is read by code.
     unjudged : tuple of str
         Faults without a usable signature in this monitor.
     alarms : tuple of Alarm
@@ -129,7 +64,8 @@ class Diagnosis:
         Fault-free mean of each residual, and how far it alone (averaged over the window of the test, where there
         is one) can be from it below threshold.
     whitening : ndarray, shape (residuals, residuals)
-        Applied as ``(r - center) @ whitening`` before norm and direction are judged.
+        Applied as ``(r - center) @ whitening`` before norm and direction are judged; for a bank the members'
+        matrices side by side.
     window : int
         Samples over which direction is judged: an alarm that is shorter is not sure of its name.
     settings : mapping of str to str
@@ -139,6 +75,15 @@ class Diagnosis:
     source : str
         Where the recording came from.
     notes : tuple of str
+    codes : CodeTest or None
+        Members, groups and codes of a bank whose members were tested one by one; ``None`` for anything else.
+    member_statistics : ndarray, shape (T, members)
+        Statistic of each member of a bank; no columns without one.
+    member_thresholds : ndarray, shape (members,)
+    fired : ndarray of bool, shape (T, members)
+        Which members are in alarm at each sample.
+    code : ndarray of bool, shape (T, members)
+        Which members count as fired over the window that ends there: what is read.
     """
 
     time: NDArray[np.float64] = field(repr=False)
@@ -163,6 +108,11 @@ class Diagnosis:
     settings: Mapping[str, str] = field(default_factory=dict)
     source: str = ""
     notes: tuple[str, ...] = ()
+    codes: CodeTest | None = field(default=None, repr=False)
+    member_statistics: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+    member_thresholds: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0), repr=False)
+    fired: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), dtype=bool), repr=False)
+    code: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), dtype=bool), repr=False)
 
     # ------------------------------------------------------------------- facts
 
@@ -185,6 +135,19 @@ class Diagnosis:
     def candidates(self) -> tuple[Candidate, ...]:
         """Candidates of the longest alarm, best first; empty without an alarm."""
         return self.main_alarm.candidates if self.main_alarm else ()
+
+    @property
+    def members(self) -> tuple[str, ...]:
+        """Names of the members of a bank, the columns of ``fired``, ``code`` and ``member_statistics``."""
+        return self.codes.members if self.codes else ()
+
+    @property
+    def estimates(self) -> dict[str, NDArray[np.float64]]:
+        """The estimated size of every fault that is estimated, over time, in its own unit; empty without any.
+
+        As estimated: the fault-free mean is not subtracted. NaN where a sample was missing.
+        """
+        return estimates_of(self.generator, self.residuals)
 
     @property
     def false_alarm_fraction(self) -> float:
@@ -211,19 +174,23 @@ class Diagnosis:
         for k, alarm in enumerate(self.alarms[:20], 1):
             until = "to the end" if alarm.ended is None else f"until {alarm.ended:.6g} s"
             lines.append(f"alarm {k}: onset {alarm.onset:.6g} s, raised {alarm.raised:.6g} s, {until}")
+            if alarm.reading is not None:
+                lines.append(f"  {alarm.reading}")
             if alarm.candidates and alarm.stop - alarm.start < self.window:
                 lines.append(f"  shorter than the {self.window} samples that a name is judged by: not sure of its name")
-            elif alarm.margin is not None and alarm.margin < CLOSE_MARGIN:
+            elif alarm.reading is None and alarm.margin is not None and alarm.margin < CLOSE_MARGIN:
                 lines.append(f"  a close call: the first two are {alarm.margin:.3f} apart")
             for rank, candidate in enumerate(alarm.candidates[:3], 1):
-                lines.append(f"  {rank}. {candidate.name:<40} score {candidate.score:.3f}")
+                size = "".join(f"  estimated size {size}" for size in candidate.sizes[:1])
+                lines.append(f"  {rank}. {candidate.name:<40} score {candidate.score:.3f}{size}")
         if len(self.alarms) > 20:
             lines.append(f"... and {len(self.alarms) - 20} more alarms")
         for group in self.groups:
             if self.alarms and len(group) > 1:
                 lines.append(f"cannot be told apart here: {', '.join(group)}")
         if self.unjudged:
-            lines.append(f"never named by this monitor, for want of a signature: {', '.join(self.unjudged)}")
+            want = "a code" if self.codes else "a signature"
+            lines.append(f"never named by this monitor, for want of {want}: {', '.join(self.unjudged)}")
         return "\n".join([*lines, *self.notes])
 
     def _why_undecided(self) -> str:
@@ -235,11 +202,18 @@ class Diagnosis:
         return f"{self.time[0]:.6g} to {self.time[-1]:.6g} s" if len(self.time) else "empty"
 
     def columns(self) -> dict[str, NDArray]:
-        """Return time, residuals, statistic, alarm and scores as named columns."""
+        """Return time, residuals, statistic, alarm and scores as named columns.
+
+        For a bank also the statistic of each member and whether it is in alarm; for an estimator also the
+        estimates under the names of the faults.
+        """
         out: dict[str, NDArray] = {"time": self.time}
         out |= {name: self.residuals[:, i] for i, name in enumerate(self.residual_names)}
         out |= {"statistic": self.statistic, "alarm": self.alarm}
         out |= {f"score {' or '.join(group)}": self.scores[:, g] for g, group in enumerate(self.groups)}
+        for m, member in enumerate(self.members):
+            out |= {f"statistic {member}": self.member_statistics[:, m], f"fired {member}": self.fired[:, m]}
+        out |= {f"estimate {fault}": values for fault, values in self.estimates.items()}
         return out
 
     def to_frame(self, backend: str = "pandas") -> Any:

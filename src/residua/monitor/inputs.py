@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -95,9 +96,12 @@ def settling_samples(generator: ResidualGenerator) -> int:
     return 1 if slowest < 1e-6 else int(np.ceil(np.log(0.01) / np.log(min(slowest, 1 - 1e-9))))
 
 
-def signal_size(generator: ResidualGenerator, v: NDArray) -> float:
-    """Return the size of the signals that cancel in the residual, from deviations of shape (time, channels)."""
+def signal_size(generator: ResidualGenerator, v: NDArray, rows: Sequence[int] | None = None) -> float:
+    """Return the size of the signals that cancel in the residual, from deviations of shape (time, channels).
+
+    ``rows`` are the residuals that are meant; all of them when omitted.
+    """
     finite = np.where(np.isfinite(v), v, 0.0)
     rms = np.sqrt(np.mean(finite**2, axis=0))
     gain = np.abs(generator.system.dc_gain()) + np.abs(generator.system.D)
-    return float(np.max(gain @ rms, initial=0.0))
+    return float(np.max((gain @ rms)[slice(None) if rows is None else list(rows)], initial=0.0))

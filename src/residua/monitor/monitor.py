@@ -9,22 +9,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.decide.directional import Directional, direction_test
-from residua.decide.norm_threshold import (
-    NormTest,
-    NormThreshold,
-    check_rate,
-    check_samples,
-    fit_norm_test,
-    norm_test_from_model,
-)
+from residua.decide.directional import Directional
+from residua.decide.member_thresholds import BankTest
+from residua.decide.norm_threshold import NormTest, NormThreshold, check_rate, check_samples
+from residua.decide.structured import Structured
 from residua.design import ResidualGenerator
 from residua.design.generator import stack_signals
-from residua.errors import DataError, ModelError, NotFittedError
-from residua.monitor.decision import Decision
+from residua.errors import DataError, ModelError, NotFittedError, SettingError
+from residua.monitor.decision import Decision, decision_from
 from residua.monitor.diagnosis import Diagnosis
-from residua.monitor.inputs import settling_samples, signal_size, signals
-from residua.monitor.outcome import candidates_at, diagnosis_from
+from residua.monitor.estimating import with_estimator
+from residua.monitor.inputs import settling_samples, signals
+from residua.monitor.outcome import diagnosis_from
+from residua.monitor.preparing import (
+    Isolation,
+    as_generator,
+    blank_test,
+    chosen_isolation,
+    first_test,
+    fitted_test,
+    specification,
+)
 from residua.monitor.running import Decisions, Specification, State, initial_state, run_block
 
 #: Samples per piece when a recording is run: bounds memory and lets progress be shown.
@@ -43,11 +48,19 @@ class Monitor:
 
     Parameters
     ----------
-    generator : ResidualGenerator
+    generator : ResidualGenerator, or a bank or an estimator
+        Of an object that is not a generator itself, its ``generator`` is run.
     test : NormThreshold
         When to raise an alarm.
-    isolate : Directional or None
-        How to name the fault.
+    isolate : Directional, Structured, None or "auto"
+        How to name the fault. With :class:`residua.decide.Structured` every member of a bank has its own
+        whitening, threshold and alarm, each with its share of the false alarm rate; the monitor is in alarm while
+        any member is, and the fault is read from which of them are. Otherwise the residual is tested as a whole,
+        and the fault named by direction, or not at all (``None``). ``"auto"``: by code for a bank, by direction
+        for any other generator.
+    estimator : ResidualGenerator, or an estimator, optional
+        Beside a bank, which names the fault: a fault estimator of the same plant, which tells its size
+        (:attr:`residua.Diagnosis.estimates`). It runs on the same data and takes no part in alarms.
     dt : float, optional
         Step in seconds at which a continuous generator is sampled; may also come from the recording that
         is fitted.
@@ -72,30 +85,31 @@ class Monitor:
 
     def __init__(
         self,
-        generator: ResidualGenerator,
+        generator: Any,
         *,
         test: NormThreshold | None = None,
-        isolate: Directional | None = Directional(),  # noqa: B008 (frozen)
+        isolate: Directional | Structured | str | None = "auto",
+        estimator: Any = None,
         dt: float | None = None,
         settle: int | None = None,
         max_hold: int = 10,
     ) -> None:
-        if not isinstance(generator, ResidualGenerator):
-            raise ModelError(
-                f"a monitor runs a residual generator, got {type(generator).__name__}"
-                + ("; use its residual_generator()" if hasattr(generator, "residual_generator") else "")
-            )
+        generator = as_generator(generator)
+        if estimator is not None:
+            generator = with_estimator(generator, as_generator(estimator))
         if settle is not None:
             check_samples(settle, "settle", least=0)
         check_samples(max_hold, "max_hold", least=0)
-        self.design = generator
+        self.design: ResidualGenerator = generator
         self.test = NormThreshold() if test is None else test
-        self.isolate = isolate
+        self.isolate: Isolation = chosen_isolation(isolate, generator)
+        if estimator is not None and not isinstance(self.isolate, Structured):
+            raise SettingError("an estimator runs beside a bank that is read by code: use a bank, and Structured()")
         self.settle = settle
         self.max_hold = int(max_hold)
         self.notes: tuple[str, ...] = ()
         self._generator: ResidualGenerator | None = None
-        self._norm_test: NormTest | None = None
+        self._norm_test: NormTest | BankTest | None = None
         self._spec: Specification | None = None
         self._state: State | None = None
         if generator.system.is_discrete:
@@ -123,8 +137,8 @@ class Monitor:
         return self._norm_test is not None
 
     @property
-    def norm_test(self) -> NormTest:
-        """The threshold test with every number filled in."""
+    def norm_test(self) -> NormTest | BankTest:
+        """The threshold test with every number filled in; for a bank, those of all its members."""
         if self._norm_test is None:
             raise NotFittedError(
                 "this monitor has no threshold: fit(u, y) it to fault-free data, give the plant noise "
@@ -134,14 +148,14 @@ class Monitor:
 
     @property
     def threshold(self) -> float:
-        """The threshold on the norm of the whitened residual."""
+        """The threshold on the statistic: 1 for a bank, whose members have their own (``norm_test.thresholds``)."""
         return self.norm_test.threshold
 
     @property
     def groups(self) -> tuple[tuple[str, ...], ...]:
         """The faults, those that this monitor cannot tell apart in one group."""
-        direction = self._specification().direction
-        return direction.groups if direction else ()
+        judge = self._specification().direction or self._specification().codes
+        return judge.groups if judge else ()
 
     @property
     def settling_samples(self) -> int:
@@ -194,15 +208,12 @@ class Monitor:
         outputs = data[0, :, len(self.design.plant.inputs) :]
         if len(outputs) > 1 and not np.nanmax(np.ptp(np.where(np.isfinite(outputs), outputs, 0.0), axis=0)) > 0:
             raise DataError("no output ever changes in this recording: it cannot show what is normal")
-        blank = NormTest(np.zeros(self.generator.n_residuals), np.eye(self.generator.n_residuals), np.inf, 1, 1, 1, "")
-        _, found = run_block(self._specification(blank), initial_state(self._specification(blank), 1), data)
-        self._norm_test = fit_norm_test(
-            self.test,
-            found.residuals[0],
-            found.usable[0],
-            false_alarm_rate=rate,
-            covariance=self.generator.covariance_of_sums(self.test.window),
-            signal_size=signal_size(self.generator, data[0] - self._specification(blank).offset),
+        blank = specification(
+            self.generator, blank_test(self.generator), None, settle=self.settle, max_hold=self.max_hold
+        )
+        _, found = run_block(blank, initial_state(blank, 1), data)
+        self._norm_test = fitted_test(
+            self.test, self.isolate, self.generator, found.residuals[0], found.usable[0], data[0] - blank.offset, rate
         )
         self._spec = self._state = None
         return self
@@ -308,15 +319,7 @@ class Monitor:
         """
         u_ = None if u is None else np.atleast_1d(np.asarray(u, dtype=float))[None]
         found = self.update(u_, np.atleast_1d(np.asarray(y, dtype=float))[None])
-        alarm = bool(found.alarm[0, 0])
-        return Decision(
-            residual=found.residuals[0, 0],
-            statistic=float(found.statistic[0, 0]),
-            alarm=alarm,
-            decided=bool(found.usable[0, 0]),
-            missing=bool(found.missing[0, 0]),
-            candidates=candidates_at(found.scores[0, 0], self.groups, self._dimensions()) if alarm else (),
-        )
+        return decision_from(found, self._specification(), self.generator)
 
     def reset(self) -> None:
         """Forget all data seen so far; thresholds stay."""
@@ -348,15 +351,9 @@ class Monitor:
 
     # ------------------------------------------------------------------ helpers
 
-    def _dimensions(self) -> tuple[int, ...]:
-        direction = self._specification().direction
-        return direction.dimensions if direction else ()
-
     def _use(self, sampled: ResidualGenerator) -> None:
         self._generator = sampled
-        self._norm_test = norm_test_from_model(
-            self.test, sampled.covariance_of_sums(self.test.window), sampled.n_residuals
-        )
+        self._norm_test = first_test(self.test, self.isolate, sampled)
         self._spec = self._state = None
 
     def _learn_step(self, dt: float | None) -> None:
@@ -374,33 +371,12 @@ class Monitor:
         data = stack_signals(self.generator.plant, u, y)
         return data if data.ndim == 3 else data[None]
 
-    def _specification(self, test: NormTest | None = None) -> Specification:
-        if test is None and self._spec is not None:
-            return self._spec
-        chosen = self.norm_test if test is None else test
-        g = self.generator
-        n = g.system.n_states
-        point = g.plant.operating_point
-        direction = None
-        if self.isolate is not None and test is None:
-            direction = direction_test(
-                self.isolate, g.subspaces, g.steady_directions, chosen.whitening, g.residual_rank
+    def _specification(self) -> Specification:
+        if self._spec is None:
+            self._spec = specification(
+                self.generator, self.norm_test, self.isolate, settle=self.settle, max_hold=self.max_hold
             )
-        spec = Specification(
-            g.system.A,
-            g.system.B,
-            g.system.C,
-            g.system.D,
-            np.asarray(np.linalg.solve(np.eye(n) - g.system.A, g.system.B), dtype=float),
-            np.array([*point.inputs, *point.outputs]),
-            chosen,
-            direction,
-            self.settling_samples,
-            self.max_hold,
-        )
-        if test is None:
-            self._spec = spec
-        return spec
+        return self._spec
 
     def __repr__(self) -> str:
         state = f"threshold {self.threshold:.4g}" if self.is_fitted else "not fitted"

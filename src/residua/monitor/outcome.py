@@ -2,29 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.member_thresholds import BankTest
 from residua.design import ResidualGenerator
-from residua.monitor.diagnosis import Alarm, Candidate, Diagnosis
+from residua.monitor.alarm import Alarm
+from residua.monitor.diagnosis import Diagnosis
+from residua.monitor.naming import candidates_at, candidates_of_code, longest_code, sizes_over, with_sizes
 from residua.monitor.running import Decisions, Specification
-
-
-def candidates_at(
-    scores: NDArray[np.float64], groups: tuple[tuple[str, ...], ...], dimensions: tuple[int, ...]
-) -> tuple[Candidate, ...]:
-    """Return the groups ranked by score, best first; none where the direction is not known.
-
-    Scores that agree to three digits are a tie, which the narrower signature wins: a plane contains more
-    residuals by chance than a line.
-    """
-    if scores.size == 0 or np.isnan(scores).all():
-        return ()
-    order = np.lexsort((-scores, np.asarray(dimensions), -np.round(scores, 3)))
-    return tuple(Candidate(groups[g], float(scores[g]), float(np.sqrt(max(0.0, 1.0 - scores[g] ** 2)))) for g in order)
 
 
 def diagnosis_from(
@@ -42,24 +32,30 @@ def diagnosis_from(
     def joined(name: str) -> NDArray:
         return np.concatenate([getattr(part, name)[plant] for part in parts], axis=0)
 
-    groups = spec.direction.groups if spec.direction else ()
-    dimensions = spec.direction.dimensions if spec.direction else ()
-    alarm, usable, up = joined("alarm"), joined("usable"), joined("up")
-    scores = joined("scores")
+    judge = spec.direction or spec.codes
+    alarm, usable = joined("alarm"), joined("usable")
+    residuals, scores, code = joined("residuals"), joined("scores"), joined("code")
+
+    def named(start: int, last: int) -> dict[str, Any]:
+        first = max(start, last - spec.window + 1)
+        sizes = sizes_over(generator, residuals, usable, first, last)
+        found = _by_code(spec, code, usable, start, last) if spec.codes else _by_direction(spec, scores, last)
+        return found | {"candidates": with_sizes(found["candidates"], sizes), "sizes": sizes}
+
     return Diagnosis(
         time=time,
-        residuals=joined("residuals"),
+        residuals=residuals,
         statistic=joined("statistic"),
         threshold=spec.test.threshold,
         alarm=alarm,
         decided=usable,
         missing=joined("missing"),
         scores=scores,
-        groups=groups,
+        groups=judge.groups if judge else (),
         signatures=spec.direction.bases if spec.direction else (),
-        unjudged=spec.direction.unjudged if spec.direction else (),
+        unjudged=judge.unjudged if judge else (),
         alarms=_joined_alarms(
-            _alarms(time, alarm, usable, up, joined("exceeded"), scores, groups, dimensions),
+            _alarms(time, alarm, usable, joined("up"), joined("exceeded"), named),
             max(spec.window, spec.test.window),
         ),
         resets=resets,
@@ -72,7 +68,26 @@ def diagnosis_from(
         settings=_settings(spec, generator),
         source=source,
         notes=(*notes, *_sampling_notes(generator)),
+        codes=spec.codes,
+        member_statistics=joined("member_statistics"),
+        member_thresholds=spec.test.thresholds if isinstance(spec.test, BankTest) else np.zeros(0),
+        fired=joined("fired"),
+        code=code,
     )
+
+
+def _by_direction(spec: Specification, scores: NDArray, last: int) -> dict[str, Any]:
+    """Return what the direction of the residual says at the last sample over the threshold."""
+    test = spec.direction
+    return {"candidates": candidates_at(scores[last], test.groups, test.dimensions) if test and test.groups else ()}
+
+
+def _by_code(spec: Specification, code: NDArray, usable: NDArray, start: int, last: int) -> dict[str, Any]:
+    """Return what the fired members say: the pattern that stood the longest, and the candidates by it."""
+    assert spec.codes is not None
+    pattern, share = longest_code(code[start : last + 1], usable[start : last + 1])
+    reading = spec.codes.read(pattern)
+    return {"reading": reading, "read_share": share, "candidates": candidates_of_code(reading, spec.codes)}
 
 
 def _sampling_notes(generator: ResidualGenerator) -> tuple[str, ...]:
@@ -88,18 +103,40 @@ def _sampling_notes(generator: ResidualGenerator) -> tuple[str, ...]:
 def _settings(spec: Specification, generator: ResidualGenerator) -> dict[str, str]:
     """Return how the monitor was set, in words."""
     test, step = spec.test, generator.dt
+    summed = f", summed over {test.window} samples" if test.window > 1 else ""
+    if isinstance(test, BankTest):
+        limits = ", ".join(f"{n} {t:.4g}" for n, t in zip(_names(spec), test.thresholds, strict=True))
+        threshold = f"{limits} ({test.basis})"
+        kind = f"norm of each member's whitened residual{summed}; the statistic is the largest ratio to its threshold"
+        persists = f"of a member: raised by {test.persistence} samples in a row over its threshold, ended by "
+        persists += f"{test.release} below it; of the bank: while any member is in alarm"
+    else:
+        threshold = f"{test.threshold:.4g} ({test.basis})"
+        kind = f"norm of the whitened residual{summed}"
+        persists = f"raised by {test.persistence} samples in a row over it, ended by {test.release} below it"
     out = {
         "sample step": f"{step:g} s",
-        "threshold": f"{test.threshold:.4g} ({test.basis})",
-        "test": f"norm of the whitened residual{f', summed over {test.window} samples' if test.window > 1 else ''}",
-        "alarm": f"raised by {test.persistence} samples in a row over it, ended by {test.release} below it",
+        "threshold": threshold,
+        "test": kind,
+        "alarm": persists,
         "settling": f"no decision in the first {spec.settle} samples after a start ({spec.settle * step:g} s)",
         "missing values": f"held for up to {spec.max_hold} samples, then the filter starts anew",
     }
     if spec.direction is not None:
         window = spec.direction.window
         out["isolation"] = f"direction of the residual averaged over {window} samples ({window * step:g} s)"
+    if spec.codes is not None:
+        window = spec.codes.window
+        out["isolation"] = (
+            f"code of the members that fired over {window} samples ({window * step:g} s): those in alarm for at least "
+            f"{spec.codes.share:g} of the samples of the one that was in alarm the longest; nearest codes up to "
+            f"{spec.codes.distance} off"
+        )
     return out
+
+
+def _names(spec: Specification) -> tuple[str, ...]:
+    return spec.codes.members if spec.codes else ()
 
 
 def _alarms(
@@ -108,10 +145,9 @@ def _alarms(
     usable: NDArray[np.bool_],
     up: NDArray[np.int64],
     exceeded: NDArray[np.bool_],
-    scores: NDArray,
-    groups: tuple[tuple[str, ...], ...],
-    dimensions: tuple[int, ...],
+    named: Callable[[int, int], dict[str, Any]],
 ) -> tuple[Alarm, ...]:
+    """Return the alarms; ``named`` says who is to blame, from the first sample and the last over the threshold."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], alarm.astype(np.int8), [0]])))
     counted = np.flatnonzero(usable)
     out = []
@@ -125,9 +161,9 @@ def _alarms(
                 onset=float(time[first]),
                 raised=float(time[start]),
                 ended=float(time[stop]) if stop < len(time) else None,
-                candidates=candidates_at(scores[last], groups, dimensions) if groups else (),
                 start=int(start),
                 stop=int(stop),
+                **named(int(start), int(last)),
             )
         )
     return tuple(out)
@@ -137,7 +173,8 @@ def _joined_alarms(alarms: tuple[Alarm, ...], apart: int) -> tuple[Alarm, ...]:
     """Return the alarms with those joined that lie less than ``apart`` samples apart and name the same fault.
 
     A small fault takes the statistic over the threshold and back many times; that is one event, and its
-    onset is that of the first alarm. The candidates are those of the longest part.
+    onset is that of the first alarm. The candidates, reading and sizes are those
+    of the longest part.
     """
     out: list[Alarm] = []
     longest = 0
@@ -148,9 +185,11 @@ def _joined_alarms(alarms: tuple[Alarm, ...], apart: int) -> tuple[Alarm, ...]:
             out.append(alarm)
             longest = length
             continue
-        candidates = alarm.candidates if length >= longest else last.candidates
+        who = alarm if length >= longest else last
         longest = max(longest, length)
-        out[-1] = replace(last, ended=alarm.ended, stop=alarm.stop, candidates=candidates)
+        out[-1] = replace(
+            who, onset=last.onset, raised=last.raised, ended=alarm.ended, start=last.start, stop=alarm.stop
+        )
     return tuple(out)
 
 

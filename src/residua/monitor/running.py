@@ -12,8 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.directional import DirectionTest
+from residua.decide.member_thresholds import BankTest, member_alarms
 from residua.decide.norm_threshold import NormTest
 from residua.decide.persistence import alarm_logic
+from residua.decide.structured import CodeTest
 from residua.decide.window import WindowState, empty_window, moving_sum
 from residua.linear.recursion import ordered_product, run_filter
 
@@ -30,8 +32,11 @@ class Specification:
         Maps a sample to the filter state that it would settle to.
     offset : ndarray, shape (channels,)
         Operating point.
-    test : NormTest
+    test : NormTest or BankTest
+        Of the residual as a whole, or of every member of a bank on its own.
     direction : DirectionTest or None
+    codes : CodeTest or None
+        For a bank whose members are tested one by one.
     settle : int
         Samples after a start, or after a held value, in which nothing is decided.
     max_hold : int
@@ -44,15 +49,27 @@ class Specification:
     D: NDArray[np.float64]
     start: NDArray[np.float64]
     offset: NDArray[np.float64]
-    test: NormTest
+    test: NormTest | BankTest
     direction: DirectionTest | None
+    codes: CodeTest | None
     settle: int
     max_hold: int
 
     @property
     def window(self) -> int:
-        """Samples over which direction is judged."""
-        return self.direction.window if self.direction else 1
+        """Samples over which direction, or code, is judged."""
+        judge = self.direction or self.codes
+        return judge.window if judge else 1
+
+    @property
+    def judged(self) -> int:
+        """How many numbers are summed over that window: the residuals, or the alarms of the members."""
+        return len(self.codes.members) if self.codes else len(self.C)
+
+    @property
+    def alarms(self) -> tuple[int, ...]:
+        """Shape of the alarms of one plant: one number, or one per member of a bank."""
+        return (len(self.codes.members),) if self.codes else ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,9 +80,10 @@ class State:
     ----------
     x : filter state; held : last value of each channel; gap : incomplete samples in a row;
     running : whether the filter has been started; age : samples since its start or the last held value;
-    up, down : usable samples in a row over and under the threshold; alarm : whether it is on;
-    ends, block, begun, filled : of the moving sum for the direction (:class:`residua.decide.window.WindowState`),
-    and the same with ``test_`` for the threshold test; count : samples so far; resets : restarts.
+    up, down : usable samples in a row over and under the threshold; alarm : whether it is on (each of these three
+    with an axis for the members of a bank); ends, block, begun, filled : of the moving sum for the direction, or of
+    the members' alarms for the code (:class:`residua.decide.window.WindowState`), and the same with ``test_`` for
+    the threshold test; count : samples so far; resets : restarts.
     """
 
     x: NDArray[np.float64]
@@ -96,7 +114,14 @@ class Decisions:
     ----------
     residuals, statistic, exceeded, alarm, up, usable, missing : ndarray
     scores : ndarray, shape (plants, time, groups)
-        Correlation with the signature of each group; NaN where nothing can be said.
+        Correlation with the signature of each group, or the fraction of the members of a bank that agree with its
+        code; NaN where nothing can be said.
+    member_statistics : ndarray, shape (plants, time, members)
+        Statistic of each member of a bank; ``statistic`` is then the largest ratio of one to its threshold.
+    fired : ndarray of bool, shape (plants, time, members)
+        Which members are in alarm.
+    code : ndarray of bool, shape (plants, time, members)
+        Which members count as fired over the window: what :func:`residua.decide.read_codes` reads.
     """
 
     residuals: NDArray[np.float64]
@@ -107,22 +132,26 @@ class Decisions:
     usable: NDArray[np.bool_]
     missing: NDArray[np.bool_]
     scores: NDArray[np.float64]
+    member_statistics: NDArray[np.float64]
+    fired: NDArray[np.bool_]
+    code: NDArray[np.bool_]
 
 
 def initial_state(spec: Specification, plants: int) -> State:
     """Return the state before the first sample."""
-    n, m, k = len(spec.A), spec.B.shape[1], len(spec.C)
+    n, m, k = len(spec.A), spec.B.shape[1], spec.test.whitening.shape[1]
     whole, flag = np.zeros(plants, dtype=np.int64), np.zeros(plants, dtype=bool)
-    judged, tested = empty_window(plants, spec.window, k), empty_window(plants, spec.test.window, k)
+    runs, alarm = np.zeros((plants, *spec.alarms), dtype=np.int64), np.zeros((plants, *spec.alarms), dtype=bool)
+    judged, tested = empty_window(plants, spec.window, spec.judged), empty_window(plants, spec.test.window, k)
     return State(
         x=np.zeros((plants, n)),
         held=np.zeros((plants, m)),
         gap=whole,
         running=flag,
         age=whole,
-        up=whole,
-        down=whole,
-        alarm=flag,
+        up=runs,
+        down=runs,
+        alarm=alarm,
         **_window_fields(judged, ""),
         **_window_fields(tested, "test_"),
         count=0,
@@ -244,11 +273,13 @@ def _decide(
     q = ordered_product(np.where(usable[..., None], residuals - test.center, 0.0), test.whitening)
     test_window = WindowState(state.test_ends, state.test_block, state.test_begun, state.test_filled)
     tested, test_window = moving_sum(q, test_window)
-    statistic = np.where(usable, _norm(tested) / np.sqrt(test.window), np.nan)
-    exceeded = usable & (np.where(usable, statistic, 0.0) > test.threshold)
-    alarm, up, down = alarm_logic(exceeded, usable, state.up, state.down, state.alarm, test.persistence, test.release)
-    sums, window = moving_sum(q, WindowState(state.ends, state.block, state.begun, state.filled))
-    scores = _scores(spec.direction, sums, usable)
+    window = WindowState(state.ends, state.block, state.begun, state.filled)
+    if isinstance(test, BankTest):
+        assert spec.codes is not None
+        decide = _judge_members(test, spec.codes, state, tested, window, usable)
+    else:
+        decide = _judge_whole(test, spec.direction, state, q, tested, window, usable)
+    (alarm, up, down), window, found = decide
     if time:
         state = replace(
             state,
@@ -259,7 +290,68 @@ def _decide(
             **_window_fields(test_window, "test_"),
             count=state.count + time,
         )
-    return state, Decisions(residuals, statistic, exceeded, alarm, up, usable, missing, scores)
+    return state, Decisions(residuals=residuals, usable=usable, missing=missing, **found)
+
+
+_Judged = tuple[tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]], WindowState, dict[str, NDArray]]
+
+
+def _judge_whole(
+    test: NormTest,
+    direction: DirectionTest | None,
+    state: State,
+    q: NDArray,
+    tested: NDArray,
+    window: WindowState,
+    usable: NDArray[np.bool_],
+) -> _Judged:
+    """Return alarm, run lengths, window and decisions of a residual that is tested as a whole."""
+    statistic = np.where(usable, _norm(tested) / np.sqrt(test.window), np.nan)
+    exceeded = usable & (np.where(usable, statistic, 0.0) > test.threshold)
+    alarm, up, down = alarm_logic(exceeded, usable, state.up, state.down, state.alarm, test.persistence, test.release)
+    sums, window = moving_sum(q, window)
+    nobody = np.zeros((*usable.shape, 0))
+    found = {
+        "statistic": statistic,
+        "exceeded": exceeded,
+        "alarm": alarm,
+        "up": up,
+        "scores": _scores(direction, sums, usable),
+        "member_statistics": nobody,
+        "fired": nobody.astype(bool),
+        "code": nobody.astype(bool),
+    }
+    return (alarm, up, down), window, found
+
+
+def _judge_members(
+    test: BankTest, codes: CodeTest, state: State, tested: NDArray, window: WindowState, usable: NDArray[np.bool_]
+) -> _Judged:
+    """Return alarms and run lengths of every member, window and decisions of a bank."""
+    statistics = np.full((*usable.shape, len(test.sizes)), np.nan)
+    for m, (start, stop) in enumerate(test.columns):
+        statistics[..., m] = np.where(usable, _norm(tested[..., start:stop]) / np.sqrt(test.window), np.nan)
+    over = usable[..., None] & (np.where(usable[..., None], statistics, 0.0) > test.thresholds)
+    fired, up, down = member_alarms(test, over, usable, state.up, state.down, state.alarm)
+    alarm = fired.any(axis=2)
+    counts, window = moving_sum((fired & usable[..., None]).astype(float), window)  # whole numbers: exact
+    largest = counts.max(axis=2, initial=0.0)[..., None]
+    code = np.asarray(alarm)[..., None] & (counts > 0) & (counts >= codes.share * largest)
+    agree = np.zeros((*usable.shape, len(codes.groups)))
+    for g in range(len(codes.groups)):
+        agree[..., g] = np.count_nonzero(code == codes.codes[:, g], axis=2)
+    read = usable & code.any(axis=2)
+    found = {
+        "statistic": np.max(statistics / test.thresholds, axis=2),
+        "exceeded": over.any(axis=2),
+        "alarm": alarm,
+        "up": np.where(fired, up, 0).max(axis=2, initial=0),
+        "scores": np.where(read[..., None], agree / len(codes.members), np.nan),
+        "member_statistics": statistics,
+        "fired": fired,
+        "code": code,
+    }
+    return (fired, up, down), window, found
 
 
 def _window_fields(window: WindowState, prefix: str) -> dict[str, Any]:

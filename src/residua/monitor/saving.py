@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 
 from residua.decide.directional import Directional, DirectionTest
+from residua.decide.member_thresholds import BankTest
 from residua.decide.norm_threshold import NormTest, NormThreshold
+from residua.decide.structured import CodeTest, Structured
 from residua.errors import FileFormatError, ResiduaError
 from residua.files import read_bytes, write_text
 from residua.monitor.design_records import generator_in, generator_out, sampled_in, sampled_out
@@ -29,6 +31,7 @@ from residua.monitor.encoding import (
     list_in,
     loads,
     record,
+    table_in,
     text_in,
     texts_in,
     whole_in,
@@ -38,7 +41,10 @@ from residua.monitor.running import Specification, State
 from residua.plant import Plant
 
 FORMAT = "residua-monitor"
-VERSION = 1
+VERSION = 2
+
+#: How faults are named, by the entry ``kind`` of ``isolate``.
+_ISOLATION: dict[str, type[Any]] = {"direction": Directional, "code": Structured}
 
 _ENTRIES = (
     "format",
@@ -66,7 +72,7 @@ def save_monitor(monitor: Monitor, path: str | Path) -> None:
         "design": generator_out(monitor.design),
         "sampled": sampled_out(generator) if generator is not None and resampled else None,
         "test": _values_out(monitor.test),
-        "isolate": None if monitor.isolate is None else _values_out(monitor.isolate),
+        "isolate": _isolation_out(monitor.isolate),
         "settle": monitor.settle,
         "max_hold": monitor.max_hold,
         "notes": list(monitor.notes),
@@ -102,7 +108,7 @@ def _monitor_in(content: Mapping[str, Any]) -> Monitor:
     monitor = Monitor(
         design,
         test=_values_in(content["test"], "test", NormThreshold),
-        isolate=None if isolate is None else _values_in(isolate, "isolate", Directional),
+        isolate=None if isolate is None else _isolation_in(isolate),
         settle=None if settle is None else whole_in(settle, "settle"),
         max_hold=whole_in(content["max_hold"], "max_hold"),
     )
@@ -111,17 +117,32 @@ def _monitor_in(content: Mapping[str, Any]) -> Monitor:
         monitor._generator = sampled_in(design, content["sampled"], "sampled")
     monitor._norm_test = monitor._spec = monitor._state = None
     if content["fitted"] is not None:
-        monitor._norm_test = _values_in(content["fitted"], "fitted", NormTest)
-        _check_shapes(monitor)
-        test = monitor.norm_test
-        if not (np.isfinite(test.center).all() and np.isfinite(test.whitening).all() and test.threshold > 0):
-            raise FileFormatError("fitted: center and whitening must be finite, and the threshold positive")
+        by_code = isinstance(monitor.isolate, Structured)
+        monitor._norm_test = _values_in(content["fitted"], "fitted", BankTest if by_code else NormTest)
+        _check_fitted(monitor)
     if content["running"] is not None:
         monitor._spec = _running_in(monitor._specification(), content["running"], monitor.design.plant)
     if content["state"] is not None:
         monitor._state = _values_in(content["state"], "state", State)
         _check_state(monitor)
     return monitor
+
+
+def _isolation_out(isolate: Directional | Structured | None) -> dict[str, Any] | None:
+    if isolate is None:
+        return None
+    kind = next(kind for kind, cls in _ISOLATION.items() if isinstance(isolate, cls))
+    return {"kind": kind} | _values_out(isolate)
+
+
+def _isolation_in(value: Any) -> Directional | Structured:
+    content = table_in(value, "isolate")
+    if "kind" not in content:
+        raise FileFormatError("the entry 'isolate.kind' is missing")
+    kind = text_in(content.pop("kind"), "isolate.kind")
+    if kind not in _ISOLATION:
+        raise FileFormatError(f"isolate.kind: expected one of {', '.join(_ISOLATION)}, got {kind!r}")
+    return _values_in(content, "isolate", _ISOLATION[kind])
 
 
 # ------------------------------------------------------------- records of plain values
@@ -173,7 +194,7 @@ def _names(cls: Any) -> list[str]:
 
 def _running_out(spec: Specification) -> dict[str, Any]:
     """Return what was computed from the design before the first sample."""
-    test = spec.direction
+    test, codes = spec.direction, spec.codes
     return {
         "start": array_out(spec.start),
         "settle": int(spec.settle),
@@ -185,21 +206,56 @@ def _running_out(spec: Specification) -> dict[str, Any]:
             "bases": [array_out(basis) for basis in test.bases],
             "unjudged": list(test.unjudged),
         },
+        "codes": None
+        if codes is None
+        else {
+            "window": int(codes.window),
+            "share": float_out(codes.share),
+            "distance": int(codes.distance),
+            "members": list(codes.members),
+            "groups": [list(group) for group in codes.groups],
+            "codes": array_out(codes.codes),
+            "unjudged": list(codes.unjudged),
+        },
     }
 
 
 def _running_in(spec: Specification, value: Any, plant: Plant) -> Specification:
     """Return the specification with what was computed when it was saved in place of what is computed now."""
-    content = record(value, "running", ("start", "settle", "direction"))
+    content = record(value, "running", ("start", "settle", "direction", "codes"))
     start = array_in(content["start"], "running.start")
     if start.shape != spec.start.shape:
         raise FileFormatError(f"running.start must have shape {spec.start.shape}, got {start.shape}")
-    if (content["direction"] is None) != (spec.direction is None):
-        raise FileFormatError("running.direction must be there if and only if isolate is")
-    direction = None
+    for name in ("direction", "codes"):
+        if (content[name] is None) != (getattr(spec, name) is None):
+            raise FileFormatError(f"running.{name} must be there if and only if isolate asks for it")
+    direction = codes = None
     if content["direction"] is not None:
         direction = _direction_in(content["direction"], "running.direction", plant, len(spec.C))
-    return replace(spec, start=start, settle=whole_in(content["settle"], "running.settle"), direction=direction)
+    if content["codes"] is not None and spec.codes is not None:
+        codes = _codes_in(content["codes"], "running.codes", plant, len(spec.codes.members))
+    settle = whole_in(content["settle"], "running.settle")
+    return replace(spec, start=start, settle=settle, direction=direction, codes=codes)
+
+
+def _codes_in(value: Any, where: str, plant: Plant, count: int) -> CodeTest:
+    content = record(value, where, _names(CodeTest))
+    groups = tuple(texts_in(group, joined(where, "groups")) for group in list_in(content["groups"], where))
+    members, unjudged = (texts_in(content[name], joined(where, name)) for name in ("members", "unjudged"))
+    codes = array_in(content["codes"], joined(where, "codes"))
+    share = float_in(content["share"], joined(where, "share"))
+    window, distance = (whole_in(content[name], joined(where, name)) for name in ("window", "distance"))
+    _check_groups(groups, unjudged, where, plant)
+    if len(members) != count or codes.dtype.kind != "b" or codes.shape != (count, len(groups)):
+        raise FileFormatError(f"{where}: codes must be true or false, {count} members x {len(groups)} groups")
+    if window < 1 or not 0 < share <= 1:
+        raise FileFormatError(f"{where}: the window must be 1 or more and the share between 0 and 1")
+    return CodeTest(window, share, distance, members, groups, codes, unjudged)
+
+
+def _check_groups(groups: tuple[tuple[str, ...], ...], unjudged: tuple[str, ...], where: str, plant: Plant) -> None:
+    if sorted([*unjudged, *(name for group in groups for name in group)]) != sorted(plant.faults):
+        raise FileFormatError(f"{where}: groups and unjudged must be the faults of the plant, each once")
 
 
 def _direction_in(value: Any, where: str, plant: Plant, residuals: int) -> DirectionTest:
@@ -211,32 +267,38 @@ def _direction_in(value: Any, where: str, plant: Plant, residuals: int) -> Direc
     )
     unjudged = texts_in(content["unjudged"], joined(where, "unjudged"))
     window = whole_in(content["window"], joined(where, "window"))
-    if sorted([*unjudged, *(name for group in groups for name in group)]) != sorted(plant.faults):
-        raise FileFormatError(f"{where}: groups and unjudged must be the faults of the plant, each once")
+    _check_groups(groups, unjudged, where, plant)
     if window < 1 or any(basis.ndim != 2 or len(basis) != residuals for basis in bases):
         raise FileFormatError(f"{where}: the window must be 1 or more and every basis have {residuals} rows")
     return DirectionTest(window, groups, bases, unjudged)
 
 
-def _check_shapes(monitor: Monitor) -> None:
-    k = monitor.generator.n_residuals
-    test = monitor.norm_test
-    if test.center.shape != (k,) or test.whitening.shape != (k, k):
+def _check_fitted(monitor: Monitor) -> None:
+    k, test = monitor.generator.n_residuals, monitor.norm_test
+    columns, limits = k, np.array([test.threshold])
+    if isinstance(test, BankTest):
+        members = [len(member.residuals) for member in monitor.generator.members]
+        columns, limits = sum(members), test.thresholds
+        if test.sizes.tolist() != members or limits.shape != (len(members),):
+            raise FileFormatError(f"fitted: sizes and thresholds must be for {len(members)} members")
+    if test.center.shape != (k,) or test.whitening.shape != (k, columns):
         raise FileFormatError(f"fitted: center and whitening must be for {k} residuals")
     if min(test.persistence, test.release, test.window) < 1:
         raise FileFormatError("fitted: persistence, release and window must be 1 or more")
+    if not (np.isfinite(test.center).all() and np.isfinite(test.whitening).all() and (limits > 0).all()):
+        raise FileFormatError("fitted: center and whitening must be finite, and the threshold positive")
 
 
 def _check_state(monitor: Monitor) -> None:
     state, spec = monitor._state, monitor._specification()
     assert state is not None
-    n, m, k, window = len(spec.A), spec.B.shape[1], len(spec.C), spec.window
-    plants = len(state.x)
+    plants, columns = len(state.x), spec.test.whitening.shape[1]
     wanted = {
-        "x": (plants, n),
-        "held": (plants, m),
+        "x": (plants, len(spec.A)),
+        "held": (plants, spec.B.shape[1]),
+        **dict.fromkeys(("up", "down", "alarm"), (plants, *spec.alarms)),
     }
-    for prefix, length in (("", window), ("test_", spec.test.window)):
+    for prefix, length, k in (("", spec.window, spec.judged), ("test_", spec.test.window, columns)):
         wanted |= {prefix + "ends": (plants, length, k), prefix + "block": (plants, length, k)}
         wanted[prefix + "begun"] = (plants, k)
         if not 0 <= getattr(state, prefix + "filled") < max(length, 2):

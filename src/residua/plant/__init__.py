@@ -12,11 +12,14 @@ from residua.plant.disturbances import (
 from residua.plant.plant import Plant
 from residua.plant.plant_file import load_plant, loads_plant
 from residua.plant.plant_writer import dumps_plant, save_plant
+from residua.plant.sampled_singular import without_algebraic_equations
+from residua.plant.sensor_filter import augment_sensor_filter, sensor_filter
 
 __all__ = [
     "Fault",
     "OperatingPoint",
     "Plant",
+    "augment_sensor_filter",
     "disturbance_from_parameters",
     "disturbance_from_perturbations",
     "disturbance_from_steady_states",
@@ -27,4 +30,6 @@ __all__ = [
     "plant_from_state_space",
     "quadratic_terms",
     "save_plant",
+    "sensor_filter",
+    "without_algebraic_equations",
 ]

@@ -28,6 +28,7 @@ from residua.plant.channels import (
 from residua.plant.disturbances import factor_disturbance
 from residua.plant.facts import PlantFacts
 from residua.plant.noise import covariance, noise_factors, sampled_noise
+from residua.plant.sampled_singular import without_algebraic_equations
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -341,13 +342,15 @@ class Plant(PlantFacts):
         held too; what they do between samples beyond that is not represented. Noise stays white: the
         state noise over one step has the covariance of the continuous noise, integrated; the measurement
         noise of intensity ``V`` becomes covariance ``V / dt`` (a sensor that averages over the step).
+        Algebraic equations are eliminated first, exactly, which lowers the order; a plant of index 2 or more
+        cannot be sampled, for held inputs would give it impulses.
         """
-        plain = self.explicit()
+        plain = without_algebraic_equations(self).explicit()
         sampled = plain.system(("control", "disturbance", "fault")).discretize(dt)
         sizes = np.cumsum([self.Bu.shape[1], self.Bd.shape[1]])
         Bu, Bd, Bf = (frozen(B) for B in np.hsplit(sampled.B, sizes))
         Bw, Dw = sampled_noise(plain.A, plain.Bw, plain.Dw, sampled.dt)
-        return self._with(A=sampled.A, E=None, Bu=Bu, Bd=Bd, Bf=Bf, Bw=frozen(Bw), Dw=frozen(Dw), dt=sampled.dt)
+        return plain._with(A=sampled.A, E=None, Bu=Bu, Bd=Bd, Bf=Bf, Bw=frozen(Bw), Dw=frozen(Dw), dt=sampled.dt)
 
     def _with_disturbances(self, Bd: NDArray, Dd: NDArray, labels: tuple[str, ...]) -> Plant:
         labels = self.disturbances + labels

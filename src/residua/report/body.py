@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.report.charts import SHOWN_RESIDUALS, by_interest, residual_unit
+from residua.report.charts import SHOWN_MEMBERS, SHOWN_RESIDUALS, by_interest, residual_unit
+from residua.report.codes import CODE_RULES, code_alarm_table, code_table
 from residua.report.pictures import direction_picture
 from residua.report.signatures import Signatures, judged_signatures
 from residua.report.tables import (
@@ -36,11 +37,18 @@ def summary_html(entries: Sequence[tuple[int, str, Diagnosis, tuple[str, ...] | 
     for k, heading, diagnosis, actual in entries:
         v = verdict(diagnosis)
         best = diagnosis.candidates[0] if diagnosis.candidates else None
-        named = best.name if best else ("a fault, not isolated" if v.kind == "fault" else v.headline.rstrip("."))
+        if best:
+            named = best.name
+        elif v.confidence == "no code":
+            named = "more than one fault, or one not known"
+        else:
+            named = "a fault, not isolated" if v.kind == "fault" else v.headline.rstrip(".")
         row = [f'<a href="#s{k}">{escape(heading or f"Diagnosis {k}")}</a>']
         if told:
             row.append("–" if actual is None else escape(listing(actual)) or "nothing")
-        row.append(f"{escape(named)}{_agreement(actual, best.faults if best else (), v.kind == 'fault')}")
+        several = actual is not None and len(actual) > 1 and v.confidence == "no code"  # as the verdict says
+        faults = actual if several and actual else best.faults if best else ()
+        row.append(f"{escape(named)}{_agreement(actual, faults, v.kind == 'fault')}")
         row += [
             f'<td class="num">{cell}</td>'
             for cell in (
@@ -80,6 +88,8 @@ def diagnosis_html(diagnosis: Diagnosis, charts: dict[str, Any], *, number: int,
     v = verdict(diagnosis)
     tag = f' <span class="tag">{escape(v.confidence)}</span>' if v.confidence else ""
     sentences = "".join(f"<li>{escape(s)}</li>" for s in v.sentences)
+    by_code = diagnosis.codes is not None
+    rules = CODE_RULES if by_code and diagnosis.alarms else RULES if diagnosis.candidates else ""
     link = f'<p><a href="#f{filter_number}">Filter {filter_number}, its structure and evidence</a></p>'
     return "\n".join(
         [
@@ -88,10 +98,10 @@ def diagnosis_html(diagnosis: Diagnosis, charts: dict[str, Any], *, number: int,
             _recording(diagnosis),
             _charts(diagnosis, charts, number),
             "<h3>Alarms</h3>",
-            alarm_table(diagnosis),
+            code_alarm_table(diagnosis) if by_code and diagnosis.alarms else alarm_table(diagnosis),
             candidate_table(diagnosis),
-            f'<p class="muted">{escape(RULES)}</p>' if diagnosis.candidates else "",
-            _directions(diagnosis),
+            f'<p class="muted">{escape(rules)}</p>' if rules else "",
+            code_table(diagnosis) if by_code else _directions(diagnosis),
             _residual_table(diagnosis),
             link if filter_number else "",
         ]
@@ -128,40 +138,62 @@ def _missing(diagnosis: Diagnosis) -> str:
 def _charts(diagnosis: Diagnosis, charts: dict[str, Any], number: int) -> str:
     if not len(diagnosis.time):
         return ""
-    shown, behind, rest = [], [], []
+    bank = bool(diagnosis.members)
+    figures: dict[str, list[str]] = {"estimate": [], "residual": [], "statistic": [], "member": [], "scores": []}
     for k, chart in enumerate(charts["charts"]):
-        titles = {
-            "statistic": "Statistic and its threshold",
-            "scores": "Candidate scores (faded where no alarm stands)",
-        }
-        title = titles.get(chart["kind"], with_unit(f"Residual {chart['label']}", chart["unit"]))
-        log = (
-            '<label class="screen"><input type="checkbox" class="log"> logarithmic</label>'
-            if chart["kind"] == "statistic"
-            else ""
-        )
-        empty = all(v is None for series in chart["y"] for v in series)
-        nothing = '<p class="muted">No value to draw: all are missing.</p>' if empty else ""
-        readout = "" if chart["kind"] == "scores" else '<span class="readout"></span>'
-        figure = (
-            f'<figure class="chart {chart["kind"]}" data-chart="{k}">'
-            f"<figcaption>{escape(title)}{readout}{log}</figcaption>"
-            f'<div class="plot" role="img" aria-label="{escape(title)} over time"></div>{nothing}</figure>'
-        )
-        if chart["kind"] != "residual":
-            rest.append(figure)
-        else:
-            (shown if k < SHOWN_RESIDUALS else behind).append(figure)
-    more = ""
-    if behind:
-        more = (
-            f'<details class="more"><summary>{len(behind)} more residuals, which stayed closer to their bands'
-            f"</summary>{''.join(behind)}</details>"
-        )
+        figures["estimate" if chart.get("estimate") else chart["kind"]].append(_figure(k, chart, bank))
+    shown = 0 if bank else SHOWN_RESIDUALS  # of a bank, the statistics of its members tell the story
+    residuals, members = figures["residual"], figures["member"]
+    closer = "" if bank else " more"
+    parts = [
+        *figures["estimate"],
+        *residuals[:shown],
+        _behind(residuals[shown:], f"{closer} residuals{'' if bank else ', which stayed closer to their bands'}"),
+        *figures["statistic"],
+        *members[:SHOWN_MEMBERS],
+        _behind(members[SHOWN_MEMBERS:], " more members, which stayed further below their thresholds"),
+        *figures["scores"],
+    ]
+    what = "Statistics of the members, and candidates" if bank else "Residuals, statistic and candidates"
     return (
-        f'<h3>Residuals, statistic and candidates over time</h3><div class="charts" data-diagnosis="{number}">'
-        f"{_key(charts)}{''.join(shown)}{more}{''.join(rest)}</div>"
+        f'<h3>{what} over time</h3><div class="charts" data-diagnosis="{number}">{_key(charts)}{"".join(parts)}</div>'
     )
+
+
+def _figure(k: int, chart: dict[str, Any], bank: bool) -> str:
+    """Return the place of one chart, with its title."""
+    if chart["kind"] == "residual":
+        fault = chart.get("estimate")
+        name = f"Estimated size of {fault}" if fault else f"Residual {chart['label']}"
+    else:
+        name = {
+            "statistic": "Largest ratio of a member's statistic to its threshold"
+            if bank
+            else "Statistic and its threshold",
+            "member": f"Member {chart['label']}: statistic and its threshold",
+            "scores": f"Candidate scores{', members that agree' if bank else ''} (faded where no alarm stands)",
+        }[chart["kind"]]
+    title = with_unit(name, chart["unit"])
+    log = (
+        '<label class="screen"><input type="checkbox" class="log"> logarithmic</label>'
+        if chart["kind"] in ("statistic", "member")
+        else ""
+    )
+    empty = all(v is None for series in chart["y"] for v in series)
+    nothing = '<p class="muted">No value to draw: all are missing.</p>' if empty else ""
+    readout = "" if chart["kind"] == "scores" else '<span class="readout"></span>'
+    return (
+        f'<figure class="chart {chart["kind"]}" data-chart="{k}">'
+        f"<figcaption>{escape(title)}{readout}{log}</figcaption>"
+        f'<div class="plot" role="img" aria-label="{escape(title)} over time"></div>{nothing}</figure>'
+    )
+
+
+def _behind(figures: list[str], what: str) -> str:
+    """Return charts behind a click."""
+    if not figures:
+        return ""
+    return f'<details class="more"><summary>{len(figures)}{what}</summary>{"".join(figures)}</details>'
 
 
 def _key(charts: dict[str, Any]) -> str:
@@ -257,9 +289,10 @@ def filter_html(generator: ResidualGenerator, *, number: int, several: bool, use
     plant = generator.plant
     title = f"Filter {number}: {generator.method}" if several else "The filter"
     used = f"<p>Used in: {escape(used_by)}.</p>" if used_by else ""
+    bank = f"{len(generator.members)} members, " if generator.codes is not None else ""
     facts = [
         ("Method", generator.method),
-        ("Filter", f"{generator.system.n_states} states, {generator.n_residuals} residuals"),
+        ("Filter", f"{bank}{generator.system.n_states} states, {generator.n_residuals} residuals"),
         ("Sample step", seconds(generator.dt) if generator.dt else "continuous"),
         ("Plant", f"{plant.name}, {plant.n_states} states"),
         ("Inputs", listing(plant.inputs) or "none"),

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.monitor.naming import fault_unit
+from residua.report.codes import member_order
 from residua.report.decimate import Bins, choose_bins, runs, spans
 from residua.report.text import rounded
 
@@ -18,20 +20,34 @@ MAX_POINTS = 20_000
 MAX_POINTS_TOTAL = 400_000
 #: Residuals that are shown at once; the others are behind a click.
 SHOWN_RESIDUALS = 6
+#: Members of a bank whose statistics are shown at once.
+SHOWN_MEMBERS = 8
 #: The statistic starts on a logarithmic axis when it goes this far over its threshold.
 _LOG_FROM = 20.0
 
 
 def residual_unit(diagnosis: Diagnosis, name: str) -> str:
-    """Return the unit of a residual: that of its output, when it is an output's estimation error."""
+    """Return the unit of a residual: that of its output, when it is an output's estimation error.
+
+    That of an estimate is that of the fault.
+    """
     plant = diagnosis.generator.plant
+    fault = estimated_fault(diagnosis, name)
+    if fault:
+        return fault_unit(plant, fault)
     output = name.removeprefix("r ")
     return str(plant.units.get(output, "")) if output != name and output in plant.outputs else ""
 
 
+def estimated_fault(diagnosis: Diagnosis, name: str) -> str:
+    """Return the fault that a residual estimates; empty for any other residual."""
+    named = dict(zip(diagnosis.residual_names, diagnosis.generator.estimated, strict=False))
+    return named.get(name, "")
+
+
 def points_per_series(diagnosis: Diagnosis) -> int:
     """Return how many points a series of this diagnosis may have."""
-    n_series = len(diagnosis.residual_names) + 1 + len(diagnosis.groups)
+    n_series = len(diagnosis.residual_names) + 1 + len(diagnosis.groups) + len(diagnosis.members)
     return int(np.clip(MAX_POINTS_TOTAL // n_series, 1000, MAX_POINTS))
 
 
@@ -63,7 +79,17 @@ def chart_data(diagnosis: Diagnosis) -> dict[str, Any]:
         "onsets": [float(a.onset) for a in diagnosis.alarms[:50] if np.isfinite(a.onset)],
         "charts": [
             *_residual_charts(diagnosis, bins),
-            _statistic_chart(diagnosis, bins),
+            _statistic_chart(diagnosis.statistic, diagnosis.threshold, bins),
+            *(
+                _statistic_chart(
+                    diagnosis.member_statistics[:, m],
+                    diagnosis.member_thresholds[m],
+                    bins,
+                    kind="member",
+                    name=diagnosis.members[m],
+                )
+                for m in member_order(diagnosis, SHOWN_MEMBERS)
+            ),
             *_score_charts(diagnosis, bins),
         ],
     }
@@ -110,22 +136,27 @@ def _residual_charts(diagnosis: Diagnosis, bins: Bins) -> list[dict[str, Any]]:
                 "names": [name],
             }
         )
+        fault = estimated_fault(diagnosis, name)
+        if fault:
+            charts[-1]["estimate"] = fault
     return charts
 
 
-def _statistic_chart(diagnosis: Diagnosis, bins: Bins) -> dict[str, Any]:
-    values = bins.extremes(diagnosis.statistic)
-    threshold = float(diagnosis.threshold)
+def _statistic_chart(
+    statistic: NDArray[np.float64], limit: float, bins: Bins, *, kind: str = "statistic", name: str = "statistic"
+) -> dict[str, Any]:
+    values = bins.extremes(statistic)
+    threshold = float(limit)
     usable = np.isfinite(threshold) and threshold > 0
     seen = values[np.isfinite(values)]
     return {
-        "kind": "statistic",
-        "label": "statistic",
+        "kind": kind,
+        "label": name,
         "unit": "",
         "threshold": threshold if np.isfinite(threshold) else None,
         "log": bool(usable and seen.size and seen.max() > _LOG_FROM * threshold),
         "y": [rounded(values, relative=True)],
-        "names": ["statistic"],
+        "names": [name],
     }
 
 

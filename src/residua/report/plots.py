@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from residua.errors import missing_extra
-from residua.report.charts import by_interest, judged_range, residual_unit
+from residua.report.charts import by_interest, estimated_fault, judged_range, residual_unit
+from residua.report.codes import member_order
 from residua.report.decimate import choose_bins, runs
 from residua.report.signatures import Signatures, generator_signatures
 from residua.report.text import with_unit
@@ -32,7 +33,8 @@ def plot_diagnosis(diagnosis: Diagnosis, ax: Axes | None = None, *, figure: Figu
     """Plot residuals with their bands, the statistic with its threshold, and the candidates' scores.
 
     Alarms are shaded red, missing values grey. Long recordings are drawn as the smallest and largest value
-    of each bin of samples. At most eight residuals are drawn: those that went furthest out of their bands.
+    of each bin of samples. At most eight residuals are drawn: those that went furthest out of their bands. Of a bank
+    the statistics of its members stand in their place, and estimates of faults.
 
     Parameters
     ----------
@@ -55,14 +57,17 @@ def plot_diagnosis(diagnosis: Diagnosis, ax: Axes | None = None, *, figure: Figu
         _statistic(diagnosis, ax, loc="upper left")
         ax.set_xlabel("time [s]")
         return ax
-    shown = by_interest(diagnosis)[:_MAX_RESIDUALS]
+    members = member_order(diagnosis, _MAX_RESIDUALS)[:_MAX_RESIDUALS]
+    shown = [i for i in by_interest(diagnosis) if not members or _is_estimate(diagnosis, i)][:_MAX_RESIDUALS]
     with_scores = bool(diagnosis.groups) and diagnosis.scores.size > 0
-    heights = [1.0] * len(shown) + [1.4] + [1.6] * with_scores
+    heights = [1.0] * (len(shown) + len(members)) + [1.4] + [1.6] * with_scores
     figure = figure or _new_figure(8.0, 1.0 + 1.15 * sum(heights))
     axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
     for i, panel in zip(shown, axes, strict=False):
         _residual(diagnosis, i, panel)
-    _statistic(diagnosis, axes[len(shown)], loc="lower left", bbox_to_anchor=(0.0, 1.0))
+    for m, panel in zip(members, axes[len(shown) :], strict=False):
+        _member(diagnosis, m, panel)
+    _statistic(diagnosis, axes[len(shown) + len(members)], loc="lower left", bbox_to_anchor=(0.0, 1.0))
     if with_scores:
         _scores(diagnosis, axes[-1])
     axes[-1].set_xlabel("time [s]")
@@ -72,7 +77,7 @@ def plot_diagnosis(diagnosis: Diagnosis, ax: Axes | None = None, *, figure: Figu
 
 
 def plot_structure(generator: ResidualGenerator, ax: Axes | None = None) -> Axes:
-    """Plot who fires when what fails: a dark square where a residual answers to a fault.
+    """Plot who fires when what fails: a dark square where a residual, or a member of a bank, answers to a fault.
 
     Parameters
     ----------
@@ -89,15 +94,16 @@ def plot_structure(generator: ResidualGenerator, ax: Axes | None = None) -> Axes
     MissingExtraError
         If matplotlib is not installed.
     """
-    faults, residuals = generator.faults, generator.residuals
+    faults, residuals, fires, what = generator.faults, generator.residuals, generator.structure.T, "residual"
+    if generator.codes is not None:
+        residuals, fires, what = tuple(m.name for m in generator.members), generator.codes.T, "member"
     if ax is None:
         ax = _new_figure(2.5 + 0.4 * len(residuals), 1.6 + 0.3 * len(faults)).subplots()
-    fires = generator.structure.T
     ax.imshow(fires, cmap="Blues", vmin=0, vmax=1.25, aspect="auto")
     _matrix_axes(ax, residuals, faults)
-    ax.set_xlabel("residual")
+    ax.set_xlabel(what)
     ax.set_ylabel("what fails")
-    ax.set_title("Which residuals answer to which fault")
+    ax.set_title(f"Which {what}s answer to which fault")
     return ax
 
 
@@ -197,7 +203,21 @@ def _residual(diagnosis: Diagnosis, i: int, ax: Axes) -> None:
         low, high = min([limits[0], *known]), max([limits[1], *known])
         if high > low:
             ax.set_ylim(low - 0.1 * (high - low), high + 0.1 * (high - low))
-    ax.set_ylabel(_plain(with_unit(name, residual_unit(diagnosis, name))))
+    fault = estimated_fault(diagnosis, name)
+    ax.set_ylabel(_plain(with_unit(f"estimated\n{fault}" if fault else name, residual_unit(diagnosis, name))))
+    ax.margins(x=0)
+
+
+def _is_estimate(diagnosis: Diagnosis, i: int) -> bool:
+    return bool(estimated_fault(diagnosis, diagnosis.residual_names[i]))
+
+
+def _member(diagnosis: Diagnosis, m: int, ax: Axes) -> None:
+    """Draw the statistic of one member of a bank with its threshold."""
+    _shade(diagnosis, ax)
+    _line(diagnosis, diagnosis.member_statistics[:, m], ax, color=_COLOURS[0], lw=0.9)
+    ax.axhline(diagnosis.member_thresholds[m], color=_ALARM, ls="--", lw=1.2)
+    ax.set_ylabel(_plain(f"{diagnosis.members[m]}\nstatistic [–]"))
     ax.margins(x=0)
 
 
@@ -206,7 +226,7 @@ def _statistic(diagnosis: Diagnosis, ax: Axes, **place: Any) -> None:
     _line(diagnosis, diagnosis.statistic, ax, color=_COLOURS[0], lw=0.9, label="statistic")
     if np.isfinite(diagnosis.threshold):
         ax.axhline(diagnosis.threshold, color=_ALARM, ls="--", lw=1.2, label="threshold")
-    ax.set_ylabel("statistic [–]")
+    ax.set_ylabel("largest ratio to\nthreshold [–]" if diagnosis.members else "statistic [–]")
     ax.margins(x=0)
     ax.legend(fontsize="small", ncols=5, **place)
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.design.evidence import Evidence, format_pole
-from residua.report.text import escape, number, score, seconds
+from residua.report.text import escape, number, score, seconds, size_text
 from residua.report.verdict import angle
 
 if TYPE_CHECKING:
@@ -90,30 +90,38 @@ def candidate_table(diagnosis: Diagnosis) -> str:
     candidates = diagnosis.candidates
     if not candidates:
         return ""
+    by_code = diagnosis.codes is not None
+    sized = any(c.sizes for c in candidates)
     rows = []
     for k, c in enumerate(candidates, 1):
         width = f"{100 * c.score:.1f}" if np.isfinite(c.score) else "0"
         bar = f'<td class="bar"><span style="--w:{width}%"></span></td>'
-        rows.append([str(k), _name(c.name), bar, *map(_num, (score(c.score), angle(c.score), score(c.distance)))])
-    header = ["Rank", "Fault", "", "Score", "Angle off signature", "Distance"]
+        numbers = [score(c.score)] if by_code else [score(c.score), angle(c.score), score(c.distance)]
+        sizes = [escape("; ".join(map(size_text, c.sizes)) or "–")] if sized else []
+        rows.append([str(k), _name(c.name), bar, *map(_num, [*numbers, *sizes])])
+    header = ["Rank", "Fault", "", "Score"] + ([] if by_code else ["Angle off signature", "Distance"])
+    header += ["Estimated size"] if sized else []
     title = "Candidates of the main alarm" if len(diagnosis.alarms) > 1 else "Candidates"
     return html_table(header, rows, caption=title)
 
 
 def structure_table(generator: ResidualGenerator) -> str:
-    """Return who fires when what fails: one row per fault, one column per residual."""
+    """Return who fires when what fails: one row per fault, one column per residual, or per member of a bank."""
     if not generator.faults:
         return '<p class="muted">The plant has no faults.</p>'
+    names, fires_for, what = generator.residuals, generator.structure, "residuals"
+    if generator.codes is not None:
+        names, fires_for, what = tuple(m.name for m in generator.members), generator.codes, "members"
     rows = []
     for j, fault in enumerate(generator.faults):
         cells = [
             '<td class="on" title="fires">●</td>' if fires else '<td class="off" title="stays zero">·</td>'
-            for fires in generator.structure[:, j]
+            for fires in fires_for[:, j]
         ]
         rows.append([f'<th scope="row">{escape(fault)}</th>', *cells])
-    header = ["What fails", *(f"<span>{escape(name)}</span>" for name in generator.residuals)]
-    kind = "matrix upright" if generator.n_residuals > 8 else "matrix"
-    return html_table(header, rows, caption="Which residuals answer to which fault (● fires, · stays zero)", kind=kind)
+    header = ["What fails", *(f"<span>{escape(name)}</span>" for name in names)]
+    kind = "matrix upright" if len(names) > 8 else "matrix"
+    return html_table(header, rows, caption=f"Which {what} answer to which fault (● fires, · stays zero)", kind=kind)
 
 
 def similarity_table(labels: Sequence[str], values: NDArray[np.float64], observed: NDArray[np.float64] | None) -> str:

@@ -6,10 +6,13 @@ import html
 import json
 import math
 from collections.abc import Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from residua.monitor.alarm import Size
 
 
 def escape(value: object) -> str:
@@ -34,6 +37,12 @@ def score(value: float) -> str:
 def seconds(value: float | None) -> str:
     """Return a time with its unit."""
     return "–" if value is None or not math.isfinite(value) else f"{number(value, 7)} s"
+
+
+def size_text(size: Size) -> str:
+    """Return an estimated size with its unit and its last value."""
+    unit = f" {size.unit}" if size.unit else ""
+    return f"{number(size.mean, 3)}{unit} (last {number(size.last, 3)}{unit})"
 
 
 def percent(part: int, whole: int) -> str:

@@ -9,15 +9,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from residua.monitor.diagnosis import CLOSE_MARGIN
-from residua.report.text import listing, number, score, seconds
+from residua.report.text import listing, number, percent, score, seconds, size_text
 
 if TYPE_CHECKING:
-    from residua.monitor.diagnosis import Candidate, Diagnosis
+    from residua.monitor.alarm import Alarm, Candidate, Size
+    from residua.monitor.diagnosis import Diagnosis
 
 #: A lead in score at or above this is called clear.
 CLEAR_MARGIN = 0.10
 #: Below this score no listed fault explains the residual well (it points more than 45 degrees away).
 POOR_SCORE = 0.70
+
+#: A code that stood in less than this fraction of an alarm's samples is called unsteady.
+STEADY_SHARE = 0.5
 
 RULES = (
     "The score is the cosine of the angle between the residual and a signature, judged over the monitor's window. "
@@ -35,7 +39,10 @@ class Verdict:
     kind : {"fault", "none", "undecided"}
     headline : str
     sentences : tuple of str
-    confidence : {"clear lead", "moderate lead", "close call", "no good match", "short alarm", "not isolated", ""}
+    confidence : str
+        ``"clear lead"``, ``"moderate lead"``, ``"close call"``, ``"no good match"``, ``"short alarm"``,
+        ``"not isolated"``; by code ``"exact code"``, ``"degraded code"``, ``"nearest code"``, ``"no code"``,
+        ``"unsteady code"``, ``"short alarm"``; or empty.
     margin : float or None
         Lead of the best candidate over the next in score.
     """
@@ -81,7 +88,8 @@ def verdict(diagnosis: Diagnosis) -> Verdict:
             + (", but not for long enough to raise an alarm." if share > 100 else ".")
         )
     if diagnosis.unjudged:
-        sentences.append(f"This monitor may not see {listing(diagnosis.unjudged)}: without a signature in it.")
+        want = "code" if diagnosis.codes else "signature"
+        sentences.append(f"This monitor may not see {listing(diagnosis.unjudged)}: without a {want} in it.")
     return Verdict("none", "No fault found.", tuple(sentences))
 
 
@@ -91,7 +99,9 @@ def _fault(diagnosis: Diagnosis) -> Verdict:
     when = f"since t = {seconds(main.onset)}"
     sentences = [f"Onset at {seconds(main.onset)}, alarm raised at {seconds(main.raised)}, {_end(main.ended)}."]
     candidates = [c for c in main.candidates if math.isfinite(c.score)]
-    if not candidates:
+    if main.reading is not None:
+        headline, confidence, margin = _by_code(main, diagnosis.window, when, sentences)
+    elif not candidates:
         headline = f"A fault was found, {when}; it was not isolated."
         sentences.append("This monitor names no candidates for it.")
         confidence, margin = "not isolated", None
@@ -112,14 +122,44 @@ def _fault(diagnosis: Diagnosis) -> Verdict:
         sentences.append(_how_sure(candidates, confidence, margin))
         if len(best.faults) > 1:
             sentences.append(f"This monitor cannot tell {listing(best.faults)} apart.")
+    sentences += [f"Estimated size of {size.fault}: {size_text(size)}." for size in _told(main)]
     others = [g for g in diagnosis.groups if len(g) > 1 and (not candidates or g != candidates[0].faults)]
     if others:
         sentences.append(f"Not told apart here either: {'; '.join(listing(g) for g in others)}.")
     if diagnosis.unjudged:
-        sentences.append(f"Without a signature in this monitor, so never named: {listing(diagnosis.unjudged)}.")
+        want = "code" if diagnosis.codes else "signature"
+        sentences.append(f"Without a {want} in this monitor, so never named: {listing(diagnosis.unjudged)}.")
     if len(diagnosis.alarms) > 1:
         sentences.append(f"This is the longest of {len(diagnosis.alarms):,} alarms.")
     return Verdict("fault", headline, tuple(sentences), confidence, margin)
+
+
+def _by_code(main: Alarm, window: int, when: str, sentences: list[str]) -> tuple[str, str, float | None]:
+    """Return headline, confidence and margin of a reading, and say what it rests on."""
+    reading = main.reading
+    assert reading is not None
+    name = " or ".join(reading.faults)
+    sentences.append(f"Fired: {listing(reading.fired) or 'none'}; {reading.meaning}.")
+    if main.read_share is not None:
+        share = percent(round(1000 * main.read_share), 1000)
+        sentences.append(f"In {share} of the alarm's samples these were the members that fired.")
+    if len(reading.faults) > 1:
+        sentences.append(f"This monitor cannot tell {listing(reading.faults)} apart.")
+    if not reading.faults:
+        one = f", such as {' and '.join(' or '.join(g) for g in reading.pairs[0])}" if len(reading.pairs) == 1 else ""
+        headline = f"More than one fault{one}, or one that the bank does not know, {when}."
+        return headline, "no code", None
+    if main.stop - main.start < window:
+        return f"Alarm {when}, too short to be sure of the name; read as {name}.", "short alarm", main.margin
+    off = "" if reading.answer == "exact" else f" ({reading.answer} code)"
+    steady = main.read_share is None or main.read_share >= STEADY_SHARE
+    return f"Fault found: {name}{off}, {when}.", f"{reading.answer if steady else 'unsteady'} code", main.margin
+
+
+def _told(alarm: Alarm) -> list[Size]:
+    """Return the estimated sizes of the best candidate; of all faults where none is named, or it is not estimated."""
+    best = alarm.candidates[0].sizes if alarm.candidates else ()
+    return list(best or alarm.sizes)
 
 
 def _end(ended: float | None) -> str:

@@ -2,7 +2,7 @@
   "use strict";
   const root = document.documentElement;
   const page = JSON.parse(document.getElementById("residua-data").textContent);
-  const HEIGHT = { residual: 160, statistic: 220, scores: 240 };
+  const HEIGHT = { residual: 160, statistic: 220, member: 160, scores: 240 };
   const everything = [];
   let colours = {};
   let drawn = 0;
@@ -145,7 +145,7 @@
           if (!(low < high)) [low, high] = [least, most];
         }
         const room = 0.08 * (high - low) || 0.1 * Math.abs(high) || 1;
-        return [chart.kind === "statistic" ? Math.min(0, low) : low - room, high + room];
+        return [chart.kind === "statistic" || chart.kind === "member" ? Math.min(0, low) : low - room, high + room];
       },
     };
   }
@@ -160,7 +160,7 @@
     const axis = { stroke: () => colours.muted, grid: { stroke: () => colours.grid, width: 1 },
       ticks: { stroke: () => colours.grid, width: 1 }, font: "12px system-ui, sans-serif",
       labelFont: "12px system-ui, sans-serif", labelSize: 18 };
-    const names = { residual: "residual", statistic: "statistic [–]", scores: "score [–]" };
+    const names = { residual: chart.estimate ? "estimate" : "residual", statistic: "statistic [–]", member: "statistic [–]", scores: "score [–]" };
     const label = chart.unit ? names[chart.kind] + " [" + chart.unit + "]" : names[chart.kind];
     return {
       width, height: HEIGHT[chart.kind], padding: [8, 14, 0, 0],

@@ -1,0 +1,386 @@
+"""Observers that estimate the fault itself, and what a faulty sensor should read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from residua.design.evidence import Evidence
+from residua.design.fault_reading import FaultReading, read_faults
+from residua.design.generator import ResidualGenerator, make_generator, sampled_filter, stack_signals
+from residua.design.internal_form import check_decoupling, frequency_grid, internal_form
+from residua.design.observer import Observer
+from residua.design.unknown_input_observer import unknown_input_observer
+from residua.errors import AccuracyError, DesignError, SettingError
+from residua.linear import StateSpace, arrays
+from residua.linear.norms import h2_norm, hinf_norm
+from residua.linear.placement import default_margin
+from residua.linear.pole_assignment import real_block_diagonal
+from residua.linear.rank import DEFAULT_RTOL
+from residua.plant import Plant
+
+REFERENCES = (
+    "Sueur, Observer-based actuator and sensor fault estimation, eqs. (1) to (8), (12) to (16)",
+    "Chen, Patton and Zhang (1996), Int. J. Control 63(1), eqs. (2) to (13)",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class FaultEstimator:
+    r"""An observer that estimates faults, and the state that they cannot disturb.
+
+    .. math::
+
+       \hat f = G(s) \{ L_s (y - D u - C \hat x) + L_d (\dot y - D \dot u) - P (A \hat x + B u) \}
+
+    with :math:`\hat x` of an unknown input observer, realised without a derivative. ``G`` is 1 for faults that are
+    read off without one, otherwise :math:`1/(\tau s + 1)`; in sampled time :math:`z^{-1}`.
+
+    Attributes
+    ----------
+    plant : Plant
+        What it was designed for, with all its faults.
+    faults : tuple of str
+        What it estimates.
+    observer : Observer
+        The state estimate, of the plant in which these faults are unknown inputs.
+    system : StateSpace
+        From control inputs and outputs to the estimates.
+    lag : mapping of str to float
+        By how many seconds each estimate follows its fault: ``tau``, or the delay of a sampled plant; zero where
+        no derivative is needed. A fault that grows with slope ``a`` is estimated ``a lag`` too small.
+    generator : ResidualGenerator
+        The estimates as residuals.
+
+    References
+    ----------
+    Sueur, Observer-based actuator and sensor fault estimation, eqs. (5), (8) and section 3.2.
+    """
+
+    plant: Plant
+    faults: tuple[str, ...]
+    observer: Observer
+    system: StateSpace
+    lag: Mapping[str, float]
+    generator: ResidualGenerator = field(repr=False)
+
+    @property
+    def evidence(self) -> Evidence:
+        """The checks that it has passed, with its bandwidth and its noise gains."""
+        return self.generator.evidence
+
+    @property
+    def joint_system(self) -> StateSpace:
+        """The estimates of the faults, then those of the states, as one system from inputs and outputs."""
+        s, o = self.system, self.observer.system
+        return s.replaced(
+            C=np.vstack([s.C, np.hstack([o.C, np.zeros((o.n_outputs, s.n_states - o.n_states))])]),
+            D=np.vstack([s.D, o.D]),
+            outputs=[*s.outputs, *o.outputs],
+        )
+
+    def estimate(self, u: ArrayLike | None, y: ArrayLike, *, dt: float | None = None) -> NDArray[np.float64]:
+        """Return the estimated faults over a recording, shape (time, faults).
+
+        Parameters
+        ----------
+        u : array_like, shape (time, inputs), or None
+        y : array_like, shape (time, outputs)
+        dt : float, optional
+            Step of the recording in seconds; needed when the plant is continuous. The estimator is then sampled,
+            with inputs held and outputs linear between samples: its error is of second order in the step, of first
+            order for some steps after a measurement has jumped.
+        """
+        return sampled_filter(self.system, self.plant, dt).simulate(stack_signals(self.plant, u, y))
+
+    def state(self, u: ArrayLike | None, y: ArrayLike, *, dt: float | None = None) -> NDArray[np.float64]:
+        """Return the state estimate, which the faults do not reach, shape (time, states)."""
+        return self.observer.estimate(u, y, dt=dt)
+
+    def virtual_outputs(self, u: ArrayLike | None, y: ArrayLike, *, dt: float | None = None) -> NDArray[np.float64]:
+        r"""Return what healthy sensors would read, :math:`C \hat x + D u`, shape (time, outputs).
+
+        Without what disturbances add to the outputs, where the plant has such.
+        """
+        p, x = self.plant, self.state(u, y, dt=dt)
+        signals = stack_signals(p, u, y)
+        return x @ p.C.T + signals[..., : len(p.inputs)] @ p.Du.T
+
+    def residual_generator(self) -> ResidualGenerator:
+        """Return the estimates as residuals: zero while nothing fails, whatever the decoupled disturbances do."""
+        return self.generator
+
+    def consistency(self) -> ResidualGenerator:
+        """Return the output errors of the observer: zero while nothing but the estimated faults happens.
+
+        Another fault than those estimated shows here; then the estimates mean nothing.
+
+        Raises
+        ------
+        DesignError
+            If all measurements are used up for the estimate.
+        """
+        return self.observer.residual_generator()
+
+    def __repr__(self) -> str:
+        kind = f"dt={self.plant.dt:g} s" if self.plant.is_discrete else "continuous"
+        return f"FaultEstimator({', '.join(self.faults)}: {self.system.n_states} states, {kind})"
+
+
+def fault_estimator(
+    plant: Plant,
+    *,
+    faults: Iterable[str] | str | None = None,
+    poles: Sequence[complex] | ArrayLike | None = None,
+    margin: float | None = None,
+    bandwidth: float | None = None,
+    rtol: float = DEFAULT_RTOL,
+) -> FaultEstimator:
+    r"""Design an observer that estimates faults, several at once where the outputs allow it.
+
+    The faults are taken for unknown inputs, and an unknown input observer estimates the state without them. What
+    they do to outputs (sensor faults) is then read off at once, :math:`\hat f_j = y_j - c_j \hat x`; what they do
+    to the state (actuators, components) from the derivative of the outputs, through a filter that makes it
+    realisable. Guaranteed, but for terms that decay with the poles of the error, for any control input and any
+    disturbance, and any time course of the faults:
+
+    =================  ======================================  =============================================
+    plant              faults that outputs show at once        faults that need a derivative
+    =================  ======================================  =============================================
+    continuous         :math:`\hat f = f`                      :math:`\hat f = f / (\tau s + 1)`
+    sampled            :math:`\hat f_k = f_k`                  :math:`\hat f_k = f_{k-1}`
+    =================  ======================================  =============================================
+
+    So constant faults are estimated exactly, and ramps with an error of slope times lag. The plant may be
+    unstable, its ``A`` singular, and its ``E`` singular.
+
+    Parameters
+    ----------
+    plant : Plant
+        Continuous or sampled, with faults; disturbances are decoupled too.
+    faults : sequence of str, optional
+        What to estimate; all faults when omitted. The others must not happen meanwhile.
+    poles : sequence of complex, optional
+        Poles of the state estimate's error: as many as states, or as many as are free.
+    margin : float, optional
+        Its stability margin in 1/s, when no poles are given; when omitted too, the geometric mean of the sizes of
+        the plant's poles.
+    bandwidth : float, optional
+        :math:`1/\tau` in rad/s: a wider one follows faults faster and passes more noise (see the evidence). When
+        given, all estimates are filtered with it (a sampled plant: by a pole at :math:`e^{-dt/\tau}`). When
+        omitted, only those of a continuous plant that need it, with the geometric mean of the sizes of the poles of
+        the error, or of the plant where that is larger.
+    rtol : float
+        Relative tolerance of every rank decision.
+
+    Returns
+    -------
+    FaultEstimator
+
+    Raises
+    ------
+    DesignError
+        If the faults cannot be estimated together: they cannot be told apart, or no observer exists that
+        ignores them; the message says which condition failed, with its numbers.
+    AccuracyError
+        If the result missed its check.
+    SettingError
+        If the bandwidth is not a positive number.
+
+    Notes
+    -----
+    Assumes: the model is exact, linear and time-invariant, and no other fault happens. Exists exactly when
+    an unknown input observer for disturbances and faults does, and
+    :math:`\operatorname{rank} [B_d\ B_f; D_d\ D_f] = \operatorname{rank} [B_d; D_d] + \text{number of faults}`.
+    Sueur's own form, :func:`inverse_form_observer`, asks for an invertible ``A`` besides, and his sensor faults for
+    a filter on every faulty output; neither is needed here.
+
+    References
+    ----------
+    Sueur, Observer-based actuator and sensor fault estimation, eqs. (5) and (8), in the form of Chen, Patton and
+    Zhang (1996), eqs. (2) to (13).
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> aircraft = rs.library.vtol()
+    >>> estimator = rs.design.fault_estimator(
+    ...     aircraft, faults=["collective actuator", "cyclic actuator"], poles=[-20, -25, -100 / 3, -50], bandwidth=50
+    ... )
+    >>> estimator.lag
+    {'collective actuator': 0.02, 'cyclic actuator': 0.02}
+    """
+    names = _chosen(plant, faults)
+    if bandwidth is not None and not (np.isfinite(bandwidth) and bandwidth > 0):
+        raise SettingError(f"bandwidth must be a positive number in rad/s, got {bandwidth}")
+    if poles is None and margin is None:
+        margin = _own_rate(plant)
+    try:
+        observer = unknown_input_observer(plant.faults_as_disturbances(names), poles=poles, margin=margin, rtol=rtol)
+    except DesignError as error:
+        raise DesignError(
+            f"no observer of the state ignores {', '.join(names)} as unknown inputs: {error}; "
+            "to estimate fewer faults at once may help"
+        ) from error
+    if observer.plant.E is None:
+        plant = plant.explicit()
+    reading = read_faults(observer.plant, names, rtol=rtol)
+    smoothing = _smoothing(plant, observer, reading, bandwidth)
+    system, form = _realised(plant, names, observer, reading, smoothing)
+    method = "fault estimator"
+    evidence = observer.evidence.extended(
+        method=method,
+        poles=system.poles(),
+        ranks={**observer.evidence.ranks, **reading.ranks},
+        references=REFERENCES,
+        decoupling=check_decoupling(system, plant, decoupled=True),
+        conditions={
+            "gain from f to its estimate, off its lag": 0.0,
+            **({"bandwidth (rad/s)": smoothing.rate} if smoothing.rate else {}),
+        },
+    )
+    # by its internal form, not its state map: the latter may be zero (all states read off), and has no units then
+    generator = make_generator(system, plant, method, evidence, known_form=form, estimated=names)
+    return FaultEstimator(
+        plant, names, observer, system, smoothing.lags(names, plant.dt), _with_numbers(generator, reading, smoothing)
+    )
+
+
+def _chosen(plant: Plant, faults: Iterable[str] | str | None) -> tuple[str, ...]:
+    chosen = arrays.positions(faults, plant.faults, "fault")
+    if not chosen:
+        raise DesignError("there is no fault to estimate: give the plant faults, plant.with_actuator_faults()")
+    arrays.unique(tuple(plant.faults[i] for i in chosen), "faults to estimate")
+    return tuple(plant.faults[i] for i in chosen)
+
+
+@dataclass(frozen=True, eq=False)
+class _Smoothing:
+    """Which estimates are filtered and how: ``rate`` in rad/s (zero: none), ``pole`` in sampled time."""
+
+    filtered: NDArray[np.bool_]
+    late: NDArray[np.bool_]
+    rate: float
+    pole: float
+
+    def lags(self, names: tuple[str, ...], dt: float) -> dict[str, float]:
+        if not dt:
+            return {name: 1 / self.rate if on else 0.0 for name, on in zip(names, self.filtered, strict=True)}
+        more = dt * self.pole / (1 - self.pole)
+        return {name: (dt if late else 0.0) + more for name, late in zip(names, self.late, strict=True)}
+
+    def expected(self, points: NDArray, dt: float) -> NDArray:
+        """Return what each estimate is of its fault, at complex points."""
+        if not dt:
+            return 1 / (np.outer(points, self.filtered) / (self.rate or 1.0) + 1)
+        smooth = (1 - self.pole) / (1 - self.pole / points)
+        return smooth[:, None] * np.where(self.late, 1 / points[:, None], 1.0)
+
+
+def _smoothing(plant: Plant, observer: Observer, reading: FaultReading, bandwidth: float | None) -> _Smoothing:
+    late = reading.needs_derivative
+    if plant.is_discrete:
+        pole = 0.0 if bandwidth is None else float(np.exp(-bandwidth * plant.dt))
+        return _Smoothing(late | (pole > 0), late, bandwidth or 0.0, pole)
+    if bandwidth is not None:
+        return _Smoothing(np.ones(len(late), dtype=bool), late, float(bandwidth), 0.0)
+    return _Smoothing(late, late, max(default_margin(observer.F), _own_rate(plant)) if late.any() else 0.0, 0.0)
+
+
+def _own_rate(plant: Plant) -> float:
+    """Return the geometric mean of the sizes of the plant's poles, in 1/s."""
+    return default_margin(real_block_diagonal(plant.system(()).poles()), plant.dt)
+
+
+def _realised(
+    plant: Plant, names: tuple[str, ...], observer: Observer, reading: FaultReading, smoothing: _Smoothing
+) -> tuple[StateSpace, StateSpace]:
+    r"""Return the estimator as one system, and its internal form, by its state map and static map.
+
+    With :math:`r = L_s (y_0 - C \hat x) - P (A \hat x + B u)`, :math:`y_0 = y - D u`, and
+    :math:`q = \hat f - L_d y_0 / \tau`: :math:`\dot q = (r - \hat f) / \tau`. In sampled time
+    :math:`\hat f_k = a \hat f_{k-1} + (1 - a) (r_{k-1} + L_d y_{0,k})`, and
+    :math:`q_k = \hat f_k - (1 - a) L_d y_{0,k}`.
+    """
+    n, m, n_f = observer.order, len(plant.inputs), len(names)
+    J = reading.static @ plant.C + reading.dynamics @ plant.A
+    # r and L_d y_0 as functions of (z, [u, y])
+    r_z, r_v = -J, _on_signals(plant, reading.static - J @ observer.H, -reading.dynamics @ plant.Bu)
+    d_v = _on_signals(plant, reading.derivative, np.zeros((n_f, m)))
+    own = np.flatnonzero(smoothing.filtered)
+    k = len(own)
+    pick = np.eye(n_f)[own]
+    through = ~smoothing.filtered
+    late = smoothing.late[own][:, None]
+    if plant.is_discrete:
+        a = smoothing.pole
+        gain = np.where(late, 1 - a, a * (1 - a))
+        Aq, Bz, Bv = a * np.eye(k), gain * r_z[own], gain * r_v[own] + a * (1 - a) * d_v[own]
+        at_once = np.where(late, 0.0, 1 - a)
+        map_q = -gain * reading.dynamics[own]
+    else:
+        w = smoothing.rate
+        Aq, Bz, Bv = -w * np.eye(k), w * r_z[own], w * r_v[own] - w**2 * d_v[own]
+        at_once = np.zeros((k, 1))
+        map_q = -w * reading.dynamics[own]
+    factor = 1 - smoothing.pole if plant.is_discrete else smoothing.rate
+    C_z, D_v = through[:, None] * r_z, through[:, None] * r_v
+    C_z[own] += at_once * r_z[own]
+    D_v[own] += at_once * r_v[own] + factor * d_v[own]
+    static = through[:, None] * reading.dynamics
+    static[own] += at_once * reading.dynamics[own]
+    o = observer.system
+    system = StateSpace(
+        np.block([[o.A, np.zeros((n, k))], [Bz, Aq]]),
+        np.vstack([o.B, Bv]),
+        np.hstack([C_z, pick.T]),
+        D_v,
+        dt=plant.dt,
+        inputs=o.inputs,
+        outputs=[f"estimate {name}" for name in names],
+    )
+    return system, internal_form(system, plant, np.vstack([observer.T, map_q]), static)
+
+
+def _on_signals(plant: Plant, on_y0: NDArray, on_u: NDArray) -> NDArray:
+    """Return a gain on ``y - D u`` and one on ``u`` as one on ``[u, y]``."""
+    return np.hstack([on_u - on_y0 @ plant.Du, on_y0])
+
+
+def _with_numbers(generator: ResidualGenerator, reading: FaultReading, smoothing: _Smoothing) -> ResidualGenerator:
+    """Return the generator with its evidence completed: that the estimates are the faults, and their noise."""
+    plant, names = generator.plant, generator.estimated
+    form = generator.internal_form()
+    w = frequency_grid(form, generator.system)
+    columns = [plant.faults.index(name) for name in names]
+    found = form.frequency_response(w)[:, :, columns]
+    points = np.exp(1j * w * plant.dt) if plant.is_discrete else 1j * w
+    wanted = smoothing.expected(points, plant.dt)[:, :, None] * np.eye(len(names))
+    missed = float(np.abs((found - wanted) / reading.units[:, None] * reading.units).max())
+    if not missed < 1e-6:
+        raise AccuracyError(
+            f"the estimates are off the faults by {missed:.2g} (relative): the plant is too badly scaled or "
+            "conditioned for this estimator; rescale its states and channels"
+        )
+    conditions = {"gain from f to its estimate, off its lag": missed}
+    notes: list[str] = []
+    s, n_u = generator.system, len(plant.inputs)
+    n_other = form.n_inputs - len(plant.noises)
+    for i, name in enumerate(names):
+        conditions[f"lag of {name} (s)"] = smoothing.lags(names, plant.dt)[name]
+        conditions[f"peak gain, outputs to {name}"] = hinf_norm(
+            s.A, s.B[:, n_u:], s.C[[i]], s.D[[i]][:, n_u:], s.dt
+        ).value
+        if plant.noises:
+            B, D = form.B[:, n_other:], form.D[[i]][:, n_other:]
+            rms = h2_norm(form.A, B, form.C[[i]], D, form.dt)
+            conditions[f"noise of {name}, rms"] = rms
+            if not np.isfinite(rms):
+                notes.append(
+                    f"white measurement noise of a continuous plant reaches the estimate of {name} directly, by "
+                    f"{float(np.linalg.norm(D)):.3g} per unit, so that its variance is finite when sampled only"
+                )
+    return replace(generator, evidence=generator.evidence.extended(conditions=conditions, notes=tuple(notes)))

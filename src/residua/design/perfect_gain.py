@@ -1,0 +1,335 @@
+"""Gains of perfect observers: left inverses of a plant's pencil whose dynamics are nilpotent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import AccuracyError, DesignError
+from residua.linear.descriptor import scaled_pencil
+from residua.linear.observability import staircase
+from residua.linear.rank import decide_rank, null_basis, range_basis
+
+Matrix = NDArray[np.float64]
+#: Largest relative variation of det(sN - I), which has to be constant, over the tried s.
+VARIATION = 1e-6
+#: What T [A Bd] + L [C Dd] = I and the zeros of the nilpotent form may be missed by, in scaled units.
+IDENTITY = 1e-8
+#: A square T beyond this condition counts as singular: K = T^-1 L would be all rounding.
+CONDITION = 1e8
+_ATTEMPTS = 12
+
+
+@dataclass(frozen=True, eq=False)
+class PerfectGain:
+    """``T [A Bd] + L [C Dd] = I`` with ``N = T [E 0]`` nilpotent, and how well.
+
+    Attributes
+    ----------
+    T, L, N : ndarray
+        In the units of the plant.
+    basis, triangular, inverse : ndarray
+        ``N = basis triangular inverse`` with a strictly lower triangular matrix: its powers do not cancel.
+    W : ndarray, shape (outputs - disturbances, equations)
+        ``W [A Bd; C Dd] = 0``: the combinations of equations that the estimate leaves over.
+    Y : ndarray, shape (equations, outputs - disturbances)
+        ``W Y = I`` and ``[T L] Y = 0``: the errors of all equations, made of those.
+    index : int
+        The smallest ``k`` with ``N^k = 0``.
+    condition : float
+        Of ``T``, in scaled units.
+    missed, dropped, variation : float
+        Of the identity; what of ``T [E 0]`` was set to zero; relative variation of ``det(sN - I)``.
+    size : float
+        ``sum_i |N^i L| beta^i`` in scaled units: what measurement noise within the bandwidth becomes.
+    """
+
+    T: Matrix
+    L: Matrix
+    N: Matrix
+    basis: Matrix
+    triangular: Matrix
+    inverse: Matrix
+    W: Matrix
+    Y: Matrix
+    index: int
+    condition: float
+    missed: float
+    dropped: float
+    variation: float
+    size: float
+
+    @property
+    def passes(self) -> bool:
+        """Whether every check is passed."""
+        return self.missed <= IDENTITY and self.dropped <= IDENTITY and self.variation <= VARIATION
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """The pencil ``s S - R`` in scaled units with a left inverse of ``R``, and what goes back to the plant's units."""
+
+    R: Matrix
+    S: Matrix
+    inverse: Matrix
+    left: Matrix
+    rows: Matrix
+    columns: Matrix
+    unit: float
+    n: int
+    rtol: float
+    beta: float
+
+    @property
+    def M(self) -> Matrix:
+        return self.inverse @ self.S
+
+    @property
+    def H(self) -> Matrix:
+        H = self.left @ self.S
+        # Redundant outputs alone give an H that is rounding, which nothing may be divided by.
+        return H if float(np.linalg.norm(H)) > self.rtol * float(np.linalg.norm(self.S)) else np.zeros_like(H)
+
+    @property
+    def rounding(self) -> float:
+        """The size that ``M`` is judged by at least: rounding of its factors counts as zero."""
+        return 1e-4 * float(np.linalg.norm(self.inverse) * np.linalg.norm(self.S))
+
+
+def _problem(R0: Matrix, S0: Matrix, n: int, rtol: float, bandwidth: float | None) -> _Problem:
+    p = scaled_pencil(R0, S0)
+    width = R0.shape[1]
+    Q, upper = np.linalg.qr(p.A, mode="complete")
+    inverse = np.linalg.solve(upper[:width], Q[:, :width].T)
+    inverse = inverse + (np.eye(width) - inverse @ p.A) @ inverse
+    beta = 1.0 if bandwidth is None else bandwidth / p.unit
+    return _Problem(p.A, p.E, inverse, Q[:, width:].T, p.rows, p.columns, p.unit, n, rtol, beta)
+
+
+def _deadbeat(M: Matrix, H: Matrix, rtol: float, scale: float) -> tuple[Matrix, Matrix, list[int]] | None:
+    """Return ``Z`` with ``M + Z H`` nilpotent, of the least index, and a basis in which it is block triangular.
+
+    The dual of deadbeat control: with ``S_0 = 0`` and ``S_{i+1}`` all ``x`` that some ``u`` brings into ``S_i``,
+    ``M' x + H' u``, the ``u`` of least norm for the new directions of each step make up ``Z'``. Unobservable modes
+    at zero are carried along; any other makes the steps end early, which returns None. ``scale`` is the size of what
+    ``M`` is a part of.
+    """
+    c, k = M.shape[0], H.shape[0]
+    At, Bt = M.T, H.T
+    scale_A = max(float(np.linalg.norm(M, 2)) if M.size else 0.0, scale, np.finfo(float).tiny)
+    scale_B = max(float(np.linalg.norm(H, 2)) if H.size else 0.0, np.finfo(float).tiny)
+    X, F, levels = np.zeros((c, 0)), np.zeros((k, c)), []
+    steps: list[tuple[int, NDArray]] = []
+    while X.shape[1] < c:
+        project = np.eye(c) - X @ X.T
+        reach = project @ Bt
+        basis, _ = range_basis(reach, rtol=rtol, scale=scale_B)
+        rest = project @ At
+        kernel, _ = null_basis(rest - basis @ (basis.T @ rest), rtol=rtol, scale=scale_A)
+        U, s, _ = np.linalg.svd(kernel - X @ (X.T @ kernel), full_matrices=False)
+        fresh = U[:, s > 0.5]
+        if not fresh.shape[1]:
+            return None
+        fresh = np.linalg.qr(fresh - X @ (X.T @ fresh))[0]
+        inverse = np.linalg.pinv(reach, rcond=rtol * scale_B / max(float(np.linalg.norm(reach, 2)), rtol * scale_B))
+        inverse = inverse if reach.size else np.zeros((k, c))
+        steps.append((X.shape[1], inverse))
+        F = F - inverse @ rest @ fresh @ fresh.T
+        X = np.hstack([X, fresh])
+        levels.append(fresh.shape[1])
+    for _ in range(2):  # what rounding left below the diagonal blocks is taken out once more
+        for (start, inverse), count in zip(steps, levels, strict=True):
+            fresh = X[:, start : start + count]
+            lost = (At + Bt @ F) @ fresh
+            lost = lost - X[:, :start] @ (X[:, :start].T @ lost)
+            F = F - inverse @ lost @ fresh.T
+    return F.T, X, levels
+
+
+def _triangular(N: Matrix, X: Matrix, levels: list[int], size: float) -> tuple[Matrix, float]:
+    """Return ``X' N X`` with exact zeros where the nilpotent form has them, and what was dropped, over ``size``."""
+    full = X.T @ N @ X
+    kept = np.zeros_like(full)
+    start = 0
+    for count in levels:
+        # The basis is one of N': N maps each group of directions into those after it.
+        kept[start + count :, start : start + count] = full[start + count :, start : start + count]
+        start += count
+    kept[np.abs(kept) <= 1e-13 * size] = 0.0
+    return kept, float(np.linalg.norm(full - kept)) / max(size, np.finfo(float).tiny)
+
+
+def nilpotency_index(N: Matrix) -> int:
+    """Return the smallest ``k`` with ``N^k = 0``; entries count as zero against the terms that they are sums of."""
+    power, terms = np.eye(len(N)), np.eye(len(N))
+    for k in range(len(N) + 1):
+        if not np.any(np.abs(power) > 1e-13 * terms):
+            return k
+        power, terms = power @ N, terms @ np.abs(N)
+    return len(N) + 1
+
+
+def _finished(p: _Problem, Z: Matrix, X: Matrix, levels: list[int]) -> PerfectGain:
+    """Return the gain of a choice of ``Z``, checked and in the units of the plant."""
+    G = p.inverse + Z @ p.left
+    G = G + (np.eye(len(G)) - G @ p.R) @ G
+    actual = G @ p.S
+    # In these units states and equations are of the size of one, so that is what errors count against.
+    kept, dropped = _triangular(actual, X, levels, max(1.0, float(np.linalg.norm(actual))))
+    N = X @ kept @ X.T
+    T = G[:, : p.n]
+    missed = float(np.linalg.norm(G @ p.R - np.eye(len(G))))
+    back = p.columns[:, None] * G * p.rows
+    return PerfectGain(
+        back[:, : p.n],
+        back[:, p.n :],
+        p.columns[:, None] * N / p.columns / p.unit,
+        p.columns[:, None] * X,
+        kept / p.unit,
+        X.T / p.columns,
+        p.left * p.rows,
+        (p.left.T - p.R @ (G @ p.left.T)) / p.rows[:, None],
+        nilpotency_index(kept),
+        float(np.linalg.cond(T)) if T.size else 1.0,
+        missed,
+        dropped,
+        determinant_variation(actual),
+        _noise(N, G[:, p.n :], p.beta),
+    )
+
+
+def determinant_variation(N: Matrix) -> float:
+    """Return the largest relative distance of ``det(sN - I)`` from ``det(-I)`` over points around the unit circle."""
+    points = np.array([0.3, 1.0, 2.0]) * np.exp(1j * np.array([0.7, 2.1, 2.9]))
+    size = len(N)
+    return max((abs(np.linalg.det(np.eye(size) - s * N) - 1.0) for s in points), default=0.0) if size else 0.0
+
+
+def _noise(N: Matrix, L: Matrix, beta: float) -> float:
+    total, power = 0.0, L
+    for i in range(len(N)):
+        total += float(np.linalg.norm(power)) * beta**i
+        power = N @ power
+    return total
+
+
+def least_order_gain(R: Matrix, S: Matrix, n: int, *, rtol: float, bandwidth: float | None) -> PerfectGain:
+    """Return the gain of least nilpotency index; ``T`` may lack rank."""
+    p = _problem(R, S, n, rtol, bandwidth)
+    found = _deadbeat(p.M, p.H, rtol, p.rounding)
+    if found is None:
+        raise AccuracyError(_no_steps(rtol))
+    gain = _finished(p, *found)
+    if not gain.passes:
+        raise AccuracyError(_missed(gain))
+    return gain
+
+
+def full_rank_gain(R: Matrix, S: Matrix, n: int, *, rtol: float, bandwidth: float | None, seed: int) -> PerfectGain:
+    """Return the best of many gains whose ``T`` has full column rank: least index first, then least noise.
+
+    The observable part of ``(H, M)`` is made nilpotent through ``t`` random combinations of ``H``, which gives it
+    ``t`` chains; random gains into the unobservable part, nilpotent by itself, hang its chains on to them. Each
+    dimension of the null space of ``S`` ends one chain, which bounds ``t``.
+    """
+    p = _problem(R, S, n, rtol, bandwidth)
+    rng = np.random.default_rng(seed)
+    form = staircase(p.M, p.H, rtol=rtol, balance=False)
+    c = len(p.M)
+    ends = c - int(np.count_nonzero(np.linalg.svd(p.S, compute_uv=False) > rtol))
+    candidates: list[PerfectGain] = []
+    for t in range(min(ends, form.n_seen), 0, -1) if form.n_seen else [0]:
+        for attempt in range(_ATTEMPTS):
+            gain = _attempt(p, form.Q, form.n_observable, t, rng, attempt)
+            if gain is not None:
+                candidates.append(gain)
+    good = [g for g in candidates if g.passes and g.condition <= CONDITION]
+    if not good:
+        if not candidates:
+            raise AccuracyError(_no_steps(rtol))
+        if any(g.passes for g in candidates):
+            raise DesignError(_no_full_rank(p, min(g.condition for g in candidates if g.passes)))
+        raise AccuracyError(_missed(min(candidates, key=lambda g: max(g.variation / VARIATION, g.dropped / IDENTITY))))
+    quietest = min(g.size for g in good)
+    return min((g for g in good if g.size <= 100 * quietest), key=lambda g: (g.index, g.size))
+
+
+def _attempt(p: _Problem, Q: Matrix, k: int, t: int, rng: np.random.Generator, attempt: int) -> PerfectGain | None:
+    """Return one gain of `full_rank_gain`, or None where the deadbeat steps break down."""
+    c, count = len(p.M), len(p.H)
+    Qo, Qu = Q[:, :k], Q[:, k:]
+    Ho = p.H @ Qo
+    whole, seen = float(np.linalg.norm(p.M, 2)), float(np.linalg.norm(Ho, 2)) if Ho.size else 0.0
+    # What moves N as much as it is large already; without anything to move, what moves G as much.
+    size = whole / seen if seen > p.rtol and whole > p.rtol else float(np.linalg.norm(p.inverse, 2))
+    strength = size * (0.1, 0.3, 1.0)[attempt % 3]
+    mix = np.linalg.qr(rng.standard_normal((count, t)))[0].T if t else np.zeros((0, count))
+    # Few combinations see the observable part only when it has no repeated mode: a random gain sees to that.
+    Z0 = strength * rng.standard_normal((k, count)) if attempt or t < count else np.zeros((k, count))
+    M11 = Qo.T @ p.M @ Qo + Z0 @ Ho
+    floor = max(whole, p.rounding)
+    first = _deadbeat(M11, mix @ Ho, p.rtol, floor)
+    second = _deadbeat(Qu.T @ p.M @ Qu, np.zeros((0, c - k)), p.rtol, floor)
+    if first is None or second is None:
+        return None
+    Z1 = Z0 + first[0] @ mix
+    Z2 = strength * rng.standard_normal((c - k, count))
+    if attempt % 2 and Ho.size:
+        Z2 = Z2 - Qu.T @ p.M @ Qo @ np.linalg.pinv(Ho, rcond=p.rtol)
+    Z = Qo @ Z1 + Qu @ Z2
+    # N = [N11 0; N21 N22] in the staircase coordinates: the observable group comes first.
+    X = np.hstack([Qo @ first[1], Qu @ second[1]])
+    return _finished(p, Z, X, [*first[2], *second[2]])
+
+
+def given_gain(A: Matrix, E: Matrix, C: Matrix, K: Matrix, *, rtol: float, bandwidth: float | None) -> PerfectGain:
+    """Return what a given ``K`` of ``E xh' = A xh + B u + K (C xh - y)`` achieves, or raise when it is not perfect."""
+    Ab = A + K @ C
+    R, S = np.vstack([A, C]), np.vstack([E, np.zeros_like(C)])
+    p = _problem(R, S, len(A), rtol, bandwidth)
+    scaled = p.rows[: len(A), None] * Ab * p.columns
+    condition = float(np.linalg.cond(scaled))
+    if not condition < CONDITION:
+        raise DesignError(f"A + K C is singular (condition {condition:.2g}): det(sE - A - KC) is zero at s = 0")
+    Ti = np.linalg.inv(scaled)
+    G = np.hstack([Ti, Ti @ (p.rows[: len(A), None] * K / p.rows[len(A) :])])
+    found = _deadbeat(G @ p.S, np.zeros((0, len(A))), rtol, p.rounding)
+    if found is None:
+        modes = np.linalg.eigvals(G @ p.S)
+        raise DesignError(
+            "det(sE - A - KC) is not constant: (A + KC)^-1 E has the eigenvalue "
+            f"{modes[np.argmax(np.abs(modes))] / p.unit:.4g} instead of zeros; leave K out and it is designed"
+        )
+    Z = (G - p.inverse) @ p.left.T
+    gain = _finished(p, Z, found[1], found[2])
+    if not gain.passes:
+        raise AccuracyError(_missed(gain))
+    return gain
+
+
+def _no_full_rank(p: _Problem, condition: float) -> str:
+    E = decide_rank(p.S, rtol=p.rtol).rank
+    seen = decide_rank(np.vstack([p.S[: p.n], p.R[p.n :]]), rtol=p.rtol).rank - E
+    return (
+        f"no gain K makes det(sE - A - KC) constant: every T that was tried is singular (condition {condition:.2g} at "
+        f"least), for the outputs see {seen} dimension(s) of what algebraic equations alone determine, rank[E; C] - "
+        "rank E; least_order=True estimates the state all the same, or add a sensor"
+    )
+
+
+def _no_steps(rtol: float) -> str:
+    return (
+        f"the deadbeat steps of the design do not end: a rank decision with rtol={rtol:.3g} was not clear, or a finite "
+        "zero of the pencil is too near; choose another rtol, rescale the plant, or add a sensor"
+    )
+
+
+def _missed(gain: PerfectGain) -> str:
+    return (
+        f"the perfect observer misses its checks: det(sN - I) varies by {gain.variation:.2g} (at most "
+        f"{VARIATION:.0e}), its identity is missed by {gain.missed:.2g} and its nilpotent form by "
+        f"{gain.dropped:.2g} (at most {IDENTITY:.0e}), condition of T {gain.condition:.2g}; rescale the plant, add a "
+        "sensor, try another seed, or use an unknown input observer, which has dynamics"
+    )

@@ -1,0 +1,389 @@
+"""Perfect observers: the state of a singular plant from its signals and their derivatives, without dynamics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from residua.design.differential_filter import differential_filter, trimmed
+from residua.design.evidence import Evidence
+from residua.design.generator import ResidualGenerator, make_generator, sampled_filter, stack_signals
+from residua.design.internal_form import check_decoupling
+from residua.design.perfect_checks import (
+    check_existence,
+    check_singular,
+    output_error_rows,
+    perfect_evidence,
+    reduced_rows,
+)
+from residua.design.perfect_gain import PerfectGain, full_rank_gain, given_gain, least_order_gain
+from residua.errors import DesignError, SettingError
+from residua.linear import StateSpace, WeierstrassForm, arrays, default_margin, weierstrass_form
+from residua.linear.descriptor import scaled_pencil
+from residua.linear.rank import DEFAULT_RTOL
+from residua.plant import Plant
+
+
+@dataclass(frozen=True, eq=False)
+class PerfectObserver:
+    r"""An observer without dynamics: its estimate is the state, not something that tends to it.
+
+    With ``X = (x, d)`` the state and the disturbances of the plant, ``T [A Bd] + L [C Dd] = I`` and
+    ``N = T [E 0]`` nilpotent,
+
+    .. math::
+
+       N \dot{\hat X} = \hat X + T B u - L (y - D u) \quad\Longrightarrow\quad
+       \hat X = -\sum_{i < \mu} N^i \left( T B u^{(i)} - L (y - D u)^{(i)} \right)
+
+    and the error is a differential polynomial of the faults,
+    :math:`X - \hat X = -\sum_{i < \mu} N^i (T B_f + L D_f) f^{(i)}`. For a singular plant without disturbances
+    ``T`` is invertible, and with :math:`K = T^{-1} L` this is
+    :math:`E \dot{\hat x} = A \hat x + B u + K (C \hat x - y)`, ``D = 0``.
+
+    It runs as a filter: continuous, everything passes :math:`1/(\tau s + 1)^m`, ``m`` the number of
+    derivatives and ``tau = 1 / bandwidth``, so that the estimate is the equally filtered state; sampled, it is a finite
+    sum of the last samples and gives the state of ``m`` steps ago.
+
+    Attributes
+    ----------
+    plant : Plant
+    outputs : tuple of str
+        The outputs that drive it.
+    T : ndarray, shape (states + disturbances, states)
+    L : ndarray, shape (states + disturbances, outputs that drive it)
+    N : ndarray, shape (states + disturbances, states + disturbances)
+    index : int
+        ``mu``, the smallest ``k`` with ``N^k = 0``.
+    bandwidth : float
+        Of the filter, in rad/s; not used in sampled time.
+    complete : bool
+        Whether ``T`` has full column rank, so that the output error shows all that the plant's equations can.
+    evidence : Evidence
+    gain : PerfectGain
+        The choice behind ``T``, ``L`` and ``N``, with its checks.
+    left : ndarray
+        The rows that the residual reads: ``W`` of the output error, or, of least order, of all equations.
+
+    References
+    ----------
+    Twardy and Kaczorek, part I, section 2.6, eqs. (30) to (33), Definition 5 and Theorem 4.
+    """
+
+    plant: Plant
+    outputs: tuple[str, ...]
+    T: NDArray[np.float64]
+    L: NDArray[np.float64]
+    N: NDArray[np.float64]
+    index: int
+    bandwidth: float
+    complete: bool
+    evidence: Evidence = field(repr=False)
+    gain: PerfectGain = field(repr=False)
+    left: NDArray[np.float64] = field(repr=False)
+
+    # ------------------------------------------------------------------- facts
+
+    @property
+    def K(self) -> NDArray[np.float64]:
+        """The gain of ``E xh' = A xh + B u + K (C xh - y)``; singular plants without disturbances only."""
+        return np.asarray(np.linalg.solve(self._square_T(), self.L), dtype=float)
+
+    @property
+    def Ab(self) -> NDArray[np.float64]:
+        """``A + K C``, whose inverse is ``T``; singular plants without disturbances only."""
+        return self.plant.A + self.K @ self.plant.C[self.rows]
+
+    def _square_T(self) -> NDArray[np.float64]:
+        if not self.complete or self.T.shape[0] != self.T.shape[1]:
+            raise DesignError(
+                "K and A + K C belong to observers of singular plants without disturbances, and with full T; this one "
+                "is N xh' = xh + T B u - L y"
+            )
+        return self.T
+
+    @property
+    def derivatives(self) -> int:
+        """How many derivatives of the inputs and outputs the state estimate takes (sampled: steps)."""
+        return len(self._state_polynomial()) - 1
+
+    @property
+    def delay(self) -> float:
+        """By how many seconds the state estimate lags: steps times ``dt``, or the sum of the lags of the filter."""
+        return self.derivatives * (self.plant.dt or 1.0 / self.bandwidth)
+
+    @property
+    def system(self) -> StateSpace:
+        """The filter from control inputs and outputs to the state estimate."""
+        return self._filter(self._state_polynomial(), [f"estimate {x}" for x in self.plant.states])
+
+    @property
+    def disturbance_system(self) -> StateSpace:
+        """The filter from control inputs and outputs to the estimate of the disturbances."""
+        n = self.plant.n_states
+        return self._filter(
+            self._polynomial(self._known, slice(n, None)), [f"estimate {x}" for x in self.plant.disturbances]
+        )
+
+    def estimate(self, u: ArrayLike | None, y: ArrayLike, *, dt: float | None = None) -> NDArray[np.float64]:
+        """Return the state estimate over a recording, shape (time, states); late by :attr:`delay`.
+
+        Parameters
+        ----------
+        u : array_like, shape (time, inputs), or None
+        y : array_like, shape (time, outputs)
+            All outputs of the plant, also those that do not drive the observer.
+        dt : float, optional
+            Step of the recording; needed when the observer is continuous. It is then sampled with inputs held
+            and outputs linear between samples; keep ``bandwidth * dt`` below one.
+        """
+        return sampled_filter(self.system, self.plant, dt).simulate(stack_signals(self.plant, u, y))
+
+    def estimate_disturbances(
+        self, u: ArrayLike | None, y: ArrayLike, *, dt: float | None = None
+    ) -> NDArray[np.float64]:
+        """Return the estimate of the disturbances, shape (time, disturbances); takes what :meth:`estimate` takes."""
+        return sampled_filter(self.disturbance_system, self.plant, dt).simulate(stack_signals(self.plant, u, y))
+
+    # ---------------------------------------------------------------- residuals
+
+    def polynomial(self) -> dict[str, NDArray[np.float64]]:
+        """Return what the unfiltered residual is made of: for each fault the coefficients of ``f, f', f'', ...``.
+
+        Each is an array of shape (order + 1, residuals); in sampled time of ``f`` now, one step later, and so on.
+        """
+        p = self.plant
+        found = self.residual_polynomial(p.Bf, p.Df, own=False)
+        return {name: np.array([P[:, i] for P in found]) for i, name in enumerate(p.faults)}
+
+    def residual_generator(self) -> ResidualGenerator:
+        r"""Return the output error ``r = W (y - D u - C xh - Dd dh)`` of the outputs that drive it, filtered alike.
+
+        It is zero, without any transient, while nothing fails, and a differential polynomial of the faults
+        otherwise. ``W`` removes the copies that decoupling disturbances leaves. An observer of least order reads the
+        equations of the plant that its estimate did not need instead of the output error, which may be blind.
+
+        Raises
+        ------
+        DesignError
+            If as many disturbances are decoupled as there are outputs: no equation is left to see faults with.
+        """
+        p = self.plant
+        if not len(self.left):
+            raise DesignError(
+                f"the residual is zero whatever fails: {len(self.outputs)} measurements are all used up by "
+                f"{len(p.disturbances)} disturbances; add a sensor or decouple fewer disturbances"
+            )
+        B = np.hstack([p.Bf, 0.0 * p.Bd, p.Bw])
+        D = np.hstack([p.Df, 0.0 * p.Dd, p.Dw])
+        known = self.residual_polynomial(p.Bu, p.Du, own=True)
+        hidden = self.residual_polynomial(B, D, own=False)
+        order = max(len(known), len(hidden)) - 1
+        plain = self.complete and len(self.left) == len(self.outputs)
+        names = [f"r {x}" for x in self.outputs] if plain else [f"r{i + 1}" for i in range(len(self.left))]
+        system = self._filter(known, names, order)
+        form = self._filter(hidden, names, order, p.system(("fault", "disturbance", "noise")).inputs)
+        gains = check_decoupling(system, p, decoupled=True)
+        note = f"the residual takes {order} derivatives of the measurements" if not p.dt else f"late by {order} steps"
+        evidence = self.evidence.extended(decoupling=gains, notes=(note,), poles=system.poles())
+        return make_generator(system, p, self.evidence.method, evidence, known_form=form)
+
+    # --------------------------------------------------------------- coefficients
+
+    @property
+    def rows(self) -> list[int]:
+        """Numbers of the outputs that drive it."""
+        return arrays.positions(self.outputs, self.plant.outputs, "output")
+
+    @property
+    def _known(self) -> NDArray[np.float64]:
+        """``Gv`` of ``X = sum N^i Gv v^(i)``, with ``v`` the control inputs and all outputs."""
+        p = self.plant
+        spread = np.eye(p.n_outputs)[self.rows]
+        return np.hstack([-(self.T @ p.Bu + self.L @ p.Du[self.rows]), self.L @ spread])
+
+    def _state_polynomial(self) -> list[NDArray[np.float64]]:
+        return self._polynomial(self._known, slice(0, self.plant.n_states))
+
+    def _polynomial(self, G: NDArray, part: slice) -> list[NDArray[np.float64]]:
+        """Return the rows ``part`` of ``G, N G, N^2 G, ...``."""
+        pick = np.eye(len(self.N))[part]
+        return self.series(G, pick, [])
+
+    def series(self, G: NDArray, pick: NDArray, first: list[NDArray]) -> list[NDArray[np.float64]]:
+        """Return ``first`` and then ``pick G, pick N G, ...`` up to the last that is not zero."""
+        out, sizes = list(first), [np.abs(P) for P in first]
+        # In the coordinates of the chains, where N is triangular, its powers are small when they should be.
+        chain, pick = self.gain.triangular, pick @ self.gain.basis
+        power = self.gain.inverse @ G
+        size = np.abs(power)
+        for _ in range(max(self.index, 1)):
+            out.append(pick @ power)
+            sizes.append(np.abs(pick) @ size)
+            power, size = chain @ power, np.abs(chain) @ size
+        return trimmed(out, sizes, self.bandwidth)
+
+    def residual_polynomial(self, B: NDArray, D: NDArray, *, own: bool) -> list[NDArray[np.float64]]:
+        """Return the coefficients of the residual in its own signals ``(u, y)``, or in inputs it does not know.
+
+        ``own``: ``B, D`` are those of the control inputs, and the outputs follow as further columns.
+        """
+        p, rows = self.plant, self.rows
+        D = D[rows]
+        if own:
+            spread = np.eye(p.n_outputs)[rows]
+            G, direct = self._known, np.hstack([-D, spread])
+            F = np.hstack([np.vstack([-B, -D]), np.vstack([np.zeros((p.n_states, p.n_outputs)), spread])])
+        else:
+            G, direct = self.T @ B + self.L @ D, D
+            F = np.vstack([B, D])
+        if self.complete:
+            W, whole = self.left, np.hstack([p.C[rows], p.Dd[rows]])
+            out = self.series(G, -W @ whole, [])
+            out[0] = out[0] + W @ direct
+            return out
+        E = np.eye(p.n_states) if p.E is None else p.E
+        S = np.zeros((p.n_states + len(rows), len(self.N)))
+        S[: p.n_states, : p.n_states] = E
+        return self.series(G, self.left @ S, [self.left @ F])
+
+    def _filter(
+        self, coefficients: Sequence[NDArray], names: Sequence[str], order: int | None = None, inputs: object = None
+    ) -> StateSpace:
+        p = self.plant
+        signals = [f"input {x}" for x in p.inputs] + [f"output {x}" for x in p.outputs]
+        return differential_filter(
+            coefficients,
+            dt=p.dt,
+            bandwidth=self.bandwidth,
+            order=order,
+            inputs=signals if inputs is None else list(inputs),  # pyright: ignore[reportArgumentType]
+            outputs=names,
+        )
+
+
+def perfect_observer(
+    plant: Plant,
+    *,
+    outputs: Iterable[str | int] | str | None = None,
+    K: ArrayLike | None = None,
+    least_order: bool = False,
+    bandwidth: float | None = None,
+    seed: int = 0,
+    rtol: float = DEFAULT_RTOL,
+) -> PerfectObserver:
+    r"""Design an observer whose estimate is the state itself, for any disturbance.
+
+    .. math:: E \dot{\hat x} = A \hat x + B u + K (C \hat x - y), \qquad \det(sE - A - KC) = \text{const} \ne 0
+
+    for a singular plant. Disturbances of the plant become further states with no equation of their own, and are
+    estimated too; such a plant is singular whatever its ``E``. Guaranteed (and checked): the estimate obeys the
+    plant's equations for any control input and any disturbance, so that it has no transient but that of its filter.
+
+    It exists when
+
+    .. math:: \operatorname{rank} \begin{bmatrix} sE - A & -B_d \\ C & D_d \end{bmatrix} = n + q
+              \quad \text{for every finite } s.
+
+    and, for the form above without disturbances, an invertible ``T`` can be chosen: always when
+    :math:`\operatorname{rank} [E; C] = n`, as paper 001 asks, and often when not. (``least_order`` needs the first
+    condition alone.) Its price is noise: as many derivatives of the measurements as the evidence says. Several gains
+    are tried and the one kept that takes the fewest derivatives, and of these the quietest.
+
+    Parameters
+    ----------
+    plant : Plant
+        Continuous or sampled, with a regular pencil; ``E`` singular, or with disturbances, or else ``least_order``.
+    outputs : sequence of str or int, optional
+        The outputs that drive it, all when omitted; for banks.
+    K : array_like, shape (n, outputs that drive it), optional
+        A gain to check and use instead of designing one; plants without disturbances.
+    least_order : bool
+        Give up the form above for the fewest derivatives that any gain allows: some of the plant's equations are
+        left out of the estimate, and become the residual. An ordinary plant has this kind only.
+    bandwidth : float, optional
+        Of the filter that everything passes, in rad/s; continuous plants. Five times the geometric mean of the
+        sizes of the plant's poles that are not zero, when omitted.
+    seed : int
+        For the gains that are tried.
+    rtol : float
+        For every rank decision.
+
+    Returns
+    -------
+    PerfectObserver
+
+    Raises
+    ------
+    ModelError
+        If the plant's pencil is not regular.
+    DesignError
+        If no such observer exists; the message says which condition fails, and where.
+    AccuracyError
+        If no gain passes the checks: relative variation of the determinant below 1e-6.
+
+    Notes
+    -----
+    Assumes: the model is exact, linear and time-invariant. Measurement noise is differentiated: where a few finite
+    zeros or slow estimates are no harm, `unknown_input_observer` and `kalman_filter` are quieter.
+
+    References
+    ----------
+    Twardy and Kaczorek, part I, eqs. (30) to (33), Theorem 4 and Procedure 2; that ``E`` has to be singular, and that
+    (31a) is not necessary, is shown in the tests.
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> plant = rs.Plant([[1, 2], [3, 4]], [[1], [1]], [[1, 1]], E=[[1, 0], [0, 0]])
+    >>> plant = plant.with_actuator_faults().with_sensor_faults()
+    >>> observer = rs.design.perfect_observer(plant, K=[[1], [-4]])
+    >>> observer.index
+    2
+    >>> observer.polynomial()["u1 actuator"].round(9)  # f' / 3
+    array([[0.        ],
+           [0.33333333]])
+    """
+    rows = arrays.positions(outputs, plant.outputs, "output")
+    names = tuple(plant.outputs[i] for i in rows)
+    arrays.unique(names, "outputs")
+    E = np.eye(plant.n_states) if plant.E is None else plant.E
+    C, Dd = plant.C[rows], plant.Dd[rows]
+    form = weierstrass_form(plant.A, plant.E, rtol=rtol)
+    if plant.dt and bandwidth is not None:
+        raise SettingError("bandwidth is for continuous plants; a sampled perfect observer is a finite sum of samples")
+    width = _bandwidth(bandwidth, form, plant)
+    check_existence(plant, rows, rtol)
+    n, q = plant.n_states, len(plant.disturbances)
+    R = np.block([[plant.A, plant.Bd], [C, Dd]])
+    S = np.zeros_like(R)
+    S[:n, :n] = E
+    scale = None if plant.dt else width
+    if K is not None:
+        if q or least_order:
+            raise SettingError("a gain K is for plants without disturbances and without least_order")
+        gain = given_gain(plant.A, E, C, np.asarray(arrays.matrix(K, "K", (n, len(rows)))), rtol=rtol, bandwidth=scale)
+    elif least_order:
+        gain = least_order_gain(R, S, n, rtol=rtol, bandwidth=scale)
+    else:
+        check_singular(plant, rtol)
+        gain = full_rank_gain(R, S, n, rtol=rtol, bandwidth=scale, seed=seed)
+    left = gain.W if least_order else output_error_rows(gain, len(rows))
+    blank = Evidence("perfect observer")
+    found = PerfectObserver(plant, names, gain.T, gain.L, gain.N, gain.index, width, not least_order, blank, gain, left)
+    if len(left) and (q or least_order):
+        found = replace(found, left=reduced_rows(found))
+    return replace(found, evidence=perfect_evidence(found, R, rtol))
+
+
+def _bandwidth(bandwidth: float | None, form: WeierstrassForm, plant: Plant) -> float:
+    if bandwidth is None:
+        if form.n_finite:
+            return 5.0 * default_margin(form.A1)
+        return 5.0 * scaled_pencil(plant.A, np.eye(plant.n_states) if plant.E is None else plant.E).unit
+    if not np.isfinite(bandwidth) or bandwidth <= 0:
+        raise SettingError(f"bandwidth must be a positive number of rad/s, got {bandwidth!r}")
+    return float(bandwidth)

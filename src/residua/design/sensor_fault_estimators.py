@@ -1,0 +1,114 @@
+"""One fault estimator per sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from numpy.typing import ArrayLike
+
+from residua.design.fault_estimator import FaultEstimator, fault_estimator
+from residua.errors import AccuracyError, DesignError
+from residua.linear import arrays
+from residua.linear.rank import DEFAULT_RTOL
+from residua.plant import Plant
+
+
+@dataclass(frozen=True, eq=False)
+class FaultEstimatorBank(Mapping[str, FaultEstimator]):
+    """Fault estimators by the name of the sensor that each is for; a mapping.
+
+    Each assumes that its own sensor alone is faulty. Which one is right shows in
+    :meth:`FaultEstimator.consistency`: its output errors stay zero, while those of the others answer.
+
+    Attributes
+    ----------
+    members : mapping of str to FaultEstimator
+    failures : mapping of str to str
+        Sensors whose fault cannot be estimated, and why.
+    """
+
+    members: Mapping[str, FaultEstimator] = field(repr=False)
+    failures: Mapping[str, str]
+
+    def __getitem__(self, name: str) -> FaultEstimator:
+        if name in self.failures:
+            raise KeyError(f"no estimator for {name!r}: {self.failures[name]}")
+        return self.members[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.members)
+
+    def __len__(self) -> int:
+        return len(self.members)
+
+    def __str__(self) -> str:
+        lines = [f"{name}: {estimator}" for name, estimator in self.members.items()]
+        return "\n".join(lines + [f"{name}: none, {reason}" for name, reason in self.failures.items()])
+
+
+def sensor_fault_estimators(
+    plant: Plant,
+    *,
+    outputs: Iterable[str | int] | str | None = None,
+    poles: Sequence[complex] | ArrayLike | None = None,
+    margin: float | None = None,
+    bandwidth: float | None = None,
+    rtol: float = DEFAULT_RTOL,
+) -> FaultEstimatorBank:
+    """Design one fault estimator for each sensor, each ignoring what its own sensor reads.
+
+    One observer for all sensors at once would have all poles of the plant as fixed poles, and could not tell the
+    sensors apart; a bank of one for each has neither weakness, as long as one sensor fails at a time.
+
+    Parameters
+    ----------
+    plant : Plant
+        Sensor faults that it does not have are added.
+    outputs : sequence of str or int, optional
+        The sensors; all when omitted.
+    poles, margin, bandwidth, rtol
+        Of every estimator; see :func:`fault_estimator`.
+
+    Returns
+    -------
+    FaultEstimatorBank
+        Mapping of sensor to :class:`FaultEstimator`, with the sensors for which there is none.
+
+    Raises
+    ------
+    DesignError
+        If there is none for any sensor.
+
+    References
+    ----------
+    Sueur, Observer-based actuator and sensor fault estimation, eqs. (15) and (16).
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> bank = rs.design.sensor_fault_estimators(rs.library.vtol(), poles=[-30, -40, -40, -50])
+    >>> list(bank)
+    ['v_horizontal', 'v_vertical', 'pitch']
+    """
+    names = [plant.outputs[i] for i in arrays.positions(outputs, plant.outputs, "output")]
+    faults: dict[str, str] = {}
+    for name in names:
+        own = [f.name for f in plant.fault_list if f.kind == "sensor" and f.component == name]
+        if not own:
+            plant = plant.with_sensor_faults([name])
+            own = [plant.faults[-1]]
+        faults[name] = own[0]
+    members: dict[str, FaultEstimator] = {}
+    failures: dict[str, str] = {}
+    for name, fault in faults.items():
+        try:
+            members[name] = fault_estimator(
+                plant, faults=[fault], poles=poles, margin=margin, bandwidth=bandwidth, rtol=rtol
+            )
+        except (DesignError, AccuracyError) as error:
+            failures[name] = str(error)
+    if not members:
+        told = "; ".join(f"{name}: {reason}" for name, reason in failures.items())
+        raise DesignError(f"no fault of a sensor can be estimated: {told}")
+    return FaultEstimatorBank(members, failures)

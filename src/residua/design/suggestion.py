@@ -1,0 +1,400 @@
+"""Which design function to call for a plant: it tries them and says what came of it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua import design
+from residua.analysis.diagnosability import Diagnosability, diagnosability
+from residua.analysis.unknown_input import is_singular
+from residua.design.bank import Bank
+from residua.design.catalogue import Method, method
+from residua.design.fault_estimator import FaultEstimator
+from residua.design.generator import ResidualGenerator
+from residua.errors import AccuracyError, DesignError, ModelError, SettingError
+from residua.plant import Plant
+
+WANTS = ("name", "size", "state")
+#: Larger plants are tried with the single observers only, and the largest not at all.
+LARGE, LARGEST, MOST_FAULTS = 60, 200, 16
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """One call that was considered.
+
+    Attributes
+    ----------
+    call : str
+        The line of code, for a plant called ``plant``.
+    method : Method
+        The record of the function.
+    works : bool or None
+        ``None`` when it was not tried.
+    reason : str
+        What it gives; or why it was refused, or not tried.
+    names : tuple of str
+        The faults that it tells from all others.
+    estimates : tuple of str
+        The faults whose size it estimates.
+    order : int
+        Number of its states.
+    made : object
+        What the call returned; ``None`` when it did not work.
+    """
+
+    call: str
+    method: Method
+    works: bool | None
+    reason: str
+    names: tuple[str, ...] = ()
+    estimates: tuple[str, ...] = ()
+    order: int = 0
+    made: Any = field(default=None, repr=False)
+
+    def __str__(self) -> str:
+        mark = {True: "works", False: "refused", None: "not tried"}[self.works]
+        return f"{self.call}: {mark}: {self.reason}"
+
+
+@dataclass(frozen=True, eq=False)
+class Suggestion:
+    """What to call for a plant, the best first. Prints as a table.
+
+    Attributes
+    ----------
+    plant : Plant
+    want : {"name", "size", "state"}
+        What they are ranked by.
+    entries : tuple of Entry
+        All that was considered: what works, from the best down, then what was refused, then what was not tried.
+    notes : tuple of str
+        What can be told about the plant at all, and what to mind.
+    """
+
+    plant: Plant
+    want: str
+    entries: tuple[Entry, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def best(self) -> Entry | None:
+        """The first entry that gives what is wanted; ``None`` when none does."""
+        return next((entry for entry in self.entries if entry.works and _gives(entry, self.want)), None)
+
+    def __str__(self) -> str:
+        wanted = {"name": "the name of the fault", "size": "the size of the fault", "state": "the state"}[self.want]
+        lines = [f"{self.plant.name}: what to call for {wanted}"]
+        lines.append(f"  {self.best.call}" if self.best else "  nothing that was tried gives it")
+        lines += [f"note: {note}" for note in self.notes]
+        for title, works in (("works", True), ("refused", False), ("not tried", None)):
+            group = [entry for entry in self.entries if entry.works is works]
+            if group:
+                lines.append(f"{title}:")
+                width = min(max(len(entry.call) for entry in group), 78)
+                lines += [f"  {entry.call:<{width}}  {_shortened(entry.reason)}" for entry in group]
+        return "\n".join(lines)
+
+
+def suggest(plant: Plant, *, want: str | None = None, seconds: float = 30.0) -> Suggestion:
+    """Tell which design functions apply to a plant and which to prefer, by trying them.
+
+    Guaranteed: what is said to work has been designed and has passed its own checks (``entry.made``); what is said to
+    be refused has been refused, for the reason given.
+
+    Parameters
+    ----------
+    plant : Plant
+        With everything that is known of it: faults, disturbances, noise.
+    want : {"name", "size", "state"}, optional
+        What to rank by: which fault it is, how large it is, or the state. When omitted, the name if the plant has
+        faults, else the state.
+    seconds : float
+        After that much time nothing more is tried. A design that has begun is not interrupted; plants of more than
+        60 states are tried with single observers only, those of more than 200 not at all.
+
+    Returns
+    -------
+    Suggestion
+
+    Raises
+    ------
+    SettingError
+        If ``want`` is none of these, or the plant has no faults to name.
+
+    Notes
+    -----
+    Assumes: each call is tried with its own choice of poles. Ranked by: how many faults are named (or sized) for any
+    course of the disturbances; then, for names, whether several may come at once is left to the reader, and the
+    filter with fewest states is first.
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> rs.suggest(rs.library.gertler()).best.call
+    'rs.design.detection_filter(plant)'
+    >>> rs.suggest(rs.library.gertler(), want="state").best.call
+    'rs.design.luenberger_observer(plant)'
+    """
+    want = _checked(plant, want)
+    if not (np.isfinite(seconds) and seconds >= 0):
+        raise SettingError(f"seconds must be a number of at least zero, got {seconds}")
+    known = diagnosability(plant) if plant.faults and plant.n_states <= LARGEST else None
+    end = time.monotonic() + seconds
+    entries = [_tried(candidate, plant, want, end) for candidate in _candidates(plant, known)]
+    position = {entry.call: k for k, entry in enumerate(entries)}
+    entries.sort(key=lambda entry: (*_rank(entry, plant, want), position[entry.call]))
+    return Suggestion(plant, want, tuple(entries), tuple(_notes(plant, known, entries)))
+
+
+def _checked(plant: Plant, want: str | None) -> str:
+    if want is None:
+        return "name" if plant.faults else "state"
+    if want not in WANTS:
+        raise SettingError(f"want must be one of {', '.join(WANTS)}, got {want!r}")
+    if want != "state" and not plant.faults:
+        raise SettingError(
+            "the plant has no faults: name what may fail with with_sensor_faults, with_actuator_faults or with_faults"
+        )
+    return want
+
+
+# ---------------------------------------------------------------- what is considered
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A call, and why it is not tried where it is not (a plain word: because it makes no sense here)."""
+
+    function: str
+    arguments: str = ""
+    options: tuple[tuple[str, Any], ...] = ()
+    many: bool = False
+    pointless: str = ""
+
+    @property
+    def call(self) -> str:
+        return f"rs.design.{self.function}(plant{', ' + self.arguments if self.arguments else ''})"
+
+    def run(self, plant: Plant) -> Any:
+        return getattr(design, self.function)(plant, **dict(self.options))
+
+
+def _candidates(plant: Plant, known: Diagnosability | None) -> Iterator[_Candidate]:
+    kinds = set(plant.fault_kinds)
+    noise = "" if plant.noises else "the plant has no noise: give it with plant.with_noise(...)"
+    yield _Candidate("kalman_filter", pointless=noise)
+    for name in ("luenberger_observer", "unknown_input_observer", "reduced_order_observer", "descriptor_observer"):
+        yield _Candidate(name)
+    if is_singular(plant) or plant.disturbances:
+        yield _Candidate("perfect_observer")
+    else:
+        yield _Candidate("perfect_observer", "least_order=True", (("least_order", True),))
+    if not plant.faults:
+        return
+    yield _Candidate("detection_filter")
+    decouples = "" if plant.disturbances else "the plant has no disturbances: detection_filter is the same"
+    yield _Candidate("robust_detection_filter", pointless=decouples)
+    yield _Candidate("decoupled_residual")
+    for kind in ("sensor", "actuator"):
+        for scheme in ("generalized", "dedicated"):
+            missing = "" if kind in kinds else f"the plant has no {kind} faults"
+            option = (("scheme", scheme),)
+            yield _Candidate(f"{kind}_fault_bank", f'scheme="{scheme}"', option, True, missing)
+    rows = _attainable(known)
+    if rows:
+        yield _Candidate("structured_bank", repr(rows), (("structure", rows),), True)
+    yield from _estimators(plant, known)
+
+
+def _attainable(known: Diagnosability | None) -> list[str]:
+    """Return a row for each fault: it ignores that one, and sees all that it then still can."""
+    if known is None or len(known.faults) < 2:
+        return []
+    rows = ("".join("1" if seen else "0" for seen in known.isolable[:, j]) for j in range(len(known.faults)))
+    return sorted({row for row in rows if "1" in row})
+
+
+def _estimators(plant: Plant, known: Diagnosability | None) -> Iterator[_Candidate]:
+    """Yield the estimators of all faults, of all of one kind, and of each fault."""
+    seen = plant.faults if known is None else tuple(np.asarray(plant.faults)[known.detectable].tolist())
+    groups: list[tuple[str, ...]] = [plant.faults]
+    for kind in ("actuator", "sensor", "component"):
+        groups.append(tuple(fault.name for fault in plant.fault_list if fault.kind == kind))
+    groups += [(name,) for name in seen]
+    done = set()
+    for group in groups:
+        if not group or group in done:
+            continue
+        done.add(group)
+        whole = group == plant.faults
+        yield _Candidate(
+            "fault_estimator", "" if whole else f"faults={list(group)!r}", () if whole else (("faults", group),), True
+        )
+
+
+# -------------------------------------------------------------------------- trying
+
+
+def _tried(one: _Candidate, plant: Plant, want: str, end: float) -> Entry:
+    record = method(one.function)
+    why = one.pointless or _too_much(one, plant, end)
+    if why:
+        return Entry(one.call, record, None, why)
+    try:
+        made = one.run(plant)
+        return _told(one, record, made, plant)
+    except (DesignError, AccuracyError, ModelError) as error:
+        return Entry(one.call, record, False, str(error))
+
+
+def _too_much(one: _Candidate, plant: Plant, end: float) -> str:
+    n = plant.n_states
+    if n > LARGEST:
+        return f"{n} states are more than the {LARGEST} that are tried here; call it, it may take minutes"
+    if one.many and n > LARGE:
+        return f"{n} states are more than the {LARGE} for which banks and estimators are tried here"
+    if one.many and len(plant.faults) > MOST_FAULTS:
+        return f"{len(plant.faults)} faults are more than the {MOST_FAULTS} for which banks are tried here"
+    return "the time for trying is used up: suggest(plant, seconds=...)" if time.monotonic() > end else ""
+
+
+def _told(one: _Candidate, record: Method, made: Any, plant: Plant) -> Entry:
+    """Return the entry of a design that works, with what it tells about faults."""
+    if isinstance(made, FaultEstimator):
+        late = ", ".join(f"{name} {lag:.3g} s late" for name, lag in made.lag.items() if lag)
+        reason = f"estimates {_listed(made.faults)}, and the state" + (f"; {late}" if late else "")
+        return Entry(one.call, record, True, reason, made.faults, made.faults, made.system.n_states, made)
+    generator, blind = _generator_of(made)
+    order = (generator or made).system.n_states
+    if isinstance(made, Bank):
+        names = tuple(group[0] for group in made.groups if len(group) == 1)
+        reason = f"{len(made.members)} members; " + (f"names {_listed(names)}" if names else "its codes name no fault")
+        return Entry(one.call, record, True, reason, names, (), order, made)
+    names = _named_by_direction(generator, settled=one.function == "kalman_filter") if generator else ()
+    parts = [f"order {order}"]
+    if record.state:
+        parts.insert(0, record.state)
+    if generator is not None and plant.faults:
+        seen = [name for name, basis in generator.subspaces.items() if basis.shape[1]]
+        parts.append(f"names {_listed(names)}" if names else f"detects {_listed(tuple(seen)) if seen else 'no fault'}")
+    if blind:
+        parts.append("no residual: it uses all measurements")
+    if plant.disturbances and not record.decouples:
+        parts.append("disturbances reach it")
+    return Entry(one.call, record, True, "; ".join(parts), names, (), order, made)
+
+
+def _generator_of(made: Any) -> tuple[ResidualGenerator | None, str]:
+    if isinstance(made, ResidualGenerator):
+        return made, ""
+    try:
+        return made.residual_generator(), ""
+    except (DesignError, AccuracyError) as error:
+        return None, str(error)
+
+
+def _named_by_direction(generator: ResidualGenerator, *, settled: bool) -> tuple[str, ...]:
+    """Return the faults whose residual stays out of every other fault's subspace, and every other out of its own."""
+    if settled:
+        steady = generator.steady_directions
+        bases = {name: v[:, None] / np.linalg.norm(v) if np.any(v) else v[:, None][:, :0] for name, v in steady.items()}
+    else:
+        bases = dict(generator.subspaces)
+    present = {name: basis for name, basis in bases.items() if basis.shape[1]}
+    rank = generator.residual_rank
+    if len(present) == 1 and len(generator.faults) == 1:
+        return tuple(present)
+    return tuple(
+        name
+        for name, basis in present.items()
+        if basis.shape[1] < rank and all(_apart(basis, other) for key, other in present.items() if key != name)
+    )
+
+
+def _apart(a: NDArray, b: NDArray, sine: float = 1e-3) -> bool:
+    """Whether neither of two subspaces holds the other."""
+    small, large = (a, b) if a.shape[1] <= b.shape[1] else (b, a)
+    return bool(np.linalg.norm(small - large @ (large.T @ small), 2) > sine)
+
+
+# ------------------------------------------------------------------- ranking, telling
+
+#: For the state: what filters noise before what does not, and what converges before what differentiates.
+_STATE_ORDER = (
+    "kalman_filter",
+    "luenberger_observer",
+    "unknown_input_observer",
+    "reduced_order_observer",
+    "descriptor_observer",
+    "perfect_observer",
+    "fault_estimator",
+)
+
+
+def _gives(entry: Entry, want: str) -> bool:
+    if want == "state":
+        return bool(entry.method.state) and not isinstance(entry.made, Bank)
+    return bool(entry.estimates if want == "size" else entry.names)
+
+
+def _rank(entry: Entry, plant: Plant, want: str) -> tuple[float, ...]:
+    """Return what to sort by, the best first."""
+    if entry.works is not True:
+        return (1 if entry.works is False else 2,)
+    gives = _gives(entry, want)
+    exposed = bool(plant.disturbances) and not entry.method.decouples
+    if want == "state":
+        name = entry.method.name
+        place = _STATE_ORDER.index(name) if name in _STATE_ORDER else len(_STATE_ORDER)
+        return (0, not gives, exposed, place, len(entry.estimates), entry.order)
+    count = len(entry.estimates if want == "size" else entry.names)
+    settled = entry.method.name == "kalman_filter"
+    return (0, not gives, exposed, -count, settled, entry.order)
+
+
+def _notes(plant: Plant, known: Diagnosability | None, entries: list[Entry]) -> Iterator[str]:
+    if is_singular(plant):
+        yield "E is singular: functions that need state equations refuse this plant"
+    if known is not None:
+        for name, why in known.reasons().items():
+            yield f"{name}: {why}"
+    elif plant.faults:
+        yield f"what can be told about the faults was not examined: {plant.n_states} states"
+    if plant.disturbances:
+        yield from _about_disturbances(plant, entries)
+    if plant.noises:
+        yield "the plant has noise: a Kalman filter is the quietest observer; perfect observers are the loudest"
+    if plant.faults and not any(entry.estimates for entry in entries):
+        yield "no size: fault_estimator was refused, or not tried, for every choice of faults"
+    elif plant.faults:
+        yield "for the size of a fault only fault_estimator serves: suggest(plant, want='size')"
+    banks = [entry.made for entry in entries if isinstance(entry.made, Bank)]
+    if any(bank.strongly_isolating for bank in banks):
+        yield "faults that come together: a dedicated bank or a fault_estimator; a generalized bank names one at a time"
+
+
+def _about_disturbances(plant: Plant, entries: list[Entry]) -> Iterator[str]:
+    names = ", ".join(plant.disturbances)
+    decoupling = [entry for entry in entries if entry.method.decouples and not entry.estimates]
+    if any(entry.works for entry in decoupling):
+        yield f"disturbances ({names}): prefer what decouples them; detection_filter and kalman_filter do not"
+        return
+    tried = [entry for entry in decoupling if entry.works is False]
+    if tried:
+        yield f"the disturbances ({names}) cannot be decoupled: {_shortened(tried[0].reason, 200)}"
+
+
+def _listed(names: tuple[str, ...], most: int = 4) -> str:
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
+
+
+def _shortened(text: str, most: int = 150) -> str:
+    return text if len(text) <= most else text[: most - 3].rsplit(" ", 1)[0] + " ..."

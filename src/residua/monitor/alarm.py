@@ -1,0 +1,150 @@
+"""One alarm: when, who, how much."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from residua.decide.structured import CodeReading
+
+
+@dataclass(frozen=True)
+class Size:
+    """The estimated size of a fault over an alarm.
+
+    Attributes
+    ----------
+    fault : str
+    mean : float
+        Mean of the estimate over the judged window; NaN where it has no value.
+    last : float
+        Its last value there.
+    unit : str
+        Of the output of a sensor fault, or the input of an actuator fault, where the plant knows it; else empty.
+    """
+
+    fault: str
+    mean: float
+    last: float
+    unit: str
+
+    def __str__(self) -> str:
+        return f"{self.mean:.3g}{f' ({self.unit})' if self.unit else ''}"
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A fault, or a group of faults that the monitor cannot tell apart, with how well it explains an alarm.
+
+    Attributes
+    ----------
+    faults : tuple of str
+    score : float
+        Correlation of the residual with the signature of the group, 0 to 1 (``CORR``); by code: the fraction of
+        the members of the bank that agree with the group's code.
+    distance : float
+        Normalised projection distance of the residual from the signature, 0 to 1 (``NPD``);
+        ``score**2 + distance**2 = 1``; by code: the fraction of the members that do not agree, ``1 - score``.
+    sizes : tuple of Size
+        Of those of its faults that are estimated.
+    """
+
+    faults: tuple[str, ...]
+    score: float
+    distance: float
+    sizes: tuple[Size, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """The faults as text."""
+        return " or ".join(self.faults)
+
+    @property
+    def size(self) -> float | None:
+        """Estimated size of the (first estimated) fault, mean over the judged window; ``None`` without an estimate."""
+        return self.sizes[0].mean if self.sizes else None
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """One alarm: where it lies in the recording and what explains it.
+
+    Alarms that follow each other by less than the isolation window and name the same fault are one.
+
+    Attributes
+    ----------
+    onset : float
+        Time at which the statistic first went over the threshold and stayed, in seconds.
+    raised : float
+        Time at which the alarm was raised (later than the onset when persistence was asked for).
+    ended : float or None
+        Time at which it went away, ``None`` when it lasts to the end of the recording.
+    candidates : tuple of Candidate
+        Best first, judged over the isolation window that ends with the last sample over the threshold (of the
+        longest part, where alarms were joined). By code: the group that was read, then the others by the number
+        of members that agree; empty where the reading is unknown.
+    start, stop : int
+        Sample numbers of ``raised`` and of the first sample after the alarm.
+    reading : CodeReading or None
+        For a bank: what the fired members say. Read from the pattern that stood for the largest number of samples of
+        the alarm, the later one of two that stood equally long.
+    read_share : float or None
+        The fraction of the alarm's samples in which that pattern stood.
+    sizes : tuple of Size
+        Estimated sizes of all faults that are estimated, over the isolation window that ends with the last sample
+        over the threshold.
+    """
+
+    onset: float
+    raised: float
+    ended: float | None
+    candidates: tuple[Candidate, ...]
+    start: int
+    stop: int
+    reading: CodeReading | None = None
+    read_share: float | None = None
+    sizes: tuple[Size, ...] = field(default=())
+
+    @property
+    def margin(self) -> float | None:
+        """Lead of the best candidate over the next in score; ``None`` with fewer than two."""
+        return self.candidates[0].score - self.candidates[1].score if len(self.candidates) > 1 else None
+
+    def to_dict(self, *, window: int = 1) -> dict[str, Any]:
+        """Return the alarm as plain values for JSON; ``short`` means shorter than the isolation window.
+
+        ``code`` is there for banks, ``sizes`` for estimators.
+        """
+        out: dict[str, Any] = {
+            "onset": self.onset,
+            "raised": self.raised,
+            "ended": self.ended,
+            "samples": self.stop - self.start,
+            "short": self.stop - self.start < window,
+            "margin": self.margin,
+            "candidates": [
+                {"faults": list(c.faults), "score": c.score, "distance": c.distance} for c in self.candidates
+            ],
+        }
+        if self.reading is not None:
+            out["code"] = _code(self.reading) | {"share": self.read_share}
+        if self.sizes:
+            out["sizes"] = [
+                {"fault": s.fault, "mean": _finite(s.mean), "last": _finite(s.last), "unit": s.unit} for s in self.sizes
+            ]
+        return out
+
+
+def _code(reading: CodeReading) -> dict[str, Any]:
+    return {
+        "fired": list(reading.fired),
+        "answer": reading.answer,
+        "faults": list(reading.faults),
+        "distance": reading.distance,
+        "pairs": [[list(a), list(b)] for a, b in reading.pairs],
+        "text": reading.meaning,
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if value - value == 0 else None

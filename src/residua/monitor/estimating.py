@@ -1,0 +1,54 @@
+"""A bank that names the fault and an estimator that sizes it, as one filter."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from residua.design import ResidualGenerator
+from residua.design.detection_filter import stack_systems
+from residua.design.generator import make_generator
+from residua.errors import ModelError
+
+_ALIKE = ("inputs", "outputs", "faults", "disturbances", "dt")
+_EQUAL = ("A", "C", "Bu", "Du", "Bf", "Df")
+
+
+def with_estimator(bank: ResidualGenerator, estimator: ResidualGenerator) -> ResidualGenerator:
+    """Return a bank with the estimates of a fault estimator as further outputs, which no member tests.
+
+    Parameters
+    ----------
+    bank, estimator : ResidualGenerator
+        Of the same plant: ``codes`` of the one, ``estimated`` of the other.
+
+    Raises
+    ------
+    ModelError
+        If the first is no bank, the second no estimator, or their plants differ.
+    """
+    if bank.codes is None:
+        raise ModelError("an estimator runs beside a bank, whose members are tested one by one; this is none")
+    if not estimator.estimated:
+        raise ModelError("estimator= must be a fault estimator: this generator estimates no fault")
+    one, other = bank.plant, estimator.plant
+    differ = [name for name in _ALIKE if getattr(one, name) != getattr(other, name)]
+    differ += [name for name in _EQUAL if not np.array_equal(getattr(one, name), getattr(other, name))]
+    if differ:
+        raise ModelError(
+            f"bank and estimator are for different plants ({', '.join(differ)}): design both for bank.plant"
+        )
+    system = stack_systems([bank.system, estimator.system])
+    form = stack_systems([bank.internal_form(), estimator.internal_form()])
+    names = [*bank.residuals, *estimator.residuals]
+    made = make_generator(
+        system.replaced(outputs=names),
+        one,
+        f"{bank.method}, with {estimator.method}",
+        bank.evidence.extended(notes=(f"beside it, tested by no member: {estimator.method}",)),
+        known_form=form.replaced(outputs=names),
+        members=bank.members,
+        codes=bank.codes,
+    )
+    return replace(made, estimated=("",) * bank.n_residuals + estimator.estimated)

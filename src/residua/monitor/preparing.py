@@ -1,0 +1,138 @@
+"""What a monitor runs, made from a generator and settings: tests, signatures, codes, the specification."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide.directional import Directional, direction_test
+from residua.decide.member_thresholds import BankTest, bank_test_from_model, fit_bank_test
+from residua.decide.norm_threshold import NormTest, NormThreshold, fit_norm_test, norm_test_from_model
+from residua.decide.structured import Structured, code_test
+from residua.design import ResidualGenerator
+from residua.errors import ModelError, SettingError
+from residua.monitor.inputs import settling_samples, signal_size
+from residua.monitor.running import Specification
+
+#: How faults are named: by direction, by code, or not at all.
+Isolation = Directional | Structured | None
+
+
+def as_generator(design: Any) -> ResidualGenerator:
+    """Return the generator that was handed over, or the ``generator`` of a bank or an estimator.
+
+    Other objects that could give one, such as observers, are refused: which of their residuals is meant is the
+    caller's to say.
+    """
+    if isinstance(design, ResidualGenerator):
+        return design
+    inner = getattr(design, "generator", None)
+    if isinstance(inner, ResidualGenerator) and not isinstance(design, type):
+        return inner
+    raise ModelError(
+        f"a monitor runs a residual generator, got {type(design).__name__}"
+        + ("; use its residual_generator()" if hasattr(design, "residual_generator") else "")
+    )
+
+
+def chosen_isolation(isolate: Any, generator: ResidualGenerator) -> Isolation:
+    """Return how faults are named: ``"auto"`` is by code where the generator has codes, else by direction."""
+    if isinstance(isolate, str):
+        if isolate != "auto":
+            raise SettingError(f"isolate must be 'auto', Directional(...), Structured(...) or None, got {isolate!r}")
+        isolate = Directional() if generator.codes is None else Structured()
+    if isolate is not None and not isinstance(isolate, (Directional, Structured)):
+        raise SettingError(f"isolate must be 'auto', Directional(...), Structured(...) or None, got {isolate!r}")
+    if isinstance(isolate, Structured):
+        if generator.codes is None:
+            raise SettingError(
+                "Structured reads the code of a bank, and this generator has none: use a bank, or Directional()"
+            )
+        if generator.codes.shape != (len(generator.members), len(generator.faults)):
+            raise ModelError(f"codes {generator.codes.shape} must have a row per member and a column per fault")
+    return isolate
+
+
+def first_test(settings: NormThreshold, isolate: Isolation, generator: ResidualGenerator) -> NormTest | BankTest | None:
+    """Return the test that needs no data, or ``None`` when data are needed."""
+    covariance = generator.covariance_of_sums(settings.window)
+    if isinstance(isolate, Structured):
+        return bank_test_from_model(settings, covariance, _rows(generator), generator.n_residuals)
+    return norm_test_from_model(settings, covariance, generator.n_residuals)
+
+
+def fitted_test(
+    settings: NormThreshold,
+    isolate: Isolation,
+    generator: ResidualGenerator,
+    residuals: NDArray[np.float64],
+    usable: NDArray[np.bool_],
+    deviations: NDArray[np.float64],
+    rate: float,
+) -> NormTest | BankTest:
+    """Return the test fitted to fault-free residuals; ``deviations`` are the signals that they were made from."""
+    covariance = generator.covariance_of_sums(settings.window)
+    if isinstance(isolate, Structured):
+        rows = _rows(generator)
+        return fit_bank_test(
+            settings,
+            residuals,
+            usable,
+            rows,
+            false_alarm_rate=rate,
+            covariance=covariance,
+            signal_sizes=[signal_size(generator, deviations, part) for part in rows],
+        )
+    return fit_norm_test(
+        settings,
+        residuals,
+        usable,
+        false_alarm_rate=rate,
+        covariance=covariance,
+        signal_size=signal_size(generator, deviations),
+    )
+
+
+def _rows(generator: ResidualGenerator) -> list[tuple[int, ...]]:
+    return [member.residuals for member in generator.members]
+
+
+def blank_test(generator: ResidualGenerator) -> NormTest:
+    """Return a test that never raises an alarm: to see the residuals before there is a threshold."""
+    n = generator.n_residuals
+    return NormTest(np.zeros(n), np.eye(n), np.inf, 1, 1, 1, "")
+
+
+def specification(
+    generator: ResidualGenerator,
+    test: NormTest | BankTest,
+    isolate: Isolation,
+    *,
+    settle: int | None,
+    max_hold: int,
+) -> Specification:
+    """Return what runs."""
+    system, point = generator.system, generator.plant.operating_point
+    direction = codes = None
+    if isinstance(isolate, Structured) and generator.codes is not None:
+        names = [member.name for member in generator.members]
+        codes = code_test(isolate, generator.codes, generator.faults, names)
+    elif isinstance(isolate, Directional):
+        direction = direction_test(
+            isolate, generator.subspaces, generator.steady_directions, test.whitening, generator.residual_rank
+        )
+    return Specification(
+        system.A,
+        system.B,
+        system.C,
+        system.D,
+        np.asarray(np.linalg.solve(np.eye(system.n_states) - system.A, system.B), dtype=float),
+        np.array([*point.inputs, *point.outputs]),
+        test,
+        direction,
+        codes,
+        settling_samples(generator) if settle is None else int(settle),
+        max_hold,
+    )

@@ -1,0 +1,143 @@
+"""Reading codes: against plain definitions, for any codes and any pattern."""
+
+from __future__ import annotations
+
+from itertools import combinations, product
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+
+from residua.decide import CodeReading, Structured, read_code, read_codes
+from residua.errors import DataError, SettingError
+
+GENERALIZED = ~np.eye(4, dtype=bool)
+FAULTS = ("a", "b", "c", "d")
+
+
+@st.composite
+def cases(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, int]:
+    members, faults = draw(st.integers(1, 5)), draw(st.integers(1, 5))
+    bits = st.lists(st.booleans(), min_size=members, max_size=members)
+    codes = np.array([draw(bits) for _ in range(faults)], dtype=bool).T.reshape(members, faults)
+    return np.array(draw(bits), dtype=bool), codes, draw(st.integers(0, 2))
+
+
+def by_definition(fired: np.ndarray, codes: np.ndarray, distance: int) -> tuple[str, set[int]]:
+    """The rules as sets of members, without arrays."""
+    p = frozenset(np.flatnonzero(fired))
+    code = {j: frozenset(np.flatnonzero(codes[:, j])) for j in range(codes.shape[1]) if codes[:, j].any()}
+    different = set(code.values())
+    if not p:
+        return "none", set()
+    if p in different:
+        return "exact", {j for j in code if code[j] == p}
+    antichain = all(not a < b for a in different for b in different)
+    above = [c for c in different if p < c]
+    if antichain and len(above) == 1:
+        return "degraded", {j for j in code if code[j] == above[0]}
+    if len(p) < len(fired) and different:
+        least = min(len(p ^ c) for c in different)
+        near = [c for c in different if len(p ^ c) == least]
+        if len(near) == 1 and least <= distance:
+            return "nearest", {j for j in code if code[j] == near[0]}
+    return "unknown", set()
+
+
+@settings(max_examples=400, deadline=None)
+@given(cases())
+def test_it_is_read_as_defined(case: tuple[np.ndarray, np.ndarray, int]) -> None:
+    fired, codes, distance = case
+    faults = [f"f{j}" for j in range(codes.shape[1])]
+    reading = read_code(fired, codes, faults, distance=distance)
+    answer, named = by_definition(fired, codes, distance)
+    assert (reading.answer, set(reading.faults)) == (answer, {faults[j] for j in named})
+    assert reading.fired == tuple(str(i + 1) for i in np.flatnonzero(fired))
+    if named:
+        assert reading.distance == np.count_nonzero(codes[:, min(named)] != fired)
+    pairs = {frozenset((a[0], b[0])) for a, b in reading.pairs}
+    for i, j in combinations(range(len(faults)), 2):
+        both = np.array_equal(codes[:, i] | codes[:, j], fired) and codes[:, i].any() and codes[:, j].any()
+        alone = np.array_equal(codes[:, i], fired) or np.array_equal(codes[:, j], fired)
+        first = [next(k for k in range(len(faults)) if np.array_equal(codes[:, k], codes[:, m])) for m in (i, j)]
+        if first == [i, j] and fired.any():
+            assert (frozenset((faults[i], faults[j])) in pairs) == (both and not alone)
+
+
+@settings(max_examples=60, deadline=None)
+@given(cases(), st.integers(0, 2**32 - 1))
+def test_many_at_once_are_read_like_one_by_one(case: tuple[np.ndarray, np.ndarray, int], seed: int) -> None:
+    _, codes, distance = case
+    faults = [f"f{j}" for j in range(codes.shape[1])]
+    fired = np.random.default_rng(seed).random((3, 7, len(codes))) < 0.5
+    index, readings = read_codes(fired, codes, faults, distance=distance)
+    for p, k in product(range(3), range(7)):
+        assert readings[index[p, k]] == read_code(fired[p, k], codes, faults, distance=distance)
+
+
+def test_a_wide_bank_is_read_too() -> None:
+    codes = ~np.eye(70, dtype=bool)
+    faults = [f"y{j}" for j in range(70)]
+    index, readings = read_codes(codes.T, codes, faults)
+    assert [readings[k].faults for k in index] == [(f,) for f in faults]
+    assert read_codes(np.zeros((0, 70), dtype=bool), codes, faults)[1] == ()
+
+
+def test_a_generalized_bank_reads_single_faults_and_calls_two_unknown() -> None:
+    for j, fault in enumerate(FAULTS):
+        assert read_code(GENERALIZED[:, j], GENERALIZED, FAULTS).faults == (fault,)
+    reading = read_code([True] * 4, GENERALIZED, FAULTS)
+    assert reading.answer == "unknown"
+    assert len(reading.pairs) == 6
+    assert "more than one fault, or one that the bank does not know" in str(reading)
+    assert "'a' and 'b'; 'a' and 'c'; 'a' and 'd'; and 3 more" in str(reading)
+    missing = read_code([False, False, True, True], GENERALIZED, FAULTS)
+    assert missing.answer == "unknown"
+    assert missing.nearest == (("a",), ("b",))
+    assert "nearest codes 'a'; 'b', 1 member off" in str(missing)
+
+
+def test_a_dedicated_bank_names_both_of_two_faults() -> None:
+    reading = read_code([True, False, True, False], np.eye(4), FAULTS, members=["A", "B", "C", "D"])
+    assert (reading.answer, reading.pairs) == ("unknown", ((("a",), ("c",)),))
+    assert str(reading).startswith("fired: A, C; more than one fault")
+    assert str(reading).endswith("fire the same members: 'a' and 'c'")
+
+
+def test_texts_of_every_answer() -> None:
+    def said(fired: list[int], codes: list[list[int]], distance: int = 1) -> str:
+        return read_code(fired, np.array(codes).T, FAULTS[: len(codes)], distance=distance).meaning
+
+    strong = [[1, 1, 1, 0, 0], [0, 0, 1, 1, 1]]
+    assert said([0, 0, 0, 0, 0], strong) == "no fault"
+    assert said([1, 1, 1, 0, 0], strong) == "code of 'a' (exact)"
+    assert said([1, 1, 0, 0, 0], strong) == "code of 'a' with 1 member silent (degraded)"
+    assert said([1, 1, 1, 1, 0], strong) == "nearest code: 'a', 1 member off (nearest)"
+    assert said([1, 1, 1, 1, 0], strong, 0).startswith("more than one fault")
+    assert said([1, 1, 1, 1, 1], strong).endswith("fire the same members: 'a' and 'b'")
+    assert said([1, 0], [[0, 0]]) == "more than one fault, or one that the bank does not know"
+    assert said([1, 1], [[1, 1], [1, 1]]) == "code of 'a' or 'b' (exact)"
+    assert said([1, 1], [[1, 0], [0, 1], [1, 1]]) == "code of 'c' (exact), or of two at once: 'a' and 'b'"
+
+
+def test_equal_codes_are_one_group() -> None:
+    reading = read_code([1, 0], [[1, 1, 0], [0, 0, 0]], ["a", "b", "c"])
+    assert reading.faults == ("a", "b")
+    assert isinstance(reading, CodeReading)
+
+
+@pytest.mark.parametrize(
+    ("fired", "codes", "faults"),
+    [([1], [[1, 0], [0, 1]], ["a", "b"]), ([1, 0], [[1, 0], [0, 1]], ["a"]), ([1, 0], [1, 0], ["a", "b"])],
+)
+def test_shapes_that_do_not_fit_are_refused(fired: list, codes: list, faults: list) -> None:
+    with pytest.raises(DataError):
+        read_code(fired, codes, faults)
+    with pytest.raises(DataError):
+        read_codes([fired], codes, faults)
+
+
+@pytest.mark.parametrize("wrong", [{"window": 0}, {"share": 0.0}, {"share": 1.5}, {"distance": -1}, {"distance": 0.5}])
+def test_settings_are_checked(wrong: dict) -> None:
+    with pytest.raises(SettingError):
+        Structured(**wrong)
