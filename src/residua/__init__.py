@@ -9,6 +9,7 @@ from types import ModuleType
 
 from residua import analysis, decide, design, errors, library, linear, monitor, plant
 from residua.analysis import diagnosability
+from residua.design.suggestion import suggest
 from residua.linear import StateSpace
 from residua.monitor import Diagnosis, Monitor, read_recording
 from residua.plant import Plant, load_plant
@@ -33,6 +34,7 @@ __all__ = [
     "monitor",
     "plant",
     "read_recording",
+    "suggest",
 ]
 
 

@@ -190,3 +190,32 @@ def test_units_do_not_matter(exponents: tuple[int, ...]) -> None:
         b = design(scaled, poles=[-2.0, -3, -4][: first.order]).system.frequency_response(w)
         if first.order == 1:  # one pole and one measurement left over: the observer is unique
             np.testing.assert_allclose(T @ a, b, rtol=1e-7, atol=1e-9 * np.abs(b).max())
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_a_singular_plant_has_an_observer_exactly_when_its_zeros_are_stable(seed: int) -> None:
+    """The free part of the decoupling is placed too: what stays fixed are the finite zeros, and nothing else."""
+    rng = np.random.default_rng(seed)
+    n, q = int(rng.integers(3, 7)), int(seed % 2)
+    rank = int(rng.integers(1, n))
+    plant = singular_plant(rng, n=n, rank=rank, outputs=n - rank + q, disturbances=q, faults=0, sensors=False)
+    zeros = rs.linear.invariant_zeros(plant.A, plant.Bd, plant.C, E=plant.E).zeros
+    stable = np.abs(zeros) < 1 if plant.dt else zeros.real < 0
+    existence = rs.analysis.unknown_input_observer_existence(plant)
+    assert bool(existence) == bool(stable.all())
+    for design in (rs.design.unknown_input_observer, rs.design.descriptor_observer):
+        if stable.all():
+            observer = design(plant)
+            assert_poles(observer.evidence.fixed_poles, zeros, 1e-5)
+            assert len(observer.evidence.fixed_poles) == len(zeros)
+            assert identities(observer) < 1e-9
+        else:
+            with pytest.raises(DesignError, match="not detectable"):
+                design(plant)
+
+
+def test_the_algebraic_equations_are_residuals_too() -> None:
+    plant = rs.library.ladder_circuit()
+    generator = rs.design.unknown_input_observer(plant).residual_generator()
+    assert generator.residual_rank == 2
+    np.testing.assert_array_equal(generator.structure.any(axis=0), rs.diagnosability(plant).detectable)

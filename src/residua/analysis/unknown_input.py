@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from residua.linear.balancing import descriptor_units, without_rounding
 from residua.linear.observability import detectability
-from residua.linear.rank import DEFAULT_RTOL, RankDecision, decide_rank, equilibrated
+from residua.linear.rank import DEFAULT_RTOL, RankDecision, decide_rank, equilibrated, left_null_basis
 from residua.plant import Plant
 from residua.plant.disturbances import factor_disturbance
 
@@ -184,18 +184,25 @@ def is_singular(plant: Plant) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Decoupling:
-    """A solution of ``T E + H C = I``, ``T E_d = 0`` for a singular plant, on outputs without disturbances.
+    """All solutions of ``T E + H C = I``, ``T E_d = 0`` for a singular plant, on outputs without disturbances.
+
+    They are ``T - Z N``, ``H - Z M`` with any ``Z``, so that ``T A`` may be changed by ``Z N A``: for pole placement
+    ``N A`` are further measurements. The algebraic equations are among them.
 
     Attributes
     ----------
     T : ndarray, shape (n, n)
     H : ndarray, shape (n, outputs left)
+    N, M : ndarray, shapes (k, n) and (k, outputs left)
+        ``N E + M C = 0``, ``N E_d = 0``.
     rank, rank_D : RankDecision
         Of ``[E E_d; C 0]`` and of ``E_d``.
     """
 
     T: NDArray
     H: NDArray
+    N: NDArray
+    M: NDArray
     rank: RankDecision
     rank_D: RankDecision
 
@@ -219,7 +226,14 @@ def singular_decoupling(plant: Plant, form: OutputFreeForm, *, rtol: float = DEF
     found = np.where(np.abs(found) > 1e-14 * np.abs(found).max(initial=0.0), found, 0.0)  # rounding is no coupling
     found = found / np.where(level > 0, level, 1.0)[:, None]
     T, H = S[:, None] * found[:, :n] * u.equations, S[:, None] * found[:, n:] * u.outputs
-    return Decoupling(T, H, decide_rank(whole, rtol=rtol, scale=1.0), decide_rank(D, rtol=rtol, scale=1.0))
+    free = left_null_basis(whole, rtol=rtol, scale=1.0)[0].T
+    N, M = free[:, :n] * u.equations, free[:, n:] * u.outputs
+    return Decoupling(T, H, N, M, decide_rank(whole, rtol=rtol, scale=1.0), decide_rank(D, rtol=rtol, scale=1.0))
+
+
+def error_pair(found: Decoupling, form: OutputFreeForm) -> tuple[NDArray, NDArray]:
+    """Return the pair whose poles are placed: ``T A`` and the measurements ``[C; N A]``."""
+    return without_rounding(found.T, form.A), np.vstack([form.C, without_rounding(found.N, form.A)])
 
 
 def _singular_existence(plant: Plant, rtol: float) -> UnknownInputExistence:
@@ -231,19 +245,21 @@ def _singular_existence(plant: Plant, rtol: float) -> UnknownInputExistence:
     if found.rank.rank < n + q:
         reasons.append(
             f"rank [E D; C 0] = {found.rank.rank} < n + rank D = {n + q}: no exact unknown input observer; add "
-            "a sensor that sees the states without equations of their own"
+            "a sensor that sees the states without equations of their own, or eliminate algebraic equations first "
+            "(residua.plant.without_algebraic_equations)"
             + (f", or decouple fewer disturbances than {', '.join(plant.disturbances)}" if q else "")
         )
     else:
-        seen = detectability(without_rounding(found.T, form.A), form.C, dt=plant.dt, rtol=rtol)
+        A1, C1 = error_pair(found, form)
+        seen = detectability(A1, C1, dt=plant.dt, rtol=rtol)
         fixed = seen.unobservable_modes
         if not seen.detectable:
             bad = ", ".join(f"{z:.4g}" for z in np.atleast_1d(seen.unstable_modes))
             reasons.append(
-                f"(C, T A) is not detectable: the finite invariant zero {bad} of (E, A, D, C) is a fixed pole outside "
-                "the stability region; add a sensor, or decouple other disturbances"
+                f"([C; N A], T A) is not detectable: the finite invariant zero {bad} of (E, A, D, C) is a fixed pole "
+                "outside the stability region; add a sensor, or decouple other disturbances"
             )
-    useful = bool(np.linalg.norm(np.eye(len(form.C)) - form.C @ found.H) > 1e-9)
+    useful = len(found.N) > 0
     return UnknownInputExistence(not reasons, tuple(reasons), found.rank, found.rank_D, fixed, useful)
 
 

@@ -19,6 +19,7 @@ from residua.design.robust_detection_filter import robust_detection_filter
 from residua.design.sensor_fault_bank import sensor_fault_bank
 from residua.design.sensor_fault_estimators import FaultEstimatorBank, sensor_fault_estimators
 from residua.design.structured_bank import structured_bank
+from residua.design.suggestion import Suggestion
 from residua.design.unknown_input_observer import unknown_input_observer
 
 __all__ = [
@@ -32,6 +33,7 @@ __all__ = [
     "Observer",
     "PerfectObserver",
     "ResidualGenerator",
+    "Suggestion",
     "actuator_fault_bank",
     "closed_loop",
     "compensation_gain",

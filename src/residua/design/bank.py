@@ -19,6 +19,8 @@ from residua.plant import Plant
 
 #: Designs one member: takes the plant in which what the member ignores are disturbances.
 MemberDesign = Callable[[Plant], ResidualGenerator]
+#: States of all members together beyond which a design takes minutes, and the stacked filter runs slowly.
+MOST_STATES = 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +116,12 @@ def build_bank(
     plant: Plant, wanted: list[Wanted], design: MemberDesign, method: str, *, allow_missing: bool, reference: str
 ) -> Bank:
     """Design all members, stack them, and check that the structure is the one that was promised."""
+    if len(wanted) * plant.n_states > MOST_STATES:
+        raise DesignError(
+            f"{len(wanted)} members for {plant.n_states} states are too much for one bank: up to "
+            f"{len(wanted) * plant.n_states} states together, the most is {MOST_STATES}; reduce the order of the "
+            "model, watch fewer faults at a time, or design the members one by one with unknown_input_observer"
+        )
     parts: dict[str, ResidualGenerator] = {}
     observers: dict[str, Observer] = {}
     failures: dict[str, str] = {}

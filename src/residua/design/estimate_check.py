@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from residua.design.observer import Observer
 
 
-def check_estimate(observer: Observer, *, limit: float = 1e-6) -> float:
+def check_estimate(observer: Observer, *, limit: float = 3e-7) -> float:
     r"""Return how far the response of the estimate to the inputs is from that of the state, or raise.
 
     The identities of an observer are local: in coordinates in which ``F`` is far from normal, rounding of its entries

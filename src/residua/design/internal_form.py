@@ -121,6 +121,8 @@ def check_known_form(generator: StateSpace, plant: Plant, form: StateSpace, *, l
     if known.shape != (len(w), Q.shape[1], P.shape[2]):
         raise ModelError(f"the internal form is {form.n_outputs} x {form.n_inputs}, not residuals x (f, d, w)")
     terms = (np.abs(Q) @ np.abs(P)).max(axis=0)
+    # a path that is itself what rounding left of nothing cannot be missed
+    terms = np.maximum(terms, 1e-8 * np.abs(Q).max(axis=(0, 2))[:, None] * np.abs(P).max(axis=(0, 1))[None, :])
     missed = np.abs(Q @ P - known).max(axis=0)
     return _accepted(float(np.max(missed / np.where(terms > 0, terms, 1.0), initial=0.0)), limit)
 
@@ -211,7 +213,7 @@ def leakage(generator: StateSpace, plant: Plant, w: NDArray | None = None) -> di
         parts = (np.abs(direct) + np.abs(Qy) @ np.abs(through)).max(axis=0)
         # a path that is itself what rounding left of nothing cannot leak
         paths = np.abs(Qy).max(axis=(0, 2))[:, None] * np.abs(through).max(axis=(0, 1))[None, :]
-        parts = np.maximum(parts, 1e-9 * paths)
+        parts = np.maximum(parts, 1e-8 * paths)
         out[name] = float(np.max(total / np.where(parts > 0, parts, 1.0), initial=0.0))
     return out
 

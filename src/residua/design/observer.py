@@ -12,6 +12,8 @@ from residua.design.generator import ResidualGenerator, make_generator, sampled_
 from residua.design.internal_form import check_decoupling
 from residua.errors import DesignError
 from residua.linear import StateSpace
+from residua.linear.balancing import descriptor_units
+from residua.linear.rank import left_null_basis
 from residua.plant import Plant
 
 
@@ -130,6 +132,9 @@ class Observer:
     def residual_generator(self) -> ResidualGenerator:
         r"""Return the output error as residual, :math:`r = W (y - D u - C \hat x) = W[(I - CH)(y - Du) - C M z]`.
 
+        A singular plant has algebraic equations that the estimate should satisfy, and what they miss is residual, too:
+        :math:`V (A \hat x + B u)`, with :math:`V [E\ E_d] = 0`.
+
         Raises
         ------
         DesignError
@@ -137,25 +142,46 @@ class Observer:
             reduce the order: the residual is then zero whatever fails.
         """
         p = self.plant
-        through = self.W @ (np.eye(p.n_outputs) - p.C @ self.H)
-        if np.abs(through).max(initial=0.0) <= 1e-10 * max(1.0, np.abs(p.C @ self.H).max(initial=0.0)):
-            raise DesignError(self._why_blind())
-        plain = p.n_outputs == len(self.W) and np.array_equal(self.W, np.eye(p.n_outputs))
+        V = self._algebraic_equations()
+        through = np.vstack([self.W @ (np.eye(p.n_outputs) - p.C @ self.H), V @ p.A @ self.H])
+        states = np.vstack([-self.W @ p.C @ self.M, V @ p.A @ self.M])
+        rows = len(self.W)
+        if np.abs(through[:rows]).max(initial=0.0) <= 1e-10 * max(1.0, np.abs(p.C @ self.H).max(initial=0.0)):
+            if not (np.abs(through[rows:]).max(initial=0.0) > 0 or np.abs(states[rows:]).max(initial=0.0) > 0):
+                raise DesignError(self._why_blind())
+            through, states, rows = through[rows:], states[rows:], 0
+        direct = -through @ p.Du
+        direct[rows:] += V @ p.Bu
         system = StateSpace(
             self.F,
             np.hstack([self.G - self.K @ p.Du, self.K]),
-            -self.W @ p.C @ self.M,
-            np.hstack([-through @ p.Du, through]),
+            states,
+            np.hstack([direct, through]),
             dt=p.dt,
             inputs=[f"input {x}" for x in p.inputs] + [f"output {x}" for x in p.outputs],
-            outputs=[f"r {x}" for x in p.outputs] if plain else self._residual_names(),
+            outputs=[*(self._residual_names() if rows else []), *(f"equation {i + 1}" for i in range(len(V)))],
         )
         gains = check_decoupling(system, p, decoupled=self.decouples)
         evidence = self.evidence.extended(decoupling=gains)
-        return make_generator(system, p, self.method, evidence, state_map=self.T, observer=self)
+        static = np.vstack([np.zeros((rows, p.n_states)), -V]) if len(V) else None
+        return make_generator(system, p, self.method, evidence, state_map=self.T, static_map=static, observer=self)
+
+    def _algebraic_equations(self) -> NDArray[np.float64]:
+        """Return combinations of the plant's equations without derivatives and disturbances, of unit size."""
+        p = self.plant
+        if p.E is None:
+            return np.zeros((0, p.n_states))
+        u = descriptor_units(p.A, p.E, np.hstack([p.Bu, p.Bd]), p.C, np.hstack([p.Du, p.Dd]))
+        E, D = u.equations[:, None] * p.E * u.states, u.equations[:, None] * p.Bd
+        E, size = E / (np.linalg.norm(E) or 1.0), np.linalg.norm(D, axis=0)
+        V = left_null_basis(np.hstack([E, D / np.where(size > 0, size, 1.0)]))[0].T
+        V = np.where(np.abs(V) > 1e-14, V, 0.0) * u.equations
+        return V / np.maximum(np.abs(V).max(axis=1, keepdims=True, initial=0.0), 1e-300)
 
     def _residual_names(self) -> list[str]:
         """Return the output that a residual is the error of, where it is one, and numbers elsewhere."""
+        if self.plant.n_outputs == len(self.W) and np.array_equal(self.W, np.eye(len(self.W))):
+            return [f"r {x}" for x in self.plant.outputs]
         single = [np.flatnonzero(row) if np.isclose(np.abs(row).max(), 1.0) else np.zeros(2) for row in self.W]
         names = [f"r {self.plant.outputs[int(at[0])]}" if len(at) == 1 else "" for at in single]
         return names if all(names) and len(set(names)) == len(names) else [f"r{i + 1}" for i in range(len(self.W))]

@@ -92,7 +92,8 @@ def _particular(EQ: NDArray, D: NDArray, order: int, plant: Plant, rtol: float) 
             + (
                 f"add a sensor or decouple fewer disturbances than {', '.join(plant.disturbances)}"
                 if D.shape[1]
-                else "add a sensor that sees the states without equations of their own"
+                else "add a sensor that sees the states without equations of their own, or eliminate algebraic "
+                "equations first (residua.plant.without_algebraic_equations)"
             )
         )
     X = np.linalg.pinv(whole)[:order] / (level or 1.0)

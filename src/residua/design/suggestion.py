@@ -5,12 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from residua import design
 from residua.analysis.diagnosability import Diagnosability, diagnosability
 from residua.analysis.unknown_input import is_singular
 from residua.design.bank import Bank
@@ -130,9 +130,10 @@ def suggest(plant: Plant, *, want: str | None = None, seconds: float = 30.0) -> 
 
     Notes
     -----
-    Assumes: each call is tried with its own choice of poles. Ranked by: how many faults are named (or sized) for any
-    course of the disturbances; then, for names, whether several may come at once is left to the reader, and the
-    filter with fewest states is first.
+    Assumes: each call is tried with its own choice of poles. Ranked by how many faults are named (or sized), those
+    that disturbances do not reach first, and among equals by the number of states. Whether faults may come together
+    is left to the reader: the notes say what then serves. For the state, what filters noise comes before what does
+    not, and what converges before what differentiates.
 
     Examples
     --------
@@ -170,7 +171,7 @@ def _checked(plant: Plant, want: str | None) -> str:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A call, and why it is not tried where it is not (a plain word: because it makes no sense here)."""
+    """A call, and why it makes no sense here, where it makes none."""
 
     function: str
     arguments: str = ""
@@ -183,7 +184,7 @@ class _Candidate:
         return f"rs.design.{self.function}(plant{', ' + self.arguments if self.arguments else ''})"
 
     def run(self, plant: Plant) -> Any:
-        return getattr(design, self.function)(plant, **dict(self.options))
+        return getattr(import_module("residua.design"), self.function)(plant, **dict(self.options))
 
 
 def _candidates(plant: Plant, known: Diagnosability | None) -> Iterator[_Candidate]:
@@ -383,11 +384,13 @@ def _notes(plant: Plant, known: Diagnosability | None, entries: list[Entry]) -> 
 def _about_disturbances(plant: Plant, entries: list[Entry]) -> Iterator[str]:
     names = ", ".join(plant.disturbances)
     decoupling = [entry for entry in entries if entry.method.decouples and not entry.estimates]
-    if any(entry.works for entry in decoupling):
+    working = {entry.method.name for entry in decoupling if entry.works}
+    if working == {"perfect_observer"}:
+        yield f"disturbances ({names}): only perfect_observer decouples them, by differentiating the measurements"
+    elif working:
         yield f"disturbances ({names}): prefer what decouples them; detection_filter and kalman_filter do not"
-        return
     tried = [entry for entry in decoupling if entry.works is False]
-    if tried:
+    if tried and not working:
         yield f"the disturbances ({names}) cannot be decoupled: {_shortened(tried[0].reason, 200)}"
 
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua.analysis.unknown_input import (
     OutputFreeForm,
     UnknownInputExistence,
+    error_pair,
     is_singular,
     output_free_form,
     singular_decoupling,
@@ -23,6 +24,7 @@ from residua.design.observer_gain import margin_from, place, pole_evidence
 from residua.errors import AccuracyError, DesignError
 from residua.linear.arrays import matrix
 from residua.linear.balancing import without_rounding
+from residua.linear.observability import observability_form
 from residua.linear.placement import Placement
 from residua.linear.rank import DEFAULT_RTOL, RankDecision
 from residua.plant import Plant
@@ -107,16 +109,36 @@ def unknown_input_observer(
     if singular:
         if H0 is not None:
             raise DesignError("H0 is the free matrix of an ordinary plant; for a singular one leave it out")
-        found = singular_decoupling(plant, form, rtol=rtol)
-        T, H = found.T, found.H @ form.W
-    else:
-        H = decoupling_gain(form, H0)
-        T = decoupling_map(plant, H)
+        return _of_singular_plant(plant, form, poles, margin, existence, rtol)
+    H = decoupling_gain(form, H0)
+    T = decoupling_map(plant, H)
     A1 = without_rounding(T, form.A)
     if poles is None and margin is None:
         margin = margin_from(A1, plant)
     placed = place(A1, form.C, poles, margin, plant.dt, rtol)
     return assemble(plant, form, T, H, placed, existence)
+
+
+def _of_singular_plant(
+    plant: Plant,
+    form: OutputFreeForm,
+    poles: Sequence[complex] | ArrayLike | None,
+    margin: float | None,
+    existence: UnknownInputExistence,
+    rtol: float,
+) -> Observer:
+    """Return the observer of a singular plant: the free part of the decoupling is placed along with the gain."""
+    found = singular_decoupling(plant, form, rtol=rtol)
+    A1, C1 = error_pair(found, form)
+    if poles is None and margin is None:
+        margin = margin_from(A1, plant)
+    p = len(form.C)
+    alone = observability_form(A1, form.C, rtol=rtol).n_observable
+    needed = alone < observability_form(A1, C1, rtol=rtol).n_observable  # or else the smallest T is the best
+    placed = place(A1, C1 if needed else form.C, poles, margin, plant.dt, rtol)
+    K1, Z = placed.gain[:, :p], placed.gain[:, p:] if needed else np.zeros((len(A1), len(found.N)))
+    T, H = found.T - Z @ found.N, (found.H - Z @ found.M) @ form.W
+    return assemble(plant, form, T, H, replace(placed, gain=K1), existence)
 
 
 def decoupling_gain(form: OutputFreeForm, H0: ArrayLike | None = None) -> NDArray[np.float64]:
@@ -170,7 +192,7 @@ def assemble(
         raise AccuracyError(f"T E + H C = I is missed by {whole:.2g} (relative): rescale the states and channels")
     q, p = form.E.shape[1], len(form.W)
     method, notes = "unknown input observer", ()
-    if q and p > q:
+    if q and p > q and plant.E is None:
         notes = (
             f"{p - q} of the {p} residuals are independent: the others are filtered copies, the price of "
             f"decoupling {q} disturbances",

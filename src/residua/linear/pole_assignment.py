@@ -31,7 +31,8 @@ def robust_assignment(F: Matrix, H: Matrix, poles: NDArray[np.complex128]) -> Ma
     """Return ``L`` with ``eig(F - L H) = poles`` and well-conditioned eigenvectors, or None where it fails.
 
     Kautsky, Nichols and Van Dooren's method as improved by Tits and Yang; it exists only when no pole occurs more
-    often than there are rows in ``H``. The caller must check the outcome.
+    often than there are rows in ``H``. With more than 79 states it is not tried: it would take minutes. The caller must
+    check the outcome.
 
     Parameters
     ----------
@@ -47,12 +48,13 @@ def robust_assignment(F: Matrix, H: Matrix, poles: NDArray[np.complex128]) -> Ma
     from scipy.signal import place_poles
 
     counts = np.sum(np.isclose(poles[:, None], poles, rtol=1e-8, atol=0), axis=1)
-    if counts.max(initial=0) > H.shape[0]:
+    sweeps = _sweeps(len(F))
+    if counts.max(initial=0) > H.shape[0] or not sweeps:
         return None
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            L = place_poles(F.T, H.T, poles, maxiter=_sweeps(len(F))).gain_matrix.T
+            L = place_poles(F.T, H.T, poles, maxiter=sweeps).gain_matrix.T
     except (ValueError, np.linalg.LinAlgError):
         return None
     return np.real(L) if np.all(np.isfinite(L)) else None
@@ -60,7 +62,7 @@ def robust_assignment(F: Matrix, H: Matrix, poles: NDArray[np.complex128]) -> Ma
 
 def _sweeps(order: int) -> int:
     """Return how many sweeps over the poles to allow: each costs the fifth power of the order."""
-    return max(1, round(60 * min(1.0, (24 / max(order, 1)) ** 4)))
+    return round(60 * min(1.0, (24 / max(order, 1)) ** 4))
 
 
 def schur_assignment(F: Matrix, H: Matrix, poles: NDArray[np.complex128]) -> Matrix | None:
