@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.linear.arrays import frozen
 from residua.linear.balancing import descriptor_units, without_rounding
 from residua.linear.observability import detectability
 from residua.linear.rank import DEFAULT_RTOL, RankDecision, decide_rank, equilibrated, left_null_basis
-from residua.plant import Plant
+from residua.plant import OperatingPoint, Plant
 from residua.plant.disturbances import factor_disturbance
 
 
@@ -120,8 +121,8 @@ def unknown_input_observer_existence(plant: Plant, *, rtol: float = DEFAULT_RTOL
     ----------
     plant : Plant
         Disturbances in the outputs are eliminated first. For a singular ``E`` the conditions are
-        :math:`\operatorname{rank}[E\ E_d; C\ 0] = n + \operatorname{rank} E_d`, and stable finite invariant zeros
-        of :math:`(E, A, E_d, C)`.
+        :math:`\operatorname{rank}[E\ E_d; C\ 0] = n + \operatorname{rank} E_d`, where the algebraic equations count
+        as measurements, and stable finite invariant zeros of :math:`(E, A, E_d, C)`.
     rtol : float
         Relative tolerance of every rank decision.
 
@@ -236,7 +237,52 @@ def error_pair(found: Decoupling, form: OutputFreeForm) -> tuple[NDArray, NDArra
     return without_rounding(found.T, form.A), np.vstack([form.C, without_rounding(found.N, form.A)])
 
 
+def algebraic_equations(plant: Plant, *, undisturbed: bool = False) -> NDArray[np.float64]:
+    """Return a basis, of unit size, of the combinations ``N`` of a plant's equations without derivatives, ``N E = 0``.
+
+    With ``undisturbed`` only of those that no disturbance enters.
+    """
+    if plant.E is None:
+        return np.zeros((0, plant.n_states))
+    drive, direct = np.hstack([plant.Bu, plant.Bd]), np.hstack([plant.Du, plant.Dd])
+    u = descriptor_units(plant.A, plant.E, drive, plant.C, direct)
+    E, D = u.equations[:, None] * plant.E * u.states, u.equations[:, None] * plant.Bd
+    size = np.linalg.norm(D, axis=0)
+    D = D / np.where(size > 0, size, 1.0) if undisturbed else D[:, :0]
+    N = left_null_basis(np.hstack([E / (np.linalg.norm(E) or 1.0), D]))[0].T
+    N = np.where(np.abs(N) > 1e-14, N, 0.0) * u.equations
+    return N / np.maximum(np.abs(N).max(axis=1, keepdims=True, initial=0.0), 1e-300)
+
+
+def with_equations_measured(plant: Plant) -> tuple[Plant, NDArray[np.float64]]:
+    """Return a singular plant with its algebraic equations as further outputs, which read zero, and these equations.
+
+    ``N (A x + B u + E_d d) = 0`` with ``N E = 0`` tells of the state what a sensor would.
+    """
+    N = algebraic_equations(plant)
+    measured = plant._with(
+        C=frozen(np.vstack([plant.C, N @ plant.A])),
+        outputs=(*plant.outputs, *(f"equation {i + 1}" for i in range(len(N)))),
+        operating_point=OperatingPoint(
+            plant.operating_point.inputs, (*plant.operating_point.outputs, *(0.0,) * len(N))
+        ),
+        **{
+            f"D{role}": frozen(np.vstack([getattr(plant, f"D{role}"), N @ getattr(plant, f"B{role}")]))
+            for role in "udfw"
+        },
+    )
+    return measured, N
+
+
+def needs_equations(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> bool:
+    """Tell whether a singular plant needs its algebraic equations as measurements for the state to be determined."""
+    found = singular_decoupling(plant, output_free_form(plant, rtol=rtol), rtol=rtol)
+    return found.rank.rank < plant.n_states + found.rank_D.rank
+
+
 def _singular_existence(plant: Plant, rtol: float) -> UnknownInputExistence:
+    if needs_equations(plant, rtol=rtol):
+        plant, _ = with_equations_measured(plant)
     form = output_free_form(plant, rtol=rtol)
     found = singular_decoupling(plant, form, rtol=rtol)
     n, q = plant.n_states, found.rank_D.rank
@@ -244,9 +290,8 @@ def _singular_existence(plant: Plant, rtol: float) -> UnknownInputExistence:
     fixed = np.zeros(0, dtype=complex)
     if found.rank.rank < n + q:
         reasons.append(
-            f"rank [E D; C 0] = {found.rank.rank} < n + rank D = {n + q}: no exact unknown input observer; add "
-            "a sensor that sees the states without equations of their own, or eliminate algebraic equations first "
-            "(residua.plant.without_algebraic_equations)"
+            f"rank [E D; C 0] = {found.rank.rank} < n + rank D = {n + q}, algebraic equations counted as measurements: "
+            "no exact unknown input observer; add a sensor that sees the states without equations of their own"
             + (f", or decouple fewer disturbances than {', '.join(plant.disturbances)}" if q else "")
         )
     else:

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 from numpy.typing import ArrayLike
 
-from residua.design.bank import Bank, Wanted, build_bank
-from residua.design.member_design import member_design
+from residua.design.bank import Bank, build_bank, wanted_by_scheme
+from residua.design.member_design import advice_for, member_design
 from residua.errors import DesignError
 from residua.linear.rank import DEFAULT_RTOL
 from residua.plant import Plant
@@ -76,22 +76,13 @@ def actuator_fault_bank(
         if not plant.inputs:
             raise DesignError("the plant has neither control inputs nor actuator faults")
         plant = plant.with_actuator_faults()
-    actuators = [fault for fault in plant.fault_list if fault.kind == "actuator"]
-    names = tuple(fault.name for fault in actuators)
-    if scheme not in ("generalized", "dedicated"):
-        raise DesignError(f"scheme must be 'generalized' or 'dedicated', got {scheme!r}")
-    wanted = []
-    for fault in actuators:
-        others = tuple(name for name in names if name != fault.name)
-        if scheme == "generalized":
-            wanted.append(Wanted(f"decoupled from {fault.component}", (fault.name,), others))
-        else:
-            wanted.append(Wanted(f"only {fault.component}", others, (fault.name,)))
+    actuators = {fault.name: fault.component for fault in plant.fault_list if fault.kind == "actuator"}
     return build_bank(
         plant,
-        wanted,
+        wanted_by_scheme(scheme, actuators, "decoupled from"),
         member_design(observer, poles=poles, margin=margin, rtol=rtol),
         f"{scheme} bank of {observer} observers",
         allow_missing=allow_missing,
+        advice=advice_for(observer),
         reference="Chen and Patton (1999), section 3.5; Twardy and Kaczorek, part II",
     )

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.analysis.codes import equal_codes, strongly_isolating
 from residua.design.detection_filter import stack_systems
 from residua.design.evidence import Evidence
 from residua.design.generator import Member, ResidualGenerator, make_generator
@@ -23,7 +25,7 @@ MemberDesign = Callable[[Plant], ResidualGenerator]
 MOST_STATES = 2000
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Bank:
     """Residual generators that each ignore some faults, so that who fires names the fault.
 
@@ -71,22 +73,19 @@ class Bank:
     @property
     def groups(self) -> tuple[tuple[str, ...], ...]:
         """The faults with the same code, which this bank cannot tell apart; faults that no member sees are left out."""
-        found: dict[bytes, list[str]] = {}
-        for name, code in zip(self.faults, self.structure.T, strict=True):
-            if code.any():
-                found.setdefault(code.tobytes(), []).append(name)
-        return tuple(tuple(names) for names in found.values())
+        return tuple(tuple(self.faults[j] for j in group) for group in equal_codes(self.structure))
 
     @property
     def strongly_isolating(self) -> bool:
         """Whether no code becomes another when some of its members stay silent: columns form an antichain."""
-        codes = np.unique(self.structure[:, self.structure.any(axis=0)], axis=1)
-        covered = (codes[:, :, None] <= codes[:, None, :]).all(axis=0)
-        return int(covered.sum()) == codes.shape[1]
+        return strongly_isolating(self.structure)
 
     def residual_generator(self) -> ResidualGenerator:
         """Return the stacked generator."""
         return self.generator
+
+    def __repr__(self) -> str:
+        return f"Bank({self.generator.method}: {len(self.members)} members, {len(self.faults)} faults)"
 
     def __str__(self) -> str:
         width = max([len(name) for name in self.members], default=0) + 2
@@ -112,8 +111,39 @@ class Wanted:
     seen: tuple[str, ...]
 
 
+def wanted_by_scheme(scheme: str, components: Mapping[str, str], without: str) -> list[Wanted]:
+    """Return the members of a scheme over some faults, named after the component that each fault is in.
+
+    Parameters
+    ----------
+    scheme : {"generalized", "dedicated"}
+        Each member ignores one fault and sees all others, or sees one and ignores all others.
+    components : mapping of str to str
+        The component of each fault.
+    without : str
+        What the name of a member that ignores a component begins with.
+    """
+    if scheme not in ("generalized", "dedicated"):
+        raise DesignError(f"scheme must be 'generalized' or 'dedicated', got {scheme!r}")
+    wanted = []
+    for fault, component in components.items():
+        others = tuple(other for other in components if other != fault)
+        if scheme == "generalized":
+            wanted.append(Wanted(f"{without} {component}", (fault,), others))
+        else:
+            wanted.append(Wanted(f"only {component}", others, (fault,)))
+    return wanted
+
+
 def build_bank(
-    plant: Plant, wanted: list[Wanted], design: MemberDesign, method: str, *, allow_missing: bool, reference: str
+    plant: Plant,
+    wanted: list[Wanted],
+    design: MemberDesign,
+    method: str,
+    *,
+    allow_missing: bool,
+    reference: str,
+    advice: str = "",
 ) -> Bank:
     """Design all members, stack them, and check that the structure is the one that was promised."""
     if len(wanted) * plant.n_states > MOST_STATES:
@@ -144,8 +174,8 @@ def build_bank(
         hint = "" if not parts else "; allow_missing=True builds the bank without them"
         missing = "do not exist" if DesignError in kinds else "missed their tolerance"
         kind = DesignError if DesignError in kinds else AccuracyError
-        raise kind(f"{len(failures)} of {len(wanted)} members of the bank {missing}: {told}{hint}")
-    generator = _stacked(plant, parts, method, reference)
+        raise kind(f"{len(failures)} of {len(wanted)} members of the bank {missing}: {told}{hint}{advice}")
+    generator = _stacked(parts, method, reference)
     codes = generator.codes
     assert codes is not None  # _stacked gives them
     return Bank(generator, codes, observers, failures)
@@ -196,7 +226,7 @@ def _check_promise(generator: ResidualGenerator, one: Wanted) -> None:
         )
 
 
-def _stacked(plant: Plant, parts: dict[str, ResidualGenerator], method: str, reference: str) -> ResidualGenerator:
+def _stacked(parts: dict[str, ResidualGenerator], method: str, reference: str) -> ResidualGenerator:
     """Return the members as one generator, with their codes."""
     generators = list(parts.values())
     plant = generators[0].plant
@@ -218,19 +248,19 @@ def _stacked(plant: Plant, parts: dict[str, ResidualGenerator], method: str, ref
         notes=tuple(f"{name}: {note}" for name, g in parts.items() for note in g.evidence.notes),
         references=(reference,),
     )
-    whole = np.array(codes, dtype=bool).reshape(len(codes), len(plant.faults))
-    common = {"members": tuple(members), "codes": whole}
-    if all(g.state_map is not None for g in generators):
-        maps = [g.state_map for g in generators]
-        static = None
-        if any(g.static_map is not None for g in generators):
-            zeros = [np.zeros((g.n_residuals, plant.n_states)) for g in generators]
-            static = np.vstack(
-                [z if g.static_map is None else g.static_map for z, g in zip(zeros, generators, strict=True)]
-            )
-        return make_generator(system, plant, method, evidence, state_map=np.vstack(maps), static_map=static, **common)  # pyright: ignore[reportArgumentType, reportCallIssue]
-    form = _named(stack_systems([g.internal_form() for g in generators]), parts)
-    return make_generator(system, plant, method, evidence, known_form=form, **common)
+    told: dict[str, Any] = {
+        "members": tuple(members),
+        "codes": np.array(codes, dtype=bool).reshape(len(codes), len(plant.faults)),
+    }
+    maps = [g.state_map for g in generators if g.state_map is not None]
+    if len(maps) < len(generators):
+        form = _named(stack_systems([g.internal_form() for g in generators]), parts)
+        return make_generator(system, plant, method, evidence, known_form=form, **told)
+    static = None
+    if any(g.static_map is not None for g in generators):
+        none = [np.zeros((g.n_residuals, plant.n_states)) for g in generators]
+        static = np.vstack([z if g.static_map is None else g.static_map for z, g in zip(none, generators, strict=True)])
+    return make_generator(system, plant, method, evidence, state_map=np.vstack(maps), static_map=static, **told)
 
 
 def _code(generator: ResidualGenerator) -> list[bool]:

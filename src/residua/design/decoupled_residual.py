@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from residua.design.evidence import Evidence
 from residua.design.generator import ResidualGenerator, make_generator
 from residua.design.internal_form import check_decoupling
-from residua.design.observer_gain import place, pole_evidence
-from residua.errors import DesignError
+from residua.design.observer_gain import margin_from, place, pole_evidence
+from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace, arrays
-from residua.linear.balancing import descriptor_units
+from residua.linear.balancing import descriptor_units, without_rounding
 from residua.linear.detection_space import confining_gain, detection_space
 from residua.linear.placement import Placement
 from residua.linear.rank import DEFAULT_RTOL, RankDecision, decide_rank, left_null_basis, range_basis
@@ -70,7 +70,9 @@ def decoupled_residual(
     Raises
     ------
     DesignError
-        If no such residual exists: all measurements are used up.
+        If no such residual exists: all measurements are used up; or if poles, margin and gain do not go together.
+    AccuracyError
+        If the poles or the decoupling missed their tolerance.
 
     Notes
     -----
@@ -89,7 +91,7 @@ def decoupled_residual(
     array([False,  True])
     """
     ignored = [plant.faults[i] for i in arrays.positions(insensitive_to, plant.faults, "fault")]
-    parts = _explicit_parts(plant.faults_as_disturbances(ignored) if ignored else plant.faults_as_disturbances(()))
+    parts = _explicit_parts(plant.faults_as_disturbances(ignored))
     quotient = _quotient(parts, rtol)
     if not quotient.read.shape[0]:
         names = ", ".join(f"'{name}'" for name in (*plant.disturbances, *ignored))
@@ -97,7 +99,20 @@ def decoupled_residual(
             f"no residual ignores {names or 'nothing'}: the {plant.n_outputs} measurements are all used up; "
             "add a sensor or ignore less"
         )
-    placed, note = _gain(quotient, poles, margin, gain, plant, rtol)
+    failure: AccuracyError | None = None
+    for attempt, note in _attempts(quotient, poles, margin, gain, plant, rtol):
+        try:
+            return _assembled(plant, parts, quotient, attempt(), ignored, note)
+        except AccuracyError as error:
+            failure = failure or error
+    assert failure is not None  # there is at least one attempt
+    raise failure
+
+
+def _assembled(
+    plant: Plant, parts: _Parts, quotient: _Quotient, placed: Placement, ignored: list[str], note: str
+) -> ResidualGenerator:
+    """Return the generator of a gain on the quotient, in the units of the plant."""
     F = quotient.A - placed.gain @ quotient.C
     K = quotient.inject + placed.gain @ quotient.read
     n_y = plant.n_outputs
@@ -127,15 +142,15 @@ def decoupled_residual(
     return make_generator(system, plant, "decoupled residual", evidence, state_map=T, static_map=static)
 
 
-def _gain(
+def _attempts(
     quotient: _Quotient,
     poles: Sequence[complex] | ArrayLike | None,
     margin: float | None,
     kind: str | None,
     plant: Plant,
     rtol: float,
-) -> tuple[Placement, str]:
-    """Return the gain on the quotient, and what to say about it."""
+) -> list[tuple[Callable[[], Placement], str]]:
+    """Return the gains to try, each with what to say about it: what was asked for, or defaults of falling demands."""
     if kind not in (None, "kalman", "placement"):
         raise DesignError(f"gain must be 'kalman' or 'placement', got {kind!r}")
     free = poles is None and margin is None
@@ -143,19 +158,33 @@ def _gain(
         raise DesignError("the gain of a Kalman filter has no poles or margin to choose: leave them out")
     if kind == "kalman" and not plant.Bw.shape[1]:
         raise DesignError("a Kalman filter needs the noise of the plant: with_noise(process=..., measurement=...)")
-    if kind != "kalman" and not (kind is None and free and plant.Bw.shape[1]):
-        return place(quotient.A, quotient.C, poles, margin, plant.dt, rtol), ""
-    G, J = quotient.process_noise, quotient.measurement_noise
+    if not free:
+        return [(lambda: place(quotient.A, quotient.C, poles, margin, plant.dt, rtol), "")]
+    default = margin_from(quotient.A, plant)
+    placed = [
+        (
+            lambda part=part: place(quotient.A, quotient.C, None, default / part, plant.dt, rtol),
+            "" if part == 1 else f"the default margin was lowered to {default / part:.3g} per second, to be exact",
+        )
+        for part in (1, 4, 16, 64)
+    ]
+    if kind == "placement" or not plant.Bw.shape[1]:
+        return placed
     try:
-        found = filter_riccati(quotient.A, quotient.C, G @ G.T, J @ J.T, G @ J.T, dt=plant.dt)
-    except DesignError as error:
+        best = _kalman_gain(quotient, plant)
+    except (DesignError, AccuracyError) as error:
         if kind == "kalman":
             raise
-        placed = place(quotient.A, quotient.C, None, None, plant.dt, rtol)
-        return placed, f"poles placed, for there is no Kalman filter: {error}"
+        return [(attempt, f"poles placed, for there is no Kalman filter: {error}") for attempt, _ in placed]
+    return [(lambda: best, "gain of the Kalman filter"), *([] if kind == "kalman" else placed)]
+
+
+def _kalman_gain(quotient: _Quotient, plant: Plant) -> Placement:
+    """Return the gain of the Kalman filter of the quotient."""
+    G, J = quotient.process_noise, quotient.measurement_noise
+    found = filter_riccati(quotient.A, quotient.C, G @ G.T, J @ J.T, G @ J.T, dt=plant.dt)
     none, K = np.zeros(0, dtype=complex), np.asarray(found.gain)
-    achieved = np.asarray(found.poles, dtype=complex)
-    return Placement(K, none, achieved, none, 0.0, 1.0, float(np.linalg.norm(K))), "gain of the Kalman filter"
+    return Placement(K, none, np.asarray(found.poles, dtype=complex), none, 0.0, 1.0, float(np.linalg.norm(K)))
 
 
 def _without_rounding(M: NDArray) -> NDArray:
@@ -256,12 +285,12 @@ def _quotient(parts: _Parts, rtol: float) -> _Quotient:
     S = detection_space(A, C, L, rtol=rtol).basis if L.shape[1] else _unobservable(A, C, rtol)
     if S.shape[1]:
         inject = confining_gain(A, C, S)
-        scale = float(np.linalg.norm(C, 2)) if C.size else 0.0
+        scale = float(np.linalg.norm(parts.C, 2)) if parts.C.size else 0.0  # what is left of C may be all rounding
         H = left_null_basis(C @ S, rtol=rtol, scale=scale)[0].T
         P = left_null_basis(S)[0]
     else:
         inject, H, P = np.zeros((n, len(C))), np.eye(len(C)), np.eye(n)
-    F = P.T @ (A - inject @ C) @ P
+    F = without_rounding(P.T, A - inject @ C, P)
     inject, read = P.T @ (G + inject @ W), H @ W
     return _Quotient(
         F,

@@ -307,8 +307,9 @@ def _realised(
     """
     n, m, n_f = observer.order, len(plant.inputs), len(names)
     J = reading.static @ plant.C + reading.dynamics @ plant.A
+    dynamics = reading.dynamics if observer.J is None else reading.dynamics - J @ observer.J
     # r and L_d y_0 as functions of (z, [u, y])
-    r_z, r_v = -J, _on_signals(plant, reading.static - J @ observer.H, -reading.dynamics @ plant.Bu)
+    r_z, r_v = -J, _on_signals(plant, reading.static - J @ observer.H, -dynamics @ plant.Bu)
     d_v = _on_signals(plant, reading.derivative, np.zeros((n_f, m)))
     own = np.flatnonzero(smoothing.filtered)
     k = len(own)
@@ -320,18 +321,18 @@ def _realised(
         gain = np.where(late, 1 - a, a * (1 - a))
         Aq, Bz, Bv = a * np.eye(k), gain * r_z[own], gain * r_v[own] + a * (1 - a) * d_v[own]
         at_once = np.where(late, 0.0, 1 - a)
-        map_q = -gain * reading.dynamics[own]
+        map_q = -gain * dynamics[own]
     else:
         w = smoothing.rate
         Aq, Bz, Bv = -w * np.eye(k), w * r_z[own], w * r_v[own] - w**2 * d_v[own]
         at_once = np.zeros((k, 1))
-        map_q = -w * reading.dynamics[own]
+        map_q = -w * dynamics[own]
     factor = 1 - smoothing.pole if plant.is_discrete else smoothing.rate
     C_z, D_v = through[:, None] * r_z, through[:, None] * r_v
     C_z[own] += at_once * r_z[own]
     D_v[own] += at_once * r_v[own] + factor * d_v[own]
-    static = through[:, None] * reading.dynamics
-    static[own] += at_once * reading.dynamics[own]
+    static = through[:, None] * dynamics
+    static[own] += at_once * dynamics[own]
     o = observer.system
     system = StateSpace(
         np.block([[o.A, np.zeros((n, k))], [Bz, Aq]]),

@@ -22,7 +22,8 @@ from residua.design.internal_form import (
     signature_bases,
     with_silent_inputs,
 )
-from residua.errors import AccuracyError, DataError, ModelError
+from residua.design.signals import discretized_filter, sampled_filter, stack_signals
+from residua.errors import AccuracyError
 from residua.linear import StateSpace, decide_rank
 from residua.plant import Plant
 
@@ -288,7 +289,7 @@ class ResidualGenerator:
         -------
         ResidualGenerator
         """
-        system = _discretized(self.system, self.plant, dt, hold_outputs)
+        system = discretized_filter(self.system, self.plant, dt, hold_outputs)
         plant = self.plant.discretize(dt)
         cost = {f"{name}, sampled": value for name, value in leakage(system, plant).items()}
         note = (
@@ -302,7 +303,6 @@ class ResidualGenerator:
             requested_poles=np.exp(self.evidence.requested_poles * system.dt),
             fixed_poles=np.exp(self.evidence.fixed_poles * system.dt),
         )
-        known = None if self.known_form is None else self.known_form.discretize(dt)
         return replace(
             self,
             system=system,
@@ -310,7 +310,7 @@ class ResidualGenerator:
             evidence=evidence,
             state_map=None,
             static_map=None,
-            known_form=known,
+            known_form=None,  # noise of the sampled plant is not that of the continuous one, held between samples
             steady=self.steady_directions,
         )
 
@@ -350,7 +350,7 @@ def make_generator(
         identity = check_state_map(system, plant, state_map, static_map)
     else:
         raise TypeError("make_generator needs a state_map or a known_form")
-    bases, off = signature_bases(system, plant, form)
+    bases, off = signature_bases(system, plant, form, state_map, static_map)
     conditions = {"identities": identity} | ({"response off the signatures": off} if plant.faults else {})
     if not members:
         members = (Member(method, tuple(range(system.n_outputs)), plant.faults),)
@@ -383,57 +383,3 @@ def state_covariance(A: NDArray, Q: NDArray) -> NDArray[np.float64]:
     if not missed < 1e-8:
         raise AccuracyError(f"the covariance of the residual misses its equation by {missed:.2g}: rescale the plant")
     return X * units[:, None] * units
-
-
-def sampled_filter(system: StateSpace, plant: Plant, dt: float | None) -> StateSpace:
-    """Return a filter from inputs and outputs of a plant, sampled at the step of a recording if it is continuous."""
-    if not system.is_discrete:
-        if dt is None:
-            raise ModelError(
-                "this filter is continuous: give the step of the recording, dt=..., "
-                "or design for the sampled plant, plant.discretize(dt)"
-            )
-        return _discretized(system, plant, dt, "linear")
-    if dt is not None and abs(dt - system.dt) > 1e-9 * system.dt:
-        raise DataError(f"the filter has dt={system.dt:g} s, the recording {dt:g} s")
-    return system
-
-
-def _discretized(system: StateSpace, plant: Plant, dt: float, hold_outputs: str) -> StateSpace:
-    """Sample a filter with the control inputs held between samples."""
-    return system.discretize(dt, hold=["zero"] * len(plant.inputs) + [hold_outputs] * plant.n_outputs)
-
-
-def stack_signals(plant: Plant, u: ArrayLike | None, y: ArrayLike) -> NDArray[np.float64]:
-    """Return ``[u, y]`` as one block, after checking widths and lengths against the plant."""
-    y_ = _numbers(y, "y")
-    n_u, n_y = len(plant.inputs), plant.n_outputs
-    if y_.ndim == 1 and n_y == 1:
-        y_ = y_[:, None]
-    if y_.ndim not in (2, 3) or y_.shape[-1] != n_y:
-        raise DataError(f"y must be (time, {n_y}) with the columns {', '.join(plant.outputs)}, got shape {y_.shape}")
-    if u is None:
-        if n_u:
-            raise DataError(f"u is missing: this plant has the inputs {', '.join(plant.inputs)}")
-        return y_
-    u_ = _numbers(u, "u")
-    if u_.ndim == y_.ndim - 1 and n_u == 1:
-        u_ = u_[..., None]
-    if u_.shape != (*y_.shape[:-1], n_u):
-        raise DataError(
-            f"u must be {(*y_.shape[:-1], n_u)} with the columns {', '.join(plant.inputs) or 'none'} "
-            f"to go with y of shape {y_.shape}, got {u_.shape}"
-        )
-    return np.concatenate([u_, y_], axis=-1)
-
-
-def _numbers(value: ArrayLike, name: str) -> NDArray[np.float64]:
-    """Return data as floats; masked entries are missing ones."""
-    try:
-        if isinstance(value, np.ma.MaskedArray):
-            value = np.ma.filled(value.astype(float), np.nan)
-        if np.iscomplexobj(value):
-            raise TypeError("complex numbers")
-        return np.asarray(value, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise DataError(f"{name} must be an array of numbers: {error}") from error

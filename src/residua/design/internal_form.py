@@ -102,11 +102,17 @@ def check_state_map(
         rows = np.where(heights > 1e-12 * heights.max(initial=0.0), heights, np.where(others > 0, others, 1.0))
     first = _largest(T @ p.A - Gy @ p.C - generator.A @ TE, units / rows[:, None])
     own = _largest(p.A, units / units[:, None]) if p.E is None else 0.0
+    if generator.n_states:  # where decoupling left T = 0, all the terms are rounding of what the poles are made of
+        own = max(own, 1e-3 * float(np.abs(generator.poles()).max()))
     first /= max(_largest(terms, units / rows[:, None]), own, 1e-300)
     terms = np.abs(generator.C) @ absolute_TE + np.abs(Hy) @ np.abs(p.C) + np.abs(V) @ np.abs(p.A)
     heights = np.abs(p.C) @ units
     scale = units / np.where(heights > 0, heights, 1.0)[:, None] if len(Hy) == len(p.C) else units[None, :]
-    second = _largest(generator.C @ TE + Hy @ p.C + V @ p.A, scale) / max(_largest(terms, scale), 1e-300)
+    per_row = (
+        np.abs(generator.C) * rows / (np.where(heights > 0, heights, 1.0)[:, None] if len(Hy) == len(p.C) else 1.0)
+    )
+    floor = max(1e-6 * float(per_row.max(initial=0.0)), 1e-300)
+    second = _largest(generator.C @ TE + Hy @ p.C + V @ p.A, scale) / max(_largest(terms, scale), floor)
     third = _largest(VE, scale) / max(_largest(absolute_VE, scale), 1e-300) if np.any(V) and p.E is not None else 0.0
     return _accepted(max(first, second, third), limit)
 
@@ -175,8 +181,8 @@ def _driven(generator: StateSpace, plant: Plant) -> StateSpace:
 def frequency_grid(*systems: StateSpace, points: int = 60) -> NDArray[np.float64]:
     """Return frequencies in rad/s that span the dynamics of the systems, from far below to far above."""
     dt = max(system.dt for system in systems)
-    if dt:
-        return np.concatenate([np.pi / dt * np.logspace(-5, 0, points - 1), [0.37 * np.pi / dt]])
+    if dt:  # not at the ends of the circle, where models have poles
+        return np.concatenate([np.pi / dt * np.logspace(-5, np.log10(0.97), points - 1), [0.37 * np.pi / dt]])
     sizes = np.concatenate([np.zeros(0), *(_pole_sizes(system) for system in systems)])
     low, high = (sizes.min(), sizes.max()) if sizes.size else (1.0, 1.0)
     # the factor keeps round numbers, where models have their poles, off the grid
@@ -232,14 +238,20 @@ def check_decoupling(generator: StateSpace, plant: Plant, *, decoupled: bool, li
 
 
 def signature_bases(
-    generator: StateSpace, plant: Plant, form: StateSpace, *, rtol: float = 1e-6
+    generator: StateSpace,
+    plant: Plant,
+    form: StateSpace,
+    state_map: NDArray | None = None,
+    static_map: NDArray | None = None,
+    *,
+    rtol: float = 1e-6,
 ) -> tuple[dict[str, NDArray[np.float64]], float]:
     """Return for each fault an orthonormal basis of the subspace that its residual never leaves.
 
     The subspace is spanned by the response to the fault at all frequencies; it is found from the singular
     values of the responses at many, each scaled to unit length. (Krylov spaces of the same would amplify
-    rounding in every step.) The vector of a one-dimensional subspace has the sign of the first response to
-    a positive fault.
+    rounding in every step.) What is rounding against the terms that a response is made of is taken for zero. The
+    vector of a one-dimensional subspace has the sign of the first response to a positive fault.
 
     Parameters
     ----------
@@ -247,6 +259,8 @@ def signature_bases(
     plant : Plant
     form : StateSpace
         Their internal form, faults first.
+    state_map, static_map : ndarray, optional
+        Those of the generator, where it has them.
     rtol : float
         Directions that carry less than this fraction of the response at every frequency are not there.
 
@@ -257,22 +271,16 @@ def signature_bases(
         The largest fraction of any response that was taken for rounding and left out.
     """
     w = frequency_grid(form, generator)
-    responses = form.frequency_response(w)
-    paths = np.abs(generator.frequency_response(w)[:, :, len(plant.inputs) :])
-    cancelling = paths @ np.abs(plant.system("fault").frequency_response(w))
-    # where a filter has zeros of high order its response is rounding, which says nothing about what cancels
-    rounding = paths.max(axis=2) < 1e-10 * paths.max(axis=(0, 2), initial=0.0)
-    units = cancelling.max(axis=(0, 2), initial=0.0)  # of each residual: the size of what it is made of
+    responses = form.frequency_response(w)[:, :, : len(plant.faults)]
+    terms = _response_terms(generator, plant, form, state_map, static_map, w)
+    responses = np.where(np.abs(responses) > 1e-9 * terms, responses, 0.0)
+    units = terms.max(axis=(0, 2), initial=0.0)  # of each residual: the size of what it is made of
     units = np.where(units > 0, units, 1.0)
     bases, off = {}, 0.0
     for i, name in enumerate(plant.faults):
         response = responses[:, :, i].T / units[:, None]
         size = np.linalg.norm(response, axis=0)
-        terms = np.linalg.norm(cancelling[:, :, i] / units, axis=1)
-        # far out the plant's response can fall faster than what rounding left of a path to the residual
-        known = np.linalg.norm(np.where(rounding, 0.0, cancelling[:, :, i]) / units, axis=1)
-        seen = size.max(initial=0.0) > 1e-12 * known.max(initial=0.0)
-        keep = seen & (size > 1e-9 * terms) & (size > 1e-7 * size.max(initial=0.0))
+        keep = (size > 0) & (size > 1e-7 * size.max(initial=0.0))
         columns = response[:, keep] / size[keep]
         if columns.shape[1] == 0:
             bases[name] = np.zeros((form.n_outputs, 0))
@@ -284,6 +292,40 @@ def signature_bases(
             basis = -basis
         bases[name] = basis
     return bases, off
+
+
+def _response_terms(
+    generator: StateSpace, plant: Plant, form: StateSpace, T: NDArray | None, V: NDArray | None, w: NDArray
+) -> NDArray[np.float64]:
+    """Return the size of the terms that the responses to faults are the sum of, in balanced units, over frequency.
+
+    Of a product such as ``T Bf`` the largest entries of row and column count, wherever they stand: an entry that
+    should be zero is rounding of those.
+    """
+    p = plant.system("fault")
+    u = descriptor_units(p.A, p.E, p.B, p.C, p.D)
+    Gy, Hy = (np.abs(M[:, len(plant.inputs) :]) / u.outputs for M in (generator.B, generator.D))
+    Bf, Df = np.abs(p.B) * u.equations[:, None], np.abs(p.D) * u.outputs[:, None]
+    n_f = len(plant.faults)
+
+    def largest(rows: NDArray, columns: NDArray) -> NDArray:
+        return rows.max(axis=1, initial=0.0)[:, None] * columns.max(axis=0, initial=0.0)
+
+    driven = 0.0
+    if T is None:
+        B, D = np.abs(form.B[:, :n_f]), np.abs(form.D[:, :n_f])
+        Q = np.abs(generator.frequency_response(w)[:, :, len(plant.inputs) :])
+        D = D + largest(Q.max(axis=0, initial=0.0) / u.outputs, Df)
+        driven = Q @ np.abs(p.frequency_response(w))  # its internal form may be rounding where that cancels
+    else:
+        B = largest(np.abs(T) / u.equations, Bf) + largest(Gy, Df)
+        D = largest(Hy, Df) + (0.0 if V is None else largest(np.abs(V) / u.equations, Bf))
+    points = np.exp(1j * w * form.dt) if form.is_discrete else 1j * w
+    n = form.n_states
+    if not n:
+        return np.broadcast_to(D, (len(w), *D.shape)) + driven
+    through = np.linalg.solve(np.swapaxes(points[:, None, None] * np.eye(n) - form.A, 1, 2), form.C.T[None] + 0j)
+    return np.abs(np.swapaxes(through, 1, 2)) @ B + D + driven
 
 
 def first_response(form: StateSpace, column: int) -> NDArray[np.float64]:

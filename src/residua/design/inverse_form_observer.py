@@ -72,7 +72,7 @@ def inverse_form_observer(
     faults: Iterable[str] | str | None = None,
     poles: Sequence[complex] | ArrayLike | None = None,
     K: ArrayLike | None = None,
-    first: Iterable[str | int] | None = None,
+    first: Iterable[str | int] | str | None = None,
     rtol: float = DEFAULT_RTOL,
 ) -> InverseFormObserver:
     r"""Design an unknown input observer in Sueur's parameters.
@@ -174,7 +174,9 @@ def _check(plant: Plant, rtol: float) -> None:
         raise DesignError("; ".join(existence.reasons))
 
 
-def _first_rows(CF: NDArray, CAF: NDArray, plant: Plant, first: Iterable[str | int] | None, rtol: float) -> list[int]:
+def _first_rows(
+    CF: NDArray, CAF: NDArray, plant: Plant, first: Iterable[str | int] | str | None, rtol: float
+) -> list[int]:
     """Return the outputs ``H1``: those given, or those that express the unknown inputs best."""
     q, p = CF.shape[1], len(CF)
     names = plant.outputs

@@ -9,7 +9,9 @@ from numpy.typing import ArrayLike
 from residua.design.bank import MemberDesign
 from residua.design.decoupled_residual import decoupled_residual
 from residua.design.descriptor_observer import descriptor_observer
+from residua.design.directional_gain import checked_options
 from residua.design.generator import ResidualGenerator
+from residua.design.perfect_observer import perfect_observer
 from residua.design.unknown_input_observer import unknown_input_observer
 from residua.errors import DesignError
 from residua.plant import Plant
@@ -34,7 +36,13 @@ def member_design(
     -------
     callable
         From the plant, in which what is to be ignored are disturbances, to the residual generator.
+
+    Raises
+    ------
+    DesignError
+        If the kind is not known, or is given poles that it does not have.
     """
+    checked_options(poles, margin)  # once, not for every member
     if kind == "unknown-input":
         return lambda p: unknown_input_observer(p, poles=poles, margin=margin, rtol=rtol).residual_generator()
     if kind == "reduced-order":
@@ -44,10 +52,13 @@ def member_design(
     if kind == "perfect":
         if poles is not None or margin is not None:
             raise DesignError("a perfect observer has no poles to place: leave out poles and margin")
-        from residua.design.perfect_observer import perfect_observer
-
         return lambda p: perfect_observer(p, rtol=rtol).residual_generator()
     raise DesignError(f"unknown kind of observer {kind!r}; known: {', '.join(KINDS)}")
+
+
+def advice_for(kind: str) -> str:
+    """Return what to try when members of a kind do not exist."""
+    return "" if kind == "minimal" else "; observer='minimal' exists whenever any residual does: try it"
 
 
 def _with_some_held_out(

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.analysis.unknown_input import algebraic_equations
 from residua.design.evidence import Evidence
 from residua.design.generator import ResidualGenerator, make_generator, sampled_filter, stack_signals
 from residua.design.internal_form import check_decoupling
 from residua.errors import DesignError
 from residua.linear import StateSpace
-from residua.linear.balancing import descriptor_units
-from residua.linear.rank import left_null_basis
 from residua.plant import Plant
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Observer:
     r"""An observer of ``E x' = A x + B u + ...``, with the matrices named as in paper 001.
 
@@ -40,6 +39,9 @@ class Observer:
 
     A perfect observer has no dynamics and is a class of its own, :class:`residua.design.PerfectObserver`.
 
+    The algebraic equations of a singular plant count as measurements: with ``J E = 0`` the estimate may use
+    :math:`J A x = -J B u`. Then :math:`\hat x = M z + H (y - D u) - J B u` and :math:`M T E + H C + J A = I`.
+
     Attributes
     ----------
     plant : Plant
@@ -53,6 +55,10 @@ class Observer:
         What of the output error is used as residual: the identity, or a projection that removes the output
         directions of disturbances, or outputs that the observer does not use.
     evidence : Evidence
+    J : ndarray, shape (n, n), or None
+        What the estimate takes from the algebraic equations; none for an ordinary plant.
+    V : ndarray, shape (residuals, n), or None
+        What of the error of the algebraic equations is in the residual, ``V E = 0``; none for an ordinary plant.
 
     References
     ----------
@@ -69,6 +75,8 @@ class Observer:
     method: str
     decouples: bool
     evidence: Evidence = field(repr=False)
+    J: NDArray[np.float64] | None = field(default=None, repr=False)
+    V: NDArray[np.float64] | None = field(default=None, repr=False)
 
     @property
     def order(self) -> int:
@@ -106,11 +114,12 @@ class Observer:
     def system(self) -> StateSpace:
         """The observer as a system from control inputs and outputs to the state estimate."""
         p = self.plant
+        direct = -self.H @ p.Du - (0.0 if self.J is None else self.J @ p.Bu)
         return StateSpace(
             self.F,
             np.hstack([self.G - self.K @ p.Du, self.K]),
             self.M,
-            np.hstack([-self.H @ p.Du, self.H]),
+            np.hstack([direct, self.H]),
             dt=p.dt,
             inputs=[f"input {x}" for x in p.inputs] + [f"output {x}" for x in p.outputs],
             outputs=[f"estimate {x}" for x in p.states],
@@ -132,8 +141,8 @@ class Observer:
     def residual_generator(self) -> ResidualGenerator:
         r"""Return the output error as residual, :math:`r = W (y - D u - C \hat x) = W[(I - CH)(y - Du) - C M z]`.
 
-        A singular plant has algebraic equations that the estimate should satisfy, and what they miss is residual, too:
-        :math:`V (A \hat x + B u)`, with :math:`V [E\ E_d] = 0`.
+        For a singular plant what the estimate misses of the algebraic equations belongs to it:
+        :math:`r = W (y - D u - C \hat x) - V (A \hat x + B u)`.
 
         Raises
         ------
@@ -142,48 +151,43 @@ class Observer:
             reduce the order: the residual is then zero whatever fails.
         """
         p = self.plant
-        V = self._algebraic_equations()
-        through = np.vstack([self.W @ (np.eye(p.n_outputs) - p.C @ self.H), V @ p.A @ self.H])
-        states = np.vstack([-self.W @ p.C @ self.M, V @ p.A @ self.M])
-        rows = len(self.W)
-        if np.abs(through[:rows]).max(initial=0.0) <= 1e-10 * max(1.0, np.abs(p.C @ self.H).max(initial=0.0)):
-            if not (np.abs(through[rows:]).max(initial=0.0) > 0 or np.abs(states[rows:]).max(initial=0.0) > 0):
-                raise DesignError(self._why_blind())
-            through, states, rows = through[rows:], states[rows:], 0
-        direct = -through @ p.Du
-        direct[rows:] += V @ p.Bu
+        J = np.zeros((p.n_states, p.n_states)) if self.J is None else self.J
+        V = np.zeros((len(self.W), p.n_states)) if self.V is None else self.V
+        read = self.W @ p.C + V @ p.A
+        static = V - read @ J
+        through, states = self.W - read @ self.H, -read @ self.M
+        terms = np.abs(self.W) + np.abs(read) @ np.abs(self.H)
+        alive = _more_than(through, terms) | _path(static, read, J)
+        if not alive.any():
+            raise DesignError(self._why_blind())
+        keep = alive if self.V is not None else np.ones(len(alive), dtype=bool)
+        through, states, static = through[keep], states[keep], static[keep]
         system = StateSpace(
             self.F,
             np.hstack([self.G - self.K @ p.Du, self.K]),
             states,
-            np.hstack([direct, through]),
+            np.hstack([-through @ p.Du - static @ p.Bu, through]),
             dt=p.dt,
             inputs=[f"input {x}" for x in p.inputs] + [f"output {x}" for x in p.outputs],
-            outputs=[*(self._residual_names() if rows else []), *(f"equation {i + 1}" for i in range(len(V)))],
+            outputs=[name for name, kept in zip(self._residual_names(), keep, strict=True) if kept],
         )
         gains = check_decoupling(system, p, decoupled=self.decouples)
         evidence = self.evidence.extended(decoupling=gains)
-        static = np.vstack([np.zeros((rows, p.n_states)), -V]) if len(V) else None
-        return make_generator(system, p, self.method, evidence, state_map=self.T, static_map=static, observer=self)
+        maps = {"state_map": self.T, "static_map": None if p.E is None else static}
+        return make_generator(system, p, self.method, evidence, observer=self, **maps)
 
-    def _algebraic_equations(self) -> NDArray[np.float64]:
-        """Return combinations of the plant's equations without derivatives and disturbances, of unit size."""
-        p = self.plant
-        if p.E is None:
-            return np.zeros((0, p.n_states))
-        u = descriptor_units(p.A, p.E, np.hstack([p.Bu, p.Bd]), p.C, np.hstack([p.Du, p.Dd]))
-        E, D = u.equations[:, None] * p.E * u.states, u.equations[:, None] * p.Bd
-        E, size = E / (np.linalg.norm(E) or 1.0), np.linalg.norm(D, axis=0)
-        V = left_null_basis(np.hstack([E, D / np.where(size > 0, size, 1.0)]))[0].T
-        V = np.where(np.abs(V) > 1e-14, V, 0.0) * u.equations
-        return V / np.maximum(np.abs(V).max(axis=1, keepdims=True, initial=0.0), 1e-300)
+    def __repr__(self) -> str:
+        kind = f"dt={self.plant.dt:g} s" if self.plant.is_discrete else "continuous"
+        return f"Observer({self.method} of {self.plant.name!r}: order {self.order}, {kind})"
 
     def _residual_names(self) -> list[str]:
         """Return the output that a residual is the error of, where it is one, and numbers elsewhere."""
-        if self.plant.n_outputs == len(self.W) and np.array_equal(self.W, np.eye(len(self.W))):
-            return [f"r {x}" for x in self.plant.outputs]
-        single = [np.flatnonzero(row) if np.isclose(np.abs(row).max(), 1.0) else np.zeros(2) for row in self.W]
-        names = [f"r {self.plant.outputs[int(at[0])]}" if len(at) == 1 else "" for at in single]
+        V = np.zeros((len(self.W), 1)) if self.V is None else self.V
+        names = []
+        for row, others in zip(self.W, V, strict=True):
+            at = np.flatnonzero(row)
+            own = len(at) == 1 and np.isclose(abs(row[at[0]]), 1.0) and not others.any()
+            names.append(f"r {self.plant.outputs[int(at[0])]}" if own else "")
         return names if all(names) and len(set(names)) == len(names) else [f"r{i + 1}" for i in range(len(self.W))]
 
     def _why_blind(self) -> str:
@@ -199,3 +203,38 @@ class Observer:
             f"the residual is zero whatever fails: the {p.n_outputs} measurements are all used up "
             f"({' and '.join(used)}); add a sensor or decouple fewer disturbances"
         )
+
+
+def without_measured_equations(observer: Observer, plant: Plant, N: NDArray) -> Observer:
+    """Return an observer that was designed with the algebraic equations ``N`` as last outputs, for the plant itself.
+
+    Those outputs read zero, so that their columns go over into ``T``, ``J`` and ``V``. Without any the equations
+    that no disturbance enters are added to the residual.
+    """
+    p = plant.n_outputs
+    K, H, W = observer.K, observer.H, observer.W
+    V = W[:, p:] @ N
+    if not len(N):
+        V = algebraic_equations(plant, undisturbed=True)
+        W = np.vstack([W, np.zeros((len(V), p))])
+        V = np.vstack([np.zeros((len(observer.W), plant.n_states)), V])
+    return replace(
+        observer,
+        plant=plant,
+        T=observer.T - K[:, p:] @ N,
+        K=K[:, :p],
+        H=H[:, :p],
+        W=W[:, :p],
+        J=H[:, p:] @ N,
+        V=V,
+    )
+
+
+def _more_than(found: NDArray, terms: NDArray) -> NDArray[np.bool_]:
+    """Tell in which rows something is more than the rounding of the terms that it is made of."""
+    return np.abs(found).max(axis=1, initial=0.0) > 1e-10 * np.maximum(1e-300, terms.max(axis=1, initial=0.0))
+
+
+def _path(found: NDArray, read: NDArray, factor: NDArray) -> NDArray[np.bool_]:
+    """Tell in which rows ``read`` times a factor, in a residual, is more than rounding."""
+    return _more_than(found, np.abs(found + read @ factor) + np.abs(read) @ np.abs(factor))

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
 REFERENCE = "Twardy and Kaczorek, part I, eqs. (30) to (33), Theorem 4, Procedure 2"
 
+#: States of a filter beyond which its peak gain is not computed.
+MOST_STATES = 300
+
 
 def check_singular(plant: Plant, rtol: float) -> None:
     """Raise when ``E`` is invertible and nothing else makes the plant singular."""
@@ -121,6 +124,8 @@ def perfect_evidence(o: PerfectObserver, R: NDArray, rtol: float) -> Evidence:
     else:
         conditions["bandwidth, rad/s"] = o.bandwidth
         try:
+            if system.n_states > MOST_STATES:  # it would take minutes
+                raise AccuracyError(f"the filter has {system.n_states} states, more than {MOST_STATES}")
             conditions["noise gain, outputs to estimate (peak)"] = hinf_norm(*M).value
         except AccuracyError as error:
             notes = (f"the peak gain from the outputs to the estimate was not found: {error}",)

@@ -209,9 +209,10 @@ def determinant_variation(N: Matrix) -> float:
 
 def _noise(N: Matrix, L: Matrix, beta: float) -> float:
     total, power = 0.0, L
-    for i in range(len(N)):
-        total += float(np.linalg.norm(power)) * beta**i
-        power = N @ power
+    with np.errstate(over="ignore", invalid="ignore"):  # powers of what is not nilpotent, which is refused later
+        for i in range(len(N)):
+            total += float(np.linalg.norm(power)) * beta**i
+            power = N @ power
     return total
 
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.design.differential_filter import differential_filter, trimmed
 from residua.design.evidence import Evidence
-from residua.design.generator import ResidualGenerator, make_generator, sampled_filter, stack_signals
+from residua.design.generator import ResidualGenerator, make_generator
 from residua.design.internal_form import check_decoupling
 from residua.design.perfect_checks import (
     check_existence,
@@ -20,6 +20,7 @@ from residua.design.perfect_checks import (
     reduced_rows,
 )
 from residua.design.perfect_gain import PerfectGain, full_rank_gain, given_gain, least_order_gain
+from residua.design.signals import sampled_filter, signal_names, stack_signals
 from residua.errors import DesignError, SettingError
 from residua.linear import StateSpace, WeierstrassForm, arrays, default_margin, weierstrass_form
 from residua.linear.descriptor import scaled_pencil
@@ -251,16 +252,18 @@ class PerfectObserver:
         return self.series(G, self.left @ S, [self.left @ F])
 
     def _filter(
-        self, coefficients: Sequence[NDArray], names: Sequence[str], order: int | None = None, inputs: object = None
+        self,
+        coefficients: Sequence[NDArray],
+        names: Sequence[str],
+        order: int | None = None,
+        inputs: Sequence[str] | None = None,
     ) -> StateSpace:
-        p = self.plant
-        signals = [f"input {x}" for x in p.inputs] + [f"output {x}" for x in p.outputs]
         return differential_filter(
             coefficients,
-            dt=p.dt,
+            dt=self.plant.dt,
             bandwidth=self.bandwidth,
             order=order,
-            inputs=signals if inputs is None else list(inputs),  # pyright: ignore[reportArgumentType]
+            inputs=signal_names(self.plant) if inputs is None else inputs,
             outputs=names,
         )
 
@@ -324,6 +327,9 @@ def perfect_observer(
         If no such observer exists; the message says which condition fails, and where.
     AccuracyError
         If no gain passes the checks: relative variation of the determinant below 1e-6.
+    SettingError
+        If the bandwidth is not a positive number, or is given for a sampled plant, or if ``K`` is given with
+        disturbances or with ``least_order``.
 
     Notes
     -----

@@ -9,12 +9,14 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
+from residua.analysis.unknown_input import needs_equations, with_equations_measured
 from residua.design.estimate_check import check_estimate
 from residua.design.evidence import Evidence
-from residua.design.observer import Observer
-from residua.design.observer_gain import place, pole_evidence
+from residua.design.observer import Observer, without_measured_equations
+from residua.design.observer_gain import margin_from, place, pole_evidence
 from residua.errors import AccuracyError, DesignError
 from residua.linear import arrays
+from residua.linear.arrays import frozen
 from residua.linear.balancing import descriptor_units, without_rounding
 from residua.linear.placement import Placement
 from residua.linear.rank import RankDecision, decide_rank, left_null_basis
@@ -38,7 +40,34 @@ def reduced_observer(
     :math:`X = X_0 - L N`, where the rows of ``N`` annihilate :math:`[E Q, E_d]`, so that ``F`` is that of an
     ordinary observer for the pair :math:`(N A Q, X_0 A Q)`.
     """
+    if plant.E is not None:
+        chosen = arrays.positions(outputs, plant.outputs, "output")
+        partly = plant if len(chosen) == plant.n_outputs else _with_outputs(plant, chosen)
+        alone = not needs_equations(partly, rtol=rtol)
+        measured, N = (plant, np.zeros((0, plant.n_states))) if alone else with_equations_measured(plant)
+        chosen += range(plant.n_outputs, measured.n_outputs)
+        made = _reduced(measured, method, reference, chosen, poles, margin, rtol)
+        return without_measured_equations(made, plant, N)
     used = arrays.positions(outputs, plant.outputs, "output")
+    return _reduced(plant, method, reference, used, poles, margin, rtol)
+
+
+def _with_outputs(plant: Plant, chosen: list[int]) -> Plant:
+    """Return a plant with only some of its outputs, for a rank decision."""
+    rows = {f"D{role}": frozen(getattr(plant, f"D{role}")[chosen]) for role in "udfw"}
+    return plant._with(C=frozen(plant.C[chosen]), outputs=tuple(plant.outputs[i] for i in chosen), **rows)
+
+
+def _reduced(
+    plant: Plant,
+    method: str,
+    reference: str,
+    used: list[int],
+    poles: Sequence[complex] | ArrayLike | None,
+    margin: float | None,
+    rtol: float,
+) -> Observer:
+    """Return the observer that uses the numbered outputs."""
     n, p = plant.n_states, plant.n_outputs
     free = np.zeros((p, 0))  # combinations of the used outputs that no disturbance enters
     free = _embedded(left_null_basis(plant.Dd[used])[0], used, p) if np.any(plant.Dd) else np.eye(p)[:, used]
@@ -53,7 +82,8 @@ def reduced_observer(
     U, s, Vh = np.linalg.svd(Cs) if Cs.size else (np.eye(len(Cs)), np.zeros(0), np.eye(n))
     k = decide_rank(Cs, rtol=rtol).rank
     inverse, Q = Vh[:k].T / s[:k] @ U[:, :k].T, Vh[k:].T
-    X0, N = _particular(Es @ Q, _full_rank_columns(Ds, rtol), n - k, plant, rtol)
+    unknown = _full_rank_columns(Ds, R * (np.abs(plant.Bd) + np.abs(G) @ np.abs(plant.Dd)), rtol)
+    X0, N = _particular(Es @ Q, unknown, n - k, plant, rtol)
     placed = _placed(without_rounding(N, As, Q), without_rounding(X0, As, Q), poles, margin, plant, rtol)
     Xs = X0 - placed.gain @ N
     F = Xs @ As @ Q
@@ -92,8 +122,7 @@ def _particular(EQ: NDArray, D: NDArray, order: int, plant: Plant, rtol: float) 
             + (
                 f"add a sensor or decouple fewer disturbances than {', '.join(plant.disturbances)}"
                 if D.shape[1]
-                else "add a sensor that sees the states without equations of their own, or eliminate algebraic "
-                "equations first (residua.plant.without_algebraic_equations)"
+                else "add a sensor that sees the states without equations of their own"
             )
         )
     X = np.linalg.pinv(whole)[:order] / (level or 1.0)
@@ -102,6 +131,8 @@ def _particular(EQ: NDArray, D: NDArray, order: int, plant: Plant, rtol: float) 
 
 def _placed(C: NDArray, A: NDArray, poles: object, margin: float | None, plant: Plant, rtol: float) -> Placement:
     if len(A):
+        if poles is None and margin is None:
+            margin = margin_from(A, plant)
         return place(A, C, poles, margin, plant.dt, rtol)  # pyright: ignore[reportArgumentType]
     if poles is not None and np.size(np.asarray(poles)):
         raise DesignError("there is nothing to place: the measurements determine all states, the order is 0")
@@ -109,10 +140,14 @@ def _placed(C: NDArray, A: NDArray, poles: object, margin: float | None, plant: 
     return Placement(np.zeros((0, len(C))), none, none, none, 0.0, 1.0, 0.0)
 
 
-def _full_rank_columns(D: NDArray, rtol: float) -> NDArray:
-    """Return an orthonormal basis of the range of the disturbances, each first brought to unit size."""
+def _full_rank_columns(D: NDArray, terms: NDArray, rtol: float) -> NDArray:
+    """Return an orthonormal basis of the range of the disturbances, each first brought to unit size.
+
+    What is rounding of the terms that a column is made of is no disturbance.
+    """
     size = np.linalg.norm(D, axis=0)
-    D = D[:, size > 0] / size[size > 0]
+    real = size > 1e-13 * np.linalg.norm(terms, axis=0)
+    D = D[:, real] / size[real]
     U, s, _ = np.linalg.svd(D, full_matrices=False)
     return U[:, s > rtol]
 
@@ -154,7 +189,8 @@ def _check(
     first = np.abs(missed).max(initial=0.0) / max(np.abs(terms).max(initial=0.0), 1e-300)
     unknown = np.abs(T @ plant.Bd - K @ plant.Dd).max(initial=0.0)
     terms = np.abs(T) @ np.abs(plant.Bd) + np.abs(K) @ np.abs(plant.Dd)
-    second = unknown / max(terms.max(initial=0.0), 1e-300)
+    floor = 1e-6 * np.abs(K).max(initial=0.0) * np.abs(plant.Dd).max(initial=0.0)  # of outputs that are not used
+    second = unknown / max(terms.max(initial=0.0), floor, 1e-300)
     if not max(first, second) < 1e-8:
         raise AccuracyError(
             f"M T E + H C = I is missed by {first:.2g} and T E_d = K D_d by {second:.2g} (relative): the plant is too "

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from residua.design.bank import Bank, Wanted, build_bank
-from residua.design.member_design import member_design
+from residua.design.bank import Bank, build_bank, wanted_by_scheme
+from residua.design.member_design import advice_for, member_design
 from residua.errors import DesignError
 from residua.linear.rank import DEFAULT_RTOL
 from residua.plant import Plant
@@ -73,34 +73,20 @@ def sensor_fault_bank(
     generalized bank of unknown-input observers, 3 members
     ...
     """
-    kinds = plant.fault_kinds
-    if "sensor" not in kinds:
+    if "sensor" not in plant.fault_kinds:
         plant = plant.with_sensor_faults()
-    sensors = _sensors(plant)
-    names = tuple(sensors)
-    if scheme == "generalized":
-        wanted = [
-            Wanted(f"without {plant.outputs[k]}", (name,), tuple(other for other in names if other != name))
-            for name, k in sensors.items()
-        ]
-    elif scheme == "dedicated":
-        wanted = [
-            Wanted(f"only {plant.outputs[k]}", tuple(other for other in names if other != name), (name,))
-            for name, k in sensors.items()
-        ]
-    else:
-        raise DesignError(f"scheme must be 'generalized' or 'dedicated', got {scheme!r}")
     return build_bank(
         plant,
-        wanted,
+        wanted_by_scheme(scheme, _sensors(plant), "without"),
         member_design(observer, poles=poles, margin=margin, rtol=rtol),
         f"{scheme} bank of {observer} observers",
         allow_missing=allow_missing,
+        advice=advice_for(observer),
         reference="Chen and Patton (1999), section 3.4; Twardy and Kaczorek, part II",
     )
 
 
-def _sensors(plant: Plant) -> dict[str, int]:
+def _sensors(plant: Plant) -> dict[str, str]:
     """Return for each sensor fault the output that it is in, or say which is not in one output alone."""
     out = {}
     for i, fault in enumerate(plant.fault_list):
@@ -109,5 +95,5 @@ def _sensors(plant: Plant) -> dict[str, int]:
         at = np.flatnonzero(plant.Df[:, i])
         if len(at) != 1 or np.any(plant.Bf[:, i]):
             raise DesignError(f"sensor fault {fault.name!r} must enter one output and no state; use structured_bank")
-        out[fault.name] = int(at[0])
+        out[fault.name] = plant.outputs[int(at[0])]
     return out

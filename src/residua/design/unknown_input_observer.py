@@ -13,13 +13,15 @@ from residua.analysis.unknown_input import (
     UnknownInputExistence,
     error_pair,
     is_singular,
+    needs_equations,
     output_free_form,
     singular_decoupling,
     unknown_input_observer_existence,
+    with_equations_measured,
 )
 from residua.design.estimate_check import check_estimate
 from residua.design.evidence import Evidence
-from residua.design.observer import Observer
+from residua.design.observer import Observer, without_measured_equations
 from residua.design.observer_gain import margin_from, place, pole_evidence
 from residua.errors import AccuracyError, DesignError
 from residua.linear.arrays import matrix
@@ -105,11 +107,11 @@ def unknown_input_observer(
     existence = unknown_input_observer_existence(plant, rtol=rtol)
     if not existence:
         raise DesignError("; ".join(existence.reasons))
-    form = output_free_form(plant, rtol=rtol)
     if singular:
         if H0 is not None:
             raise DesignError("H0 is the free matrix of an ordinary plant; for a singular one leave it out")
-        return _of_singular_plant(plant, form, poles, margin, existence, rtol)
+        return _of_singular_plant(plant, poles, margin, existence, rtol)
+    form = output_free_form(plant, rtol=rtol)
     H = decoupling_gain(form, H0)
     T = decoupling_map(plant, H)
     A1 = without_rounding(T, form.A)
@@ -121,24 +123,27 @@ def unknown_input_observer(
 
 def _of_singular_plant(
     plant: Plant,
-    form: OutputFreeForm,
     poles: Sequence[complex] | ArrayLike | None,
     margin: float | None,
     existence: UnknownInputExistence,
     rtol: float,
 ) -> Observer:
     """Return the observer of a singular plant: the free part of the decoupling is placed along with the gain."""
-    found = singular_decoupling(plant, form, rtol=rtol)
+    alone = not needs_equations(plant, rtol=rtol)
+    measured, N = (plant, np.zeros((0, plant.n_states))) if alone else with_equations_measured(plant)
+    form = output_free_form(measured, rtol=rtol)
+    found = singular_decoupling(measured, form, rtol=rtol)
     A1, C1 = error_pair(found, form)
     if poles is None and margin is None:
         margin = margin_from(A1, plant)
     p = len(form.C)
-    alone = observability_form(A1, form.C, rtol=rtol).n_observable
-    needed = alone < observability_form(A1, C1, rtol=rtol).n_observable  # or else the smallest T is the best
+    seen = observability_form(A1, form.C, rtol=rtol).n_observable
+    needed = seen < observability_form(A1, C1, rtol=rtol).n_observable  # or else the smallest T is the best
     placed = place(A1, C1 if needed else form.C, poles, margin, plant.dt, rtol)
     K1, Z = placed.gain[:, :p], placed.gain[:, p:] if needed else np.zeros((len(A1), len(found.N)))
     T, H = found.T - Z @ found.N, (found.H - Z @ found.M) @ form.W
-    return assemble(plant, form, T, H, replace(placed, gain=K1), existence)
+    made = assemble(measured, form, T, H, replace(placed, gain=K1), existence)
+    return without_measured_equations(made, plant, N)
 
 
 def decoupling_gain(form: OutputFreeForm, H0: ArrayLike | None = None) -> NDArray[np.float64]:
