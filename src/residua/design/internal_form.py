@@ -272,8 +272,9 @@ def signature_bases(
     """
     w = frequency_grid(form, generator)
     responses = form.frequency_response(w)[:, :, : len(plant.faults)]
-    terms = _response_terms(generator, plant, form, state_map, static_map, w)
-    responses = np.where(np.abs(responses) > 1e-9 * terms, responses, 0.0)
+    terms = response_terms(generator, plant, form, state_map, static_map, w)
+    ratio = np.abs(responses) / np.where(terms > 0, terms, 1.0)
+    responses = np.where(ratio.max(axis=0, initial=0.0) > 1e-9, responses, 0.0)
     units = terms.max(axis=(0, 2), initial=0.0)  # of each residual: the size of what it is made of
     units = np.where(units > 0, units, 1.0)
     bases, off = {}, 0.0
@@ -294,7 +295,7 @@ def signature_bases(
     return bases, off
 
 
-def _response_terms(
+def response_terms(
     generator: StateSpace, plant: Plant, form: StateSpace, T: NDArray | None, V: NDArray | None, w: NDArray
 ) -> NDArray[np.float64]:
     """Return the size of the terms that the responses to faults are the sum of, in balanced units, over frequency.
@@ -309,7 +310,8 @@ def _response_terms(
     n_f = len(plant.faults)
 
     def largest(rows: NDArray, columns: NDArray) -> NDArray:
-        return rows.max(axis=1, initial=0.0)[:, None] * columns.max(axis=0, initial=0.0)
+        anywhere = rows.max(axis=1, initial=0.0)[:, None] * columns.max(axis=0, initial=0.0)
+        return rows @ columns + 1e-4 * anywhere  # rounding of what stands elsewhere is eps, not what may cancel here
 
     driven = 0.0
     if T is None:
