@@ -57,5 +57,15 @@ html_theme_options = {
 html_css_files = ["wide.css"]
 # Only the reference has enough pages for a navigation of its own.
 html_sidebars = {
-    name: [] for name in ("install", "getting-started", "plant-file", "command-line", "limits", "gallery/**")
+    name: []
+    for name in (
+        "install",
+        "getting-started",
+        "choose-a-method",
+        "plant-file",
+        "command-line",
+        "limits",
+        "observers-on-benchmarks",
+        "gallery/**",
+    )
 }

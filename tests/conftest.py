@@ -7,6 +7,11 @@ from pathlib import Path
 
 import pytest
 
+# Before NumPy is imported: with matrices of ten rows the threads of the linear algebra do nothing but wait for each
+# other, which takes twice the time on two cores.
+for _library in ("OPENBLAS", "OMP", "MKL"):
+    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
+
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 

@@ -2,9 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeVar
+
 import numpy as np
 
 import residua as rs
+
+T = TypeVar("T")
+
+
+def nth(make: Callable[[int], T | None], *, most: int = 2000) -> Callable[[int], T]:
+    """Return a function from ``k`` to what the ``k``-th seed makes of those that make something; each is tried once.
+
+    For tests over generated plants of which not every one serves: they run over ``k``, and none is skipped.
+    """
+    tried = (made for made in map(make, range(most)) if made is not None)
+    kept: list[T] = []
+
+    def made_by(k: int) -> T:
+        while len(kept) <= k:
+            kept.append(next(tried))
+        return kept[k]
+
+    return made_by
 
 
 def random_plant(

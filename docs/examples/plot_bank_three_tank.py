@@ -113,8 +113,12 @@ for k in FAULTS:
 
 # %%
 # Who isolates what, counted. An answer counts as isolation when it holds the failed component and no more than the
-# faults that no method can tell from it.
-twins = {name: next((g for g in rs.diagnosability(plant).groups if name in g), (name,)) for name in plant.faults}
+# faults that no method can tell from it, at all or while both are constant (these grow slowly).
+possible = rs.diagnosability(plant)
+twins = {
+    name: (*next((g for g in possible.groups if name in g), (name,)), *possible.constant_twins(name))
+    for name in plant.faults
+}
 
 
 def isolates(name, number):
@@ -151,6 +155,8 @@ axes[-1].set_xlabel("time in s")
 
 # %%
 # Codes and directions use the same information differently. A code asks each member yes or no, so that it needs no
-# direction to hold and no size to be known, and it can say "none of mine". A direction weighs all residuals
-# against each other and always ranks. Two faults that look alike while constant (h1's sensor and a clogged pipe
-# 1-3) differ in a code only while they change.
+# direction to hold and no size to be known, and it can say "none of mine": for the two faults that grow until the linear
+# model no longer holds, the bank says that it knows no such code, where the direction ranks, rightly once and wrongly
+# once. A direction weighs all residuals against each other and always ranks. The sensor bank is the quickest of the
+# three and answers one question only. Two faults that look alike while constant (h1's sensor and a clogged pipe 1-3)
+# are named together by all three.

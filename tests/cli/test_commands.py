@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import residua as rs
 from cli_examples import DISTURBED, PLANT, Residua, assert_error, simulate, write_csv
+from residua.cli.guard import in_cli_words
 from residua.cli.methods import parse_poles
 
 # ------------------------------------------------------------------ the whole way
@@ -52,6 +54,48 @@ def test_run_says_what_cannot_be_told_apart(made: Path, residua: Residua) -> Non
 def test_quiet_prints_nothing(made: Path, residua: Residua) -> None:
     assert residua("run", made / "monitor.json", made / "faulty.csv", "--quiet") == (1, "", "")
     assert residua("run", made / "monitor.json", made / "healthy.csv", "-q") == (0, "", "")
+
+
+def test_run_and_its_file_count_the_same_samples(made: Path, tmp_path: Path, residua: Residua) -> None:
+    path = tmp_path / "alarms.jsonl"
+    _, out, _ = residua("run", made / "monitor.json", made / "faulty.csv", "--alarms", path)
+    first = json.loads(path.read_text().splitlines()[0])
+    lines = out.splitlines()
+    at = next(k for k, line in enumerate(lines) if line.startswith("alarm "))
+    start = lines[at].index("samples")
+    assert int(lines[at + 1][start:].split()[0]) == first["samples"]
+
+
+def test_options_of_banks(made: Path, tmp_path: Path, residua: Residua) -> None:
+    design = ("design", made / "plant.toml", "-o", tmp_path / "m.json", "--method")
+    status, out, _ = residua(*design, "sensor-bank", "--scheme", "dedicated", "--observer", "minimal")
+    assert status == 0
+    assert "only level 1" in out
+    assert_error(residua(*design, "kalman-filter", "--scheme", "dedicated"), "--scheme is for --method sensor-bank")
+    plant = rs.Plant(np.diag([0.9, 0.8, 0.7]) + 0.1, np.ones((3, 1)), np.eye(3), dt=1.0).with_sensor_faults()
+    plant.with_disturbances({"inflow": {"x1": 1.0}}).to_toml(tmp_path / "three.toml")
+    disturbed = ("design", tmp_path / "three.toml", "-o", tmp_path / "m.json", "--method", "sensor-bank")
+    status, out, err = residua(*disturbed)
+    assert status == 2
+    assert "1 of 3 members of the bank do not exist: 'without y1'" in err
+    assert "--allow-missing builds the bank without them" in err
+    status, out, _ = residua(*disturbed, "--allow-missing")
+    assert status == 0
+    assert "without y2" in out
+    assert "without y1" not in out
+
+
+def test_advice_is_for_the_command_line() -> None:
+    assert in_cli_words("x; observer='minimal' does: try it") == "x; --observer minimal does: try it"
+    told = in_cli_words("design on the sampled plant, plant.discretize(dt), to avoid it")
+    assert told == "design on the sampled plant, by sample_time in the plant file, to avoid it"
+
+
+def test_suggest_says_what_to_call(made: Path, residua: Residua) -> None:
+    status, out, _ = residua("suggest", made / "plant.toml", "--want", "state")
+    assert status == 0
+    assert "two tanks: what to call for the state" in out
+    assert_error(residua("suggest", made / "plant.toml", "--want", "luck"), "want must be one of")
 
 
 def test_alarms_as_json_lines(made: Path, tmp_path: Path, residua: Residua) -> None:

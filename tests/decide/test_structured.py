@@ -9,7 +9,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from residua.decide import CodeReading, Structured, read_code, read_codes
+from residua.decide.structured import code_test
 from residua.errors import DataError, SettingError
+from residua.monitor.naming import candidates_of_code, column_read
 
 GENERALIZED = ~np.eye(4, dtype=bool)
 FAULTS = ("a", "b", "c", "d")
@@ -90,7 +92,7 @@ def test_a_generalized_bank_reads_single_faults_and_calls_two_unknown() -> None:
     assert reading.answer == "unknown"
     assert len(reading.pairs) == 6
     assert "more than one fault, or one that the bank does not know" in str(reading)
-    assert "'a' and 'b'; 'a' and 'c'; 'a' and 'd'; and 3 more" in str(reading)
+    assert str(reading).endswith("would fire the same members: 6 pairs"), "most pairs do: their names say nothing"
     missing = read_code([False, False, True, True], GENERALIZED, FAULTS)
     assert missing.answer == "unknown"
     assert missing.nearest == (("a",), ("b",))
@@ -113,11 +115,48 @@ def test_texts_of_every_answer() -> None:
     assert said([1, 1, 1, 0, 0], strong) == "code of 'a' (exact)"
     assert said([1, 1, 0, 0, 0], strong) == "code of 'a' with 1 member silent (degraded)"
     assert said([1, 1, 1, 1, 0], strong) == "nearest code: 'a', 1 member off (nearest)"
-    assert said([1, 1, 1, 1, 0], strong, 0).startswith("more than one fault")
+    assert said([1, 1, 1, 1, 0], strong, 0).startswith("nearest code: 'a', 1 member off; but it may be more than one")
+    assert said([1, 0, 0, 1, 0], strong, 0).startswith("more than one fault")
     assert said([1, 1, 1, 1, 1], strong).endswith("fire the same members: 'a' and 'b'")
     assert said([1, 0], [[0, 0]]) == "more than one fault, or one that the bank does not know"
     assert said([1, 1], [[1, 1], [1, 1]]) == "code of 'a' or 'b' (exact)"
     assert said([1, 1], [[1, 0], [0, 1], [1, 1]]) == "code of 'c' (exact), or of two at once: 'a' and 'b'"
+
+
+def test_a_settled_fault_has_a_second_code() -> None:
+    codes, settled = np.array([[1, 0], [1, 1], [1, 1], [1, 0]], bool), np.array([[0, 0], [1, 1], [1, 1], [0, 0]], bool)
+    test = code_test(Structured(), codes, ["a", "b"], settled=settled)
+    assert (test.groups, test.settled) == ((("a",), ("b", "a")), ((), ("a",)))
+    assert test.labels == ("a", "b or a, settled")
+    assert not test.strongly_isolating
+    both = test.read([False, True, True, False])
+    assert (both.answer, both.faults, both.settled) == ("exact", ("b", "a"), ("a",))
+    assert both.meaning == "code of 'b', or of 'a' once constant (exact)"
+    assert test.read([True] * 4).faults == ("a",)
+    assert test.read([True] * 4).pairs == (), "a fault makes no pair with itself"
+    named = candidates_of_code(test.read([True] * 4), test)
+    assert [(c.faults, c.score) for c in named] == [(("a",), 1.0), (("b",), 0.5)], "each fault once, by its better code"
+    assert [c.faults for c in candidates_of_code(both, test)] == [("b", "a")]
+    own = code_test(Structured(), codes[:, :1], ["a"], settled=settled[:, :1])
+    assert own.labels == ("a", "a, settled")
+    half = own.read([True, True, True, False])
+    assert (half.answer, half.faults) == ("nearest", ("a",)), "as near to both codes of one fault"
+    assert own.read([False, True, True, False]).meaning == "code of 'a' once constant (exact)"
+    assert column_read(own.read([False, True, True, False]), own) == 1
+    none = code_test(Structured(), codes, ["a", "b"], settled=np.zeros_like(codes))
+    assert (none.groups, none.settled) == ((("a",), ("b",)), ((), ())), "a fault that leaves no trace has no such code"
+    with pytest.raises(DataError):
+        code_test(Structured(), codes, ["a", "b"], settled=settled[:3])
+
+
+def test_a_pair_of_groups_does_not_name_one_fault_twice() -> None:
+    codes = np.array([[1, 0, 0], [0, 1, 0], [0, 1, 1], [0, 0, 0]], bool)
+    settled = codes.copy()
+    settled[:, 1] = [0, 0, 1, 0]
+    test = code_test(Structured(), codes, ["a", "b", "c"], settled=settled)
+    assert test.groups == (("a",), ("b",), ("c", "b"))
+    assert test.read([True, True, True, False]).pairs == ((("a",), ("b",)),)
+    assert test.read([True, False, True, False]).pairs == ((("a",), ("c", "b")),)
 
 
 def test_equal_codes_are_one_group() -> None:

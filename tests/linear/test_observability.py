@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from residua.errors import ModelError
+from residua.errors import DesignError, ModelError
 from residua.linear.observability import detectability, is_stable_mode, observability_form
+from residua.linear.observable_part import observable_part
 from residua.linear.spectrum import match_poles
 
 
@@ -112,3 +113,24 @@ def test_hidden_integrators_are_not_taken_for_stable() -> None:
         block[0, 1:] = rng.standard_normal(n - 1)  # an integrator that nothing sees
         C = np.hstack([np.zeros((2, 1)), rng.standard_normal((2, n - 1))]) @ Q.T
         assert not detectability(Q @ block @ Q.T, C)
+
+
+@pytest.mark.parametrize("dt", [0, 0.1])
+@pytest.mark.parametrize("size", [1.0, 1e4])
+def test_a_hidden_mode_next_to_the_boundary_does_not_count_as_stable(dt: float, size: float) -> None:
+    """Half a million years at ten samples a second are no decay."""
+
+    def pair(distance: float) -> tuple[np.ndarray, np.ndarray]:
+        hidden, seen = (1.0 - distance, 0.5) if dt else (-size * distance, -size)
+        return np.diag([seen, hidden]), np.array([[1.0, 0.0]])
+
+    for distance, stable in ((2e-12, False), (5e-11, False), (2e-10, True), (1e-3, True)):
+        A, C = pair(distance)
+        found = detectability(A, C, dt=dt)
+        assert bool(found) is stable
+        assert found.unstable_modes.size == (not stable)
+        if stable:
+            assert observable_part(A, C, dt, 1e-10).order == 1
+        else:
+            with pytest.raises(DesignError, match="not detectable"):
+                observable_part(A, C, dt, 1e-10)

@@ -87,6 +87,25 @@ def test_a_bank_names_and_the_estimator_sizes() -> None:
     assert same.main_alarm.sizes == ()
 
 
+def test_without_data_the_noise_model_gives_the_thresholds_of_what_is_sampled() -> None:
+    """Continuous bank and estimator, sampled by the monitor: residuals as large, and alarms as rare, as promised."""
+    p = rs.Plant([[-1, 0.2], [0, -2]], [[1], [0.5]], np.eye(2)).with_actuator_faults().with_sensor_faults()
+    p = p.with_noise(process=[0.1, 0.2], measurement=[0.01, 0.02])
+    bank = rs.design.structured_bank(p, ["101", "110", "011"])
+    estimator = rs.design.fault_estimator(bank.plant, faults="u1 actuator", bandwidth=5)
+    test = NormThreshold(persistence=1, false_alarm_rate=0.01)
+    sampled = p.discretize(0.1)
+    y = sampled.system("noise").simulate(np.random.default_rng(0).standard_normal((60_000, len(sampled.noises))))
+    for monitor in (rs.Monitor(estimator, test=test, dt=0.1), rs.Monitor(bank, estimator=estimator, test=test, dt=0.1)):
+        found = run(monitor, np.zeros((60_000, 1)), y)
+        covariance = monitor.generator.covariance
+        assert covariance is not None
+        seen = found.residuals[found.decided]
+        size = np.sqrt(np.diag(covariance))
+        np.testing.assert_allclose(np.atleast_2d(np.cov((seen / size).T)), covariance / np.outer(size, size), atol=0.05)
+        assert 0.005 < found.false_alarm_fraction < 0.013
+
+
 @pytest.mark.parametrize("make", [alone, beside])
 def test_step_tells_the_size_now(make) -> None:
     monitor = make()
@@ -152,8 +171,10 @@ def test_what_cannot_run_beside_is_refused() -> None:
         rs.Monitor(rs.design.kalman_filter(p), estimator=estimator)
     with pytest.raises(ModelError, match="estimates no fault"):
         rs.Monitor(bank, estimator=rs.design.kalman_filter(p))
-    with pytest.raises(ModelError, match=r"different plants \(A, C\)"):
+    with pytest.raises(ModelError, match=r"different plants \(A, C, "):
         rs.Monitor(bank, estimator=static_estimator(replace_matrices(p), FAULT))
+    with pytest.raises(ModelError, match=r"different plants \(Bw, Dw\)"):
+        rs.Monitor(bank, estimator=static_estimator(p.with_noise(process=1.0, measurement=2.0), FAULT))
     for isolate in (Directional(), None):
         with pytest.raises(SettingError, match="read by code"):
             rs.Monitor(bank, estimator=estimator, isolate=isolate)

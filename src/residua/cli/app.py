@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -12,13 +13,15 @@ from residua import __version__
 from residua.analysis import diagnosability
 from residua.cli import methods, screen
 from residua.cli.files import check_outputs
-from residua.cli.guard import FAULT, NO_FAULT, GuardedGroup, warn
-from residua.cli.methods import Method
+from residua.cli.guard import FAULT, NO_FAULT, GuardedGroup, in_cli_words, warn
+from residua.cli.methods import MemberKind, Method, Scheme
 from residua.decide import Directional, NormTest, NormThreshold, Structured
 from residua.demos import Outcome
+from residua.design.suggestion import suggest as suggestion
 from residua.errors import AccuracyError, DataError, ModelError
 from residua.files import check_input
 from residua.monitor import Diagnosis, Monitor
+from residua.monitor.inputs import settling_reason
 from residua.monitor.recording import Recording, read_recording, write_table
 from residua.plant.plant_file import load_plant
 
@@ -99,6 +102,18 @@ def analyze(
 
 
 @app.command()
+def suggest(
+    plant: PlantFile,
+    want: Annotated[
+        str | None, typer.Option(metavar="name|size|state", help="What to know; by what the plant has when omitted.")
+    ] = None,
+) -> None:
+    """Try every design function on a plant, and tell which apply and which to prefer."""
+    check_input(plant, "a plant file")
+    screen.say(str(suggestion(load_plant(plant), want=want)))
+
+
+@app.command()
 def design(
     plant: PlantFile,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="OUT.json", help="Monitor to write.")],
@@ -117,6 +132,15 @@ def design(
         float | None,
         typer.Option(callback=_positive, metavar="S", help="Step of the recordings, for a continuous plant."),
     ] = None,
+    scheme: Annotated[
+        Scheme | None, typer.Option(help="Of a bank: what each member leaves out; generalized when omitted.")
+    ] = None,
+    observer: Annotated[
+        MemberKind | None, typer.Option(help="Of a bank: what its members are; unknown-input when omitted.")
+    ] = None,
+    allow_missing: Annotated[
+        bool, typer.Option("--allow-missing", help="Of a bank: leave out the members that do not exist.")
+    ] = False,
     faults: Annotated[
         str | None,
         typer.Option(metavar="LIST", help="What fault-estimator estimates, with commas; all faults when omitted."),
@@ -145,7 +169,9 @@ def design(
     model = load_plant(plant)
     chosen, why = (method, "") if method is not Method.auto else methods.choose(model)
     names = None if faults is None else tuple(name.strip() for name in faults.split(","))
-    options = methods.DesignOptions(methods.parse_poles(poles) if poles else None, margin, sample_time, names)
+    options = methods.DesignOptions(
+        methods.parse_poles(poles) if poles else None, margin, sample_time, names, scheme, observer, allow_missing
+    )
     generator = methods.make(model, chosen, options, why=why)
     isolate = Directional(window=window) if generator.codes is None else Structured(window=window)
     monitor = Monitor(
@@ -155,7 +181,7 @@ def design(
         dt=sample_time,
     )
     monitor.save(output)
-    screen.say(f"method: {chosen.value}" + (f", because {why}" if why else ""), str(_evidence(monitor)))
+    screen.say(f"method: {chosen.value}" + (f", because {why}" if why else ""), in_cli_words(str(_evidence(monitor))))
     if model.faults:
         if isinstance(isolate, Structured):
             screen.show_codes(generator, isolate)
@@ -276,7 +302,7 @@ def run(
     if not found.decided.any():
         raise DataError(
             f"{recording}: no sample could be judged, so this is not a verdict: {len(found.time)} samples, "
-            f"{found.n_missing} of them incomplete, and the filter needs {watch.settling_samples} to settle"
+            f"{found.n_missing} of them incomplete; {settling_reason(watch.generator, watch.settling_samples)}"
         )
     raise typer.Exit(FAULT if found.fault_detected else NO_FAULT)
 
@@ -294,7 +320,7 @@ def _run(watch: Monitor, data: Recording) -> Diagnosis:
     with screen.progress() as bar:
         found = watch.run(data.u, data.y, time=data.time, source=data.source, progress=bar)
     assert isinstance(found, Diagnosis)
-    return found
+    return replace(found, notes=tuple(map(in_cli_words, found.notes)))
 
 
 def _span(found: Diagnosis) -> float:

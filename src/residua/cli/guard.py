@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import traceback
 from collections.abc import Iterator
@@ -58,12 +59,26 @@ def describe(error: BaseException) -> str:
     """Return one line that says what went wrong."""
     text = " ".join(str(error).split())
     if isinstance(error, ResiduaError):
-        return text
+        return in_cli_words(text)
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     if isinstance(error, MemoryError):
         return f"not enough memory{': ' + text if text else ''}"
     return f"unexpected {type(error).__name__}: {text} (a defect; RESIDUA_TRACEBACK=1 shows where)"
+
+
+#: What is done in Python, and how the same is asked for here.
+_WORDS = {
+    "allow_missing=True": "--allow-missing",
+    "plant.discretize(dt)": "by sample_time in the plant file",
+}
+
+
+def in_cli_words(text: str) -> str:
+    """Return advice that is meant for Python as advice for the command line."""
+    for python, here in _WORDS.items():
+        text = text.replace(python, here)
+    return re.sub(r"\b(observer|scheme)='([a-z-]+)'", r"--\1 \2", text)
 
 
 def complain(line: str) -> None:

@@ -8,10 +8,26 @@ from enum import StrEnum
 from typing import Any
 
 from residua import design
-from residua.design import ResidualGenerator
+from residua.design import Bank, ResidualGenerator
 from residua.design.fault_estimator import fault_estimator
 from residua.errors import AccuracyError, DesignError
 from residua.plant import Plant
+
+
+class Scheme(StrEnum):
+    """Which sensors or actuators a member of a bank leaves to the others."""
+
+    generalized = "generalized"
+    dedicated = "dedicated"
+
+
+class MemberKind(StrEnum):
+    """What the members of a bank are."""
+
+    unknown_input = "unknown-input"
+    reduced_order = "reduced-order"
+    perfect = "perfect"
+    minimal = "minimal"
 
 
 class Method(StrEnum):
@@ -39,12 +55,25 @@ class DesignOptions:
     sample_time : float or None
     faults : tuple of str or None
         What a fault estimator estimates.
+    scheme, observer : str or None
+        Of a bank; its own when omitted.
+    allow_missing : bool
+        Whether a bank leaves out members that do not exist.
     """
 
     poles: tuple[complex, ...] | None = None
     margin: float | None = None
     sample_time: float | None = None
     faults: tuple[str, ...] | None = None
+    scheme: str | None = None
+    observer: str | None = None
+    allow_missing: bool = False
+
+    @property
+    def of_banks(self) -> dict[str, Any]:
+        """What was asked of a bank, as arguments of its function."""
+        given = {"scheme": self.scheme, "observer": self.observer, "allow_missing": self.allow_missing or None}
+        return {name: value for name, value in given.items() if value is not None}
 
 
 def choose(plant: Plant) -> tuple[Method, str]:
@@ -88,6 +117,9 @@ def make(plant: Plant, method: Method, options: DesignOptions, *, why: str = "")
     """
     if options.faults is not None and method is not Method.fault_estimator:
         raise DesignError(f"--faults says what --method fault-estimator estimates, and does not go with {method.value}")
+    if options.of_banks and method not in _BANKS:
+        given = ", ".join(f"--{name.replace('_', '-')}" for name in options.of_banks)
+        raise DesignError(f"{given} is for --method sensor-bank and actuator-bank, not for {method.value}")
     try:
         return _DESIGNS[method](plant, options)
     except (DesignError, AccuracyError) as error:
@@ -104,6 +136,8 @@ def _alternatives(plant: Plant, failed: Method, options: DesignOptions) -> str:
         fitting = DesignOptions(sample_time=options.sample_time) if method is Method.kalman_filter else options
         if method is not Method.fault_estimator:
             fitting = replace(fitting, faults=None)
+        if method not in _BANKS:
+            fitting = replace(fitting, scheme=None, observer=None, allow_missing=False)
         try:
             build(plant, fitting)
         except (DesignError, AccuracyError):
@@ -134,10 +168,17 @@ def _kalman(plant: Plant, options: DesignOptions) -> ResidualGenerator:
 
 
 def _inner(build: Callable[..., Any]) -> Callable[[Plant, DesignOptions], ResidualGenerator]:
-    """Return a design whose result is an observer, a bank or an estimator, and has a residual generator."""
+    """Return a design whose result is an observer, which has a residual generator."""
 
     def design_it(plant: Plant, options: DesignOptions) -> ResidualGenerator:
         return build(plant, poles=options.poles, margin=options.margin).residual_generator()
+
+    return design_it
+
+
+def _bank(build: Callable[..., Bank]) -> Callable[[Plant, DesignOptions], ResidualGenerator]:
+    def design_it(plant: Plant, options: DesignOptions) -> ResidualGenerator:
+        return build(plant, poles=options.poles, margin=options.margin, **options.of_banks).generator
 
     return design_it
 
@@ -150,14 +191,16 @@ def _estimator(plant: Plant, options: DesignOptions) -> ResidualGenerator:
 #: Methods that do not decouple disturbances.
 _NOT_DECOUPLED = (Method.kalman_filter, Method.detection_filter, Method.luenberger_observer)
 
+_BANKS = (Method.sensor_bank, Method.actuator_bank)
+
 _DESIGNS: dict[Method, Callable[[Plant, DesignOptions], ResidualGenerator]] = {
     Method.robust_detection_filter: _directional(design.robust_detection_filter),
     Method.detection_filter: _directional(design.detection_filter),
     Method.kalman_filter: _kalman,
     Method.unknown_input_observer: _inner(design.unknown_input_observer),
     Method.luenberger_observer: _inner(design.luenberger_observer),
-    Method.sensor_bank: _inner(design.sensor_fault_bank),
-    Method.actuator_bank: _inner(design.actuator_fault_bank),
+    Method.sensor_bank: _bank(design.sensor_fault_bank),
+    Method.actuator_bank: _bank(design.actuator_fault_bank),
     Method.fault_estimator: _estimator,
 }
 

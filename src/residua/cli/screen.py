@@ -18,9 +18,10 @@ from rich.table import Table
 from residua.analysis import Diagnosability
 from residua.decide import Directional, Structured
 from residua.decide.directional import direction_test
-from residua.decide.structured import code_test
 from residua.design import ResidualGenerator
 from residua.monitor.diagnosis import Alarm, Diagnosis
+from residua.monitor.naming import ranked, tied_name
+from residua.monitor.preparing import codes_of
 from residua.report.text import size_text
 from residua.report.verdict import verdict
 
@@ -215,15 +216,18 @@ def show_signatures(generator: ResidualGenerator, isolate: Directional) -> None:
 
 def show_codes(generator: ResidualGenerator, isolate: Structured) -> None:
     """Print which members of a bank fire for each fault, and which faults have the same code."""
-    assert generator.codes is not None
-    test = code_test(isolate, generator.codes, generator.faults, [member.name for member in generator.members])
-    show_table(
-        ["fault", *test.members, "cannot be told from"],
-        [
-            [name, *("x" if on else "." for on in generator.codes[:, j]), ", ".join(_twins(test.groups, name))]
-            for j, name in enumerate(generator.faults)
-        ],
-    )
+    test = codes_of(generator, isolate)
+    rows = []
+    for name in generator.faults:
+        columns = [(g, name in test.settled[g]) for g, group in enumerate(test.groups) if name in group]
+        for g, later in sorted(columns, key=lambda column: column[1]) or [(None, False)]:
+            code = np.zeros(len(test.members), dtype=bool) if g is None else test.codes[:, g]
+            twins = [] if g is None else [other for other in test.groups[g] if other != name]
+            label = f"{name}, settled" if later else name
+            rows.append([label, *("x" if on else "." for on in code), ", ".join(twins)])
+    show_table(["fault", *test.members, "cannot be told from"], rows)
+    if any(test.settled):
+        say("settled: which members the fault still fires once it is constant")
     if test.unjudged:
         say(f"never named, for want of a code: {', '.join(test.unjudged)}")
     if not test.strongly_isolating:
@@ -246,9 +250,9 @@ def show_diagnosis(diagnosis: Diagnosis) -> None:
         shown = diagnosis.alarms[:MAX_ALARMS]
         show_table(
             ["alarm", "onset [s]", "raised [s]", "ended [s]", "samples", "most likely", "score", "next", "score"],
-            [_alarm_row(k, alarm, _samples(diagnosis, alarm), window) for k, alarm in enumerate(shown, 1)],
+            [_alarm_row(k, alarm, window) for k, alarm in enumerate(shown, 1)],
         )
-        if any(alarm.candidates and _samples(diagnosis, alarm) < window for alarm in shown):
+        if any(alarm.candidates and alarm.samples < window for alarm in shown):
             say(f"(short): fewer samples than the {window} that a name is judged by: too short to be sure of the name")
         if len(diagnosis.alarms) > MAX_ALARMS:
             say(f"... and {len(diagnosis.alarms) - MAX_ALARMS} more alarms (--alarms writes all of them)")
@@ -258,37 +262,27 @@ def show_diagnosis(diagnosis: Diagnosis) -> None:
             ["rank", "candidate", "score", "distance", *(["estimated size"] if sized else [])],
             [
                 [k, c.name, f"{c.score:.3f}", f"{c.distance:.3f}", *(["; ".join(map(size_text, c.sizes))] * sized)]
-                for k, c in enumerate(diagnosis.candidates, 1)
+                for k, c in ranked(diagnosis.candidates)
             ],
             title="candidates of the longest alarm" if len(diagnosis.alarms) > 1 else "",
         )
     say(*found.sentences)
     if diagnosis.n_missing:
-        say(
-            f"{diagnosis.n_missing} samples with missing values: last values held, no decision there; "
-            f"filter restarted {diagnosis.resets} times after longer gaps."
-        )
+        say(f"{diagnosis.missing_text}.")
     say(*diagnosis.notes)
 
 
-def _samples(diagnosis: Diagnosis, alarm: Alarm) -> int:
-    """Return how many samples lie between the onset of an alarm and the last one over the threshold."""
-    onset = int(np.searchsorted(diagnosis.time, alarm.onset))
-    over = np.flatnonzero(diagnosis.statistic[onset : alarm.stop] > diagnosis.threshold)
-    return int(over[-1]) + 1 if over.size else 0
-
-
-def _alarm_row(k: int, alarm: Alarm, samples: int, window: int) -> list[object]:
+def _alarm_row(k: int, alarm: Alarm, window: int) -> list[object]:
     best, following = [*alarm.candidates, None, None][:2]
     return [
         k,
         alarm.onset,
         alarm.raised,
         "end of recording" if alarm.ended is None else alarm.ended,
-        samples,
-        best.name + (" (short)" if samples < window else "") if best else _unnamed(alarm),
+        alarm.samples,
+        best.name + (" (short)" if alarm.samples < window else "") if best else _unnamed(alarm),
         f"{best.score:.3f}" if best else None,
-        following.name if following else None,
+        tied_name(alarm.candidates, 2) if following else None,
         f"{following.score:.3f}" if following else None,
     ]
 

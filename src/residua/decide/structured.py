@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.analysis.codes import equal_codes, strongly_isolating
 from residua.decide.norm_threshold import check_samples, is_number
 from residua.errors import DataError, SettingError
 
@@ -75,6 +76,8 @@ class CodeReading:
     pattern : tuple of bool
         Which members fired.
     members : tuple of str
+    settled : tuple of str
+        Those of ``faults`` that fire these members only once they are constant.
     """
 
     answer: str
@@ -84,6 +87,7 @@ class CodeReading:
     nearest: tuple[tuple[str, ...], ...]
     pattern: tuple[bool, ...]
     members: tuple[str, ...]
+    settled: tuple[str, ...] = ()
 
     @property
     def fired(self) -> tuple[str, ...]:
@@ -93,7 +97,7 @@ class CodeReading:
     @property
     def meaning(self) -> str:
         """The answer in words."""
-        name = quoted(self.faults)
+        name = quoted(self.faults, self.settled)
         if self.answer == "none":
             return "no fault"
         if self.answer == "exact":
@@ -102,16 +106,27 @@ class CodeReading:
             return f"code of {name} with {_count(self.distance)} silent (degraded){self._pairs(', or two at once: ')}"
         if self.answer == "nearest":
             return f"nearest code: {name}, {_count(self.distance)} off (nearest){self._pairs(', or two at once: ')}"
+        together = self._pairs(": these two at once would fire the same members: ")
+        if self.close:
+            return f"nearest code: {quoted(self.close)}, 1 member off; but it may be {UNKNOWN}{together}"
         if self.pairs:
-            return UNKNOWN + self._pairs(": these two at once would fire the same members: ")
+            return UNKNOWN + together
         if self.nearest:
             several = "codes" if len(self.nearest) > 1 else "code"
             return f"{UNKNOWN}: nearest {several} {_listed(map(quoted, self.nearest))}, {_count(self.distance)} off"
         return UNKNOWN
 
+    @property
+    def close(self) -> tuple[str, ...]:
+        """For ``unknown``: the one group whose code is nearest, where only one member differs; else empty."""
+        one = self.answer == "unknown" and self.distance == 1 and len(self.nearest) == 1
+        return self.nearest[0] if one else ()
+
     def _pairs(self, before: str) -> str:
         if not self.pairs:
             return ""
+        if all(self.pattern) and len(self.pairs) > NAMED:  # most pairs fire everything: their names say nothing
+            return f"{before}{len(self.pairs)} pairs"
         return before + _listed(f"{quoted(a)} and {quoted(b)}" for a, b in self.pairs)
 
     def __str__(self) -> str:
@@ -120,17 +135,19 @@ class CodeReading:
         return f"fired: {fired}; {self.meaning}"
 
 
-def quoted(faults: Sequence[str]) -> str:
-    """Return the faults of a group as text."""
-    return " or ".join(f"'{name}'" for name in faults)
+def quoted(faults: Sequence[str], settled: Sequence[str] = ()) -> str:
+    """Return the faults of a group as text, those last that are meant only once they are constant."""
+    own = " or ".join(f"'{name}'" for name in faults if name not in settled)
+    later = " or ".join(f"'{name}'" for name in faults if name in settled)
+    return f"{own}{', or of ' if own else ''}{later} once constant" if later else own
 
 
 def _count(members: int) -> str:
     return f"{members} member{'' if members == 1 else 's'}"
 
 
-def _listed(items: object) -> str:
-    entries = list(items)  # pyright: ignore
+def _listed(items: Iterable[str]) -> str:
+    entries = list(items)
     more = len(entries) - NAMED
     return "; ".join(entries[:NAMED]) + (f"; and {more} more" if more > 0 else "")
 
@@ -138,6 +155,9 @@ def _listed(items: object) -> str:
 @dataclass(frozen=True, eq=False)
 class CodeTest:
     """Codes with equal ones grouped: what runs.
+
+    A fault that some members see only while it changes has two codes, and may be in two groups: that of all members
+    that it fires, and that of those which it still fires once it is constant.
 
     Attributes
     ----------
@@ -150,6 +170,8 @@ class CodeTest:
     codes : ndarray of bool, shape (members, groups)
     unjudged : tuple of str
         Faults that fire no member.
+    settled : tuple of tuple of str
+        For each group, those of its faults that have this code only once they are constant.
     """
 
     window: int
@@ -159,17 +181,29 @@ class CodeTest:
     groups: tuple[tuple[str, ...], ...]
     codes: NDArray[np.bool_]
     unjudged: tuple[str, ...]
+    settled: tuple[tuple[str, ...], ...] = ()
+
+    def __post_init__(self) -> None:
+        """Fill in that no fault has another code once it is constant."""
+        object.__setattr__(self, "settled", self.settled or ((),) * len(self.groups))
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The groups as text, no two alike: a fault that has this code only once it is constant is marked *settled*."""
+        return tuple(
+            " or ".join(f"{name}, settled" if name in later else name for name in group)
+            for group, later in zip(self.groups, self.settled, strict=True)
+        )
 
     @cached_property
     def strongly_isolating(self) -> bool:
         """Whether no code turns into another one when members that should fire stay silent."""
-        within = (self.codes[:, :, None] <= self.codes[:, None, :]).all(axis=0)
-        return int(within.sum()) == len(self.groups)  # each within itself alone
+        return strongly_isolating(self.codes)
 
     def read(self, fired: ArrayLike) -> CodeReading:
         """Return what one pattern of fired members says; see :func:`read_code`."""
         pattern = np.asarray(fired, dtype=bool)
-        codes, groups = self.codes, self.groups
+        codes, groups, settled = self.codes, self.groups, self.settled
         made = (tuple(bool(x) for x in pattern), self.members)
         if not pattern.any():
             return CodeReading("none", (), 0, (), (), *made)
@@ -177,35 +211,68 @@ class CodeTest:
         below = np.flatnonzero((off > 0) & (codes <= pattern[:, None]).all(axis=0))
         first, second = np.triu_indices(len(below), 1)
         whole = ((codes[:, below[first]] | codes[:, below[second]]) == pattern[:, None]).all(axis=0)
-        pairs = tuple((groups[below[a]], groups[below[b]]) for a, b in zip(first[whole], second[whole], strict=True))
+        pairs = _pairs_of(
+            (groups[below[a]], groups[below[b]]) for a, b in zip(first[whole], second[whole], strict=True)
+        )
         if (off == 0).any():
-            return CodeReading("exact", groups[int(off.argmin())], 0, pairs, (), *made)
+            g = int(off.argmin())
+            return CodeReading("exact", groups[g], 0, pairs, (), *made, settled[g])
         above = np.flatnonzero((codes >= pattern[:, None]).all(axis=0))
         if len(above) == 1 and self.strongly_isolating:
-            return CodeReading("degraded", groups[above[0]], int(off[above[0]]), pairs, (), *made)
+            g = int(above[0])
+            return CodeReading("degraded", groups[g], int(off[g]), pairs, (), *made, settled[g])
         smallest = int(off.min(initial=len(pattern) + 1))
         near = np.flatnonzero(off == smallest)
-        if len(near) == 1 and smallest <= self.distance and not pattern.all():
-            return CodeReading("nearest", groups[near[0]], smallest, pairs, (), *made)
-        return CodeReading("unknown", (), smallest if len(near) else -1, pairs, tuple(groups[g] for g in near), *made)
+        nearest = tuple(dict.fromkeys(groups[g] for g in near))  # both codes of one fault can be equally near
+        if len(nearest) == 1 and smallest <= self.distance and not pattern.all():
+            return CodeReading("nearest", nearest[0], smallest, pairs, (), *made, settled[near[0]])
+        return CodeReading("unknown", (), smallest if len(near) else -1, pairs, nearest, *made)
+
+
+def _pairs_of(
+    found: Iterable[tuple[tuple[str, ...], tuple[str, ...]]],
+) -> tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]:
+    """Return pairs of groups, each once; a fault with two codes makes no pair with itself."""
+    out = []
+    for one, other in found:
+        if len(one) == 1:
+            other = tuple(name for name in other if name not in one)
+        elif len(other) == 1:
+            one = tuple(name for name in one if name not in other)
+        if one and other and (other, one) not in out:
+            out.append((one, other))
+    return tuple(dict.fromkeys(out))
 
 
 def code_test(
-    settings: Structured, codes: ArrayLike, faults: Sequence[str], members: Sequence[str] | None = None
+    settings: Structured,
+    codes: ArrayLike,
+    faults: Sequence[str],
+    members: Sequence[str] | None = None,
+    *,
+    settled: ArrayLike | None = None,
 ) -> CodeTest:
-    """Return the codes with equal ones grouped, after checking their shape."""
+    """Return the codes with equal ones grouped, after checking their shape.
+
+    ``settled``, of the same shape, are the codes of constant faults: one that is not empty, and not the fault's own
+    code, is a further code of the fault.
+    """
     table = np.asarray(codes, dtype=bool)
     if table.ndim != 2 or table.shape[1] != len(faults) or (members is not None and len(table) != len(members)):
         raise DataError(f"codes must have a row per member and a column per fault ({len(faults)}), got {table.shape}")
     names = tuple(members) if members is not None else tuple(str(i + 1) for i in range(len(table)))
-    found: dict[bytes, list[int]] = {}
-    for j in range(len(faults)):
-        if table[:, j].any():
-            found.setdefault(table[:, j].tobytes(), []).append(j)
-    groups = tuple(tuple(faults[j] for j in group) for group in found.values())
-    columns = table[:, [group[0] for group in found.values()]]
+    later = np.zeros_like(table) if settled is None else np.asarray(settled, dtype=bool)
+    if later.shape != table.shape:
+        raise DataError(f"settled must have the shape of codes, {table.shape}, got {later.shape}")
+    later = later & (later != table).any(axis=0)
+    both = np.hstack([table, later])
+    found = equal_codes(both)
+    n = len(faults)
+    groups = tuple(tuple(faults[j % n] for j in group) for group in found)
+    columns = both[:, [group[0] for group in found]]
     silent = tuple(fault for j, fault in enumerate(faults) if not table[:, j].any())
-    return CodeTest(settings.window, settings.share, settings.distance, names, groups, columns, silent)
+    marked = tuple(tuple(faults[j % n] for j in group if j >= n) for group in found)
+    return CodeTest(settings.window, settings.share, settings.distance, names, groups, columns, silent, marked)
 
 
 def read_code(
@@ -293,6 +360,11 @@ def read_codes(
         Number of the reading of each pattern.
     readings : tuple of CodeReading
         One for each pattern that occurs.
+
+    Raises
+    ------
+    DataError
+        If the shapes do not fit.
 
     Examples
     --------

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +17,8 @@ _SWEEPS = 60
 _WIDEST = 64
 #: No scale leaves this range; a system that asks for it is reducible, and one part can be scaled without end.
 _LARGEST = 2.0**200
+#: Ratios of scales that move by more than this power of two in the second half of the sweeps will not come to rest.
+_DRIFT = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,14 +70,27 @@ def without_rounding(*factors: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _root(numerator: float, denominator: float) -> float:
     """Return the power of two that evens out two norms."""
-    return float(np.exp2(np.round(0.5 * (np.log2(numerator) - np.log2(denominator)))))
+    exponent = 0.5 * (math.log2(numerator) - math.log2(denominator))
+    return 2.0 ** round(exponent) if abs(exponent) < 1000 else math.inf
+
+
+def _length(x: NDArray[np.float64]) -> float:
+    """Return the norm of a vector; called so often that the checks of ``numpy.linalg.norm`` would take longer."""
+    return math.sqrt(x.dot(x))
+
+
+def _largest(x: NDArray[np.float64]) -> float:
+    """Return the largest entry of a vector of entries that are not negative."""
+    return float(x.max(initial=0.0))
 
 
 def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> BalancedSystem:
     """Scale the units of states, inputs and outputs until rows and columns of ``[A B; C D]`` match in norm.
 
     Osborne's sweep over the states, with the rows of ``C`` and the columns of ``B`` taking part, each scaled to
-    the norm of ``A``. Rows and columns that are rounding residue are left as they are.
+    the norm of ``A``. Rows and columns that are rounding residue are left as they are. Where no scaling gives all
+    rows and columns their norm, as with an input that enters several outputs and no state, the largest entries of
+    rows and columns are evened out instead, which can always be done.
 
     Parameters
     ----------
@@ -91,24 +108,38 @@ def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> Ba
     E. E. Osborne, On pre-conditioning of matrices, J. ACM 7 (1960) 338-345. SLICOT routine TB01ID.
     """
     A, B, C, D = (np.asarray(M, dtype=float) for M in (A, B, C, D))
-    n, m = B.shape
-    p = C.shape[0]
+    n = len(A)
     W = without_residue(np.block([[A, B], [C, D]]))
     # Only couplings count in a sweep; the diagonal of A does not change with the units of the states.
     np.fill_diagonal(W[:n, :n], 0.0)
-    left, right = np.ones(n + p), np.ones(n + m)
     # The spectral radius of A sets the level for the channels, whose units are free: it has no units of states.
     radius, size = (float(np.abs(np.linalg.eigvals(A)).max()), float(np.linalg.norm(A))) if n else (0.0, 0.0)
     if radius < np.sqrt(np.finfo(float).eps) * size:  # numerically nilpotent: the radius is rounding
         radius = size
     level = float(power_of_two(np.array(radius or 1.0)))
-    for _ in range(_SWEEPS):
-        moved = _scale_channels(W, left, right, n, level)
-        moved |= _sweep(W, left, right, n, level)
-        if not moved:
-            break
+    left, right, settled = _factors(W.copy(), n, level, _length)
+    if not settled:
+        left, right, _ = _factors(W, n, level, _largest)
     T, U, Y = right[:n], right[n:], left[n:]
     return BalancedSystem(A / T[:, None] * T, B / T[:, None] * U, Y[:, None] * C * T, Y[:, None] * D * U, T, U, Y)
+
+
+def _factors(
+    W: NDArray[np.float64], n: int, level: float, length: Callable[[NDArray[np.float64]], float]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
+    """Sweep ``W`` in place; return factors of rows and of columns, and whether their ratios came to rest."""
+    left, right = np.ones(W.shape[0]), np.ones(W.shape[1])
+    middle = left, right
+    for k in range(_SWEEPS):
+        if k == _SWEEPS // 2:
+            middle = left.copy(), right.copy()
+        moved = _scale_channels(W, left, right, n, level, length)
+        moved |= _sweep(W, left, right, n, level, length)
+        if not moved:
+            return left, right, True
+    # All states and inputs may drift one way and all outputs the other: the scaled matrices do not show that.
+    drift = np.log2(np.concatenate([right / middle[1], middle[0][n:] / left[n:]]))
+    return left, right, bool(np.ptp(drift) <= _DRIFT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,14 +192,21 @@ def state_units(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike | None = 
     return T if has_units(T) else np.ones_like(T)
 
 
-def _sweep(W: NDArray[np.float64], left: NDArray[np.float64], right: NDArray[np.float64], n: int, level: float) -> bool:
+def _sweep(
+    W: NDArray[np.float64],
+    left: NDArray[np.float64],
+    right: NDArray[np.float64],
+    n: int,
+    level: float,
+    length: Callable[[NDArray[np.float64]], float],
+) -> bool:
     """Even out row and column of each of the first ``n`` indices, in place; return whether anything moved.
 
     A state that nothing sees, or nothing drives, has one side only, which is brought to ``level``.
     """
     moved = False
     for i in range(n):
-        row, column = float(np.linalg.norm(W[i])), float(np.linalg.norm(W[:, i]))
+        row, column = length(W[i]), length(W[:, i].copy())
         f = _root(row, column) if row and column else _root(row or level, column or level) ** 2
         if f != 1.0 and 1 / _LARGEST < right[i] * f < _LARGEST:
             moved = True
@@ -180,12 +218,19 @@ def _sweep(W: NDArray[np.float64], left: NDArray[np.float64], right: NDArray[np.
 
 
 def _scale_channels(
-    W: NDArray[np.float64], left: NDArray[np.float64], right: NDArray[np.float64], n: int, level: float
+    W: NDArray[np.float64],
+    left: NDArray[np.float64],
+    right: NDArray[np.float64],
+    n: int,
+    level: float,
+    length: Callable[[NDArray[np.float64]], float],
 ) -> bool:
     """Bring the rows of outputs and the columns of inputs of ``W`` to one norm, in place."""
     moved = False
     for axis, factors, block in ((1, left, W[n:]), (0, right, W[:, n:])):
-        norms = np.linalg.norm(block, axis=axis)
+        if not block.size:
+            continue
+        norms = block.max(axis=axis) if length is _largest else np.sqrt(np.sum(block * block, axis=axis))
         real = norms > _RESIDUE * norms.max(initial=0.0)
         f = np.where(real, power_of_two(level / np.where(real, norms, level)), 1.0)
         moved |= bool(np.any(f != 1.0))

@@ -15,6 +15,8 @@ from residua.linear.rank import DEFAULT_RTOL, RankDecision, null_basis, range_ba
 
 Matrix = NDArray[np.float64]
 _SWEEPS, _ROUNDS = 6, 3
+#: A rank decision with less than this between what it kept and what it dropped is none.
+_GAP = 1e3
 #: Points at which the determinant is tried: a regular pencil is singular at finitely many only.
 _POINTS = np.array([0.31, 1.0, 3.7, 0.9, 1.3]) * np.exp(1j * np.array([0.4, 1.1, 1.9, 2.6, 3.0]))
 
@@ -38,7 +40,7 @@ def scaled_pencil(A: NDArray, E: NDArray, *, unit: float | None = None) -> Scale
     """Scale rows, columns and the unit of ``s`` of a pencil of any shape; ``unit=1`` leaves ``s`` alone.
 
     ``A`` is scaled first, by itself: an ``E`` in a unit of ``s`` that is far off, such as an identity, would hide the
-    units of the states. Then both are, in turn with the unit.
+    units of the states. Then both are, in turn with the unit. Weak couplings stay weak, see `unit_free_pencil`.
     """
     A, E = np.asarray(A, dtype=float), np.asarray(E, dtype=float)
     a, e = without_residue(A), without_residue(E)
@@ -52,6 +54,44 @@ def scaled_pencil(A: NDArray, E: NDArray, *, unit: float | None = None) -> Scale
             factor = _unit_of_s(rows[:, None] * a * columns, rows[:, None] * e * columns)
         rows, columns = _evened(a + factor * e, rows, columns)
     return ScaledPencil(rows[:, None] * A * columns, factor * rows[:, None] * E * columns, rows, columns, factor)
+
+
+def unit_free_pencil(A: NDArray, E: NDArray) -> ScaledPencil:
+    """Scale a pencil to what is the same in whatever units it was written: ranks and index must not depend on them.
+
+    First the logarithms of all entries are brought as near to zero as can be, in least squares. Norms of rows,
+    columns and of ``E`` are evened out from there, in a few sweeps: most sparse pencils have no scaling that gives all
+    rows and columns one norm, and endless sweeps run away. A weak coupling counts as one in other units.
+
+    References
+    ----------
+    A. R. Curtis and J. K. Reid, On the automatic scaling of matrices for Gaussian elimination, J. Inst. Maths.
+    Applics. 10 (1972) 118-124.
+    """
+    A, E = np.asarray(A, dtype=float), np.asarray(E, dtype=float)
+    a, e = without_residue(A), without_residue(E)
+    rows, columns, factor = _logarithms_evened(a, e)
+    for _ in range(_ROUNDS if A.size and e.any() else 0):
+        factor = _unit_of_s(rows[:, None] * a * columns, rows[:, None] * e * columns)
+        rows, columns = _evened(a + factor * e, rows, columns)
+    return ScaledPencil(rows[:, None] * A * columns, factor * rows[:, None] * E * columns, rows, columns, factor)
+
+
+def _logarithms_evened(a: NDArray, e: NDArray) -> tuple[Matrix, Matrix, float]:
+    """Return factors of rows, columns and ``s`` that minimise the sum of squared logarithms of all entries."""
+    p, q = a.shape
+    places = [np.nonzero(M) for M in (a, e)]
+    sizes = [M[at] for M, at in zip((a, e), places, strict=True)]
+    i, j = (np.concatenate([at[k] for at in places]) for k in (0, 1))
+    in_e = np.arange(len(i)) >= len(sizes[0])
+    # Columns of a design matrix: one for each row, one for each column, one for the unit of s.
+    H = np.zeros((len(i), p + q + 1))
+    H[np.arange(len(i)), i], H[np.arange(len(i)), p + j] = 1.0, 1.0
+    H[in_e, -1] = 1.0
+    known = np.log2(np.concatenate(sizes))
+    x = np.linalg.lstsq(H, -known, rcond=None)[0] if len(i) else np.zeros(p + q + 1)
+    factors = np.exp2(np.round(x))
+    return factors[:p], factors[p : p + q], float(factors[-1])
 
 
 def _evened(W: NDArray, rows: NDArray, columns: NDArray) -> tuple[Matrix, Matrix]:
@@ -126,7 +166,7 @@ def is_regular(A: ArrayLike, E: ArrayLike | None = None, *, rtol: float = DEFAUL
     False
     """
     A, E = checked_pencil(A, E)
-    return pencil_decision(scaled_pencil(A, E), rtol).rank == len(A)
+    return pencil_decision(unit_free_pencil(A, E), rtol).rank == len(A)
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,7 +262,7 @@ def weierstrass_form(
     """
     A, E = checked_pencil(A, E)
     n = len(A)
-    p = scaled_pencil(A, E)
+    p = unit_free_pencil(A, E)
     regular = pencil_decision(p, rtol)
     if regular.rank < n:
         raise ModelError(
@@ -238,12 +278,18 @@ def weierstrass_form(
             f"the finite part has {V.shape[1]} and the infinite part {W.shape[1]} of {n} states: a rank decision with "
             f"rtol={rtol:.3g} was not clear; choose another rtol, or rescale the model"
         )
+    unclear = [d for d in decisions if d.rank and not d.largest_dropped * _GAP < d.smallest_kept]
+    if unclear:
+        raise AccuracyError(
+            f"a rank decision with rtol={rtol:.3g} was not clear: {unclear[0]} in scaled units; choose another rtol, "
+            "or rescale the model"
+        )
     return _assembled(p, V, W, levels, tolerance, decisions)
 
 
 def finite_poles(A: NDArray, E: NDArray, *, rtol: float = DEFAULT_RTOL) -> NDArray[np.complex128]:
     """Return the finite poles of a regular pencil: all eigenvalues where ``E`` is invertible, else those of ``A1``."""
-    p = scaled_pencil(A, E)
+    p = unit_free_pencil(A, E)
     values = np.linalg.svd(p.E, compute_uv=False) if p.E.size else np.ones(1)
     if values[-1] > rtol * values[0]:
         return np.asarray(scipy.linalg.eigvals(p.A, p.E) * p.unit, dtype=complex).reshape(-1)

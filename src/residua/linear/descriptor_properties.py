@@ -185,9 +185,10 @@ def _hidden_modes(A: NDArray, E: NDArray, C: NDArray, poles: NDArray, rtol: floa
         raise ModelError("det(sE - A) is zero for every s: the equations do not determine the states")
     hidden = found.zeros
     if hidden.size:
-        size = np.abs(poles).max(initial=0.0)
+        # Poles at zero have no size; the unit of s in which A and E are comparable stands in.
+        size = np.abs(poles).max(initial=scaled_pencil(A, E).unit)
         off = np.abs(hidden[:, None] - poles).min(axis=1, initial=np.inf)
-        if not np.all(off <= 1e-3 * max(float(size), np.finfo(float).tiny)):
+        if not np.all(off <= 1e-3 * float(size)):
             raise AccuracyError(
                 f"the hidden modes {describe_modes(hidden)} are not among the poles {describe_modes(poles)}: a rank "
                 f"decision with rtol={rtol:.3g} was not clear; choose another rtol, or rescale the model"

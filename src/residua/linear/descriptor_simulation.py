@@ -77,6 +77,8 @@ def consistent_state(
     ------
     ModelError
         If the system is not regular, or derivatives are missing.
+    AccuracyError
+        If its dynamic and algebraic parts cannot be told apart, see `weierstrass_form`.
 
     References
     ----------
@@ -103,8 +105,8 @@ def consistent_state(
     z = form.Q_inverse @ start
     state = form.Q @ np.concatenate([z[:k], fast])
     size = np.abs(form.Q) @ np.abs(np.concatenate([z[:k], fast])) + np.abs(start)
-    distance = float(np.max(np.abs(state - start) / np.maximum(size, size.max(initial=0.0) * 1e-12), initial=0.0))
-    distance = 0.0 if np.isnan(distance) else distance
+    size = np.maximum(size, size.max(initial=0.0) * 1e-12)
+    distance = float(np.max(np.abs(state - start) / np.where(size > 0, size, 1.0), initial=0.0))
     return ConsistentState(state, distance <= tolerance, distance)
 
 
@@ -200,9 +202,13 @@ def simulate_descriptor(
     Raises
     ------
     ModelError
-        If the system is not regular, ``dt`` or derivatives are missing, or do not fit.
+        If the system is not regular, or ``dt`` or derivatives are missing.
     DataError
-        If ``x0`` is not consistent; `consistent_state` makes it so.
+        If signals do not fit the system, or ``x0`` is not consistent; `consistent_state` makes it so.
+    SettingError
+        If ``hold`` is not one of its words, or a sampled system is given derivatives.
+    AccuracyError
+        If its dynamic and algebraic parts cannot be told apart, see `weierstrass_form`.
 
     References
     ----------

@@ -16,6 +16,8 @@ from residua.linear.rank import DEFAULT_RTOL, RankDecision
 _EPS = float(np.finfo(float).eps)
 #: How much of ``norm(A)`` the staircase may drop in the caller's coordinates before it is called a failure.
 _RESIDUAL_LIMIT = 1e-5
+#: What a hidden mode must be inside the stability region by: a slower one does not die out in any time that counts.
+_INSIDE = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +40,8 @@ class ObservabilityForm:
         A bound, to first order, on the error of each unobservable mode.
     residual : float
         Largest norm of what was set to zero, relative to the norm of ``A0`` or ``C0``.
+    size : float
+        Spectral norm of ``A0`` in balanced units.
     """
 
     transformation: NDArray[np.float64]
@@ -48,6 +52,7 @@ class ObservabilityForm:
     unobservable_modes: NDArray[np.complex128]
     mode_uncertainty: NDArray[np.float64]
     residual: float
+    size: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +93,12 @@ class Staircase:
     @property
     def rounding(self) -> float:
         """What rounding and dropped parts may have done to the blocks: relative to the whole, not the block."""
-        n = self.A.shape[0]
-        return self.dropped + 10 * n * _EPS * (float(np.linalg.norm(self.A, 2)) if n else 0.0)
+        return self.dropped + 10 * self.A.shape[0] * _EPS * self.size
+
+    @property
+    def size(self) -> float:
+        """Spectral norm of ``A``."""
+        return float(np.linalg.norm(self.A, 2)) if self.A.size else 0.0
 
 
 def is_stable_mode(
@@ -126,6 +135,28 @@ def is_stable_mode(
     if dt:
         return np.abs(modes) + inside < np.exp(-margin * dt)
     return np.real(modes) + inside < -margin
+
+
+def dies_out(modes: NDArray, uncertainty: NDArray, dt: float, size: float) -> NDArray[np.bool_]:
+    """Tell which hidden modes count as stable, for everything that has to live with them.
+
+    Inside the stability region by more than their uncertainty and 1e-10 on top: of the radius of the unit disk for
+    sampled systems, of ``size`` for continuous ones.
+
+    Parameters
+    ----------
+    modes : ndarray of complex
+    uncertainty : ndarray
+        See `modes_with_uncertainty`.
+    dt : float
+    size : float
+        Spectral norm of ``A`` in balanced units.
+
+    Returns
+    -------
+    ndarray of bool
+    """
+    return is_stable_mode(modes, dt, uncertainty=uncertainty + _INSIDE * (1.0 if dt else size))
 
 
 def modes_with_uncertainty(
@@ -281,14 +312,15 @@ def observability_form(A: ArrayLike, C: ArrayLike, *, rtol: float = DEFAULT_RTOL
     Ct[:, k:] = 0.0
     Q2 = form.Q[:, k:]
     modes, uncertainty = modes_with_uncertainty(Q2.T @ form.A @ Q2, form.rounding)
-    return ObservabilityForm(Q, At, Ct, k, form.decisions, modes, uncertainty, residual)
+    return ObservabilityForm(Q, At, Ct, k, form.decisions, modes, uncertainty, residual, form.size)
 
 
 def detectability(A: ArrayLike, C: ArrayLike, *, dt: float = 0, rtol: float = DEFAULT_RTOL) -> Detectability:
     """Tell whether every unobservable mode is stable.
 
     An unobservable mode counts as stable only when it is inside the stability region by more than rounding may have
-    moved it, so that a hidden integrator is never taken for a stable mode.
+    moved it, so that a hidden integrator is never taken for a stable mode, and by 1e-10 on top: ``1 - abs(z)`` of a
+    sampled system, ``-Re(s)`` relative to the norm of the balanced ``A`` of a continuous one.
 
     Parameters
     ----------
@@ -309,6 +341,6 @@ def detectability(A: ArrayLike, C: ArrayLike, *, dt: float = 0, rtol: float = DE
     False
     """
     form = observability_form(A, C, rtol=rtol)
-    stable = is_stable_mode(form.unobservable_modes, dt, uncertainty=form.mode_uncertainty)
+    stable = dies_out(form.unobservable_modes, form.mode_uncertainty, dt, form.size)
     unstable = form.unobservable_modes[~stable]
     return Detectability(not unstable.size, form.unobservable_modes, unstable, form)

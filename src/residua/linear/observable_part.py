@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import DesignError
 from residua.linear import arrays
-from residua.linear.observability import Staircase, is_stable_mode, modes_with_uncertainty, staircase
+from residua.linear.observability import Staircase, dies_out, modes_with_uncertainty, staircase
 from residua.linear.spectrum import describe_modes
 
 Matrix = NDArray[np.float64]
@@ -78,6 +78,9 @@ class ObservablePart:
 def observable_part(A: ArrayLike, C: ArrayLike, dt: float, rtol: float) -> ObservablePart:
     """Split off the unobservable part of a pair, or say which of its modes is not stable.
 
+    A hidden mode counts as stable only when it is inside the stability region by more than its uncertainty and 1e-10 on
+    top, as in `detectability`.
+
     Parameters
     ----------
     A : array_like, shape (n, n)
@@ -108,7 +111,7 @@ def observable_part(A: ArrayLike, C: ArrayLike, dt: float, rtol: float) -> Obser
     to_outputs = np.zeros((0, C.shape[0])) if not r else U[:, :r].T / s[:r, None]
     H = to_outputs @ form.C @ Q1
     fixed, uncertainty = modes_with_uncertainty(Q2.T @ form.A @ Q2, form.rounding)
-    stable = is_stable_mode(fixed, dt, uncertainty=uncertainty)
+    stable = dies_out(fixed, uncertainty, dt, form.size)
     if not stable.all():
         raise DesignError(
             f"not detectable: mode {describe_modes(fixed[~stable])} is not seen by any output and is not stable "

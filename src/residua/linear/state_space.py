@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua.errors import ModelError
 from residua.linear import arrays
 from residua.linear.arrays import frozen
+from residua.linear.descriptor import finite_poles
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -126,8 +127,6 @@ class StateSpace:
         if self.E is None:
             return np.asarray(scipy.linalg.eigvals(self.A), dtype=complex).reshape(-1)
         # Poles at infinity are found by rank decisions: rounding throws those in chains far into the plane.
-        from residua.linear.descriptor import finite_poles
-
         return finite_poles(self.A, self.E)
 
     def poles(self) -> NDArray[np.complex128]:

@@ -106,6 +106,11 @@ class Alarm:
     sizes: tuple[Size, ...] = field(default=())
 
     @property
+    def samples(self) -> int:
+        """Number of samples in alarm: from ``raised`` up to ``ended``."""
+        return self.stop - self.start
+
+    @property
     def margin(self) -> float | None:
         """Lead of the best candidate over the next in score; ``None`` with fewer than two."""
         return self.candidates[0].score - self.candidates[1].score if len(self.candidates) > 1 else None
@@ -119,8 +124,8 @@ class Alarm:
             "onset": self.onset,
             "raised": self.raised,
             "ended": self.ended,
-            "samples": self.stop - self.start,
-            "short": self.stop - self.start < window,
+            "samples": self.samples,
+            "short": self.samples < window,
             "margin": self.margin,
             "candidates": [
                 {"faults": list(c.faults), "score": c.score, "distance": c.distance} for c in self.candidates
@@ -140,6 +145,7 @@ def _code(reading: CodeReading) -> dict[str, Any]:
         "fired": list(reading.fired),
         "answer": reading.answer,
         "faults": list(reading.faults),
+        "settled": list(reading.settled),
         "distance": reading.distance,
         "pairs": [[list(a), list(b)] for a, b in reading.pairs],
         "text": reading.meaning,

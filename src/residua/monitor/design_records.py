@@ -37,6 +37,7 @@ _PLANT_ENTRIES = (*_PLANT_ARRAYS, "E", "dt", *_PLANT_TEXTS, *_PLANT_NAMES, "faul
 _POLES = ("poles", "requested_poles", "fixed_poles")
 _EVIDENCE_ENTRIES = ("method", *_POLES, "decoupling", "conditions", "ranks", "notes", "references")
 _OBSERVER_ARRAYS = ("F", "T", "K", "M", "H", "W")
+_OBSERVER_OPTIONS = ("J", "V")
 _MAPS = ("state_map", "static_map")
 _SAMPLED_ENTRIES = ("system", "plant", "evidence", "subspaces", *_MAPS, "known_form", "steady")
 _GENERATOR_ENTRIES = (*_SAMPLED_ENTRIES, "method", "members", "observer", "codes", "estimated")
@@ -54,6 +55,7 @@ def generator_out(generator: ResidualGenerator) -> dict[str, Any]:
         if observer is None
         else {
             **{name: array_out(getattr(observer, name)) for name in _OBSERVER_ARRAYS},
+            **{name: _array_or_none(getattr(observer, name)) for name in _OBSERVER_OPTIONS},
             "plant": _plant_out(observer.plant),
             "method": observer.method,
             "decouples": bool(observer.decouples),
@@ -230,8 +232,10 @@ def _plant_in(value: Any, where: str) -> Plant:
 
 
 def _observer_in(value: Any, where: str) -> Observer:
-    content = record(value, where, (*_OBSERVER_ARRAYS, "plant", "method", "decouples", "evidence"))
-    arrays: dict[str, NDArray] = {name: array_in(content[name], joined(where, name)) for name in _OBSERVER_ARRAYS}
+    content = record(value, where, (*_OBSERVER_ARRAYS, *_OBSERVER_OPTIONS, "plant", "method", "decouples", "evidence"))
+    arrays: dict[str, Any] = {name: array_in(content[name], joined(where, name)) for name in _OBSERVER_ARRAYS}
+    for name in _OBSERVER_OPTIONS:
+        arrays[name] = None if content[name] is None else array_in(content[name], joined(where, name))
     return Observer(
         plant=_plant_in(content["plant"], joined(where, "plant")),
         method=text_in(content["method"], joined(where, "method")),

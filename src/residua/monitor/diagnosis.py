@@ -15,7 +15,7 @@ from residua.decide.structured import CodeTest
 from residua.errors import MissingExtraError
 from residua.files import write_text
 from residua.monitor.alarm import Alarm, Candidate
-from residua.monitor.naming import estimates_of
+from residua.monitor.naming import alike, estimates_of, ranked, tied_name
 
 if TYPE_CHECKING:
     from residua.design import ResidualGenerator
@@ -25,6 +25,9 @@ __all__ = ["CLOSE_MARGIN", "Alarm", "Candidate", "Diagnosis"]
 
 #: A lead in score below this is a close call.
 CLOSE_MARGIN = 0.02
+
+#: What is said of a fault that a single estimate found.
+NO_DIRECTION = "one estimate has no direction: any of these would look like this"
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +53,8 @@ class Diagnosis:
         Correlation of each group's signature with the residual over the window, or the fraction of the members of
         a bank that agree with its code; NaN outside decisions.
     groups : tuple of tuple of str
-        The faults, those that this monitor cannot tell apart in one group.
+        The faults, those that this monitor cannot tell apart in one group. A fault of a bank that some members see
+        only while it changes is in two (see ``group_names``).
     signatures : tuple of ndarray, shape (residuals, dimension)
         For each group an orthonormal basis of the direction or subspace that it was judged by, in whitened
         residual space; empty for a bank that is read by code.
@@ -142,6 +146,19 @@ class Diagnosis:
         return self.codes.members if self.codes else ()
 
     @property
+    def group_names(self) -> tuple[str, ...]:
+        """The groups as text; marked *settled* is a fault that has the code of a group only once it is constant."""
+        return self.codes.labels if self.codes else tuple(" or ".join(group) for group in self.groups)
+
+    @property
+    def no_direction(self) -> bool:
+        """Whether a single estimate found a fault: then it cannot tell what it estimates from anything else."""
+        if self.codes is not None or not any(self.generator.estimated) or not self.candidates:
+            return False
+        best, *_ = self.candidates
+        return len(best.faults) > 1 and self.generator.residual_rank == 1
+
+    @property
     def estimates(self) -> dict[str, NDArray[np.float64]]:
         """The estimated size of every fault that is estimated, over time, in its own unit; empty without any.
 
@@ -165,10 +182,7 @@ class Diagnosis:
     def __str__(self) -> str:
         lines = [f"{self.generator.plant.name}: {len(self.time)} samples, {self._span()}"]
         if self.n_missing:
-            lines.append(
-                f"{self.n_missing} samples with missing values: last values held, no decision there; "
-                f"filter restarted {self.resets} times after longer gaps"
-            )
+            lines.append(self.missing_text)
         if not self.alarms:
             lines.append("no fault found" if self.decided.any() else self._why_undecided())
         for k, alarm in enumerate(self.alarms[:20], 1):
@@ -176,22 +190,34 @@ class Diagnosis:
             lines.append(f"alarm {k}: onset {alarm.onset:.6g} s, raised {alarm.raised:.6g} s, {until}")
             if alarm.reading is not None:
                 lines.append(f"  {alarm.reading}")
-            if alarm.candidates and alarm.stop - alarm.start < self.window:
+            if alarm.candidates and alarm.samples < self.window:
                 lines.append(f"  shorter than the {self.window} samples that a name is judged by: not sure of its name")
             elif alarm.reading is None and alarm.margin is not None and alarm.margin < CLOSE_MARGIN:
                 lines.append(f"  a close call: the first two are {alarm.margin:.3f} apart")
-            for rank, candidate in enumerate(alarm.candidates[:3], 1):
-                size = "".join(f"  estimated size {size}" for size in candidate.sizes[:1])
-                lines.append(f"  {rank}. {candidate.name:<40} score {candidate.score:.3f}{size}")
+            lines += self._candidate_lines(alarm)
         if len(self.alarms) > 20:
             lines.append(f"... and {len(self.alarms) - 20} more alarms")
-        for group in self.groups:
-            if self.alarms and len(group) > 1:
-                lines.append(f"cannot be told apart here: {', '.join(group)}")
+        if self.alarms:
+            lines += [f"cannot be told apart here: {', '.join(names)}" for _, names in alike(self.groups, self.codes)]
         if self.unjudged:
             want = "a code" if self.codes else "a signature"
             lines.append(f"never named by this monitor, for want of {want}: {', '.join(self.unjudged)}")
         return "\n".join([*lines, *self.notes])
+
+    def _candidate_lines(self, alarm: Alarm) -> list[str]:
+        """Return the candidates of the first three ranks, those of one rank on one line."""
+        lines, last = [], 0
+        for rank, candidate in ranked(alarm.candidates):
+            if rank == last or len(lines) == 3:
+                continue
+            last = rank
+            if self.no_direction:
+                size = "".join(f"  estimated size, if it is {s.fault}: {s}" for s in candidate.sizes[:1])
+            else:
+                size = "".join(f"  estimated size {size}" for size in candidate.sizes[:1])
+            name = tied_name(alarm.candidates, rank)
+            lines.append(f"  {rank}. {name:<40} score {candidate.score:.3f}{size}")
+        return [*lines, f"  {NO_DIRECTION}"] if lines and self.no_direction else lines
 
     def _why_undecided(self) -> str:
         if self.missing.size and self.missing.all():
@@ -200,6 +226,13 @@ class Diagnosis:
 
     def _span(self) -> str:
         return f"{self.time[0]:.6g} to {self.time[-1]:.6g} s" if len(self.time) else "empty"
+
+    @property
+    def missing_text(self) -> str:
+        """What was done about missing values, in words."""
+        times = f"{self.resets} time{'' if self.resets == 1 else 's'}"
+        restarts = f"; filter restarted {times} after longer gaps" if self.resets else ""
+        return f"{self.n_missing} samples with missing values: last values held, no decision there{restarts}"
 
     def columns(self) -> dict[str, NDArray]:
         """Return time, residuals, statistic, alarm and scores as named columns.
@@ -210,7 +243,7 @@ class Diagnosis:
         out: dict[str, NDArray] = {"time": self.time}
         out |= {name: self.residuals[:, i] for i, name in enumerate(self.residual_names)}
         out |= {"statistic": self.statistic, "alarm": self.alarm}
-        out |= {f"score {' or '.join(group)}": self.scores[:, g] for g, group in enumerate(self.groups)}
+        out |= {f"score {name}": self.scores[:, g] for g, name in enumerate(self.group_names)}
         for m, member in enumerate(self.members):
             out |= {f"statistic {member}": self.member_statistics[:, m], f"fired {member}": self.fired[:, m]}
         out |= {f"estimate {fault}": values for fault, values in self.estimates.items()}

@@ -12,7 +12,7 @@ from residua.design.generator import make_generator
 from residua.errors import ModelError
 
 _ALIKE = ("inputs", "outputs", "faults", "disturbances", "dt")
-_EQUAL = ("A", "C", "Bu", "Du", "Bf", "Df")
+_EQUAL = ("A", "E", "C", *(matrix + role for role in "udfw" for matrix in "BD"))
 
 
 def with_estimator(bank: ResidualGenerator, estimator: ResidualGenerator) -> ResidualGenerator:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.design import ResidualGenerator
+from residua.design.evidence import format_pole
 from residua.errors import DataError
 from residua.monitor.recording import Recording, recording_from_frame
 from residua.monitor.time_axis import regular_step, seconds_from_dates
@@ -94,6 +95,16 @@ def settling_samples(generator: ResidualGenerator) -> int:
     """Return how many samples the slowest pole of a sampled generator needs to decay to 1 %."""
     slowest = float(np.abs(generator.system.poles()).max(initial=0.0))
     return 1 if slowest < 1e-6 else int(np.ceil(np.log(0.01) / np.log(min(slowest, 1 - 1e-9))))
+
+
+def settling_reason(generator: ResidualGenerator, settle: int) -> str:
+    """Say how long a filter settles, and which pole makes it take that long."""
+    told = f"settling takes {settle} samples ({settle * generator.dt:g} s)"
+    if settle != settling_samples(generator) or not generator.system.n_states:
+        return f"{told}, as asked for by settle"
+    poles = generator.system.poles()
+    slowest = poles[np.abs(poles).argmax()]
+    return f"{told} because of its slowest pole, sampled at {format_pole(slowest)}: a faster one settles sooner"
 
 
 def signal_size(generator: ResidualGenerator, v: NDArray, rows: Sequence[int] | None = None) -> float:

@@ -14,12 +14,12 @@ from residua.decide.member_thresholds import BankTest
 from residua.decide.norm_threshold import NormTest, NormThreshold, check_rate, check_samples
 from residua.decide.structured import Structured
 from residua.design import ResidualGenerator
-from residua.design.generator import stack_signals
+from residua.design.signals import stack_signals
 from residua.errors import DataError, ModelError, NotFittedError, SettingError
 from residua.monitor.decision import Decision, decision_from
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.estimating import with_estimator
-from residua.monitor.inputs import settling_samples, signals
+from residua.monitor.inputs import settling_reason, settling_samples, signals
 from residua.monitor.outcome import diagnosis_from
 from residua.monitor.preparing import (
     Isolation,
@@ -153,7 +153,11 @@ class Monitor:
 
     @property
     def groups(self) -> tuple[tuple[str, ...], ...]:
-        """The faults, those that this monitor cannot tell apart in one group."""
+        """The faults, those that this monitor cannot tell apart in one group.
+
+        A fault of a bank that some members see only while it changes is in two groups: see
+        :class:`residua.decide.CodeTest`.
+        """
         judge = self._specification().direction or self._specification().codes
         return judge.groups if judge else ()
 
@@ -212,9 +216,15 @@ class Monitor:
             self.generator, blank_test(self.generator), None, settle=self.settle, max_hold=self.max_hold
         )
         _, found = run_block(blank, initial_state(blank, 1), data)
-        self._norm_test = fitted_test(
-            self.test, self.isolate, self.generator, found.residuals[0], found.usable[0], data[0] - blank.offset, rate
-        )
+        usable, deviations = found.usable[0], data[0] - blank.offset
+        try:
+            self._norm_test = fitted_test(
+                self.test, self.isolate, self.generator, found.residuals[0], usable, deviations, rate
+            )
+        except DataError as error:
+            if 2 * blank.settle < len(outputs):
+                raise
+            raise DataError(f"{error}; {settling_reason(self.generator, blank.settle)}") from error
         self._spec = self._state = None
         return self
 

@@ -28,14 +28,58 @@ def candidates_at(
 
 
 def candidates_of_code(reading: CodeReading, codes: CodeTest) -> tuple[Candidate, ...]:
-    """Return the group that was read, then the others by the members that agree; none where nothing was read."""
+    """Return the group that was read, then the others by the members that agree; none where nothing was read.
+
+    Every fault is named once: with that of its codes which agrees better.
+    """
     if not reading.faults:
         return ()
     pattern = np.array(reading.pattern)
     agree = np.mean(codes.codes == pattern[:, None], axis=0)
-    first = codes.groups.index(reading.faults)
-    order = [first, *(int(g) for g in np.argsort(-agree, kind="stable") if g != first)]
-    return tuple(Candidate(codes.groups[g], float(agree[g]), float(1.0 - agree[g])) for g in order)
+    first = column_read(reading, codes)
+    assert first is not None
+    named: set[str] = set()
+    out = []
+    for g in (first, *(int(g) for g in np.argsort(-agree, kind="stable") if g != first)):
+        faults = tuple(name for name in codes.groups[g] if name not in named)
+        named.update(faults)
+        if faults:
+            out.append(Candidate(faults, float(agree[g]), float(1.0 - agree[g])))
+    return tuple(out)
+
+
+def column_read(reading: CodeReading, codes: CodeTest) -> int | None:
+    """Return the number of the code that was read; ``None`` where none was."""
+    off = np.count_nonzero(codes.codes != np.array(reading.pattern)[:, None], axis=0)
+    same = [g for g, group in enumerate(codes.groups) if reading.faults and group == reading.faults]
+    return min(same, key=lambda g: off[g], default=None)
+
+
+def ranked(candidates: tuple[Candidate, ...]) -> list[tuple[int, Candidate]]:
+    """Return the candidates with their ranks: after the first, those whose scores agree to three digits share one."""
+    out: list[tuple[int, Candidate]] = []
+    for k, candidate in enumerate(candidates):
+        tied = k > 1 and round(candidate.score, 3) == round(candidates[k - 1].score, 3)
+        out.append((out[-1][0] if tied else k + 1, candidate))
+    return out
+
+
+def tied_name(candidates: tuple[Candidate, ...], rank: int) -> str:
+    """Return the first candidate of a rank as text, with how many others share it; empty where nobody has it."""
+    names = [candidate.name for place, candidate in ranked(candidates) if place == rank]
+    more = len(names) - 1
+    return f"{names[0]} (tied with {more} more)" if more > 0 else "".join(names)
+
+
+def alike(groups: tuple[tuple[str, ...], ...], codes: CodeTest | None) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
+    """Return the groups of several faults, each with its names as shown: with *once constant* where that is meant."""
+    groups, settled = (codes.groups, codes.settled) if codes else (groups, ((),) * len(groups))
+    out = []
+    always = [set(group) - set(later) for group, later in zip(groups, settled, strict=True)]
+    for group, later in zip(groups, settled, strict=True):
+        if len(group) > 1 and not (later and any(set(group) <= own for own in always)):
+            out.append((group, tuple(f"{name} once constant" if name in later else name for name in group)))
+    return out
 
 
 def longest_code(code: NDArray[np.bool_], counted: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], float]:

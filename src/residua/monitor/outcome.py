@@ -13,6 +13,7 @@ from residua.decide.member_thresholds import BankTest
 from residua.design import ResidualGenerator
 from residua.monitor.alarm import Alarm
 from residua.monitor.diagnosis import Diagnosis
+from residua.monitor.inputs import settling_reason
 from residua.monitor.naming import candidates_at, candidates_of_code, longest_code, sizes_over, with_sizes
 from residua.monitor.running import Decisions, Specification
 
@@ -67,7 +68,7 @@ def diagnosis_from(
         window=spec.window,
         settings=_settings(spec, generator),
         source=source,
-        notes=(*notes, *_sampling_notes(generator)),
+        notes=(*notes, *_sampling_notes(generator), *_settling_notes(spec, generator, usable, joined("missing"))),
         codes=spec.codes,
         member_statistics=joined("member_statistics"),
         member_thresholds=spec.test.thresholds if isinstance(spec.test, BankTest) else np.zeros(0),
@@ -98,6 +99,15 @@ def _sampling_notes(generator: ResidualGenerator) -> tuple[str, ...]:
         for name, gain in generator.evidence.decoupling.items()
         if name.endswith(", sampled") and gain > 0.01
     )
+
+
+def _settling_notes(
+    spec: Specification, generator: ResidualGenerator, usable: NDArray[np.bool_], missing: NDArray[np.bool_]
+) -> tuple[str, ...]:
+    """Return how long the filter settles where nothing could be decided because of that."""
+    if usable.any() or missing.all():
+        return ()
+    return (settling_reason(generator, spec.settle),)
 
 
 def _settings(spec: Specification, generator: ResidualGenerator) -> dict[str, str]:

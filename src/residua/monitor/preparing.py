@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from residua.decide.directional import Directional, direction_test
 from residua.decide.member_thresholds import BankTest, bank_test_from_model, fit_bank_test
 from residua.decide.norm_threshold import NormTest, NormThreshold, fit_norm_test, norm_test_from_model
-from residua.decide.structured import Structured, code_test
+from residua.decide.structured import CodeTest, Structured, code_test
 from residua.design import ResidualGenerator
 from residua.errors import ModelError, SettingError
 from residua.monitor.inputs import settling_samples, signal_size
@@ -99,6 +99,25 @@ def _rows(generator: ResidualGenerator) -> list[tuple[int, ...]]:
     return [member.residuals for member in generator.members]
 
 
+def settled_codes(generator: ResidualGenerator) -> NDArray[np.bool_]:
+    """Return which members a constant fault still fires once the residual has settled: (members, faults).
+
+    A member may see a fault only while it changes; then fewer members fire in the end than the code promises.
+    """
+    assert generator.codes is not None
+    steady = np.array([generator.steady_directions[name] for name in generator.faults])
+    steady = steady.reshape(len(generator.faults), generator.n_residuals).T
+    seen = [(steady[list(rows)] != 0).any(axis=0) for rows in _rows(generator)]
+    return np.array(seen, dtype=bool).reshape(generator.codes.shape) & generator.codes
+
+
+def codes_of(generator: ResidualGenerator, isolate: Structured) -> CodeTest:
+    """Return the codes that a bank is read by: those of its faults, and those of constant faults where they differ."""
+    assert generator.codes is not None
+    names = [member.name for member in generator.members]
+    return code_test(isolate, generator.codes, generator.faults, names, settled=settled_codes(generator))
+
+
 def blank_test(generator: ResidualGenerator) -> NormTest:
     """Return a test that never raises an alarm: to see the residuals before there is a threshold."""
     n = generator.n_residuals
@@ -117,8 +136,7 @@ def specification(
     system, point = generator.system, generator.plant.operating_point
     direction = codes = None
     if isinstance(isolate, Structured) and generator.codes is not None:
-        names = [member.name for member in generator.members]
-        codes = code_test(isolate, generator.codes, generator.faults, names)
+        codes = codes_of(generator, isolate)
     elif isinstance(isolate, Directional):
         direction = direction_test(
             isolate, generator.subspaces, generator.steady_directions, test.whitening, generator.residual_rank

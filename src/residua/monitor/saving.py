@@ -41,7 +41,7 @@ from residua.monitor.running import Specification, State
 from residua.plant import Plant
 
 FORMAT = "residua-monitor"
-VERSION = 2
+VERSION = 3
 
 #: How faults are named, by the entry ``kind`` of ``isolate``.
 _ISOLATION: dict[str, type[Any]] = {"direction": Directional, "code": Structured}
@@ -216,6 +216,7 @@ def _running_out(spec: Specification) -> dict[str, Any]:
             "groups": [list(group) for group in codes.groups],
             "codes": array_out(codes.codes),
             "unjudged": list(codes.unjudged),
+            "settled": [list(group) for group in codes.settled],
         },
     }
 
@@ -242,15 +243,19 @@ def _codes_in(value: Any, where: str, plant: Plant, count: int) -> CodeTest:
     content = record(value, where, _names(CodeTest))
     groups = tuple(texts_in(group, joined(where, "groups")) for group in list_in(content["groups"], where))
     members, unjudged = (texts_in(content[name], joined(where, name)) for name in ("members", "unjudged"))
+    settled = tuple(texts_in(group, joined(where, "settled")) for group in list_in(content["settled"], where))
     codes = array_in(content["codes"], joined(where, "codes"))
     share = float_in(content["share"], joined(where, "share"))
     window, distance = (whole_in(content[name], joined(where, name)) for name in ("window", "distance"))
-    _check_groups(groups, unjudged, where, plant)
+    if len(settled) != len(groups) or any(set(s) - set(g) for s, g in zip(settled, groups, strict=True)):
+        raise FileFormatError(f"{where}: settled must name faults of each of the {len(groups)} groups")
+    own = tuple(tuple(x for x in g if x not in s) for g, s in zip(groups, settled, strict=True))
+    _check_groups(own, unjudged, where, plant)
     if len(members) != count or codes.dtype.kind != "b" or codes.shape != (count, len(groups)):
         raise FileFormatError(f"{where}: codes must be true or false, {count} members x {len(groups)} groups")
     if window < 1 or not 0 < share <= 1:
         raise FileFormatError(f"{where}: the window must be 1 or more and the share between 0 and 1")
-    return CodeTest(window, share, distance, members, groups, codes, unjudged)
+    return CodeTest(window, share, distance, members, groups, codes, unjudged, settled)
 
 
 def _check_groups(groups: tuple[tuple[str, ...], ...], unjudged: tuple[str, ...], where: str, plant: Plant) -> None:

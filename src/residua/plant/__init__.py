@@ -1,5 +1,6 @@
 """Plants: linear systems whose inputs have roles, from arrays, files and other packages."""
 
+from residua.plant.algebraic_equations import without_algebraic_equations
 from residua.plant.channels import Fault, OperatingPoint
 from residua.plant.conversion import plant_from_state_space
 from residua.plant.disturbances import (
@@ -12,7 +13,6 @@ from residua.plant.disturbances import (
 from residua.plant.plant import Plant
 from residua.plant.plant_file import load_plant, loads_plant
 from residua.plant.plant_writer import dumps_plant, save_plant
-from residua.plant.sampled_singular import without_algebraic_equations
 from residua.plant.sensor_filter import augment_sensor_filter, sensor_filter
 
 __all__ = [

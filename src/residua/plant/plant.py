@@ -15,6 +15,7 @@ from residua.linear import StateSpace, arrays
 from residua.linear.arrays import frozen, matrix, names, unique
 from residua.linear.rank import DEFAULT_RTOL
 from residua.linear.state_space import square
+from residua.plant.algebraic_equations import without_algebraic_equations
 from residua.plant.channels import (
     Direction,
     Fault,
@@ -28,7 +29,6 @@ from residua.plant.channels import (
 from residua.plant.disturbances import factor_disturbance
 from residua.plant.facts import PlantFacts
 from residua.plant.noise import covariance, noise_factors, sampled_noise
-from residua.plant.sampled_singular import without_algebraic_equations
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -324,7 +324,7 @@ class Plant(PlantFacts):
         """
         chosen = arrays.positions(names, self.faults, "fault")
         labels = tuple(self.faults[i] for i in chosen)
-        return self.without_faults(labels or ())._with_disturbances(self.Bf[:, chosen], self.Df[:, chosen], labels)
+        return self.without_faults(labels)._with_disturbances(self.Bf[:, chosen], self.Df[:, chosen], labels)
 
     def explicit(self) -> Plant:
         """Return the plant with an invertible ``E`` divided out; raises when ``E`` is singular."""

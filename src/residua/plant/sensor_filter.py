@@ -54,9 +54,8 @@ def augment_sensor_filter(plant: Plant, outputs: Iterable[str | int] | str, rate
     >>> aircraft.A[4], aircraft.Bf[4, 2]
     (array([ 25.,   0.,   0.,   0., -25.]), np.float64(25.0))
     """
-    rows, rates = _checked(plant, outputs, rate)
+    rows, pole, gain = _lags(plant, outputs, rate)
     k, n = len(rows), plant.n_states
-    pole, gain = (np.exp(-rates * plant.dt), 1 - np.exp(-rates * plant.dt)) if plant.dt else (-rates, rates)
     C = np.hstack([plant.C, np.zeros((plant.n_outputs, k))])
     C[rows] = np.hstack([np.zeros((k, n)), np.eye(k)])
     changes: dict[str, object] = {
@@ -91,6 +90,11 @@ def sensor_filter(plant: Plant, outputs: Iterable[str | int] | str, rate: ArrayL
     StateSpace
         From all outputs to all outputs; those that are not filtered pass through.
 
+    Raises
+    ------
+    ModelError
+        If an output does not exist, is named twice, or a rate is not positive.
+
     Examples
     --------
     >>> import residua as rs
@@ -99,8 +103,7 @@ def sensor_filter(plant: Plant, outputs: Iterable[str | int] | str, rate: ArrayL
            [0., 1., 0.],
            [0., 0., 1.]])
     """
-    rows, rates = _checked(plant, outputs, rate)
-    pole, gain = (np.exp(-rates * plant.dt), 1 - np.exp(-rates * plant.dt)) if plant.dt else (-rates, rates)
+    rows, pole, gain = _lags(plant, outputs, rate)
     whole = np.eye(plant.n_outputs)
     through = whole.copy()
     through[rows] = 0.0
@@ -115,7 +118,8 @@ def sensor_filter(plant: Plant, outputs: Iterable[str | int] | str, rate: ArrayL
     )
 
 
-def _checked(plant: Plant, outputs: Iterable[str | int] | str, rate: ArrayLike) -> tuple[list[int], NDArray]:
+def _lags(plant: Plant, outputs: Iterable[str | int] | str, rate: ArrayLike) -> tuple[list[int], NDArray, NDArray]:
+    """Return the numbers of the outputs, and pole and input gain of the lag of each."""
     rows = arrays.positions(outputs, plant.outputs, "output")
     arrays.unique(tuple(plant.outputs[i] for i in rows), "outputs to filter")
     if not rows:
@@ -126,4 +130,5 @@ def _checked(plant: Plant, outputs: Iterable[str | int] | str, rate: ArrayLike) 
         raise ModelError(f"rate must be one number, or one for each of {len(rows)} outputs, got {rate!r}") from error
     if not (np.isfinite(rates).all() and (rates > 0).all()):
         raise ModelError(f"rate must be positive, in 1/s, got {rate!r}")
-    return rows, cast(NDArray, rates)
+    rates = cast(NDArray, rates)
+    return (rows, np.exp(-rates * plant.dt), 1 - np.exp(-rates * plant.dt)) if plant.dt else (rows, -rates, rates)

@@ -170,7 +170,7 @@ def _score_charts(diagnosis: Diagnosis, bins: Bins) -> list[dict[str, Any]]:
             "label": "score",
             "unit": "",
             "y": [[None if v is None else round(v, 4) for v in rounded(c)] for c in columns],
-            "names": [" or ".join(group) for group in diagnosis.groups],
+            "names": [*diagnosis.group_names],
         }
     ]
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.monitor.naming import column_read
 from residua.report.tables import MAX_ROWS, html_table
 from residua.report.text import escape, percent, seconds
 
@@ -31,11 +32,11 @@ def code_table(diagnosis: Diagnosis) -> str:
     reading = main.reading if main else None
     fired = None if reading is None else np.array(reading.pattern)
     rows = []
-    entries = [*zip(codes.groups, codes.codes.T, strict=True)]
-    entries += [((fault,), np.zeros(len(codes.members), dtype=bool)) for fault in codes.unjudged]
-    for group, code in entries:
-        read = reading is not None and group == reading.faults
-        name = f'<b>{escape(" or ".join(group))}</b> <span class="tag">read</span>' if read else _or(group)
+    entries = [*zip(codes.labels, codes.codes.T, strict=True)]
+    entries += [(fault, np.zeros(len(codes.members), dtype=bool)) for fault in codes.unjudged]
+    which = None if reading is None else column_read(reading, codes)
+    for g, (label, code) in enumerate(entries):
+        name = f'<b>{escape(label)}</b> <span class="tag">read</span>' if g == which else escape(label)
         cells = [_cell(bool(on), fired is not None and bool(on) != bool(fired[m])) for m, on in enumerate(code)]
         agree = "" if fired is None else f'<td class="num">{int(np.sum(code == fired))} of {len(code)}</td>'
         rows.append([f'<th scope="row">{name}</th>', *cells, *([agree] if agree else [])])
@@ -46,12 +47,9 @@ def code_table(diagnosis: Diagnosis) -> str:
     header += ["Agree"] if fired is not None else []
     kind = "matrix codes upright" if len(codes.members) > 8 else "matrix codes"
     differ = "; marked where a code differs from what fired" if fired is not None else ""
-    caption = f"Which members each fault fires (● fires, · stays silent{differ})"
+    later = "; <i>settled</i>: what a fault still fires once it is constant" if any(codes.settled) else ""
+    caption = f"Which members each fault fires (● fires, · stays silent{differ}{later})"
     return f"<h3>Codes</h3>{html_table(header, rows, caption=caption, kind=kind)}"
-
-
-def _or(group: tuple[str, ...]) -> str:
-    return escape(" or ".join(group))
 
 
 def _cell(on: bool, differs: bool) -> str:

@@ -27,6 +27,8 @@ _ALARM, _MISSING, _BAND = "#c8281e", "#5a6473", "#00805f"
 #: Residuals that are plotted at most (those furthest out of their band), and points per line.
 _MAX_RESIDUALS = 8
 _MAX_POINTS = 4000
+#: Characters of a name that fit along the y axis of a residual's panel.
+_AXIS_CHARACTERS = 16
 
 
 def plot_diagnosis(diagnosis: Diagnosis, ax: Axes | None = None, *, figure: Figure | None = None) -> Any:
@@ -204,8 +206,18 @@ def _residual(diagnosis: Diagnosis, i: int, ax: Axes) -> None:
         if high > low:
             ax.set_ylim(low - 0.1 * (high - low), high + 0.1 * (high - low))
     fault = estimated_fault(diagnosis, name)
-    ax.set_ylabel(_plain(with_unit(f"estimated\n{fault}" if fault else name, residual_unit(diagnosis, name))))
+    _name(ax, f"estimated {fault}" if fault else name, residual_unit(diagnosis, name))
     ax.margins(x=0)
+
+
+def _name(ax: Axes, name: str, unit: str) -> None:
+    """Name a panel on its y axis; above it where the name is longer than the axis, which would reach the next one."""
+    if len(with_unit(name, unit)) <= _AXIS_CHARACTERS:
+        ax.set_ylabel(_plain(with_unit(name, unit)))
+        return
+    ax.set_title(_plain(name), loc="left", fontsize="small")
+    if unit:
+        ax.set_ylabel(_plain(f"[{unit}]"))
 
 
 def _is_estimate(diagnosis: Diagnosis, i: int) -> bool:
@@ -217,7 +229,8 @@ def _member(diagnosis: Diagnosis, m: int, ax: Axes) -> None:
     _shade(diagnosis, ax)
     _line(diagnosis, diagnosis.member_statistics[:, m], ax, color=_COLOURS[0], lw=0.9)
     ax.axhline(diagnosis.member_thresholds[m], color=_ALARM, ls="--", lw=1.2)
-    ax.set_ylabel(_plain(f"{diagnosis.members[m]}\nstatistic [–]"))
+    ax.set_title(_plain(diagnosis.members[m]), loc="left", fontsize="small")
+    ax.set_ylabel("statistic [–]")
     ax.margins(x=0)
 
 
@@ -234,10 +247,10 @@ def _statistic(diagnosis: Diagnosis, ax: Axes, **place: Any) -> None:
 def _scores(diagnosis: Diagnosis, ax: Axes) -> None:
     _shade(diagnosis, ax)
     handles = []
-    for g, group in enumerate(diagnosis.groups):
+    for g, name in enumerate(diagnosis.group_names):
         before = len(ax.lines)
         style = _STYLES[g // len(_COLOURS) % len(_STYLES)]
-        label = _plain(" or ".join(group))
+        label = _plain(name)
         _line(diagnosis, diagnosis.scores[:, g], ax, color=_COLOURS[g % len(_COLOURS)], ls=style, lw=1.2, label=label)
         handles += ax.lines[before:]
     ax.set_ylim(0, 1.02)

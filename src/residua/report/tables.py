@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.design.evidence import Evidence, format_pole
+from residua.monitor.naming import ranked, tied_name
 from residua.report.text import escape, number, score, seconds, size_text
 from residua.report.verdict import angle
 
@@ -74,7 +75,7 @@ def alarm_table(diagnosis: Diagnosis) -> str:
                 _num("end of recording" if alarm.ended is None else seconds(alarm.ended)),
                 _name(best.name if best else "not isolated"),
                 _num(score(best.score)) if best else _num("–"),
-                _name(following.name if following else "–"),
+                _name(tied_name(tuple(named), 2) if following else "–"),
                 _num(score(following.score)) if following else _num("–"),
                 _num(score(best.score - following.score)) if best and following else _num("–"),
             ]
@@ -93,7 +94,7 @@ def candidate_table(diagnosis: Diagnosis) -> str:
     by_code = diagnosis.codes is not None
     sized = any(c.sizes for c in candidates)
     rows = []
-    for k, c in enumerate(candidates, 1):
+    for k, c in ranked(candidates):
         width = f"{100 * c.score:.1f}" if np.isfinite(c.score) else "0"
         bar = f'<td class="bar"><span style="--w:{width}%"></span></td>'
         numbers = [score(c.score)] if by_code else [score(c.score), angle(c.score), score(c.distance)]

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from residua.monitor.diagnosis import CLOSE_MARGIN
+from residua.monitor.diagnosis import CLOSE_MARGIN, NO_DIRECTION
+from residua.monitor.naming import alike
 from residua.report.text import listing, number, percent, score, seconds, size_text
 
 if TYPE_CHECKING:
@@ -108,7 +109,7 @@ def _fault(diagnosis: Diagnosis) -> Verdict:
     else:
         best = candidates[0]
         confidence, margin = _confidence(candidates)
-        if main.stop - main.start < diagnosis.window:
+        if main.samples < diagnosis.window:
             confidence = "short alarm"
             headline = f"Alarm {when}, too short to be sure of the name; nearest: {best.name}."
         elif confidence == "no good match":
@@ -122,10 +123,12 @@ def _fault(diagnosis: Diagnosis) -> Verdict:
         sentences.append(_how_sure(candidates, confidence, margin))
         if len(best.faults) > 1:
             sentences.append(f"This monitor cannot tell {listing(best.faults)} apart.")
+        if diagnosis.no_direction:
+            sentences.append(f"{NO_DIRECTION[0].upper()}{NO_DIRECTION[1:]}, and the size is that of what it estimates.")
     sentences += [f"Estimated size of {size.fault}: {size_text(size)}." for size in _told(main)]
-    others = [g for g in diagnosis.groups if len(g) > 1 and (not candidates or g != candidates[0].faults)]
+    others = [names for group, names in alike(diagnosis.groups, diagnosis.codes) if group != _first(candidates)]
     if others:
-        sentences.append(f"Not told apart here either: {'; '.join(listing(g) for g in others)}.")
+        sentences.append(f"Not told apart here either: {'; '.join(map(listing, others))}.")
     if diagnosis.unjudged:
         want = "code" if diagnosis.codes else "signature"
         sentences.append(f"Without a {want} in this monitor, so never named: {listing(diagnosis.unjudged)}.")
@@ -147,13 +150,19 @@ def _by_code(main: Alarm, window: int, when: str, sentences: list[str]) -> tuple
         sentences.append(f"This monitor cannot tell {listing(reading.faults)} apart.")
     if not reading.faults:
         one = f", such as {' and '.join(' or '.join(g) for g in reading.pairs[0])}" if len(reading.pairs) == 1 else ""
-        headline = f"More than one fault{one}, or one that the bank does not know, {when}."
+        several = f"ore than one fault{one}, or one that the bank does not know, {when}."
+        near = f"Nearest: {' or '.join(reading.close)}, 1 member off; or m" if reading.close else "M"
+        headline = f"{near}{several}"
         return headline, "no code", None
-    if main.stop - main.start < window:
+    if main.samples < window:
         return f"Alarm {when}, too short to be sure of the name; read as {name}.", "short alarm", main.margin
     off = "" if reading.answer == "exact" else f" ({reading.answer} code)"
     steady = main.read_share is None or main.read_share >= STEADY_SHARE
     return f"Fault found: {name}{off}, {when}.", f"{reading.answer if steady else 'unsteady'} code", main.margin
+
+
+def _first(candidates: list[Candidate]) -> tuple[str, ...]:
+    return candidates[0].faults if candidates else ()
 
 
 def _told(alarm: Alarm) -> list[Size]:

@@ -1,4 +1,4 @@
-"""Plants with algebraic equations: their elimination, exactly, where the equations allow it."""
+"""Algebraic equations of a plant: their elimination, exactly, where the index allows it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, ModelError
 from residua.linear.arrays import frozen
-from residua.linear.descriptor import ScaledPencil, pencil_decision, scaled_pencil, weierstrass_form
+from residua.linear.descriptor import ScaledPencil, pencil_decision, unit_free_pencil, weierstrass_form
 from residua.linear.rank import DEFAULT_RTOL
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def without_algebraic_equations(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> 
     """
     if plant.E is None:
         return plant
-    p = scaled_pencil(plant.A, plant.E)
+    p = unit_free_pencil(plant.A, plant.E)
     U, s, _ = np.linalg.svd(p.E)
     r = int(np.count_nonzero(s > rtol * s[0])) if s.size else 0
     if r == plant.n_states:
@@ -106,7 +106,11 @@ def _reduced(plant: Plant, p: ScaledPencil, U: NDArray, r: int, inverse: NDArray
     to_states = p.columns[:, None] * (X1 @ back) / units
     A, B_r = units[:, None] * A / units, units[:, None] * B_r
     direct = p.columns[:, None] * direct
-    _check_elimination(plant, to_states, direct, A, B_r, np.hstack([getattr(plant, "B" + x) for x in letters]))
+    floors = _cancelled(p, U, r, inverse, basis, back, B)
+    # The columns of both identities are in the units of the new states, and of the inputs.
+    floors = floors[0] / p.rows[:, None] / units, floors[1] / p.rows[:, None]
+    whole_B = np.hstack([getattr(plant, "B" + x) for x in letters])
+    _check_elimination(plant, to_states, direct, A, B_r, whole_B, floors)
     C, D = plant.C @ to_states, D + plant.C @ direct
     names = _names(plant, chosen, n)
     fields: dict[str, object] = {"A": frozen(A), "E": None, "C": frozen(C), "states": names}
@@ -138,6 +142,18 @@ def _kept_states(p: ScaledPencil, X1: NDArray, X2: NDArray, B2: NDArray) -> tupl
     return [*chosen, *([None] * (r - count))], np.vstack([basis, rest])
 
 
+def _cancelled(
+    p: ScaledPencil, U: NDArray, r: int, inverse: NDArray, basis: NDArray, back: NDArray, B: NDArray
+) -> tuple[NDArray, NDArray]:
+    """Return the sizes of what both identities are computed from: of rows that cancel, their rounding is left."""
+    size = np.full_like(inverse, np.abs(inverse).max(initial=0.0))
+    X, left = size[:, :r] @ np.abs(back), np.abs(basis) @ np.abs(U[:, :r].T)
+    direct = size[:, r:] @ np.abs(U[:, r:].T) @ np.abs(B)
+    AX, AB = np.abs(p.A) @ X, np.abs(p.A) @ direct + np.abs(B)
+    EX = np.abs(p.E) @ X
+    return EX @ left @ AX + AX, EX @ left @ AB + AB
+
+
 def _names(plant: Plant, chosen: list[int | None], n: int) -> tuple[str, ...]:
     taken = {plant.states[i] for i in chosen if i is not None}
     fresh = (f"slow {k}" for k in range(1, 2 * n + 2) if f"slow {k}" not in taken)
@@ -145,21 +161,32 @@ def _names(plant: Plant, chosen: list[int | None], n: int) -> tuple[str, ...]:
 
 
 def _check_elimination(
-    plant: Plant, X: NDArray, direct: NDArray, A: NDArray, B: NDArray, whole_B: NDArray, limit: float = 1e-8
+    plant: Plant,
+    X: NDArray,
+    direct: NDArray,
+    A: NDArray,
+    B: NDArray,
+    whole_B: NDArray,
+    floors: tuple[NDArray, NDArray],
+    limit: float = 1e-8,
 ) -> None:
-    """Check ``E X A = A X`` and ``E X B = A direct + B``, each relative to the terms that it is made of."""
+    """Check ``E X A = A X`` and ``E X B = A direct + B``, each relative to the terms that it is made of.
+
+    At least 1e-4 of ``floors`` counts, which are the terms before they cancelled.
+    """
     E = plant.E
     assert E is not None
     worst = 0.0
-    for left, right, terms in (
-        (E @ X @ A, plant.A @ X, np.abs(E) @ np.abs(X) @ np.abs(A) + np.abs(plant.A) @ np.abs(X)),
+    for floor, left, right, terms in (
+        (floors[0], E @ X @ A, plant.A @ X, np.abs(E) @ np.abs(X) @ np.abs(A) + np.abs(plant.A) @ np.abs(X)),
         (
+            floors[1],
             E @ X @ B,
             plant.A @ direct + whole_B,
             np.abs(E) @ np.abs(X) @ np.abs(B) + np.abs(plant.A) @ np.abs(direct) + np.abs(whole_B),
         ),
     ):
-        rows = terms.max(axis=1, keepdims=True, initial=0.0)
+        rows = np.maximum(terms, 1e-4 * floor).max(axis=1, keepdims=True, initial=0.0)
         worst = max(worst, float(np.max(np.abs(left - right) / np.where(rows > 0, rows, 1.0), initial=0.0)))
     if not worst <= limit:
         raise AccuracyError(

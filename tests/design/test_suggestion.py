@@ -1,0 +1,229 @@
+"""What is suggested designs, what is said to be refused is refused, and the ranking serves what is wanted."""
+
+from __future__ import annotations
+
+import importlib.util
+import inspect
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import residua as rs
+from generated import random_plant, singular_plant
+from residua.design import catalogue, suggestion
+from residua.errors import AccuracyError, DesignError, ModelError, SettingError
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+LIBRARY = ("gertler", "twardy", "jet_engine", "three_tank", "vtol")
+REFUSALS = (DesignError, AccuracyError, ModelError)
+
+
+def generated() -> list[rs.Plant]:
+    """Return plants with and without disturbances, noise, singular E."""
+    rng = np.random.default_rng(30)
+    plants = [random_plant(rng, n=4, disturbances=k % 2, sensors=k % 3 == 0, faults=2) for k in range(2)]
+    plants.append(random_plant(rng, n=3, dt=0.1).with_noise(process=0.1, measurement=0.2))
+    plants.append(random_plant(rng, n=5, faults=0, disturbances=1))
+    return [*plants, *(singular_plant(rng, disturbances=k, faults=1, sensors=False) for k in range(2))]
+
+
+PLANTS = [getattr(rs.library, name)() for name in LIBRARY] + generated()
+
+
+@pytest.fixture(params=range(len(PLANTS)), scope="module")
+def answer(request: pytest.FixtureRequest) -> suggestion.Suggestion:
+    return rs.suggest(PLANTS[request.param], seconds=120)
+
+
+def call(entry: suggestion.Entry, plant: rs.Plant) -> object:
+    """Type the line that was suggested."""
+    return eval(entry.call, {"rs": rs, "plant": plant})
+
+
+def test_the_lines_do_what_is_said_of_them(answer: suggestion.Suggestion) -> None:
+    for entry in answer.entries:
+        if entry.works:
+            assert type(call(entry, answer.plant)) is type(entry.made)
+        elif entry.works is False:
+            with pytest.raises(REFUSALS) as error:
+                call(entry, answer.plant)
+            assert str(error.value) == entry.reason
+        assert entry.reason
+
+
+@pytest.mark.parametrize("want", suggestion.WANTS)
+@pytest.mark.parametrize("plant", [PLANTS[0], PLANTS[2], PLANTS[-1]], ids=lambda plant: plant.name)
+def test_the_best_gives_what_is_wanted(plant: rs.Plant, want: str) -> None:
+    found = rs.suggest(plant, want=want)
+    best = found.best
+    if best is None:
+        working = [entry for entry in found.entries if entry.works]
+        assert not any(entry.estimates if want == "size" else entry.names for entry in working)
+        return
+    made = call(best, plant)
+    if want == "size":
+        assert set(made.faults) == set(best.estimates)
+        assert all(len(best.estimates) >= len(entry.estimates) for entry in found.entries if entry.works)
+    if want == "state":
+        observer = made.observer if isinstance(made, rs.design.ResidualGenerator) else made
+        assert observer.system.n_outputs == plant.n_states
+    if plant.disturbances and any(e.works and e.method.decouples and suggestion._gives(e, want) for e in found.entries):
+        assert best.method.decouples
+
+
+def test_faults_that_are_named_are_told_apart_by_the_rank_conditions_too(answer: suggestion.Suggestion) -> None:
+    plant = answer.plant
+    if not plant.faults:
+        return
+    isolable = rs.diagnosability(plant).isolable
+    for entry in answer.entries:
+        exposed = plant.disturbances and not entry.method.decouples
+        if isinstance(entry.made, rs.design.Bank) and not exposed:
+            for name in entry.names:
+                i = plant.faults.index(name)
+                others = [j for j in range(len(plant.faults)) if j != i]
+                assert (isolable[i, others] | isolable[others, i]).all(), (entry.call, name)
+
+
+def test_a_named_fault_is_told_on_simulated_data() -> None:
+    rng = np.random.default_rng(3)
+    plant = random_plant(rng, n=4, outputs=4, faults=3, dt=0.1)
+    entry = next(e for e in rs.suggest(plant).entries if e.method.name == "structured_bank")
+    assert set(entry.names) == set(plant.faults)
+    bank = entry.made
+    system = plant.system(("control", "fault"))
+    for k, name in enumerate(plant.faults):
+        v = rng.standard_normal((300, system.n_inputs))
+        v[:, len(plant.inputs) :] *= np.arange(3) == k
+        r = np.abs(bank.generator.run(v[:, : len(plant.inputs)], system.simulate(v)))
+        fired = [r[:, list(member.residuals)].max() > 1e-6 for member in bank.generator.members]
+        assert fired == list(bank.structure[:, bank.faults.index(name)])
+
+
+def test_it_prints_what_it_found(answer: suggestion.Suggestion) -> None:
+    text = str(answer)
+    for entry in answer.entries:
+        assert entry.call in text
+    assert all(note in text for note in answer.notes)
+
+
+def test_noise_brings_the_kalman_filter_first() -> None:
+    plant = rs.Plant([[0.9]], [[1.0]], [[1.0]], dt=1)
+    assert rs.suggest(plant).best.call == "rs.design.luenberger_observer(plant)"
+    noisy = rs.suggest(plant.with_noise(process=0.1, measurement=0.2))
+    assert noisy.best.call == "rs.design.kalman_filter(plant)"
+    assert any("noise" in note for note in noisy.notes)
+
+
+def test_a_singular_plant_is_said_to_be_one() -> None:
+    found = rs.suggest(singular_plant(np.random.default_rng(1), faults=0, sensors=False))
+    assert any("singular" in note for note in found.notes)
+    refused = {entry.method.name for entry in found.entries if entry.works is False}
+    assert {"luenberger_observer", "reduced_order_observer"} <= refused
+
+
+def test_disturbances_that_cannot_be_decoupled_are_told() -> None:
+    plant = rs.Plant([[0, 1], [-2, -3]], [[0], [1]], [[1, 0]])
+    late = rs.suggest(plant.with_disturbances({"load": [0, 1]}))  # seen by the second derivative only
+    assert any("only perfect_observer decouples" in note for note in late.notes)
+    assert late.best.call == "rs.design.perfect_observer(plant)"
+    hidden = rs.suggest(plant.with_disturbances({"load": [0, 1], "slip": [1, 0]}))
+    assert any("cannot be decoupled" in note for note in hidden.notes)
+    assert hidden.best.call == "rs.design.luenberger_observer(plant)"
+
+
+def test_what_is_too_large_is_not_tried() -> None:
+    rng = np.random.default_rng(5)
+    n = suggestion.LARGE + 10
+    plant = rs.Plant(-np.diag(rng.uniform(1, 2, n)), rng.standard_normal((n, 2)), np.eye(n)[:4]).with_sensor_faults()
+    found = rs.suggest(plant)
+    skipped = [entry for entry in found.entries if entry.works is None and "states are more" in entry.reason]
+    assert {"sensor_fault_bank", "fault_estimator"} <= {entry.method.name for entry in skipped}
+    n = suggestion.LARGEST + 1
+    found = rs.suggest(rs.Plant(-np.eye(n), np.ones((n, 1)), np.eye(n)[:2]).with_sensor_faults())
+    assert all(entry.works is None for entry in found.entries)
+    assert found.best is None
+    assert "nothing that was tried" in str(found)
+
+
+def test_no_time_no_trials() -> None:
+    found = rs.suggest(rs.library.gertler(), seconds=0)
+    assert all(entry.works is None for entry in found.entries)
+
+
+@pytest.mark.parametrize("options", [{"want": "everything"}, {"seconds": -1}, {"seconds": float("nan")}])
+def test_settings_that_make_no_sense_are_refused(options: dict) -> None:
+    with pytest.raises(SettingError):
+        rs.suggest(rs.library.gertler(), **options)
+
+
+@pytest.mark.parametrize("want", ["name", "size"])
+def test_faults_that_are_not_there_cannot_be_wanted(want: str) -> None:
+    with pytest.raises(SettingError, match="no faults"):
+        rs.suggest(rs.Plant([[-1.0]], [[1.0]], [[1.0]]), want=want)
+
+
+# ------------------------------------------------------------------------ the catalogue
+
+
+def test_every_design_function_has_a_record() -> None:
+    other = {"closed_loop", "compensation_gain"}  # they work on finished designs
+    functions = {name for name in rs.design.__all__ if inspect.isfunction(getattr(rs.design, name))} - other
+    assert functions == {method.name for method in catalogue.METHODS}
+
+
+@pytest.mark.parametrize("method", catalogue.METHODS, ids=lambda method: method.name)
+def test_records_say_what_the_functions_return(method: catalogue.Method) -> None:
+    assert inspect.signature(getattr(rs.design, method.name)).return_annotation == method.returns
+
+
+@pytest.mark.parametrize("method", catalogue.METHODS, ids=lambda method: method.name)
+def test_records_say_who_serves_singular_plants(method: catalogue.Method) -> None:
+    plant = rs.Plant(
+        [[-1, 1, 0], [0, -1, 1], [0, 0, 1]],
+        [[1], [0], [1]],
+        [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+        E=[[1, 0, 0], [0, 1, 0], [0, 0, 0]],
+    ).with_noise(process=1.0, measurement=1.0)
+    plant = plant.with_actuator_faults() if method.name == "actuator_fault_bank" else plant.with_sensor_faults([0])
+    if method.name == "inverse_form_observer":
+        plant = plant.without_faults().with_actuator_faults()
+    arguments = (["1"],) if method.name == "structured_bank" else ()
+
+    def design() -> object:
+        return getattr(rs.design, method.name)(plant, *arguments)
+
+    if method.singular:
+        assert type(design()).__name__ == method.returns
+    else:
+        with pytest.raises((DesignError, ModelError)):
+            design()
+
+
+def test_records_say_what_decouples() -> None:
+    plant = rs.library.jet_engine().with_noise(process=1.0, measurement=1.0)
+    for entry in rs.suggest(plant).entries:
+        made = entry.made
+        if made is None:
+            continue
+        try:
+            generator = made if isinstance(made, rs.design.ResidualGenerator) else made.residual_generator()
+        except DesignError:
+            continue
+        form = generator.internal_form()
+        first = len(generator.faults)
+        columns = list(range(first, first + len(generator.plant.disturbances)))
+        response = np.abs(form.frequency_response(np.logspace(-2, 3, 20)))
+        gain = response[:, :, columns].max() / response[:, :, :first].max()
+        assert (gain < 1e-6) == entry.method.decouples, entry.call
+
+
+def test_the_table_of_the_documentation_is_current() -> None:
+    path = REPOSITORY / "docs" / "make_tables.py"
+    spec = importlib.util.spec_from_file_location("make_tables", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    assert module.METHODS.read_text(encoding="utf-8") == module.methods()
