@@ -17,7 +17,7 @@ from residua.design.perfect_observer import PerfectObserver, perfect_observer
 from residua.design.reduced_order_observer import reduced_order_observer
 from residua.design.robust_detection_filter import robust_detection_filter
 from residua.design.sensor_fault_bank import sensor_fault_bank
-from residua.design.sensor_fault_estimators import FaultEstimatorBank, sensor_fault_estimators
+from residua.design.sensor_fault_estimators import SensorFaultEstimators, sensor_fault_estimators
 from residua.design.structured_bank import structured_bank
 from residua.design.suggestion import Suggestion
 from residua.design.unknown_input_observer import unknown_input_observer
@@ -27,12 +27,12 @@ __all__ = [
     "Compensation",
     "Evidence",
     "FaultEstimator",
-    "FaultEstimatorBank",
     "InverseFormObserver",
     "Member",
     "Observer",
     "PerfectObserver",
     "ResidualGenerator",
+    "SensorFaultEstimators",
     "Suggestion",
     "actuator_fault_bank",
     "closed_loop",

@@ -222,7 +222,7 @@ METHODS = (
     ),
     Method(
         "sensor_fault_estimators",
-        "FaultEstimatorBank",
+        "SensorFaultEstimators",
         "sensors",
         "as fault_estimator, one sensor at a time",
         "one estimate per sensor",

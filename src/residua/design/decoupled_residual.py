@@ -280,7 +280,7 @@ def _quotient(parts: _Parts, rtol: float) -> _Quotient:
     k = direct.rank
     G = parts.B @ (Vh[:k].T / s[:k]) @ U[:, :k].T
     W = U[:, k:].T
-    A, C = parts.A - G @ parts.C, W @ parts.C
+    A, C = parts.A - G @ parts.C, without_rounding(W, parts.C)
     L, _ = range_basis(parts.B @ Vh[k:].T, rtol=rtol, scale=1.0)
     S = detection_space(A, C, L, rtol=rtol).basis if L.shape[1] else _unobservable(A, C, rtol)
     if S.shape[1]:
@@ -294,7 +294,7 @@ def _quotient(parts: _Parts, rtol: float) -> _Quotient:
     inject, read = P.T @ (G + inject @ W), H @ W
     return _Quotient(
         F,
-        H @ C @ P,
+        without_rounding(H, C, P),
         P.T @ parts.derivative,
         inject,
         read,

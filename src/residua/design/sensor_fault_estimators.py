@@ -15,7 +15,7 @@ from residua.plant import Plant
 
 
 @dataclass(frozen=True, eq=False)
-class FaultEstimatorBank(Mapping[str, FaultEstimator]):
+class SensorFaultEstimators(Mapping[str, FaultEstimator]):
     """Fault estimators by the name of the sensor that each is for; a mapping.
 
     Each assumes that its own sensor alone is faulty. Which one is right shows in
@@ -55,7 +55,7 @@ def sensor_fault_estimators(
     margin: float | None = None,
     bandwidth: float | None = None,
     rtol: float = DEFAULT_RTOL,
-) -> FaultEstimatorBank:
+) -> SensorFaultEstimators:
     """Design one fault estimator for each sensor, each ignoring what its own sensor reads.
 
     One observer for all sensors at once would have all poles of the plant as fixed poles, and could not tell the
@@ -72,7 +72,7 @@ def sensor_fault_estimators(
 
     Returns
     -------
-    FaultEstimatorBank
+    SensorFaultEstimators
         Mapping of sensor to :class:`FaultEstimator`, with the sensors for which there is none.
 
     Raises
@@ -111,4 +111,4 @@ def sensor_fault_estimators(
     if not members:
         told = "; ".join(f"{name}: {reason}" for name, reason in failures.items())
         raise DesignError(f"no fault of a sensor can be estimated: {told}")
-    return FaultEstimatorBank(members, failures)
+    return SensorFaultEstimators(members, failures)
