@@ -72,13 +72,14 @@ def _check_subspaces(generator: ResidualGenerator, tolerance: float) -> None:
     w = np.logspace(-3, 1, 40) / (generator.dt or 1.0)
     response = form.frequency_response(w)
     terms = response_terms(generator.system, generator.plant, form, generator.state_map, generator.static_map, w)
-    units = np.abs(response).max(axis=(0, 2), initial=0.0) + 1e-6 * terms.max(axis=(0, 2), initial=0.0)
-    units = np.where(units > 0, units, 1.0)  # each residual has its own, and may ignore every fault
+    # each residual has its own units, and may ignore every fault; a basis leaves out 1e-6 of the terms
+    units = np.abs(response).max(axis=(0, 2), initial=0.0) + 1e-3 * terms.max(axis=(0, 2), initial=0.0)
+    units = np.where(units > 0, units, 1.0)
     for i, name in enumerate(generator.faults):
         basis = np.linalg.qr(generator.subspaces[name] / units[:, None])[0]
         column = response[:, :, i] / units
         outside = float(np.abs(column - column @ basis @ basis.T).max(initial=0.0))
-        if outside > max(tolerance, 5e-3):  # a basis leaves out what is 1e-6 of a response at every frequency
+        if outside > max(tolerance, 5e-3):
             raise AccuracyError(f"fault {name!r} leaves its subspace: {outside:.2g} of the gain")
 
 

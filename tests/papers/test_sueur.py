@@ -128,7 +128,7 @@ def test_poles_placed_by_their_inverses() -> None:
     # double poles scatter by the root of the rounding: their characteristic polynomial does not
     for poles in (found.poles, 1 / np.linalg.eigvals(found.N_BF)):
         assert np.abs(np.poly(poles) / np.poly(SENSOR_POLES) - 1).max() < 1e-6
-        assert np.abs(np.sort(poles.real) - np.sort(SENSOR_POLES)).max() < 1e-3
+        assert np.abs(np.sort(poles.real) - np.sort(SENSOR_POLES)).max() < 2e-2
 
 
 def test_one_observer_for_all_sensors_has_the_poles_of_the_plant() -> None:
