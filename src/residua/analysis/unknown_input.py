@@ -173,9 +173,13 @@ def unknown_input_observer_existence(plant: Plant, *, rtol: float = DEFAULT_RTOL
 
 def _projected(form: OutputFreeForm, CE: NDArray) -> NDArray:
     """Return ``A - E (CE)^+ C A``, exactly zero where only rounding is left."""
-    whole = np.eye(len(form.A))
-    H = form.E @ np.linalg.pinv(CE)
-    return without_rounding(without_rounding(np.hstack([whole, -H]), np.vstack([whole, form.C])), form.A)
+    return without_rounding(decoupling_map(form.E @ np.linalg.pinv(CE), form.C), form.A)
+
+
+def decoupling_map(H: NDArray, C: NDArray) -> NDArray[np.float64]:
+    """Return ``T = I - H C`` of an ordinary plant, exactly zero where only rounding is left."""
+    whole = np.eye(len(H))
+    return without_rounding(np.hstack([whole, -H]), np.vstack([whole, C]))
 
 
 def is_singular(plant: Plant) -> bool:
@@ -274,15 +278,28 @@ def with_equations_measured(plant: Plant) -> tuple[Plant, NDArray[np.float64]]:
     return measured, N
 
 
-def needs_equations(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> bool:
-    """Tell whether a singular plant needs its algebraic equations as measurements for the state to be determined."""
-    found = singular_decoupling(plant, output_free_form(plant, rtol=rtol), rtol=rtol)
-    return found.rank.rank < plant.n_states + found.rank_D.rank
+def with_needed_equations(
+    plant: Plant, *, used: list[int] | None = None, rtol: float = DEFAULT_RTOL
+) -> tuple[Plant, NDArray[np.float64]]:
+    """Return a singular plant with its algebraic equations measured, but only if its state is not determined without.
+
+    By all outputs, or by those used. The equations are as in :func:`with_equations_measured`, none if not needed.
+    """
+    seen = plant if used is None or len(used) == plant.n_outputs else _with_outputs(plant, used)
+    found = singular_decoupling(seen, output_free_form(seen, rtol=rtol), rtol=rtol)
+    if found.rank.rank < plant.n_states + found.rank_D.rank:
+        return with_equations_measured(plant)
+    return plant, np.zeros((0, plant.n_states))
+
+
+def _with_outputs(plant: Plant, chosen: list[int]) -> Plant:
+    """Return a plant with only some of its outputs, for a rank decision."""
+    rows = {f"D{role}": frozen(getattr(plant, f"D{role}")[chosen]) for role in "udfw"}
+    return plant._with(C=frozen(plant.C[chosen]), outputs=tuple(plant.outputs[i] for i in chosen), **rows)
 
 
 def _singular_existence(plant: Plant, rtol: float) -> UnknownInputExistence:
-    if needs_equations(plant, rtol=rtol):
-        plant, _ = with_equations_measured(plant)
+    plant, _ = with_needed_equations(plant, rtol=rtol)
     form = output_free_form(plant, rtol=rtol)
     found = singular_decoupling(plant, form, rtol=rtol)
     n, q = plant.n_states, found.rank_D.rank

@@ -12,6 +12,7 @@ from residua.design.evidence import Evidence
 from residua.design.generator import ResidualGenerator, make_generator
 from residua.design.internal_form import check_decoupling
 from residua.design.observer_gain import margin_from, place, pole_evidence
+from residua.design.signals import signal_names
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace, arrays
 from residua.linear.balancing import descriptor_units, without_rounding
@@ -126,7 +127,7 @@ def _assembled(
         -quotient.C,
         np.hstack([-V @ plant.Bu - Hy @ plant.Du, Hy]),
         dt=plant.dt,
-        inputs=[f"input {x}" for x in plant.inputs] + [f"output {x}" for x in plant.outputs],
+        inputs=signal_names(plant),
         outputs=[f"r{i + 1}" for i in range(len(Hy))],
     )
     evidence = Evidence(

@@ -10,15 +10,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.design.evidence import Evidence
 from residua.design.fault_reading import FaultReading, read_faults
-from residua.design.generator import ResidualGenerator, make_generator, sampled_filter, stack_signals
+from residua.design.generator import ResidualGenerator, make_generator
 from residua.design.internal_form import check_decoupling, frequency_grid, internal_form
 from residua.design.observer import Observer
+from residua.design.observer_gain import own_rate
+from residua.design.signals import sampled_filter, stack_signals
 from residua.design.unknown_input_observer import unknown_input_observer
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import StateSpace, arrays
 from residua.linear.norms import h2_norm, hinf_norm
 from residua.linear.placement import default_margin
-from residua.linear.pole_assignment import real_block_diagonal
 from residua.linear.rank import DEFAULT_RTOL
 from residua.plant import Plant
 
@@ -217,7 +218,7 @@ def fault_estimator(
     if bandwidth is not None and not (np.isfinite(bandwidth) and bandwidth > 0):
         raise SettingError(f"bandwidth must be a positive number in rad/s, got {bandwidth}")
     if poles is None and margin is None:
-        margin = _own_rate(plant)
+        margin = own_rate(plant)
     try:
         observer = unknown_input_observer(plant.faults_as_disturbances(names), poles=poles, margin=margin, rtol=rtol)
     except DesignError as error:
@@ -287,12 +288,7 @@ def _smoothing(plant: Plant, observer: Observer, reading: FaultReading, bandwidt
         return _Smoothing(late | (pole > 0), late, bandwidth or 0.0, pole)
     if bandwidth is not None:
         return _Smoothing(np.ones(len(late), dtype=bool), late, float(bandwidth), 0.0)
-    return _Smoothing(late, late, max(default_margin(observer.F), _own_rate(plant)) if late.any() else 0.0, 0.0)
-
-
-def _own_rate(plant: Plant) -> float:
-    """Return the geometric mean of the sizes of the plant's poles, in 1/s."""
-    return default_margin(real_block_diagonal(plant.system(()).poles()), plant.dt)
+    return _Smoothing(late, late, max(default_margin(observer.F), own_rate(plant)) if late.any() else 0.0, 0.0)
 
 
 def _realised(

@@ -9,8 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.analysis.unknown_input import algebraic_equations
 from residua.design.evidence import Evidence
-from residua.design.generator import ResidualGenerator, make_generator, sampled_filter, stack_signals
+from residua.design.generator import ResidualGenerator, make_generator
 from residua.design.internal_form import check_decoupling
+from residua.design.signals import sampled_filter, signal_names, stack_signals
 from residua.errors import DesignError
 from residua.linear import StateSpace
 from residua.plant import Plant
@@ -121,7 +122,7 @@ class Observer:
             self.M,
             np.hstack([direct, self.H]),
             dt=p.dt,
-            inputs=[f"input {x}" for x in p.inputs] + [f"output {x}" for x in p.outputs],
+            inputs=signal_names(p),
             outputs=[f"estimate {x}" for x in p.states],
         )
 
@@ -168,7 +169,7 @@ class Observer:
             states,
             np.hstack([-through @ p.Du - static @ p.Bu, through]),
             dt=p.dt,
-            inputs=[f"input {x}" for x in p.inputs] + [f"output {x}" for x in p.outputs],
+            inputs=signal_names(p),
             outputs=[name for name, kept in zip(self._residual_names(), keep, strict=True) if kept],
         )
         gains = check_decoupling(system, p, decoupled=self.decouples)

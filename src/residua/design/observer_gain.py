@@ -48,16 +48,14 @@ def margin_from(A1: NDArray, plant: Plant) -> float:
     if np.abs(modes).max(initial=0.0) > 1e-8 * np.linalg.norm(plant.A) and np.any(A1):
         return default_margin(A1, plant.dt)
     try:
-        poles = plant.system(()).poles()
+        return own_rate(plant)
     except ModelError:  # the pencil of a singular plant need not be regular
         return default_margin(A1, plant.dt)
-    return default_margin(real_block_diagonal(_in_pairs(poles)), plant.dt)
 
 
-def _in_pairs(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Return real poles and the pairs with positive imaginary part first, each followed by its conjugate."""
-    upper = poles[poles.imag > 0]
-    return np.concatenate([poles[poles.imag == 0], upper, upper.conj()])
+def own_rate(plant: Plant) -> float:
+    """Return the geometric mean of the sizes of the plant's poles, in 1/s."""
+    return default_margin(real_block_diagonal(plant.system(()).poles()), plant.dt)
 
 
 def pole_evidence(placed: Placement, F: NDArray) -> dict[str, Any]:

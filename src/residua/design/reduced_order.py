@@ -9,14 +9,13 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
-from residua.analysis.unknown_input import needs_equations, with_equations_measured
+from residua.analysis.unknown_input import with_needed_equations
 from residua.design.estimate_check import check_estimate
 from residua.design.evidence import Evidence
 from residua.design.observer import Observer, without_measured_equations
 from residua.design.observer_gain import margin_from, place, pole_evidence
 from residua.errors import AccuracyError, DesignError
 from residua.linear import arrays
-from residua.linear.arrays import frozen
 from residua.linear.balancing import descriptor_units, without_rounding
 from residua.linear.placement import Placement
 from residua.linear.rank import RankDecision, decide_rank, left_null_basis
@@ -42,20 +41,12 @@ def reduced_observer(
     """
     if plant.E is not None:
         chosen = arrays.positions(outputs, plant.outputs, "output")
-        partly = plant if len(chosen) == plant.n_outputs else _with_outputs(plant, chosen)
-        alone = not needs_equations(partly, rtol=rtol)
-        measured, N = (plant, np.zeros((0, plant.n_states))) if alone else with_equations_measured(plant)
+        measured, N = with_needed_equations(plant, used=chosen, rtol=rtol)
         chosen += range(plant.n_outputs, measured.n_outputs)
         made = _reduced(measured, method, reference, chosen, poles, margin, rtol)
         return without_measured_equations(made, plant, N)
     used = arrays.positions(outputs, plant.outputs, "output")
     return _reduced(plant, method, reference, used, poles, margin, rtol)
-
-
-def _with_outputs(plant: Plant, chosen: list[int]) -> Plant:
-    """Return a plant with only some of its outputs, for a rank decision."""
-    rows = {f"D{role}": frozen(getattr(plant, f"D{role}")[chosen]) for role in "udfw"}
-    return plant._with(C=frozen(plant.C[chosen]), outputs=tuple(plant.outputs[i] for i in chosen), **rows)
 
 
 def _reduced(

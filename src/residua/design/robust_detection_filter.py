@@ -7,12 +7,12 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from residua.analysis.unknown_input import output_free_form, unknown_input_observer_existence
+from residua.analysis.unknown_input import decoupling_map, output_free_form, unknown_input_observer_existence
 from residua.design.detection_filter import REFERENCES, directional_filters
 from residua.design.directional_gain import Poles
 from residua.design.evidence import Evidence
 from residua.design.generator import ResidualGenerator
-from residua.design.unknown_input_observer import REFERENCE, decoupling_gain, decoupling_map
+from residua.design.unknown_input_observer import REFERENCE, decoupling_gain
 from residua.errors import DesignError
 from residua.linear.balancing import without_rounding
 from residua.linear.rank import DEFAULT_RTOL
@@ -92,7 +92,7 @@ def robust_detection_filter(
         )
     form = output_free_form(plant, rtol=rtol)
     H = decoupling_gain(form, H0)
-    T = decoupling_map(plant, H)
+    T = decoupling_map(H, plant.C)
     p, q = len(form.W), form.E.shape[1]
     base = Evidence(
         method="robust detection filter",

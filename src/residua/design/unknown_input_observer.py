@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 from residua.analysis.unknown_input import (
     OutputFreeForm,
     UnknownInputExistence,
+    decoupling_map,
     error_pair,
     is_singular,
-    needs_equations,
     output_free_form,
     singular_decoupling,
     unknown_input_observer_existence,
-    with_equations_measured,
+    with_needed_equations,
 )
 from residua.design.estimate_check import check_estimate
 from residua.design.evidence import Evidence
@@ -113,7 +113,7 @@ def unknown_input_observer(
         return _of_singular_plant(plant, poles, margin, existence, rtol)
     form = output_free_form(plant, rtol=rtol)
     H = decoupling_gain(form, H0)
-    T = decoupling_map(plant, H)
+    T = decoupling_map(H, plant.C)
     A1 = without_rounding(T, form.A)
     if poles is None and margin is None:
         margin = margin_from(A1, plant)
@@ -129,8 +129,7 @@ def _of_singular_plant(
     rtol: float,
 ) -> Observer:
     """Return the observer of a singular plant: the free part of the decoupling is placed along with the gain."""
-    alone = not needs_equations(plant, rtol=rtol)
-    measured, N = (plant, np.zeros((0, plant.n_states))) if alone else with_equations_measured(plant)
+    measured, N = with_needed_equations(plant, rtol=rtol)
     form = output_free_form(measured, rtol=rtol)
     found = singular_decoupling(measured, form, rtol=rtol)
     A1, C1 = error_pair(found, form)
@@ -161,12 +160,6 @@ def decoupling_gain(form: OutputFreeForm, H0: ArrayLike | None = None) -> NDArra
         free = matrix(H0, "H0", (n, form.W.shape[1]), what="states x outputs") @ form.W.T
         H = H + free @ (np.eye(p) - CE @ inverse)
     return H @ form.W
-
-
-def decoupling_map(plant: Plant, H: NDArray) -> NDArray[np.float64]:
-    """Return ``T = I - H C`` of an ordinary plant, exactly zero where only rounding is left."""
-    whole = np.eye(plant.n_states)
-    return without_rounding(np.hstack([whole, -H]), np.vstack([whole, plant.C]))
 
 
 def assemble(

@@ -68,6 +68,16 @@ def without_rounding(*factors: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(np.abs(product) > 1e-13 * terms.shape[1] * terms, product, 0.0)
 
 
+def evened(
+    W: NDArray[np.float64], rows: NDArray[np.float64], columns: NDArray[np.float64], *, sweeps: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Even out the norms of rows and columns in turn, by powers of two, from given factors on."""
+    for _ in range(sweeps):
+        rows = rows / power_of_two(np.linalg.norm(rows[:, None] * W * columns, axis=1))
+        columns = columns / power_of_two(np.linalg.norm(rows[:, None] * W * columns, axis=0))
+    return rows, columns
+
+
 def _root(numerator: float, denominator: float) -> float:
     """Return the power of two that evens out two norms."""
     exponent = 0.5 * (math.log2(numerator) - math.log2(denominator))
@@ -171,12 +181,7 @@ def descriptor_units(A: NDArray, E: NDArray | None, B: NDArray, C: NDArray, D: N
     size_A, size_E = float(np.linalg.norm(A)), float(np.linalg.norm(E))
     unit = size_A / size_E if size_A and size_E else 1.0
     W = without_residue(np.block([[np.abs(A) + unit * np.abs(E), np.abs(B)], [np.abs(C), np.abs(D)]]))
-    rows, columns = np.ones(W.shape[0]), np.ones(W.shape[1])
-    for _ in range(4):
-        f = power_of_two(np.linalg.norm(W, axis=1))
-        W, rows = W / f[:, None], rows / f
-        f = power_of_two(np.linalg.norm(W, axis=0))
-        W, columns = W / f, columns / f
+    rows, columns = evened(W, np.ones(W.shape[0]), np.ones(W.shape[1]), sweeps=4)
     return DescriptorUnits(rows[:n], columns[:n], rows[n:])
 
 

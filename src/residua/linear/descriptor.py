@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import AccuracyError, ModelError
 from residua.linear import arrays
-from residua.linear.balancing import power_of_two, without_residue
+from residua.linear.balancing import evened, power_of_two, without_residue
 from residua.linear.rank import DEFAULT_RTOL, RankDecision, null_basis, range_basis
 
 Matrix = NDArray[np.float64]
@@ -47,12 +47,12 @@ def scaled_pencil(A: NDArray, E: NDArray, *, unit: float | None = None) -> Scale
     rows, columns = np.ones(A.shape[0]), np.ones(A.shape[1])
     if A.size:
         silent = np.logical_or.outer(~np.any(a, axis=1), ~np.any(a, axis=0))
-        rows, columns = _evened(a + np.where(silent, e, 0.0), rows, columns)
+        rows, columns = evened(a + np.where(silent, e, 0.0), rows, columns, sweeps=_SWEEPS)
     factor = 1.0 if unit is None else unit
     for _ in range(_ROUNDS if A.size and e.any() else 0):
         if unit is None:
             factor = _unit_of_s(rows[:, None] * a * columns, rows[:, None] * e * columns)
-        rows, columns = _evened(a + factor * e, rows, columns)
+        rows, columns = evened(a + factor * e, rows, columns, sweeps=_SWEEPS)
     return ScaledPencil(rows[:, None] * A * columns, factor * rows[:, None] * E * columns, rows, columns, factor)
 
 
@@ -73,7 +73,7 @@ def unit_free_pencil(A: NDArray, E: NDArray) -> ScaledPencil:
     rows, columns, factor = _logarithms_evened(a, e)
     for _ in range(_ROUNDS if A.size and e.any() else 0):
         factor = _unit_of_s(rows[:, None] * a * columns, rows[:, None] * e * columns)
-        rows, columns = _evened(a + factor * e, rows, columns)
+        rows, columns = evened(a + factor * e, rows, columns, sweeps=_SWEEPS)
     return ScaledPencil(rows[:, None] * A * columns, factor * rows[:, None] * E * columns, rows, columns, factor)
 
 
@@ -92,14 +92,6 @@ def _logarithms_evened(a: NDArray, e: NDArray) -> tuple[Matrix, Matrix, float]:
     x = np.linalg.lstsq(H, -known, rcond=None)[0] if len(i) else np.zeros(p + q + 1)
     factors = np.exp2(np.round(x))
     return factors[:p], factors[p : p + q], float(factors[-1])
-
-
-def _evened(W: NDArray, rows: NDArray, columns: NDArray) -> tuple[Matrix, Matrix]:
-    """Even out the norms of rows and columns in turn, from given factors on."""
-    for _ in range(_SWEEPS):
-        rows = rows / power_of_two(np.linalg.norm(rows[:, None] * W * columns, axis=1))
-        columns = columns / power_of_two(np.linalg.norm(rows[:, None] * W * columns, axis=0))
-    return rows, columns
 
 
 def _unit_of_s(A: NDArray, E: NDArray) -> float:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import AccuracyError
 from residua.linear import arrays
-from residua.linear.balancing import balance_system, power_of_two, without_residue
+from residua.linear.balancing import balance_system, evened, power_of_two, without_residue
 from residua.linear.rank import DEFAULT_RTOL, RankDecision, decide_rank
 
 
@@ -61,12 +61,7 @@ def _equilibrated(M: Matrices, E: NDArray[np.float64]) -> tuple[Matrices, NDArra
     E = E * unit
     W = np.block([[np.abs(A) + np.abs(E), np.abs(B)], [np.abs(C), np.abs(D)]])
     W = without_residue(W)
-    rows, columns = np.ones(W.shape[0]), np.ones(W.shape[1])
-    for _ in range(4):
-        f = power_of_two(np.linalg.norm(W, axis=1))
-        W, rows = W / f[:, None], rows / f
-        f = power_of_two(np.linalg.norm(W, axis=0))
-        W, columns = W / f, columns / f
+    rows, columns = evened(W, np.ones(W.shape[0]), np.ones(W.shape[1]), sweeps=4)
     r, q, c, v = rows[:n, None], rows[n:, None], columns[:n], columns[n:]
     return (r * A * c, r * B * v, q * C * c, q * D * v), r * E * c, unit
 
