@@ -9,8 +9,8 @@ import pytest
 
 import residua as rs
 from generated import random_plant, simulate
-from residua.design.detection_filter import event_matrices
-from residua.design.directional_gain import fault_events, obstacle
+from residua.design.detection_filters.detection_filter import event_matrices
+from residua.design.detection_filters.directional_gain import fault_events, obstacle
 from residua.errors import DesignError, ModelError
 from residua.linear.zeros import invariant_zeros
 

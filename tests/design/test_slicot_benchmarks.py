@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import sys
+import time
 from pathlib import Path
 from types import ModuleType
 
@@ -125,7 +126,11 @@ def test_the_checks_find_a_wrong_estimate(checks: ModuleType, table: ModuleType,
 
 
 def test_what_takes_too_long_is_ended(table: ModuleType, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def endless(plant: rs.Plant) -> None:
+        time.sleep(60)
+
     monkeypatch.setattr(table, "LIMIT", 0.01)
+    monkeypatch.setitem(table.FUNCTIONS, "luenberger_observer", table.Function("endless", "plain", endless))
     task = table.Task("BD01_1_09", "luenberger_observer", "poles")
     (outcome,) = table.run_all([task], folder)
     assert outcome.outcome == "third"

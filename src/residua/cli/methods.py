@@ -9,7 +9,7 @@ from typing import Any
 
 from residua import design
 from residua.design import Bank, ResidualGenerator
-from residua.design.fault_estimator import fault_estimator
+from residua.design.estimation.fault_estimator import fault_estimator
 from residua.errors import AccuracyError, DesignError
 from residua.plant import Plant
 

@@ -1,26 +1,26 @@
 """Residual generators and observers: one method, one file."""
 
-from residua.design.accommodation import Compensation, closed_loop, compensation_gain
-from residua.design.actuator_fault_bank import actuator_fault_bank
-from residua.design.bank import Bank
-from residua.design.decoupled_residual import decoupled_residual
-from residua.design.descriptor_observer import descriptor_observer
-from residua.design.detection_filter import detection_filter
+from residua.design.banks.actuator_fault_bank import actuator_fault_bank
+from residua.design.banks.bank import Bank
+from residua.design.banks.decoupled_residual import decoupled_residual
+from residua.design.banks.sensor_fault_bank import sensor_fault_bank
+from residua.design.banks.structured_bank import structured_bank
+from residua.design.detection_filters.detection_filter import detection_filter
+from residua.design.detection_filters.robust_detection_filter import robust_detection_filter
+from residua.design.estimation.accommodation import Compensation, closed_loop, compensation_gain
+from residua.design.estimation.fault_estimator import FaultEstimator, fault_estimator
+from residua.design.estimation.sensor_fault_estimators import SensorFaultEstimators, sensor_fault_estimators
 from residua.design.evidence import Evidence
-from residua.design.fault_estimator import FaultEstimator, fault_estimator
 from residua.design.generator import Member, ResidualGenerator
-from residua.design.inverse_form_observer import InverseFormObserver, inverse_form_observer
-from residua.design.kalman_filter import kalman_filter
-from residua.design.luenberger_observer import luenberger_observer
-from residua.design.observer import Observer
-from residua.design.perfect_observer import PerfectObserver, perfect_observer
-from residua.design.reduced_order_observer import reduced_order_observer
-from residua.design.robust_detection_filter import robust_detection_filter
-from residua.design.sensor_fault_bank import sensor_fault_bank
-from residua.design.sensor_fault_estimators import SensorFaultEstimators, sensor_fault_estimators
-from residua.design.structured_bank import structured_bank
+from residua.design.observers.descriptor_observer import descriptor_observer
+from residua.design.observers.inverse_form_observer import InverseFormObserver, inverse_form_observer
+from residua.design.observers.kalman_filter import kalman_filter
+from residua.design.observers.luenberger_observer import luenberger_observer
+from residua.design.observers.observer import Observer
+from residua.design.observers.perfect_observer import PerfectObserver, perfect_observer
+from residua.design.observers.reduced_order_observer import reduced_order_observer
+from residua.design.observers.unknown_input_observer import unknown_input_observer
 from residua.design.suggestion import Suggestion
-from residua.design.unknown_input_observer import unknown_input_observer
 
 __all__ = [
     "Bank",

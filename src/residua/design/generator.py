@@ -28,7 +28,7 @@ from residua.linear import StateSpace, decide_rank
 from residua.plant import Plant
 
 if TYPE_CHECKING:
-    from residua.design.observer import Observer
+    from residua.design.observers.observer import Observer
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from residua.analysis.diagnosability import Diagnosability, diagnosability
 from residua.analysis.unknown_input import is_singular
-from residua.design.bank import Bank
+from residua.design.banks.bank import Bank
 from residua.design.catalogue import Method, method
-from residua.design.fault_estimator import FaultEstimator
+from residua.design.estimation.fault_estimator import FaultEstimator
 from residua.design.generator import ResidualGenerator
 from residua.errors import AccuracyError, DesignError, ModelError, SettingError
 from residua.plant import Plant

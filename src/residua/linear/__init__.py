@@ -22,6 +22,14 @@ from residua.linear.observability import (
     observability_form,
 )
 from residua.linear.placement import Placement, default_margin, place_observer_margin, place_observer_poles
+from residua.linear.polynomial_matrix import PolynomialMatrix
+from residua.linear.polynomial_null_space import (
+    NullVectors,
+    PrimitivePart,
+    left_null_vectors,
+    primitive_part,
+    shortest_left_null_vectors,
+)
 from residua.linear.rank import DEFAULT_RTOL, RankDecision, decide_rank
 from residua.linear.riccati import RiccatiSolution, filter_riccati
 from residua.linear.sampling import sample
@@ -36,9 +44,12 @@ __all__ = [
     "Detectability",
     "DetectionSpace",
     "InvariantZeros",
+    "NullVectors",
     "ObservabilityForm",
     "PeakGain",
     "Placement",
+    "PolynomialMatrix",
+    "PrimitivePart",
     "RankDecision",
     "RiccatiSolution",
     "StateSpace",
@@ -56,12 +67,15 @@ __all__ = [
     "invariant_zeros",
     "is_regular",
     "is_stable_mode",
+    "left_null_vectors",
     "normal_rank",
     "observability_form",
     "pencil_rank_at",
     "place_observer_margin",
     "place_observer_poles",
+    "primitive_part",
     "sample",
+    "shortest_left_null_vectors",
     "simulate_descriptor",
     "weierstrass_form",
 ]

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from residua.design import ResidualGenerator
-from residua.design.detection_filter import stack_systems
+from residua.design.detection_filters.detection_filter import stack_systems
 from residua.design.generator import make_generator
 from residua.errors import ModelError
 

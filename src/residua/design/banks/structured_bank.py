@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.design.bank import Bank, Wanted, build_bank
-from residua.design.decoupled_residual import decoupled_residual
+from residua.design.banks.bank import Bank, Wanted, build_bank
+from residua.design.banks.decoupled_residual import decoupled_residual
 from residua.errors import DesignError
 from residua.linear import arrays
 from residua.linear.rank import DEFAULT_RTOL

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 
 from numpy.typing import ArrayLike
 
-from residua.design.observer import Observer
-from residua.design.reduced_order import reduced_observer
+from residua.design.observers.observer import Observer
+from residua.design.observers.reduced_order import reduced_observer
 from residua.linear.rank import DEFAULT_RTOL
 from residua.plant import Plant
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.design.evidence import Evidence
-from residua.design.perfect_gain import PerfectGain
+from residua.design.observers.perfect_gain import PerfectGain
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace, decide_rank, invariant_zeros
 from residua.linear.descriptor import scaled_pencil
@@ -18,7 +18,7 @@ from residua.linear.spectrum import describe_modes
 from residua.plant import Plant
 
 if TYPE_CHECKING:
-    from residua.design.perfect_observer import PerfectObserver
+    from residua.design.observers.perfect_observer import PerfectObserver
 
 REFERENCE = "Twardy and Kaczorek, part I, eqs. (30) to (33), Theorem 4, Procedure 2"
 

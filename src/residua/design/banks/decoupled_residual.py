@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua.design.evidence import Evidence
 from residua.design.generator import ResidualGenerator, make_generator
 from residua.design.internal_form import check_decoupling
-from residua.design.observer_gain import margin_from, place, pole_evidence
+from residua.design.observers.observer_gain import margin_from, place, pole_evidence
 from residua.design.signals import signal_names
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace, arrays

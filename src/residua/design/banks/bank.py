@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.analysis.codes import equal_codes, strongly_isolating
-from residua.design.detection_filter import stack_systems
+from residua.design.detection_filters.detection_filter import stack_systems
 from residua.design.evidence import Evidence
 from residua.design.generator import Member, ResidualGenerator, make_generator
 from residua.design.internal_form import check_decoupling
-from residua.design.observer import Observer
+from residua.design.observers.observer import Observer
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
 from residua.plant import Plant

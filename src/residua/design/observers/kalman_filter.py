@@ -6,7 +6,7 @@ import numpy as np
 
 from residua.design.evidence import Evidence
 from residua.design.generator import ResidualGenerator
-from residua.design.observer import Observer
+from residua.design.observers.observer import Observer
 from residua.errors import DesignError
 from residua.linear.riccati import filter_riccati
 from residua.plant import Plant

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 from numpy.typing import ArrayLike
 
 from residua.analysis.unknown_input import is_singular
-from residua.design.observer import Observer
-from residua.design.reduced_order import reduced_observer
+from residua.design.observers.observer import Observer
+from residua.design.observers.reduced_order import reduced_observer
 from residua.errors import DesignError
 from residua.linear.rank import DEFAULT_RTOL
 from residua.plant import Plant

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.design.directional_gain import checked_options
+from residua.design.detection_filters.directional_gain import checked_options
 from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear.placement import Placement, default_margin, place_observer_margin, place_observer_poles
 from residua.linear.pole_assignment import real_block_diagonal

@@ -8,14 +8,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.design.estimation.fault_reading import FaultReading, read_faults
 from residua.design.evidence import Evidence
-from residua.design.fault_reading import FaultReading, read_faults
 from residua.design.generator import ResidualGenerator, make_generator
 from residua.design.internal_form import check_decoupling, frequency_grid, internal_form
-from residua.design.observer import Observer
-from residua.design.observer_gain import own_rate
+from residua.design.observers.observer import Observer
+from residua.design.observers.observer_gain import own_rate
+from residua.design.observers.unknown_input_observer import unknown_input_observer
 from residua.design.signals import sampled_filter, stack_signals
-from residua.design.unknown_input_observer import unknown_input_observer
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import StateSpace, arrays
 from residua.linear.norms import h2_norm, hinf_norm

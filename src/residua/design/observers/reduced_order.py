@@ -10,10 +10,10 @@ import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from residua.analysis.unknown_input import with_needed_equations
-from residua.design.estimate_check import check_estimate
 from residua.design.evidence import Evidence
-from residua.design.observer import Observer, without_measured_equations
-from residua.design.observer_gain import margin_from, place, pole_evidence
+from residua.design.observers.estimate_check import check_estimate
+from residua.design.observers.observer import Observer, without_measured_equations
+from residua.design.observers.observer_gain import margin_from, place, pole_evidence
 from residua.errors import AccuracyError, DesignError
 from residua.linear import arrays
 from residua.linear.balancing import descriptor_units, without_rounding

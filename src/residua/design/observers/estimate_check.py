@@ -11,7 +11,7 @@ from residua.errors import AccuracyError, ModelError
 from residua.linear import StateSpace
 
 if TYPE_CHECKING:
-    from residua.design.observer import Observer
+    from residua.design.observers.observer import Observer
 
 
 def check_estimate(observer: Observer, *, limit: float = 3e-7) -> float:

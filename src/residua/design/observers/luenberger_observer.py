@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from residua.analysis.unknown_input import is_singular
-from residua.design.estimate_check import check_estimate
 from residua.design.evidence import Evidence
-from residua.design.observer import Observer
-from residua.design.observer_gain import place, pole_evidence
+from residua.design.observers.estimate_check import check_estimate
+from residua.design.observers.observer import Observer
+from residua.design.observers.observer_gain import place, pole_evidence
 from residua.errors import DesignError
 from residua.linear import arrays
 from residua.linear.rank import DEFAULT_RTOL

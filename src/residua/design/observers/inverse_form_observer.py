@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.analysis.unknown_input import unknown_input_observer_existence
 from residua.design.evidence import Evidence, format_pole
-from residua.design.observer import Observer
-from residua.design.unknown_input_observer import unknown_input_observer
+from residua.design.observers.observer import Observer
+from residua.design.observers.unknown_input_observer import unknown_input_observer
 from residua.errors import AccuracyError, DesignError
 from residua.linear import arrays, is_stable_mode
 from residua.linear.arrays import matrix

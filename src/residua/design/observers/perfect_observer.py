@@ -8,18 +8,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.design.differential_filter import differential_filter, trimmed
 from residua.design.evidence import Evidence
 from residua.design.generator import ResidualGenerator, make_generator
 from residua.design.internal_form import check_decoupling
-from residua.design.perfect_checks import (
+from residua.design.observers.differential_filter import differential_filter, trimmed
+from residua.design.observers.perfect_checks import (
     check_existence,
     check_singular,
     output_error_rows,
     perfect_evidence,
     reduced_rows,
 )
-from residua.design.perfect_gain import PerfectGain, full_rank_gain, given_gain, least_order_gain
+from residua.design.observers.perfect_gain import PerfectGain, full_rank_gain, given_gain, least_order_gain
 from residua.design.signals import sampled_filter, signal_names, stack_signals
 from residua.errors import DesignError, SettingError
 from residua.linear import StateSpace, WeierstrassForm, arrays, default_margin, weierstrass_form

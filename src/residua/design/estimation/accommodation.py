@@ -9,8 +9,8 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
-from residua.design.fault_estimator import FaultEstimator
-from residua.design.observer import Observer
+from residua.design.estimation.fault_estimator import FaultEstimator
+from residua.design.observers.observer import Observer
 from residua.errors import DesignError, ModelError, SettingError
 from residua.linear import StateSpace, arrays
 from residua.linear.arrays import matrix

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from numpy.typing import ArrayLike
 
-from residua.design.fault_estimator import FaultEstimator, fault_estimator
+from residua.design.estimation.fault_estimator import FaultEstimator, fault_estimator
 from residua.errors import AccuracyError, DesignError
 from residua.linear import arrays
 from residua.linear.rank import DEFAULT_RTOL

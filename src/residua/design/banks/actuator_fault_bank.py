@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 from numpy.typing import ArrayLike
 
-from residua.design.bank import Bank, build_bank, wanted_by_scheme
-from residua.design.member_design import advice_for, member_design
+from residua.design.banks.bank import Bank, build_bank, wanted_by_scheme
+from residua.design.banks.member_design import advice_for, member_design
 from residua.errors import DesignError
 from residua.linear.rank import DEFAULT_RTOL
 from residua.plant import Plant

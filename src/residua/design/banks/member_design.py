@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 from numpy.typing import ArrayLike
 
-from residua.design.bank import MemberDesign
-from residua.design.decoupled_residual import decoupled_residual
-from residua.design.descriptor_observer import descriptor_observer
-from residua.design.directional_gain import checked_options
+from residua.design.banks.bank import MemberDesign
+from residua.design.banks.decoupled_residual import decoupled_residual
+from residua.design.detection_filters.directional_gain import checked_options
 from residua.design.generator import ResidualGenerator
-from residua.design.perfect_observer import perfect_observer
-from residua.design.unknown_input_observer import unknown_input_observer
+from residua.design.observers.descriptor_observer import descriptor_observer
+from residua.design.observers.perfect_observer import perfect_observer
+from residua.design.observers.unknown_input_observer import unknown_input_observer
 from residua.errors import DesignError
 from residua.plant import Plant
 

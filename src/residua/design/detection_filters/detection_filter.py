@@ -10,7 +10,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from residua.analysis.unknown_input import output_free_form
-from residua.design.directional_gain import (
+from residua.design.detection_filters.directional_gain import (
     DirectionalGain,
     FaultEvent,
     Poles,
@@ -24,7 +24,7 @@ from residua.design.directional_gain import (
 from residua.design.evidence import Evidence
 from residua.design.generator import Member, ResidualGenerator, make_generator
 from residua.design.internal_form import check_decoupling
-from residua.design.observer import Observer
+from residua.design.observers.observer import Observer
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
 from residua.linear.arrays import index_of

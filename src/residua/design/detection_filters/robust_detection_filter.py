@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from residua.analysis.unknown_input import decoupling_map, output_free_form, unknown_input_observer_existence
-from residua.design.detection_filter import REFERENCES, directional_filters
-from residua.design.directional_gain import Poles
+from residua.design.detection_filters.detection_filter import REFERENCES, directional_filters
+from residua.design.detection_filters.directional_gain import Poles
 from residua.design.evidence import Evidence
 from residua.design.generator import ResidualGenerator
-from residua.design.unknown_input_observer import REFERENCE, decoupling_gain
+from residua.design.observers.unknown_input_observer import REFERENCE, decoupling_gain
 from residua.errors import DesignError
 from residua.linear.balancing import without_rounding
 from residua.linear.rank import DEFAULT_RTOL

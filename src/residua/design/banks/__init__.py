@@ -1,0 +1,1 @@
+"""Banks: residuals that ignore chosen faults, one by one and together."""

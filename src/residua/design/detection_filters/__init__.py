@@ -1,0 +1,1 @@
+"""Detection filters: each fault moves the residual in a direction of its own."""

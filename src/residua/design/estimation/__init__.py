@@ -1,0 +1,1 @@
+"""Estimates of faults, and control that makes up for them."""

@@ -1,0 +1,1 @@
+"""Observers: estimates of the state, and the residuals they leave."""
