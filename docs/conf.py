@@ -66,6 +66,7 @@ html_sidebars = {
         "command-line",
         "limits",
         "observers-on-benchmarks",
+        "coding-sets",
         "gallery/**",
     )
 }

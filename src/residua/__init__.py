@@ -8,11 +8,11 @@ from importlib import import_module
 from types import ModuleType
 
 from residua import analysis, decide, design, errors, library, linear, monitor, plant
-from residua.analysis import diagnosability
+from residua.analysis import coding, diagnosability
 from residua.design.suggestion import suggest
 from residua.linear import StateSpace
 from residua.monitor import Diagnosis, Monitor, read_recording
-from residua.plant import Plant, load_plant
+from residua.plant import InputOutputModel, Plant, load_plant
 
 _LAZY = ("report", "testing")  # they are not needed to run a monitor, and slower to import
 
@@ -20,10 +20,12 @@ __version__ = "0.1.0"
 
 __all__ = [
     "Diagnosis",
+    "InputOutputModel",
     "Monitor",
     "Plant",
     "StateSpace",
     "analysis",
+    "coding",
     "decide",
     "design",
     "diagnosability",

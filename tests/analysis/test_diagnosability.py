@@ -158,3 +158,20 @@ def test_units_do_not_matter(units: float) -> None:
     a, b = rs.diagnosability(plant), rs.diagnosability(other)
     assert a.detectable.tolist() == b.detectable.tolist()
     assert np.array_equal(a.isolable, b.isolable)
+
+
+def test_a_fault_in_state_and_output_is_seen_with_the_right_sign() -> None:
+    """From the fault to the output -s / (s + 1): nothing of it lasts."""
+    plant = rs.Plant([[-1]], [[1]], [[1]]).with_faults({"a": ([1], [-1])})
+    result = rs.diagnosability(plant)
+    assert result.detectable.tolist() == [True]
+    assert result.strongly_detectable.tolist() == [False]
+
+
+def test_faults_with_parallel_transfer_functions_cannot_be_told_apart() -> None:
+    plant = rs.Plant(np.diag([-1.0, -2.0]), [[1], [1]], np.eye(2))
+    plant = plant.with_faults({"a": ([1, 0], [1, 1]), "b": ([0, -1], [1, 1])})  # (s + 2, s + 1) over each of the poles
+    assert not rs.diagnosability(plant).isolable.any()
+    for row in ("10", "01"):
+        with pytest.raises(DesignError):
+            rs.design.structured_bank(plant, [row])

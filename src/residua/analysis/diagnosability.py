@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.analysis.unknown_input import UnknownInputExistence, unknown_input_observer_existence
+from residua.analysis.visibility import Visible, check_regular, generic_points, in_balanced_units, visible_columns
 from residua.errors import ModelError
-from residua.linear.balancing import state_units
-from residua.linear.rank import DEFAULT_RTOL, decide_rank, equilibrated
+from residua.linear.rank import DEFAULT_RTOL
 from residua.plant import Plant
 
 
@@ -87,7 +87,7 @@ class Diagnosability:
         if len(self.plant.disturbances) == 0:
             return "no output sees it"
         bare = self.plant.without_disturbances()
-        alone = _visible_columns(_in_balanced_units(bare), _test_points(bare), DEFAULT_RTOL)
+        alone = visible_columns(in_balanced_units(bare), generic_points(bare), DEFAULT_RTOL)
         if _decide(alone, DEFAULT_RTOL)[0][i]:
             return f"hidden by the disturbances {', '.join(self.plant.disturbances)}, which can imitate it"
         return "no output sees it"
@@ -114,7 +114,7 @@ class Diagnosability:
 def diagnosability(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> Diagnosability:
     r"""Tell which faults can be detected and which can be told apart, before any design.
 
-    A fault ``i`` is detectable when :math:`\operatorname{rank}\begin{bmatrix} sE-A & B_d & b_i\\ C & D_d & d_i
+    A fault ``i`` is detectable when :math:`\operatorname{rank}\begin{bmatrix} A-sE & B_d & b_i\\ C & D_d & d_i
     \end{bmatrix}` exceeds the rank without its column for almost every ``s``; it can be told from fault ``j``
     when that holds with fault ``j`` among the disturbances. A constant fault is seen for good when the same
     holds in the limit at ``s = 0`` (``z = 1``).
@@ -163,9 +163,9 @@ def diagnosability(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> Diagnosabilit
         raise ModelError(
             "the plant has no faults: name what may fail with with_sensor_faults, with_actuator_faults or with_faults"
         )
-    _check_regular(plant, _test_points(plant))
-    model = _in_balanced_units(plant)
-    generic = _visible_columns(model, _test_points(plant), rtol)
+    check_regular(plant, generic_points(plant))
+    model = in_balanced_units(plant)
+    generic = visible_columns(model, generic_points(plant), rtol)
     detectable, isolable = _decide(generic, rtol)
     strong, strongly_isolable = _decide_in_the_limit(model, generic, rtol)
     strong &= detectable
@@ -201,94 +201,7 @@ def group_twins(
     return tuple(tuple(faults[i] for i in group) for group in groups)
 
 
-def _test_points(plant: Plant) -> NDArray[np.complex128]:
-    """Return fixed points of the size of the plant's dynamics, off the axes, where a pole is unlikely."""
-    poles = plant.system(()).poles()
-    sizes = np.abs(poles[np.abs(poles) > 0])
-    size = float(np.exp(np.mean(np.log(sizes)))) if sizes.size else 1.0
-    if plant.is_discrete:
-        size = 1.0
-    angles = np.array([0.731, 1.947, 2.653])
-    return np.asarray(size * np.array([1.3170, 0.6931, 2.2360]) * np.exp(1j * angles), dtype=complex)
-
-
-@dataclass(frozen=True, eq=False)
-class _Visible:
-    """What the disturbances leave of each fault's column at some points.
-
-    Attributes
-    ----------
-    columns : ndarray, shape (points, residual dimension, faults)
-        Projections of the columns, scaled to unit length before.
-    rank : int
-        Normal rank of the pencil of the plant with its disturbances.
-    rounding : ndarray, shape (points,)
-        What rounding may have put into a projection.
-    """
-
-    columns: NDArray[np.complex128]
-    rank: int
-    rounding: NDArray[np.float64]
-
-
-def _in_balanced_units(plant: Plant) -> Plant:
-    """Return the plant in units in which couplings and channels are comparable; what is visible stays so."""
-    if plant.E is not None or plant.n_states == 0:
-        return plant
-    B = np.hstack([plant.Bd, plant.Bf])
-    T = state_units(plant.A, B, plant.C)
-    return plant._with(A=plant.A / T[:, None] * T, C=plant.C * T, Bd=plant.Bd / T[:, None], Bf=plant.Bf / T[:, None])
-
-
-def _visible_columns(plant: Plant, points: NDArray, rtol: float, rank: int | None = None) -> _Visible:
-    """Return what the disturbances leave of each fault at each point; ``rank`` overrides the decision."""
-    n = plant.n_states
-    E = np.eye(n) if plant.E is None else plant.E
-    row = _row_units(plant, float(np.abs(_test_points(plant)).max()))
-    Fd, Ff = np.vstack([plant.Bd, plant.Dd]) * row[:, None], np.vstack([plant.Bf, plant.Df]) * row[:, None]
-    Fd = Fd / np.maximum(np.linalg.norm(Fd, axis=0), 1e-300)
-    norms = np.linalg.norm(Ff, axis=0)
-    spectra, left = [], []
-    for s in points:
-        pencil = np.hstack([np.vstack([s * E - plant.A, plant.C]) * row[:, None], Fd])
-        scale = np.maximum(np.linalg.norm(pencil, axis=0), 1e-300)
-        U, values, _ = np.linalg.svd(pencil / scale)
-        spectra.append(values)
-        left.append(U)
-    if rank is None:
-        rank = max((int(np.count_nonzero(v > rtol * v[0])) for v in spectra if v.size), default=0)
-    smallest = np.array([v[rank - 1] / v[0] if rank else 1.0 for v in spectra])
-    # the bound is pessimistic where the pencil is nearly singular for reasons that no fault shares
-    rounding = np.minimum(1e3 * np.finfo(float).eps / np.maximum(smallest, 1e-300), 1e-6)
-    columns = np.stack([U[:, rank:].conj().T @ (Ff / norms) for U in left])
-    return _Visible(columns, rank, rounding)
-
-
-def _row_units(plant: Plant, size: float) -> NDArray[np.float64]:
-    """Return factors for the rows of the pencil that make its entries comparable, whatever the units."""
-    E = np.eye(plant.n_states) if plant.E is None else plant.E
-    top = np.hstack([size * np.abs(E) + np.abs(plant.A), np.abs(plant.Bd), np.abs(plant.Bf)])
-    M = np.vstack([top, np.abs(np.hstack([plant.C, plant.Dd, plant.Df]))])
-    row = np.ones(len(M))
-    for _ in range(10):
-        height = np.sqrt(M.max(axis=1, initial=0.0))
-        height = np.where(height > 0, height, 1.0)
-        width = np.sqrt(M.max(axis=0, initial=0.0))
-        M = M / height[:, None] / np.where(width > 0, width, 1.0)
-        row /= height
-    return row
-
-
-def _check_regular(plant: Plant, points: NDArray) -> None:
-    """Raise when det(sE - A) vanishes for every s."""
-    if plant.E is None or plant.n_states == 0:
-        return
-    ranks = [decide_rank(equilibrated(s * plant.E - plant.A, residue=0.0), rtol=1e-13).rank for s in points]
-    if max(ranks) < plant.n_states:
-        raise ModelError("det(sE - A) is zero for every s: the model is not a plant (check E and A)")
-
-
-def _decide(found: _Visible, rtol: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _decide(found: Visible, rtol: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return who is visible and who can be told from whom, the best over the test points."""
     size = np.linalg.norm(found.columns, axis=1)
     floor = np.maximum(found.rounding, 10 * rtol)[:, None]
@@ -311,19 +224,19 @@ def _sines(columns: NDArray) -> NDArray[np.float64]:
     return out
 
 
-def _decide_in_the_limit(plant: Plant, generic: _Visible, rtol: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _decide_in_the_limit(plant: Plant, generic: Visible, rtol: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return the same for constant signals.
 
     Where the pencil loses no rank at the limit, that point is used. Where it does (a zero of the plant), two
     points near it are compared: what shrinks with the distance is nothing in the limit.
     """
     limit = 1.0 if plant.is_discrete else 0.0
-    there = _visible_columns(plant, np.array([limit + 0j]), rtol)
+    there = visible_columns(plant, np.array([limit + 0j]), rtol)
     if there.rank == generic.rank:
         return _decide(there, rtol)
-    size = np.abs(_test_points(plant)).max()
+    size = np.abs(generic_points(plant)).max()
     points = limit + size * np.exp(0.731j) * np.array([1e-3, 1e-4])
-    near = _visible_columns(plant, points, rtol, generic.rank)
+    near = visible_columns(plant, points, rtol, generic.rank)
     far, close = np.linalg.norm(near.columns, axis=1)
     visible = (close > np.maximum(near.rounding[1], 10 * rtol)) & (close > 0.3 * far)
     sines = _sines(near.columns)

@@ -1,5 +1,6 @@
 """From residuals to alarms and named faults."""
 
+from residua.decide.consistency import ConsistentFault, Explanation, code_likelihoods, consistent_faults
 from residua.decide.directional import Directional, DirectionTest, correlation, projection_distance
 from residua.decide.member_thresholds import BankTest
 from residua.decide.norm_threshold import NormTest, NormThreshold
@@ -8,13 +9,17 @@ from residua.decide.whitening import whitening_matrix
 
 __all__ = [
     "BankTest",
+    "ConsistentFault",
     "CodeReading",
     "CodeTest",
     "DirectionTest",
     "Directional",
+    "Explanation",
     "NormTest",
     "NormThreshold",
     "Structured",
+    "code_likelihoods",
+    "consistent_faults",
     "correlation",
     "projection_distance",
     "read_code",

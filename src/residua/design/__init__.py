@@ -20,21 +20,30 @@ from residua.design.observers.observer import Observer
 from residua.design.observers.perfect_observer import PerfectObserver, perfect_observer
 from residua.design.observers.reduced_order_observer import reduced_order_observer
 from residua.design.observers.unknown_input_observer import unknown_input_observer
+from residua.design.parity.equivalence import Equivalence, RowTransformation
+from residua.design.parity.parity_relations import chow_willsky_matrices, parity_orders, parity_relations
+from residua.design.parity.primary_residuals import primary_residuals
+from residua.design.parity.relations import ParityRelations
+from residua.design.parity.structured_parity import structured_parity
 from residua.design.suggestion import Suggestion
 
 __all__ = [
     "Bank",
     "Compensation",
+    "Equivalence",
     "Evidence",
     "FaultEstimator",
     "InverseFormObserver",
     "Member",
     "Observer",
+    "ParityRelations",
     "PerfectObserver",
     "ResidualGenerator",
+    "RowTransformation",
     "SensorFaultEstimators",
     "Suggestion",
     "actuator_fault_bank",
+    "chow_willsky_matrices",
     "closed_loop",
     "compensation_gain",
     "decoupled_residual",
@@ -44,11 +53,15 @@ __all__ = [
     "inverse_form_observer",
     "kalman_filter",
     "luenberger_observer",
+    "parity_orders",
+    "parity_relations",
     "perfect_observer",
+    "primary_residuals",
     "reduced_order_observer",
     "robust_detection_filter",
     "sensor_fault_bank",
     "sensor_fault_estimators",
     "structured_bank",
+    "structured_parity",
     "unknown_input_observer",
 ]

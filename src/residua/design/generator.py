@@ -29,6 +29,8 @@ from residua.plant import Plant
 
 if TYPE_CHECKING:
     from residua.design.observers.observer import Observer
+    from residua.design.parity.equivalence import Equivalence
+    from residua.design.parity.relations import ParityRelations, Poles
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,8 @@ class ResidualGenerator:
     estimated : tuple of str
         For an estimator: the fault that each residual estimates, in its own units (``""`` for one that estimates
         none); empty otherwise.
+    relations : ParityRelations or None
+        The polynomials that it was made from; :meth:`to_parity` finds those of any other generator.
     steady : mapping of str to ndarray, or None
         Steady responses where they are known from elsewhere: sampling a continuous design keeps them.
 
@@ -100,6 +104,7 @@ class ResidualGenerator:
     known_form: StateSpace | None = field(default=None, repr=False)
     codes: NDArray[np.bool_] | None = field(default=None, repr=False)
     estimated: tuple[str, ...] = ()
+    relations: ParityRelations | None = field(default=None, repr=False)
     steady: Mapping[str, NDArray[np.float64]] | None = field(default=None, repr=False)
 
     # ------------------------------------------------------------------- facts
@@ -270,6 +275,100 @@ class ResidualGenerator:
         """
         return sampled_filter(self.system, self.plant, dt).simulate(stack_signals(self.plant, u, y), x0)
 
+    def to_parity(self) -> ParityRelations:
+        r"""Return the parity relations behind the residuals: the same equations without poles.
+
+        Each residual is :math:`r = r^* c(z) / d(z)` with a relation :math:`r^*` that is polynomial in inputs and
+        outputs; a factor ``c`` that all signals share is divided out, and told in ``divided``.
+
+        Returns
+        -------
+        ParityRelations
+
+        Raises
+        ------
+        AccuracyError
+            If a residual is no exact relation, such as that of a sampled continuous design, or the polynomials lose
+            too many digits.
+        DesignError
+            If the plant has an ``E`` and the generator no state map.
+
+        References
+        ----------
+        Gertler (1991), eqs. (3-18) to (3-23).
+
+        Examples
+        --------
+        >>> import residua as rs
+        >>> flt = rs.design.decoupled_residual(rs.library.gertler(), insensitive_to="p1", poles=[0.25, 0.3])
+        >>> flt.to_parity().orders
+        (2,)
+        """
+        from residua.design.parity.conversion import to_parity
+
+        return to_parity(self)
+
+    def with_poles(self, poles: Poles | None = None) -> ResidualGenerator:
+        """Return the generator of the same relations with other poles; see :meth:`ParityRelations.with_poles`.
+
+        Parameters
+        ----------
+        poles : sequence of complex, or mapping of str to sequence, optional
+            As many as the order of each relation; all zero in sampled time when omitted (the moving-average form).
+
+        Returns
+        -------
+        ResidualGenerator
+
+        Raises
+        ------
+        DesignError
+            If the poles do not fit.
+        AccuracyError
+            As for :meth:`to_parity`.
+
+        References
+        ----------
+        Gertler (1991), section 3.5.
+        """
+        return self.to_parity().with_poles(poles)
+
+    def equivalent_to(self, other: ResidualGenerator) -> Equivalence:
+        """Tell whether another generator is the same up to poles and scale, or another transformation, and which.
+
+        Parameters
+        ----------
+        other : ResidualGenerator
+            Of a plant with as many inputs and outputs, and of the same step.
+
+        Returns
+        -------
+        Equivalence
+            True when equivalent; prints the transformation from this generator to the other.
+
+        Raises
+        ------
+        ModelError
+            If the two take different signals.
+
+        References
+        ----------
+        Gertler (1991), section 3.5: every residual generator is a transformation of the primary residuals.
+
+        Examples
+        --------
+        >>> import residua as rs
+        >>> plant = rs.library.gertler()
+        >>> a = rs.design.decoupled_residual(plant, insensitive_to="p1", poles=[0.25, 0.3])
+        >>> b = rs.design.parity_relations(plant, insensitive_to="p1")
+        >>> print(b.equivalent_to(a))
+        equivalent: the same up to poles and scale (to ...)
+          r1 = ... x zeros at 0, 0 / poles at 0.3, 0.25 of r1
+        """
+        from residua.design.parity.equivalence import equivalence
+
+        return equivalence(self, other)
+
     def discretize(self, dt: float, *, hold_outputs: str = "linear") -> ResidualGenerator:
         """Return the generator sampled with step ``dt``.
 
@@ -310,6 +409,7 @@ class ResidualGenerator:
             evidence=evidence,
             state_map=None,
             static_map=None,
+            relations=None,
             known_form=None,  # noise of the sampled plant is not that of the continuous one, held between samples
             steady=self.steady_directions,
         )
@@ -335,6 +435,7 @@ def make_generator(
     members: tuple[Member, ...] = (),
     codes: NDArray[np.bool_] | None = None,
     estimated: tuple[str, ...] = (),
+    relations: ParityRelations | None = None,
 ) -> ResidualGenerator:
     """Return a generator with its signatures, after checking that it is stable and that its identities hold.
 
@@ -367,6 +468,7 @@ def make_generator(
         known_form=known_form,
         codes=codes,
         estimated=estimated,
+        relations=relations,
     )
 
 

@@ -1,5 +1,6 @@
 """Linear systems as values, and the matrix and pencil algorithms that SciPy lacks."""
 
+from residua.linear.common_factor import PrimitivePart, primitive_part
 from residua.linear.descriptor import WeierstrassForm, is_regular, weierstrass_form
 from residua.linear.descriptor_properties import (
     DescriptorProperty,
@@ -23,13 +24,7 @@ from residua.linear.observability import (
 )
 from residua.linear.placement import Placement, default_margin, place_observer_margin, place_observer_poles
 from residua.linear.polynomial_matrix import PolynomialMatrix
-from residua.linear.polynomial_null_space import (
-    NullVectors,
-    PrimitivePart,
-    left_null_vectors,
-    primitive_part,
-    shortest_left_null_vectors,
-)
+from residua.linear.polynomial_null_space import NullVectors, left_null_vectors, shortest_left_null_vectors
 from residua.linear.rank import DEFAULT_RTOL, RankDecision, decide_rank
 from residua.linear.riccati import RiccatiSolution, filter_riccati
 from residua.linear.sampling import sample

@@ -98,7 +98,9 @@ def conditioned_invariant_basis(
 def confining_gain(A: NDArray, C: NDArray, S: NDArray) -> NDArray[np.float64]:
     """Return the smallest gain ``D`` with ``(A - D C) S`` inside ``S`` and the range of ``D`` outside it."""
     outside = A @ S - S @ (S.T @ (A @ S))
-    return outside @ np.linalg.pinv(C @ S, rcond=1e-12)
+    U, s, Vh = np.linalg.svd(C @ S, full_matrices=False)
+    k = int(np.count_nonzero(s > 1e-12 * np.linalg.norm(C, 2))) if C.size else 0  # C S may be nothing but rounding
+    return outside @ (Vh[:k].T / s[:k]) @ U[:, :k].T
 
 
 @dataclass(frozen=True, eq=False)

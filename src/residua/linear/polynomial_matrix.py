@@ -105,10 +105,11 @@ class PolynomialMatrix:
         return value
 
     def select(
-        self, rows: Sequence[int] | slice = slice(None), columns: Sequence[int] | slice = slice(None)
+        self, rows: ArrayLike | slice = slice(None), columns: ArrayLike | slice = slice(None)
     ) -> PolynomialMatrix:
         """Return some of the rows and columns."""
-        return PolynomialMatrix(self.coefficients[:, rows][:, :, columns])
+        chosen = [x if isinstance(x, slice) else np.asarray(x, dtype=np.intp) for x in (rows, columns)]
+        return PolynomialMatrix(self.coefficients[:, chosen[0]][:, :, chosen[1]])
 
     def scaled(self, variable: float) -> PolynomialMatrix:
         """Return the same matrix in another variable: ``P(variable * x)``."""

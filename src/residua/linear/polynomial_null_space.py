@@ -1,20 +1,15 @@
-"""Polynomial rows that annihilate a polynomial matrix, and polynomials without their common factor."""
+"""Polynomial rows that annihilate a polynomial matrix."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
-from residua.errors import ModelError
 from residua.linear.balancing import evened, without_residue
 from residua.linear.polynomial_matrix import PolynomialMatrix
 from residua.linear.rank import DEFAULT_RTOL, RankDecision, decide_rank, left_null_basis
-
-#: A common factor is divided out when what is left of the division is below this fraction.
-_DIVISION = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,130 +137,3 @@ def _toeplitz(C: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
     for i in range(degree + 1):
         T[i, :, i : i + length] = C.transpose(1, 0, 2)
     return T.reshape((degree + 1) * rows, (degree + length) * columns)
-
-
-@dataclass(frozen=True, eq=False)
-class PrimitivePart:
-    """A polynomial matrix without the factor that all its entries share.
-
-    Attributes
-    ----------
-    matrix : PolynomialMatrix
-        What is left.
-    factor : ndarray
-        Coefficients of the common factor, monic, highest power first; ``[1]`` when there is none.
-    roots : ndarray
-        Its roots.
-    error : float
-        What the division leaves, relative to the largest coefficient of each entry.
-    """
-
-    matrix: PolynomialMatrix
-    factor: NDArray[np.float64]
-    roots: NDArray[np.complex128]
-    error: float
-
-
-def primitive_part(P: PolynomialMatrix, *, rtol: float = 1e-9, variable: float = 1.0) -> PrimitivePart:
-    r"""Divide out the common factor of all entries of a polynomial matrix, :math:`P(z) = c(z) P_0(z)`.
-
-    The degree of the factor is the dimension, less one, of the space of all :math:`Q` of the degree of ``P`` that are
-    parallel to it, :math:`Q_i P_j = Q_j P_i`; the smallest such ``Q`` is what is left. Both are found from
-    singular values, at points on the circle ``|z| = variable``. The division is undone when it does not come out.
-
-    Parameters
-    ----------
-    P : PolynomialMatrix
-        Not zero.
-    rtol : float
-        Singular values below this fraction of the largest count as zero.
-    variable : float
-        The size of the variable that matters.
-
-    Returns
-    -------
-    PrimitivePart
-
-    Raises
-    ------
-    ModelError
-        If all entries are zero.
-
-    Examples
-    --------
-    >>> from residua.linear import PolynomialMatrix, primitive_part
-    >>> found = primitive_part(PolynomialMatrix.from_entries([[[1, -0.9, 0.2], [0.7, -0.35]]]))  # (z - 0.5) in both
-    >>> found.roots.real.round(12).tolist(), found.matrix.degree
-    ([0.5], 1)
-    """
-    C = P.scaled(variable).coefficients.reshape(P.degree + 1, -1)
-    size = np.abs(C).max(axis=0, initial=0.0)
-    used = np.flatnonzero(size)
-    if not len(used):
-        raise ModelError("a polynomial matrix of zeros has no primitive part")
-    V = C[:, used] / size[used]
-    whole = PrimitivePart(P, np.ones(1), np.zeros(0, dtype=complex), 0.0)
-    if P.degree == 0:
-        return whole
-    most = _parallel(V, P.degree, rtol).shape[1] - 1
-    for common in range(most, 0, -1):
-        Q = _parallel(V, P.degree - common, rtol)
-        if Q.shape[1] == 0:
-            continue
-        left = Q[:, -1].reshape(P.degree - common + 1, len(used))
-        c, error = _quotient(V, left)
-        if error < _DIVISION:
-            return _divided(P, left * size[used], c, used, variable, error)
-    return whole
-
-
-def _divided(
-    P: PolynomialMatrix,
-    left: NDArray[np.float64],
-    c: NDArray[np.float64],
-    used: NDArray[np.intp],
-    variable: float,
-    error: float,
-) -> PrimitivePart:
-    """Return the result in the variable of ``P``, with a monic factor."""
-    powers = variable ** np.arange(len(c), dtype=float)
-    c = c / powers  # coefficients in z, lowest first
-    lead = c[-1]
-    out = np.zeros((len(left), P.shape[0] * P.shape[1]))
-    out[:, used] = left * lead / (variable ** np.arange(len(left), dtype=float))[:, None]
-    factor = (c / lead)[::-1]
-    return PrimitivePart(
-        PolynomialMatrix(out.reshape(len(left), *P.shape)), factor, np.roots(factor).astype(complex), error
-    )
-
-
-def _parallel(V: NDArray[np.float64], degree: int, rtol: float) -> NDArray[np.float64]:
-    """Return a basis, as columns, of the polynomial vectors of a degree that are multiples of ``V`` everywhere."""
-    width = V.shape[1]
-    count = len(V) + degree + 1
-    points = np.exp(2j * np.pi * (np.arange(count) + 0.25) / count)
-    powers = points[:, None] ** np.arange(max(len(V), degree + 1))
-    values = powers[:, : len(V)] @ V
-    values = values / np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-300)
-    blocks = []
-    for v, power in zip(values, powers[:, : degree + 1], strict=True):
-        off = np.eye(width) - np.outer(v, v.conj())  # annihilates what is parallel to v, from the left
-        blocks.append(np.kron(power[None, :], off))
-    M = np.vstack(blocks)
-    M = np.vstack([M.real, M.imag])
-    triangle = scipy.linalg.qr(M, mode="r", check_finite=False)[0][: M.shape[1]]
-    _, s, Vh = np.linalg.svd(triangle)
-    return Vh[int(np.count_nonzero(s > rtol * s[0])) :].T
-
-
-def _quotient(V: NDArray[np.float64], left: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Return ``c`` with ``V = c left`` by least squares, and how far it misses."""
-    length = len(V) - len(left) + 1
-    columns = []
-    for shift in range(length):
-        column = np.zeros_like(V)
-        column[shift : shift + len(left)] = left
-        columns.append(column.ravel())
-    M = np.array(columns).T
-    c = np.linalg.lstsq(M, V.ravel(), rcond=None)[0]
-    return c, float(np.abs(M @ c - V.ravel()).max())

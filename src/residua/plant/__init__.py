@@ -10,25 +10,34 @@ from residua.plant.disturbances import (
     factor_disturbance,
     quadratic_terms,
 )
+from residua.plant.input_output_conversion import input_output_from_plant
+from residua.plant.input_output_model import InputOutputModel
+from residua.plant.input_output_realization import Realization, realize_input_output
 from residua.plant.plant import Plant
 from residua.plant.plant_file import load_plant, loads_plant
 from residua.plant.plant_writer import dumps_plant, save_plant
 from residua.plant.sensor_filter import augment_sensor_filter, sensor_filter
+from residua.plant.transfer_functions import input_output_from_transfer_functions
 
 __all__ = [
     "Fault",
+    "InputOutputModel",
     "OperatingPoint",
     "Plant",
+    "Realization",
     "augment_sensor_filter",
     "disturbance_from_parameters",
     "disturbance_from_perturbations",
     "disturbance_from_steady_states",
     "dumps_plant",
     "factor_disturbance",
+    "input_output_from_plant",
+    "input_output_from_transfer_functions",
     "load_plant",
     "loads_plant",
     "plant_from_state_space",
     "quadratic_terms",
+    "realize_input_output",
     "save_plant",
     "sensor_filter",
     "without_algebraic_equations",

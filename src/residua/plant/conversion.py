@@ -71,10 +71,10 @@ def plant_from_state_space(
         C,
         D,
         E=getattr(system, "E", None),
-        dt=_step(getattr(system, "dt", None), dt, system),
-        inputs=inputs if inputs is not None else _labels(system, "input", B.shape[-1]),
-        outputs=outputs if outputs is not None else _labels(system, "output", C.shape[0]),
-        states=states if states is not None else _labels(system, "state", A.shape[0]),
+        dt=system_step(getattr(system, "dt", None), dt, system),
+        inputs=inputs if inputs is not None else system_labels(system, "input", B.shape[-1]),
+        outputs=outputs if outputs is not None else system_labels(system, "output", C.shape[0]),
+        states=states if states is not None else system_labels(system, "state", A.shape[0]),
         **({"name": system.name} if isinstance(getattr(system, "name", None), str) else {}) | options,
     )
 
@@ -83,7 +83,7 @@ def _looks_right(system: Any) -> bool:
     return all(np.ndim(getattr(system, letter, 0)) == 2 for letter in "ABCD")
 
 
-def _labels(system: Any, kind: str, count: int) -> tuple[str, ...] | None:
+def system_labels(system: Any, kind: str, count: int) -> tuple[str, ...] | None:
     """Return python-control's ``input_labels`` or residua's ``inputs``, when they are names."""
     for attribute in (f"{kind}_labels", f"{kind}s"):
         labels = getattr(system, attribute, None)
@@ -94,7 +94,7 @@ def _labels(system: Any, kind: str, count: int) -> tuple[str, ...] | None:
     return None
 
 
-def _step(own: Any, given: float | None, system: Any) -> float:
+def system_step(own: Any, given: float | None, system: Any) -> float:
     """Return the step; SciPy's continuous systems carry ``dt=None``, python-control's ``dt=0``."""
     module = type(system).__module__.partition(".")[0]
     if own is None and module == "scipy":

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from residua.analysis.codes import equal_codes, strongly_isolating
+from residua.analysis.coding_sets import Structure, structure_rows
 from residua.design.detection_filters.detection_filter import stack_systems
 from residua.design.evidence import Evidence
 from residua.design.generator import Member, ResidualGenerator, make_generator
@@ -135,6 +136,18 @@ def wanted_by_scheme(scheme: str, components: Mapping[str, str], without: str) -
     return wanted
 
 
+def wanted_rows(structure: Structure, faults: tuple[str, ...]) -> list[Wanted]:
+    """Return the members of a structure, one per row."""
+    return [
+        Wanted(
+            name,
+            tuple(fault for fault, one in zip(faults, row, strict=True) if not one),
+            tuple(fault for fault, one in zip(faults, row, strict=True) if one),
+        )
+        for name, row in structure_rows(structure, faults).items()
+    ]
+
+
 def build_bank(
     plant: Plant,
     wanted: list[Wanted],
@@ -196,6 +209,7 @@ def _for_whole_plant(part: ResidualGenerator, plant: Plant) -> ResidualGenerator
         state_map=part.state_map,
         static_map=part.static_map,
         known_form=known,
+        relations=None if part.relations is None else replace(part.relations, plant=plant),
     )
 
 
@@ -252,6 +266,9 @@ def _stacked(parts: dict[str, ResidualGenerator], method: str, reference: str) -
         "members": tuple(members),
         "codes": np.array(codes, dtype=bool).reshape(len(codes), len(plant.faults)),
     }
+    relations = [g.relations for g in generators if g.relations is not None]
+    if len(relations) == len(generators):
+        told["relations"] = relations[0].stacked_with(relations[1:], tuple(parts))
     maps = [g.state_map for g in generators if g.state_map is not None]
     if len(maps) < len(generators):
         form = _named(stack_systems([g.internal_form() for g in generators]), parts)

@@ -2,20 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
-
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
-from residua.design.banks.bank import Bank, Wanted, build_bank
+from residua.analysis.coding_sets import Structure
+from residua.design.banks.bank import Bank, build_bank, wanted_rows
 from residua.design.banks.decoupled_residual import decoupled_residual
-from residua.errors import DesignError
-from residua.linear import arrays
 from residua.linear.rank import DEFAULT_RTOL
 from residua.plant import Plant
-
-Structure = ArrayLike | Sequence[str] | Mapping[str, Iterable[str]]
 
 
 def structured_bank(
@@ -35,7 +26,7 @@ def structured_bank(
     ----------
     plant : Plant
         Continuous or sampled, ``E`` singular or not.
-    structure : array_like of bool, shape (residuals, faults), or sequence of str, or mapping
+    structure : array_like of bool, shape (residuals, faults), or sequence of str, or mapping, or CodingSet
         Columns in the order of ``plant.faults``; rows may be written ``"0111"``. A mapping gives for each residual
         name the faults that it answers to.
     margin : float, optional
@@ -70,57 +61,11 @@ def structured_bank(
       1: p1
       2: p2
     """
-    wanted = [
-        Wanted(
-            name,
-            tuple(fault for fault, one in zip(plant.faults, row, strict=True) if not one),
-            tuple(fault for fault, one in zip(plant.faults, row, strict=True) if one),
-        )
-        for name, row in _rows(structure, plant).items()
-    ]
     return build_bank(
         plant,
-        wanted,
+        wanted_rows(structure, plant.faults),
         lambda p: decoupled_residual(p, margin=margin, rtol=rtol),
         "structured bank",
         allow_missing=allow_missing,
         reference="Gertler (1991), section 4",
     )
-
-
-def _rows(structure: Structure, plant: Plant) -> dict[str, NDArray[np.bool_]]:
-    """Return the rows of a structure by name."""
-    faults = plant.faults
-    if not faults:
-        raise DesignError("the plant has no faults: add some with with_sensor_faults or with_faults")
-    if isinstance(structure, Mapping):
-        rows = {}
-        for name, seen in structure.items():
-            rows[str(name)] = np.zeros(len(faults), dtype=bool)
-            rows[str(name)][arrays.positions(seen, faults, "fault")] = True
-        return _without_empty(rows)
-    given: Any = [structure] if isinstance(structure, str) else structure
-    if isinstance(given, Sequence) and given and all(isinstance(row, str) for row in given):
-        wrong = [row for row in given if set(row) - {"0", "1"} or len(row) != len(faults)]
-        if wrong:
-            raise DesignError(f"row {wrong[0]!r}: expected {len(faults)} digits 0 or 1, one per fault")
-        given = [[digit == "1" for digit in row] for row in given]
-    try:
-        M = np.atleast_2d(np.asarray(given, dtype=float))
-    except (TypeError, ValueError) as error:
-        raise DesignError(f"structure must be a matrix of 0 and 1: {error}") from error
-    if M.ndim != 2 or M.shape[1] != len(faults) or not np.isin(M, (0, 1)).all():
-        raise DesignError(
-            f"structure must be 0 or 1, residuals x {len(faults)} faults ({', '.join(faults)}), got shape {M.shape}"
-        )
-    return _without_empty({f"r{i + 1}": row.astype(bool) for i, row in enumerate(M)})
-
-
-def _without_empty(rows: dict[str, NDArray[np.bool_]]) -> dict[str, NDArray[np.bool_]]:
-    """Raise for rows that would answer to nothing."""
-    for name, row in rows.items():
-        if not row.any():
-            raise DesignError(f"row {name!r} of the structure answers to no fault")
-    if not rows:
-        raise DesignError("the structure has no rows")
-    return rows

@@ -1,0 +1,212 @@
+"""Fewest rows that meet demands, the most even of these, and those whose columns differ the most: integer programs."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from functools import cached_property
+from math import ceil, floor
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import AccuracyError
+
+
+@dataclass(frozen=True, eq=False)
+class Cover:
+    """Rows to choose from, and what the chosen ones must do.
+
+    Attributes
+    ----------
+    rows : ndarray of bool, shape (rows, columns)
+    demands : ndarray of bool, shape (demands, rows)
+        Each demand is met by any of the rows marked; the first ones are that every column has a one.
+    pairs : list of pairs of int
+        Columns that must differ.
+    strong : bool
+        Whether they must differ both ways.
+    least : int
+        A number of rows below which it cannot be done.
+    """
+
+    rows: NDArray[np.bool_]
+    demands: NDArray[np.bool_]
+    pairs: list[tuple[int, int]]
+    strong: bool
+    least: int
+
+    @cached_property
+    def differences(self) -> NDArray[np.bool_]:
+        """For each pair, the rows in which its columns differ."""
+        first, second = [j for j, _ in self.pairs], [k for _, k in self.pairs]
+        return (self.rows[:, first] != self.rows[:, second]).T
+
+    def met(self, chosen: NDArray) -> bool:
+        """Whether chosen rows meet every demand."""
+        return bool(self.demands[:, chosen].any(axis=1).all())
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Chosen rows; ``bound`` is what the aim might still reach, ``None`` where it was proved to be reached."""
+
+    chosen: NDArray[np.int64]
+    bound: int | None
+    seconds: float
+
+
+def fewest(cover: Cover, limit: float) -> Found:
+    """Return a smallest choice of rows that meets all demands."""
+    begun = time.perf_counter()
+    n = len(cover.rows)
+    cuts, weights = _cuts(cover)
+    constraints = [
+        (cover.demands.astype(float), 1.0, np.inf),
+        (weights.astype(float), cuts, np.inf),
+        (np.ones((1, n)), float(cover.least), np.inf),
+    ]
+    result = _milp(np.ones(n), constraints, np.ones(n), np.ones(n), limit)
+    chosen = _greedy(cover.demands)
+    x = result.x
+    if x is not None:
+        better = np.flatnonzero(np.round(x[:n]))
+        if not cover.met(better):
+            raise AccuracyError("the integer program returned rows that do not meet the demands: report this plant")
+        chosen = better if len(better) < len(chosen) else chosen
+    bound = max(cover.least, _up(result.mip_dual_bound))
+    proved = result.status == 0 or bound >= len(chosen)
+    return Found(chosen, None if proved else bound, time.perf_counter() - begun)
+
+
+def even_cover(cover: Cover, chosen: NDArray[np.int64], limit: float) -> Found:
+    """Return as many rows that meet the demands and have the most even numbers of ones and zeros."""
+    begun = time.perf_counter()
+    now = _unevenness(cover.rows[chosen])
+    if now == 0:
+        return Found(chosen, None, 0.0)
+    result = _milp(*_even_program(cover, len(chosen)), limit)
+    if result.x is not None:
+        other = np.flatnonzero(np.round(result.x[: len(cover.rows)]))
+        if len(other) == len(chosen) and cover.met(other) and _unevenness(cover.rows[other]) < now:
+            chosen, now = other, _unevenness(cover.rows[other])
+    bound = max(0, _up(result.mip_dual_bound))
+    proved = result.status == 0 or bound >= now
+    return Found(chosen, None if proved else bound, time.perf_counter() - begun)
+
+
+def far_cover(cover: Cover, chosen: NDArray[np.int64], limit: float) -> Found:
+    """Return as many rows, no less even, whose columns differ in as many places as possible."""
+    begun = time.perf_counter()
+    if not cover.pairs:
+        return Found(chosen, None, 0.0)
+    now = int(cover.differences[:, chosen].sum(axis=1).min())
+    _, constraints, upper, integral = _even_program(cover, len(chosen))
+    n = len(cover.rows)
+    constraints = [(_wider(M), low, high) for M, low, high in constraints]
+    spread = np.array([[*np.zeros(n), -1.0, 1.0, -1.0, 1.0, 0.0]])
+    constraints.append((spread, 0.0, float(_unevenness(cover.rows[chosen]))))
+    D = np.hstack([cover.differences.astype(float), np.zeros((len(cover.pairs), 4)), -np.ones((len(cover.pairs), 1))])
+    constraints.append((D, 0.0, np.inf))
+    aim = np.zeros(n + 5)
+    aim[-1] = -1.0
+    result = _milp(aim, constraints, np.append(upper, len(chosen)), np.append(integral, 1.0), limit)
+    if result.x is not None:
+        other = np.flatnonzero(np.round(result.x[:n]))
+        fine = len(other) == len(chosen) and cover.met(other)
+        fine = fine and _unevenness(cover.rows[other]) <= _unevenness(cover.rows[chosen])
+        reached = int(cover.differences[:, other].sum(axis=1).min())
+        if fine and reached > now:
+            chosen, now = other, reached
+    dual = result.mip_dual_bound
+    bound = len(chosen) if dual is None or not np.isfinite(dual) else min(len(chosen), floor(-dual + 1e-6))
+    proved = result.status == 0 or bound <= now
+    return Found(chosen, None if proved else bound, time.perf_counter() - begun)
+
+
+def _even_program(cover: Cover, count: int) -> tuple[NDArray, list[tuple[NDArray, Any, Any]], NDArray, NDArray]:
+    """Return aim, constraints, upper bounds and integrality of the most even choice of ``count`` rows.
+
+    After the rows come the fewest and most ones of a column, and the fewest and most zeros of a chosen row.
+    """
+    n, columns = cover.rows.shape
+    zeros = (~cover.rows).sum(axis=1).astype(float)
+    few, many = zeros.min(), zeros.max()
+    ones = cover.rows.T.astype(float)
+    side = np.zeros((columns, 4))
+    lowest, highest = side.copy(), side.copy()
+    lowest[:, 0], highest[:, 1] = -1.0, -1.0
+    row_low, row_high = np.zeros((n, 4)), np.zeros((n, 4))
+    row_low[:, 2], row_high[:, 3] = 1.0, 1.0
+    constraints: list[tuple[NDArray, Any, Any]] = [
+        (np.hstack([cover.demands.astype(float), np.zeros((len(cover.demands), 4))]), 1.0, np.inf),
+        (np.array([[*np.ones(n), 0.0, 0.0, 0.0, 0.0]]), float(count), float(count)),
+        (np.hstack([ones, lowest]), 0.0, np.inf),
+        (np.hstack([ones, highest]), -np.inf, 0.0),
+        (np.hstack([np.diag(many - zeros), row_low]), -np.inf, many),  # fewest <= zeros of a chosen row
+        (np.hstack([np.diag(few - zeros), row_high]), few, np.inf),  # most >= zeros of a chosen row
+    ]
+    aim = np.array([*np.zeros(n), -1.0, 1.0, -1.0, 1.0])
+    upper = np.array([*np.ones(n), count, count, columns, columns], dtype=float)
+    return aim, constraints, upper, np.ones(n + 4)
+
+
+def _wider(M: NDArray) -> NDArray:
+    return np.hstack([M, np.zeros((len(M), 1))])
+
+
+def _unevenness(rows: NDArray[np.bool_]) -> int:
+    """Return the range of the ones of columns plus the range of the zeros of rows."""
+    return int(np.ptp(rows.sum(axis=0)) + np.ptp((~rows).sum(axis=1)))
+
+
+def _cuts(cover: Cover) -> tuple[NDArray, NDArray]:
+    """Return inequalities that all choices meet and fractions of rows do not: right-hand sides and weights.
+
+    A column that must be told from several others by zeros (or by ones) needs one row that does it for all of them,
+    or two rows. Without these the fractional problem lets one row do half of both.
+    """
+    R = cover.rows
+    sides, weights = [], []
+    if cover.strong:
+        for k in range(R.shape[1]):
+            others = [j for pair in cover.pairs if k in pair for j in pair if j != k]
+            for own in (R, ~R):
+                told = own[:, [k]] & ~own[:, others]
+                told = told[:, told.any(axis=0)]
+                if told.shape[1] > 1:
+                    sides.append(2.0)
+                    weights.append(told.any(axis=1).astype(float) + told.all(axis=1))
+    return np.array(sides), np.array(weights).reshape(len(sides), len(R))
+
+
+def _greedy(demands: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return rows that meet the demands: the one that meets most of those left comes next."""
+    left, chosen = demands.copy(), []
+    while left.shape[0]:
+        best = int(left.sum(axis=0).argmax())
+        if not left[:, best].any():
+            raise AccuracyError("a demand that no row meets reached the search: report this plant")
+        chosen.append(best)
+        left = left[~left[:, best]]
+    return np.array(sorted(chosen), dtype=np.int64)
+
+
+def _milp(aim: NDArray, constraints: list, upper: NDArray, integral: NDArray, limit: float) -> Any:
+    """Run HiGHS on sparse constraints."""
+    from scipy.optimize import Bounds, LinearConstraint, milp  # slow to import, and needed only here
+    from scipy.sparse import csr_array
+
+    given = [LinearConstraint(csr_array(M), low, high) for M, low, high in constraints if len(M)]  # pyright: ignore
+    return milp(
+        aim,
+        constraints=given,
+        bounds=Bounds(np.zeros(len(aim)), upper),  # pyright: ignore
+        integrality=integral,
+        options={"time_limit": max(limit, 0.05)},
+    )
+
+
+def _up(bound: float | None) -> int:
+    return 0 if bound is None or not np.isfinite(bound) else ceil(bound - 1e-6)

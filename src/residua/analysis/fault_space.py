@@ -1,0 +1,184 @@
+"""Which sets of faults hide which others from every residual: the faults as columns over the rational functions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.analysis.visibility import Visible, check_regular, generic_points, in_balanced_units, visible_columns
+from residua.errors import DesignError
+from residua.plant import Plant
+
+#: Two columns closer than this are the same, as for diagnosability.
+LEAST_SINE = 1e-7
+
+
+@dataclass(frozen=True, eq=False)
+class _Directions:
+    """The columns at some points, of unit length, and what rounding may have done to them.
+
+    Attributes
+    ----------
+    unit : ndarray, shape (points, residual dimension, faults)
+    doubt : ndarray, shape (points, faults)
+        Infinite where a column is not visible.
+    size : ndarray, shape (points, faults)
+        Lengths of the columns before, as fractions of what the faults put into the equations.
+    """
+
+    unit: NDArray[np.complex128]
+    doubt: NDArray[np.float64]
+    size: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class FaultSpace:
+    """What the disturbances leave of each fault, and what is left of it when other faults are ignored too.
+
+    A residual that ignores some faults ignores all in their *closure*: those whose columns, over the rational
+    functions, are combinations of theirs. The closed sets are the flats of a matroid.
+
+    Attributes
+    ----------
+    faults : tuple of str
+    visible : ndarray of bool, shape (faults,)
+        Seen by some residual that ignores the disturbances.
+    dimension : int
+        How many independent residuals there are.
+    """
+
+    faults: tuple[str, ...]
+    visible: NDArray[np.bool_]
+    dimension: int
+    generic: _Directions
+    near: _Directions  # at two points near s = 0 (z = 1), the nearer one last
+    limit: _Directions | None  # at that point itself, unless it is a zero
+
+    def distances(self, basis: Sequence[int]) -> NDArray[np.float64]:
+        """Return how far each column is outside the span of independent ones: the sine of the angle over its limit."""
+        sines, limits = _outside(self.generic, basis)
+        ratio = np.where(np.isfinite(limits), sines / np.maximum(limits, 1e-300), 0.0).max(axis=0, initial=0.0)
+        return np.where(self.visible, ratio, 0.0)
+
+    def basis(self, chosen: Iterable[int]) -> list[int]:
+        """Return a largest independent subset of some faults; the one that is farthest from those taken comes next."""
+        left, taken = [j for j in chosen if self.visible[j]], []
+        while left:
+            ratio = self.distances(taken)[left]
+            best = int(ratio.argmax())
+            if ratio[best] <= 1:
+                break
+            taken.append(left.pop(best))
+        return taken
+
+    def closure(self, basis: Sequence[int]) -> NDArray[np.bool_]:
+        """Return which faults a residual ignores that ignores these, which must be independent."""
+        closed = self.distances(basis) <= 1
+        closed[list(basis)] = True
+        return closed
+
+    def lasting(self, basis: Sequence[int]) -> NDArray[np.bool_]:
+        """Return which faults leave a lasting trace while constant, in some residual that ignores the basis.
+
+        Decided at the limit itself, ``s = 0`` (``z = 1``), unless the pencil or the basis loses rank there. Then
+        two points near it are compared: what shrinks with the distance is nothing in the limit.
+        """
+        if self.limit is not None:
+            sines, limits = _outside(self.limit, basis)
+            if np.isfinite(limits[0, list(basis)]).all() and limits[0].min(initial=1.0) < 1e-4:
+                return self.visible & (sines[0] > limits[0])
+        sines, limits = _outside(self.near, basis)
+        traces = sines * self.near.size
+        return self.visible & (sines[1] > limits[1]) & (traces[1] > 0.3 * traces[0])
+
+    def hiders(self, fault: int, basis: Sequence[int]) -> list[int]:
+        """Return a smallest part of a basis that hides a fault of its closure; empty for one that is not visible."""
+        needed = list(basis)
+        for j in basis:
+            fewer = [i for i in needed if i != j]
+            if self.distances(fewer)[fault] <= 1:
+                needed = fewer
+        return needed
+
+    def flats(self, most: int) -> list[tuple[NDArray[np.bool_], list[int]]]:
+        """Return every closed set but the whole, with a basis, those of fewest dimensions first.
+
+        Raises DesignError when there are more than ``most``.
+        """
+        visible = np.flatnonzero(self.visible)
+        whole = len(self.basis(visible))
+        if not whole:
+            return []
+        found = [(~self.visible, [])]
+        level: list[tuple[NDArray[np.bool_], list[int]]] = list(found)
+        for _ in range(whole - 1):
+            above: dict[bytes, tuple[NDArray[np.bool_], list[int]]] = {}
+            for flat, basis in level:
+                covered = flat.copy()
+                for j in visible:
+                    if covered[j]:
+                        continue
+                    larger = [*basis, int(j)]
+                    closed = self.closure(larger) | flat
+                    covered |= closed
+                    if not closed.all():
+                        above.setdefault(closed.tobytes(), (closed, larger))
+                if len(found) + len(above) > most:
+                    raise DesignError(
+                        f"more than {most} rows are attainable with {len(visible)} faults and {whole} independent "
+                        "residuals: ask about the rows you mean (structure=...), watch fewer faults at a time "
+                        "(plant.without_faults), or allow more with most="
+                    )
+            level = list(above.values())
+            found += level
+        return found
+
+
+def fault_space(plant: Plant, *, rtol: float) -> FaultSpace:
+    """Return what the disturbances leave of each fault of a plant, at a few generic points and near the limit."""
+    if not plant.faults:
+        raise DesignError("the plant has no faults: add some with with_sensor_faults or with_faults")
+    points = generic_points(plant)
+    check_regular(plant, points)
+    model = in_balanced_units(plant)
+    found = visible_columns(model, points, rtol)
+    generic = _directions(found, rtol)
+    limit = 1.0 if plant.is_discrete else 0.0
+    close = limit + np.abs(points).max() * np.exp(0.731j) * np.array([1e-3, 1e-4])
+    near = _directions(visible_columns(model, close, rtol, found.rank), rtol)
+    there = visible_columns(model, np.array([limit + 0j]), rtol)
+    visible = np.asarray(np.isfinite(generic.doubt).any(axis=0))
+    return FaultSpace(
+        plant.faults,
+        visible,
+        found.columns.shape[1],
+        generic,
+        near,
+        _directions(there, rtol) if there.rank == found.rank else None,
+    )
+
+
+def _directions(found: Visible, rtol: float) -> _Directions:
+    """Return the columns with unit length, and the doubt that rounding leaves about each."""
+    size = np.linalg.norm(found.columns, axis=1)
+    floor = np.maximum(found.rounding, 10 * rtol)[:, None]
+    unit = found.columns / np.maximum(size, 1e-300)[:, None]
+    doubt = np.clip(10 * floor / np.maximum(size, 1e-300), LEAST_SINE, 1e-2)
+    return _Directions(unit, np.where(size > floor, doubt, np.inf), size)
+
+
+def _outside(columns: _Directions, basis: Sequence[int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return at each point the sine of each column to the span of some, and the limit below which it is inside."""
+    chosen = list(basis)
+    if not chosen:
+        return np.linalg.norm(columns.unit, axis=1), columns.doubt
+    U, s, _ = np.linalg.svd(columns.unit[:, :, chosen], full_matrices=False)
+    left = columns.unit
+    for _ in range(2):
+        left = left - U @ (U.conj().transpose(0, 2, 1) @ left)
+    doubt = np.maximum(columns.doubt, columns.doubt[:, chosen].max(axis=1, keepdims=True))
+    least = s[:, -1:] if len(chosen) <= columns.unit.shape[1] else np.zeros((len(s), 1))
+    return np.linalg.norm(left, axis=1), doubt / np.maximum(least, 1e-300)

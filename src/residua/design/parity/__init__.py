@@ -1,0 +1,1 @@
+"""Parity relations: polynomial equations between inputs and outputs that hold while nothing fails."""

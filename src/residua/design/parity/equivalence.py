@@ -1,0 +1,234 @@
+"""Whether two residual generators are the same up to a transformation, and by which one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.design.evidence import format_pole
+from residua.design.generator import ResidualGenerator
+from residua.design.internal_form import frequency_grid
+from residua.design.parity.conversion import RowFraction, row_fractions
+from residua.errors import AccuracyError, DesignError, ModelError
+from residua.linear import StateSpace
+from residua.linear.pencil_null_space import DEFAULT_RTOL
+
+#: Two responses are parallel when they miss each other by less than this, relative, at every frequency.
+_PARALLEL = 1e-6
+#: Responses smaller than this fraction of the largest over frequency say nothing about direction.
+_FAINT = 1e-7
+#: Zeros and poles nearer than this, relative to their size, cancel.
+_CANCEL = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class RowTransformation:
+    r"""One residual of the second generator as a filtered residual of the first, :math:`r_b = k\, Z(z) / P(z)\, r_a`.
+
+    Attributes
+    ----------
+    first, second : str
+        Names of the residuals.
+    gain : float
+        ``k``, for monic ``Z`` and ``P``.
+    zeros, poles : ndarray
+        Roots of ``Z`` and ``P``; what cancels is left out.
+    error : float
+        Largest relative distance of the two over frequency.
+    """
+
+    first: str
+    second: str
+    gain: float
+    zeros: NDArray[np.complex128]
+    poles: NDArray[np.complex128]
+    error: float
+
+    def evaluate(self, points: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        """Return the transfer function at some points."""
+        value = np.full(len(points), self.gain, dtype=np.complex128)
+        for zero in self.zeros:
+            value = value * (points - zero)
+        for pole in self.poles:
+            value = value / (points - pole)
+        return value
+
+    def __str__(self) -> str:
+        text = f"{self.second} = {self.gain:.6g}"
+        if len(self.zeros):
+            text += f" x zeros at {', '.join(map(format_pole, self.zeros))}"
+        if len(self.poles):
+            text += f" / poles at {', '.join(map(format_pole, self.poles))}"
+        return f"{text} of {self.first}"
+
+
+@dataclass(frozen=True, eq=False)
+class Equivalence:
+    """What one generator is to another.
+
+    True in a condition when the generators are equivalent. Prints the transformation, or what keeps them apart.
+
+    Attributes
+    ----------
+    equivalent : bool
+        Whether each is a transformation of the other.
+    kind : str
+        ``"identical"``, ``"scale"`` (up to factors and order of the residuals), ``"poles"`` (up to poles and
+        scale: each residual is one of the other's, filtered), ``"transformation"`` (each residual is a sum of
+        filtered ones), ``"part"`` (the second is a transformation of the first, not the reverse), ``"whole"`` (the
+        reverse of that) or ``"different"``.
+    rows : tuple of RowTransformation
+        For the first three kinds, one per residual of the second generator.
+    error : float
+        Largest relative distance over frequency of the second generator from the transformed first.
+    """
+
+    equivalent: bool
+    kind: str
+    rows: tuple[RowTransformation, ...]
+    error: float
+    first: StateSpace = field(repr=False)
+    second: StateSpace = field(repr=False)
+
+    def __bool__(self) -> bool:
+        return self.equivalent
+
+    def transformation(self, w: NDArray[np.float64]) -> NDArray[np.complex128]:
+        r"""Return :math:`V(j\omega)` with :math:`Q_b = V Q_a`, of least norm where it is not unique.
+
+        Parameters
+        ----------
+        w : ndarray, shape (k,)
+            Frequencies in rad/s.
+
+        Returns
+        -------
+        ndarray, shape (k, residuals of the second, residuals of the first)
+        """
+        return _transformation(self.first.frequency_response(w), self.second.frequency_response(w))
+
+    def __str__(self) -> str:
+        told = {
+            "identical": "the same filter",
+            "scale": "the same up to factors and order of the residuals",
+            "poles": "the same up to poles and scale",
+            "transformation": "each residual of one is a sum of filtered residuals of the other",
+            "part": "the second is a transformation of the first, which sees more",
+            "whole": "the first is a transformation of the second, which sees more",
+            "different": "neither is a transformation of the other",
+        }[self.kind]
+        lines = [f"{'equivalent' if self.equivalent else 'not equivalent'}: {told} (to {self.error:.1e})"]
+        return "\n".join([*lines, *(f"  {row}" for row in self.rows)])
+
+
+def equivalence(first: ResidualGenerator, second: ResidualGenerator, *, rtol: float = _PARALLEL) -> Equivalence:
+    """Tell whether two generators are the same up to a transformation; see :meth:`ResidualGenerator.equivalent_to`."""
+    a, b = first.system, second.system
+    if a.n_inputs != b.n_inputs or len(first.plant.inputs) != len(second.plant.inputs) or a.dt != b.dt:
+        raise ModelError(
+            f"generators of different signals cannot be compared: {len(first.plant.inputs)} inputs, "
+            f"{first.plant.n_outputs} outputs, dt={a.dt:g} and {len(second.plant.inputs)} inputs, "
+            f"{second.plant.n_outputs} outputs, dt={b.dt:g}"
+        )
+    w = frequency_grid(a, b)
+    Qa, Qb = a.frequency_response(w), b.frequency_response(w)
+    units = np.maximum(np.abs(Qa).max(axis=(0, 1)), 1e-300)  # of the signals
+    Qa, Qb = Qa / units, Qb / units
+    rows = _matched(first, second, Qa, Qb, rtol)
+    if rows:
+        plain = not any(len(row.zeros) or len(row.poles) for row in rows)
+        same = plain and all(
+            abs(row.gain - 1) < rtol and second.residuals.index(row.second) == first.residuals.index(row.first)
+            for row in rows
+        )
+        kind = "identical" if same else "scale" if plain else "poles"
+        return Equivalence(True, kind, rows, max(row.error for row in rows), a, b)
+    forth, back = _missed(Qa, Qb), _missed(Qb, Qa)
+    kind = {
+        (True, True): "transformation",
+        (True, False): "part",
+        (False, True): "whole",
+        (False, False): "different",
+    }[forth < rtol, back < rtol]
+    error = max(forth, back) if kind in ("transformation", "different") else min(forth, back)
+    return Equivalence(kind == "transformation", kind, (), error, a, b)
+
+
+def _matched(
+    first: ResidualGenerator, second: ResidualGenerator, Qa: NDArray, Qb: NDArray, rtol: float
+) -> tuple[RowTransformation, ...]:
+    """Return for each residual of the second which one of the first it is, filtered; nothing if one is none."""
+    if first.n_residuals != second.n_residuals:
+        return ()
+    free, pairs = list(range(first.n_residuals)), []
+    for j in range(second.n_residuals):
+        misses = [(_missed(Qa[:, i : i + 1], Qb[:, j : j + 1]), i) for i in free]
+        error, i = min(misses)
+        if not error < rtol:
+            return ()
+        free.remove(i)
+        pairs.append((i, j, error))
+    try:
+        fractions = _fractions(first), _fractions(second)
+    except (AccuracyError, DesignError):
+        return ()
+    w = frequency_grid(first.system, second.system)
+    return tuple(_row(first, second, fractions, i, j, error, Qa, Qb, w) for i, j, error in pairs)
+
+
+def _fractions(generator: ResidualGenerator) -> list[RowFraction]:
+    return row_fractions(generator, rtol=DEFAULT_RTOL)
+
+
+def _row(
+    first: ResidualGenerator,
+    second: ResidualGenerator,
+    fractions: tuple[list[RowFraction], list[RowFraction]],
+    i: int,
+    j: int,
+    error: float,
+    Qa: NDArray,
+    Qb: NDArray,
+    w: NDArray,
+) -> RowTransformation:
+    """Return the filter from one residual to another, with the gain that fits best."""
+    a, b = fractions[0][i], fractions[1][j]
+    zeros, poles = _cancelled(np.concatenate([b.zeros, a.poles]), np.concatenate([a.zeros, b.poles]))
+    shape = RowTransformation(first.residuals[i], second.residuals[j], 1.0, zeros, poles, error)
+    dt = first.system.dt
+    filtered = Qa[:, i] * shape.evaluate(np.exp(1j * w * dt) if dt else 1j * w)[:, None]
+    size = np.linalg.norm(filtered, axis=1)
+    weight = 1 / np.maximum(size, 1e-300)[:, None] ** 2
+    gain = float((weight * (filtered.conj() * Qb[:, j])).sum().real / (weight * np.abs(filtered) ** 2).sum())
+    off = np.linalg.norm(gain * filtered - Qb[:, j], axis=1) / np.maximum(np.linalg.norm(Qb[:, j], axis=1), 1e-300)
+    return RowTransformation(shape.first, shape.second, gain, zeros, poles, float(max(error, np.median(off))))
+
+
+def _cancelled(zeros: NDArray, poles: NDArray) -> tuple[NDArray, NDArray]:
+    """Return zeros and poles without those that stand in both."""
+    left, kept = list(poles), []
+    for zero in zeros:
+        near = [k for k, pole in enumerate(left) if abs(pole - zero) <= _CANCEL * max(1.0, abs(zero))]
+        if near:
+            left.pop(near[0])
+        else:
+            kept.append(zero)
+    return np.array(kept, dtype=np.complex128), np.array(left, dtype=np.complex128)
+
+
+def _missed(Qa: NDArray, Qb: NDArray) -> float:
+    """Return how far the rows of ``Qb`` are from combinations of those of ``Qa``, the worst over frequency."""
+    size = np.linalg.norm(Qb, axis=2)
+    loud = size > _FAINT * size.max(axis=0, initial=0.0)
+    left = Qb - _transformation(Qa, Qb) @ Qa
+    share = np.linalg.norm(left, axis=2) / np.maximum(size, 1e-300)
+    return float(np.max(np.where(loud, share, 0.0), initial=0.0))
+
+
+def _transformation(Qa: NDArray, Qb: NDArray) -> NDArray[np.complex128]:
+    """Return the least-squares ``V`` with ``V Qa = Qb`` at every frequency, in units of the rows."""
+    rows = np.maximum(np.linalg.norm(Qa, axis=2), 1e-300)
+    unit = Qa / rows[:, :, None]
+    return Qb @ np.linalg.pinv(unit, rcond=1e-9) / rows[:, None, :]

@@ -1,0 +1,222 @@
+"""Chow and Willsky's parity relations: all of an order, or the shortest."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.design.generator import ResidualGenerator
+from residua.design.parity.relation_model import RelationModel, relation_model
+from residua.design.parity.relations import Poles, relations_of
+from residua.design.parity.shortest import RelationSpace, relation_space, shortest_relations
+from residua.errors import DesignError
+from residua.linear import arrays
+from residua.linear.pencil_null_space import DEFAULT_RTOL
+from residua.plant import Plant
+from residua.plant.input_output_model import InputOutputModel
+
+
+def parity_relations(
+    plant: Plant | InputOutputModel,
+    *,
+    order: int | None = None,
+    insensitive_to: Iterable[str | int] | str = (),
+    outputs: Iterable[str | int] | str | None = None,
+    poles: Poles | None = None,
+    rtol: float = DEFAULT_RTOL,
+) -> ResidualGenerator:
+    r"""Design residuals from the last samples of inputs and outputs alone.
+
+    Over ``n' + 1`` samples the outputs are :math:`Y = R x + Q U`; every vector with
+
+    .. math:: w^T R = 0, \qquad w^T Q_{\text{ignored}} = 0
+
+    is a relation :math:`r^* = w^T (Y - Q U)` of order ``n'`` that no state, no disturbance and no ignored fault
+    enters. They are found with the states as unknowns, ``p (zE - A) = q C``, so that no power of ``A`` is formed.
+
+    Guaranteed (and checked): zero while nothing fails, for any state and any input; all relations of the order are
+    found, as independent ones.
+
+    Parameters
+    ----------
+    plant : Plant or InputOutputModel
+        Continuous or sampled; ``E`` may be singular.
+    order : int, optional
+        ``n'``: all independent relations of at most this order. The smallest at which there is one when omitted; those
+        of that order are then returned.
+    insensitive_to : sequence of str
+        Faults to ignore, besides all disturbances.
+    outputs : sequence of str, optional
+        The outputs that relations may read; all when omitted. See :func:`parity_orders` for the smallest orders.
+    poles : sequence of complex, or mapping of str to sequence, optional
+        See :meth:`ParityRelations.with_poles`. When omitted the residuals are the moving averages themselves, and in
+        continuous time all poles lie at the rate of the plant.
+    rtol : float
+        Relative tolerance of rank decisions, in balanced units.
+
+    Returns
+    -------
+    ResidualGenerator
+        Its ``relations`` hold the polynomials and print as equations.
+
+    Raises
+    ------
+    DesignError
+        If there is no such relation (of that order).
+    AccuracyError
+        If the coefficients miss the states: relations of high order lose digits, which ``decoupled_residual`` does not.
+
+    Notes
+    -----
+    Assumes: the model is exact, linear and time-invariant.
+
+    References
+    ----------
+    Chow and Willsky (1984), IEEE TAC 29(7); Gertler (1991), eqs. (3-5) to (3-10), section 4.2.
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> flt = rs.design.parity_relations(rs.library.gertler(), insensitive_to="p1")
+    >>> print(flt.relations)
+    r1 = y1[k] - 1.3 y1[k-1] + 0.36 y1[k-2] - 2 y2[k] + 2.7 y2[k-1] - 0.81 y2[k-2] + 0.7 u1[k-1] - 0.54 u1[k-2]
+    """
+    model = relation_model(plant)
+    ignored = [model.plant.faults[i] for i in arrays.positions(insensitive_to, model.plant.faults, "fault")]
+    chosen = model.reading(outputs)
+    if order is None:
+        found = shortest_relations(chosen, ignored, rtol)
+    else:
+        if order != int(order) or order < 0:
+            raise DesignError(f"order must be a whole number of past samples, got {order!r}")
+        found = relation_space(chosen, ignored, int(order), rtol)
+    if found is None or not found.count:
+        _none_such(chosen, ignored, order, rtol)
+    assert found is not None
+    rows = [found.relation(chosen, ignored, vector) for vector in found.vectors]
+    relations = relations_of(model.plant, rows)
+    notes = (*model.notes, *((f"ignores {', '.join(ignored)}",) if ignored else ()))
+    made = relations.with_poles(poles, notes=notes)
+    return with_rank(made, found)
+
+
+def parity_orders(
+    plant: Plant | InputOutputModel,
+    *,
+    insensitive_to: Iterable[str | int] | str = (),
+    most_outputs: int | None = None,
+    rtol: float = DEFAULT_RTOL,
+) -> dict[tuple[str, ...], int]:
+    """Return for each set of outputs the order of the shortest relation that reads no others.
+
+    Parameters
+    ----------
+    plant : Plant or InputOutputModel
+    insensitive_to : sequence of str
+        Faults to ignore, besides all disturbances.
+    most_outputs : int, optional
+        The largest sets to look at; all when omitted.
+    rtol : float
+        Relative tolerance of rank decisions.
+
+    Returns
+    -------
+    dict of tuple of str to int
+        Sets without any relation are left out.
+
+    Raises
+    ------
+    DesignError
+        If there are more than 1000 sets.
+
+    References
+    ----------
+    Gertler (1991), section 3.2.
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> rs.design.parity_orders(rs.library.gertler())
+    {('y1',): 2, ('y2',): 2, ('y1', 'y2'): 1}
+    """
+    model = relation_model(plant)
+    names = model.plant.outputs
+    ignored = [model.plant.faults[i] for i in arrays.positions(insensitive_to, model.plant.faults, "fault")]
+    most = len(names) if most_outputs is None else int(most_outputs)
+    sets = [chosen for size in range(1, most + 1) for chosen in combinations(names, size)] if len(names) < 20 else []
+    if not 0 < len(sets) <= 1000:
+        raise DesignError(f"{len(names)} outputs have too many sets: limit their size with most_outputs")
+    found = {chosen: shortest_relations(model.reading(chosen), ignored, rtol) for chosen in sets}
+    return {chosen: space.order for chosen, space in found.items() if space is not None}
+
+
+def chow_willsky_matrices(plant: Plant, order: int) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
+    r"""Return the matrices of :math:`Y(t) = R x(t - n') + Q_u U + Q_f F + Q_d D` over ``order + 1`` samples.
+
+    Parameters
+    ----------
+    plant : Plant
+        Without ``E``. In continuous time the samples are derivatives, the lowest first.
+    order : int
+        ``n'``.
+
+    Returns
+    -------
+    R : ndarray, shape ((order + 1) outputs, states)
+    Q : dict of str to ndarray, shape ((order + 1) outputs, (order + 1) signals)
+        For ``"control"``, ``"fault"`` and ``"disturbance"``; the oldest sample first.
+
+    Raises
+    ------
+    DesignError
+        If the plant has an ``E``, or the order is negative.
+
+    References
+    ----------
+    Gertler (1991), eqs. (3-7), (3-8).
+    """
+    if plant.E is not None:
+        raise DesignError("R and Q are made of powers of A: write the plant without E first (plant.explicit())")
+    if order < 0:
+        raise DesignError(f"order must not be negative, got {order}")
+    m, powers = plant.n_outputs, [plant.C]
+    for _ in range(order):
+        powers.append(powers[-1] @ plant.A)
+    Q = {}
+    for role, B, D in (
+        ("control", plant.Bu, plant.Du),
+        ("fault", plant.Bf, plant.Df),
+        ("disturbance", plant.Bd, plant.Dd),
+    ):
+        k = B.shape[1]
+        response = [D, *(power @ B for power in powers[:-1])]
+        whole = np.zeros(((order + 1) * m, (order + 1) * k))
+        for i in range(order + 1):
+            for j in range(i + 1):
+                whole[i * m : (i + 1) * m, j * k : (j + 1) * k] = response[i - j]
+        Q[role] = whole
+    return np.vstack(powers), Q
+
+
+def with_rank(made: ResidualGenerator, space: RelationSpace) -> ResidualGenerator:
+    """Return a generator whose evidence holds the rank decision behind its relations."""
+    ranks = {**made.evidence.ranks, "states and ignored signals": space.decision}
+    s = space.decision.singular_values
+    kept = {"condition of what is annihilated": float(s[0] / space.decision.smallest_kept)} if len(s) else {}
+    return replace(made, evidence=made.evidence.extended(ranks=ranks, conditions=kept))
+
+
+def _none_such(model: RelationModel, ignored: list[str], order: int | None, rtol: float) -> None:
+    """Raise, with the smallest order at which there is a relation, if any."""
+    what = ", ".join(f"'{name}'" for name in (*model.plant.disturbances, *ignored)) or "nothing"
+    shortest = shortest_relations(model, ignored, rtol) if order is not None else None
+    if shortest is not None:
+        raise DesignError(f"no relation of order {order} ignores {what}: the smallest order is {shortest.order}")
+    raise DesignError(
+        f"no parity relation ignores {what}: the measurements are all used up; add a sensor, read more outputs or "
+        "ignore less"
+    )

@@ -1,0 +1,111 @@
+"""Primary residuals: one equation of the model per output."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from residua.design.evidence import Evidence, format_pole
+from residua.design.generator import ResidualGenerator, make_generator
+from residua.design.internal_form import check_decoupling
+from residua.design.parity.relation import Relation, synthetic_division
+from residua.design.parity.relation_model import relation_model
+from residua.design.parity.relations import Poles, relations_of
+from residua.design.signals import signal_names
+from residua.errors import DesignError
+from residua.linear import StateSpace
+from residua.linear.polynomial_basis import PolynomialBasis
+from residua.plant import Plant
+from residua.plant.input_output_model import InputOutputModel
+
+
+def primary_residuals(
+    model: InputOutputModel | Plant, *, form: str = "ma", poles: Poles | None = None
+) -> ResidualGenerator:
+    r"""Return the residuals that the equations of a model are, one per output.
+
+    .. math:: e^* = H(z)\, y - G(z)\, u = H \Delta y - G \Delta u, \qquad e = y - S(z)\, u = \Delta y - S \Delta u
+
+    the moving-average form ``e*`` and the form ``e`` with the poles of the plant. With ``H`` diagonal each reads one
+    output only. All other residuals are transformations of them. Disturbances are not decoupled.
+
+    Parameters
+    ----------
+    model : InputOutputModel or Plant
+        A plant is taken in its input-output form, :meth:`InputOutputModel.from_plant`.
+    form : {"ma", "arma"}
+    poles : sequence of complex, or mapping of str to sequence, optional
+        For the moving-average form; see :meth:`ParityRelations.with_poles`.
+
+    Returns
+    -------
+    ResidualGenerator
+        With residuals ``e1``, ``e2``, ... in the order of the outputs.
+
+    Raises
+    ------
+    DesignError
+        If ``form`` is neither, or ``"arma"`` is asked for an unstable plant, or with poles.
+
+    Notes
+    -----
+    Assumes: the model is exact, linear and time-invariant, and for ``"arma"`` stable.
+
+    References
+    ----------
+    Gertler (1991), eqs. (3-1), (3-2).
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> print(rs.design.primary_residuals(rs.library.gertler()).relations)
+    e1 = y1[k] - 0.9 y1[k-1] + 0.2 y1[k-2] - 1.5 u1[k-1] + 0.65 u1[k-2]
+    e2 = y2[k] - 1.4 y2[k-1] + 0.45 y2[k-2] - 1.1 u1[k-1] + 0.95 u1[k-2]
+    """
+    io = InputOutputModel.from_plant(model) if isinstance(model, Plant) else model
+    if form not in ("ma", "arma"):
+        raise DesignError(f"form must be 'ma' or 'arma', got {form!r}")
+    equations = relation_model(io)
+    plant = equations.plant
+    names = [f"e{i + 1}" for i in range(plant.n_outputs)]
+    if form == "arma":
+        if poles is not None:
+            raise DesignError("the poles of the 'arma' form are those of the plant: leave them out, or use form='ma'")
+        return _with_the_poles_of(plant, names)
+    rows = []
+    for i, k in enumerate(io.H.row_degrees):
+        q, basis = io.H.coefficients[: k + 1, i], PolynomialBasis.powers(k + 1)
+        none = np.zeros((plant.n_states + plant.n_outputs, 0))
+        rows.append(Relation(synthetic_division(plant, q, basis), q, basis, none, np.zeros(0, dtype=np.complex128)))
+    return relations_of(plant, rows, names).with_poles(poles, method="primary residuals", notes=equations.notes)
+
+
+def _with_the_poles_of(plant: Plant, names: list[str]) -> ResidualGenerator:
+    """Return ``e = y - S u``: the plant runs along as a model."""
+    unstable = [pole for pole in plant.system(()).poles() if not _is_stable(pole, plant.is_discrete)]
+    if unstable:
+        raise DesignError(
+            f"the plant has the pole {format_pole(unstable[0])}, which is not stable, and e = y - S u takes it over: "
+            "use form='ma'"
+        )
+    n, m = plant.n_states, plant.n_outputs
+    system = StateSpace(
+        plant.A,
+        np.hstack([plant.Bu, np.zeros((n, m))]),
+        -plant.C,
+        np.hstack([-plant.Du, np.eye(m)]),
+        dt=plant.dt,
+        inputs=signal_names(plant),
+        outputs=names,
+    )
+    evidence = Evidence(
+        method="primary residuals",
+        poles=system.poles(),
+        decoupling=check_decoupling(system, plant, decoupled=False),
+        notes=("the poles are those of the plant",),
+        references=("Gertler (1991), eq. (3-1)",),
+    )
+    return make_generator(system, plant, "primary residuals", evidence, state_map=np.eye(n))
+
+
+def _is_stable(pole: complex, discrete: bool) -> bool:
+    return abs(pole) < 1 if discrete else pole.real < 0

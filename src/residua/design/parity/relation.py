@@ -1,0 +1,116 @@
+"""One parity relation: polynomials in a basis that keeps their digits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.design.generator import ResidualGenerator
+from residua.design.internal_form import frequency_grid
+from residua.design.observers.observer_gain import own_rate
+from residua.design.parity.relation_model import state_pencil
+from residua.errors import ModelError
+from residua.linear.pencil_null_space import pencil, refined
+from residua.linear.polynomial_basis import PolynomialBasis
+from residua.plant import Plant
+
+
+@dataclass(frozen=True, eq=False)
+class Relation:
+    r"""One relation: polynomials ``p``, ``q`` with :math:`p (zE - A) = q C`, as coefficients in a basis.
+
+    Attributes
+    ----------
+    p, q : ndarray, shape (order + 1, states) and (order + 1, outputs)
+    basis : PolynomialBasis
+    ignored : ndarray, shape (states + outputs, columns)
+        Constant columns that ``[p, q]`` annihilates besides.
+    divided : ndarray
+        Roots of the common factor that was divided out.
+    """
+
+    p: NDArray[np.float64]
+    q: NDArray[np.float64]
+    basis: PolynomialBasis
+    ignored: NDArray[np.float64]
+    divided: NDArray[np.complex128]
+
+    @property
+    def order(self) -> int:
+        """The degree."""
+        return len(self.q) - 1
+
+    def times(self, factor: float) -> Relation:
+        """Return a multiple."""
+        return replace(self, p=factor * self.p, q=factor * self.q)
+
+    def changed_to(self, basis: PolynomialBasis, plant: Plant) -> Relation:
+        """Return the same relation in another basis, made exact there."""
+        n = plant.n_states
+        x = self.basis.changed_to(basis, np.hstack([self.p, self.q]))
+        size = np.abs(np.hstack([self.p, self.q])).max(axis=0, initial=0.0)
+        used = size > 0
+        given = state_pencil(plant, self.ignored, basis)
+        part = pencil(given.P0[used], given.P1[used], basis)
+        x[:, used] = refined(part, x[:, used])
+        if plant.E is None:  # p (zI - A) = q C leaves no room for one more power
+            x[-1, :n] = 0.0
+        return replace(self, p=x[:, :n], q=x[:, n:], basis=basis)
+
+    def missed(self, plant: Plant) -> float:
+        """Return how far the states are from dropping out, relative to the terms that have to cancel."""
+        given = state_pencil(plant, np.zeros((plant.n_states + plant.n_outputs, 0)), self.basis)
+        x = np.hstack([self.p, self.q])
+        left = given.products(x)
+        terms = replace(given, P0=np.abs(given.P0), P1=np.abs(given.P1)).products(np.abs(x))
+        size = np.abs(terms).max(axis=0, initial=0.0)
+        return float(np.max(np.abs(left) / np.where(size > 0, size, 1.0), initial=0.0))
+
+
+def synthetic_division(plant: Plant, q: NDArray[np.float64], basis: PolynomialBasis) -> NDArray[np.float64]:
+    r"""Return ``p`` with :math:`p (z I - A) = q C` for a plant without ``E``, as far as the division comes out.
+
+    From the highest element on: :math:`\rho_{j-1} p_{j-1} = q_j C + p_j (A - a_j I) + \beta_{j+1} p_{j+1}`.
+    """
+    k, links = len(q) - 1, basis.links
+    p = np.zeros((k + 1, plant.n_states))
+    for j in range(k, 0, -1):
+        total = q[j] @ plant.C + p[j] @ plant.A - basis.real[j] * p[j]
+        if j < k and links[j + 1]:
+            total = total + links[j + 1] * p[j + 1]
+        p[j - 1] = total / basis.sizes[j - 1]
+    return p
+
+
+def digits_lost(rows: Sequence[Relation], generator: ResidualGenerator) -> float | None:
+    """Return how many digits of the data cancel in the residuals of faults that are seen, or ``None`` without faults.
+
+    In a filter on the poles of the rows' bases the terms are :math:`q_j N_j / N_k y`. What is left of them of the
+    response to a fault, at frequencies below the rate of the plant (the median), is what rounding in data and
+    arithmetic is relative to; of the faults that a residual sees, the one of which least is left counts.
+    """
+    plant = generator.plant
+    w = frequency_grid(generator.system, plant.system(()))
+    w = w[w <= max(plant_rate(plant), w[len(w) // 4])]
+    points = np.exp(1j * w * plant.dt) if plant.is_discrete else 1j * w
+    output = np.abs(plant.system("fault").frequency_response(w))
+    worst = 1.0
+    for i, row in enumerate(rows):
+        N = row.basis.values(points, row.order)
+        response = np.abs(N @ (row.p @ plant.Bf + row.q @ plant.Df))
+        terms = np.einsum("wj,jm,wmf->wf", np.abs(N), np.abs(row.q), output)
+        seen = generator.structure[i]
+        share = np.median(response / np.where(terms > 0, terms, 1.0), axis=0)[seen]
+        worst = min(worst, float(share.min(initial=1.0)))
+    return float(-np.log10(max(worst, 1e-300))) if plant.faults else None
+
+
+def plant_rate(plant: Plant) -> float:
+    """Return the rate at which the poles of a continuous filter are put when none are given, in 1/s."""
+    try:
+        return own_rate(plant)
+    except ModelError:  # a singular plant may have no poles
+        return 1.0

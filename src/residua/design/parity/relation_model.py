@@ -1,0 +1,115 @@
+"""A plant, or an input-output model, as the equations that parity relations are combined from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.design.evidence import format_pole
+from residua.errors import ModelError
+from residua.linear import arrays
+from residua.linear.pencil_null_space import Pencil, pencil
+from residua.linear.polynomial_basis import PolynomialBasis
+from residua.plant import Plant
+from residua.plant.input_output_model import InputOutputModel
+
+
+@dataclass(frozen=True, eq=False)
+class RelationModel:
+    r"""The equations of a plant, :math:`[zE - A;\, -C]\, x = [B_u;\, 0] u + \dots - [0;\, I] y`.
+
+    A relation is a combination ``x(z) = [p(z), q(z)]`` of their rows with ``x [zE - A; -C] = 0``: it says
+    :math:`q y - (p B_u + q D_u) u = (p B_f + q D_f) f + (p B_d + q D_d) d`.
+
+    Attributes
+    ----------
+    plant : Plant
+    excluded : ndarray, shape (rows, columns)
+        Constant columns that must be annihilated besides: outputs that may not be read.
+    basis : PolynomialBasis
+        In which polynomials are written: on the poles of the plant.
+    most : int
+        No relation of a shortest set is longer.
+    notes : tuple of str
+        What was done to the model before.
+    """
+
+    plant: Plant
+    excluded: NDArray[np.float64] = field(repr=False)
+    basis: PolynomialBasis = field(repr=False)
+    most: int
+    notes: tuple[str, ...] = ()
+
+    @property
+    def faults(self) -> NDArray[np.float64]:
+        """What the faults add to the equations, shape (states + outputs, faults)."""
+        return np.vstack([self.plant.Bf, self.plant.Df])
+
+    def ignored_columns(self, ignored: Sequence[str | int]) -> NDArray[np.float64]:
+        """Return the constant columns that a relation annihilates which ignores some faults and all disturbances."""
+        chosen = arrays.positions(ignored, self.plant.faults, "fault")
+        disturbances = np.vstack([self.plant.Bd, self.plant.Dd])
+        return np.hstack([self.excluded, disturbances, self.faults[:, chosen]])
+
+    def reading(self, outputs: Iterable[str | int] | str | None) -> RelationModel:
+        """Return the model of relations that read some of the outputs only."""
+        if outputs is None:
+            return self
+        chosen = arrays.positions(outputs, self.plant.outputs, "output")
+        n = self.plant.n_states
+        others = [n + i for i in range(self.plant.n_outputs) if i not in chosen]
+        return replace(self, excluded=np.hstack([self.excluded, np.eye(n + self.plant.n_outputs)[:, others]]))
+
+
+def relation_model(source: Plant | InputOutputModel) -> RelationModel:
+    """Return the equations of a plant, or of the minimal state-space form of an input-output model.
+
+    Raises
+    ------
+    ModelError
+        If it is neither.
+    """
+    notes: tuple[str, ...] = ()
+    if isinstance(source, InputOutputModel):
+        realized = source.realization()
+        if len(realized.removed_modes):
+            told = ", ".join(map(format_pole, realized.removed_modes))
+            notes = (f"the equations of the model share factors without effect, which were divided out: roots {told}",)
+        source = realized.plant
+    if not isinstance(source, Plant):
+        raise ModelError(f"parity relations are made from a Plant or an InputOutputModel, got {type(source).__name__}")
+    n = source.n_states
+    return RelationModel(source, np.zeros((n + source.n_outputs, 0)), basis_for(source, n + 1), n, notes)
+
+
+def state_pencil(plant: Plant, columns: NDArray[np.float64], basis: PolynomialBasis) -> Pencil:
+    """Return ``[zE - A; -C]`` with further constant columns."""
+    n, m = plant.n_states, plant.n_outputs
+    E = np.eye(n) if plant.E is None else plant.E
+    P0 = np.hstack([np.vstack([-plant.A, -plant.C]), columns])
+    P1 = np.hstack([np.vstack([E, np.zeros((m, n))]), np.zeros((n + m, columns.shape[1]))])
+    return pencil(P0, P1, basis)
+
+
+def basis_for(plant: Plant, count: int) -> PolynomialBasis:
+    """Return the basis on the poles of a plant, each used as often as needed for a number of nodes."""
+    try:
+        poles = plant.system(()).poles()
+    except ModelError:  # the pencil of a singular plant need not be regular
+        poles = np.zeros(0, dtype=np.complex128)
+    poles = np.where(np.abs(poles.imag) < 1e-9 * np.abs(poles), poles.real, poles)
+    poles = poles[np.isfinite(poles)]
+    size = float(np.median(np.abs(poles))) if len(poles) else 0.0
+    if not size:
+        E = np.eye(plant.n_states) if plant.E is None else plant.E
+        size = 1.0 if plant.is_discrete else float(np.linalg.norm(plant.A) / max(np.linalg.norm(E), 1e-300)) or 1.0
+    if not len(poles):
+        return PolynomialBasis.powers(count, size)
+    found = PolynomialBasis.on(poles)
+    floor = 1e-6 * size  # poles that meet would make sizes of rounding
+    one = PolynomialBasis(found.real, found.imaginary, np.maximum(found.sizes, floor))
+    times = -(-count // one.count)
+    return PolynomialBasis(*(np.tile(x, times) for x in (one.real, one.imaginary, one.sizes)))

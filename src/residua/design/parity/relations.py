@@ -1,0 +1,309 @@
+"""Parity relations as objects: what they say, how they print, and the filters that evaluate them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import ArrayLike, NDArray
+
+from residua.design.evidence import Evidence, format_pole
+from residua.design.generator import ResidualGenerator, make_generator
+from residua.design.internal_form import check_decoupling
+from residua.design.parity.realization import Realization, pole_basis, realize_relation
+from residua.design.parity.relation import Relation, digits_lost, plant_rate
+from residua.design.parity.relation_text import joined, terms_of
+from residua.design.signals import signal_names
+from residua.errors import AccuracyError, DesignError
+from residua.linear import PolynomialMatrix, StateSpace
+from residua.linear.polynomial_basis import PolynomialBasis
+from residua.plant import Plant
+
+#: What the states may be missed by, relative to the terms that have to cancel.
+_REMAINDER = 1e-8
+_LOST = "digits lost to cancellation"
+#: Poles of the filters of parity relations: one list for all, or one for each residual by name.
+Poles = Sequence[complex] | ArrayLike | Mapping[str, Sequence[complex]]
+
+
+@dataclass(frozen=True, eq=False)
+class ParityRelations:
+    r"""Polynomial equations between inputs and outputs that hold while nothing fails, one per residual.
+
+    .. math:: r^* = q(z)\, y - \left( p(z) B_u + q(z) D_u \right) u, \qquad p(z)\,(zE - A) = q(z)\, C
+
+    seen from the faults :math:`r^* = (p B_f + q D_f) f`. In sampled time ``z`` is the shift: the moving-average form
+    reads the last ``order + 1`` samples. In continuous time it is the derivative ``s``: only the relation divided by a
+    stable polynomial can be evaluated.
+
+    Attributes
+    ----------
+    plant : Plant
+    rows : tuple of Relation
+        The polynomials, in bases that keep their digits; see ``output_rows`` and the like for powers of ``z``.
+    names : tuple of str
+        Of the residuals.
+
+    References
+    ----------
+    Gertler (1991), eqs. (3-2), (3-4), (3-9), (3-10) and section 3.5.
+    """
+
+    plant: Plant
+    rows: tuple[Relation, ...] = field(repr=False)
+    names: tuple[str, ...]
+
+    # -------------------------------------------------------------------- facts
+
+    @property
+    def orders(self) -> tuple[int, ...]:
+        """The order of each relation: how many past samples, or derivatives, it reads."""
+        return tuple(row.order for row in self.rows)
+
+    @property
+    def divided(self) -> tuple[NDArray[np.complex128], ...]:
+        """For each residual the roots of the common factor that was divided out."""
+        return tuple(row.divided for row in self.rows)
+
+    @cached_property
+    def state_rows(self) -> PolynomialMatrix:
+        """``p(z)``, shape (residuals, states)."""
+        return self._in_powers[0]
+
+    @cached_property
+    def output_rows(self) -> PolynomialMatrix:
+        """The polynomials on the outputs, ``q(z)``, shape (residuals, outputs)."""
+        return self._in_powers[1]
+
+    @property
+    def input_rows(self) -> PolynomialMatrix:
+        """The polynomials on the control inputs, shape (residuals, inputs)."""
+        return -self._response(self.plant.Bu, self.plant.Du)
+
+    @property
+    def fault_rows(self) -> PolynomialMatrix:
+        """The internal form: the polynomials on the faults, shape (residuals, faults)."""
+        return self._response(self.plant.Bf, self.plant.Df)
+
+    @property
+    def disturbance_rows(self) -> PolynomialMatrix:
+        """The polynomials on the disturbances: what is left of those that were decoupled, or was not."""
+        return self._response(self.plant.Bd, self.plant.Dd)
+
+    @property
+    def parity_vectors(self) -> NDArray[np.float64]:
+        """Chow and Willsky's ``w``, shape (residuals, (order + 1) outputs): the oldest sample first, eq. (3-9)."""
+        Q = self.output_rows.padded(max(self.orders, default=0))
+        return Q.transpose(1, 0, 2).reshape(Q.shape[1], -1)
+
+    def _response(self, B: NDArray, D: NDArray) -> PolynomialMatrix:
+        """Return ``p B + q D`` in powers, without what rounding leaves of nothing."""
+        P, Q = self.state_rows.coefficients, self.output_rows.coefficients
+        k = max(self.orders, default=0)
+        P, Q = self.state_rows.padded(k), self.output_rows.padded(k)
+        value, terms = P @ B + Q @ D, np.abs(P) @ np.abs(B) + np.abs(Q) @ np.abs(D)
+        return PolynomialMatrix(np.where(np.abs(value) > 1e-13 * terms.max(axis=0, initial=0.0), value, 0.0))
+
+    @cached_property
+    def _in_powers(self) -> tuple[PolynomialMatrix, PolynomialMatrix]:
+        """Return ``p`` and ``q`` in powers of the variable, refined where that costs digits."""
+        most = max(self.orders, default=0)
+        n, m = self.plant.n_states, self.plant.n_outputs
+        P, Q = np.zeros((most + 1, len(self.rows), n)), np.zeros((most + 1, len(self.rows), m))
+        for i, row in enumerate(self.rows):
+            basis = PolynomialBasis.powers(row.order + 1, self.size)
+            one = row.changed_to(basis, self.plant)
+            powers = self.size ** -np.arange(row.order + 1.0)[:, None]
+            P[: row.order + 1, i], Q[: row.order + 1, i] = one.p * powers, one.q * powers
+        return PolynomialMatrix(P), PolynomialMatrix(Q)
+
+    @property
+    def size(self) -> float:
+        """The size at which powers are compared: 1 in sampled time, the rate of the plant in 1/s otherwise."""
+        return 1.0 if self.plant.is_discrete else plant_rate(self.plant)
+
+    # ------------------------------------------------------------------ filters
+
+    def with_poles(
+        self, poles: Poles | None = None, *, method: str = "parity relations", notes: Sequence[str] = ()
+    ) -> ResidualGenerator:
+        r"""Return the filter :math:`r = r^* / \prod_i (z - \lambda_i)` for each relation.
+
+        Parameters
+        ----------
+        poles : sequence of complex, or mapping of str to sequence, optional
+            As many as the order, for all relations or for each by name; closed under conjugation, stable. When omitted:
+            all zero in sampled time, which is the moving-average form itself; in continuous time all at the rate
+            of the plant.
+        method : str
+            What the design is called.
+        notes : sequence of str
+            Further notes for the evidence.
+
+        Returns
+        -------
+        ResidualGenerator
+
+        Raises
+        ------
+        DesignError
+            If the number of poles does not fit, they are not closed under conjugation, or not stable.
+        AccuracyError
+            If rounding in the coefficients shows in the residual.
+
+        References
+        ----------
+        Gertler (1991), section 3.5.
+        """
+        chosen = self._poles(poles)
+        bases = [pole_basis(one) for one in chosen]
+        plant = self.plant
+        rows = [row.changed_to(basis, plant) for row, basis in zip(self.rows, bases, strict=True)]
+        parts = [realize_relation(row.p, row.q, plant, row.basis) for row in rows]
+        system = self._stacked(parts)
+        evidence = Evidence(
+            method=method,
+            poles=system.poles(),
+            requested_poles=np.concatenate([np.zeros(0, dtype=np.complex128), *chosen]),
+            decoupling=check_decoupling(system, plant, decoupled=not self._disturbed(rows)),
+            conditions={"states left": _accepted(rows, plant)},
+            notes=(*self._told(), *notes),
+            references=("Gertler (1991), sections 3.1, 3.2 and 3.5",),
+        )
+        made = make_generator(
+            system,
+            plant,
+            method,
+            evidence,
+            state_map=np.vstack([part.state_map for part in parts]),
+            static_map=None if plant.E is None else np.vstack([part.static_map for part in parts]),
+            relations=self,
+        )
+        lost = digits_lost(rows, made)
+        return made if lost is None else replace(made, evidence=made.evidence.extended(conditions={_LOST: lost}))
+
+    def stacked_with(self, others: Sequence[ParityRelations], names: Sequence[str]) -> ParityRelations:
+        """Return these and further relations of the same plant as one set, with new names."""
+        return ParityRelations(self.plant, (*self.rows, *(row for one in others for row in one.rows)), tuple(names))
+
+    def _stacked(self, parts: list[Realization]) -> StateSpace:
+        """Return the filters side by side, driven by the same signals."""
+        return StateSpace(
+            scipy.linalg.block_diag(*[part.system.A for part in parts]),
+            np.vstack([part.system.B for part in parts]),
+            scipy.linalg.block_diag(*[part.system.C for part in parts]),
+            np.vstack([part.system.D for part in parts]),
+            dt=self.plant.dt,
+            inputs=signal_names(self.plant),
+            outputs=self.names,
+        )
+
+    def _poles(self, poles: Poles | None) -> list[NDArray[np.complex128]]:
+        """Return the poles of each relation, checked."""
+        if poles is None:
+            rate = 0.0 if self.plant.is_discrete else -plant_rate(self.plant)
+            return [np.full(k, rate, dtype=np.complex128) for k in self.orders]
+        if isinstance(poles, Mapping):
+            unknown = set(poles) - set(self.names)
+            missing = [name for name, k in zip(self.names, self.orders, strict=True) if k and name not in poles]
+            if unknown or missing:
+                raise DesignError(
+                    f"poles are given by residual, {', '.join(self.names)}; "
+                    + (
+                        f"there is no {', '.join(map(repr, sorted(unknown)))}"
+                        if unknown
+                        else f"none for {missing[0]!r}"
+                    )
+                )
+            given = [poles.get(name, ()) for name in self.names]
+        else:
+            given = [poles for _ in self.names]
+        return [
+            _checked_poles(p, k, name, self.plant) for p, k, name in zip(given, self.orders, self.names, strict=True)
+        ]
+
+    def _disturbed(self, rows: Sequence[Relation]) -> bool:
+        """Tell whether disturbances reach a relation by more than rounding."""
+        Bd, Dd = self.plant.Bd, self.plant.Dd
+        for row in rows:
+            left = np.abs(row.p @ Bd + row.q @ Dd).max(axis=0, initial=0.0)
+            terms = (np.abs(row.p) @ np.abs(Bd) + np.abs(row.q) @ np.abs(Dd)).max(axis=0, initial=0.0)
+            if np.any(left > 1e-8 * terms) and np.any(left > 1e-10 * np.abs(np.hstack([row.p, row.q])).max()):
+                return True
+        return False
+
+    def _told(self) -> Iterator[str]:
+        """Yield what was divided out silently elsewhere."""
+        for name, roots in zip(self.names, self.divided, strict=False):
+            if len(roots):
+                told = f"root{'s' * (len(roots) > 1)} {', '.join(map(format_pole, roots))}"
+                yield f"{name}: a factor common to all signals was divided out, with {told}"
+
+    # -------------------------------------------------------------------- texts
+
+    def __str__(self) -> str:
+        """Return the relations as equations, in the past samples or in derivatives."""
+        plant = self.plant
+        lines = []
+        for i, name in enumerate(self.names):
+            k = self.orders[i]
+            terms = [
+                *terms_of(self.output_rows.padded(k)[: k + 1, i], plant.outputs, plant.is_discrete),
+                *terms_of(self.input_rows.padded(k)[: k + 1, i], plant.inputs, plant.is_discrete),
+            ]
+            lines.append(f"{name} = {joined(terms)}")
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        return f"ParityRelations({len(self.names)} relations, orders {', '.join(map(str, self.orders))})"
+
+
+def relations_of(plant: Plant, rows: Sequence[Relation], names: Sequence[str] | None = None) -> ParityRelations:
+    """Return relations as one set, each scaled so that the newest sample of an output has coefficient one."""
+    scaled = []
+    for row in rows:
+        newest = row.q[-1]
+        if not np.any(row.q):
+            raise DesignError("a relation reads no output: the equations of the model are not independent")
+        large = np.flatnonzero(np.abs(newest) >= 0.1 * np.abs(newest).max())
+        leading = float(newest[large[0]] / np.prod(row.basis.sizes[: row.order]))
+        scaled.append(row.times(1 / leading) if leading else row)
+    names = tuple(names) if names else tuple(f"r{i + 1}" for i in range(len(rows)))
+    return ParityRelations(plant, tuple(scaled), names)
+
+
+def _accepted(rows: Sequence[Relation], plant: Plant) -> float:
+    """Return how far the states are missed at most, or raise."""
+    worst = max((row.missed(plant) for row in rows), default=0.0)
+    if not worst <= _REMAINDER:
+        order = max(row.order for row in rows)
+        raise AccuracyError(
+            f"a parity relation of order {order} leaves {worst:.2g} > {_REMAINDER:.0e} of the states: too "
+            "ill-conditioned with these poles; choose poles near those of the plant, or use decoupled_residual "
+            "or structured_bank"
+        )
+    return worst
+
+
+def _checked_poles(poles: Any, order: int, name: str, plant: Plant) -> NDArray[np.complex128]:
+    """Return a list of poles as an array, or say what is wrong with it."""
+    try:
+        values = np.atleast_1d(np.asarray(poles, dtype=np.complex128))
+    except (TypeError, ValueError) as error:
+        raise DesignError(f"poles must be numbers: {error}") from error
+    if values.shape != (order,):
+        raise DesignError(f"relation {name!r} is of order {order}: give {order} poles, not {values.size}")
+    if not np.isfinite(values).all():
+        raise DesignError("poles must be finite")
+    pairs = np.sort_complex(values[values.imag > 0]), np.sort_complex(values[values.imag < 0].conj())
+    if len(pairs[0]) != len(pairs[1]) or not np.allclose(*pairs, rtol=1e-12, atol=0):
+        raise DesignError("the poles are not closed under conjugation")
+    unstable = values[np.abs(values) >= 1] if plant.is_discrete else values[values.real >= 0]
+    if len(unstable):
+        where = "inside the unit circle" if plant.is_discrete else "in the left half plane"
+        raise DesignError(f"pole {format_pole(unstable[0])} is not stable: poles must lie {where}")
+    return values

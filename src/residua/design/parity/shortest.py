@@ -1,0 +1,178 @@
+"""The relations that ignore a set of signals, the shortest of them, and the shortest that see another set."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.design.parity.relation import Relation
+from residua.design.parity.relation_model import RelationModel, basis_for, state_pencil
+from residua.errors import DesignError
+from residua.linear.pencil_null_space import (
+    Pencil,
+    PencilNullVectors,
+    pencil,
+    pencil_null_vectors,
+    shortest_pencil_null_vectors,
+)
+from residua.linear.polynomial_basis import PolynomialBasis
+from residua.linear.rank import RankDecision
+
+#: A fault is seen by a relation when more than this of the largest response that its size allows is left.
+_SEEN = 1e-9
+#: Combinations of equally short relations that are tried for the best view of the faults.
+_TRIES = 30
+
+
+@dataclass(frozen=True, eq=False)
+class RelationSpace:
+    """All relations of at most an order that ignore a set, with what they see.
+
+    Attributes
+    ----------
+    vectors : ndarray, shape (relations, order + 1, equations)
+        Coefficients, orthonormal in balanced units.
+    basis : PolynomialBasis
+        What they are coefficients in.
+    decision : RankDecision
+        Behind their number.
+    responses : ndarray, shape (relations, order + 1, faults)
+        The coefficients of the response of each to each fault, in units of the fault's column in balanced units.
+    floor : float
+        A larger response is no rounding.
+    """
+
+    vectors: NDArray[np.float64]
+    basis: PolynomialBasis
+    decision: RankDecision
+    responses: NDArray[np.float64]
+    floor: float
+
+    @property
+    def count(self) -> int:
+        """How many independent relations there are."""
+        return len(self.vectors)
+
+    @property
+    def order(self) -> int:
+        """The highest order."""
+        return self.vectors.shape[1] - 1
+
+    @property
+    def sizes(self) -> NDArray[np.float64]:
+        """The size of the response of each relation to each fault, shape (relations, faults)."""
+        return np.linalg.norm(self.responses, axis=1)
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """The faults that some relation answers to, shape (faults,)."""
+        return np.linalg.norm(self.sizes, axis=0) > self.floor
+
+    def best_combination(self, faults: Sequence[int]) -> NDArray[np.float64]:
+        """Return the combination whose weakest response to some faults is largest, of those that are tried.
+
+        These are each relation alone, the directions of the singular vectors of the responses, and seeded random ones.
+        """
+        n = self.count
+        if n == 1:
+            return self.vectors[0]
+        flat = self.responses[:, :, list(faults)].reshape(n, -1)
+        directions = np.linalg.svd(flat)[0].T if flat.size else np.eye(n)
+        random = np.random.default_rng(20).standard_normal((_TRIES, n))
+        tries = np.vstack([np.eye(n), directions, random / np.linalg.norm(random, axis=1, keepdims=True)])
+        response = np.einsum("tn,nkf->tkf", tries, self.responses[:, :, list(faults)])
+        weakest = np.linalg.norm(response, axis=1).min(axis=1, initial=1.0)
+        # one of the first as long as it is not much worse: it is simpler than a mixture
+        best = int(np.flatnonzero(weakest >= 0.2 * weakest.max())[0])
+        return np.einsum("n,nkj->kj", tries[best], self.vectors)
+
+    def relation(self, model: RelationModel, ignored: Sequence[str | int], vector: NDArray[np.float64]) -> Relation:
+        """Return a combination of the vectors as a relation."""
+        n = model.plant.n_states
+        none = np.zeros(0, dtype=np.complex128)
+        return Relation(vector[:, :n], vector[:, n:], self.basis, model.ignored_columns(ignored), none)
+
+
+def relation_space(model: RelationModel, ignored: Sequence[str | int], order: int, rtol: float) -> RelationSpace:
+    """Return all relations of at most an order that ignore some faults and all disturbances."""
+    if order >= model.basis.count:
+        model = replace(model, basis=basis_for(model.plant, order + 1))
+    given, used = _reduced(model, ignored)
+    return _space(model, given, pencil_null_vectors(given, order, rtol=rtol), used)
+
+
+def shortest_relations(model: RelationModel, ignored: Sequence[str | int], rtol: float) -> RelationSpace | None:
+    """Return the relations of the smallest order that ignore some faults and all disturbances, if there are any."""
+    given, used = _reduced(model, ignored)
+    found = shortest_pencil_null_vectors(given, most=model.most, rtol=rtol)
+    return None if found is None else _space(model, given, found, used)
+
+
+def shortest_relation(
+    model: RelationModel, ignored: Sequence[str], seen: Sequence[str], rtol: float
+) -> tuple[NDArray[np.float64], RelationSpace]:
+    """Return the shortest relation that ignores some faults and all disturbances and answers to others.
+
+    Raises
+    ------
+    DesignError
+        If there is none: which of the faults no relation sees, or that there is no relation at all.
+    """
+    faults = [model.plant.faults.index(name) for name in seen]
+    first = shortest_relations(model, ignored, rtol)
+    what = ", ".join(f"'{name}'" for name in (*model.plant.disturbances, *ignored)) or "nothing"
+    if first is None:
+        raise DesignError(
+            f"no parity relation ignores {what}: the {model.plant.n_outputs} measurements are all used up; "
+            "add a sensor or ignore less"
+        )
+    if first.seen[faults].all():
+        return first.best_combination(faults), first
+    longest = relation_space(model, ignored, model.most, rtol)
+    blind = [name for name, j in zip(seen, faults, strict=True) if not longest.seen[j]]
+    if blind:
+        raise DesignError(
+            f"a parity relation that ignores {what} cannot see {', '.join(blind)}: of up to order {model.most}, "
+            "there is none that answers"
+        )
+    low, high, space = first.order + 1, model.most, longest
+    while low < high:
+        middle = (low + high) // 2
+        tried = relation_space(model, ignored, middle, rtol)
+        if tried.seen[faults].all():
+            high, space = middle, tried
+        else:
+            low = middle + 1
+    return space.best_combination(faults), space
+
+
+def _space(model: RelationModel, given: Pencil, found: PencilNullVectors, used: NDArray[np.intp]) -> RelationSpace:
+    """Return null vectors of some of the equations as relations, with their responses to the faults."""
+    vectors = np.zeros((len(found.vectors), found.degree + 1, len(model.faults)))
+    vectors[:, :, used] = found.vectors
+    level = np.sqrt(((given.rows[:, None] * model.faults[used]) ** 2).sum(axis=0))
+    responses = vectors @ model.faults / np.where(level > 0, level, 1.0)
+    s = found.decision.singular_values
+    smallest = found.decision.smallest_kept / s[0] if len(s) and found.decision.rank else 1.0
+    floor = max(_SEEN, 100 * np.finfo(float).eps / smallest)
+    return RelationSpace(vectors, given.basis, found.decision, responses, floor)
+
+
+def _reduced(model: RelationModel, ignored: Sequence[str | int]) -> tuple[Pencil, NDArray[np.intp]]:
+    """Return what must be annihilated without the equations that cannot take part, and which are left.
+
+    A column with one entry only, such as that of a sensor fault, rules out its equation exactly.
+    """
+    whole = state_pencil(model.plant, model.ignored_columns(ignored), model.basis)
+    present = (whole.P0 != 0) | (whole.P1 != 0)
+    used = np.arange(len(present))
+    while len(used):
+        here = present[used]
+        alone = here[:, here.sum(axis=0) == 1].any(axis=1)
+        if not alone.any():
+            break
+        used = used[~alone]
+    return pencil(whole.P0[used], whole.P1[used], model.basis), used

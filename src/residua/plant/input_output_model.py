@@ -1,0 +1,300 @@
+"""The input-output model: one polynomial equation per output, with faults and disturbances among the inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from residua.errors import ModelError
+from residua.linear import arrays
+from residua.linear.arrays import unique
+from residua.linear.polynomial_matrix import PolynomialMatrix
+from residua.linear.rank import DEFAULT_RTOL
+from residua.plant.channels import Fault, OperatingPoint, channel_units, operating_point as checked_point
+from residua.plant.input_output_entries import (
+    Column,
+    checked_variable,
+    columns,
+    in_z,
+    input_polynomials,
+    multiplied,
+    output_polynomials,
+    row_delays,
+)
+from residua.plant.input_output_facts import InputOutputFacts
+from residua.plant.observer_form import check_proper, check_regular
+
+if TYPE_CHECKING:
+    from residua.plant.input_output_realization import Realization
+    from residua.plant.plant import Plant
+
+
+@dataclass(frozen=True, init=False, eq=False, repr=False)
+class InputOutputModel(InputOutputFacts):
+    r"""A linear plant as polynomial equations between its inputs and outputs.
+
+    .. math:: H(z)\, y = G(z)\, u + G_d(z)\, d + G_f(z)\, f
+
+    in ``z`` for a sampled plant (``dt > 0``), in ``s`` for a continuous one (``dt = 0``). A model never changes: every
+    ``with_...`` method returns a new one.
+
+    Inputs are commanded, as ``u`` is what the controller asks for, or measured, as ``u`` is what a sensor says. With
+    the true values :math:`u^o = u + \Delta u` of commanded and :math:`u^o = u - \Delta u` of measured inputs, and
+    :math:`y = y^o + \Delta y`, an actuator fault enters by the column :math:`+g_j` of ``G``, a fault of the sensor
+    of an input by :math:`-g_j`, and a fault of the sensor of an output by the column :math:`h_j` of ``H``.
+
+    Parameters
+    ----------
+    H : PolynomialMatrix or nested sequence, outputs x outputs
+        Polynomials as lists of coefficients, highest power first. A list with one polynomial per output is the
+        diagonal of a diagonal ``H``. ``H`` need not be diagonal.
+    G : PolynomialMatrix or nested sequence, outputs x inputs
+    dt : float
+        Sample step in seconds, or 0 for continuous time.
+    variable : {"z", "1/z", "s"}, optional
+        ``"1/z"``: coefficients are those of 1, 1/z, 1/z^2, ..., also in ``with_disturbances`` and ``with_faults``; each
+        equation is multiplied by the power of ``z`` that makes it polynomial in ``z``. A ``PolynomialMatrix`` is then
+        one in ``1/z``. ``"z"`` or ``"s"`` when omitted.
+    inputs, outputs : sequence of str, optional
+        ``u1..`` and ``y1..`` when omitted.
+    measured_inputs : sequence of str, optional
+        Those of the inputs that are measured; the others are commanded.
+    name, operating_point, units, description
+        As for :class:`residua.Plant`.
+    rtol : float
+        For deciding whether ``det H`` vanishes and whether ``H`` is row reduced.
+
+    Attributes
+    ----------
+    H, G, Gd, Gf : PolynomialMatrix
+        In powers of ``z`` or ``s``.
+
+    Raises
+    ------
+    ModelError
+        If a shape does not fit, ``det H`` is zero, or an output is no proper function of the inputs.
+
+    References
+    ----------
+    Gertler (1991), eqs. (2-2) to (2-4), (2-8) to (2-11).
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> io = rs.InputOutputModel([[1, -0.9, 0.2], [1, -1.4, 0.45]], [[[1.5, -0.65]], [[1.1, -0.95]]], inputs="u")
+    >>> print(io.with_faults({"p1": [[2, -0.9], [1, -0.9]]}).with_sensor_faults("y2"))
+    (z^2 - 0.9 z + 0.2) y1 = (1.5 z - 0.65) u + (2 z - 0.9) p1
+    (z^2 - 1.4 z + 0.45) y2 = (1.1 z - 0.95) u + (z - 0.9) p1 + (z^2 - 1.4 z + 0.45) [y2 sensor]
+    """
+
+    def __init__(
+        self,
+        H: Any,
+        G: Any,
+        *,
+        dt: float = 1.0,
+        variable: str | None = None,
+        inputs: Iterable[str] | str | None = None,
+        outputs: Iterable[str] | str | None = None,
+        measured_inputs: Iterable[str] | str = (),
+        name: str = "input-output model",
+        operating_point: OperatingPoint | None = None,
+        units: Mapping[str, str] | None = None,
+        description: str = "",
+        rtol: float = DEFAULT_RTOL,
+    ) -> None:
+        dt = arrays.sample_step(dt)
+        variable = checked_variable(variable, dt)
+        H_ = output_polynomials(H, variable)
+        m = H_.shape[0]
+        G_ = input_polynomials(G, m, variable)
+        delays = (0,) * m
+        if variable == "1/z":
+            delays = row_delays(H_, G_)
+            H_, G_ = in_z(H_, delays), in_z(G_, delays)
+        y = arrays.names(outputs, m, "y", "outputs")
+        u = arrays.names(inputs, G_.shape[1], "u", "inputs")
+        unique(u + y, "inputs and outputs")
+        measured = arrays.positions(measured_inputs, u, "measured input")
+        check_regular(H_, rtol)
+        check_proper(H_, G_, y, dt, rtol)
+        nothing = PolynomialMatrix(np.zeros((1, m, 0)))
+        fields = {
+            "H": H_,
+            "G": G_,
+            "Gd": nothing,
+            "Gf": nothing,
+            "dt": dt,
+            "variable": variable,
+            "inputs": u,
+            "outputs": y,
+            "measured_inputs": tuple(u[i] for i in sorted(set(measured))),
+            "disturbances": (),
+            "fault_list": (),
+            "name": str(name),
+            "operating_point": checked_point(operating_point, u, y),
+            "units": channel_units(units, {*u, *y}),
+            "description": str(description),
+            "delays": delays,
+        }
+        for key, value in fields.items():
+            object.__setattr__(self, key, value)
+
+    # ---------------------------------------------------- from and to elsewhere
+
+    @classmethod
+    def from_plant(cls, plant: Plant, **options: Any) -> InputOutputModel:
+        """Return the equations of a plant; see :func:`residua.plant.input_output_from_plant`."""
+        from residua.plant.input_output_conversion import input_output_from_plant
+
+        return input_output_from_plant(plant, **options)
+
+    @classmethod
+    def from_transfer_functions(cls, system: Any, **options: Any) -> InputOutputModel:
+        """Return the model of transfer functions; see :func:`residua.plant.input_output_from_transfer_functions`."""
+        from residua.plant.transfer_functions import input_output_from_transfer_functions
+
+        return input_output_from_transfer_functions(system, **options)
+
+    def to_plant(self, **options: float) -> Plant:
+        """Return a state-space plant of the smallest order; see :func:`residua.plant.realize_input_output`."""
+        return self.realization(**options).plant
+
+    def realization(self, **options: float) -> Realization:
+        """Return :meth:`to_plant` with what it left out; see :func:`residua.plant.realize_input_output`."""
+        from residua.plant.input_output_realization import realize_input_output
+
+        return realize_input_output(self, **options)
+
+    # -------------------------------------------------------------- new models
+
+    def with_disturbances(self, directions: Mapping[str, Column], *, rtol: float = DEFAULT_RTOL) -> InputOutputModel:
+        """Return the model with unknown inputs added.
+
+        Parameters
+        ----------
+        directions : mapping of str to sequence of polynomials, or to mapping of output to polynomial
+            How each disturbance enters the equations: one polynomial per output, in ``variable``.
+        rtol : float
+            For deciding whether ``H`` is row reduced.
+        """
+        columns_ = columns(directions, self.outputs, "disturbance", self.variable)
+        labels = arrays.names(tuple(directions), len(directions), "d", "disturbances")
+        self, extra = self._extended(columns_, rtol)
+        return self._with_disturbances(extra, labels)
+
+    def with_faults(
+        self,
+        directions: Mapping[str, Column],
+        *,
+        kind: str = "component",
+        component: str | None = None,
+        rtol: float = DEFAULT_RTOL,
+    ) -> InputOutputModel:
+        """Return the model with faults added.
+
+        Parameters
+        ----------
+        directions : mapping of str to sequence of polynomials, or to mapping of output to polynomial
+            How each fault enters the equations: one polynomial per output, in ``variable``.
+        kind : {"component", "actuator", "sensor"}
+        component : str, optional
+            The component that all of these faults belong to; each fault's own name when omitted.
+        rtol : float
+            For deciding whether ``H`` is row reduced.
+        """
+        if kind not in ("component", "actuator", "sensor"):
+            raise ModelError(f"kind must be 'component', 'actuator' or 'sensor', got {kind!r}")
+        columns_ = columns(directions, self.outputs, "fault", self.variable)
+        self, extra = self._extended(columns_, rtol)
+        return self._with_faults(extra, tuple(Fault(name, kind, component or name) for name in directions))
+
+    def with_sensor_faults(self, outputs: Iterable[str | int] | str | None = None) -> InputOutputModel:
+        """Return the model with a fault ``"name sensor"`` that adds to each of the given outputs (all when omitted)."""
+        chosen = arrays.positions(outputs, self.outputs, "output")
+        names = [self.outputs[i] for i in chosen]
+        return self._with_faults(
+            self.H.select(columns=chosen), tuple(Fault(f"{name} sensor", "sensor", name) for name in names)
+        )
+
+    def with_actuator_faults(self, inputs: Iterable[str | int] | str | None = None) -> InputOutputModel:
+        """Return the model with a fault ``"name actuator"`` of each of the given inputs (all commanded when omitted).
+
+        It adds to what was commanded; a measured input has none, for its sensor sees what the actuator does.
+        """
+        chosen = self._inputs(inputs, measured=False)
+        names = [self.inputs[i] for i in chosen]
+        return self._with_faults(
+            self.G.select(columns=chosen), tuple(Fault(f"{name} actuator", "actuator", name) for name in names)
+        )
+
+    def with_input_sensor_faults(self, inputs: Iterable[str | int] | str | None = None) -> InputOutputModel:
+        """Return the model with a fault ``"name sensor"`` of each of the given inputs (all measured when omitted).
+
+        It adds to what is measured, so that the plant gets the measured value less the fault.
+        """
+        chosen = self._inputs(inputs, measured=True)
+        names = [self.inputs[i] for i in chosen]
+        return self._with_faults(
+            -self.G.select(columns=chosen), tuple(Fault(f"{name} sensor", "sensor", name) for name in names)
+        )
+
+    def without_faults(self, names: Iterable[str] | str | None = None) -> InputOutputModel:
+        """Return the model without the named faults (without any, when omitted)."""
+        drop = set(arrays.positions(names, self.faults, "fault"))
+        keep = [i for i in range(len(self.fault_list)) if i not in drop]
+        return self._with(Gf=self.Gf.select(columns=keep), fault_list=tuple(self.fault_list[i] for i in keep))
+
+    def without_disturbances(self) -> InputOutputModel:
+        """Return the model without its disturbances."""
+        return self._with(Gd=self.Gd.select(columns=[]), disturbances=())
+
+    def faults_as_disturbances(self, names: Iterable[str] | str | None = None) -> InputOutputModel:
+        """Return the model in which the named faults (all when omitted) are disturbances, after those it has."""
+        chosen = arrays.positions(names, self.faults, "fault")
+        labels = tuple(self.faults[i] for i in chosen)
+        return self.without_faults(labels)._with_disturbances(self.Gf.select(columns=chosen), labels)
+
+    def _with(self, **changes: object) -> InputOutputModel:
+        new = object.__new__(InputOutputModel)
+        for key in self.__dataclass_fields__:
+            object.__setattr__(new, key, changes.get(key, getattr(self, key)))
+        return new
+
+    def _extended(self, extra: PolynomialMatrix, rtol: float) -> tuple[InputOutputModel, PolynomialMatrix]:
+        """Return the model, its equations multiplied by what new columns in ``1/z`` need, and these in ``z``."""
+        if self.variable == "1/z":
+            delays = tuple(max(pair) for pair in zip(self.delays, row_delays(extra), strict=True))
+            more = [new - old for new, old in zip(delays, self.delays, strict=True)]
+            parts = {key: multiplied(getattr(self, key), more) for key in ("H", "G", "Gd", "Gf")}
+            self, extra = self._with(**parts, delays=delays), in_z(extra, delays)
+        check_proper(self.H, extra, self.outputs, self.dt, rtol)
+        return self, extra
+
+    def _inputs(self, inputs: Iterable[str | int] | str | None, *, measured: bool) -> list[int]:
+        """Return the positions of measured, or of commanded, inputs."""
+        chosen = [i for i, name in enumerate(self.inputs) if (name in self.measured_inputs) == measured]
+        if inputs is None:
+            return chosen
+        asked = arrays.positions(inputs, self.inputs, "input")
+        for i in asked:
+            if i not in chosen:
+                is_, use = ("commanded", "actuator") if measured else ("measured", "input_sensor")
+                raise ModelError(f"input {self.inputs[i]!r} is {is_}: its fault is one of with_{use}_faults")
+        return asked
+
+    def _with_disturbances(self, extra: PolynomialMatrix, labels: tuple[str, ...]) -> InputOutputModel:
+        unique(self.disturbances + labels, "disturbances")
+        return self._with(Gd=self.Gd.beside(extra), disturbances=self.disturbances + labels)
+
+    def _with_faults(self, extra: PolynomialMatrix, faults: tuple[Fault, ...]) -> InputOutputModel:
+        for j, fault in enumerate(faults):
+            if not fault.name or not isinstance(fault.name, str):
+                raise ModelError(f"a fault needs a name, got {fault.name!r}")
+            if not np.any(extra.coefficients[:, :, j]):
+                raise ModelError(f"fault {fault.name!r} has no effect: its polynomials are zero")
+        unique((*self.faults, *(fault.name for fault in faults)), "faults")
+        return self._with(Gf=self.Gf.beside(extra), fault_list=(*self.fault_list, *faults))

@@ -1,0 +1,192 @@
+"""Input-output models as state-space plants of the smallest order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import AccuracyError, ModelError
+from residua.linear.arrays import frozen
+from residua.linear.observability import dies_out, modes_with_uncertainty
+from residua.linear.rank import DEFAULT_RTOL, RankDecision
+from residua.linear.spectrum import describe_modes
+from residua.linear.state_space import StateSpace
+from residua.plant.observer_form import (
+    ReachablePart,
+    check_response,
+    observer_form,
+    polynomial_terms,
+    reachable_part,
+    response_error,
+    response_points,
+)
+from residua.plant.plant import Plant
+
+if TYPE_CHECKING:
+    from residua.plant.input_output_model import InputOutputModel
+
+#: A removed mode this near to a pole that stays, relative to its size, is another copy of that pole.
+_COPY = 1e-4
+#: A coupling that many times above the tolerance is one, and needs no second look.
+_CLEAR = 1e4
+#: A weaker coupling than that, in tolerances, may be rounding of the coefficients.
+_CLEAR_ENOUGH = 1e2
+#: What the tolerance is multiplied by where it is not clear.
+_FACTORS = (1.0, 1e1, 1e2, 1e3, 1e4)
+_CONDITIONED = (
+    "the equations are too badly conditioned; try another rtol, a model of lower order or in other units, or start "
+    "from the state-space plant"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Realization:
+    """A state-space plant made of input-output equations.
+
+    Attributes
+    ----------
+    plant : Plant
+    removed_modes : ndarray of complex
+        Modes of the equations that no input reaches, common factors of them: no transfer function has them.
+    error : float
+        Largest error of the frequency response, of each entry relative to itself or to a thousandth of its peak.
+    decisions : tuple of RankDecision
+        How the removed modes were told from the others.
+    """
+
+    plant: Plant
+    removed_modes: NDArray[np.complex128]
+    error: float
+    decisions: tuple[RankDecision, ...]
+
+
+def realize_input_output(
+    model: InputOutputModel, *, rtol: float = DEFAULT_RTOL, tolerance: float = 1e-6
+) -> Realization:
+    r"""Return a state-space plant of the smallest order with the transfer functions of an input-output model.
+
+    The equations are put into observer form, from which the part that no input, disturbance or fault reaches is removed
+    by the staircase: common factors of an equation, and the second and further copies of a mode that several outputs
+    have in their equations. A removed mode must be stable, or a copy of a pole that stays.
+
+    Parameters
+    ----------
+    model : InputOutputModel
+    rtol : float
+        For the rank decisions, in balanced units.
+    tolerance : float
+        Largest error of the frequency response, of each entry relative to itself or to a thousandth of its peak.
+
+    Returns
+    -------
+    Realization
+
+    Raises
+    ------
+    ModelError
+        If a mode that is not stable is in the equations, but in no transfer function.
+    AccuracyError
+        If the frequency response is missed by more than the tolerance, or the order is not clear: poles of equations of
+        high degree, or far from the others, come out so inexactly that the copies of one mode look like several.
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> io = rs.InputOutputModel([[1, -0.9, 0.2]], [[[1.5, -0.6]]])  # (z - 0.4) on both sides
+    >>> found = io.realization()
+    >>> found.plant.n_states, found.removed_modes.round(12), found.plant.A.round(12)
+    (1, array([0.4+0.j]), array([[0.5]]))
+    """
+    whole = observer_form(model.H, model.right_side(), model.outputs, model.dt, rtol)
+    part, error = _smallest_part(model, whole, rtol, tolerance)
+    _check_removed(part.removed, part.uncertainty, part.system, model.dt)
+    return Realization(_plant(model, part.system), part.removed, error, part.decisions)
+
+
+def _smallest_part(
+    model: InputOutputModel, whole: StateSpace, rtol: float, tolerance: float
+) -> tuple[ReachablePart, float]:
+    """Return the reachable part of the smallest order that has the frequency response of the model, and its error.
+
+    Rounding of the coefficients makes the copies of a mode differ, so that the inputs seem to reach them a little.
+    Where the rank decisions are not clear, larger tolerances are tried too.
+    """
+    points = response_points(whole.poles(), model.dt)
+    wanted, terms = model.transfer(points), polynomial_terms(model.H, model.right_side(), points)
+    best: tuple[ReachablePart, float] | None = None
+    for factor in _FACTORS:
+        part = reachable_part(whole, factor * rtol)
+        error = response_error(part.system.evaluate(points), wanted, terms)
+        if error <= tolerance and (best is None or part.system.n_states < best[0].system.n_states):
+            best = part, error
+        if best is None:
+            check_response(error, tolerance, f"the realisation of order {part.system.n_states}", _CONDITIONED)
+        if _margin(part) >= _CLEAR:
+            break
+    assert best is not None
+    if _margin(best[0]) < _CLEAR_ENOUGH:
+        kept = best[0].system.n_states
+        raise AccuracyError(
+            f"the order of the plant is not clear: {kept} of {whole.n_states} modes count as reached with "
+            f"rtol={rtol:.3g}, the weakest by {_margin(best[0]):.2g} times the tolerance, and no lower order keeps the "
+            f"frequency response to {tolerance:.2g}; {_CONDITIONED}"
+        )
+    return best
+
+
+def _margin(part: ReachablePart) -> float:
+    """Return how far above the tolerance the weakest coupling is that counts as one."""
+    return min(
+        (
+            decided.smallest_kept / max(decided.tolerance, np.finfo(float).tiny)
+            for decided in part.decisions
+            if decided.rank
+        ),
+        default=np.inf,
+    )
+
+
+def _check_removed(removed: NDArray, uncertainty: NDArray, kept: StateSpace, dt: float) -> None:
+    """Raise when a mode that is not stable was removed and no pole that stays is the same."""
+    size = float(np.linalg.norm(kept.A, 2)) if kept.n_states else 0.0
+    unstable = ~dies_out(removed, uncertainty, dt, max(size, float(np.abs(removed).max(initial=0.0))))
+    poles, moved = modes_with_uncertainty(kept.A)
+    hidden = []
+    for mode, own in zip(removed[unstable], uncertainty[unstable], strict=True):
+        allowed = np.maximum(10 * (own + moved), _COPY * (1.0 if dt else abs(mode)))
+        if not np.any(np.abs(poles - mode) <= allowed):
+            hidden.append(mode)
+    if hidden:
+        raise ModelError(
+            f"mode {describe_modes(hidden)} is in the equations but no input, disturbance or fault reaches it, and it "
+            "is not stable: a plant without it would not behave like these equations; divide the common factor out of "
+            "the equations if it is none of the plant's, or add the disturbance or fault that reaches it"
+        )
+
+
+def _plant(model: InputOutputModel, system: StateSpace) -> Plant:
+    u, d = len(model.inputs), len(model.disturbances)
+    B, D = np.hsplit(system.B, [u, u + d]), np.hsplit(system.D, [u, u + d])
+    return Plant(
+        system.A,
+        B[0],
+        system.C,
+        D[0],
+        dt=model.dt,
+        inputs=model.inputs,
+        outputs=model.outputs,
+        name=model.name,
+        operating_point=model.operating_point,
+        units=model.units,
+        description=model.description,
+    )._with(
+        Bd=frozen(B[1]),
+        Dd=frozen(D[1]),
+        disturbances=model.disturbances,
+        Bf=frozen(B[2]),
+        Df=frozen(D[2]),
+        fault_list=model.fault_list,
+    )

@@ -1,0 +1,84 @@
+"""Faults ranked as explanations of a pattern: against probabilities computed another way."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+from residua.decide.consistency import code_likelihoods, consistent_faults
+from residua.errors import DataError, SettingError
+
+CODES = np.array([[1, 1, 0, 0], [1, 1, 0, 0], [1, 0, 1, 0], [1, 0, 1, 0], [1, 0, 0, 0]], dtype=bool)
+FAULTS = ["pump", "valve", "sensor", "hidden"]
+
+
+@pytest.mark.parametrize("missed", [None, 0.3, (0.1, 0.2, 0.3, 0.4, 0.5)])
+def test_the_patterns_of_a_fault_have_probabilities_that_add_up_to_one(missed: object) -> None:
+    patterns = np.array(list(product((0, 1), repeat=len(CODES))))
+    own, none = code_likelihoods(patterns, CODES, false_alarm=(0.01, 0.02, 0.1, 0.3, 0.5), missed=missed)  # pyright: ignore
+    np.testing.assert_allclose(np.exp(own).sum(axis=0), 1.0, rtol=1e-12)
+    np.testing.assert_allclose(np.exp(none).sum(), 1.0, rtol=1e-12)
+    np.testing.assert_allclose(own[:, 3], none)  # a fault without a code is as good as none
+
+
+def test_probabilities_of_simulated_faults() -> None:
+    """Draw fault, chance to fire and alarms; among the draws of a pattern count the faults."""
+    rng = np.random.default_rng(0)
+    n, q = 400_000, 0.05
+    true = rng.integers(0, 3, n)
+    p = rng.random((n, 1))
+    fired = rng.random((n, len(CODES))) < np.where(CODES[:, true].T, p, q)
+    for pattern in ([1, 1, 0, 0, 0], [1, 0, 0, 0, 0], [1, 1, 1, 0, 0], [0, 0, 1, 1, 1]):
+        same = (fired == np.array(pattern, dtype=bool)).all(axis=1)
+        counts = np.bincount(true[same], minlength=3) / same.sum()
+        found = consistent_faults(pattern, CODES, FAULTS, false_alarm=q)
+        share = {one.faults[0]: one.probability for one in found.candidates}
+        spread = 4 * np.sqrt(0.25 / same.sum())
+        np.testing.assert_allclose([share[name] for name in FAULTS[:3]], counts, atol=spread)
+
+
+@pytest.mark.parametrize("pattern", list(product((0, 1), repeat=5)))
+def test_without_false_alarms_the_fault_is_among_the_consistent(pattern: tuple[int, ...]) -> None:
+    found = consistent_faults(pattern, CODES, FAULTS)
+    on = np.array(pattern, dtype=bool)
+    expected = {name for name, code in zip(FAULTS, CODES.T, strict=True) if (code | ~on).all() and code.any()}
+    assert {one.faults[0] for one in found.consistent} == (expected if on.any() else set())
+    assert [one.probability for one in found.candidates] == sorted(
+        (o.probability for o in found.candidates), reverse=True
+    )
+    if on.any():
+        assert sum(one.probability for one in found.candidates) == pytest.approx(1)
+        assert sum(one.probability for one in found.credible(0.9)) >= 0.9
+
+
+def test_equal_codes_are_one_candidate_and_texts_tell_it() -> None:
+    found = consistent_faults([1, 0], [[1, 1, 0], [0, 0, 1]], ["a", "b", "c"], members=["left", "right"])
+    assert found.candidates[0].faults == ("a", "b")
+    assert "'a' or 'b'" in str(found)
+    assert "fired: left" in str(found)
+    assert str(consistent_faults([0, 0], [[1], [1]], ["a"])) == "no member fired: no fault"
+
+
+def test_one_alarm_among_many_members_is_rather_a_false_one() -> None:
+    codes = np.ones((40, 1), dtype=bool)
+    one = np.arange(40) == 3
+    assert consistent_faults(one, codes, ["a"]).evidence < 0
+    assert consistent_faults(np.arange(40) < 4, codes, ["a"]).evidence > 0
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    with pytest.raises(DataError, match="one entry per member"):
+        consistent_faults([1, 0], CODES, FAULTS)
+    with pytest.raises(DataError, match="column per fault"):
+        consistent_faults([1] * 5, CODES, ["a"])
+    with pytest.raises(DataError, match="names of members"):
+        consistent_faults([1] * 5, CODES, FAULTS, members=["a"])
+    with pytest.raises(DataError, match="last axis"):
+        code_likelihoods([[1, 0]], CODES)
+    for wrong in (0, 1, -0.1, [0.1, 0.2], "x"):
+        with pytest.raises(SettingError, match="false_alarm"):
+            code_likelihoods([1] * 5, CODES, false_alarm=wrong)
+    with pytest.raises(SettingError, match="level"):
+        consistent_faults([1] * 5, CODES, FAULTS).credible(1.0)
