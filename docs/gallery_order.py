@@ -9,6 +9,7 @@ ORDER = (
     "plot_accommodation.py",
     "plot_singular_plant.py",
     "plot_directions.py",
+    "plot_matched_filters.py",
     "plot_live.py",
 )
 

@@ -159,3 +159,14 @@ def test_sensor_faults_stay_narrow_with_more_outputs_than_states_and_disturbance
     rows = {name: list(m.residuals) for m in generator.members for name in m.faults}
     for name in plant.faults[1:]:
         assert np.linalg.matrix_rank(generator.subspaces[name][rows[name]], tol=1e-6) <= 3
+
+
+def test_a_fault_in_small_units_keeps_its_steady_direction() -> None:
+    """The units of one fault must not make the response to another look like rounding."""
+    plant = rs.library.gertler(sensor_faults=True)
+    plain = rs.design.luenberger_observer(plant).residual_generator().steady_directions
+    Y = np.array([1e6, 1e-5])
+    scaled = plant._with(C=Y[:, None] * plant.C, Df=Y[:, None] * plant.Df, Bf=plant.Bf * np.array([1, 1e4, 1, 1]))
+    found = rs.design.luenberger_observer(scaled).residual_generator().steady_directions
+    for name in plant.faults:
+        assert ((plain[name] != 0) == (found[name] != 0)).all()

@@ -2,6 +2,8 @@
 
 from residua.decide.consistency import ConsistentFault, Explanation, code_likelihoods, consistent_faults
 from residua.decide.directional import Directional, DirectionTest, correlation, projection_distance
+from residua.decide.matched import Matched, MatchedTest
+from residua.decide.matched_hold import Match
 from residua.decide.member_thresholds import BankTest
 from residua.decide.norm_threshold import NormTest, NormThreshold
 from residua.decide.structured import CodeReading, CodeTest, Structured, read_code, read_codes
@@ -9,12 +11,15 @@ from residua.decide.whitening import whitening_matrix
 
 __all__ = [
     "BankTest",
-    "ConsistentFault",
     "CodeReading",
     "CodeTest",
+    "ConsistentFault",
     "DirectionTest",
     "Directional",
     "Explanation",
+    "Match",
+    "Matched",
+    "MatchedTest",
     "NormTest",
     "NormThreshold",
     "Structured",

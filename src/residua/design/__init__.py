@@ -12,6 +12,7 @@ from residua.design.estimation.fault_estimator import FaultEstimator, fault_esti
 from residua.design.estimation.sensor_fault_estimators import SensorFaultEstimators, sensor_fault_estimators
 from residua.design.evidence import Evidence
 from residua.design.generator import Member, ResidualGenerator
+from residua.design.matched_filters import MatchedFilters, matched_filters
 from residua.design.observers.descriptor_observer import descriptor_observer
 from residua.design.observers.inverse_form_observer import InverseFormObserver, inverse_form_observer
 from residua.design.observers.kalman_filter import kalman_filter
@@ -34,6 +35,7 @@ __all__ = [
     "Evidence",
     "FaultEstimator",
     "InverseFormObserver",
+    "MatchedFilters",
     "Member",
     "Observer",
     "ParityRelations",
@@ -53,6 +55,7 @@ __all__ = [
     "inverse_form_observer",
     "kalman_filter",
     "luenberger_observer",
+    "matched_filters",
     "parity_orders",
     "parity_relations",
     "perfect_observer",

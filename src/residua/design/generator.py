@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from residua.design.evidence import Evidence, format_pole
@@ -22,6 +20,7 @@ from residua.design.internal_form import (
     signature_bases,
     with_silent_inputs,
 )
+from residua.design.responses import covariance_of_sums, steady_responses
 from residua.design.signals import discretized_filter, sampled_filter, stack_signals
 from residua.errors import AccuracyError
 from residua.linear import StateSpace, decide_rank
@@ -142,11 +141,7 @@ class ResidualGenerator:
         """
         if self.steady is not None:
             return {name: vector.copy() for name, vector in self.steady.items()}
-        form = self.internal_form()
-        n = len(self.faults)
-        gain, direct = form.dc_gain()[:, :n], np.abs(form.D[:, :n])
-        scale = (direct + np.abs(gain)).max(axis=1, initial=0.0)[:, None]  # each residual has its own units
-        gain = np.where(np.abs(gain) > 1e-10 * scale, gain, 0.0)
+        gain = steady_responses(self.internal_form().select(inputs=range(len(self.faults))))
         return {name: gain[:, i] for i, name in enumerate(self.faults)}
 
     @cached_property
@@ -201,17 +196,8 @@ class ResidualGenerator:
         """
         if not self.system.is_discrete or self.plant.Bw.shape[1] == 0 or not self._internal_form.is_stable():
             return None
-        form = self._internal_form
-        n_other = len(self.faults) + len(self.plant.disturbances)
-        A, C, B, D = form.A, form.C, form.B[:, n_other:], form.D[:, n_other:]
-        X = state_covariance(A, B @ B.T)
-        S = C @ X @ C.T + D @ D.T
-        step = A @ X @ C.T + B @ D.T
-        for k in range(1, window):
-            R = C @ step
-            S = S + (1 - k / window) * (R + R.T)
-            step = A @ step
-        return (S + S.T) / 2
+        noise = range(len(self.faults) + len(self.plant.disturbances), self._internal_form.n_inputs)
+        return covariance_of_sums(self._internal_form.select(inputs=noise), window)
 
     # ----------------------------------------------------------------- results
 
@@ -470,18 +456,3 @@ def make_generator(
         estimated=estimated,
         relations=relations,
     )
-
-
-def state_covariance(A: NDArray, Q: NDArray) -> NDArray[np.float64]:
-    """Return ``X = A X A' + Q``, or raise when the solution misses the equation."""
-    if not len(A):
-        return np.zeros((0, 0))
-    units = np.sqrt(np.where(np.diag(Q) > 0, np.diag(Q), 1.0))  # comparable states, whatever the units of the model
-    A, Q = A / units[:, None] * units, Q / units[:, None] / units
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # ill-conditioning shows in the residual below
-        X = scipy.linalg.solve_discrete_lyapunov(A, Q)
-    missed = float(np.linalg.norm(X - A @ X @ A.T - Q) / max(np.linalg.norm(X), 1e-300))
-    if not missed < 1e-8:
-        raise AccuracyError(f"the covariance of the residual misses its equation by {missed:.2g}: rescale the plant")
-    return X * units[:, None] * units

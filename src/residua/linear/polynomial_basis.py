@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
+
+#: Nodes nearer than this fraction of the distance to the farthest one meet (a triple pole scatters by 1e-5) ...
+_MEETING = 1e-3
+#: ... and count as this fraction of the distance to the nearest other one apart.
+_MEETING_SIZE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +50,17 @@ class PolynomialBasis:
             first = np.concatenate([np.zeros(0, dtype=bool), values.imag > 0])
             return cls(values.real.copy(), np.where(first, values.imag, 0.0), np.ones(len(values)))
         return cls(*_leja(values))
+
+    def with_room(self) -> PolynomialBasis:
+        """Return the basis with one node more, so that products with the variable can be written too."""
+        if not self.count:
+            return PolynomialBasis.powers(1)
+        more = np.array([self.real.mean()]), np.zeros(1), self.sizes[-1:]
+        return PolynomialBasis(*(np.concatenate(x) for x in zip(self._arrays, more, strict=True)))
+
+    @property
+    def _arrays(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        return self.real, self.imaginary, self.sizes
 
     @property
     def count(self) -> int:
@@ -113,6 +128,7 @@ class PolynomialBasis:
 def _leja(values: NDArray[np.complex128]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return real parts, imaginary parts and sizes of nodes in the order of Leja."""
     upper = values[values.imag >= 0]
+    nearest = _least_distances(upper, values)
     rest = list(range(len(upper)))
     log_size = np.zeros(len(upper))  # of the current element at each node
     center = upper.mean().real if len(upper) else 0.0
@@ -124,7 +140,7 @@ def _leja(values: NDArray[np.complex128]) -> tuple[NDArray[np.float64], NDArray[
         node = upper[pick]
         for step, conjugate in enumerate([node, node.conjugate()] if node.imag > 0 else [node]):
             with np.errstate(divide="ignore"):
-                log_size = log_size + np.log(np.abs(upper - conjugate))
+                log_size = log_size + np.log(np.maximum(np.abs(upper - conjugate), nearest))
             left = log_size[rest] if rest else np.zeros(0)
             largest = float(np.max(left, initial=-np.inf))
             size = float(np.exp(largest)) if np.isfinite(largest) else previous
@@ -136,10 +152,52 @@ def _leja(values: NDArray[np.complex128]) -> tuple[NDArray[np.float64], NDArray[
     return np.array(real), np.array(imaginary), np.array(sizes)
 
 
-def combined(bases: Sequence[PolynomialBasis]) -> PolynomialBasis:
-    """Return a basis on the nodes of one after another."""
-    return PolynomialBasis(
-        np.concatenate([b.real for b in bases]),
-        np.concatenate([b.imaginary for b in bases]),
-        np.concatenate([b.sizes for b in bases]),
-    )
+def _least_distances(upper: NDArray[np.complex128], values: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Return for each node how near others count at most: nodes that meet would make sizes of rounding."""
+    distances = np.abs(upper[:, None] - values[None, :])
+    apart = distances > _MEETING * distances.max(axis=1, keepdims=True, initial=0.0)
+    nearest = np.where(apart, distances, np.inf).min(axis=1, initial=np.inf)
+    return np.where(np.isfinite(nearest), _MEETING_SIZE * nearest, 0.0)
+
+
+def basis_on_poles(poles: ArrayLike, count: int, size: float, *, outward: bool = False) -> PolynomialBasis:
+    """Return a basis with some number of nodes, on poles, each used as often as needed.
+
+    Parameters
+    ----------
+    poles : array_like of complex
+        Closed under conjugation; those that are not finite are left out. Without any: powers of ``z / size``.
+    count : int
+        The number of nodes at least.
+    size : float
+        What sizes are compared with when the poles do not tell: all are zero, or there is none.
+    outward : bool
+        Whether the order of Leja is reversed: nodes far out come last. A division by all nodes, from the highest
+        element down, then meets the fast modes first, and nothing that it leaves grows; that keeps the digits of
+        polynomials that use all of the nodes, when some are far out. Those of few nodes want the far ones first.
+    """
+    values = np.asarray(poles, dtype=np.complex128).ravel()
+    values = values[np.isfinite(values)]
+    values = np.where(np.abs(values.imag) < 1e-9 * np.abs(values), values.real, values)
+    if not len(values):
+        return PolynomialBasis.powers(count, size)
+    floor = 1e-6 * (float(np.median(np.abs(values))) or size)  # poles that meet would make sizes of rounding
+    one = PolynomialBasis.on(values)
+    one = PolynomialBasis(one.real, one.imaginary, np.maximum(one.sizes, floor))
+    if outward:
+        one = _reversed(one)
+    times = -(-count // one.count)
+    return PolynomialBasis(*(np.tile(x, times) for x in (one.real, one.imaginary, one.sizes)))
+
+
+def _reversed(basis: PolynomialBasis) -> PolynomialBasis:
+    """Return the basis on the nodes from the last to the first, pairs kept.
+
+    The step from an element down to the one before divides by its own node; its size is that of the node before.
+    """
+    order = np.arange(basis.count)[::-1]
+    for j in np.flatnonzero(basis.imaginary):
+        at = basis.count - 1 - j
+        order[[at - 1, at]] = order[[at, at - 1]]
+    sizes = np.roll(basis.sizes[::-1], -1)
+    return PolynomialBasis(basis.real[order], basis.imaginary[order], sizes)

@@ -21,15 +21,19 @@ class Size:
         Its last value there.
     unit : str
         Of the output of a sensor fault, or the input of an actuator fault, where the plant knows it; else empty.
+    deviation : float or None
+        Standard deviation of ``mean``, where the noise model tells it (matched filters, for a known arrival).
     """
 
     fault: str
     mean: float
     last: float
     unit: str
+    deviation: float | None = None
 
     def __str__(self) -> str:
-        return f"{self.mean:.3g}{f' ({self.unit})' if self.unit else ''}"
+        spread = "" if self.deviation is None else f" ± {self.deviation:.2g}"
+        return f"{self.mean:.3g}{spread}{f' ({self.unit})' if self.unit else ''}"
 
 
 @dataclass(frozen=True)
@@ -41,18 +45,27 @@ class Candidate:
     faults : tuple of str
     score : float
         Correlation of the residual with the signature of the group, 0 to 1 (``CORR``); by code: the fraction of
-        the members of the bank that agree with the group's code.
+        the members of the bank that agree with the group's code; by matched filters: the root of the fraction that
+        the fault explains of what exceeds the noise.
     distance : float
         Normalised projection distance of the residual from the signature, 0 to 1 (``NPD``);
         ``score**2 + distance**2 = 1``; by code: the fraction of the members that do not agree, ``1 - score``.
     sizes : tuple of Size
         Of those of its faults that are estimated.
+    arrival : float or None
+        By matched filters: when the fault arrived if it is this one, in seconds; ``None`` where that was before the
+        window.
+    ratio : float or None
+        By matched filters: twice the logarithm of the likelihood ratio of this fault against none. A lead of 6 over
+        the next candidate makes this one 20 times as likely.
     """
 
     faults: tuple[str, ...]
     score: float
     distance: float
     sizes: tuple[Size, ...] = ()
+    arrival: float | None = None
+    ratio: float | None = None
 
     @property
     def name(self) -> str:
@@ -74,7 +87,8 @@ class Alarm:
     Attributes
     ----------
     onset : float
-        Time at which the statistic first went over the threshold and stayed, in seconds.
+        Time at which the statistic first went over the threshold and stayed, in seconds; by matched filters the
+        estimated arrival of the fault, where that is known.
     raised : float
         Time at which the alarm was raised (later than the onset when persistence was asked for).
     ended : float or None
@@ -93,6 +107,8 @@ class Alarm:
     sizes : tuple of Size
         Estimated sizes of all faults that are estimated, over the isolation window that ends with the last sample
         over the threshold.
+    arrival : float or None
+        By matched filters: the estimated arrival of the best candidate; ``None`` where it was before the window.
     """
 
     onset: float
@@ -104,6 +120,7 @@ class Alarm:
     reading: CodeReading | None = None
     read_share: float | None = None
     sizes: tuple[Size, ...] = field(default=())
+    arrival: float | None = None
 
     @property
     def samples(self) -> int:
@@ -115,10 +132,17 @@ class Alarm:
         """Lead of the best candidate over the next in score; ``None`` with fewer than two."""
         return self.candidates[0].score - self.candidates[1].score if len(self.candidates) > 1 else None
 
+    @property
+    def lead(self) -> float | None:
+        """Lead of the best candidate over the next in ``ratio``, by matched filters; ``None`` with fewer than two."""
+        ratios = [c.ratio for c in self.candidates[:2] if c.ratio is not None]
+        return ratios[0] - ratios[1] if len(ratios) == 2 else None
+
     def to_dict(self, *, window: int = 1) -> dict[str, Any]:
         """Return the alarm as plain values for JSON; ``short`` means shorter than the isolation window.
 
-        ``code`` is there for banks, ``sizes`` for estimators.
+        ``code`` is there for banks, ``sizes`` for estimators and matched filters, ``arrival`` and ``lead`` for the
+        latter.
         """
         out: dict[str, Any] = {
             "onset": self.onset,
@@ -127,17 +151,25 @@ class Alarm:
             "samples": self.samples,
             "short": self.samples < window,
             "margin": self.margin,
-            "candidates": [
-                {"faults": list(c.faults), "score": c.score, "distance": c.distance} for c in self.candidates
-            ],
+            "candidates": [_candidate(c) for c in self.candidates],
         }
+        if any(c.ratio is not None for c in self.candidates):
+            out |= {"arrival": self.arrival, "lead": self.lead}
         if self.reading is not None:
             out["code"] = _code(self.reading) | {"share": self.read_share}
         if self.sizes:
-            out["sizes"] = [
-                {"fault": s.fault, "mean": _finite(s.mean), "last": _finite(s.last), "unit": s.unit} for s in self.sizes
-            ]
+            out["sizes"] = [_size(s) for s in self.sizes]
         return out
+
+
+def _candidate(c: Candidate) -> dict[str, Any]:
+    out: dict[str, Any] = {"faults": list(c.faults), "score": c.score, "distance": c.distance}
+    return out if c.ratio is None else out | {"arrival": c.arrival, "ratio": c.ratio}
+
+
+def _size(s: Size) -> dict[str, Any]:
+    out = {"fault": s.fault, "mean": _finite(s.mean), "last": _finite(s.last), "unit": s.unit}
+    return out if s.deviation is None else out | {"deviation": _finite(s.deviation)}
 
 
 def _code(reading: CodeReading) -> dict[str, Any]:

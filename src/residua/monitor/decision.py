@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from residua.decide.structured import CodeReading
 from residua.design import ResidualGenerator
 from residua.monitor.alarm import Candidate
+from residua.monitor.matched_naming import candidates_of_match
 from residua.monitor.naming import candidates_at, candidates_of_code, estimates_of
 from residua.monitor.running import Decisions, Specification
 
@@ -38,6 +39,13 @@ class Decision:
         For a bank while the alarm is on: what the members that fired over the window say.
     estimates : mapping of str to float
         For an estimator: the estimated size of every fault now.
+    arrived : float or None
+        For matched filters while the alarm is on: how many seconds ago the fault arrived that the alarm is put down
+        to; ``None`` where that was before the window.
+    blamed : str
+        For matched filters while the alarm is on: that fault. The candidates are those of this very sample, their
+        arrivals in seconds since the first sample; once the arrival of that fault has left the window, the last of
+        their sizes are by the steady responses.
     """
 
     residual: NDArray[np.float64]
@@ -49,10 +57,12 @@ class Decision:
     fired: tuple[str, ...] = ()
     reading: CodeReading | None = None
     estimates: Mapping[str, float] = field(default_factory=dict)
+    arrived: float | None = None
+    blamed: str = ""
 
 
-def decision_from(found: Decisions, spec: Specification, generator: ResidualGenerator) -> Decision:
-    """Return the decision on the first sample of the first plant of a block."""
+def decision_from(found: Decisions, spec: Specification, generator: ResidualGenerator, count: int) -> Decision:
+    """Return the decision on the first sample of the first plant of a block; ``count`` is its number in the run."""
     alarm = bool(found.alarm[0, 0])
     candidates: tuple[Candidate, ...] = ()
     fired: tuple[str, ...] = ()
@@ -64,6 +74,21 @@ def decision_from(found: Decisions, spec: Specification, generator: ResidualGene
             candidates = candidates_of_code(reading, spec.codes)
     elif alarm and spec.direction is not None:
         candidates = candidates_at(found.scores[0, 0], spec.direction.groups, spec.direction.dimensions)
+    arrived, blamed = None, ""
+    if alarm and spec.matched is not None and found.match is not None:
+        match = found.match.of(0)
+        ago = count - float(match.arrival[0])
+        candidates = candidates_of_match(
+            spec.matched,
+            match,
+            found.scores[0],
+            0,
+            generator,
+            lambda number: (count + number) * generator.dt,
+            settled=ago > spec.matched.window,
+        )
+        arrived = ago * generator.dt if np.isfinite(ago) else None
+        blamed = spec.matched.faults[int(match.fault[0])]
     return Decision(
         residual=found.residuals[0, 0],
         statistic=float(found.statistic[0, 0]),
@@ -74,4 +99,6 @@ def decision_from(found: Decisions, spec: Specification, generator: ResidualGene
         fired=fired,
         reading=reading,
         estimates={name: float(value) for name, value in estimates_of(generator, found.residuals[0, 0]).items()},
+        arrived=arrived,
+        blamed=blamed,
     )

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.matched_hold import Match
 from residua.decide.structured import CodeTest
 from residua.errors import MissingExtraError
 from residua.files import write_text
 from residua.monitor.alarm import Alarm, Candidate
-from residua.monitor.naming import alike, estimates_of, ranked, tied_name
+from residua.monitor.naming import alike, arrival_text, estimates_of, ranked, tied_name
 
 if TYPE_CHECKING:
     from residua.design import ResidualGenerator
@@ -25,6 +26,9 @@ __all__ = ["CLOSE_MARGIN", "Alarm", "Candidate", "Diagnosis"]
 
 #: A lead in score below this is a close call.
 CLOSE_MARGIN = 0.02
+
+#: By matched filters, a lead in twice the logarithm of the likelihood below this (20 to 1) is a close call.
+CLOSE_LEAD = 6.0
 
 #: What is said of a fault that a single estimate found.
 NO_DIRECTION = "one estimate has no direction: any of these would look like this"
@@ -57,7 +61,8 @@ class Diagnosis:
         only while it changes is in two (see ``group_names``).
     signatures : tuple of ndarray, shape (residuals, dimension)
         For each group an orthonormal basis of the direction or subspace that it was judged by, in whitened
-        residual space; empty for a bank that is read by code.
+        residual space; empty for a bank that is read by code. Of matched filters the direction that the first fault
+        of the group settles to.
     unjudged : tuple of str
         Faults without a usable signature in this monitor.
     alarms : tuple of Alarm
@@ -71,7 +76,8 @@ class Diagnosis:
         Applied as ``(r - center) @ whitening`` before norm and direction are judged; for a bank the members'
         matrices side by side.
     window : int
-        Samples over which direction is judged: an alarm that is shorter is not sure of its name.
+        Samples over which direction is judged: an alarm that is shorter is not sure of its name. 1 for matched
+        filters, whose likelihood tells how sure a name is after any time.
     settings : mapping of str to str
         How threshold, alarms and isolation were set, in words.
     generator : ResidualGenerator
@@ -88,6 +94,9 @@ class Diagnosis:
         Which members are in alarm at each sample.
     code : ndarray of bool, shape (T, members)
         Which members count as fired over the window that ends there: what is read.
+    match : Match or None
+        Of matched filters: likelihood ratio, arrival and size of every fault at every sample, and what a standing
+        alarm is put down to; see :class:`residua.decide.Match`.
     """
 
     time: NDArray[np.float64] = field(repr=False)
@@ -117,6 +126,7 @@ class Diagnosis:
     member_thresholds: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0), repr=False)
     fired: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), dtype=bool), repr=False)
     code: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), dtype=bool), repr=False)
+    match: Match | None = field(default=None, repr=False)
 
     # ------------------------------------------------------------------- facts
 
@@ -192,6 +202,9 @@ class Diagnosis:
                 lines.append(f"  {alarm.reading}")
             if alarm.candidates and alarm.samples < self.window:
                 lines.append(f"  shorter than the {self.window} samples that a name is judged by: not sure of its name")
+            elif alarm.lead is not None and alarm.lead < CLOSE_LEAD:
+                odds = f"{np.exp(alarm.lead / 2):.3g}"
+                lines.append(f"  a close call: the first is {odds} times as likely as the second")
             elif alarm.reading is None and alarm.margin is not None and alarm.margin < CLOSE_MARGIN:
                 lines.append(f"  a close call: the first two are {alarm.margin:.3f} apart")
             lines += self._candidate_lines(alarm)
@@ -216,7 +229,7 @@ class Diagnosis:
             else:
                 size = "".join(f"  estimated size {size}" for size in candidate.sizes[:1])
             name = tied_name(alarm.candidates, rank)
-            lines.append(f"  {rank}. {name:<40} score {candidate.score:.3f}{size}")
+            lines.append(f"  {rank}. {name:<40} score {candidate.score:.3f}{size}{arrival_text(candidate)}")
         return [*lines, f"  {NO_DIRECTION}"] if lines and self.no_direction else lines
 
     def _why_undecided(self) -> str:
@@ -238,7 +251,7 @@ class Diagnosis:
         """Return time, residuals, statistic, alarm and scores as named columns.
 
         For a bank also the statistic of each member and whether it is in alarm; for an estimator also the
-        estimates under the names of the faults.
+        estimates under the names of the faults; for matched filters sizes and ages of the faults.
         """
         out: dict[str, NDArray] = {"time": self.time}
         out |= {name: self.residuals[:, i] for i, name in enumerate(self.residual_names)}
@@ -247,6 +260,9 @@ class Diagnosis:
         for m, member in enumerate(self.members):
             out |= {f"statistic {member}": self.member_statistics[:, m], f"fired {member}": self.fired[:, m]}
         out |= {f"estimate {fault}": values for fault, values in self.estimates.items()}
+        for j, fault in enumerate(self.generator.faults if self.match else ()):
+            assert self.match is not None
+            out |= {f"size {fault}": self.match.sizes[:, j], f"age {fault}": self.match.ages[:, j]}
         return out
 
     def to_frame(self, backend: str = "pandas") -> Any:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.decide.directional import Directional
+from residua.decide.matched import Matched
 from residua.decide.member_thresholds import BankTest
 from residua.decide.norm_threshold import NormTest, NormThreshold, check_rate, check_samples
 from residua.decide.structured import Structured
@@ -48,16 +49,18 @@ class Monitor:
 
     Parameters
     ----------
-    generator : ResidualGenerator, or a bank or an estimator
+    generator : ResidualGenerator, or a bank, matched filters or an estimator
         Of an object that is not a generator itself, its ``generator`` is run.
     test : NormThreshold
         When to raise an alarm.
-    isolate : Directional, Structured, None or "auto"
+    isolate : Directional, Structured, Matched, None or "auto"
         How to name the fault. With :class:`residua.decide.Structured` every member of a bank has its own
         whitening, threshold and alarm, each with its share of the false alarm rate; the monitor is in alarm while
-        any member is, and the fault is read from which of them are. Otherwise the residual is tested as a whole,
-        and the fault named by direction, or not at all (``None``). ``"auto"``: by code for a bank, by direction
-        for any other generator.
+        any member is, and the fault is read from which of them are. With :class:`residua.decide.Matched` the fault,
+        its arrival and its size are those whose expected response explains white residuals best, and the alarm is
+        that they explain them better than no fault. Otherwise the residual is tested as a whole, and the fault named
+        by direction, or not at all (``None``). ``"auto"``: by code for a bank, by responses for matched filters, by
+        direction for any other generator.
     estimator : ResidualGenerator, or an estimator, optional
         Beside a bank, which names the fault: a fault estimator of the same plant, which tells its size
         (:attr:`residua.Diagnosis.estimates`). It runs on the same data and takes no part in alarms.
@@ -88,13 +91,13 @@ class Monitor:
         generator: Any,
         *,
         test: NormThreshold | None = None,
-        isolate: Directional | Structured | str | None = "auto",
+        isolate: Directional | Structured | Matched | str | None = "auto",
         estimator: Any = None,
         dt: float | None = None,
         settle: int | None = None,
         max_hold: int = 10,
     ) -> None:
-        generator = as_generator(generator)
+        design, generator = generator, as_generator(generator)
         if estimator is not None:
             generator = with_estimator(generator, as_generator(estimator))
         if settle is not None:
@@ -102,7 +105,7 @@ class Monitor:
         check_samples(max_hold, "max_hold", least=0)
         self.design: ResidualGenerator = generator
         self.test = NormThreshold() if test is None else test
-        self.isolate: Isolation = chosen_isolation(isolate, generator)
+        self.isolate: Isolation = chosen_isolation(isolate, generator, design)
         if estimator is not None and not isinstance(self.isolate, Structured):
             raise SettingError("an estimator runs beside a bank that is read by code: use a bank, and Structured()")
         self.settle = settle
@@ -158,7 +161,7 @@ class Monitor:
         A fault of a bank that some members see only while it changes is in two groups: see
         :class:`residua.decide.CodeTest`.
         """
-        judge = self._specification().direction or self._specification().codes
+        judge = self._specification().judge
         return judge.groups if judge else ()
 
     @property
@@ -329,7 +332,8 @@ class Monitor:
         """
         u_ = None if u is None else np.atleast_1d(np.asarray(u, dtype=float))[None]
         found = self.update(u_, np.atleast_1d(np.asarray(y, dtype=float))[None])
-        return decision_from(found, self._specification(), self.generator)
+        assert self._state is not None
+        return decision_from(found, self._specification(), self.generator, self._state.count - 1)
 
     def reset(self) -> None:
         """Forget all data seen so far; thresholds stay."""

@@ -71,6 +71,14 @@ def tied_name(candidates: tuple[Candidate, ...], rank: int) -> str:
     return f"{names[0]} (tied with {more} more)" if more > 0 else "".join(names)
 
 
+def arrival_text(candidate: Candidate) -> str:
+    """Return when a fault arrived and how likely it is, as matched filters tell it; empty for anything else."""
+    if candidate.ratio is None:
+        return ""
+    when = "before the window" if candidate.arrival is None else f"{candidate.arrival:.6g} s"
+    return f"  arrived {when}  2 ln L {candidate.ratio:.1f}"
+
+
 def alike(groups: tuple[tuple[str, ...], ...], codes: CodeTest | None) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
     """Return the groups of several faults, each with its names as shown: with *once constant* where that is meant."""
     groups, settled = (codes.groups, codes.settled) if codes else (groups, ((),) * len(groups))

@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.matched_hold import joined_matches
 from residua.decide.member_thresholds import BankTest
 from residua.design import ResidualGenerator
 from residua.monitor.alarm import Alarm
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.inputs import settling_reason
+from residua.monitor.matched_naming import named_by_match, settled_bases
 from residua.monitor.naming import candidates_at, candidates_of_code, longest_code, sizes_over, with_sizes
 from residua.monitor.running import Decisions, Specification
 
@@ -33,11 +35,15 @@ def diagnosis_from(
     def joined(name: str) -> NDArray:
         return np.concatenate([getattr(part, name)[plant] for part in parts], axis=0)
 
-    judge = spec.direction or spec.codes
     alarm, usable = joined("alarm"), joined("usable")
     residuals, scores, code = joined("residuals"), joined("scores"), joined("code")
 
-    def named(start: int, last: int) -> dict[str, Any]:
+    matches = [part.match for part in parts if part.match is not None]
+    match = joined_matches(matches, plant) if matches else None
+
+    def named(start: int, stop: int, last: int) -> dict[str, Any]:
+        if spec.matched is not None and match is not None:
+            return named_by_match(spec.matched, match, scores, stop, last, generator, time)
         first = max(start, last - spec.window + 1)
         sizes = sizes_over(generator, residuals, usable, first, last)
         found = _by_code(spec, code, usable, start, last) if spec.codes else _by_direction(spec, scores, last)
@@ -52,9 +58,6 @@ def diagnosis_from(
         decided=usable,
         missing=joined("missing"),
         scores=scores,
-        groups=judge.groups if judge else (),
-        signatures=spec.direction.bases if spec.direction else (),
-        unjudged=judge.unjudged if judge else (),
         alarms=_joined_alarms(
             _alarms(time, alarm, usable, joined("up"), joined("exceeded"), named),
             max(spec.window, spec.test.window),
@@ -65,16 +68,28 @@ def diagnosis_from(
         band=spec.test.band,
         generator=generator,
         whitening=spec.test.whitening,
-        window=spec.window,
         settings=_settings(spec, generator),
         source=source,
         notes=(*notes, *_sampling_notes(generator), *_settling_notes(spec, generator, usable, joined("missing"))),
-        codes=spec.codes,
         member_statistics=joined("member_statistics"),
-        member_thresholds=spec.test.thresholds if isinstance(spec.test, BankTest) else np.zeros(0),
         fired=joined("fired"),
         code=code,
+        match=match,
+        **_judge_fields(spec),
     )
+
+
+def _judge_fields(spec: Specification) -> dict[str, Any]:
+    """Return what a diagnosis says of how faults are named."""
+    judge = spec.judge
+    return {
+        "groups": judge.groups if judge else (),
+        "signatures": spec.direction.bases if spec.direction else settled_bases(spec.matched),
+        "unjudged": judge.unjudged if judge else (),
+        "window": 1 if spec.matched else spec.window,  # likelihood tells how sure a name is, after any time
+        "codes": spec.codes,
+        "member_thresholds": spec.test.thresholds if isinstance(spec.test, BankTest) else np.zeros(0),
+    }
 
 
 def _by_direction(spec: Specification, scores: NDArray, last: int) -> dict[str, Any]:
@@ -135,6 +150,8 @@ def _settings(spec: Specification, generator: ResidualGenerator) -> dict[str, st
     if spec.direction is not None:
         window = spec.direction.window
         out["isolation"] = f"direction of the residual averaged over {window} samples ({window * step:g} s)"
+    if spec.matched is not None:
+        out |= _matched_settings(spec, step)
     if spec.codes is not None:
         window = spec.codes.window
         out["isolation"] = (
@@ -143,6 +160,24 @@ def _settings(spec: Specification, generator: ResidualGenerator) -> dict[str, st
             f"{spec.codes.distance} off"
         )
     return out
+
+
+def _matched_settings(spec: Specification, step: float) -> dict[str, str]:
+    """Return how matched filters were set, in words."""
+    assert spec.matched is not None
+    window = spec.matched.window
+    if not len(spec.matched.responses):
+        return {
+            "test": f"largest standardised size of a settled fault, over {window + 1} samples",
+            "isolation": "the settled response that explains them best; the name may be wrong until it has settled",
+        }
+    return {
+        "test": f"largest standardised size of a step fault that arrived up to {window} samples ago, or before",
+        "isolation": f"the fault and arrival, up to {window} samples ({window * step:g} s) ago, that explain the "
+        "innovations best; held once that arrival has left the window",
+        "missing values": f"held for up to {spec.max_hold} samples, then the filter starts anew; samples without a "
+        "decision carry no information, and count for none",
+    }
 
 
 def _names(spec: Specification) -> tuple[str, ...]:
@@ -155,9 +190,12 @@ def _alarms(
     usable: NDArray[np.bool_],
     up: NDArray[np.int64],
     exceeded: NDArray[np.bool_],
-    named: Callable[[int, int], dict[str, Any]],
+    named: Callable[[int, int, int], dict[str, Any]],
 ) -> tuple[Alarm, ...]:
-    """Return the alarms; ``named`` says who is to blame, from the first sample and the last over the threshold."""
+    """Return the alarms; ``named`` says who is to blame.
+
+    It is given the first sample, that after the alarm, and the last over the threshold.
+    """
     edges = np.flatnonzero(np.diff(np.concatenate([[0], alarm.astype(np.int8), [0]])))
     counted = np.flatnonzero(usable)
     out = []
@@ -166,16 +204,10 @@ def _alarms(
         first = counted[max(0, position - int(up[start]) + 1)]
         over = np.flatnonzero(exceeded[start:stop])
         last = start + (int(over[-1]) if over.size else 0)
-        out.append(
-            Alarm(
-                onset=float(time[first]),
-                raised=float(time[start]),
-                ended=float(time[stop]) if stop < len(time) else None,
-                start=int(start),
-                stop=int(stop),
-                **named(int(start), int(last)),
-            )
-        )
+        found: dict[str, Any] = {"onset": float(time[first])}
+        found |= named(int(start), int(stop), int(last))
+        ended = float(time[stop]) if stop < len(time) else None
+        out.append(Alarm(raised=float(time[start]), ended=ended, start=int(start), stop=int(stop), **found))
     return tuple(out)
 
 
@@ -198,7 +230,13 @@ def _joined_alarms(alarms: tuple[Alarm, ...], apart: int) -> tuple[Alarm, ...]:
         who = alarm if length >= longest else last
         longest = max(longest, length)
         out[-1] = replace(
-            who, onset=last.onset, raised=last.raised, ended=alarm.ended, start=last.start, stop=alarm.stop
+            who,
+            onset=last.onset,
+            raised=last.raised,
+            ended=alarm.ended,
+            start=last.start,
+            stop=alarm.stop,
+            arrival=last.arrival,
         )
     return tuple(out)
 

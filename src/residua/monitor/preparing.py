@@ -8,16 +8,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.directional import Directional, direction_test
+from residua.decide.matched import Matched, MatchedTest, matched_test
+from residua.decide.matched_level import fit_matched_test, matched_test_from_model
 from residua.decide.member_thresholds import BankTest, bank_test_from_model, fit_bank_test
 from residua.decide.norm_threshold import NormTest, NormThreshold, fit_norm_test, norm_test_from_model
 from residua.decide.structured import CodeTest, Structured, code_test
 from residua.design import ResidualGenerator
+from residua.design.matched_filters import MatchedFilters, step_responses
 from residua.errors import ModelError, SettingError
 from residua.monitor.inputs import settling_samples, signal_size
 from residua.monitor.running import Specification
 
-#: How faults are named: by direction, by code, or not at all.
-Isolation = Directional | Structured | None
+#: How faults are named: by direction, by code, by matched responses, or not at all.
+Isolation = Directional | Structured | Matched | None
+
+#: What is asked for where ``isolate`` is none of these.
+_KINDS = "isolate must be 'auto', Directional(...), Structured(...), Matched(...) or None"
+
+#: Largest correlation between samples, relative, with which residuals still count as white.
+_WHITE = 1e-6
 
 
 def as_generator(design: Any) -> ResidualGenerator:
@@ -37,14 +46,22 @@ def as_generator(design: Any) -> ResidualGenerator:
     )
 
 
-def chosen_isolation(isolate: Any, generator: ResidualGenerator) -> Isolation:
-    """Return how faults are named: ``"auto"`` is by code where the generator has codes, else by direction."""
+def chosen_isolation(isolate: Any, generator: ResidualGenerator, design: Any = None) -> Isolation:
+    """Return how faults are named.
+
+    ``"auto"`` is by code where the generator has codes, by matched responses for matched filters, else by direction.
+    """
     if isinstance(isolate, str):
         if isolate != "auto":
-            raise SettingError(f"isolate must be 'auto', Directional(...), Structured(...) or None, got {isolate!r}")
-        isolate = Directional() if generator.codes is None else Structured()
-    if isolate is not None and not isinstance(isolate, (Directional, Structured)):
-        raise SettingError(f"isolate must be 'auto', Directional(...), Structured(...) or None, got {isolate!r}")
+            raise SettingError(f"{_KINDS}, got {isolate!r}")
+        if isinstance(design, MatchedFilters):
+            isolate = Matched(design.window, design.steady, design.alike)
+        else:
+            isolate = Directional() if generator.codes is None else Structured()
+    if isolate is not None and not isinstance(isolate, (Directional, Structured, Matched)):
+        raise SettingError(f"{_KINDS}, got {isolate!r}")
+    if isinstance(isolate, Matched):
+        _check_white(generator)
     if isinstance(isolate, Structured):
         if generator.codes is None:
             raise SettingError(
@@ -55,11 +72,41 @@ def chosen_isolation(isolate: Any, generator: ResidualGenerator) -> Isolation:
     return isolate
 
 
+def _check_white(generator: ResidualGenerator) -> None:
+    """Raise unless the residuals are innovations: white, so that products with responses can simply be added."""
+    advice = "design with matched_filters(plant), or kalman_filter(plant), on the sampled plant, plant.discretize(dt)"
+    if not generator.faults:
+        raise SettingError("Matched looks for the responses to faults, and this plant has none")
+    covariance = generator.covariance
+    if covariance is None:
+        raise SettingError(f"Matched needs white residuals of known covariance, and this generator has none: {advice}")
+    spread = np.sqrt(np.diag(covariance))
+    for window in (2, 10):
+        sums = generator.covariance_of_sums(window)
+        assert sums is not None  # as for one sample
+        off = np.abs(sums - covariance) / np.outer(spread, spread)
+        if not off.max(initial=0.0) <= _WHITE:
+            raise SettingError(
+                f"Matched needs white residuals, and those of this generator ({generator.method}) correlate over time "
+                f"({off.max():.2g}): {advice}"
+            )
+
+
+def responses_of(generator: ResidualGenerator, isolate: Matched, whitening: NDArray[np.float64]) -> MatchedTest:
+    """Return the test of residuals that a whitening matrix goes with."""
+    responses, settled = step_responses(generator, isolate.window)
+    return matched_test(isolate, generator.faults, responses, settled, whitening)
+
+
 def first_test(settings: NormThreshold, isolate: Isolation, generator: ResidualGenerator) -> NormTest | BankTest | None:
     """Return the test that needs no data, or ``None`` when data are needed."""
     covariance = generator.covariance_of_sums(settings.window)
     if isinstance(isolate, Structured):
         return bank_test_from_model(settings, covariance, _rows(generator), generator.n_residuals)
+    if isinstance(isolate, Matched):
+        return matched_test_from_model(
+            settings, covariance, generator.n_residuals, lambda w: responses_of(generator, isolate, w)
+        )
     return norm_test_from_model(settings, covariance, generator.n_residuals)
 
 
@@ -84,6 +131,16 @@ def fitted_test(
             false_alarm_rate=rate,
             covariance=covariance,
             signal_sizes=[signal_size(generator, deviations, part) for part in rows],
+        )
+    if isinstance(isolate, Matched):
+        return fit_matched_test(
+            settings,
+            residuals,
+            usable,
+            lambda w: responses_of(generator, isolate, w),
+            false_alarm_rate=rate,
+            covariance=covariance,
+            signal_size=signal_size(generator, deviations),
         )
     return fit_norm_test(
         settings,
@@ -134,9 +191,11 @@ def specification(
 ) -> Specification:
     """Return what runs."""
     system, point = generator.system, generator.plant.operating_point
-    direction = codes = None
+    direction = codes = matched = None
     if isinstance(isolate, Structured) and generator.codes is not None:
         codes = codes_of(generator, isolate)
+    elif isinstance(isolate, Matched):
+        matched = responses_of(generator, isolate, test.whitening)
     elif isinstance(isolate, Directional):
         direction = direction_test(
             isolate, generator.subspaces, generator.steady_directions, test.whitening, generator.residual_rank
@@ -151,6 +210,7 @@ def specification(
         test,
         direction,
         codes,
+        matched,
         settling_samples(generator) if settle is None else int(settle),
         max_hold,
     )

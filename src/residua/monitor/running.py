@@ -12,12 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.directional import DirectionTest
-from residua.decide.member_thresholds import BankTest, member_alarms
+from residua.decide.matched import MatchedTest
+from residua.decide.matched_hold import Match
+from residua.decide.member_thresholds import BankTest
 from residua.decide.norm_threshold import NormTest
-from residua.decide.persistence import alarm_logic
 from residua.decide.structured import CodeTest
 from residua.decide.window import WindowState, empty_window, moving_sum
 from residua.linear.recursion import ordered_product, run_filter
+from residua.monitor.judging import empty_fields, judge_matched, judge_members, judge_whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +39,8 @@ class Specification:
     direction : DirectionTest or None
     codes : CodeTest or None
         For a bank whose members are tested one by one.
+    matched : MatchedTest or None
+        For innovations that are matched with the responses to the faults.
     settle : int
         Samples after a start, or after a held value, in which nothing is decided.
     max_hold : int
@@ -52,19 +56,30 @@ class Specification:
     test: NormTest | BankTest
     direction: DirectionTest | None
     codes: CodeTest | None
+    matched: MatchedTest | None
     settle: int
     max_hold: int
 
     @property
+    def judge(self) -> DirectionTest | CodeTest | MatchedTest | None:
+        """What names the fault."""
+        return self.direction or self.codes or self.matched
+
+    @property
     def window(self) -> int:
-        """Samples over which direction, or code, is judged."""
+        """Samples over which direction, code or response is judged."""
+        if self.matched:
+            return self.matched.samples
         judge = self.direction or self.codes
         return judge.window if judge else 1
 
     @property
     def judged(self) -> int:
-        """How many numbers are summed over that window: the residuals, or the alarms of the members."""
-        return len(self.codes.members) if self.codes else len(self.C)
+        """How many numbers are summed over that window: the residuals, or the alarms of the members.
+
+        With matched filters also the square of the residual, and whether it is usable.
+        """
+        return len(self.codes.members) if self.codes else len(self.C) + (2 if self.matched else 0)
 
     @property
     def alarms(self) -> tuple[int, ...]:
@@ -83,7 +98,8 @@ class State:
     up, down : usable samples in a row over and under the threshold; alarm : whether it is on (each of these three
     with an axis for the members of a bank); ends, block, begun, filled : of the moving sum for the direction, or of
     the members' alarms for the code (:class:`residua.decide.window.WindowState`), and the same with ``test_`` for
-    the threshold test; count : samples so far; resets : restarts.
+    the threshold test; count : samples so far; resets : restarts; match_sums, match_weights, match_held : of the
+    matched filters (:class:`residua.decide.matched.MatchState`).
     """
 
     x: NDArray[np.float64]
@@ -104,6 +120,9 @@ class State:
     test_filled: int
     count: int
     resets: NDArray[np.int64]
+    match_sums: NDArray[np.float64]
+    match_weights: NDArray[np.float64]
+    match_held: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +141,8 @@ class Decisions:
         Which members are in alarm.
     code : ndarray of bool, shape (plants, time, members)
         Which members count as fired over the window: what :func:`residua.decide.read_codes` reads.
+    match : Match or None
+        Of matched filters: likelihood ratio, arrival and size of every fault.
     """
 
     residuals: NDArray[np.float64]
@@ -135,6 +156,7 @@ class Decisions:
     member_statistics: NDArray[np.float64]
     fired: NDArray[np.bool_]
     code: NDArray[np.bool_]
+    match: Match | None = None
 
 
 def initial_state(spec: Specification, plants: int) -> State:
@@ -156,6 +178,7 @@ def initial_state(spec: Specification, plants: int) -> State:
         **_window_fields(tested, "test_"),
         count=0,
         resets=whole,
+        **empty_fields(spec.matched, plants),
     )
 
 
@@ -274,11 +297,14 @@ def _decide(
     test_window = WindowState(state.test_ends, state.test_block, state.test_begun, state.test_filled)
     tested, test_window = moving_sum(q, test_window)
     window = WindowState(state.ends, state.block, state.begun, state.filled)
+    further: dict[str, NDArray] = {}
     if isinstance(test, BankTest):
         assert spec.codes is not None
-        decide = _judge_members(test, spec.codes, state, tested, window, usable)
+        decide = judge_members(test, spec.codes, state, tested, window, usable)
+    elif spec.matched is not None:
+        decide, further = judge_matched(test, spec.matched, state, q, window, usable)
     else:
-        decide = _judge_whole(test, spec.direction, state, q, tested, window, usable)
+        decide = judge_whole(test, spec.direction, state, q, tested, window, usable)
     (alarm, up, down), window, found = decide
     if time:
         state = replace(
@@ -288,94 +314,12 @@ def _decide(
             alarm=alarm[:, -1].copy(),
             **_window_fields(window, ""),
             **_window_fields(test_window, "test_"),
+            **further,
             count=state.count + time,
         )
     return state, Decisions(residuals=residuals, usable=usable, missing=missing, **found)
 
 
-_Judged = tuple[tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]], WindowState, dict[str, NDArray]]
-
-
-def _judge_whole(
-    test: NormTest,
-    direction: DirectionTest | None,
-    state: State,
-    q: NDArray,
-    tested: NDArray,
-    window: WindowState,
-    usable: NDArray[np.bool_],
-) -> _Judged:
-    """Return alarm, run lengths, window and decisions of a residual that is tested as a whole."""
-    statistic = np.where(usable, _norm(tested) / np.sqrt(test.window), np.nan)
-    exceeded = usable & (np.where(usable, statistic, 0.0) > test.threshold)
-    alarm, up, down = alarm_logic(exceeded, usable, state.up, state.down, state.alarm, test.persistence, test.release)
-    sums, window = moving_sum(q, window)
-    nobody = np.zeros((*usable.shape, 0))
-    found = {
-        "statistic": statistic,
-        "exceeded": exceeded,
-        "alarm": alarm,
-        "up": up,
-        "scores": _scores(direction, sums, usable),
-        "member_statistics": nobody,
-        "fired": nobody.astype(bool),
-        "code": nobody.astype(bool),
-    }
-    return (alarm, up, down), window, found
-
-
-def _judge_members(
-    test: BankTest, codes: CodeTest, state: State, tested: NDArray, window: WindowState, usable: NDArray[np.bool_]
-) -> _Judged:
-    """Return alarms and run lengths of every member, window and decisions of a bank."""
-    statistics = np.full((*usable.shape, len(test.sizes)), np.nan)
-    for m, (start, stop) in enumerate(test.columns):
-        statistics[..., m] = np.where(usable, _norm(tested[..., start:stop]) / np.sqrt(test.window), np.nan)
-    over = usable[..., None] & (np.where(usable[..., None], statistics, 0.0) > test.thresholds)
-    fired, up, down = member_alarms(test, over, usable, state.up, state.down, state.alarm)
-    alarm = fired.any(axis=2)
-    counts, window = moving_sum((fired & usable[..., None]).astype(float), window)  # whole numbers: exact
-    largest = counts.max(axis=2, initial=0.0)[..., None]
-    code = np.asarray(alarm)[..., None] & (counts > 0) & (counts >= codes.share * largest)
-    agree = np.zeros((*usable.shape, len(codes.groups)))
-    for g in range(len(codes.groups)):
-        agree[..., g] = np.count_nonzero(code == codes.codes[:, g], axis=2)
-    read = usable & code.any(axis=2)
-    found = {
-        "statistic": np.max(statistics / test.thresholds, axis=2),
-        "exceeded": over.any(axis=2),
-        "alarm": alarm,
-        "up": np.where(fired, up, 0).max(axis=2, initial=0),
-        "scores": np.where(read[..., None], agree / len(codes.members), np.nan),
-        "member_statistics": statistics,
-        "fired": fired,
-        "code": code,
-    }
-    return (fired, up, down), window, found
-
-
 def _window_fields(window: WindowState, prefix: str) -> dict[str, Any]:
     """Return the fields of a monitor's state that hold a window."""
     return {prefix + name: getattr(window, name) for name in ("ends", "block", "begun", "filled")}
-
-
-def _scores(test: DirectionTest | None, sums: NDArray, usable: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return the correlation of the summed residual with each signature."""
-    if test is None:
-        return np.zeros((*sums.shape[:2], 0))
-    size = _norm(sums)
-    usable = usable & (size > 0)
-    size = np.where(usable, size, 1.0)
-    scores = np.full((*sums.shape[:2], len(test.bases)), np.nan)
-    for g, basis in enumerate(test.bases):
-        part = _norm(ordered_product(sums, basis)) / size
-        scores[..., g] = np.where(usable, np.minimum(part, 1.0), np.nan)
-    return scores
-
-
-def _norm(rows: NDArray) -> NDArray[np.float64]:
-    """Return the norm of each row, its squares added in order."""
-    total = np.zeros(rows.shape[:-1])
-    for j in range(rows.shape[-1]):
-        total = total + rows[..., j] * rows[..., j]
-    return np.sqrt(total)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from residua.decide.directional import Directional, DirectionTest
+from residua.decide.matched import Matched, MatchedTest
 from residua.decide.member_thresholds import BankTest
 from residua.decide.norm_threshold import NormTest, NormThreshold
 from residua.decide.structured import CodeTest, Structured
@@ -36,15 +37,17 @@ from residua.monitor.encoding import (
     texts_in,
     whole_in,
 )
+from residua.monitor.judging import empty_fields
 from residua.monitor.monitor import Monitor
+from residua.monitor.preparing import Isolation
 from residua.monitor.running import Specification, State
 from residua.plant import Plant
 
 FORMAT = "residua-monitor"
-VERSION = 3
+VERSION = 4
 
 #: How faults are named, by the entry ``kind`` of ``isolate``.
-_ISOLATION: dict[str, type[Any]] = {"direction": Directional, "code": Structured}
+_ISOLATION: dict[str, type[Any]] = {"direction": Directional, "code": Structured, "matched": Matched}
 
 _ENTRIES = (
     "format",
@@ -91,15 +94,29 @@ def load_monitor(path: str | Path) -> Monitor:
     content = loads(read_bytes(path, "a monitor"), path.name)
     if content.get("format") != FORMAT:
         raise FileFormatError(f'{path.name} is not a monitor of residua (no "format": {FORMAT!r} in it)')
-    if content.get("version") != VERSION or content.get("version") is True:
+    if content.get("version") not in (3, VERSION):
         raise FileFormatError(
-            f"{path.name} has schema version {content.get('version')!r}, this residua reads version {VERSION}: "
+            f"{path.name} has schema version {content.get('version')!r}, this residua reads version {VERSION} (and 3): "
             "make the monitor anew with this version"
         )
     try:
-        return _monitor_in(record(content, "", _ENTRIES))
+        return _monitor_in(_renewed(record(content, "", _ENTRIES)))
     except (TypeError, ValueError, AttributeError, IndexError, OverflowError, ResiduaError) as error:
         raise FileFormatError(f"{path.name}: {error}") from error
+
+
+def _renewed(content: dict[str, Any]) -> dict[str, Any]:
+    """Return the content of a file of version 3 as one of today: nothing in it was matched with responses."""
+    if content["version"] == VERSION:
+        return content
+    if content["running"] is not None:
+        content["running"] = table_in(content["running"], "running") | {"matched": None}
+    if content["state"] is not None:
+        state = table_in(content["state"], "state")
+        plants = len(array_in(state["resets"], "state.resets")) if "resets" in state else 0
+        nothing = empty_fields(None, plants)
+        content["state"] = state | {name: array_out(value) for name, value in nothing.items()}
+    return content
 
 
 def _monitor_in(content: Mapping[str, Any]) -> Monitor:
@@ -128,14 +145,14 @@ def _monitor_in(content: Mapping[str, Any]) -> Monitor:
     return monitor
 
 
-def _isolation_out(isolate: Directional | Structured | None) -> dict[str, Any] | None:
+def _isolation_out(isolate: Isolation) -> dict[str, Any] | None:
     if isolate is None:
         return None
     kind = next(kind for kind, cls in _ISOLATION.items() if isinstance(isolate, cls))
     return {"kind": kind} | _values_out(isolate)
 
 
-def _isolation_in(value: Any) -> Directional | Structured:
+def _isolation_in(value: Any) -> Directional | Structured | Matched:
     content = table_in(value, "isolate")
     if "kind" not in content:
         raise FileFormatError("the entry 'isolate.kind' is missing")
@@ -218,25 +235,56 @@ def _running_out(spec: Specification) -> dict[str, Any]:
             "unjudged": list(codes.unjudged),
             "settled": [list(group) for group in codes.settled],
         },
+        "matched": None if spec.matched is None else _matched_out(spec.matched),
     }
+
+
+def _matched_out(test: MatchedTest) -> dict[str, Any]:
+    return {
+        "window": int(test.window),
+        "faults": list(test.faults),
+        "groups": [list(group) for group in test.groups],
+        "responses": array_out(test.responses),
+        "settled": array_out(test.settled),
+        "unjudged": list(test.unjudged),
+    }
+
+
+def _matched_in(value: Any, where: str, plant: Plant, residuals: int, steady: bool) -> MatchedTest:
+    content = record(value, where, _names(MatchedTest))
+    groups = tuple(texts_in(group, joined(where, "groups")) for group in list_in(content["groups"], where))
+    unjudged, faults = (texts_in(content[name], joined(where, name)) for name in ("unjudged", "faults"))
+    window = whole_in(content["window"], joined(where, "window"))
+    responses, settled = (array_in(content[name], joined(where, name)) for name in ("responses", "settled"))
+    _check_groups(groups, unjudged, where, plant)
+    if faults != plant.faults or window < 1:
+        raise FileFormatError(f"{where}: faults must be those of the plant, and the window 1 or more")
+    wanted = (0 if steady else window + 1, residuals, len(faults))
+    for name, array, shape in (("responses", responses, wanted), ("settled", settled, wanted[1:])):
+        if array.dtype.kind != "f" or array.shape != shape or not np.isfinite(array).all():
+            raise FileFormatError(f"{where}.{name} must be finite numbers of shape {shape}")
+    return MatchedTest(window, faults, groups, responses, settled, unjudged)
 
 
 def _running_in(spec: Specification, value: Any, plant: Plant) -> Specification:
     """Return the specification with what was computed when it was saved in place of what is computed now."""
-    content = record(value, "running", ("start", "settle", "direction", "codes"))
+    content = record(value, "running", ("start", "settle", "direction", "codes", "matched"))
     start = array_in(content["start"], "running.start")
     if start.shape != spec.start.shape:
         raise FileFormatError(f"running.start must have shape {spec.start.shape}, got {start.shape}")
-    for name in ("direction", "codes"):
+    for name in ("direction", "codes", "matched"):
         if (content[name] is None) != (getattr(spec, name) is None):
             raise FileFormatError(f"running.{name} must be there if and only if isolate asks for it")
-    direction = codes = None
+    direction = codes = matched = None
     if content["direction"] is not None:
         direction = _direction_in(content["direction"], "running.direction", plant, len(spec.C))
     if content["codes"] is not None and spec.codes is not None:
         codes = _codes_in(content["codes"], "running.codes", plant, len(spec.codes.members))
+    if content["matched"] is not None and spec.matched is not None:
+        steady = not len(spec.matched.responses)
+        matched = _matched_in(content["matched"], "running.matched", plant, len(spec.C), steady)
     settle = whole_in(content["settle"], "running.settle")
-    return replace(spec, start=start, settle=settle, direction=direction, codes=codes)
+    return replace(spec, start=start, settle=settle, direction=direction, codes=codes, matched=matched)
 
 
 def _codes_in(value: Any, where: str, plant: Plant, count: int) -> CodeTest:
@@ -303,6 +351,8 @@ def _check_state(monitor: Monitor) -> None:
         "held": (plants, spec.B.shape[1]),
         **dict.fromkeys(("up", "down", "alarm"), (plants, *spec.alarms)),
     }
+    for name, empty in empty_fields(spec.matched, plants).items():
+        wanted[name] = empty.shape
     for prefix, length, k in (("", spec.window, spec.judged), ("test_", spec.test.window, columns)):
         wanted |= {prefix + "ends": (plants, length, k), prefix + "block": (plants, length, k)}
         wanted[prefix + "begun"] = (plants, k)

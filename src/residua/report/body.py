@@ -21,7 +21,7 @@ from residua.report.tables import (
     structure_table,
 )
 from residua.report.text import escape, listing, number, percent, score, seconds, with_unit
-from residua.report.verdict import RULES, verdict
+from residua.report.verdict import MATCH_RULES, RULES, verdict
 
 if TYPE_CHECKING:
     from residua.design.generator import ResidualGenerator
@@ -90,6 +90,7 @@ def diagnosis_html(diagnosis: Diagnosis, charts: dict[str, Any], *, number: int,
     sentences = "".join(f"<li>{escape(s)}</li>" for s in v.sentences)
     by_code = diagnosis.codes is not None
     rules = CODE_RULES if by_code and diagnosis.alarms else RULES if diagnosis.candidates else ""
+    rules = MATCH_RULES if rules and diagnosis.match is not None else rules
     link = f'<p><a href="#f{filter_number}">Filter {filter_number}, its structure and evidence</a></p>'
     return "\n".join(
         [

@@ -92,15 +92,20 @@ def candidate_table(diagnosis: Diagnosis) -> str:
     if not candidates:
         return ""
     by_code = diagnosis.codes is not None
+    matched = diagnosis.match is not None
     sized = any(c.sizes for c in candidates)
     rows = []
     for k, c in ranked(candidates):
         width = f"{100 * c.score:.1f}" if np.isfinite(c.score) else "0"
         bar = f'<td class="bar"><span style="--w:{width}%"></span></td>'
-        numbers = [score(c.score)] if by_code else [score(c.score), angle(c.score), score(c.distance)]
+        numbers = [score(c.score)] if by_code or matched else [score(c.score), angle(c.score), score(c.distance)]
+        if matched:
+            numbers += [number(c.ratio), "before the window" if c.arrival is None else seconds(c.arrival)]
         sizes = [escape("; ".join(map(size_text, c.sizes)) or "–")] if sized else []
         rows.append([str(k), _name(c.name), bar, *map(_num, [*numbers, *sizes])])
-    header = ["Rank", "Fault", "", "Score"] + ([] if by_code else ["Angle off signature", "Distance"])
+    header = ["Rank", "Fault", "", "Score"]
+    header += ["2 ln likelihood ratio", "Arrived"] if matched else []
+    header += [] if by_code or matched else ["Angle off signature", "Distance"]
     header += ["Estimated size"] if sized else []
     title = "Candidates of the main alarm" if len(diagnosis.alarms) > 1 else "Candidates"
     return html_table(header, rows, caption=title)

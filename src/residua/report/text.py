@@ -42,7 +42,9 @@ def seconds(value: float | None) -> str:
 def size_text(size: Size) -> str:
     """Return an estimated size with its unit and its last value."""
     unit = f" {size.unit}" if size.unit else ""
-    return f"{number(size.mean, 3)}{unit} (last {number(size.last, 3)}{unit})"
+    spread = "" if size.deviation is None else f" ± {number(size.deviation, 2)}"
+    last = f" (last {number(size.last, 3)}{unit})" if math.isfinite(size.last) else ""
+    return f"{number(size.mean, 3)}{spread}{unit}{last}"
 
 
 def percent(part: int, whole: int) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from residua.monitor.diagnosis import CLOSE_MARGIN, NO_DIRECTION
+from residua.monitor.diagnosis import CLOSE_LEAD, CLOSE_MARGIN, NO_DIRECTION
 from residua.monitor.naming import alike
 from residua.report.text import listing, number, percent, score, seconds, size_text
 
@@ -28,6 +28,14 @@ RULES = (
     "The score is the cosine of the angle between the residual and a signature, judged over the monitor's window. "
     f"A lead over the next candidate of {CLEAR_MARGIN:.2f} or more is called clear, below {CLOSE_MARGIN:.2f} a close "
     f"call; a best score below {POOR_SCORE:.2f} means that no listed fault explains the residual well."
+)
+
+MATCH_RULES = (
+    "The score is the root of the fraction that a fault explains of what exceeds the noise in the window; the "
+    "logarithm of its likelihood ratio against no fault adds the evidence of the window in which it arrived and of the "
+    f"last one of the alarm. A lead below {CLOSE_LEAD:g} (20 to 1), or {CLOSE_MARGIN:.2f} in score, is a close call; a "
+    f"best score below {POOR_SCORE:.2f} means that no listed fault, as a step, explains the innovations well. Sizes "
+    "are those of a step with the arrival given, with one standard deviation."
 )
 
 
@@ -109,6 +117,8 @@ def _fault(diagnosis: Diagnosis) -> Verdict:
     else:
         best = candidates[0]
         confidence, margin = _confidence(candidates)
+        if confidence.endswith("lead") and main.lead is not None and main.lead < CLOSE_LEAD:
+            confidence = "close call"
         if main.samples < diagnosis.window:
             confidence = "short alarm"
             headline = f"Alarm {when}, too short to be sure of the name; nearest: {best.name}."
@@ -121,6 +131,8 @@ def _fault(diagnosis: Diagnosis) -> Verdict:
         if diagnosis.unjudged and (main.ended is not None or best.score < 0.9):
             headline = f"{headline[:-1]}; or {listing(diagnosis.unjudged)}, which this monitor never names."
         sentences.append(_how_sure(candidates, confidence, margin))
+        if diagnosis.match is not None:
+            sentences.append(_arrived(main))
         if len(best.faults) > 1:
             sentences.append(f"This monitor cannot tell {listing(best.faults)} apart.")
         if diagnosis.no_direction:
@@ -171,6 +183,17 @@ def _told(alarm: Alarm) -> list[Size]:
     return list(best or alarm.sizes)
 
 
+def _arrived(alarm: Alarm) -> str:
+    """Say when the fault arrived by matched filters, and by how much it leads."""
+    arrival = (
+        "It arrived before the window of the matched filters, or grew slowly"
+        if alarm.arrival is None
+        else f"Estimated arrival {seconds(alarm.arrival)}"
+    )
+    lead = "" if alarm.lead is None else f"; its likelihood leads that of the next by 2 ln L = {number(alarm.lead, 3)}"
+    return f"{arrival}{lead}."
+
+
 def _end(ended: float | None) -> str:
     return "lasting to the end of the recording" if ended is None else f"ended at {seconds(ended)}"
 
@@ -186,7 +209,8 @@ def _confidence(candidates: list[Candidate]) -> tuple[str, float | None]:
 
 def _how_sure(candidates: list[Candidate], confidence: str, margin: float | None) -> str:
     best = candidates[0]
-    text = f"Score {score(best.score)}, {angle(best.score)} off its signature"
+    matched = best.ratio is not None
+    text = f"Score {score(best.score)}" + ("" if matched else f", {angle(best.score)} off its signature")
     if margin is None:
         return f"{text}; there is no other candidate to compare with."
     following = candidates[1]
@@ -198,8 +222,8 @@ def _how_sure(candidates: list[Candidate], confidence: str, margin: float | None
         "short alarm": "judged over a window that is longer than the alarm",
     }[confidence]
     return (
-        f"{text}; next is {following.name} with {score(following.score)} ({angle(following.score)}): "
-        f"{words}, margin {score(margin)}."
+        f"{text}; next is {following.name} with {score(following.score)}"
+        f"{'' if matched else f' ({angle(following.score)})'}: {words}, margin {score(margin)}."
     )
 
 

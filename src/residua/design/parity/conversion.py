@@ -66,7 +66,9 @@ def row_fractions(generator: ResidualGenerator, *, rtol: float = DEFAULT_RTOL) -
 def _row(generator: ResidualGenerator, i: int, rtol: float) -> RowFraction:
     system, plant = generator.system, generator.plant
     poles = without_unobservable(system.select(outputs=[i])).poles()
-    basis = PolynomialBasis.on(np.concatenate([poles, [0.0]]))
+    if generator.relations is not None:
+        return RowFraction(generator.relations.rows[i], np.zeros(0, dtype=np.complex128), poles)
+    basis = PolynomialBasis.on(poles).with_room()
     a, d = _denominator(system, i, basis, rtol)
     n_u = len(plant.inputs)
     q = a @ system.B[:, n_u:] + d @ system.D[i : i + 1, n_u:]

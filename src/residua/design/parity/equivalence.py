@@ -13,12 +13,15 @@ from residua.design.internal_form import frequency_grid
 from residua.design.parity.conversion import RowFraction, row_fractions
 from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear import StateSpace
+from residua.linear.balancing import descriptor_units
 from residua.linear.pencil_null_space import DEFAULT_RTOL
 
 #: Two responses are parallel when they miss each other by less than this, relative, at every frequency.
 _PARALLEL = 1e-6
 #: Responses smaller than this fraction of the largest over frequency say nothing about direction.
 _FAINT = 1e-7
+#: Nor do responses to an output smaller than this fraction of those to the others, in balanced units.
+_FAINT_OUTPUT = 1e-4
 #: Zeros and poles nearer than this, relative to their size, cancel.
 _CANCEL = 1e-5
 
@@ -134,7 +137,7 @@ def equivalence(first: ResidualGenerator, second: ResidualGenerator, *, rtol: fl
         )
     w = frequency_grid(a, b)
     Qa, Qb = a.frequency_response(w), b.frequency_response(w)
-    units = np.maximum(np.abs(Qa).max(axis=(0, 1)), 1e-300)  # of the signals
+    units = _signal_units(first, Qa, w)
     Qa, Qb = Qa / units, Qb / units
     rows = _matched(first, second, Qa, Qb, rtol)
     if rows:
@@ -154,6 +157,23 @@ def equivalence(first: ResidualGenerator, second: ResidualGenerator, *, rtol: fl
     }[forth < rtol, back < rtol]
     error = max(forth, back) if kind in ("transformation", "different") else min(forth, back)
     return Equivalence(kind == "transformation", kind, (), error, a, b)
+
+
+def _signal_units(generator: ResidualGenerator, Q: NDArray, w: NDArray) -> NDArray[np.float64]:
+    r"""Return what one is, for each signal that a generator reads, when responses to it are compared.
+
+    The largest response; but for a control input not less than the terms that cancel in :math:`Q_u + Q_y P_u = 0`, and
+    for an output not much less than the others, in balanced units. What is smaller may be rounding: that of an actuator
+    whose fault is ignored is not read at all.
+    """
+    plant, n_u = generator.plant, len(generator.plant.inputs)
+    size = np.abs(Q).max(axis=(0, 1))
+    P = plant.system("control").frequency_response(w)
+    terms = (np.abs(Q[:, :, n_u:]) @ np.abs(P)).max(axis=(0, 1))
+    p = plant.system(("control", "disturbance", "fault"))
+    outputs = descriptor_units(p.A, p.E, p.B, p.C, p.D).outputs
+    largest = np.max(size[n_u:] / outputs, initial=0.0)
+    return np.maximum(size, np.maximum(np.concatenate([terms, _FAINT_OUTPUT * largest * outputs]), 1e-300))
 
 
 def _matched(

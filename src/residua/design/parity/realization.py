@@ -60,7 +60,7 @@ def realize_relation(
     B, D = np.hstack([U[:k], q[:k]]), np.hstack([U[k:], q[k:]])
     C = np.eye(k)[-1:] if k else np.zeros((1, 0))
     found = balance_system(M, B, C, D)
-    units = found.states if has_units(found.states) else np.ones(k)
+    units = found.states / found.states[-1] if k and has_units(found.states) else np.ones(k)  # C stays one
     system = StateSpace(M / units[:, None] * units, B / units[:, None], C * units, D, dt=plant.dt)
     return Realization(system, -p[:k] / units[:, None], p[k:])
 

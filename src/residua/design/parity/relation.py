@@ -15,7 +15,11 @@ from residua.design.parity.relation_model import state_pencil
 from residua.errors import ModelError
 from residua.linear.pencil_null_space import pencil, refined
 from residua.linear.polynomial_basis import PolynomialBasis
+from residua.linear.rank import left_null_basis
 from residua.plant import Plant
+
+#: Terms below this fraction of the largest, in balanced units, may be nothing but rounding.
+_TAKES_PART = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +60,7 @@ class Relation:
         given = state_pencil(plant, self.ignored, basis)
         part = pencil(given.P0[used], given.P1[used], basis)
         x[:, used] = refined(part, x[:, used])
-        if plant.E is None:  # p (zI - A) = q C leaves no room for one more power
-            x[-1, :n] = 0.0
+        x[-1, :n] = _algebraic(x, plant)
         return replace(self, p=x[:, :n], q=x[:, n:], basis=basis)
 
     def missed(self, plant: Plant) -> float:
@@ -66,8 +69,20 @@ class Relation:
         x = np.hstack([self.p, self.q])
         left = given.products(x)
         terms = replace(given, P0=np.abs(given.P0), P1=np.abs(given.P1)).products(np.abs(x))
-        size = np.abs(terms).max(axis=0, initial=0.0)
-        return float(np.max(np.abs(left) / np.where(size > 0, size, 1.0), initial=0.0))
+        size = np.abs(terms).max(axis=0, initial=0.0) * given.columns
+        # a state of which the terms are rounding of those of others does not take part
+        size = np.maximum(size, _TAKES_PART * size.max(initial=0.0))
+        return float(np.max(np.abs(left) * given.columns / np.where(size > 0, size, 1.0), initial=0.0))
+
+
+def _algebraic(x: NDArray[np.float64], plant: Plant) -> NDArray[np.float64]:
+    """Return the highest coefficient of ``p`` without rounding: ``p (zE - A) = q C`` leaves it the kernel of ``E``."""
+    n = plant.n_states
+    if plant.E is None:
+        return np.zeros(n)
+    N = left_null_basis(plant.E)[0]
+    highest = N @ (N.T @ x[-1, :n])
+    return highest if np.abs(highest).max(initial=0.0) > 1e-12 * np.abs(x).max() else np.zeros(n)
 
 
 def synthetic_division(plant: Plant, q: NDArray[np.float64], basis: PolynomialBasis) -> NDArray[np.float64]:

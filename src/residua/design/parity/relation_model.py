@@ -12,7 +12,7 @@ from residua.design.evidence import format_pole
 from residua.errors import ModelError
 from residua.linear import arrays
 from residua.linear.pencil_null_space import Pencil, pencil
-from residua.linear.polynomial_basis import PolynomialBasis
+from residua.linear.polynomial_basis import PolynomialBasis, basis_on_poles
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
 
@@ -100,16 +100,8 @@ def basis_for(plant: Plant, count: int) -> PolynomialBasis:
         poles = plant.system(()).poles()
     except ModelError:  # the pencil of a singular plant need not be regular
         poles = np.zeros(0, dtype=np.complex128)
-    poles = np.where(np.abs(poles.imag) < 1e-9 * np.abs(poles), poles.real, poles)
-    poles = poles[np.isfinite(poles)]
-    size = float(np.median(np.abs(poles))) if len(poles) else 0.0
+    size = float(np.median(np.abs(poles[np.isfinite(poles)]))) if np.isfinite(poles).any() else 0.0
     if not size:
         E = np.eye(plant.n_states) if plant.E is None else plant.E
         size = 1.0 if plant.is_discrete else float(np.linalg.norm(plant.A) / max(np.linalg.norm(E), 1e-300)) or 1.0
-    if not len(poles):
-        return PolynomialBasis.powers(count, size)
-    found = PolynomialBasis.on(poles)
-    floor = 1e-6 * size  # poles that meet would make sizes of rounding
-    one = PolynomialBasis(found.real, found.imaginary, np.maximum(found.sizes, floor))
-    times = -(-count // one.count)
-    return PolynomialBasis(*(np.tile(x, times) for x in (one.real, one.imaginary, one.sizes)))
+    return basis_on_poles(poles, count, size)

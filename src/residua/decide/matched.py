@@ -1,0 +1,294 @@
+"""Isolation by matched filters: which fault, arrived when, explains the innovations best."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide.norm_threshold import check_samples, is_number
+from residua.design.matched_filters import alike_faults
+from residua.errors import SettingError
+from residua.linear.recursion import ordered_product
+
+#: Numbers that one pass over a block works on at most; bounds memory and does not change a bit of the result.
+_PASS = 1_000_000
+
+
+@dataclass(frozen=True)
+class Matched:
+    r"""Find the fault, its arrival and its size whose expected response resembles the innovations most.
+
+    For each fault and each arrival up to ``window`` samples ago, and for each fault once it has settled, the
+    generalised likelihood ratio against no fault; see :func:`residua.design.matched_filters` for the equations. The
+    monitor's statistic is the square root of the largest: how many standard deviations the best size is from zero.
+    Its threshold bounds the fraction of fault-free samples over it by Hunter's inequality over all hypotheses, or is
+    fitted to fault-free data.
+
+    Parameters
+    ----------
+    window : int
+        Arrival times ``t - window`` to ``t`` are told apart.
+    steady : bool
+        Only the settled response of each fault, averaged over ``window + 1`` samples: no arrival times, and wrong
+        names while the residual turns.
+    alike : float
+        Faults whose responses correlate by that much or more are one group.
+
+    References
+    ----------
+    Gertler (1991), section 5.3; Willsky and Jones (1976), IEEE TAC 21(1), 108-112.
+    """
+
+    window: int = 40
+    steady: bool = False
+    alike: float = 0.999
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        check_samples(self.window, "window")
+        object.__setattr__(self, "window", int(self.window))
+        if not isinstance(self.steady, (bool, np.bool_)):
+            raise SettingError(f"steady must be True or False, got {self.steady!r}")
+        object.__setattr__(self, "steady", bool(self.steady))
+        if not is_number(self.alike) or not 0 < self.alike <= 1:
+            raise SettingError(f"alike must be a correlation, over 0 and up to 1, got {self.alike!r}")
+        object.__setattr__(self, "alike", float(self.alike))
+
+
+@dataclass(frozen=True, eq=False)
+class MatchedTest:
+    """The responses in whitened residual space: what runs.
+
+    Attributes
+    ----------
+    window : int
+    faults : tuple of str
+        The columns of the responses.
+    groups : tuple of tuple of str
+        Faults that cannot be told apart are one group.
+    responses : ndarray, shape (window + 1, residuals, faults)
+        Of a fault that arrived 0 to ``window`` samples ago; with no rows, only settled faults are looked for.
+    settled : ndarray, shape (residuals, faults)
+    unjudged : tuple of str
+        Faults without a response.
+    """
+
+    window: int
+    faults: tuple[str, ...]
+    groups: tuple[tuple[str, ...], ...]
+    responses: NDArray[np.float64]
+    settled: NDArray[np.float64]
+    unjudged: tuple[str, ...]
+
+    @property
+    def samples(self) -> int:
+        """How many samples are looked at: those of the window, and the one of the arrival."""
+        return self.window + 1
+
+    @cached_property
+    def columns(self) -> tuple[tuple[int, ...], ...]:
+        """Fault numbers of each group."""
+        return tuple(tuple(self.faults.index(name) for name in group) for group in self.groups)
+
+    @cached_property
+    def energies(self) -> NDArray[np.float64]:
+        """Squared size of the responses at each sample: (window + 1, faults)."""
+        return _squares(np.swapaxes(self.responses, 1, 2))
+
+    @cached_property
+    def weights(self) -> NDArray[np.float64]:
+        """Squared size of the responses up to each sample, added in order: (window + 1, faults)."""
+        return np.cumsum(self.energies, axis=0)
+
+    @cached_property
+    def bank(self) -> NDArray[np.float64]:
+        """All responses side by side: (residuals, (window + 1) faults)."""
+        return np.ascontiguousarray(np.swapaxes(self.responses, 0, 1).reshape(len(self.settled), -1))
+
+
+@dataclass(frozen=True, eq=False)
+class MatchState:
+    """What the test remembers; every array has one row per plant.
+
+    Attributes
+    ----------
+    sums, weights : ndarray, shape (plants, window + 1, faults)
+        For each arrival: the products with the expected response so far, and the squared size of that response.
+    held : ndarray, shape (plants, 6)
+        Of the alarm that stands: fault, arrival, the sample that they were found at, whether they are final, the
+        sample of its raising and the largest likelihood ratio so far; NaN without one.
+    """
+
+    sums: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    held: NDArray[np.float64]
+
+
+def matched_test(
+    settings: Matched,
+    faults: tuple[str, ...],
+    responses: NDArray[np.float64],
+    settled: NDArray[np.float64],
+    whitening: NDArray[np.float64],
+) -> MatchedTest:
+    """Return the test of whitened residuals, with the faults grouped that are alike.
+
+    Parameters
+    ----------
+    settings : Matched
+    faults : tuple of str
+    responses, settled : ndarray
+        As :func:`residua.design.matched_filters.step_responses` returns them, before whitening.
+    whitening : ndarray, shape (residuals, residuals)
+    """
+    white = np.einsum("kmf,mr->krf", responses, whitening)
+    steady = whitening.T @ settled
+    found = alike_faults(steady[None] if settings.steady else white, settings.alike)
+    groups = tuple(tuple(faults[j] for j in group) for group in found)
+    seen = {name for group in groups for name in group}
+    return MatchedTest(
+        settings.window,
+        faults,
+        groups,
+        white[:0] if settings.steady else white,
+        steady,
+        tuple(name for name in faults if name not in seen),
+    )
+
+
+def empty_match(test: MatchedTest, plants: int) -> MatchState:
+    """Return the state before the first sample."""
+    sums = np.zeros((plants, len(test.responses), len(test.faults)))
+    return MatchState(sums, sums, np.full((plants, 6), np.nan))
+
+
+# ------------------------------------------------------------------ likelihood ratios
+
+
+def match_block(
+    test: MatchedTest, state: MatchState, q: NDArray[np.float64], usable: NDArray[np.bool_], sums: NDArray[np.float64]
+) -> tuple[dict[str, NDArray], MatchState]:
+    """Return the likelihood ratio, arrival and size of every fault at every sample of a block.
+
+    Each pair of fault and arrival adds its products sample by sample, in the order of time, so that the result is the
+    same to the last bit for any cutting. Samples that are not usable add nothing and count for nothing: they carry no
+    information, and what was known before them stays.
+
+    Parameters
+    ----------
+    test : MatchedTest
+    state : MatchState
+    q : ndarray, shape (plants, time, residuals)
+        Whitened residuals, zero where not usable.
+    usable : ndarray of bool, shape (plants, time)
+    sums : ndarray, shape (plants, time, residuals + 2)
+        Sums of :func:`summed` over the last ``window + 1`` samples.
+
+    Returns
+    -------
+    found : dict
+        ``ratios``, ``ages``, ``sizes``, ``deviations`` and ``settled_sizes`` of :class:`Match`.
+    state : MatchState
+    """
+    plants, time, _ = q.shape
+    step = max(1, _PASS // max(1, plants * max(1, state.sums.shape[1]) * max(1, len(test.faults))))
+    parts = []
+    for start in range(0, max(time, 1), step):
+        cut = slice(start, start + step)
+        part, state = _match_pass(test, state, q[:, cut], usable[:, cut], sums[:, cut])
+        parts.append(part)
+    return {name: np.concatenate([part[name] for part in parts], axis=1) for name in parts[0]}, state
+
+
+def summed(q: NDArray[np.float64], usable: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return what the test needs sums of: the whitened residual, its square and whether it is usable."""
+    return np.concatenate([q, _squares(q)[..., None], usable[..., None].astype(float)], axis=2)
+
+
+def _match_pass(
+    test: MatchedTest, state: MatchState, q: NDArray, usable: NDArray[np.bool_], sums: NDArray
+) -> tuple[dict[str, NDArray], MatchState]:
+    m = q.shape[2]
+    count = sums[..., -1:]
+    products = ordered_product(sums[..., :m], test.settled)
+    weights = count * _squares(test.settled.T)
+    ratios, settled_sizes, deviations = _likelihood(products, weights)
+    sizes, ages = settled_sizes, np.full(ratios.shape, -1, dtype=np.int64)
+    if len(test.responses):
+        products, before = _along_arrivals(_products(test, q), state.sums)
+        full = usable.all() and bool(np.all(state.weights[:, :-1] == test.weights[:-1]))
+        if full:  # no sample was ever missing: the same numbers, known beforehand
+            weights = np.broadcast_to(test.weights[:, None, None], products.shape)
+            known = np.broadcast_to(test.weights, state.weights.shape)
+        else:
+            steps = np.where(usable[None, :, :, None], test.energies[:, None, None], 0.0)
+            weights, known = _along_arrivals(steps, state.weights)
+        state = replace(state, sums=before, weights=known)
+        found = _likelihood(products, weights)
+        best = np.argmax(found[0], axis=0)
+        own = [np.take_along_axis(values, best[None], axis=0)[0] for values in found]
+        younger = own[0] > ratios * (1 + 1e-9)  # a response that never changes cannot tell when it began
+        ratios, sizes, deviations = (
+            np.where(younger, a, b) for a, b in zip(own, (ratios, sizes, deviations), strict=True)
+        )
+        ages = np.where(younger, best, -1)
+    found = {
+        "ratios": ratios,
+        "ages": ages,
+        "sizes": sizes,
+        "deviations": deviations,
+        "settled_sizes": settled_sizes,
+    }
+    return found, state
+
+
+def _products(test: MatchedTest, q: NDArray) -> NDArray[np.float64]:
+    """Return the product of each sample with the response at each age: (ages, plants, time, faults)."""
+    product = ordered_product(q, test.bank).reshape(*q.shape[:2], len(test.responses), len(test.faults))
+    return np.ascontiguousarray(np.moveaxis(product, 2, 0))
+
+
+def _along_arrivals(steps: NDArray, before: NDArray) -> tuple[NDArray, NDArray]:
+    """Add up what belongs to one arrival, into ``steps``: that of age ``k`` now had age ``k - 1`` a sample ago."""
+    if steps.shape[2]:
+        for k in range(1, len(steps)):
+            steps[k, :, 0] += before[:, k - 1]
+            steps[k, :, 1:] += steps[k - 1, :, :-1]
+        before = np.moveaxis(steps[:, :, -1], 0, 1).copy()
+    return steps, before
+
+
+def _likelihood(products: NDArray, weights: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    """Return likelihood ratio, size and deviation; 0, NaN and infinity where nothing of the response was seen."""
+    seen = weights > 0
+    safe = np.where(seen, weights, 1.0)
+    return (
+        np.where(seen, products * products / safe, 0.0),
+        np.where(seen, products / safe, np.nan),
+        np.where(seen, 1 / np.sqrt(safe), np.inf),
+    )
+
+
+def _squares(rows: NDArray) -> NDArray[np.float64]:
+    """Return the squared norm of each row, its squares added in order."""
+    total = np.zeros(rows.shape[:-1])
+    for j in range(rows.shape[-1]):
+        total = total + rows[..., j] * rows[..., j]
+    return total
+
+
+def match_scores(test: MatchedTest, ratios: NDArray, sums: NDArray, usable: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return for each group how much of what exceeds the noise in the window its best response explains, or NaN.
+
+    The root of the fraction of energy, so that it is a correlation where noise is small: 1 for the best one where
+    nothing is left but what noise alone exceeds in one window of a thousand.
+    """
+    expected = sums[..., -1] * len(test.settled)
+    excess = sums[..., -2] - expected - 3.0 * np.sqrt(2.0 * expected)
+    best = np.stack([np.max(ratios[..., list(columns)], axis=-1) for columns in test.columns], axis=-1)
+    whole = np.maximum(excess, best.max(axis=-1))
+    known = usable & (whole > 0)
+    return np.where(known[..., None], np.sqrt(best / np.where(known, whole, 1.0)[..., None]), np.nan)

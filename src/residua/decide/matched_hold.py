@@ -1,0 +1,153 @@
+"""What an alarm is put down to: the most likely fault and arrival, held once the window has passed them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide.matched import MatchedTest, MatchState
+
+#: A likelihood ratio that has fallen from its peak by that many of its roots speaks of a fault that has gone; its own
+#: standard deviation is two.
+FALLEN = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Match:
+    """What the test found; every array starts with (plants, time), or (time,) for one plant.
+
+    Attributes
+    ----------
+    ratios : ndarray, shape (..., faults)
+        Twice the logarithm of the generalised likelihood ratio of each fault, at its most likely arrival.
+    ages : ndarray of int, shape (..., faults)
+        That arrival, in samples ago; -1 where it lies before the window, and the fault has settled.
+    sizes, deviations : ndarray, shape (..., faults)
+        Most likely size with that arrival, in units of the fault, and its standard deviation; NaN and infinity where
+        nothing can be said.
+    settled_sizes : ndarray, shape (..., faults)
+        Size by the steady response alone, over the window; NaN where that vanishes.
+    fault : ndarray of int, shape (...)
+        Number of the fault that the standing alarm is put down to; -1 without an alarm. Refined as long as its
+        arrival lies within the window, final thereafter.
+    arrival : ndarray, shape (...)
+        When it arrived, as a number of samples from the start of the run; NaN when that was before the window.
+    source : ndarray of int, shape (...)
+        The sample at which both were found, counted likewise; -1 without an alarm.
+    """
+
+    ratios: NDArray[np.float64]
+    ages: NDArray[np.int64]
+    sizes: NDArray[np.float64]
+    deviations: NDArray[np.float64]
+    settled_sizes: NDArray[np.float64]
+    fault: NDArray[np.int64]
+    arrival: NDArray[np.float64]
+    source: NDArray[np.int64]
+
+    def of(self, plant: int) -> Match:
+        """Return that of one plant."""
+        return Match(**{name: getattr(self, name)[plant] for name in _names()})
+
+
+def hold_block(
+    test: MatchedTest,
+    state: MatchState,
+    found: dict[str, NDArray],
+    alarm: NDArray[np.bool_],
+    was: NDArray[np.bool_],
+    over: NDArray[np.bool_],
+    count: int,
+) -> tuple[Match, MatchState]:
+    """Put each alarm down to one fault and arrival: the most likely as long as that arrival lies within the window.
+
+    Thereafter the test cannot see how the fault began, so that name and arrival stay until the alarm ends. An alarm
+    that begins with a settled fault, one that arrived before the window, has no arrival. Nor can an arrival explain
+    an alarm that was raised before it: those of a fault that still grows are not taken. Nor is a sample at which the
+    likelihood has fallen by more than noise does: the fault has gone, and what is left is no step any more.
+
+    Parameters
+    ----------
+    test : MatchedTest
+    state : MatchState
+    found : dict
+        From :func:`residua.decide.matched.match_block`.
+    alarm, over : ndarray of bool, shape (plants, time)
+        Whether the alarm is on, and whether the statistic of a usable sample is over its threshold.
+    was : ndarray of bool, shape (plants,)
+        Whether the alarm was on before the block.
+    count : int
+        Samples before the block.
+    """
+    time = alarm.shape[1]
+    now = count + np.arange(time)
+    best = np.argmax(found["ratios"], axis=2)
+    age = np.take_along_axis(found["ages"], best[..., None], axis=2)[..., 0]
+    # one column before the block: what an alarm that goes on was put down to
+    held = np.where(was[:, None], state.held, np.nan)
+    at = np.arange(time + 1)
+    on = np.concatenate([was[:, None], alarm], axis=1)
+    judged = np.concatenate([np.isfinite(held[:, :1]), alarm & over], axis=1)
+    fault = np.concatenate([held[:, :1], best], axis=1)
+    arrival = np.concatenate([held[:, 1:2], np.where(age >= 0, now - age, np.nan)], axis=1)
+    origin = np.concatenate([held[:, 2:3], np.broadcast_to(now, alarm.shape)], axis=1)
+    begun = np.concatenate([on[:, :1], on[:, 1:] & ~on[:, :-1]], axis=1)
+    start = np.maximum.accumulate(np.where(begun, at, 0), axis=1)
+    raised = np.where(start > 0, count + start - 1, held[:, 4:5])
+    ratio = np.take_along_axis(found["ratios"], best[..., None], axis=2)[..., 0]
+    ratio = np.where(judged, np.concatenate([held[:, 5:6], ratio], axis=1), 0.0)
+    peak = _peak(ratio, start)
+    dated = judged & (arrival <= raised) & (ratio >= peak - FALLEN * np.sqrt(peak))
+    latest = _latest(dated)
+    reference = np.where(latest >= start, _pick(arrival, latest), raised)
+    late = np.zeros(on.shape, dtype=bool)
+    late[:, 0] = held[:, 3] == 1
+    late[:, 1:] = on[:, 1:] & ~begun[:, 1:] & (now - reference[:, :-1] > test.window)
+    final = on & (_latest(late) >= start)
+    latest = _latest(dated & (~final | (at == 0)))
+    known = latest >= start
+    source = np.where(known, latest, _latest(judged))
+    put_down = on & (source >= start)
+    fault = np.where(put_down, _pick(fault, source), np.nan)
+    arrival = np.where(put_down & known, _pick(arrival, source), np.nan)
+    origin = np.where(put_down, _pick(origin, source), np.nan)
+    if time:
+        last = np.stack([x[:, -1] for x in (fault, arrival, origin, final.astype(float), raised, peak)], axis=1)
+        state = replace(state, held=np.where(on[:, -1:], last, np.nan))
+    match = Match(
+        **found,
+        fault=np.where(put_down, fault, -1)[:, 1:].astype(np.int64),
+        arrival=arrival[:, 1:],
+        source=np.where(put_down, origin, -1)[:, 1:].astype(np.int64),
+    )
+    return match, state
+
+
+def _latest(which: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return for each column the last one up to it of which something holds; -1 without any."""
+    return np.maximum.accumulate(np.where(which, np.arange(which.shape[1]), -1), axis=1)
+
+
+def _peak(values: NDArray[np.float64], start: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return for each column the largest value so far, since its own start."""
+    order = np.argsort(values, axis=1, kind="stable")
+    rank = np.empty_like(order)
+    np.put_along_axis(rank, order, np.broadcast_to(np.arange(values.shape[1]), order.shape), axis=1)
+    largest = np.maximum.accumulate(start * values.shape[1] + rank, axis=1) % values.shape[1]
+    return np.take_along_axis(values, np.take_along_axis(order, largest, axis=1), axis=1)
+
+
+def _pick(values: NDArray, columns: NDArray[np.int64]) -> NDArray:
+    return np.take_along_axis(values, np.maximum(columns, 0), axis=1)
+
+
+def joined_matches(parts: Sequence[Match], plant: int) -> Match:
+    """Return the match of one plant from those on all pieces of its recording."""
+    return Match(**{name: np.concatenate([getattr(part, name)[plant] for part in parts]) for name in _names()})
+
+
+def _names() -> list[str]:
+    return [field.name for field in fields(Match)]

@@ -1,0 +1,141 @@
+"""From residuals to alarms and scores: as a whole, member by member, or matched with responses."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide.directional import DirectionTest
+from residua.decide.matched import MatchedTest, MatchState, empty_match, match_block, match_scores, summed
+from residua.decide.matched_hold import hold_block
+from residua.decide.member_thresholds import BankTest, member_alarms
+from residua.decide.norm_threshold import NormTest
+from residua.decide.persistence import alarm_logic
+from residua.decide.structured import CodeTest
+from residua.decide.window import WindowState, moving_sum
+from residua.linear.recursion import ordered_product
+
+if TYPE_CHECKING:
+    from residua.monitor.running import State
+
+_Judged = tuple[tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]], WindowState, dict[str, Any]]
+
+
+def judge_whole(
+    test: NormTest,
+    direction: DirectionTest | None,
+    state: State,
+    q: NDArray,
+    tested: NDArray,
+    window: WindowState,
+    usable: NDArray[np.bool_],
+) -> _Judged:
+    """Return alarm, run lengths, window and decisions of a residual that is tested as a whole."""
+    statistic = np.where(usable, _norm(tested) / np.sqrt(test.window), np.nan)
+    exceeded = usable & (np.where(usable, statistic, 0.0) > test.threshold)
+    alarm, up, down = alarm_logic(exceeded, usable, state.up, state.down, state.alarm, test.persistence, test.release)
+    sums, window = moving_sum(q, window)
+    nobody = np.zeros((*usable.shape, 0))
+    found = {
+        "statistic": statistic,
+        "exceeded": exceeded,
+        "alarm": alarm,
+        "up": up,
+        "scores": _scores(direction, sums, usable),
+        "member_statistics": nobody,
+        "fired": nobody.astype(bool),
+        "code": nobody.astype(bool),
+    }
+    return (alarm, up, down), window, found
+
+
+def judge_members(
+    test: BankTest, codes: CodeTest, state: State, tested: NDArray, window: WindowState, usable: NDArray[np.bool_]
+) -> _Judged:
+    """Return alarms and run lengths of every member, window and decisions of a bank."""
+    statistics = np.full((*usable.shape, len(test.sizes)), np.nan)
+    for m, (start, stop) in enumerate(test.columns):
+        statistics[..., m] = np.where(usable, _norm(tested[..., start:stop]) / np.sqrt(test.window), np.nan)
+    over = usable[..., None] & (np.where(usable[..., None], statistics, 0.0) > test.thresholds)
+    fired, up, down = member_alarms(test, over, usable, state.up, state.down, state.alarm)
+    alarm = fired.any(axis=2)
+    counts, window = moving_sum((fired & usable[..., None]).astype(float), window)  # whole numbers: exact
+    largest = counts.max(axis=2, initial=0.0)[..., None]
+    code = np.asarray(alarm)[..., None] & (counts > 0) & (counts >= codes.share * largest)
+    agree = np.zeros((*usable.shape, len(codes.groups)))
+    for g in range(len(codes.groups)):
+        agree[..., g] = np.count_nonzero(code == codes.codes[:, g], axis=2)
+    read = usable & code.any(axis=2)
+    found = {
+        "statistic": np.max(statistics / test.thresholds, axis=2),
+        "exceeded": over.any(axis=2),
+        "alarm": alarm,
+        "up": np.where(fired, up, 0).max(axis=2, initial=0),
+        "scores": np.where(read[..., None], agree / len(codes.members), np.nan),
+        "member_statistics": statistics,
+        "fired": fired,
+        "code": code,
+    }
+    return (fired, up, down), window, found
+
+
+def judge_matched(
+    test: NormTest, matched: MatchedTest, state: State, q: NDArray, window: WindowState, usable: NDArray[np.bool_]
+) -> tuple[_Judged, dict[str, Any]]:
+    """Return alarm, run lengths, window and decisions of matched filters, and their fields of the state."""
+    sums, window = moving_sum(summed(q, usable), window)
+    before = MatchState(state.match_sums, state.match_weights, state.match_held)
+    found, after = match_block(matched, before, q, usable, sums)
+    statistic = np.where(usable, np.sqrt(found["ratios"].max(axis=2)), np.nan)
+    exceeded = usable & (np.where(usable, statistic, 0.0) > test.threshold)
+    alarm, up, down = alarm_logic(exceeded, usable, state.up, state.down, state.alarm, test.persistence, test.release)
+    match, after = hold_block(matched, after, found, alarm, state.alarm, exceeded, state.count)
+    nobody = np.zeros((*usable.shape, 0))
+    decided = {
+        "statistic": statistic,
+        "exceeded": exceeded,
+        "alarm": alarm,
+        "up": up,
+        "scores": match_scores(matched, found["ratios"], sums, usable),
+        "member_statistics": nobody,
+        "fired": nobody.astype(bool),
+        "code": nobody.astype(bool),
+        "match": match,
+    }
+    return ((alarm, up, down), window, decided), _match_fields(after)
+
+
+def empty_fields(matched: MatchedTest | None, plants: int) -> dict[str, Any]:
+    """Return the fields of a state that matched filters use, before the first sample; without any, empty ones."""
+    nothing = np.zeros((plants, 0, 0))
+    return _match_fields(
+        MatchState(nothing, nothing, np.zeros((plants, 0))) if matched is None else empty_match(matched, plants)
+    )
+
+
+def _match_fields(state: MatchState) -> dict[str, Any]:
+    return {"match_sums": state.sums, "match_weights": state.weights, "match_held": state.held}
+
+
+def _scores(test: DirectionTest | None, sums: NDArray, usable: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the correlation of the summed residual with each signature."""
+    if test is None:
+        return np.zeros((*sums.shape[:2], 0))
+    size = _norm(sums)
+    usable = usable & (size > 0)
+    size = np.where(usable, size, 1.0)
+    scores = np.full((*sums.shape[:2], len(test.bases)), np.nan)
+    for g, basis in enumerate(test.bases):
+        part = _norm(ordered_product(sums, basis)) / size
+        scores[..., g] = np.where(usable, np.minimum(part, 1.0), np.nan)
+    return scores
+
+
+def _norm(rows: NDArray) -> NDArray[np.float64]:
+    """Return the norm of each row, its squares added in order."""
+    total = np.zeros(rows.shape[:-1])
+    for j in range(rows.shape[-1]):
+        total = total + rows[..., j] * rows[..., j]
+    return np.sqrt(total)
