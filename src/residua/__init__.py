@@ -9,6 +9,7 @@ from types import ModuleType
 
 from residua import analysis, decide, design, errors, library, linear, monitor, plant
 from residua.analysis import coding, diagnosability
+from residua.design.observers.general_residual_generator import residual_generator_from_observer
 from residua.design.suggestion import suggest
 from residua.linear import StateSpace
 from residua.monitor import Diagnosis, Monitor, read_recording
@@ -36,6 +37,7 @@ __all__ = [
     "monitor",
     "plant",
     "read_recording",
+    "residual_generator_from_observer",
     "suggest",
 ]
 

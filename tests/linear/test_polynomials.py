@@ -74,7 +74,8 @@ def test_null_vectors_annihilate_and_are_as_many_as_the_minimal_indices_say(seed
             terms = np.abs(values(X)) @ np.abs(values(P))
             assert (np.abs(values(X @ P)) < 1e-12 * terms.max()).all()
     shortest = shortest_left_null_vectors(P, most=low + 3)
-    assert shortest is not None and shortest.degree == low
+    assert shortest is not None
+    assert shortest.degree == low
     assert shortest_left_null_vectors(P, most=low - 1) is None
 
 

@@ -42,7 +42,8 @@ def test_example_2_a_and_b(plant: rs.Plant, through: str) -> None:
     """V4: one relation of order two ignores p1, whichever way the plant is given."""
     source = plant if through == "plant" else rs.InputOutputModel.from_plant(plant)
     relations = rs.design.parity_relations(source, insensitive_to="p1").relations
-    assert relations is not None and relations.orders == (2,)
+    assert relations is not None
+    assert relations.orders == (2,)
     y, u = newest_first(relations.output_rows, 2), newest_first(relations.input_rows, 2)
     assert np.allclose(y, np.transpose([Y1, Y2]), atol=1e-10)
     assert np.allclose(u[:, 0], U, atol=1e-10)
@@ -67,7 +68,8 @@ def test_the_polynomial_null_vector_needs_a_common_factor_divided_out(plant: rs.
     io = rs.InputOutputModel.from_plant(plant)
     p1 = io.Gf.select(columns=[0])
     found = rs.linear.shortest_left_null_vectors(p1, most=3)
-    assert found is not None and found.vectors.shape == (1, 2, 2)
+    assert found is not None
+    assert found.vectors.shape == (1, 2, 2)
     w = found.vectors[0] / found.vectors[0, 1, 0]
     assert np.allclose(w, [[-0.9, 0.9], [1, -2]], atol=1e-12)
     signals = PolynomialMatrix(w[:, None]) @ io.H.beside(-io.G, io.Gf.select(columns=[1]))
@@ -89,7 +91,8 @@ def test_primary_residuals_in_both_forms(plant: rs.Plant) -> None:
         moving.system.frequency_response(w), exact.system.frequency_response(w) * H.transpose(2, 0, 1), atol=1e-12
     )
     found = moving.equivalent_to(exact)
-    assert found and found.kind == "poles"
+    assert found
+    assert found.kind == "poles"
 
 
 def test_the_attainable_rows_with_sensor_faults() -> None:
@@ -103,7 +106,8 @@ def test_the_attainable_rows_with_sensor_faults() -> None:
         except DesignError:
             continue
         attainable.append(row)
-        assert bank.generator.relations is not None and bank.generator.relations.orders[0] <= 2
+        assert bank.generator.relations is not None
+        assert bank.generator.relations.orders[0] <= 2
         assert bank.structure[0].tolist() == [digit == "1" for digit in row]
     assert attainable == ["0111", "1011", "1101", "1110", "1111"]
 
@@ -120,7 +124,8 @@ def test_all_four_designs_of_example_2_are_one(plant: rs.Plant, through: str) ->
     for first in designs.values():
         for second in designs.values():
             found = first.equivalent_to(second)
-            assert found and found.kind in ("identical", "scale", "poles")
+            assert found
+            assert found.kind in ("identical", "scale", "poles")
             assert found.error < 1e-9
     for made in designs.values():
         relations = made.to_parity()

@@ -6,6 +6,7 @@ from residua.design.banks.decoupled_residual import decoupled_residual
 from residua.design.banks.sensor_fault_bank import sensor_fault_bank
 from residua.design.banks.structured_bank import structured_bank
 from residua.design.detection_filters.detection_filter import detection_filter
+from residua.design.detection_filters.eigenstructure_assignment import eigenstructure_assignment
 from residua.design.detection_filters.robust_detection_filter import robust_detection_filter
 from residua.design.estimation.accommodation import Compensation, closed_loop, compensation_gain
 from residua.design.estimation.fault_estimator import FaultEstimator, fault_estimator
@@ -14,6 +15,11 @@ from residua.design.evidence import Evidence
 from residua.design.generator import Member, ResidualGenerator
 from residua.design.matched_filters import MatchedFilters, matched_filters
 from residua.design.observers.descriptor_observer import descriptor_observer
+from residua.design.observers.general_residual_generator import (
+    GeneralForm,
+    general_form,
+    residual_generator_from_observer,
+)
 from residua.design.observers.inverse_form_observer import InverseFormObserver, inverse_form_observer
 from residua.design.observers.kalman_filter import kalman_filter
 from residua.design.observers.luenberger_observer import luenberger_observer
@@ -34,6 +40,7 @@ __all__ = [
     "Equivalence",
     "Evidence",
     "FaultEstimator",
+    "GeneralForm",
     "InverseFormObserver",
     "MatchedFilters",
     "Member",
@@ -51,7 +58,9 @@ __all__ = [
     "decoupled_residual",
     "descriptor_observer",
     "detection_filter",
+    "eigenstructure_assignment",
     "fault_estimator",
+    "general_form",
     "inverse_form_observer",
     "kalman_filter",
     "luenberger_observer",
@@ -61,6 +70,7 @@ __all__ = [
     "perfect_observer",
     "primary_residuals",
     "reduced_order_observer",
+    "residual_generator_from_observer",
     "robust_detection_filter",
     "sensor_fault_bank",
     "sensor_fault_estimators",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -133,14 +133,24 @@ def _assembled(
     evidence = Evidence(
         method="decoupled residual",
         **pole_evidence(placed, F),
-        decoupling=check_decoupling(system, plant, decoupled=True),
+        decoupling=_checked_decoupling(system, plant, ignored),
         ranks={"unknown inputs in the outputs": quotient.direct},
         conditions={"pole error": placed.error, "norm of the gain": placed.norm},
         notes=((f"ignores {', '.join(ignored)}",) if ignored else ()) + ((note,) if note else ()),
         references=("Massoumnia, Verghese and Willsky (1989), IEEE TAC 34(3)", "Gertler (1991), section 4"),
     )
     static = V if plant.E is not None else None
-    return make_generator(system, plant, "decoupled residual", evidence, state_map=T, static_map=static)
+    made = make_generator(system, plant, "decoupled residual", evidence, state_map=T, static_map=static)
+    silent = {name: np.zeros((made.n_residuals, 0)) for name in ignored}  # what is left of them has passed the check
+    return replace(made, subspaces={**made.subspaces, **silent})
+
+
+def _checked_decoupling(system: StateSpace, plant: Plant, ignored: list[str]) -> dict[str, float]:
+    """Return the leakage of controls and of everything ignored, or raise when there is one."""
+    found = check_decoupling(system, plant.faults_as_disturbances(ignored), decoupled=True)
+    if ignored and "disturbance" in found:
+        found["everything ignored"] = found.pop("disturbance")
+    return found
 
 
 def _attempts(

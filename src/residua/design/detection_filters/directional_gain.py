@@ -151,7 +151,13 @@ def block_gain(
     *,
     rtol: float = DEFAULT_RTOL,
 ) -> DirectionalGain:
-    """Return a gain that keeps each event in its own detection space, with poles placed block by block."""
+    r"""Return a gain that keeps each event in its own space, with poles placed block by block.
+
+    The core that detection filters and right eigenvectors share: with detection spaces it is the filter of White and
+    Speyer, all of whose poles are free; with the chains ``f, A f, ...`` of :func:`eigenstructure_assignment`,
+    lines for faults that the outputs see, it makes the faults themselves eigenvectors,
+    :math:`K C F = A F - F \Lambda`.
+    """
     blocks = split_blocks(A, C, [event.space for event in events], rtol=rtol)
     A0, C0 = blocks.rest
     form = observability_form(A0, C0, rtol=rtol)

@@ -1,0 +1,193 @@
+"""What a full-order observer has to ignore: its columns in balanced units, taken out of the outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.design.generator import ResidualGenerator
+from residua.design.internal_form import leakage
+from residua.errors import AccuracyError, DesignError
+from residua.linear import arrays
+from residua.linear.balancing import DescriptorUnits, descriptor_units, power_of_two, without_rounding
+from residua.linear.observability import detectability
+from residua.linear.rank import RankDecision, decide_rank, range_basis
+from residua.plant import Plant
+
+#: Largest gain from what is ignored to the residual, relative to the terms that have to cancel.
+_LEAK = 1e-7
+#: States whose couplings differ by less than this factor are comparable.
+_COMPARABLE = 1e3
+
+
+@dataclass(frozen=True, eq=False)
+class IgnoredColumns:
+    r"""A plant in balanced units whose ignored inputs have been taken out of the outputs that are used.
+
+    With :math:`D_Z = U_1 S V_1^T`, the outputs :math:`W y`, :math:`W D_Z = 0`, do not see the ignored inputs
+    directly; the part of these that the others see is expressed by them, :math:`A_0 = A - G C`, :math:`C_0 = W C`.
+    For any gain ``K0`` on these, :math:`K = G + K_0 W` gives :math:`A - K C = A_0 - K_0 C_0`. A sensor whose fault is
+    to be ignored is not used: ``W`` leaves it out and its column of ``G`` is zero.
+
+    Attributes
+    ----------
+    plant : Plant
+        With invertible ``E`` divided out.
+    watched : Plant
+        The same with the ignored faults among the disturbances: what no residual may see.
+    A, C : ndarray
+        ``A0`` and ``C0``.
+    columns : dict of str to ndarray, shape (n, 1)
+        What is left to be ignored in the state equation: unit vectors, one for each ignored input that has such.
+    G, W : ndarray
+    states, outputs : ndarray
+        The units: states are ``x / states``, outputs ``outputs * y``.
+    direct : RankDecision
+        Rank of the ignored inputs in the outputs.
+    """
+
+    plant: Plant
+    watched: Plant
+    A: NDArray[np.float64]
+    C: NDArray[np.float64]
+    columns: dict[str, NDArray[np.float64]]
+    G: NDArray[np.float64]
+    W: NDArray[np.float64]
+    states: NDArray[np.float64]
+    outputs: NDArray[np.float64]
+    direct: RankDecision
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Everything that is to be ignored: the disturbances, then the faults named."""
+        return self.watched.disturbances
+
+    @property
+    def told(self) -> str:
+        """The same in words."""
+        return ", ".join(f"'{name}'" for name in self.names) or "nothing"
+
+    @property
+    def stacked(self) -> NDArray[np.float64]:
+        """The columns side by side."""
+        return np.hstack([np.zeros((len(self.A), 0)), *self.columns.values()])
+
+    def observer_gain(self, K0: NDArray) -> NDArray[np.float64]:
+        """Return ``K`` in the units of the plant."""
+        return self.states[:, None] * (self.G + K0 @ self.W) * self.outputs
+
+    def with_rows_of_length_one(self, S0: NDArray) -> NDArray[np.float64]:
+        """Return rows for the outputs that are used, scaled to length one in the units of the plant.
+
+        Their first entry is positive.
+        """
+        S0 = np.where(np.abs(S0) > 1e-14 * np.abs(S0).max(axis=1, keepdims=True, initial=0.0), S0, 0.0)
+        S = S0 @ self.W * self.outputs
+        lead = np.argmax(np.abs(S) > 1e-9 * np.abs(S).max(axis=1, keepdims=True, initial=0.0), axis=1)
+        return S0 * (np.sign(S[np.arange(len(S)), lead]) / np.linalg.norm(S, axis=1))[:, None]
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """Coordinates ``T x`` of the balanced states, of which the residual sees the first ``seen`` only."""
+
+    T: NDArray[np.float64]
+    inverse: NDArray[np.float64]
+    seen: int
+
+
+def ignored_columns(plant: Plant, insensitive_to: Iterable[str | int] | str, *, rtol: float) -> IgnoredColumns:
+    """Return what an observer of a plant has to ignore: all disturbances and the named faults.
+
+    Raises
+    ------
+    DesignError
+        If nothing of the measurements is left, or an unstable mode is not seen by what is left.
+    """
+    if plant.E is not None and decide_rank(plant.E).rank < plant.n_states:
+        raise DesignError(
+            "eigenvectors are assigned to an observer of state equations, and E is singular: "
+            "use decoupled_residual, which serves singular plants too"
+        )
+    plant = plant.explicit()
+    named = [plant.faults[i] for i in arrays.positions(insensitive_to, plant.faults, "fault")]
+    watched = plant.faults_as_disturbances(named)
+    n = plant.n_states
+    B_all = np.hstack([plant.Bu, plant.Bd, plant.Bf])
+    units = _units(plant.A, B_all, plant.C, np.hstack([plant.Du, plant.Dd, plant.Df]))
+    R, Y = units.equations[:, None], units.outputs[:, None]
+    A, C = R * plant.A * units.states, Y * plant.C * units.states
+    unknown = np.vstack([R * watched.Bd, Y * watched.Dd])
+    size = np.linalg.norm(unknown, axis=0)
+    unknown = unknown / np.where(size > 0, size, 1.0)
+    U, s, Vh = np.linalg.svd(unknown[n:])
+    direct = decide_rank(unknown[n:], rtol=rtol, scale=1.0)
+    k = direct.rank
+    if not k:
+        G, W, left = np.zeros((n, len(C))), np.eye(len(C)), unknown[:n]
+    else:
+        G = without_rounding(unknown[:n], Vh[:k].T / s[:k], U[:, :k].T)
+        W = np.where(np.abs(U[:, k:].T) > 1e-15, U[:, k:].T, 0.0)
+        left = without_rounding(unknown[:n], np.eye(unknown.shape[1]) - Vh[:k].T @ Vh[:k])
+    columns = _columns(left, np.any(unknown[n:], axis=0), watched.disturbances, rtol)
+    if not len(W):
+        raise DesignError(
+            f"no residual ignores {', '.join(watched.disturbances)}: they enter all {plant.n_outputs} outputs directly"
+        )
+    return IgnoredColumns(
+        plant, watched, A - G @ C, without_rounding(W, C), columns, G, W, units.states, units.outputs, direct
+    )
+
+
+def _units(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> DescriptorUnits:
+    """Return the units of the plant where its states are comparable in them, balanced units otherwise.
+
+    Parts of a plant that act one way only, or not at all, on one another have no balanced units in common; a gain that
+    was found in any such would be rounding in those of the plant.
+    """
+    sizes = np.concatenate(
+        [np.abs(M).max(axis=axis, initial=0.0) for M, axis in ((A, 0), (np.hstack([A, B]), 1), (np.vstack([A, C]), 0))]
+    )
+    sizes = sizes[sizes > 0]
+    if sizes.max(initial=0.0) > _COMPARABLE * sizes.min(initial=np.inf):
+        return descriptor_units(A, None, B, C, D)
+    heights = np.abs(np.hstack([C, D])).max(axis=1, initial=0.0)
+    return DescriptorUnits(np.ones(len(A)), np.ones(len(A)), 1 / power_of_two(heights))
+
+
+def _columns(left: NDArray, direct: NDArray, names: tuple[str, ...], rtol: float) -> dict[str, NDArray[np.float64]]:
+    """Return what is left in the state equation, as unit columns.
+
+    One for each input that does not enter the outputs; of the others, which the outputs express in part, a basis.
+    """
+    size = np.linalg.norm(left, axis=0)
+    own = {name: left[:, [i]] / size[i] for i, name in enumerate(names) if not direct[i] and size[i] > rtol}
+    basis, _ = range_basis(left[:, direct], rtol=rtol, scale=1.0)
+    return own | {f"ignored {i + 1}": basis[:, [i]] for i in range(basis.shape[1])}
+
+
+def require_detectable(parts: IgnoredColumns, *, rtol: float) -> None:
+    """Raise when no observer that uses the outputs left over is stable."""
+    found = detectability(parts.A, parts.C, dt=parts.plant.dt, rtol=rtol)
+    if not found:
+        bad = ", ".join(f"{z:.4g}" for z in np.atleast_1d(found.unstable_modes))
+        raise DesignError(
+            f"no stable observer of the whole state ignores {parts.told}: the measurements that are left do not see "
+            f"the mode {bad}; add a sensor, or use decoupled_residual, which observes only what it needs"
+        )
+
+
+def check_ignored(generator: ResidualGenerator, parts: IgnoredColumns) -> dict[str, float]:
+    """Return the leakage of the ignored inputs to the residual of a generator, or raise when there is one."""
+    gain = leakage(generator.system, parts.watched).get("disturbance")
+    if gain is None:
+        return {}
+    if not gain <= _LEAK:
+        raise AccuracyError(
+            f"the residual answers to {parts.told} (relative gain {gain:.2g} > {_LEAK:.0e}): too badly conditioned for "
+            "an observer of the whole state; use decoupled_residual"
+        )
+    return {"everything ignored": gain}

@@ -1,0 +1,163 @@
+"""Residual rows that are left eigenvectors of the error equation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.design.detection_filters.directional_gain import DirectionalGain, Poles, share_poles
+from residua.design.detection_filters.ignored_columns import Frame, IgnoredColumns
+from residua.errors import DesignError
+from residua.linear.balancing import without_rounding
+from residua.linear.observability import observability_form
+from residua.linear.placement import place_observer_margin, place_observer_poles
+from residua.linear.pole_assignment import real_block_diagonal
+from residua.linear.rank import RankDecision, decide_rank, left_null_basis, null_basis
+
+
+@dataclass(frozen=True, eq=False)
+class LeftRows:
+    """Rows ``S0`` with ``H = S0 C``, whose products ``H A`` are rows of ``C`` too, or nearly.
+
+    Attributes
+    ----------
+    moving : ndarray, shape (k, outputs that are used)
+        Rows with ``S0 C`` of full row rank.
+    H : ndarray, shape (k, n)
+        ``S0 C`` of these: the left eigenvectors.
+    still : ndarray
+        Rows with ``S0 C = 0``: measurements that repeat one another.
+    distance : float
+        Largest distance of ``h A`` from the rows of ``C``, relative to ``h A``.
+    exact : bool
+        Whether ``h A`` is a row of ``C``.
+    ranks : dict of str to RankDecision
+    """
+
+    moving: NDArray[np.float64]
+    H: NDArray[np.float64]
+    still: NDArray[np.float64]
+    distance: float
+    exact: bool
+    ranks: dict[str, RankDecision]
+
+
+def left_rows(parts: IgnoredColumns, *, approximate: bool, rtol: float) -> LeftRows:
+    r"""Return all rows ``s`` with :math:`s C F_Z = 0` for which ``s C A`` is a row of ``C``, or the nearest one.
+
+    Both conditions are linear in ``s``: :math:`s\,[C F_Z,\ C A N] = 0` with ``N`` a basis of the null space of ``C``.
+    As ``h = s C`` is a row of ``C`` itself, the eigenvalue does not matter.
+    """
+    A, C = parts.A, parts.C
+    scale = float(np.linalg.norm(C, 2)) if C.size else 0.0
+    blind = left_null_basis(C @ parts.stacked, rtol=rtol, scale=scale)[0].T if parts.columns else np.eye(len(C))
+    if not len(blind):
+        raise DesignError(
+            f"no residual row is blind to {parts.told}: C F has rank {len(C)}, as many as measurements are left; "
+            "add a sensor or ignore less"
+        )
+    U, sizes, Vh = np.linalg.svd(blind @ C, full_matrices=False)
+    k = int(np.count_nonzero(sizes > rtol * scale))
+    full = left_null_basis(blind @ C, rtol=rtol, scale=scale)[0].T
+    still, H = full @ blind, Vh[:k]  # every h of length one is a combination of the rows of H
+    N, rank_C = null_basis(C, rtol=rtol)
+    missed = H @ A @ N
+    size = float(np.linalg.norm(H @ A, 2)) if H.size else 0.0
+    found, decision = left_null_basis(missed, rtol=rtol, scale=max(size, 1e-300))
+    rows = found.T
+    ranks = {"rank C": rank_C}
+    exact = bool(len(rows)) or not k
+    if not exact:
+        u, distances, _ = np.linalg.svd(missed)
+        rows = u[:, [len(distances) - 1]].T
+        h = rows @ H
+        ranks["rank [C; h A]"] = decide_rank(np.vstack([C, h @ A]), rtol=rtol)
+        distance = float(np.linalg.norm(h @ A @ N) / max(np.linalg.norm(h @ A), 1e-300))
+        if not approximate:
+            raise _not_implementable(parts, h, ranks, distance, bool(len(still)))
+    else:
+        distance = float(np.linalg.norm(rows @ missed)) / max(size, 1e-300)
+        ranks["rank [C; h A]"] = decide_rank(np.vstack([C, rows @ H @ A]), rtol=rtol) if len(rows) else rank_C
+        ranks["h A off the rows of C"] = decision
+    S0 = rows @ (U[:, :k].T / sizes[:k, None]) @ blind
+    S0 = np.where(np.abs(S0) > 1e-13 * np.abs(S0).max(axis=1, keepdims=True, initial=0.0), S0, 0.0)
+    return LeftRows(S0, without_rounding(S0, C), still, distance, exact, ranks)
+
+
+def _not_implementable(
+    parts: IgnoredColumns, h: NDArray, ranks: dict[str, RankDecision], distance: float, repeated: bool
+) -> DesignError:
+    plain = (h / parts.states).ravel()
+    plain = plain / plain[np.argmax(np.abs(plain) > 1e-9 * np.abs(plain).max())]
+    return DesignError(
+        f"no left eigenvectors: no row h = s C with h F = 0 for {parts.told} has h A among the rows of C, whatever the "
+        f"eigenvalue: rank [C; h A] = {ranks['rank [C; h A]'].rank} > rank C = {ranks['rank C'].rank} for the nearest, "
+        f"h = [{', '.join(f'{x:.4g}' for x in plain)}], {distance:.3g} of whose h A lies outside; use side='right' or "
+        "decoupled_residual, or approximate=True"
+        + ("; what measurements that repeat one another show needs no observer" if repeated else "")
+    )
+
+
+def left_gain(
+    parts: IgnoredColumns, rows: LeftRows, poles: Poles, distance: float, first: float, *, rtol: float
+) -> DirectionalGain:
+    r"""Return a gain with :math:`H (A - K C) = \Lambda H`, the other poles placed on the null space of ``H``.
+
+    :math:`H K C = H A - \Lambda H` fixes ``H K``; what is left of the gain acts inside the null space ``N`` of ``H``,
+    where :math:`(C N, N^T A N)` is observable if the plant is.
+    """
+    A, C, dt = parts.A, parts.C, parts.plant.dt
+    H = rows.H
+    k, n = H.shape
+    inverse = np.linalg.pinv(H) if k else np.zeros((n, 0))
+    N = null_basis(H)[0] if k else np.eye(n)
+    own = np.linalg.pinv(C, rcond=1e-12)
+    A2, C2 = _rest(A, inverse @ (H @ A @ own), C, N), without_rounding(C, N)
+    form = observability_form(A2, C2, rtol=rtol)
+    fixed = np.asarray(form.unobservable_modes, dtype=complex)
+    shares = share_poles(poles, [("left",)], [k], form.n_observable, fixed, dt)
+    share = np.full(k, first, dtype=complex) if shares[0] is None else shares[0]
+    if k > 1 and len(set(share.tolist())) == 1:
+        target = float(share[0].real) * np.eye(k)
+    else:
+        target = real_block_diagonal(share)
+    K_left = inverse @ ((H @ A - target @ H) @ own)
+    A2 = _rest(A, K_left, C, N)
+    rest = shares[1]
+    placed = (
+        place_observer_margin(A2, C2, distance, dt=dt, rtol=rtol)
+        if rest is None
+        else place_observer_poles(A2, C2, rest, dt=dt, rtol=rtol)
+    )
+    requested = np.concatenate([share, np.zeros(0, complex) if rest is None else rest])
+    return DirectionalGain(K_left + N @ placed.gain, fixed, requested, float(placed.error))
+
+
+def _rest(A: NDArray, K: NDArray, C: NDArray, N: NDArray) -> NDArray[np.float64]:
+    """Return :math:`N^T (A - K C) N` without what is rounding, which placement would take for couplings."""
+    rest = N.T @ A @ N - N.T @ K @ (C @ N)
+    terms = np.abs(N.T) @ (np.abs(A) + np.abs(K) @ np.abs(C)) @ np.abs(N)
+    return np.where(np.abs(rest) > 1e-13 * len(A) * terms, rest, 0.0)
+
+
+def row_error(parts: IgnoredColumns, rows: LeftRows, K0: NDArray) -> float:
+    """Return how far the rows are from spanning a left invariant space of ``A0 - K0 C0``, relative to its terms."""
+    H = rows.H
+    if not len(H):
+        return 0.0
+    image = H @ parts.A - (H @ K0) @ parts.C
+    off = image - (image @ np.linalg.pinv(H)) @ H
+    terms = np.abs(H) @ np.abs(parts.A) + np.abs(H @ K0) @ np.abs(parts.C)
+    return float(np.abs(off).max(initial=0.0) / max(float(terms.max(initial=0.0)), 1e-300))
+
+
+def left_frame(parts: IgnoredColumns, rows: LeftRows) -> Frame:
+    """Return coordinates whose first ones are the rows ``H x``, the others those of its null space."""
+    H = rows.H
+    n = len(parts.A)
+    if not len(H):
+        return Frame(np.eye(n), np.eye(n), 0)
+    N = null_basis(H)[0]
+    return Frame(np.vstack([H, N.T]), np.hstack([np.asarray(np.linalg.pinv(H), dtype=float), N]), len(H))

@@ -1,0 +1,350 @@
+"""The general form of a residual generator: its conditions checked, and any generator seen in it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from residua.design.evidence import Evidence
+from residua.design.generator import ResidualGenerator, make_generator
+from residua.design.internal_form import check_decoupling
+from residua.design.observers.general_conditions import (
+    CONDITIONS,
+    FULFILLED,
+    GeneralMatrices,
+    condition_errors,
+    fault_columns,
+    state_map,
+    static_map,
+)
+from residua.design.observers.observer import Observer
+from residua.design.signals import signal_names
+from residua.errors import DesignError, SettingError
+from residua.linear import StateSpace
+from residua.linear.arrays import matrix
+from residua.linear.observability import is_stable_mode
+from residua.linear.rank import RankDecision, decide_rank, equilibrated
+from residua.linear.spectrum import describe_modes
+from residua.plant import Plant
+
+REFERENCE = "Gertler (1991), Automatica 27(4), eqs. (3-11), (3-13), (4-8) and (4-15) to (4-20)"
+
+
+@dataclass(frozen=True, eq=False)
+class GeneralForm:
+    r"""A residual generator in the general form, with the conditions that make it one.
+
+    .. math:: \dot s = M s + J u + N y, \qquad r = L_s s + L_u u + L_y y
+
+    While nothing fails :math:`s = T E x`. For a plant with feedthrough or ``E`` the conditions (4-18) read
+    :math:`T A - M T E - N C = 0`, :math:`T B - N D - J = 0`, :math:`L_s T E + L_y C = 0`, :math:`L_u + L_y D = 0`.
+    :func:`residua.design.decoupled_residual` gives the ``T, M, N, J, Ls, Ly`` of the unknown input observer of section
+    4.4, of the smallest order and with poles of your choice:
+    ``rs.design.general_form(rs.design.decoupled_residual(plant, ...))``.
+
+    Attributes
+    ----------
+    T : ndarray, shape (order, n)
+    M : ndarray, shape (order, order)
+    J : ndarray, shape (order, inputs)
+    N : ndarray, shape (order, outputs)
+    Ls : ndarray, shape (residuals, order)
+    Lu : ndarray, shape (residuals, inputs)
+    Ly : ndarray, shape (residuals, outputs)
+    V : ndarray, shape (residuals, n)
+        What the residual reads of the algebraic equations of a singular plant, ``V E = 0``: :math:`V A` is added to
+        the third condition and :math:`V B` to the fourth. Zero otherwise.
+    conditions : dict of str to float
+        How far each condition, (4-18) and (4-19), is missed, relative to the terms that have to cancel. The last are
+        there if the plant has disturbances; about one for a generator that does not decouple them.
+    rank_TF, rank_F : RankDecision
+        Condition (4-20): equal where the faults have independent columns in the error, so that structured residuals
+        can be made of it.
+    first_response : ndarray, shape (residuals, faults)
+        :math:`-L_s T f`, what a fault does to the residual one step (one integration) later; with a feedthrough of
+        the fault, :math:`-L_s (T f - N d)`.
+    """
+
+    T: NDArray[np.float64]
+    M: NDArray[np.float64]
+    J: NDArray[np.float64]
+    N: NDArray[np.float64]
+    Ls: NDArray[np.float64]
+    Lu: NDArray[np.float64]
+    Ly: NDArray[np.float64]
+    V: NDArray[np.float64]
+    conditions: Mapping[str, float]
+    rank_TF: RankDecision
+    rank_F: RankDecision
+    first_response: NDArray[np.float64]
+
+    @property
+    def is_residual_generator(self) -> bool:
+        """Whether the conditions (4-18) hold: zero for the fault-free plant without disturbances."""
+        return all(error <= FULFILLED for name, error in self.conditions.items() if name in CONDITIONS[:4])
+
+    @property
+    def decouples(self) -> bool:
+        """Whether also the condition (4-19) holds."""
+        return self.is_residual_generator and all(error <= FULFILLED for error in self.conditions.values())
+
+    @property
+    def keeps_faults_apart(self) -> bool:
+        """Whether condition (4-20) holds, rank(T F) = rank(F)."""
+        return self.rank_TF.rank == self.rank_F.rank
+
+    def __str__(self) -> str:
+        lines = [f"general form of order {len(self.M)}, {len(self.Ls)} residuals"]
+        lines += [f"  {name}: missed by {error:.1e} of its terms" for name, error in self.conditions.items()]
+        return "\n".join([*lines, f"  rank(T F) = {self.rank_TF.rank}, rank(F) = {self.rank_F.rank}"])
+
+
+def general_form(generator: ResidualGenerator) -> GeneralForm:
+    """Return a generator in the general form ``T, M, J, N, Ls, Lu, Ly``, with its conditions as numbers.
+
+    Parameters
+    ----------
+    generator : ResidualGenerator
+
+    Returns
+    -------
+    GeneralForm
+
+    Raises
+    ------
+    DesignError
+        If the states of the filter are no linear function of the plant's, as those of a sampled continuous design.
+
+    References
+    ----------
+    Gertler (1991), eqs. (3-13) and (4-15) to (4-20).
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> flt = rs.design.decoupled_residual(rs.library.gertler().without_faults("p2"), poles=[0.1, 0.2, 0.3])
+    >>> rs.design.general_form(flt).is_residual_generator
+    True
+    """
+    if generator.state_map is None:
+        raise DesignError(
+            "this generator has no general form: its states are no linear function T x of the plant's, as after "
+            "sampling a continuous design; design for plant.discretize(dt)"
+        )
+    system, n_u = generator.system, len(generator.plant.inputs)
+    V = np.zeros((generator.n_residuals, generator.plant.n_states))
+    if generator.static_map is not None:
+        V = np.asarray(generator.static_map)
+    found = GeneralMatrices(
+        np.asarray(generator.state_map),
+        system.A,
+        system.B[:, :n_u],
+        system.B[:, n_u:],
+        system.C,
+        system.D[:, :n_u],
+        system.D[:, n_u:],
+        V,
+    )
+    return _form(generator.plant, found)
+
+
+def _form(plant: Plant, m: GeneralMatrices) -> GeneralForm:
+    TF, F = fault_columns(plant, m)
+    rank_F = decide_rank(equilibrated(F)) if F.size else decide_rank(F)
+    seen = np.vstack([TF, m.Ly @ plant.Df])
+    rank_TF = decide_rank(equilibrated(seen)) if seen.size else decide_rank(seen)
+    through = -m.Ls @ TF
+    return GeneralForm(m.T, m.M, m.J, m.N, m.Ls, m.Lu, m.Ly, m.V, condition_errors(plant, m), rank_TF, rank_F, through)
+
+
+def residual_generator_from_observer(
+    source: Plant | Observer,
+    *,
+    gain: ArrayLike | None = None,
+    weight: ArrayLike | None = None,
+    M: ArrayLike | None = None,
+    J: ArrayLike | None = None,
+    N: ArrayLike | None = None,
+    Ls: ArrayLike | None = None,
+    Lu: ArrayLike | None = None,
+    Ly: ArrayLike | None = None,
+    T: ArrayLike | None = None,
+    decouples: bool | None = None,
+) -> ResidualGenerator:
+    r"""Return the residual generator of an observer that was designed elsewhere, after checking that it is one.
+
+    Three ways to say what it is:
+
+    - a plant with ``gain=K`` and, if wanted, ``weight=S``:
+      :math:`\dot{\hat x} = A \hat x + B u + K (y - D u - C \hat x)`, :math:`r = S (y - D u - C \hat x)`;
+    - a plant with the matrices of the general form :math:`\dot s = M s + J u + N y`,
+      :math:`r = L_s s + L_u u + L_y y`. The map ``T`` with ``s = T E x`` is found from
+      :math:`T A - M T E = N C` when it is not given;
+    - an :class:`Observer` of this package.
+
+    Parameters
+    ----------
+    source : Plant or Observer
+    gain : array_like, shape (n, outputs), optional
+        ``K``; ``A - K C`` must be stable.
+    weight : array_like, shape (residuals, outputs), optional
+        ``S``; the identity when omitted.
+    M : array_like, shape (order, order), optional
+        Stable.
+    J : array_like, shape (order, inputs), optional
+        ``T B - N D`` when omitted.
+    N : array_like, shape (order, outputs), optional
+    Ls : array_like, shape (residuals, order), optional
+    Lu : array_like, shape (residuals, inputs), optional
+        ``-Ly D`` when omitted.
+    Ly : array_like, shape (residuals, outputs), optional
+    T : array_like, shape (order, n), optional
+    decouples : bool, optional
+        Whether the residual must ignore the disturbances of the plant, condition (4-19). When omitted: for the general
+        form, as in the paper; not for a gain.
+
+    Returns
+    -------
+    ResidualGenerator
+        Its ``evidence.conditions`` say how far each condition is missed.
+
+    Raises
+    ------
+    DesignError
+        If a condition fails, with its name and the number, or the observer is not stable.
+    SettingError
+        If the options do not go together, or a matrix of the general form is missing.
+
+    References
+    ----------
+    Gertler (1991), eqs. (3-11), (3-13), (4-8), (4-15) to (4-20).
+
+    Examples
+    --------
+    The unknown input observer of Example 2 D:
+
+    >>> import residua as rs
+    >>> flt = rs.residual_generator_from_observer(
+    ...     rs.library.gertler(),
+    ...     M=[[0.25, 0], [0, 0.3]],
+    ...     J=[[-3.65], [-3.3]],
+    ...     N=[[0.975, -2.6], [0.6, -1.8]],
+    ...     Ls=[[-2, 2]],
+    ...     Ly=[[1, -2]],
+    ... )
+    >>> flt.state_map.round(9)
+    array([[ 6.5, -6.5, -4. ],
+           [ 6. , -6. , -3. ]])
+    >>> flt.structure
+    array([[False,  True]])
+    """
+    general = {"M": M, "J": J, "N": N, "Ls": Ls, "Lu": Lu, "Ly": Ly, "T": T}
+    given = [name for name, value in general.items() if value is not None]
+    if not isinstance(source, Plant):
+        if given or gain is not None or weight is not None:
+            raise SettingError("an observer brings its own matrices: leave gain, weight and the general form out")
+        made = source.residual_generator()
+        return _must_decouple(made) if decouples else made
+    if gain is not None:
+        if given:
+            raise SettingError(f"give either a gain or the general form, not both: got gain and {', '.join(given)}")
+        made = _of_gain(source, gain, weight)
+        return _must_decouple(made) if decouples else made
+    missing = [name for name in ("M", "N", "Ls", "Ly") if general[name] is None]
+    if missing or weight is not None:
+        raise SettingError(
+            "weight goes with a gain: give gain=K too"
+            if weight is not None
+            else f"the general form needs {', '.join(missing)} too; or give gain=K"
+        )
+    return _of_matrices(source, general, True if decouples is None else decouples)
+
+
+def _of_gain(plant: Plant, gain: ArrayLike, weight: ArrayLike | None) -> ResidualGenerator:
+    """Return the residual generator of a full-order observer with a gain of its own."""
+    plant = plant.explicit()
+    n, p = plant.n_states, plant.n_outputs
+    K = matrix(gain, "gain", (n, p), what="states x outputs")
+    S = np.eye(p) if weight is None else matrix(weight, "weight", (None, p), what="residuals x outputs")
+    F = plant.A - K @ plant.C
+    _require_stable(F, plant.dt, "A - K C")
+    evidence = Evidence(
+        method="observer with a given gain", poles=np.linalg.eigvals(F).astype(complex), references=(REFERENCE,)
+    )
+    made = Observer(plant, F, np.eye(n), K, np.eye(n), np.zeros((n, p)), S, evidence.method, False, evidence)
+    return made.residual_generator()
+
+
+def _of_matrices(plant: Plant, given: dict[str, Any], decouples: bool) -> ResidualGenerator:
+    """Return the residual generator of matrices in the general form, after checking its conditions."""
+    n, m, p = plant.n_states, len(plant.inputs), plant.n_outputs
+    M = matrix(given["M"], "M", (None, None))
+    k = len(M)
+    M = matrix(M, "M", (k, k), what="square")
+    N = matrix(given["N"], "N", (k, p), what="order x outputs")
+    Ls = matrix(given["Ls"], "Ls", (None, k), what="residuals x order")
+    r = len(Ls)
+    Ly = matrix(given["Ly"], "Ly", (r, p), what="residuals x outputs")
+    J = np.zeros((k, m)) if given["J"] is None else matrix(given["J"], "J", (k, m), what="order x inputs")
+    Lu = -Ly @ plant.Du if given["Lu"] is None else matrix(given["Lu"], "Lu", (r, m), what="residuals x inputs")
+    _require_stable(M, plant.dt, "M")
+    found = GeneralMatrices(np.zeros((k, n)), M, J, N, Ls, Lu, Ly, np.zeros((r, n)))
+    if given["T"] is not None:
+        T = matrix(given["T"], "T", (k, n), what="order x states")
+    else:
+        T = state_map(plant, found, decouples=decouples, control=given["J"] is not None)
+    found = static_map(plant, replace(found, T=T))
+    if given["J"] is None:
+        found = replace(found, J=T @ plant.Bu - N @ plant.Du)
+    if given["Lu"] is None:
+        found = replace(found, Lu=-Ly @ plant.Du - found.V @ plant.Bu)
+    errors = _checked(plant, found, decouples, told=given["T"] is None)
+    system = StateSpace(
+        M,
+        np.hstack([found.J, N]),
+        Ls,
+        np.hstack([found.Lu, Ly]),
+        dt=plant.dt,
+        inputs=signal_names(plant),
+        outputs=[f"r{i + 1}" for i in range(r)],
+    )
+    method = "residual generator in the general form"
+    evidence = Evidence(
+        method=method,
+        poles=np.linalg.eigvals(M).astype(complex),
+        decoupling=check_decoupling(system, plant, decoupled=decouples),
+        conditions=errors,
+        references=(REFERENCE,),
+    )
+    V = found.V if plant.E is not None else None
+    return make_generator(system, plant, method, evidence, state_map=T, static_map=V)
+
+
+def _checked(plant: Plant, m: GeneralMatrices, decouples: bool, *, told: bool) -> dict[str, float]:
+    """Return how far the conditions are missed, or raise with those that fail."""
+    errors = condition_errors(plant, m)
+    asked = CONDITIONS if decouples else CONDITIONS[:4]
+    failed = [
+        f"{name} is missed by {errors[name]:.2g} of its terms" for name in asked if errors.get(name, 0) > FULFILLED
+    ]
+    if failed:
+        what = "residual generator that ignores the disturbances" if decouples else "residual generator"
+        found = "; T was found from these conditions: give T=... if you have it" if told else ""
+        raise DesignError(f"these matrices are no {what} for {plant.name!r}: {'; '.join(failed)}{found}")
+    return errors
+
+
+def _must_decouple(made: ResidualGenerator) -> ResidualGenerator:
+    """Return a generator after checking that it ignores the disturbances."""
+    found = check_decoupling(made.system, made.plant, decoupled=True)
+    return replace(made, evidence=made.evidence.extended(decoupling=found))
+
+
+def _require_stable(F: NDArray, dt: float, name: str) -> None:
+    poles = np.linalg.eigvals(F).astype(complex)
+    if not is_stable_mode(poles, dt).all():
+        raise DesignError(f"{name} is not stable: its eigenvalues are {describe_modes(poles)}")

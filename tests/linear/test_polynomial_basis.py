@@ -1,0 +1,129 @@
+"""Newton's basis and null vectors of pencils: against values at points, and where powers lose their digits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from residua.linear.common_factor import without_common_factor
+from residua.linear.pencil_null_space import (
+    pencil,
+    pencil_null_vectors,
+    refined,
+    shortest_pencil_null_vectors,
+)
+from residua.linear.polynomial_basis import PolynomialBasis
+
+
+def random_nodes(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Return nodes in the unit disc, closed under conjugation."""
+    pairs = int(rng.integers(0, count // 2 + 1))
+    upper = rng.uniform(-0.7, 0.7, pairs) + 1j * rng.uniform(0.05, 0.7, pairs)
+    return np.concatenate([rng.uniform(-0.95, 0.95, count - 2 * pairs), upper, upper.conj()])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_elements_are_products_over_the_nodes(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    nodes = random_nodes(rng, int(rng.integers(1, 9)))
+    basis = PolynomialBasis.on(nodes)
+    z = 1.3 * np.exp(1j * np.linspace(0.1, 3, 9))
+    last = basis.values(z, basis.count)[:, -1]
+    product = np.prod([z - node for node in nodes], axis=0) / np.prod(basis.sizes)
+    assert np.allclose(last, product, rtol=1e-12)
+    assert np.abs(basis.values(nodes, basis.count)[:, :-1]).max() < 10  # near one on the nodes
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_changing_the_basis_and_multiplying_by_the_variable(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    k = int(rng.integers(1, 7))
+    first = PolynomialBasis.on(random_nodes(rng, k + 1))
+    second = PolynomialBasis.on(random_nodes(rng, k + 1)) if seed % 2 else PolynomialBasis.powers(k + 1, 0.7)
+    x = rng.standard_normal((k + 1, 2))
+    z = np.exp(1j * np.linspace(0.1, 3, 9))
+    value = first.values(z, k) @ x
+    assert np.allclose(second.values(z, k) @ first.changed_to(second, x), value, rtol=1e-8, atol=1e-8)
+    assert np.allclose(first.values(z, k + 1) @ first.times_variable(x), z[:, None] * value, rtol=1e-10)
+
+
+def test_a_basis_without_room_says_so() -> None:
+    with pytest.raises(ValueError, match="2 nodes"):
+        PolynomialBasis.powers(2).times_variable(np.ones((3, 1)))
+    assert PolynomialBasis.on([]).with_room().count == 1
+    assert PolynomialBasis.on([0.3, 0.5]).with_room().count == 3
+
+
+def cluster(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return a chain of slow lags and its last state as output: observable, of order n, all poles near one."""
+    poles = 1 - np.linspace(0.01, 0.03, n)
+    return np.diag(poles) + np.diag(np.full(n - 1, 0.02), -1), np.eye(n)[-1:]
+
+
+@pytest.mark.parametrize("n", [4, 8, 12, 16])
+def test_the_order_of_slow_chains_is_found_on_their_poles(n: int) -> None:
+    A, C = cluster(n)
+    P0, P1 = np.vstack([-A, -C]), np.vstack([np.eye(n), np.zeros((1, n))])
+    given = pencil(P0, P1, PolynomialBasis.on(np.linalg.eigvals(A)).with_room())
+    found = shortest_pencil_null_vectors(given, most=n)
+    assert found is not None
+    assert found.degree == n
+    assert len(found.vectors) == 1
+    x = found.vectors[0]
+    d = np.abs(x[:, n]) / np.abs(x[:, n]).max()
+    assert d[-1] == 1
+    assert d[:-1].max() < (1e-9 if n < 16 else 1e-3)
+    assert np.abs(given.products(x)).max() < 1e-13 * np.abs(x).max()
+    in_powers = pencil(P0, P1, PolynomialBasis.powers(n + 1))
+    wrong = shortest_pencil_null_vectors(in_powers, most=n)
+    if n >= 16:  # what the basis is for: powers of z take a nearly exact relation for an exact one
+        assert wrong is not None
+        assert wrong.degree < n
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_null_vectors_of_a_random_pencil(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n, m = int(rng.integers(2, 6)), int(rng.integers(2, 4))
+    A, C = rng.standard_normal((n, n)), rng.standard_normal((m, n))
+    A /= np.abs(np.linalg.eigvals(A)).max()
+    given = pencil(
+        np.vstack([-A, -C]),
+        np.vstack([np.eye(n), np.zeros((m, n))]),
+        PolynomialBasis.on(np.append(np.linalg.eigvals(A), 0.1)),
+    )
+    z = np.exp(1j * np.linspace(0.1, 3, 7))
+    for degree in range(n + 1):
+        found = pencil_null_vectors(given, degree)
+        low, more = divmod(n, m)  # observability indices of a generic pair
+        indices = [low + 1] * more + [low] * (m - more)
+        assert len(found.vectors) == sum(max(degree - index + 1, 0) for index in indices)
+        N = given.basis.values(z, degree)
+        P = given.P0 + z[:, None, None] * given.P1
+        for x in found.vectors:
+            assert np.abs(np.einsum("wi,wij->wj", N @ x, P)).max() < 1e-12
+        if len(found.vectors):
+            x = found.vectors[0]
+            moved = x + 1e-6 * rng.standard_normal(x.shape)
+            back = refined(given, moved)
+            assert np.abs(given.products(back)).max() < 1e-12
+            assert np.abs(back - x).max() < 1e-4
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_common_factor_in_any_basis(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    k, common = int(rng.integers(0, 5)), int(rng.integers(0, 3))
+    basis = PolynomialBasis.on(random_nodes(rng, k + common + 1))
+    z = np.exp(1j * np.linspace(0.05, 3.1, 40))
+    roots = rng.uniform(-0.9, 0.9, common)
+    left = rng.standard_normal((k + 1, 3))
+    value = (basis.values(z, k) @ left) * np.prod([z - r for r in roots], axis=0).reshape(-1, 1) if common else None
+    value = basis.values(z, k) @ left if value is None else value
+    N = basis.values(z, k + common)
+    x = np.linalg.lstsq(np.vstack([N.real, N.imag]), np.vstack([value.real, value.imag]), rcond=None)[0]
+    found, zeros, error = without_common_factor(x, basis)
+    assert np.allclose(np.sort(zeros.real), np.sort(roots), atol=1e-5)
+    assert len(found) == k + 1
+    assert error < 1e-9
+    assert np.allclose(basis.values(z, k) @ found, basis.values(z, k) @ left, rtol=1e-6, atol=1e-7)
