@@ -56,7 +56,8 @@ def test_the_counting_rule(seed: int) -> None:
     ignored = [plant.faults[i] for i in inputs] + [plant.faults[m + i] for i in outputs]
     order = n if feedthrough else n - s_u
     relations = rs.design.parity_relations(plant, insensitive_to=ignored).relations
-    assert relations is not None and relations.orders == (order,)
+    assert relations is not None
+    assert relations.orders == (order,)
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -173,8 +174,10 @@ def test_what_equivalence_tells() -> None:
     apart = rs.design.decoupled_residual(plant, insensitive_to="f1")
     assert same(one, one) == "identical"
     assert same(one, other) == "transformation"
-    assert same(one, part) == "part" and not one.equivalent_to(part)
-    assert same(part, one) == "whole" and not part.equivalent_to(one)
+    assert same(one, part) == "part"
+    assert not one.equivalent_to(part)
+    assert same(part, one) == "whole"
+    assert not part.equivalent_to(one)
     assert same(part, apart) == "different"
     with pytest.raises(ModelError):
         one.equivalent_to(rs.design.luenberger_observer(rs.library.gertler()).residual_generator())
@@ -214,7 +217,8 @@ def test_an_input_output_model_and_its_plant_have_the_same_relations() -> None:
     rows = ["01110", "11001"]
     a, b = (rs.design.structured_parity(source, rows).generator for source in (plant, io))
     assert same(a, b) in ("scale", "identical")
-    assert b.relations is not None and b.relations.orders == a.relations.orders
+    assert b.relations is not None
+    assert b.relations.orders == a.relations.orders
     assert any("share factors" in note for note in b.evidence.notes)
 
 
@@ -286,3 +290,84 @@ def test_what_cancels_is_told() -> None:
     lost = "digits lost to cancellation"
     assert moving.evidence.conditions[lost] > 4
     assert with_poles.evidence.conditions[lost] < moving.evidence.conditions[lost] - 3
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.1])
+@pytest.mark.parametrize("seed", range(6))
+def test_the_transformation_as_a_filter_turns_one_observer_into_the_other(seed: int, dt: float) -> None:
+    rng = np.random.default_rng(seed)
+    plant = random_plant(rng, n=4, outputs=3, dt=dt)
+    here, there = ([0.1, 0.2, 0.3, 0.4], [0.5, 0.25, -0.3, 0.45]) if dt else ([-1, -2, -3, -4], [-1.5, -5, -3.5, -6])
+    a, b = (rs.design.luenberger_observer(plant, poles=p).residual_generator() for p in (here, there))
+    V = a.equivalent_to(b).realization()
+    assert np.allclose(np.sort_complex(V.poles()), np.sort_complex(np.array(there, dtype=complex)), atol=1e-6)
+    w = np.logspace(-2, 1, 11)
+    assert np.allclose(V.frequency_response(w) @ a.system.frequency_response(w), b.system.frequency_response(w))
+    assert a.equivalent_to(b).matrix is None
+    part = rs.design.decoupled_residual(plant, insensitive_to="f0")
+    reduced = a.equivalent_to(part).realization()
+    assert np.allclose(reduced.frequency_response(w) @ a.system.frequency_response(w), part.system.frequency_response(w))
+    with pytest.raises(DesignError, match="no transformation"):
+        part.equivalent_to(a).realization()
+
+
+def test_a_mixture_is_told_as_a_matrix() -> None:
+    plant = random_plant(np.random.default_rng(2), n=4, outputs=3, dt=0.1)
+    observer = rs.design.luenberger_observer(plant, poles=[0.1, 0.2, 0.3, 0.4])
+    weight = np.random.default_rng(1).standard_normal((3, 3))
+    mixed = rs.residual_generator_from_observer(plant, gain=observer.K, weight=weight)
+    found = observer.residual_generator().equivalent_to(mixed).matrix
+    assert found is not None
+    assert np.allclose(found, weight)
+
+
+def test_a_delay_cannot_be_undone_by_a_filter() -> None:
+    plant = rs.library.gertler()
+    now = rs.design.parity_relations(plant, insensitive_to="p1")
+    system = now.system
+    late = system.replaced(  # one step later
+        A=np.block([[system.A, np.zeros((2, 1))], [system.C, np.zeros((1, 1))]]),
+        B=np.vstack([system.B, system.D]),
+        C=np.array([[0.0, 0.0, 1.0]]),
+        D=np.zeros_like(system.D),
+        states=None,
+    )
+    delayed = rs.design.generator.make_generator(
+        late,
+        plant,
+        "late",
+        now.evidence,
+        known_form=_late_form(now),
+    )
+    found = now.equivalent_to(delayed)
+    assert found.kind == "poles"
+    assert found.rows[0].poles.tolist() == pytest.approx([0.0], abs=1e-9)
+    with pytest.raises(DesignError, match="answers late"):
+        delayed.equivalent_to(now).realization()
+
+
+def _late_form(generator: rs.design.ResidualGenerator) -> rs.StateSpace:
+    form = generator.internal_form()
+    k = form.n_states
+    return form.replaced(
+        A=np.block([[form.A, np.zeros((k, 1))], [form.C, np.zeros((1, 1))]]),
+        B=np.vstack([form.B, form.D]),
+        C=np.eye(k + 1)[-1:],
+        D=np.zeros_like(form.D),
+        states=None,
+    )
+
+
+def test_a_zero_of_its_own_makes_a_filter() -> None:
+    """r filtered by (z - 0.5)^2 / z^2 is more than other poles."""
+    plant = rs.library.gertler()
+    now = rs.design.parity_relations(plant, insensitive_to="p1")
+    zero = rs.StateSpace([[0, 1], [0, 0]], [[0], [1]], [[0.25, -1]], [[1]], dt=1.0)
+    made = rs.design.generator.make_generator(
+        now.system.series(zero), plant, "zero", now.evidence, known_form=now.internal_form().series(zero)
+    )
+    found = now.equivalent_to(made)
+    assert found
+    assert found.kind == "filter"
+    assert np.allclose(made.to_parity().divided[0], [0.5, 0.5], atol=1e-4)
+    assert made.to_parity().orders == (2,)

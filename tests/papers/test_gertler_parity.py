@@ -1,4 +1,4 @@
-"""Gertler's survey: the primary residuals, Example 2 A and B, the counting rule, the equivalence of all four designs."""
+"""Gertler's survey: primary residuals, Example 2 A and B, attainable rows, the equivalence of all four designs."""
 
 from __future__ import annotations
 

@@ -97,7 +97,10 @@ def without_common_factor(
     ModelError
         If all are zero.
     """
-    k = len(x) - 1
+    sizes = np.abs(x).max(axis=0, initial=0.0)
+    present = np.abs(x / np.where(sizes > 0, sizes, 1.0)).max(axis=1, initial=0.0) > 1e-13
+    k = int(np.max(np.flatnonzero(present), initial=0))
+    x = x[: k + 1]  # a degree that is not there would count as a factor with its root at infinity
     points = _circle(basis, k)
     values = basis.values(points, k)
     size = np.abs(values @ x).max(axis=0)

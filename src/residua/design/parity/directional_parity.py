@@ -17,6 +17,7 @@ from residua.errors import AccuracyError, DesignError
 from residua.linear import arrays
 from residua.linear.common_factor import without_common_factor
 from residua.linear.pencil_null_space import DEFAULT_RTOL
+from residua.linear.polynomial_basis import PolynomialBasis
 from residua.linear.rank import RankDecision, decide_rank, left_null_basis
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
@@ -202,6 +203,8 @@ def _checked(directions: Mapping[str, ArrayLike], plant: Plant) -> Directions:
     if not isinstance(directions, Mapping) or not directions:
         raise DesignError("directions must map names of faults to vectors, and name one fault at least")
     faults = tuple(plant.faults[arrays.index_of(name, plant.faults, "fault")] for name in directions)
+    if len(set(faults)) < len(faults):
+        raise DesignError("directions name a fault twice")
     columns = []
     for name, value in directions.items():
         try:
@@ -342,7 +345,7 @@ def _of_order(joint: DirectionalPencil, generic: _Generic, order: int, most: int
 
 
 def _relations(
-    model: RelationModel, X: NDArray[np.float64], basis: object, ignored: Sequence[str], *, divide: bool
+    model: RelationModel, X: NDArray[np.float64], basis: PolynomialBasis, ignored: Sequence[str], *, divide: bool
 ) -> list[Relation]:
     """Return coefficients as relations, without a factor that all of them share.
 

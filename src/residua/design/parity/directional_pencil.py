@@ -8,8 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.design.generator import ResidualGenerator
+from residua.design.internal_form import frequency_grid
 from residua.design.parity.relation import Relation
 from residua.design.parity.relation_model import state_pencil
+from residua.errors import AccuracyError
 from residua.linear.pencil_null_space import DEFAULT_RTOL, Pencil, pencil_null_vectors, refined
 from residua.linear.polynomial_basis import PolynomialBasis
 from residua.linear.rank import RankDecision, left_null_basis
@@ -17,6 +20,8 @@ from residua.plant import Plant
 
 #: Coefficients below this fraction of the largest, in balanced units, are rounding.
 _ROUNDING = 1e-15
+#: A response may be this far from its direction, relative to its peak over frequency.
+_OFF = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +60,8 @@ class DirectionalPencil:
         Balanced units of ``[x_1 ... x_r, gamma_1 ... gamma_s]``.
     decision : RankDecision
         The rank of the constant columns.
-    residuals, equations : int
-        ``r``, and the length of each ``x_i``.
+    residuals, equations, outputs : int
+        ``r``, the length of each ``x_i``, and how many of its last entries read outputs.
     """
 
     reduced: Pencil
@@ -65,6 +70,7 @@ class DirectionalPencil:
     decision: RankDecision
     residuals: int
     equations: int
+    outputs: int
 
     def balanced(self, y: NDArray) -> tuple[NDArray, NDArray]:
         """Return relations, shape (..., residuals, equations), and gammas, (..., faults), in balanced units."""
@@ -118,7 +124,7 @@ def directional_pencil(
     R1 = np.hstack([block @ P1[:, :n] for block in blocks])
     units = np.concatenate([np.outer(level, one.rows).ravel(), 1 / one.columns[n + q :]])
     reduced = Pencil(R0, R1, basis, np.ones(len(R0)), np.ones(r * n))
-    return DirectionalPencil(reduced, L, units, decision, r, N)
+    return DirectionalPencil(reduced, L, units, decision, r, N, plant.n_outputs)
 
 
 def changed_together(
@@ -131,7 +137,7 @@ def changed_together(
     """
     n, k = plant.n_states, rows[0].order
     size = float(np.exp(np.mean(np.log(rows[0].basis.sizes[:k])))) if k else 1.0
-    even = replace(basis, sizes=np.full(basis.count, size))
+    even = replace(basis, sizes=np.full(basis.count, size))  # the same elements, over powers of the size
     X = np.stack([row.basis.changed_to(even, np.hstack([row.p, row.q])) for row in rows], axis=1)
     given = directional_pencil(plant, rows[0].ignored, directions, even)
     chosen = [plant.faults.index(name) for name in directions.faults]
@@ -140,7 +146,33 @@ def changed_together(
     gammas = np.einsum("kif,if->kf", X @ faults, weights)
     gammas = gammas * np.linalg.norm(directions.vectors, axis=0)
     y = (np.hstack([X.reshape(k + 1, -1), gammas]) / given.rows) @ given.constant
-    X = given.relations(refined(given.reduced, y)) * np.where(basis.sizes[:1] > 0, size, 1.0) ** -np.arange(k + 1.0)[:, None, None]
+    X = given.relations(refined(given.reduced, y)) * size ** -np.arange(k + 1.0)[:, None, None]
     if plant.E is None:  # p (zI - A) = q C leaves no room for one more power
         X[-1, :, :n] = 0.0
     return [replace(row, p=X[:, i, :n], q=X[:, i, n:], basis=basis) for i, row in enumerate(rows)]
+
+
+def check_directions(made: ResidualGenerator, directions: Directions) -> float:
+    """Return how far responses to faults are from their directions at most, relative to their peaks, or raise.
+
+    Raises
+    ------
+    AccuracyError
+        If the response to a fault leaves its direction, or is lost.
+    """
+    form = made.internal_form()
+    chosen = [made.faults.index(name) for name in directions.faults]
+    response = form.frequency_response(frequency_grid(form))[:, :, chosen]
+    unit = directions.vectors / np.linalg.norm(directions.vectors, axis=0)
+    along = np.einsum("wij,ij->wj", response, unit)
+    off = np.linalg.norm(response - along[:, None] * unit, axis=1).max(axis=0)
+    peak = np.linalg.norm(response, axis=1).max(axis=0)
+    missed = off / np.where(peak > 0, peak, 1.0)
+    for name, share, size in zip(directions.faults, missed, peak, strict=True):
+        if not share <= _OFF or not size > 0 or made.subspaces[name].shape[1] != 1:
+            raise AccuracyError(
+                f"the response to {name!r} misses its direction by {share:.2g} of its peak, {size:.2g} (limit {_OFF:.0e}): "
+                "the relations are too ill-conditioned with these poles; choose poles near those of the plant, or ask "
+                "for fewer directions"
+            )
+    return float(missed.max())

@@ -12,9 +12,9 @@ from residua.design.generator import ResidualGenerator
 from residua.design.internal_form import frequency_grid
 from residua.design.parity.conversion import RowFraction, row_fractions
 from residua.errors import AccuracyError, DesignError, ModelError
-from residua.linear import StateSpace
+from residua.linear import StateSpace, decide_rank
 from residua.linear.balancing import descriptor_units
-from residua.linear.pencil_null_space import DEFAULT_RTOL
+from residua.linear.reachability import without_unobservable
 
 #: Two responses are parallel when they miss each other by less than this, relative, at every frequency.
 _PARALLEL = 1e-6
@@ -78,14 +78,16 @@ class Equivalence:
     equivalent : bool
         Whether each is a transformation of the other.
     kind : str
-        ``"identical"``, ``"scale"`` (up to factors and order of the residuals), ``"poles"`` (up to poles and
-        scale: each residual is one of the other's, filtered), ``"transformation"`` (each residual is a sum of
-        filtered ones), ``"part"`` (the second is a transformation of the first, not the reverse), ``"whole"`` (the
-        reverse of that) or ``"different"``.
+        ``"identical"``, ``"scale"`` (up to factors and order of the residuals), ``"poles"`` (up to poles, factors and
+        order), ``"filter"`` (each residual is one of the other's, filtered with zeros of its own),
+        ``"transformation"`` (each residual is a sum of filtered ones), ``"part"`` (the second
+        is a transformation of the first, not the reverse), ``"whole"`` (the reverse of that) or ``"different"``.
     rows : tuple of RowTransformation
-        For the first three kinds, one per residual of the second generator.
+        For the first four kinds, one per residual of the second generator.
     error : float
         Largest relative distance over frequency of the second generator from the transformed first.
+    note : str
+        Why ``rows`` are missing where each residual is a filtered one, if they are.
     """
 
     equivalent: bool
@@ -94,6 +96,7 @@ class Equivalence:
     error: float
     first: StateSpace = field(repr=False)
     second: StateSpace = field(repr=False)
+    note: str = ""
 
     def __bool__(self) -> bool:
         return self.equivalent
@@ -112,17 +115,69 @@ class Equivalence:
         """
         return _transformation(self.first.frequency_response(w), self.second.frequency_response(w))
 
+    @property
+    def matrix(self) -> NDArray[np.float64] | None:
+        """The transformation, if it is a matrix of numbers: the same at every frequency."""
+        V = self.transformation(frequency_grid(self.first, self.second))
+        constant = V.real.mean(axis=0)
+        return constant if np.abs(V - constant).max() < _PARALLEL * np.abs(V).max() else None
+
+    def realization(self) -> StateSpace:
+        r"""Return the transformation as a filter from the residuals of the first generator to those of the second.
+
+        With a right inverse :math:`Q_a^R` of the first generator :math:`V = Q_b Q_a^R`, without the states that
+        cancel.
+
+        Returns
+        -------
+        StateSpace
+
+        Raises
+        ------
+        DesignError
+            If the second is no transformation of the first, or one that would have to undo delays (in continuous
+            time, to differentiate).
+        AccuracyError
+            If what cancels does not cancel well enough.
+        """
+        if self.kind in ("whole", "different"):
+            raise DesignError("the second generator is no transformation of the first")
+        a, b = self.first, self.second
+        if decide_rank(a.D).rank < a.n_outputs:
+            raise DesignError(
+                "the first generator answers late to some combination of its signals, which the transformation would "
+                "have to undo: ask for the reverse one, second.equivalent_to(first)"
+            )
+        inverse = np.linalg.pinv(a.D)
+        back = a.replaced(
+            A=a.A - a.B @ inverse @ a.C,
+            B=a.B @ inverse,
+            C=-inverse @ a.C,
+            D=inverse,
+            inputs=a.outputs,
+            outputs=a.inputs,
+        )
+        made = _minimal(back.series(b)).replaced(inputs=a.outputs, outputs=b.outputs)
+        w = frequency_grid(a, b)
+        wanted = self.transformation(w)
+        missed = np.abs(made.frequency_response(w) - wanted).max() / max(np.abs(wanted).max(), 1e-300)
+        if not missed < 1e-5:
+            raise AccuracyError(f"the transformation as a filter misses its frequency response by {missed:.2g}")
+        return made
+
     def __str__(self) -> str:
         told = {
             "identical": "the same filter",
             "scale": "the same up to factors and order of the residuals",
             "poles": "the same up to poles and scale",
+            "filter": "each residual of one is a filtered residual of the other",
             "transformation": "each residual of one is a sum of filtered residuals of the other",
             "part": "the second is a transformation of the first, which sees more",
             "whole": "the first is a transformation of the second, which sees more",
             "different": "neither is a transformation of the other",
         }[self.kind]
         lines = [f"{'equivalent' if self.equivalent else 'not equivalent'}: {told} (to {self.error:.1e})"]
+        lines += [f"  {self.note}"] if self.note else []
         return "\n".join([*lines, *(f"  {row}" for row in self.rows)])
 
 
@@ -139,14 +194,18 @@ def equivalence(first: ResidualGenerator, second: ResidualGenerator, *, rtol: fl
     Qa, Qb = a.frequency_response(w), b.frequency_response(w)
     units = _signal_units(first, Qa, w)
     Qa, Qb = Qa / units, Qb / units
-    rows = _matched(first, second, Qa, Qb, rtol)
+    note, rows, zeros = "", (), False
+    try:
+        rows, zeros = _matched(first, second, Qa, Qb, rtol)
+    except (AccuracyError, DesignError) as error:
+        note = f"zeros and poles of the filters are not known: {error}"
     if rows:
         plain = not any(len(row.zeros) or len(row.poles) for row in rows)
         same = plain and all(
             abs(row.gain - 1) < rtol and second.residuals.index(row.second) == first.residuals.index(row.first)
             for row in rows
         )
-        kind = "identical" if same else "scale" if plain else "poles"
+        kind = "identical" if same else "scale" if plain else "filter" if zeros else "poles"
         return Equivalence(True, kind, rows, max(row.error for row in rows), a, b)
     forth, back = _missed(Qa, Qb), _missed(Qb, Qa)
     kind = {
@@ -156,7 +215,7 @@ def equivalence(first: ResidualGenerator, second: ResidualGenerator, *, rtol: fl
         (False, False): "different",
     }[forth < rtol, back < rtol]
     error = max(forth, back) if kind in ("transformation", "different") else min(forth, back)
-    return Equivalence(kind == "transformation", kind, (), error, a, b)
+    return Equivalence(kind == "transformation", kind, (), error, a, b, note)
 
 
 def _signal_units(generator: ResidualGenerator, Q: NDArray, w: NDArray) -> NDArray[np.float64]:
@@ -178,28 +237,26 @@ def _signal_units(generator: ResidualGenerator, Q: NDArray, w: NDArray) -> NDArr
 
 def _matched(
     first: ResidualGenerator, second: ResidualGenerator, Qa: NDArray, Qb: NDArray, rtol: float
-) -> tuple[RowTransformation, ...]:
-    """Return for each residual of the second which one of the first it is, filtered; nothing if one is none."""
+) -> tuple[tuple[RowTransformation, ...], bool]:
+    """Return for each residual of the second which one of the first it is, filtered; nothing if one is none.
+
+    And whether zeros that are not poles of the other take part.
+    """
     if first.n_residuals != second.n_residuals:
-        return ()
+        return (), False
     free, pairs = list(range(first.n_residuals)), []
     for j in range(second.n_residuals):
         misses = [(_missed(Qa[:, i : i + 1], Qb[:, j : j + 1]), i) for i in free]
         error, i = min(misses)
         if not error < rtol:
-            return ()
+            return (), False
         free.remove(i)
         pairs.append((i, j, error))
-    try:
-        fractions = _fractions(first), _fractions(second)
-    except (AccuracyError, DesignError):
-        return ()
+    fractions = row_fractions(first), row_fractions(second)
     w = frequency_grid(first.system, second.system)
-    return tuple(_row(first, second, fractions, i, j, error, Qa, Qb, w) for i, j, error in pairs)
-
-
-def _fractions(generator: ResidualGenerator) -> list[RowFraction]:
-    return row_fractions(generator, rtol=DEFAULT_RTOL)
+    rows = tuple(_row(first, second, fractions, i, j, error, Qa, Qb, w) for i, j, error in pairs)
+    own = [_cancelled(fractions[1][j].zeros, fractions[0][i].zeros) for i, j, _ in pairs]
+    return rows, any(len(left) for pair in own for left in pair)
 
 
 def _row(
@@ -252,3 +309,11 @@ def _transformation(Qa: NDArray, Qb: NDArray) -> NDArray[np.complex128]:
     rows = np.maximum(np.linalg.norm(Qa, axis=2), 1e-300)
     unit = Qa / rows[:, :, None]
     return Qb @ np.linalg.pinv(unit, rcond=1e-9) / rows[:, None, :]
+
+
+def _minimal(system: StateSpace) -> StateSpace:
+    """Return a system without the states that no output sees or no input reaches."""
+    seen = without_unobservable(system)
+    dual = StateSpace(seen.A.T, seen.C.T, seen.B.T, seen.D.T, dt=seen.dt)
+    reached = without_unobservable(dual)
+    return StateSpace(reached.A.T, reached.C.T, reached.B.T, reached.D.T, dt=seen.dt)

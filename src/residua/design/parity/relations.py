@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua.design.evidence import Evidence, format_pole
 from residua.design.generator import ResidualGenerator, make_generator
 from residua.design.internal_form import check_decoupling
+from residua.design.parity.directional_pencil import Directions, changed_together, check_directions
 from residua.design.parity.realization import Realization, pole_basis, realize_relation
 from residua.design.parity.relation import Relation, digits_lost, plant_rate
 from residua.design.parity.relation_text import joined, terms_of
@@ -47,6 +48,8 @@ class ParityRelations:
         The polynomials, in bases that keep their digits; see ``output_rows`` and the like for powers of ``z``.
     names : tuple of str
         Of the residuals.
+    directions : Directions or None
+        The directions that the residuals keep together, where they were made to.
 
     References
     ----------
@@ -56,6 +59,7 @@ class ParityRelations:
     plant: Plant
     rows: tuple[Relation, ...] = field(repr=False)
     names: tuple[str, ...]
+    directions: Directions | None = None
 
     # -------------------------------------------------------------------- facts
 
@@ -114,9 +118,8 @@ class ParityRelations:
         most = max(self.orders, default=0)
         n, m = self.plant.n_states, self.plant.n_outputs
         P, Q = np.zeros((most + 1, len(self.rows), n)), np.zeros((most + 1, len(self.rows), m))
-        for i, row in enumerate(self.rows):
-            basis = PolynomialBasis.powers(row.order + 1, self.size)
-            one = row.changed_to(basis, self.plant)
+        changed = self._changed_to([PolynomialBasis.powers(row.order + 1, self.size) for row in self.rows])
+        for i, (row, one) in enumerate(zip(self.rows, changed, strict=True)):
             powers = self.size ** -np.arange(row.order + 1.0)[:, None]
             P[: row.order + 1, i], Q[: row.order + 1, i] = one.p * powers, one.q * powers
         return PolynomialMatrix(P), PolynomialMatrix(Q)
@@ -125,6 +128,12 @@ class ParityRelations:
     def size(self) -> float:
         """The size at which powers are compared: 1 in sampled time, the rate of the plant in 1/s otherwise."""
         return 1.0 if self.plant.is_discrete else plant_rate(self.plant)
+
+    def _changed_to(self, bases: Sequence[PolynomialBasis]) -> list[Relation]:
+        """Return the rows in other bases, made exact there."""
+        if self.directions is not None and self.rows:
+            return changed_together(self.rows, bases[0], self.plant, self.directions)
+        return [row.changed_to(basis, self.plant) for row, basis in zip(self.rows, bases, strict=True)]
 
     # ------------------------------------------------------------------ filters
 
@@ -151,7 +160,8 @@ class ParityRelations:
         Raises
         ------
         DesignError
-            If the number of poles does not fit, they are not closed under conjugation, or not stable.
+            If the number of poles does not fit, they are not closed under conjugation, or not stable; or if they differ
+            between residuals that keep directions together, which would bend them.
         AccuracyError
             If rounding in the coefficients shows in the residual.
 
@@ -162,7 +172,7 @@ class ParityRelations:
         chosen = self._poles(poles)
         bases = [pole_basis(one) for one in chosen]
         plant = self.plant
-        rows = [row.changed_to(basis, plant) for row, basis in zip(self.rows, bases, strict=True)]
+        rows = self._changed_to(bases)
         parts = [realize_relation(row.p, row.q, plant, row.basis) for row in rows]
         system = self._stacked(parts)
         evidence = Evidence(
@@ -183,6 +193,9 @@ class ParityRelations:
             static_map=None if plant.E is None else np.vstack([part.static_map for part in parts]),
             relations=self,
         )
+        if self.directions is not None:
+            off = check_directions(made, self.directions)
+            made = replace(made, evidence=made.evidence.extended(conditions={"response off the directions": off}))
         lost = digits_lost(rows, made)
         return made if lost is None else replace(made, evidence=made.evidence.extended(conditions={_LOST: lost}))
 
@@ -222,9 +235,17 @@ class ParityRelations:
             given = [poles.get(name, ()) for name in self.names]
         else:
             given = [poles for _ in self.names]
-        return [
+        chosen = [
             _checked_poles(p, k, name, self.plant) for p, k, name in zip(given, self.orders, self.names, strict=True)
         ]
+        if self.directions is not None:
+            for name, one in zip(self.names, chosen, strict=True):
+                if not np.array_equal(np.sort_complex(one), np.sort_complex(chosen[0])):
+                    raise DesignError(
+                        f"residuals {self.names[0]!r} and {name!r} keep the directions of "
+                        f"{', '.join(self.directions.faults)} together: give all of them the same poles"
+                    )
+        return chosen
 
     def _disturbed(self, rows: Sequence[Relation]) -> bool:
         """Tell whether disturbances reach a relation by more than rounding."""
@@ -262,18 +283,30 @@ class ParityRelations:
         return f"ParityRelations({len(self.names)} relations, orders {', '.join(map(str, self.orders))})"
 
 
-def relations_of(plant: Plant, rows: Sequence[Relation], names: Sequence[str] | None = None) -> ParityRelations:
-    """Return relations as one set, each scaled so that the newest sample of an output has coefficient one."""
-    scaled = []
+def relations_of(
+    plant: Plant,
+    rows: Sequence[Relation],
+    names: Sequence[str] | None = None,
+    *,
+    directions: Directions | None = None,
+) -> ParityRelations:
+    """Return relations as one set, each scaled so that the newest sample of an output has coefficient one.
+
+    Those that keep directions together are of one order, and all scaled by the factor of the first.
+    """
+    factors = []
     for row in rows:
         newest = row.q[-1]
         if not np.any(row.q):
             raise DesignError("a relation reads no output: the equations of the model are not independent")
         large = np.flatnonzero(np.abs(newest) >= 0.1 * np.abs(newest).max())
         leading = float(newest[large[0]] / np.prod(row.basis.sizes[: row.order]))
-        scaled.append(row.times(1 / leading) if leading else row)
+        factors.append(1 / leading if leading else 1.0)
+    if directions is not None:
+        factors = factors[:1] * len(factors)
     names = tuple(names) if names else tuple(f"r{i + 1}" for i in range(len(rows)))
-    return ParityRelations(plant, tuple(scaled), names)
+    scaled = tuple(row.times(factor) for row, factor in zip(rows, factors, strict=True))
+    return ParityRelations(plant, scaled, names, directions)
 
 
 def _accepted(rows: Sequence[Relation], plant: Plant) -> float:
