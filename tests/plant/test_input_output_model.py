@@ -295,6 +295,32 @@ def test_singular_plants(k: int) -> None:
     assert difference(common.transfer(points), wanted) < 1e-8
 
 
+@pytest.mark.parametrize("k", range(10))
+def test_fast_and_slow_modes_are_all_in_the_equations(k: int) -> None:
+    rng = np.random.default_rng([3, k])
+    poles = -np.concatenate([rng.uniform(0.5, 3, 3), 1e3 * rng.uniform(0.5, 3, 3)])
+    T = np.linalg.qr(rng.standard_normal((6, 6)))[0] @ np.diag(rng.uniform(0.5, 2, 6))
+    A = np.linalg.solve(T, np.diag(poles) @ T)
+    io = InputOutputModel.from_plant(rs.Plant(A, rng.standard_normal((6, 2)), rng.standard_normal((2, 6))))
+    assert io.H.row_degrees == (6, 6)
+    for i in range(2):
+        np.testing.assert_allclose(entry(io.H, i, i), np.poly(poles), rtol=1e-8)
+
+
+@pytest.mark.parametrize(("n", "h"), [(4, 0.01), (6, 0.03)])
+def test_degrees_of_plants_that_are_sampled_fast(n: int, h: float) -> None:
+    """The degree is that of the plant also where coefficients of powers hold few digits of the response."""
+    for k in range(5):
+        rng = np.random.default_rng([n, k])
+        A = rng.standard_normal((n, n))
+        A = A / np.abs(np.linalg.eigvals(A)).max()
+        A -= (0.3 + np.linalg.eigvals(A).real.max()) * np.eye(n)
+        plant = rs.Plant(A, rng.standard_normal((n, 2)), rng.standard_normal((2, n))).discretize(h)
+        io = input_output_from_plant(plant, tolerance=np.inf)
+        assert io.H.row_degrees == (n, n)
+        np.testing.assert_allclose(entry(io.H, 0, 0), np.poly(np.linalg.eigvals(plant.A)), rtol=1e-9)
+
+
 def test_plant_that_differentiates_is_refused() -> None:
     plant = rs.Plant(np.eye(2), [[0.0], [1.0]], [[1.0, 0.0], [0, 1]], E=[[0.0, 1.0], [0, 0]], outputs=["rate", "value"])
     with pytest.raises(ModelError, match="'rate' is no proper function"):
@@ -420,8 +446,8 @@ def test_copies_that_rounding_sets_apart_are_one() -> None:
 
 def test_unclear_order_is_refused() -> None:
     rng = np.random.default_rng(3)
-    poles = -np.concatenate([np.logspace(0, 0.5, 3), 1e3 * np.logspace(0, 0.5, 3)])
-    plant = rs.Plant(np.diag(poles), rng.standard_normal((6, 2)), rng.standard_normal((3, 6)))
+    poles = -np.concatenate([np.logspace(0, 0.5, 4), 1e3 * np.logspace(0, 0.5, 4)])
+    plant = rs.Plant(np.diag(poles), rng.standard_normal((8, 2)), rng.standard_normal((3, 8)))
     with pytest.raises(AccuracyError, match="the order of the plant is not clear"):
         input_output_from_plant(plant).to_plant()
 

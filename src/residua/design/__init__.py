@@ -27,6 +27,7 @@ from residua.design.observers.observer import Observer
 from residua.design.observers.perfect_observer import PerfectObserver, perfect_observer
 from residua.design.observers.reduced_order_observer import reduced_order_observer
 from residua.design.observers.unknown_input_observer import unknown_input_observer
+from residua.design.parity.directional_parity import directional_parity
 from residua.design.parity.equivalence import Equivalence, RowTransformation
 from residua.design.parity.parity_relations import chow_willsky_matrices, parity_orders, parity_relations
 from residua.design.parity.primary_residuals import primary_residuals
@@ -58,6 +59,7 @@ __all__ = [
     "decoupled_residual",
     "descriptor_observer",
     "detection_filter",
+    "directional_parity",
     "eigenstructure_assignment",
     "fault_estimator",
     "general_form",

@@ -121,7 +121,14 @@ def directional_parity(
     rows = _relations(model, X, basis, ignored, divide=order is not None)
     relations = relations_of(model.plant, rows, directions=wanted)
     notes = (*model.notes, *((f"ignores {', '.join(ignored)}",) if ignored else ()), *_free(model, wanted, ignored))
-    made = relations.with_poles(poles, method="directional parity relations", notes=notes)
+    try:
+        made = relations.with_poles(poles, method="directional parity relations", notes=notes)
+    except AccuracyError as error:
+        k = relations.orders[0]
+        raise AccuracyError(
+            f"as relations of order {k} with these poles, {error}; give {k} poles near those of the plant, or ask for "
+            "fewer directions"
+        ) from error
     ranks = {**made.evidence.ranks, "directions and ignored signals": joint.decision, "states": found.decision}
     told = (*made.evidence.references, "Gertler (1991), section 5.2, eqs. (5-9) to (5-18)")
     return replace(made, evidence=made.evidence.extended(ranks=ranks, references=told))
@@ -171,7 +178,7 @@ class _Solutions:
         W = np.einsum("tn,npij->tpij", tries, self.read)
         s = np.linalg.svd(W, compute_uv=False)
         own = s[..., self.rank - 1] if self.rank <= s.shape[-1] else np.zeros(s.shape[:-1])
-        return response, np.median(own, axis=1)
+        return response, np.asarray(np.median(own, axis=1), dtype=np.float64)
 
     def tries(self) -> NDArray[np.float64]:
         """Return each solution alone, the directions of the singular vectors of the responses, and random ones."""
@@ -257,7 +264,11 @@ def _attainable(
     )
     blind = [f"{name} ({size:.1e})" for name, size in zip(wanted.faults, response, strict=True) if size <= _SEEN]
     if blind:
-        why = f"ask for {ask}" if s * (r - 1) > r * free - 1 else "its response depends on that of other faults"
+        why = (
+            f"ask for {ask}"
+            if s * (r - 1) > r * free - 1
+            else "its direction or its response depends on those of other faults"
+        )
         raise DesignError(
             f"where residuals keep {', '.join(wanted.faults)} to their directions, the response to {', '.join(blind)} "
             f"vanishes: {said}; {why}: choose other directions, decouple less or add a sensor"
@@ -277,14 +288,15 @@ def _points(joint: DirectionalPencil) -> NDArray[np.complex128]:
     center = float(basis.real.mean())
     radius = float(np.max(np.hypot(basis.real - center, basis.imaginary), initial=0.0))
     radius = max(radius, float(np.median(basis.sizes)))
-    return center + radius * np.array([1.3, 1.1, 1.7]) * np.exp(1j * np.array([0.4, 1.3, 2.3]))
+    turned = np.exp(1j * np.array([0.4, 1.3, 2.3]))
+    return np.asarray(center + radius * np.array([1.3, 1.1, 1.7]) * turned, dtype=np.complex128)
 
 
 def _balanced_at(joint: DirectionalPencil, point: complex) -> NDArray[np.complex128]:
     """Return the pencil at a point, in columns of one size."""
     M = joint.at(point)
     size = np.linalg.norm(M, axis=0)
-    return M / np.where(size > 0, size, 1.0)
+    return np.asarray(M / np.where(size > 0, size, 1.0), dtype=np.complex128)
 
 
 def _independent_relations(
@@ -313,7 +325,7 @@ def _solutions(joint: DirectionalPencil, generic: _Generic, degree: int, rtol: f
 
 def _shortest(joint: DirectionalPencil, generic: _Generic, most: int, rtol: float) -> _Solutions:
     """Return the solutions of the smallest degree that serve: doubled until some do, then halved."""
-    low, degree = 0, 1
+    low, degree = 0, min(1, most)
     while True:
         found = _solutions(joint, generic, degree, rtol)
         if found.serves:

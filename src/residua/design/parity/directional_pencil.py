@@ -108,8 +108,7 @@ def directional_pencil(
     one = state_pencil(plant, np.hstack([ignored, faults]), basis)  # units from all that the equations meet
     n, r, s = plant.n_states, directions.count, len(chosen)
     d = directions.vectors / np.linalg.norm(directions.vectors, axis=0)
-    level = np.abs(d).max(axis=1, initial=0.0)  # residuals have units of their own
-    level = np.where(level > 0, level, 1.0)
+    level = _levels(directions)
     P0, P1 = one.rows[:, None] * one.P0 * one.columns, one.rows[:, None] * one.P1 * one.columns
     N, q = len(P0), ignored.shape[1]
     K = np.zeros((r * N + s, r * (q + s)))
@@ -152,6 +151,13 @@ def changed_together(
     return [replace(row, p=X[:, i, :n], q=X[:, i, n:], basis=basis) for i, row in enumerate(rows)]
 
 
+def _levels(directions: Directions) -> NDArray[np.float64]:
+    """Return the units of the residuals, in which directions have entries of one size."""
+    d = directions.vectors / np.linalg.norm(directions.vectors, axis=0)
+    level = np.abs(d).max(axis=1, initial=0.0)
+    return np.where(level > 0, level, 1.0)
+
+
 def check_directions(made: ResidualGenerator, directions: Directions) -> float:
     """Return how far responses to faults are from their directions at most, relative to their peaks, or raise.
 
@@ -162,8 +168,10 @@ def check_directions(made: ResidualGenerator, directions: Directions) -> float:
     """
     form = made.internal_form()
     chosen = [made.faults.index(name) for name in directions.faults]
-    response = form.frequency_response(frequency_grid(form))[:, :, chosen]
-    unit = directions.vectors / np.linalg.norm(directions.vectors, axis=0)
+    level = _levels(directions)[:, None]
+    unit = directions.vectors / level
+    unit = unit / np.linalg.norm(unit, axis=0)
+    response = form.frequency_response(frequency_grid(form))[:, :, chosen] / level
     along = np.einsum("wij,ij->wj", response, unit)
     off = np.linalg.norm(response - along[:, None] * unit, axis=1).max(axis=0)
     peak = np.linalg.norm(response, axis=1).max(axis=0)
@@ -171,8 +179,8 @@ def check_directions(made: ResidualGenerator, directions: Directions) -> float:
     for name, share, size in zip(directions.faults, missed, peak, strict=True):
         if not share <= _OFF or not size > 0 or made.subspaces[name].shape[1] != 1:
             raise AccuracyError(
-                f"the response to {name!r} misses its direction by {share:.2g} of its peak, {size:.2g} (limit {_OFF:.0e}): "
-                "the relations are too ill-conditioned with these poles; choose poles near those of the plant, or ask "
-                "for fewer directions"
+                f"the response to {name!r} misses its direction by {share:.2g} of its peak, {size:.2g} "
+                f"(limit {_OFF:.0e}): the relations are too ill-conditioned with these poles; choose poles near those "
+                "of the plant, or ask for fewer directions"
             )
     return float(missed.max())

@@ -22,6 +22,8 @@ _PARALLEL = 1e-6
 _FAINT = 1e-7
 #: Nor do responses to an output smaller than this fraction of those to the others, in balanced units.
 _FAINT_OUTPUT = 1e-4
+#: Filters made of zeros and poles that miss the responses by more are not told.
+_FILTER_ERROR = 1e-3
 #: Zeros and poles nearer than this, relative to their size, cancel.
 _CANCEL = 1e-5
 
@@ -255,6 +257,9 @@ def _matched(
     fractions = row_fractions(first), row_fractions(second)
     w = frequency_grid(first.system, second.system)
     rows = tuple(_row(first, second, fractions, i, j, error, Qa, Qb, w) for i, j, error in pairs)
+    worst = max((row.error for row in rows), default=0.0)
+    if not worst < _FILTER_ERROR:
+        raise AccuracyError(f"filters made of them miss by {worst:.2g}")
     own = [_cancelled(fractions[1][j].zeros, fractions[0][i].zeros) for i, j, _ in pairs]
     return rows, any(len(left) for pair in own for left in pair)
 

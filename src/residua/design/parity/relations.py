@@ -27,6 +27,8 @@ from residua.plant import Plant
 #: What the states may be missed by, relative to the terms that have to cancel.
 _REMAINDER = 1e-8
 _LOST = "digits lost to cancellation"
+#: Measurements seldom have more digits than this.
+_MANY = 6.0
 #: Poles of the filters of parity relations: one list for all, or one for each residual by name.
 Poles = Sequence[complex] | ArrayLike | Mapping[str, Sequence[complex]]
 
@@ -197,7 +199,10 @@ class ParityRelations:
             off = check_directions(made, self.directions)
             made = replace(made, evidence=made.evidence.extended(conditions={"response off the directions": off}))
         lost = digits_lost(rows, made)
-        return made if lost is None else replace(made, evidence=made.evidence.extended(conditions={_LOST: lost}))
+        if lost is None:
+            return made
+        told = (_cancelling(lost),) if lost > _MANY else ()
+        return replace(made, evidence=made.evidence.extended(conditions={_LOST: lost}, notes=told))
 
     def stacked_with(self, others: Sequence[ParityRelations], names: Sequence[str]) -> ParityRelations:
         """Return these and further relations of the same plant as one set, with new names."""
@@ -307,6 +312,15 @@ def relations_of(
     names = tuple(names) if names else tuple(f"r{i + 1}" for i in range(len(rows)))
     scaled = tuple(row.times(factor) for row, factor in zip(rows, factors, strict=True))
     return ParityRelations(plant, scaled, names, directions)
+
+
+def _cancelling(lost: float) -> str:
+    """Return what is to be said of a filter in which many digits cancel."""
+    share = f"{10 ** (lost - 16):.0e} of" if lost < 16 else "as large as"
+    return (
+        f"{lost:.0f} digits of the data cancel: rounding of numbers of 16 digits alone makes residuals {share} what a "
+        "fault leaves, that of measurements more; choose poles near those of the plant (with_poles), or structured_bank"
+    )
 
 
 def _accepted(rows: Sequence[Relation], plant: Plant) -> float:
