@@ -67,6 +67,7 @@ html_sidebars = {
         "limits",
         "observers-on-benchmarks",
         "coding-sets",
+        "parity-and-conditioning",
         "gallery/**",
     )
 }

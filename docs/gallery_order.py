@@ -10,6 +10,7 @@ ORDER = (
     "plot_singular_plant.py",
     "plot_directions.py",
     "plot_matched_filters.py",
+    "plot_gertler_examples.py",
     "plot_live.py",
 )
 

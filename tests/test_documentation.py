@@ -14,7 +14,19 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 DOCS = REPOSITORY / "docs"
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 PAGES = sorted(page for page in DOCS.glob("*.rst") if ">>> " in page.read_text(encoding="utf-8"))
-PUBLIC = ("residua", "analysis", "analysis.coding", "decide", "design", "errors", "library", "linear", "monitor", "plant", "report")
+PUBLIC = (
+    "residua",
+    "analysis",
+    "analysis.coding",
+    "decide",
+    "design",
+    "errors",
+    "library",
+    "linear",
+    "monitor",
+    "plant",
+    "report",
+)
 
 
 @pytest.fixture

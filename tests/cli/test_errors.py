@@ -131,7 +131,7 @@ def test_unexpected_errors_are_not_a_fault(made: Path, residua: Residua, monkeyp
     def broken(path: Path) -> None:
         raise RuntimeError("two\nlines")
 
-    monkeypatch.setattr("residua.cli.app.load_plant", broken)
+    monkeypatch.setattr("residua.cli.plant_commands.load_plant", broken)
     assert_error(residua("analyze", made / "plant.toml"), "unexpected RuntimeError: two lines", "RESIDUA_TRACEBACK")
     monkeypatch.setenv("RESIDUA_TRACEBACK", "1")
     status, _, err = residua("analyze", made / "plant.toml")
@@ -143,7 +143,7 @@ def test_interrupt(made: Path, residua: Residua, monkeypatch: pytest.MonkeyPatch
     def interrupted(path: Path) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("residua.cli.app.load_plant", interrupted)
+    monkeypatch.setattr("residua.cli.plant_commands.load_plant", interrupted)
     assert residua("analyze", made / "plant.toml") == (130, "", "interrupted\n")
 
 

@@ -116,6 +116,34 @@ def test_noise_brings_the_kalman_filter_first() -> None:
     assert any("noise" in note for note in noisy.notes)
 
 
+def test_matched_filters_are_for_sampled_plants_with_noise() -> None:
+    def tried(plant: rs.Plant) -> suggestion.Entry:
+        return next(entry for entry in rs.suggest(plant).entries if entry.method.name == "matched_filters")
+
+    plant = rs.library.gertler(sensor_faults=True)
+    assert "no noise" in tried(plant).reason
+    noisy = plant.with_noise(process=0.01, measurement=0.1)
+    entry = tried(noisy)
+    assert entry.works
+    assert entry.names == entry.estimates == plant.faults
+    assert rs.suggest(noisy, want="size").best.call == entry.call  # no estimator has all four faults
+    twins = tried(noisy.with_faults({"p1 again": [1, 1, 0]}))
+    assert set(twins.names) == set(plant.faults) - {"p1"}
+    assert "p1" in twins.estimates
+    continuous = rs.Plant([[-1.0]], [[1.0]], [[1.0]]).with_sensor_faults().with_noise(process=1.0, measurement=1.0)
+    assert "discretize" in tried(continuous).reason
+    exposed = tried(noisy.with_disturbances({"load": [1, 0, 1]}))
+    assert "disturbances reach it" in exposed.reason
+
+
+def test_banks_are_suggested_with_a_chosen_coding_set() -> None:
+    plant = rs.library.three_tank()
+    entry = next(e for e in rs.suggest(plant).entries if e.method.name == "structured_bank")
+    assert entry.call == "rs.design.structured_bank(plant, rs.coding.choose(plant))"
+    alone = {group[0] for group in rs.diagnosability(plant).groups if len(group) == 1}
+    assert set(entry.names) == alone
+
+
 def test_a_singular_plant_is_said_to_be_one() -> None:
     found = rs.suggest(singular_plant(np.random.default_rng(1), faults=0, sensors=False))
     assert any("singular" in note for note in found.notes)
@@ -168,7 +196,8 @@ def test_faults_that_are_not_there_cannot_be_wanted(want: str) -> None:
 
 
 def test_every_design_function_has_a_record() -> None:
-    other = {"closed_loop", "compensation_gain"}  # they work on finished designs
+    # they work on finished designs, or are no designs
+    other = {"closed_loop", "compensation_gain", "general_form", "chow_willsky_matrices", "parity_orders"}
     functions = {name for name in rs.design.__all__ if inspect.isfunction(getattr(rs.design, name))} - other
     assert functions == {method.name for method in catalogue.METHODS}
 
@@ -185,14 +214,20 @@ def test_records_say_who_serves_singular_plants(method: catalogue.Method) -> Non
         [[1], [0], [1]],
         [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
         E=[[1, 0, 0], [0, 1, 0], [0, 0, 0]],
+        dt=1.0 if method.name == "matched_filters" else 0.0,
     ).with_noise(process=1.0, measurement=1.0)
     plant = plant.with_actuator_faults() if method.name == "actuator_fault_bank" else plant.with_sensor_faults([0])
     if method.name == "inverse_form_observer":
         plant = plant.without_faults().with_actuator_faults()
-    arguments = (["1"],) if method.name == "structured_bank" else ()
+    arguments, options = (["1"],) if method.name in ("structured_bank", "structured_parity") else (), {}
+    if method.name == "directional_parity":
+        options = {"directions": {plant.faults[0]: [2, 1]}}
+    if method.name == "residual_generator_from_observer":  # one row of the bank's member in the general form
+        form = rs.design.general_form(rs.design.decoupled_residual(plant))
+        options = {name: getattr(form, name) for name in ("M", "J", "N", "Ls", "Lu", "Ly", "T")}
 
     def design() -> object:
-        return getattr(rs.design, method.name)(plant, *arguments)
+        return getattr(rs.design, method.name)(plant, *arguments, **options)
 
     if method.singular:
         assert type(design()).__name__ == method.returns

@@ -446,8 +446,8 @@ def test_copies_that_rounding_sets_apart_are_one() -> None:
 
 def test_unclear_order_is_refused() -> None:
     rng = np.random.default_rng(3)
-    poles = -np.concatenate([np.logspace(0, 0.5, 4), 1e3 * np.logspace(0, 0.5, 4)])
-    plant = rs.Plant(np.diag(poles), rng.standard_normal((8, 2)), rng.standard_normal((3, 8)))
+    poles = -np.concatenate([np.logspace(0, 0.5, 5), 1e3 * np.logspace(0, 0.5, 5)])
+    plant = rs.Plant(np.diag(poles), rng.standard_normal((10, 2)), rng.standard_normal((3, 10)))
     with pytest.raises(AccuracyError, match="the order of the plant is not clear"):
         input_output_from_plant(plant).to_plant()
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -10,15 +9,15 @@ from typing import Annotated
 import typer
 
 from residua import __version__
-from residua.analysis import diagnosability
-from residua.cli import methods, screen
+from residua.cli import methods, plant_commands, screen
 from residua.cli.files import check_outputs
 from residua.cli.guard import FAULT, NO_FAULT, GuardedGroup, in_cli_words, warn
 from residua.cli.methods import MemberKind, Method, Scheme
-from residua.decide import Directional, NormTest, NormThreshold, Structured
+from residua.cli.plant_commands import PlantFile, Rows
+from residua.decide import Directional, Matched, NormTest, NormThreshold, Structured
 from residua.demos import Outcome
-from residua.design.suggestion import suggest as suggestion
-from residua.errors import AccuracyError, DataError, ModelError
+from residua.design import MatchedFilters, ResidualGenerator
+from residua.errors import AccuracyError, DataError, ModelError, SettingError
 from residua.files import check_input
 from residua.monitor import Diagnosis, Monitor
 from residua.monitor.inputs import settling_reason
@@ -66,7 +65,6 @@ def _positive(value: float | None) -> float | None:
     return value
 
 
-PlantFile = Annotated[Path, typer.Argument(metavar="PLANT.toml", help="Plant file.", show_default=False)]
 MonitorFile = Annotated[Path, typer.Argument(metavar="MONITOR.json", help="What design or fit wrote.")]
 TimeColumn = Annotated[str | None, typer.Option("--time", metavar="NAME", help="Column with the times in seconds.")]
 Step = Annotated[
@@ -87,30 +85,9 @@ def _common(
     pass
 
 
-@app.command()
-def analyze(
-    plant: PlantFile,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
-) -> None:
-    """Tell which faults can be detected and told apart, and why the others cannot."""
-    check_input(plant, "a plant file")
-    found = diagnosability(load_plant(plant))
-    if as_json:
-        typer.echo(json.dumps(screen.diagnosability_values(found), indent=2))
-    else:
-        screen.show_diagnosability(found)
-
-
-@app.command()
-def suggest(
-    plant: PlantFile,
-    want: Annotated[
-        str | None, typer.Option(metavar="name|size|state", help="What to know; by what the plant has when omitted.")
-    ] = None,
-) -> None:
-    """Try every design function on a plant, and tell which apply and which to prefer."""
-    check_input(plant, "a plant file")
-    screen.say(str(suggestion(load_plant(plant), want=want)))
+app.command()(plant_commands.analyze)
+app.command()(plant_commands.codes)
+app.command()(plant_commands.suggest)
 
 
 @app.command()
@@ -141,6 +118,7 @@ def design(
     allow_missing: Annotated[
         bool, typer.Option("--allow-missing", help="Of a bank: leave out the members that do not exist.")
     ] = False,
+    rows: Rows = None,
     faults: Annotated[
         str | None,
         typer.Option(metavar="LIST", help="What fault-estimator estimates, with commas; all faults when omitted."),
@@ -159,7 +137,7 @@ def design(
         typer.Option(
             min=1,
             metavar="N",
-            help="Samples over which the direction of the residual, or the code of a bank, is judged.",
+            help="Samples over which the direction of the residual, the code of a bank, or an arrival is judged.",
         ),
     ] = 50,
 ) -> None:
@@ -170,24 +148,40 @@ def design(
     chosen, why = (method, "") if method is not Method.auto else methods.choose(model)
     names = None if faults is None else tuple(name.strip() for name in faults.split(","))
     options = methods.DesignOptions(
-        methods.parse_poles(poles) if poles else None, margin, sample_time, names, scheme, observer, allow_missing
+        methods.parse_poles(poles) if poles else None,
+        margin,
+        sample_time,
+        names,
+        scheme,
+        observer,
+        allow_missing,
+        methods.parse_rows(rows) if rows else None,
+        window,
     )
-    generator = methods.make(model, chosen, options, why=why)
-    isolate = Directional(window=window) if generator.codes is None else Structured(window=window)
+    made = methods.make(model, chosen, options, why=why)
+    if isinstance(made, MatchedFilters) and average != 1:
+        raise SettingError("matched filters sum over their --window by themselves: leave out --average")
     monitor = Monitor(
-        generator,
+        made,
         test=NormThreshold(persistence=persistence, window=average, false_alarm_rate=false_alarm_rate),
-        isolate=isolate,
+        isolate=_isolation(made, window),
         dt=sample_time,
     )
     monitor.save(output)
     screen.say(f"method: {chosen.value}" + (f", because {why}" if why else ""), in_cli_words(str(_evidence(monitor))))
-    if model.faults:
-        if isinstance(isolate, Structured):
-            screen.show_codes(generator, isolate)
-        else:
-            screen.show_signatures(generator, isolate)
+    if isinstance(made, MatchedFilters):
+        screen.show_responses(made)
+    elif isinstance(monitor.isolate, Structured):
+        screen.show_codes(made, monitor.isolate)
+    elif model.faults and isinstance(monitor.isolate, Directional):
+        screen.show_signatures(made, monitor.isolate)
     screen.say(_readiness(monitor, output), f"written: {output}")
+
+
+def _isolation(made: ResidualGenerator | MatchedFilters, window: int) -> Directional | Structured | Matched:
+    if isinstance(made, MatchedFilters):
+        return Matched(made.window, made.steady, made.alike)
+    return Directional(window=window) if made.codes is None else Structured(window=window)
 
 
 def _evidence(monitor: Monitor) -> object:

@@ -18,9 +18,9 @@ from rich.table import Table
 from residua.analysis import Diagnosability
 from residua.decide import Directional, Structured
 from residua.decide.directional import direction_test
-from residua.design import ResidualGenerator
+from residua.design import MatchedFilters, ResidualGenerator
 from residua.monitor.diagnosis import Alarm, Diagnosis
-from residua.monitor.naming import ranked, tied_name
+from residua.monitor.naming import fault_unit, ranked, tied_name
 from residua.monitor.preparing import codes_of
 from residua.report.text import size_text
 from residua.report.verdict import verdict
@@ -232,6 +232,20 @@ def show_codes(generator: ResidualGenerator, isolate: Structured) -> None:
         say(f"never named, for want of a code: {', '.join(test.unjudged)}")
     if not test.strongly_isolating:
         say("a code is part of another: a pattern with members silent is not read as degraded")
+
+
+def show_responses(matched: MatchedFilters) -> None:
+    """Print how well matched filters see each fault, and which faults look the same."""
+    half, whole = matched.deviation(matched.window // 2), matched.deviation()
+    plant = matched.generator.plant
+    rows = []
+    for name in matched.faults:
+        note = "not seen" if name in matched.unseen else "vanishes" if name in matched.vanishing else "stays"
+        twins = [] if name in matched.unseen else _twins(matched.groups, name)
+        rows.append([name, note, half[name], whole[name], fault_unit(plant, name), ", ".join(twins)])
+    header = ["fault", "once constant", f"deviation of its size after {matched.window // 2} samples"]
+    show_table([*header, f"after {matched.window}", "unit", "cannot be told from"], rows)
+    say("a fault of about six deviations is found within that many samples")
 
 
 # ---------------------------------------------------------------------- diagnosis

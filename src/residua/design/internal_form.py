@@ -206,12 +206,13 @@ def leakage(generator: StateSpace, plant: Plant, w: NDArray | None = None) -> di
         w = frequency_grid(generator, plant.system(()))
     n_u = len(plant.inputs)
     Q = generator.frequency_response(w)
-    P = plant.system(("control", "disturbance")).frequency_response(w)
+    driven = plant.system(("control", "disturbance"))
+    P, made_of = driven.frequency_response(w), _terms(driven, w)
     Qu, Qy = Q[..., :n_u], Q[..., n_u:]
     out = {}
-    for name, direct, through in (
-        ("control", Qu, P[..., :n_u]),
-        ("disturbance", 0.0, P[..., n_u:]),
+    for name, direct, through, sums in (
+        ("control", Qu, P[..., :n_u], made_of[..., :n_u]),
+        ("disturbance", 0.0, P[..., n_u:], made_of[..., n_u:]),
     ):
         if through.shape[-1] == 0:
             continue
@@ -219,9 +220,23 @@ def leakage(generator: StateSpace, plant: Plant, w: NDArray | None = None) -> di
         parts = (np.abs(direct) + np.abs(Qy) @ np.abs(through)).max(axis=0)
         # a path that is itself what rounding left of nothing cannot leak
         paths = np.abs(Qy).max(axis=(0, 2))[:, None] * np.abs(through).max(axis=(0, 1))[None, :]
-        parts = np.maximum(parts, 1e-8 * paths)
+        sums = (np.abs(Qy) @ sums).max(axis=0)
+        parts = np.maximum(parts, 1e-6 * np.maximum(paths, sums))
         out[name] = float(np.max(total / np.where(parts > 0, parts, 1.0), initial=0.0))
     return out
+
+
+def _terms(system: StateSpace, w: NDArray) -> NDArray[np.float64]:
+    """Return what rounding in the responses of a system is relative to, over frequency.
+
+    Terms of ``C x``, each as large as the largest state makes it, in balanced units: solving for the states brings
+    rounding to those that an input does not reach.
+    """
+    n = system.n_states
+    units = descriptor_units(system.A, system.E, system.B, system.C, system.D).states
+    states = system.replaced(C=np.eye(n), D=np.zeros((n, system.n_inputs)), outputs=[f"x{i + 1}" for i in range(n)])
+    largest = (np.abs(states.frequency_response(w)) / units[:, None]).max(axis=1, initial=0.0)
+    return (np.abs(system.C) @ units)[:, None] * largest[:, None, :] + np.abs(system.D)
 
 
 def check_decoupling(generator: StateSpace, plant: Plant, *, decoupled: bool, limit: float = 1e-7) -> dict[str, float]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,8 @@ from residua.design.banks.bank import Bank
 from residua.design.catalogue import Method, method
 from residua.design.estimation.fault_estimator import FaultEstimator
 from residua.design.generator import ResidualGenerator
+from residua.design.matched_filters import MatchedFilters
+from residua.design.suggestion_candidates import Candidate, candidates
 from residua.errors import AccuracyError, DesignError, ModelError, SettingError
 from residua.plant import Plant
 
@@ -131,9 +132,10 @@ def suggest(plant: Plant, *, want: str | None = None, seconds: float = 30.0) -> 
     Notes
     -----
     Assumes: each call is tried with its own choice of poles. Ranked by how many faults are named (or sized), those
-    that disturbances do not reach first, and among equals by the number of states. Whether faults may come together
-    is left to the reader: the notes say what then serves. For the state, what filters noise comes before what does
-    not, and what converges before what differentiates.
+    that disturbances do not reach first; among equals by what is assumed of the time course of the fault, then one
+    filter before a bank, then by the number of states. Whether faults may come together is left to the reader: the
+    notes say what then serves. For the state, what filters noise comes before what does not, and what converges before
+    what differentiates.
 
     Examples
     --------
@@ -148,7 +150,7 @@ def suggest(plant: Plant, *, want: str | None = None, seconds: float = 30.0) -> 
         raise SettingError(f"seconds must be a number of at least zero, got {seconds}")
     known = diagnosability(plant) if plant.faults and plant.n_states <= LARGEST else None
     end = time.monotonic() + seconds
-    entries = [_tried(candidate, plant, want, end) for candidate in _candidates(plant, known)]
+    entries = [_tried(candidate, plant, want, end) for candidate in candidates(plant, known)]
     position = {entry.call: k for k, entry in enumerate(entries)}
     entries.sort(key=lambda entry: (*_rank(entry, plant, want), position[entry.call]))
     return Suggestion(plant, want, tuple(entries), tuple(_notes(plant, known, entries)))
@@ -166,84 +168,10 @@ def _checked(plant: Plant, want: str | None) -> str:
     return want
 
 
-# ---------------------------------------------------------------- what is considered
-
-
-@dataclass(frozen=True)
-class _Candidate:
-    """A call, and why it makes no sense here, where it makes none."""
-
-    function: str
-    arguments: str = ""
-    options: tuple[tuple[str, Any], ...] = ()
-    many: bool = False
-    pointless: str = ""
-
-    @property
-    def call(self) -> str:
-        return f"rs.design.{self.function}(plant{', ' + self.arguments if self.arguments else ''})"
-
-    def run(self, plant: Plant) -> Any:
-        return getattr(import_module("residua.design"), self.function)(plant, **dict(self.options))
-
-
-def _candidates(plant: Plant, known: Diagnosability | None) -> Iterator[_Candidate]:
-    kinds = set(plant.fault_kinds)
-    noise = "" if plant.noises else "the plant has no noise: give it with plant.with_noise(...)"
-    yield _Candidate("kalman_filter", pointless=noise)
-    for name in ("luenberger_observer", "unknown_input_observer", "reduced_order_observer", "descriptor_observer"):
-        yield _Candidate(name)
-    if is_singular(plant) or plant.disturbances:
-        yield _Candidate("perfect_observer")
-    else:
-        yield _Candidate("perfect_observer", "least_order=True", (("least_order", True),))
-    if not plant.faults:
-        return
-    yield _Candidate("detection_filter")
-    decouples = "" if plant.disturbances else "the plant has no disturbances: detection_filter is the same"
-    yield _Candidate("robust_detection_filter", pointless=decouples)
-    yield _Candidate("decoupled_residual")
-    for kind in ("sensor", "actuator"):
-        for scheme in ("generalized", "dedicated"):
-            missing = "" if kind in kinds else f"the plant has no {kind} faults"
-            option = (("scheme", scheme),)
-            yield _Candidate(f"{kind}_fault_bank", f'scheme="{scheme}"', option, True, missing)
-    rows = _attainable(known)
-    if rows:
-        yield _Candidate("structured_bank", repr(rows), (("structure", rows),), True)
-    yield from _estimators(plant, known)
-
-
-def _attainable(known: Diagnosability | None) -> list[str]:
-    """Return a row for each fault: it ignores that one, and sees all that it then still can."""
-    if known is None or len(known.faults) < 2:
-        return []
-    rows = ("".join("1" if seen else "0" for seen in known.isolable[:, j]) for j in range(len(known.faults)))
-    return sorted({row for row in rows if "1" in row})
-
-
-def _estimators(plant: Plant, known: Diagnosability | None) -> Iterator[_Candidate]:
-    """Yield the estimators of all faults, of all of one kind, and of each fault."""
-    seen = plant.faults if known is None else tuple(np.asarray(plant.faults)[known.detectable].tolist())
-    groups: list[tuple[str, ...]] = [plant.faults]
-    for kind in ("actuator", "sensor", "component"):
-        groups.append(tuple(fault.name for fault in plant.fault_list if fault.kind == kind))
-    groups += [(name,) for name in seen]
-    done = set()
-    for group in groups:
-        if not group or group in done:
-            continue
-        done.add(group)
-        whole = group == plant.faults
-        yield _Candidate(
-            "fault_estimator", "" if whole else f"faults={list(group)!r}", () if whole else (("faults", group),), True
-        )
-
-
 # -------------------------------------------------------------------------- trying
 
 
-def _tried(one: _Candidate, plant: Plant, want: str, end: float) -> Entry:
+def _tried(one: Candidate, plant: Plant, want: str, end: float) -> Entry:
     record = method(one.function)
     why = one.pointless or _too_much(one, plant, end)
     if why:
@@ -255,7 +183,7 @@ def _tried(one: _Candidate, plant: Plant, want: str, end: float) -> Entry:
         return Entry(one.call, record, False, str(error))
 
 
-def _too_much(one: _Candidate, plant: Plant, end: float) -> str:
+def _too_much(one: Candidate, plant: Plant, end: float) -> str:
     n = plant.n_states
     if n > LARGEST:
         return f"{n} states are more than the {LARGEST} that are tried here; call it, it may take minutes"
@@ -266,12 +194,20 @@ def _too_much(one: _Candidate, plant: Plant, end: float) -> str:
     return "the time for trying is used up: suggest(plant, seconds=...)" if time.monotonic() > end else ""
 
 
-def _told(one: _Candidate, record: Method, made: Any, plant: Plant) -> Entry:
+def _told(one: Candidate, record: Method, made: Any, plant: Plant) -> Entry:
     """Return the entry of a design that works, with what it tells about faults."""
     if isinstance(made, FaultEstimator):
         late = ", ".join(f"{name} {lag:.3g} s late" for name, lag in made.lag.items() if lag)
         reason = f"estimates {_listed(made.faults)}, and the state" + (f"; {late}" if late else "")
         return Entry(one.call, record, True, reason, made.faults, made.faults, made.system.n_states, made)
+    if isinstance(made, MatchedFilters):
+        names = tuple(group[0] for group in made.groups if len(group) == 1)
+        seen = tuple(name for name in made.faults if name not in made.unseen)
+        reason = f"arrival, up to {made.window} samples ago, and size of a step; " + (
+            f"names {_listed(names)}" if names else "names no fault"
+        )
+        exposed = "; disturbances reach it" if plant.disturbances else ""
+        return Entry(one.call, record, True, reason + exposed, names, seen, made.generator.system.n_states, made)
     generator, blind = _generator_of(made)
     order = (generator or made).system.n_states
     if isinstance(made, Bank):
@@ -338,6 +274,9 @@ _STATE_ORDER = (
     "fault_estimator",
 )
 
+#: Among equals, what holds for any time course comes before what is for steps, and that before settled faults.
+_ASSUMES = {"matched_filters": 1, "kalman_filter": 2}
+
 
 def _gives(entry: Entry, want: str) -> bool:
     if want == "state":
@@ -356,8 +295,8 @@ def _rank(entry: Entry, plant: Plant, want: str) -> tuple[float, ...]:
         place = _STATE_ORDER.index(name) if name in _STATE_ORDER else len(_STATE_ORDER)
         return (0, not gives, exposed, place, len(entry.estimates), entry.order)
     count = len(entry.estimates if want == "size" else entry.names)
-    settled = entry.method.name == "kalman_filter"
-    return (0, not gives, exposed, -count, settled, entry.order)
+    assumes = _ASSUMES.get(entry.method.name, 0)
+    return (0, not gives, exposed, -count, assumes, isinstance(entry.made, Bank), entry.order)
 
 
 def _notes(plant: Plant, known: Diagnosability | None, entries: list[Entry]) -> Iterator[str]:
@@ -372,13 +311,21 @@ def _notes(plant: Plant, known: Diagnosability | None, entries: list[Entry]) -> 
         yield from _about_disturbances(plant, entries)
     if plant.noises:
         yield "the plant has noise: a Kalman filter is the quietest observer; perfect observers are the loudest"
-    if plant.faults and not any(entry.estimates for entry in entries):
-        yield "no size: fault_estimator was refused, or not tried, for every choice of faults"
-    elif plant.faults:
-        yield "for the size of a fault only fault_estimator serves: suggest(plant, want='size')"
+    yield from _about_sizes(plant, entries)
     banks = [entry.made for entry in entries if isinstance(entry.made, Bank)]
     if any(bank.strongly_isolating for bank in banks):
         yield "faults that come together: a dedicated bank or a fault_estimator; a generalized bank names one at a time"
+
+
+def _about_sizes(plant: Plant, entries: list[Entry]) -> Iterator[str]:
+    functions = {entry.method.name for entry in entries if entry.estimates}
+    if plant.faults and not functions:
+        yield "no size: fault_estimator was refused, or not tried, for every choice of faults"
+    elif "matched_filters" in functions:
+        more = "; fault_estimator follows any time course" if "fault_estimator" in functions else ""
+        yield f"for faults that are steps matched_filters tells arrival and size, with the least noise{more}"
+    elif plant.faults:
+        yield "for the size of a fault only fault_estimator serves: suggest(plant, want='size')"
 
 
 def _about_disturbances(plant: Plant, entries: list[Entry]) -> Iterator[str]:

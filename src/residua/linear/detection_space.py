@@ -69,8 +69,10 @@ def detection_space(A: NDArray, C: NDArray, L: NDArray, *, rtol: float = DEFAULT
         return DetectionSpace(W, outputs)
     D = confining_gain(A, C, W)
     H, _ = left_null_basis(outputs) if outputs.shape[1] else (np.eye(len(C)), None)
-    read, _ = range_basis(C.T @ H, rtol=rtol, scale=scale)  # against C: nothing left is not to be taken for something
-    seen = reachable_basis((A - D @ C).T, read, rtol=rtol)
+    # W is not seen, which rounding would hide in a long staircase: only what is left of the states is searched
+    P, _ = left_null_basis(W)
+    read, _ = range_basis(P.T @ (C.T @ H), rtol=rtol, scale=scale)  # against C: nothing left is not to be something
+    seen = P @ reachable_basis((P.T @ (A - D @ C) @ P).T, read, rtol=rtol)
     basis, _ = left_null_basis(seen) if seen.shape[1] else (np.eye(len(A)), None)
     return DetectionSpace(basis, outputs)
 

@@ -67,6 +67,7 @@ class ObservablePart:
         if rank in (0, K.shape[1]):
             return K
         U = np.linalg.svd(self.form.C)[0][:, :rank]
+        U = np.where(np.any(self.form.C, axis=1)[:, None], U, 0.0)  # rounding in an empty row is no output
         basis = np.linalg.qr(U / self.form.outputs[:, None])[0]
         projected = (K @ basis) @ basis.T
         for _ in range(2):  # outputs in very different units make one projection inexact

@@ -52,10 +52,13 @@ class PencilNullVectors:
         Coefficients in the basis of the pencil.
     decision : RankDecision
         The rank of the block matrix that they annihilate.
+    units : ndarray, shape (degree + 1, rows)
+        ``vectors / units`` is orthonormal.
     """
 
     vectors: NDArray[np.float64]
     decision: RankDecision
+    units: NDArray[np.float64]
 
     @property
     def degree(self) -> int:
@@ -96,8 +99,12 @@ def pencil_null_vectors(given: Pencil, degree: int, *, rtol: float = DEFAULT_RTO
     PencilNullVectors
         Orthonormal in balanced units.
     """
-    W, decision = left_null_basis(_block_matrix(given, degree), rtol=rtol)
-    return _null_vectors(W, decision, given, degree)
+    T, units = _block_matrix(given, degree)
+    W, decision = left_null_basis(T, rtol=rtol)
+    vectors = W.T.reshape(W.shape[1], degree + 1, len(given.rows))
+    size = np.abs(vectors).max(axis=(1, 2), initial=0.0)
+    vectors = np.where(np.abs(vectors) > 1e-15 * size[:, None, None], vectors, 0.0)
+    return PencilNullVectors(vectors * units, decision, units)
 
 
 def shortest_pencil_null_vectors(given: Pencil, *, most: int, rtol: float = DEFAULT_RTOL) -> PencilNullVectors | None:
@@ -112,11 +119,15 @@ def shortest_pencil_null_vectors(given: Pencil, *, most: int, rtol: float = DEFA
     rows = len(given.P0)
 
     def exists(degree: int) -> bool:
-        return decide_rank(_block_matrix(given, degree), rtol=rtol).rank < rows * (degree + 1)
+        return decide_rank(_block_matrix(given, degree)[0], rtol=rtol).rank < rows * (degree + 1)
 
-    if rows == 0 or not exists(most):
+    if rows == 0:
         return None
-    low, high = 0, most
+    low, high = 0, 0  # upwards first: short ones cost little to find, and there often are some
+    while not exists(high):
+        if high == most:
+            return None
+        low, high = high + 1, min(max(2 * high, 1), most)
     while low < high:
         middle = (low + high) // 2
         low, high = (low, middle) if exists(middle) else (middle + 1, high)
@@ -126,16 +137,19 @@ def shortest_pencil_null_vectors(given: Pencil, *, most: int, rtol: float = DEFA
 def refined(given: Pencil, x: NDArray[np.float64], *, rtol: float = DEFAULT_RTOL) -> NDArray[np.float64]:
     """Return the null vector nearest to one that rounding, such as that of a change of basis, has moved."""
     k = len(x) - 1
-    T = _block_matrix(given, k)
-    scaled = (x / given.rows).ravel()
+    T, units = _block_matrix(given, k)
+    scaled = (x / units).ravel()
     U, s, Vh = np.linalg.svd(T, full_matrices=False)
     keep = s > rtol * s[0] if len(s) else s > 0
     scaled = scaled - ((scaled @ T) @ Vh[keep].T / s[keep]) @ U[:, keep].T
-    return scaled.reshape(k + 1, -1) * given.rows
+    return scaled.reshape(k + 1, -1) * units
 
 
-def _block_matrix(given: Pencil, degree: int) -> NDArray[np.float64]:
-    """Return the matrix that the stacked coefficients of null vectors annihilate, in balanced units."""
+def _block_matrix(given: Pencil, degree: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the matrix that the stacked coefficients of null vectors annihilate, and its balanced units.
+
+    Units of one size for all degrees would not do: where poles lie far apart, so do the sizes of the elements.
+    """
     P0 = given.rows[:, None] * given.P0 * given.columns
     P1 = given.rows[:, None] * given.P1 * given.columns
     used = np.any(P0 != 0, axis=0) | np.any(P1 != 0, axis=0)
@@ -148,11 +162,6 @@ def _block_matrix(given: Pencil, degree: int) -> NDArray[np.float64]:
         T[j, :, j + 1] = basis.sizes[j] * P1
         if links[j]:
             T[j, :, j - 1] = -links[j] * P1
-    return T.reshape((degree + 1) * rows, (degree + 2) * width)
-
-
-def _null_vectors(W: NDArray[np.float64], decision: RankDecision, given: Pencil, degree: int) -> PencilNullVectors:
-    vectors = W.T.reshape(W.shape[1], degree + 1, len(given.rows))
-    size = np.abs(vectors).max(axis=(1, 2), initial=0.0)
-    vectors = np.where(np.abs(vectors) > 1e-15 * size[:, None, None], vectors, 0.0)
-    return PencilNullVectors(vectors * given.rows, decision)
+    T = T.reshape((degree + 1) * rows, (degree + 2) * width)
+    left, right = evened(without_residue(T), np.ones(T.shape[0]), np.ones(T.shape[1]), sweeps=4)
+    return left[:, None] * T * right, left.reshape(degree + 1, rows) * given.rows

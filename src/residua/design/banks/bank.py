@@ -286,8 +286,9 @@ def _code(generator: ResidualGenerator) -> list[bool]:
 
 
 def _named(system: StateSpace, parts: dict[str, ResidualGenerator]) -> StateSpace:
-    """Return a stacked system with its outputs named after member and residual."""
-    return system.replaced(outputs=[f"{r}, {name}" for name, g in parts.items() for r in g.residuals])
+    """Return a stacked system with its outputs named after residual and member, or the member that has but one."""
+    names = [name if g.n_residuals == 1 else f"{r}, {name}" for name, g in parts.items() for r in g.residuals]
+    return system.replaced(outputs=names)
 
 
 def _worst(all_evidence: list[Evidence]) -> dict[str, float]:

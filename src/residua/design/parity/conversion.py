@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.design.generator import ResidualGenerator
-from residua.design.parity.relation import Relation, synthetic_division
+from residua.design.parity.relation import Relation, divided, synthetic_division
 from residua.design.parity.relations import ParityRelations, relations_of
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
@@ -19,6 +19,8 @@ from residua.linear.reachability import without_unobservable
 
 #: How far a residual may be from a relation, relative to the terms that have to cancel.
 _EXACT = 1e-7
+#: What a division may leave, relative to the terms that have to cancel.
+_DIVIDED = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +102,11 @@ def _denominator(
     L = system.C[i : i + 1]
     if not n or not np.any(L):
         return np.zeros((1, n)), np.ones((1, 1))
+    whole = np.zeros((basis.count, 1))  # the basis has one node more than the filter has poles
+    whole[-1] = 1.0
+    a, left = divided(system.A, L, whole, basis)
+    if left < _DIVIDED:  # unlike singular values, exact in the highest coefficients too, however small they are
+        return a, whole
     given = pencil(np.vstack([-system.A, -L]), np.vstack([np.eye(n), np.zeros((1, n))]), basis)
     found = shortest_pencil_null_vectors(given, most=basis.count - 1, rtol=rtol)
     if found is None:

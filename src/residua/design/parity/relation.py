@@ -86,18 +86,27 @@ def _algebraic(x: NDArray[np.float64], plant: Plant) -> NDArray[np.float64]:
 
 
 def synthetic_division(plant: Plant, q: NDArray[np.float64], basis: PolynomialBasis) -> NDArray[np.float64]:
-    r"""Return ``p`` with :math:`p (z I - A) = q C` for a plant without ``E``, as far as the division comes out.
+    """Return ``p`` with ``p (z I - A) = q C`` for a plant without ``E``, as far as the division comes out."""
+    return divided(plant.A, plant.C, q, basis)[0]
+
+
+def divided(
+    A: NDArray[np.float64], C: NDArray[np.float64], q: NDArray[np.float64], basis: PolynomialBasis
+) -> tuple[NDArray[np.float64], float]:
+    r"""Return ``p`` with :math:`p (z I - A) = q C` and what is left over, relative to the terms that have to cancel.
 
     From the highest element on: :math:`\rho_{j-1} p_{j-1} = q_j C + p_j (A - a_j I) + \beta_{j+1} p_{j+1}`.
     """
     k, links = len(q) - 1, basis.links
-    p = np.zeros((k + 1, plant.n_states))
-    for j in range(k, 0, -1):
-        total = q[j] @ plant.C + p[j] @ plant.A - basis.real[j] * p[j]
+    p = np.zeros((k + 1, len(A)))
+    for j in range(k, -1, -1):
+        total = q[j] @ C + p[j] @ A - basis.real[j] * p[j]
+        terms = np.abs(q[j]) @ np.abs(C) + np.abs(p[j]) @ np.abs(A) + np.abs(basis.real[j] * p[j])
         if j < k and links[j + 1]:
-            total = total + links[j + 1] * p[j + 1]
-        p[j - 1] = total / basis.sizes[j - 1]
-    return p
+            total, terms = total + links[j + 1] * p[j + 1], terms + np.abs(links[j + 1] * p[j + 1])
+        if j:
+            p[j - 1] = total / basis.sizes[j - 1]
+    return p, float(np.abs(total).max(initial=0.0) / max(float(terms.max(initial=0.0)), 1e-300))
 
 
 def digits_lost(rows: Sequence[Relation], generator: ResidualGenerator) -> float | None:

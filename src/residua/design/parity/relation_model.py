@@ -104,4 +104,4 @@ def basis_for(plant: Plant, count: int) -> PolynomialBasis:
     if not size:
         E = np.eye(plant.n_states) if plant.E is None else plant.E
         size = 1.0 if plant.is_discrete else float(np.linalg.norm(plant.A) / max(np.linalg.norm(E), 1e-300)) or 1.0
-    return basis_on_poles(poles, count, size)
+    return basis_on_poles(poles, count, size, outward=True)

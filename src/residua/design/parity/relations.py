@@ -308,10 +308,21 @@ def relations_of(
         leading = float(newest[large[0]] / np.prod(row.basis.sizes[: row.order]))
         factors.append(1 / leading if leading else 1.0)
     if directions is not None:
-        factors = factors[:1] * len(factors)
+        factors = [factors[0] * _sign(rows, plant, directions) * np.sign(factors[0])] * len(factors)
     names = tuple(names) if names else tuple(f"r{i + 1}" for i in range(len(rows)))
     scaled = tuple(row.times(factor) for row, factor in zip(rows, factors, strict=True))
     return ParityRelations(plant, scaled, names, directions)
+
+
+def _sign(rows: Sequence[Relation], plant: Plant, directions: Directions) -> float:
+    """Return the sign with which the first response to the first of the directed faults is along its direction."""
+    j = plant.faults.index(directions.faults[0])
+    along = sum(
+        (row.p @ plant.Bf[:, j] + row.q @ plant.Df[:, j]) * d
+        for row, d in zip(rows, directions.vectors[:, 0], strict=True)
+    )
+    present = np.flatnonzero(np.abs(along) > 1e-9 * np.abs(along).max())
+    return float(np.sign(along[present[-1]])) if len(present) else 1.0
 
 
 def _cancelling(lost: float) -> str:

@@ -153,7 +153,7 @@ def _space(model: RelationModel, given: Pencil, found: PencilNullVectors, used: 
     """Return null vectors of some of the equations as relations, with their responses to the faults."""
     vectors = np.zeros((len(found.vectors), found.degree + 1, len(model.faults)))
     vectors[:, :, used] = found.vectors
-    level = np.sqrt(((given.rows[:, None] * model.faults[used]) ** 2).sum(axis=0))
+    level = np.sqrt(((found.units[:, :, None] * model.faults[used]) ** 2).sum(axis=1))
     responses = vectors @ model.faults / np.where(level > 0, level, 1.0)
     s = found.decision.singular_values
     smallest = found.decision.smallest_kept / s[0] if len(s) and found.decision.rank else 1.0

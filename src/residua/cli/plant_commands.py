@@ -1,0 +1,93 @@
+"""The commands that look at a plant before anything is designed: analyze, codes, suggest."""
+
+from __future__ import annotations
+
+import json
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from residua.analysis import coding, diagnosability
+from residua.cli import methods, screen
+from residua.design.suggestion import suggest as suggestion
+from residua.files import check_input
+from residua.plant.plant_file import load_plant
+
+#: Attainable rows that are listed without being asked for.
+_LISTED = 40
+
+
+class Quality(StrEnum):
+    """How well a coding set shall isolate."""
+
+    strong = "strong"
+    weak = "weak"
+
+
+def _rows(text: str | None) -> str | None:
+    if text is not None:
+        try:
+            methods.parse_rows(text)
+        except ValueError as error:
+            raise typer.BadParameter(str(error)) from None
+    return text
+
+
+PlantFile = Annotated[Path, typer.Argument(metavar="PLANT.toml", help="Plant file.", show_default=False)]
+Rows = Annotated[
+    str | None,
+    typer.Option(
+        callback=_rows,
+        metavar="LIST",
+        help="Who fires when what fails: 0 and 1 for each residual, such as 011,101.",
+    ),
+]
+
+
+def analyze(
+    plant: PlantFile,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+) -> None:
+    """Tell which faults can be detected and told apart, and why the others cannot."""
+    check_input(plant, "a plant file")
+    found = diagnosability(load_plant(plant))
+    if as_json:
+        typer.echo(json.dumps(screen.diagnosability_values(found), indent=2))
+    else:
+        screen.show_diagnosability(found)
+
+
+def codes(
+    plant: PlantFile,
+    rows: Rows = None,
+    quality: Annotated[
+        Quality, typer.Option(help="How well the choice shall isolate; strong: also when residuals stay silent.")
+    ] = Quality.strong,
+) -> None:
+    """Tell which coding sets a plant allows, and choose one: which residual shall answer to which fault."""
+    check_input(plant, "a plant file")
+    model = load_plant(plant)
+    if rows:
+        found = coding.attainable(model, list(methods.parse_rows(rows)))
+        screen.say(str(found), "", str(coding.CodingSet(found.structure, found.faults, found.residuals)))
+        return
+    found = coding.attainable(model)
+    if len(found.residuals) > _LISTED:
+        screen.say(f"{model.name}: {len(found.residuals)} rows are attainable; --rows tells about those that you name")
+    else:
+        screen.say(str(found))
+    chosen = coding.choose(model, quality=quality.value, time_limit=methods.CHOICE_TIME)
+    screen.say("", str(chosen), f"as an option: --rows {','.join(chosen.digits)}")
+
+
+def suggest(
+    plant: PlantFile,
+    want: Annotated[
+        str | None, typer.Option(metavar="name|size|state", help="What to know; by what the plant has when omitted.")
+    ] = None,
+) -> None:
+    """Try every design function on a plant, and tell which apply and which to prefer."""
+    check_input(plant, "a plant file")
+    screen.say(str(suggestion(load_plant(plant), want=want)))
