@@ -35,6 +35,8 @@ for j, (ax, fault) in enumerate(zip(axes.flat, plant.faults, strict=True)):
 axes[0, 0].legend()
 for ax in axes[1]:
     ax.set_xlabel("samples since the fault arrived")
+for ax in axes[:, 0]:
+    ax.set_ylabel("innovation per unit of fault")
 
 # %%
 # How alike the faults look, 30 samples after they arrived: 1 would mean that nothing tells them apart.
