@@ -113,7 +113,7 @@ def _contracting(A: Matrix, fast: float) -> Matrix:
             break
         power = power @ power
     try:
-        return np.linalg.cholesky(P)
+        return np.asarray(np.linalg.cholesky(P), dtype=float)
     except np.linalg.LinAlgError as error:
         raise AccuracyError(
             "the Lyapunov equation of the system was not solved: a pole is too near to the stability boundary"
