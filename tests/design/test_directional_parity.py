@@ -10,7 +10,7 @@ import pytest
 import residua as rs
 from generated import random_plant, singular_plant
 from residua.design.parity.directional_parity import directional_parity
-from residua.errors import AccuracyError, DesignError, ModelError
+from residua.errors import AccuracyError, DesignError, ModelError, SettingError
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ def test_poles_are_the_same_for_all_residuals() -> None:
     np.testing.assert_allclose(np.sort(made.system.poles().real), [0.25, 0.25, 0.3, 0.3], atol=1e-12)
     again = made.with_poles({"r1": [0.5, -0.2], "r2": [-0.2, 0.5]})
     np.testing.assert_allclose(again.directions["p1"], made.directions["p1"], atol=1e-10)
-    with pytest.raises(DesignError, match=r"'r1' and 'r2' keep the directions of p1, p2 together.*same poles"):
+    with pytest.raises(SettingError, match=r"'r1' and 'r2' keep the directions of p1, p2 together.*same poles"):
         made.with_poles({"r1": [0.25, 0.3], "r2": [0.25, 0.4]})
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import residua as rs
 from generated import random_plant, simulate, singular_plant
-from residua.errors import AccuracyError, DesignError, ModelError
+from residua.errors import AccuracyError, DesignError, ModelError, SettingError
 
 
 def constraints(plant: rs.Plant, order: int, ignored: list[int]) -> np.ndarray:
@@ -127,7 +127,7 @@ def test_poles_can_be_anything_stable(seed: int, dt: float) -> None:
 )
 def test_poles_that_do_not_fit_are_refused(poles, match: str) -> None:
     plant = random_plant(np.random.default_rng(3), n=4, outputs=2, dt=0.1)
-    with pytest.raises(DesignError, match=match):
+    with pytest.raises(SettingError, match=match):
         rs.design.parity_relations(plant, insensitive_to="f0", poles=poles)
 
 
@@ -245,14 +245,19 @@ def test_the_moving_averages_of_a_stable_plant_in_its_own_poles_are_the_arma_res
         (lambda p: rs.design.primary_residuals(p, form="arma", poles=[0.1]), "leave them out"),
         (lambda p: rs.design.primary_residuals(p._with(A=1.5 * np.eye(3)), form="arma"), "not stable"),
         (lambda p: rs.design.parity_relations(p, order=-1), "whole number"),
+        (lambda p: rs.design.parity_relations(p, order=1.5), "whole number"),
+        (lambda p: rs.design.parity_relations(p, order=40), "shifted copies"),
+        (lambda p: rs.design.parity_orders(p, most_outputs=0), "1 at least"),
+        (lambda p: rs.design.structured_parity(p, {"a": ["p1"]}, poles={"a": [0, 0], "b": [0]}), "no 'b'"),
+        (lambda p: rs.design.structured_parity(p, {"a": ["p1"]}, poles={}), "none for 'a'"),
         (lambda p: rs.design.parity_relations(p, order=1, insensitive_to="p1"), "smallest order is 2"),
         (lambda p: rs.design.parity_relations(p, insensitive_to=["p1", "p2"]), "used up"),
-        (lambda p: rs.design.structured_parity(p, ["01"], poles={"r2": [0.1]}), "no poles for row"),
-        (lambda p: rs.design.chow_willsky_matrices(p, -1), "negative"),
+        (lambda p: rs.design.structured_parity(p, ["01"], poles={"r2": [0.1]}), "no 'r2'"),
+        (lambda p: rs.design.chow_willsky_matrices(p, -1), "whole number"),
     ],
 )
 def test_errors_say_what_to_do(call, match: str) -> None:
-    with pytest.raises(DesignError, match=match):
+    with pytest.raises((DesignError, SettingError), match=match):
         call(rs.library.gertler())
 
 
@@ -306,7 +311,9 @@ def test_the_transformation_as_a_filter_turns_one_observer_into_the_other(seed: 
     assert a.equivalent_to(b).matrix is None
     part = rs.design.decoupled_residual(plant, insensitive_to="f0")
     reduced = a.equivalent_to(part).realization()
-    assert np.allclose(reduced.frequency_response(w) @ a.system.frequency_response(w), part.system.frequency_response(w))
+    assert np.allclose(
+        reduced.frequency_response(w) @ a.system.frequency_response(w), part.system.frequency_response(w)
+    )
     with pytest.raises(DesignError, match="no transformation"):
         part.equivalent_to(a).realization()
 
@@ -371,3 +378,72 @@ def test_a_zero_of_its_own_makes_a_filter() -> None:
     assert found.kind == "filter"
     assert np.allclose(made.to_parity().divided[0], [0.5, 0.5], atol=1e-4)
     assert made.to_parity().orders == (2,)
+
+
+def test_poles_by_row_go_to_their_row() -> None:
+    poles = {"a": [0.1, 0.15], "b": [0.5, 0.55]}
+    bank = rs.design.structured_parity(rs.library.gertler(), {"a": ["p1"], "b": ["p1"]}, poles=poles)
+    for i, wanted in enumerate(poles.values()):
+        found = bank.generator.system.A[2 * i : 2 * i + 2, 2 * i : 2 * i + 2]
+        assert np.allclose(np.sort(np.linalg.eigvals(found)), wanted)
+    assert bank.generator.residuals == ("a", "b")
+
+
+def test_a_bank_with_other_poles_is_still_a_bank() -> None:
+    plant = rs.library.gertler(sensor_faults=True)
+    bank = rs.design.structured_parity(
+        plant, {"a": ["p1", "y1 sensor", "y2 sensor"], "b": ["p2", "y1 sensor", "y2 sensor"]}
+    )
+    slow = bank.generator.with_poles([0.5, 0.6])
+    assert slow.codes is not None
+    assert np.array_equal(slow.codes, bank.structure)
+    assert [member.name for member in slow.members] == ["a", "b"]
+    assert slow.method == bank.generator.method
+
+
+def test_wrong_poles_are_not_taken_for_rows_that_do_not_exist() -> None:
+    with pytest.raises(SettingError, match="order 2"):
+        rs.design.structured_parity(rs.library.gertler(), ["01", "10"], poles=[0.5], allow_missing=True)
+
+
+def test_a_bank_is_equal_to_itself_with_more_residuals_than_outputs() -> None:
+    plant = rs.library.gertler(sensor_faults=True)
+    bank = rs.design.structured_parity(plant, rs.coding.choose(plant))
+    slow = bank.generator.with_poles(
+        {name: [0.3] * k for name, k in zip(["r1", "r2", "r3", "r4"], (2, 2, 2, 2), strict=True)}
+    )
+    found = bank.generator.equivalent_to(bank)
+    assert found.matrix is not None
+    assert np.array_equal(found.matrix, np.eye(4))
+    V = bank.generator.equivalent_to(slow).realization()
+    w = np.logspace(-2, 0, 9)
+    a, b = bank.generator.system.frequency_response(w), slow.system.frequency_response(w)
+    assert np.allclose(V.frequency_response(w) @ a, b, atol=1e-9)
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_equivalence_does_not_depend_on_the_unit_of_time(unit: float) -> None:
+    plant = random_plant(np.random.default_rng(6), n=3, outputs=2, dt=0.0)
+    plant = plant._with(A=plant.A * unit, Bu=plant.Bu * unit, Bf=plant.Bf * unit)
+    a = rs.design.decoupled_residual(plant, insensitive_to="f0", poles=[-1 * unit, -2 * unit])
+    b = rs.design.parity_relations(plant, insensitive_to="f0", poles=[-3 * unit, -2 * unit])
+    found = a.equivalent_to(b)
+    assert found.kind == "poles"
+    assert np.allclose(found.rows[0].zeros / unit, [-1], rtol=1e-6)
+    assert np.allclose(found.rows[0].poles / unit, [-3], rtol=1e-6)
+
+
+def test_primary_residuals_keep_the_noise_of_a_plant() -> None:
+    plant = rs.library.gertler().with_noise(process=0.01, measurement=0.02)
+    for form in ("ma", "arma"):
+        made = rs.design.primary_residuals(plant, form=form)
+        assert made.plant.noises
+        assert made.covariance is not None
+
+
+def test_an_input_output_model_says_when_a_plant_is_needed() -> None:
+    io = rs.InputOutputModel.from_plant(rs.library.gertler())
+    with pytest.raises(AttributeError, match="to_plant"):
+        rs.diagnosability(io)
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = io.nothing

@@ -16,7 +16,8 @@ from residua.plant import Plant
 def generic_points(plant: Plant) -> NDArray[np.complex128]:
     """Return fixed points of the size of the plant's dynamics, off the axes, where a pole is unlikely."""
     poles = plant.system(()).poles()
-    sizes = np.abs(poles[np.abs(poles) > 0])
+    sizes = np.abs(poles)
+    sizes = sizes[sizes > np.sqrt(np.finfo(float).eps) * sizes.max(initial=0.0)]  # a pole at zero is rounding
     size = float(np.exp(np.mean(np.log(sizes)))) if sizes.size else 1.0
     if plant.is_discrete:
         size = 1.0

@@ -22,14 +22,18 @@ from residua.design.internal_form import (
 )
 from residua.design.responses import covariance_of_sums, steady_responses
 from residua.design.signals import discretized_filter, sampled_filter, stack_signals
+from residua.design.transformable import Transformable
 from residua.errors import AccuracyError
 from residua.linear import StateSpace, decide_rank
 from residua.plant import Plant
 
 if TYPE_CHECKING:
     from residua.design.observers.observer import Observer
-    from residua.design.parity.equivalence import Equivalence
-    from residua.design.parity.relations import ParityRelations, Poles
+    from residua.design.parity.relations import ParityRelations
+
+
+#: A generator that leaks less of the controls, relative to what cancels, is exact.
+_EXACT = 1e-6
 
 
 @dataclass(frozen=True)
@@ -42,7 +46,7 @@ class Member:
 
 
 @dataclass(frozen=True, eq=False)
-class ResidualGenerator:
+class ResidualGenerator(Transformable):
     r"""A stable linear filter from inputs and outputs of a plant to residuals.
 
     .. math:: r = Q(s) \begin{bmatrix} u \\ y \end{bmatrix}
@@ -223,7 +227,7 @@ class ResidualGenerator:
         if own and not controls:
             return self._internal_form
         plant = self.plant if plant is None else plant
-        if own and self.known_form is not None:
+        if own and self.known_form is not None and self.evidence.decoupling.get("control", 0.0) < _EXACT:
             return with_silent_inputs(self.known_form, plant.inputs)
         maps = (self.state_map, self.static_map) if own else (None, None)
         return internal_form(self.system, plant, *maps, with_controls=controls)
@@ -260,100 +264,6 @@ class ResidualGenerator:
         ndarray, shape (time, residuals) or (plants, time, residuals)
         """
         return sampled_filter(self.system, self.plant, dt).simulate(stack_signals(self.plant, u, y), x0)
-
-    def to_parity(self) -> ParityRelations:
-        r"""Return the parity relations behind the residuals: the same equations without poles.
-
-        Each residual is :math:`r = r^* c(z) / d(z)` with a relation :math:`r^*` that is polynomial in inputs and
-        outputs; a factor ``c`` that all signals share is divided out, and told in ``divided``.
-
-        Returns
-        -------
-        ParityRelations
-
-        Raises
-        ------
-        AccuracyError
-            If a residual is no exact relation, such as that of a sampled continuous design, or the polynomials lose
-            too many digits.
-        DesignError
-            If the plant has an ``E`` and the generator no state map.
-
-        References
-        ----------
-        Gertler (1991), eqs. (3-18) to (3-23).
-
-        Examples
-        --------
-        >>> import residua as rs
-        >>> flt = rs.design.decoupled_residual(rs.library.gertler(), insensitive_to="p1", poles=[0.25, 0.3])
-        >>> flt.to_parity().orders
-        (2,)
-        """
-        from residua.design.parity.conversion import to_parity
-
-        return to_parity(self)
-
-    def with_poles(self, poles: Poles | None = None) -> ResidualGenerator:
-        """Return the generator of the same relations with other poles; see :meth:`ParityRelations.with_poles`.
-
-        Parameters
-        ----------
-        poles : sequence of complex, or mapping of str to sequence, optional
-            As many as the order of each relation; all zero in sampled time when omitted (the moving-average form).
-
-        Returns
-        -------
-        ResidualGenerator
-
-        Raises
-        ------
-        DesignError
-            If the poles do not fit.
-        AccuracyError
-            As for :meth:`to_parity`.
-
-        References
-        ----------
-        Gertler (1991), section 3.5.
-        """
-        return self.to_parity().with_poles(poles)
-
-    def equivalent_to(self, other: ResidualGenerator) -> Equivalence:
-        """Tell whether another generator is the same up to poles and scale, or another transformation, and which.
-
-        Parameters
-        ----------
-        other : ResidualGenerator
-            Of a plant with as many inputs and outputs, and of the same step.
-
-        Returns
-        -------
-        Equivalence
-            True when equivalent; prints the transformation from this generator to the other.
-
-        Raises
-        ------
-        ModelError
-            If the two take different signals.
-
-        References
-        ----------
-        Gertler (1991), section 3.5: every residual generator is a transformation of the primary residuals.
-
-        Examples
-        --------
-        >>> import residua as rs
-        >>> plant = rs.library.gertler()
-        >>> a = rs.design.decoupled_residual(plant, insensitive_to="p1", poles=[0.25, 0.3])
-        >>> b = rs.design.parity_relations(plant, insensitive_to="p1")
-        >>> print(b.equivalent_to(a))
-        equivalent: the same up to poles and scale (to ...)
-          r1 = ... x zeros at 0, 0 / poles at 0.3, 0.25 of r1
-        """
-        from residua.design.parity.equivalence import equivalence
-
-        return equivalence(self, other)
 
     def discretize(self, dt: float, *, hold_outputs: str = "linear") -> ResidualGenerator:
         """Return the generator sampled with step ``dt``.

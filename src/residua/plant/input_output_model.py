@@ -224,6 +224,11 @@ class InputOutputModel(InputOutputFacts):
         """Return the model with a fault ``"name actuator"`` of each of the given inputs (all commanded when omitted).
 
         It adds to what was commanded; a measured input has none, for its sensor sees what the actuator does.
+
+        Raises
+        ------
+        ModelError
+            If an input is measured, or all are and none was named.
         """
         chosen = self._inputs(inputs, measured=False)
         names = [self.inputs[i] for i in chosen]
@@ -235,6 +240,11 @@ class InputOutputModel(InputOutputFacts):
         """Return the model with a fault ``"name sensor"`` of each of the given inputs (all measured when omitted).
 
         It adds to what is measured, so that the plant gets the measured value less the fault.
+
+        Raises
+        ------
+        ModelError
+            If an input is commanded, or all are and none was named.
         """
         chosen = self._inputs(inputs, measured=True)
         names = [self.inputs[i] for i in chosen]
@@ -258,6 +268,14 @@ class InputOutputModel(InputOutputFacts):
         labels = tuple(self.faults[i] for i in chosen)
         return self.without_faults(labels)._with_disturbances(self.Gf.select(columns=chosen), labels)
 
+    def __getattr__(self, name: str) -> Any:
+        """Say what to do where a plant was meant: only names that this class does not have come here."""
+        from residua.plant.plant import Plant
+
+        if name.startswith("_") or not hasattr(Plant, name):
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        raise AttributeError(f"an InputOutputModel has no {name!r}: where a plant is needed, give model.to_plant()")
+
     def _with(self, **changes: object) -> InputOutputModel:
         new = object.__new__(InputOutputModel)
         for key in self.__dataclass_fields__:
@@ -278,6 +296,9 @@ class InputOutputModel(InputOutputFacts):
         """Return the positions of measured, or of commanded, inputs."""
         chosen = [i for i, name in enumerate(self.inputs) if (name in self.measured_inputs) == measured]
         if inputs is None:
+            if self.inputs and not chosen:
+                are, use = ("commanded", "actuator") if measured else ("measured", "input_sensor")
+                raise ModelError(f"all inputs are {are}: their faults are those of with_{use}_faults")
             return chosen
         asked = arrays.positions(inputs, self.inputs, "input")
         for i in asked:

@@ -198,7 +198,10 @@ def reachable_part(system: StateSpace, rtol: float) -> ReachablePart:
 def response_points(poles: NDArray[np.complex128], dt: float, *, count: int = 60) -> NDArray[np.complex128]:
     """Return points on the stability boundary that span the dynamics of some poles, off the round numbers."""
     if dt:
-        return np.exp(1j * np.pi * np.concatenate([np.logspace(-4, np.log10(0.97), count - 1), [0.37]]))
+        slow = np.abs(np.log(poles[np.abs(poles) > 0.5]))  # poles at one itself are no reason to look nearer
+        slow = slow[slow > 1e-12]
+        low = 0.1 * float(np.min(slow, initial=1e-3)) / np.pi
+        return np.exp(1j * np.pi * np.concatenate([np.geomspace(low, 0.97, count - 1), [0.37]]))
     size = np.abs(poles)
     size = size[size > np.sqrt(np.finfo(float).eps) * size.max(initial=0.0)]
     low, high = (float(size.min()), float(size.max())) if size.size else (1.0, 1.0)

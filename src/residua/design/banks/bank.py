@@ -20,8 +20,8 @@ from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
 from residua.plant import Plant
 
-#: Designs one member: takes the plant in which what the member ignores are disturbances.
-MemberDesign = Callable[[Plant], ResidualGenerator]
+#: Designs one member: takes its name, and the plant in which what the member ignores are disturbances.
+MemberDesign = Callable[[str, Plant], ResidualGenerator]
 #: States of all members together beyond which a design takes minutes, and the stacked filter runs slowly.
 MOST_STATES = 2000
 
@@ -171,7 +171,7 @@ def build_bank(
     kinds: set[type[DesignError] | type[AccuracyError]] = set()
     for one in wanted:
         try:
-            part = design(plant.faults_as_disturbances(one.ignored))
+            part = design(one.name, plant.faults_as_disturbances(one.ignored))
             generator = _for_whole_plant(part, plant)
             _check_promise(generator, one)
         except (DesignError, AccuracyError) as error:

@@ -44,15 +44,15 @@ def member_design(
     """
     checked_options(poles, margin)  # once, not for every member
     if kind == "unknown-input":
-        return lambda p: unknown_input_observer(p, poles=poles, margin=margin, rtol=rtol).residual_generator()
+        return lambda _, p: unknown_input_observer(p, poles=poles, margin=margin, rtol=rtol).residual_generator()
     if kind == "reduced-order":
-        return lambda p: _with_some_held_out(p, poles, margin, rtol)
+        return lambda _, p: _with_some_held_out(p, poles, margin, rtol)
     if kind == "minimal":
-        return lambda p: decoupled_residual(p, poles=poles, margin=margin, rtol=rtol)
+        return lambda _, p: decoupled_residual(p, poles=poles, margin=margin, rtol=rtol)
     if kind == "perfect":
         if poles is not None or margin is not None:
             raise DesignError("a perfect observer has no poles to place: leave out poles and margin")
-        return lambda p: perfect_observer(p, rtol=rtol).residual_generator()
+        return lambda _, p: perfect_observer(p, rtol=rtol).residual_generator()
     raise DesignError(f"unknown kind of observer {kind!r}; known: {', '.join(KINDS)}")
 
 

@@ -64,7 +64,7 @@ def structured_bank(
     return build_bank(
         plant,
         wanted_rows(structure, plant.faults),
-        lambda p: decoupled_residual(p, margin=margin, rtol=rtol),
+        lambda _, p: decoupled_residual(p, margin=margin, rtol=rtol),
         "structured bank",
         allow_missing=allow_missing,
         reference="Gertler (1991), section 4",

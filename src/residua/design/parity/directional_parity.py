@@ -131,7 +131,9 @@ def directional_parity(
         ) from error
     ranks = {**made.evidence.ranks, "directions and ignored signals": joint.decision, "states": found.decision}
     told = (*made.evidence.references, "Gertler (1991), section 5.2, eqs. (5-9) to (5-18)")
-    return replace(made, evidence=made.evidence.extended(ranks=ranks, references=told))
+    r = made.n_residuals
+    short = (f"only {generic.rank} of the {r} residuals are independent",) if generic.rank < r else ()
+    return replace(made, evidence=made.evidence.extended(ranks=ranks, references=told, notes=short))
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 from residua.design.evidence import format_pole
 from residua.design.generator import ResidualGenerator
 from residua.design.internal_form import frequency_grid
 from residua.design.parity.conversion import RowFraction, row_fractions
+from residua.design.parity.realization import pole_basis
 from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear import StateSpace, decide_rank
 from residua.linear.balancing import descriptor_units
+from residua.linear.polynomial_basis import PolynomialBasis
 from residua.linear.reachability import without_unobservable
 
 #: Two responses are parallel when they miss each other by less than this, relative, at every frequency.
@@ -120,6 +124,13 @@ class Equivalence:
     @property
     def matrix(self) -> NDArray[np.float64] | None:
         """The transformation, if it is a matrix of numbers: the same at every frequency."""
+        if self.rows:
+            if any(len(row.zeros) or len(row.poles) for row in self.rows):
+                return None
+            out = np.zeros((self.second.n_outputs, self.first.n_outputs))
+            for row in self.rows:
+                out[self.second.outputs.index(row.second), self.first.outputs.index(row.first)] = row.gain
+            return out
         V = self.transformation(frequency_grid(self.first, self.second))
         constant = V.real.mean(axis=0)
         return constant if np.abs(V - constant).max() < _PARALLEL * np.abs(V).max() else None
@@ -145,6 +156,8 @@ class Equivalence:
         if self.kind in ("whole", "different"):
             raise DesignError("the second generator is no transformation of the first")
         a, b = self.first, self.second
+        if self.rows:
+            return self._realized_rows()
         if decide_rank(a.D).rank < a.n_outputs:
             raise DesignError(
                 "the first generator answers late to some combination of its signals, which the transformation would "
@@ -167,6 +180,36 @@ class Equivalence:
             raise AccuracyError(f"the transformation as a filter misses its frequency response by {missed:.2g}")
         return made
 
+    def _realized_rows(self) -> StateSpace:
+        """Return the filters of the rows side by side: zeros and poles in sections."""
+        a, b = self.first, self.second
+        made = StateSpace(np.zeros((0, 0)), np.zeros((0, a.n_outputs)), np.zeros((b.n_outputs, 0)), dt=a.dt)
+        for row in self.rows:
+            if len(row.zeros) > len(row.poles):
+                raise DesignError(
+                    f"{row.first!r} answers later than {row.second!r}, which the transformation would have to undo: "
+                    "ask for the reverse one, second.equivalent_to(first)"
+                )
+            basis = pole_basis(row.poles)
+            zeros = np.asarray(np.atleast_1d(np.poly(row.zeros)).real[::-1] * row.gain, dtype=float)
+            padded = np.concatenate([zeros, np.zeros(len(row.poles) + 1 - len(zeros))])
+            powers = PolynomialBasis.powers(len(padded))
+            k, q = len(row.poles), powers.changed_to(basis, padded[:, None])
+            M = np.diag(basis.real[:k]) + np.eye(k, k=-1)
+            for j in np.flatnonzero(basis.imaginary[:k]):
+                M[j, j + 1] = -basis.links[j + 1]
+            one = StateSpace(M, q[:k], np.eye(k)[-1:] if k else np.zeros((1, 0)), q[k:], dt=a.dt)
+            into = np.eye(a.n_outputs)[a.outputs.index(row.first)][None]
+            out = np.eye(b.n_outputs)[:, [b.outputs.index(row.second)]]
+            made = StateSpace(
+                scipy.linalg.block_diag(made.A, one.A),
+                np.vstack([made.B, one.B @ into]),
+                np.hstack([made.C, out @ one.C]),
+                made.D + out @ one.D @ into,
+                dt=a.dt,
+            )
+        return made.replaced(inputs=a.outputs, outputs=b.outputs)
+
     def __str__(self) -> str:
         told = {
             "identical": "the same filter",
@@ -185,6 +228,7 @@ class Equivalence:
 
 def equivalence(first: ResidualGenerator, second: ResidualGenerator, *, rtol: float = _PARALLEL) -> Equivalence:
     """Tell whether two generators are the same up to a transformation; see :meth:`ResidualGenerator.equivalent_to`."""
+    first, second = _generator(first), _generator(second)
     a, b = first.system, second.system
     if a.n_inputs != b.n_inputs or len(first.plant.inputs) != len(second.plant.inputs) or a.dt != b.dt:
         raise ModelError(
@@ -218,6 +262,20 @@ def equivalence(first: ResidualGenerator, second: ResidualGenerator, *, rtol: fl
     }[forth < rtol, back < rtol]
     error = max(forth, back) if kind in ("transformation", "different") else min(forth, back)
     return Equivalence(kind == "transformation", kind, (), error, a, b, note)
+
+
+def _generator(given: Any) -> ResidualGenerator:
+    """Return a generator, or the one of a bank or an observer."""
+    if isinstance(given, ResidualGenerator):
+        return given
+    inner = getattr(given, "generator", None)
+    if inner is None and hasattr(given, "residual_generator"):
+        inner = given.residual_generator()
+    if inner is None and hasattr(given, "with_poles"):
+        inner = given.with_poles()
+    if not isinstance(inner, ResidualGenerator):
+        raise ModelError(f"a residual generator is compared with another one, got {type(given).__name__}")
+    return inner
 
 
 def _signal_units(generator: ResidualGenerator, Q: NDArray, w: NDArray) -> NDArray[np.float64]:
@@ -260,7 +318,7 @@ def _matched(
     worst = max((row.error for row in rows), default=0.0)
     if not worst < _FILTER_ERROR:
         raise AccuracyError(f"filters made of them miss by {worst:.2g}")
-    own = [_cancelled(fractions[1][j].zeros, fractions[0][i].zeros) for i, j, _ in pairs]
+    own = [_cancelled(fractions[1][j].zeros, fractions[0][i].zeros, first.dt) for i, j, _ in pairs]
     return rows, any(len(left) for pair in own for left in pair)
 
 
@@ -277,7 +335,7 @@ def _row(
 ) -> RowTransformation:
     """Return the filter from one residual to another, with the gain that fits best."""
     a, b = fractions[0][i], fractions[1][j]
-    zeros, poles = _cancelled(np.concatenate([b.zeros, a.poles]), np.concatenate([a.zeros, b.poles]))
+    zeros, poles = _cancelled(np.concatenate([b.zeros, a.poles]), np.concatenate([a.zeros, b.poles]), first.dt)
     shape = RowTransformation(first.residuals[i], second.residuals[j], 1.0, zeros, poles, error)
     dt = first.system.dt
     filtered = Qa[:, i] * shape.evaluate(np.exp(1j * w * dt) if dt else 1j * w)[:, None]
@@ -288,11 +346,14 @@ def _row(
     return RowTransformation(shape.first, shape.second, gain, zeros, poles, float(max(error, np.median(off))))
 
 
-def _cancelled(zeros: NDArray, poles: NDArray) -> tuple[NDArray, NDArray]:
-    """Return zeros and poles without those that stand in both."""
+def _cancelled(zeros: NDArray, poles: NDArray, dt: float) -> tuple[NDArray, NDArray]:
+    """Return zeros and poles without those that stand in both, up to what is little for their rate."""
     left, kept = list(poles), []
+    origin = 1.0 if dt else 0.0
+    rounding = 1e-9 * np.max(np.abs(np.concatenate([zeros, poles, [origin]])), initial=0.0)
     for zero in zeros:
-        near = [k for k, pole in enumerate(left) if abs(pole - zero) <= _CANCEL * max(1.0, abs(zero))]
+        limit = max(_CANCEL * abs(zero - origin), rounding)
+        near = [k for k, pole in enumerate(left) if abs(pole - zero) <= limit]
         if near:
             left.pop(near[0])
         else:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 from itertools import combinations
+from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +14,14 @@ from residua.design.generator import ResidualGenerator
 from residua.design.parity.relation_model import RelationModel, relation_model
 from residua.design.parity.relations import Poles, relations_of
 from residua.design.parity.shortest import RelationSpace, relation_space, shortest_relations
-from residua.errors import DesignError
+from residua.errors import DesignError, SettingError
 from residua.linear import arrays
 from residua.linear.pencil_null_space import DEFAULT_RTOL
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
+
+#: States of the filters of all relations of an order together, beyond which a design takes many seconds.
+_MOST_STATES = 300
 
 
 def parity_relations(
@@ -91,8 +95,8 @@ def parity_relations(
     if order is None:
         found = shortest_relations(chosen, ignored, rtol)
     else:
-        if order != int(order) or order < 0:
-            raise DesignError(f"order must be a whole number of past samples, got {order!r}")
+        order = _whole(order)
+        _check_size(model, int(order))
         found = relation_space(chosen, ignored, int(order), rtol)
     if found is None or not found.count:
         _none_such(chosen, ignored, order, rtol)
@@ -130,7 +134,7 @@ def parity_orders(
 
     Raises
     ------
-    DesignError
+    SettingError
         If there are more than 1000 sets.
 
     References
@@ -147,9 +151,14 @@ def parity_orders(
     names = model.plant.outputs
     ignored = [model.plant.faults[i] for i in arrays.positions(insensitive_to, model.plant.faults, "fault")]
     most = len(names) if most_outputs is None else int(most_outputs)
-    sets = [chosen for size in range(1, most + 1) for chosen in combinations(names, size)] if len(names) < 20 else []
-    if not 0 < len(sets) <= 1000:
-        raise DesignError(f"{len(names)} outputs have too many sets: limit their size with most_outputs")
+    if most < 1:
+        raise SettingError(f"most_outputs must be 1 at least, got {most_outputs!r}")
+    count = sum(comb(len(names), size) for size in range(1, most + 1))
+    if count > 1000:
+        raise SettingError(
+            f"{len(names)} outputs have {count} sets of up to {most}: limit their size with most_outputs"
+        )
+    sets = [chosen for size in range(1, most + 1) for chosen in combinations(names, size)]
     found = {chosen: shortest_relations(model.reading(chosen), ignored, rtol) for chosen in sets}
     return {chosen: space.order for chosen, space in found.items() if space is not None}
 
@@ -173,7 +182,9 @@ def chow_willsky_matrices(plant: Plant, order: int) -> tuple[NDArray[np.float64]
     Raises
     ------
     DesignError
-        If the plant has an ``E``, or the order is negative.
+        If the plant has an ``E``.
+    SettingError
+        If the order is no whole number.
 
     References
     ----------
@@ -181,8 +192,7 @@ def chow_willsky_matrices(plant: Plant, order: int) -> tuple[NDArray[np.float64]
     """
     if plant.E is not None:
         raise DesignError("R and Q are made of powers of A: write the plant without E first (plant.explicit())")
-    if order < 0:
-        raise DesignError(f"order must not be negative, got {order}")
+    order = _whole(order)
     m, powers = plant.n_outputs, [plant.C]
     for _ in range(order):
         powers.append(powers[-1] @ plant.A)
@@ -208,6 +218,23 @@ def with_rank(made: ResidualGenerator, space: RelationSpace) -> ResidualGenerato
     s = space.decision.singular_values
     kept = {"condition of what is annihilated": float(s[0] / space.decision.smallest_kept)} if len(s) else {}
     return replace(made, evidence=made.evidence.extended(ranks=ranks, conditions=kept))
+
+
+def _whole(order: int) -> int:
+    """Return an order, checked."""
+    if isinstance(order, bool) or not isinstance(order, (int, np.integer)) or order < 0:
+        raise SettingError(f"order must be a whole number of past samples, got {order!r}")
+    return int(order)
+
+
+def _check_size(model: RelationModel, order: int) -> None:
+    """Raise when all relations of an order are too many to be of use."""
+    states = max((order + 1) * model.plant.n_outputs - model.plant.n_states, 1) * order
+    if states > _MOST_STATES:
+        raise SettingError(
+            f"order {order} means up to {states} states of filters, the most is {_MOST_STATES}; above the {model.most} "
+            "states of the plant relations are shifted copies of shorter ones: ask for a lower order"
+        )
 
 
 def _none_such(model: RelationModel, ignored: list[str], order: int | None, rtol: float) -> None:

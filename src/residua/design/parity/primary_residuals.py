@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from residua.design.evidence import Evidence, format_pole
 from residua.design.generator import ResidualGenerator, make_generator
 from residua.design.internal_form import check_decoupling
 from residua.design.parity.relation import Relation, synthetic_division
-from residua.design.parity.relation_model import relation_model
+from residua.design.parity.relation_model import RelationModel, relation_model
 from residua.design.parity.relations import Poles, relations_of
+from residua.design.parity.shortest import shortest_relations
 from residua.design.signals import signal_names
 from residua.errors import DesignError
 from residua.linear import StateSpace
+from residua.linear.pencil_null_space import DEFAULT_RTOL
 from residua.linear.polynomial_basis import PolynomialBasis
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
@@ -31,7 +35,7 @@ def primary_residuals(
     Parameters
     ----------
     model : InputOutputModel or Plant
-        A plant is taken in its input-output form, :meth:`InputOutputModel.from_plant`.
+        Of a plant each equation is the shortest that reads one output only, as in :meth:`InputOutputModel.from_plant`.
     form : {"ma", "arma"}
     poles : sequence of complex, or mapping of str to sequence, optional
         For the moving-average form; see :meth:`ParityRelations.with_poles`.
@@ -61,22 +65,38 @@ def primary_residuals(
     e1 = y1[k] - 0.9 y1[k-1] + 0.2 y1[k-2] - 1.5 u1[k-1] + 0.65 u1[k-2]
     e2 = y2[k] - 1.4 y2[k-1] + 0.45 y2[k-2] - 1.1 u1[k-1] + 0.95 u1[k-2]
     """
-    io = InputOutputModel.from_plant(model) if isinstance(model, Plant) else model
     if form not in ("ma", "arma"):
         raise DesignError(f"form must be 'ma' or 'arma', got {form!r}")
-    equations = relation_model(io)
+    equations = relation_model(model)
     plant = equations.plant
     names = [f"e{i + 1}" for i in range(plant.n_outputs)]
     if form == "arma":
         if poles is not None:
             raise DesignError("the poles of the 'arma' form are those of the plant: leave them out, or use form='ma'")
         return _with_the_poles_of(plant, names)
-    rows = []
+    rows = _own_equations(model, plant) if isinstance(model, InputOutputModel) else _shortest_of_each(equations)
+    return relations_of(plant, rows, names).with_poles(poles, method="primary residuals", notes=equations.notes)
+
+
+def _own_equations(io: InputOutputModel, plant: Plant) -> list[Relation]:
+    """Return the equations of a model as relations of its state-space form."""
+    rows, none = [], np.zeros((plant.n_states + plant.n_outputs, 0))
     for i, k in enumerate(io.H.row_degrees):
         q, basis = io.H.coefficients[: k + 1, i], PolynomialBasis.powers(k + 1)
-        none = np.zeros((plant.n_states + plant.n_outputs, 0))
         rows.append(Relation(synthetic_division(plant, q, basis), q, basis, none, np.zeros(0, dtype=np.complex128)))
-    return relations_of(plant, rows, names).with_poles(poles, method="primary residuals", notes=equations.notes)
+    return rows
+
+
+def _shortest_of_each(equations: RelationModel) -> list[Relation]:
+    """Return for each output of a plant the shortest relation that reads no other."""
+    rows, open_to_all = [], replace(equations, decouples=False)
+    for name in equations.plant.outputs:
+        alone = open_to_all.reading([name])
+        found = shortest_relations(alone, (), DEFAULT_RTOL)
+        if found is None:
+            raise DesignError(f"no relation reads {name!r} alone: algebraic equations tie it to other signals")
+        rows.append(found.relation(alone, (), found.vectors[0]))
+    return rows
 
 
 def _with_the_poles_of(plant: Plant, names: list[str]) -> ResidualGenerator:
@@ -87,6 +107,7 @@ def _with_the_poles_of(plant: Plant, names: list[str]) -> ResidualGenerator:
             f"the plant has the pole {format_pole(unstable[0])}, which is not stable, and e = y - S u takes it over: "
             "use form='ma'"
         )
+    plant = plant.explicit()
     n, m = plant.n_states, plant.n_outputs
     system = StateSpace(
         plant.A,

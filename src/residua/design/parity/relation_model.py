@@ -35,6 +35,8 @@ class RelationModel:
         No relation of a shortest set is longer.
     notes : tuple of str
         What was done to the model before.
+    decouples : bool
+        Whether relations ignore the disturbances.
     """
 
     plant: Plant
@@ -42,6 +44,7 @@ class RelationModel:
     basis: PolynomialBasis = field(repr=False)
     most: int
     notes: tuple[str, ...] = ()
+    decouples: bool = True
 
     @property
     def faults(self) -> NDArray[np.float64]:
@@ -51,7 +54,7 @@ class RelationModel:
     def ignored_columns(self, ignored: Sequence[str | int]) -> NDArray[np.float64]:
         """Return the constant columns that a relation annihilates which ignores some faults and all disturbances."""
         chosen = arrays.positions(ignored, self.plant.faults, "fault")
-        disturbances = np.vstack([self.plant.Bd, self.plant.Dd])
+        disturbances = np.vstack([self.plant.Bd, self.plant.Dd])[:, : None if self.decouples else 0]
         return np.hstack([self.excluded, disturbances, self.faults[:, chosen]])
 
     def reading(self, outputs: Iterable[str | int] | str | None) -> RelationModel:

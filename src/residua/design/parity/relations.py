@@ -19,8 +19,9 @@ from residua.design.parity.realization import Realization, pole_basis, realize_r
 from residua.design.parity.relation import Relation, digits_lost, plant_rate
 from residua.design.parity.relation_text import joined, terms_of
 from residua.design.signals import signal_names
-from residua.errors import AccuracyError, DesignError
+from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import PolynomialMatrix, StateSpace
+from residua.linear.balancing import descriptor_units
 from residua.linear.polynomial_basis import PolynomialBasis
 from residua.plant import Plant
 
@@ -108,7 +109,6 @@ class ParityRelations:
 
     def _response(self, B: NDArray, D: NDArray) -> PolynomialMatrix:
         """Return ``p B + q D`` in powers, without what rounding leaves of nothing."""
-        P, Q = self.state_rows.coefficients, self.output_rows.coefficients
         k = max(self.orders, default=0)
         P, Q = self.state_rows.padded(k), self.output_rows.padded(k)
         value, terms = P @ B + Q @ D, np.abs(P) @ np.abs(B) + np.abs(Q) @ np.abs(D)
@@ -124,7 +124,11 @@ class ParityRelations:
         for i, (row, one) in enumerate(zip(self.rows, changed, strict=True)):
             powers = self.size ** -np.arange(row.order + 1.0)[:, None]
             P[: row.order + 1, i], Q[: row.order + 1, i] = one.p * powers, one.q * powers
-        return PolynomialMatrix(P), PolynomialMatrix(Q)
+        powers = self.size ** np.arange(most + 1.0)[:, None, None]
+        units = descriptor_units(self.plant.A, self.plant.E, self.plant.Bu, self.plant.C, self.plant.Du).outputs
+        heights = np.abs(Q) * powers / units
+        rounding = heights < 1e-14 * heights.max(axis=(0, 2), initial=0.0)[:, None]
+        return PolynomialMatrix(P), PolynomialMatrix(np.where(rounding, 0.0, Q))
 
     @property
     def size(self) -> float:
@@ -161,7 +165,7 @@ class ParityRelations:
 
         Raises
         ------
-        DesignError
+        SettingError
             If the number of poles does not fit, they are not closed under conjugation, or not stable; or if they differ
             between residuals that keep directions together, which would bend them.
         AccuracyError
@@ -229,7 +233,7 @@ class ParityRelations:
             unknown = set(poles) - set(self.names)
             missing = [name for name, k in zip(self.names, self.orders, strict=True) if k and name not in poles]
             if unknown or missing:
-                raise DesignError(
+                raise SettingError(
                     f"poles are given by residual, {', '.join(self.names)}; "
                     + (
                         f"there is no {', '.join(map(repr, sorted(unknown)))}"
@@ -246,7 +250,7 @@ class ParityRelations:
         if self.directions is not None:
             for name, one in zip(self.names, chosen, strict=True):
                 if not np.array_equal(np.sort_complex(one), np.sort_complex(chosen[0])):
-                    raise DesignError(
+                    raise SettingError(
                         f"residuals {self.names[0]!r} and {name!r} keep the directions of "
                         f"{', '.join(self.directions.faults)} together: give all of them the same poles"
                     )
@@ -317,10 +321,8 @@ def relations_of(
 def _sign(rows: Sequence[Relation], plant: Plant, directions: Directions) -> float:
     """Return the sign with which the first response to the first of the directed faults is along its direction."""
     j = plant.faults.index(directions.faults[0])
-    along = sum(
-        (row.p @ plant.Bf[:, j] + row.q @ plant.Df[:, j]) * d
-        for row, d in zip(rows, directions.vectors[:, 0], strict=True)
-    )
+    each = np.array([row.p @ plant.Bf[:, j] + row.q @ plant.Df[:, j] for row in rows])
+    along = directions.vectors[:, 0] @ each
     present = np.flatnonzero(np.abs(along) > 1e-9 * np.abs(along).max())
     return float(np.sign(along[present[-1]])) if len(present) else 1.0
 
@@ -352,16 +354,19 @@ def _checked_poles(poles: Any, order: int, name: str, plant: Plant) -> NDArray[n
     try:
         values = np.atleast_1d(np.asarray(poles, dtype=np.complex128))
     except (TypeError, ValueError) as error:
-        raise DesignError(f"poles must be numbers: {error}") from error
+        raise SettingError(f"poles must be numbers: {error}") from error
     if values.shape != (order,):
-        raise DesignError(f"relation {name!r} is of order {order}: give {order} poles, not {values.size}")
+        raise SettingError(
+            f"relation {name!r} is of order {order}: give {order} poles, not {values.size}, "
+            "by name of the residual where orders differ"
+        )
     if not np.isfinite(values).all():
-        raise DesignError("poles must be finite")
+        raise SettingError("poles must be finite")
     pairs = np.sort_complex(values[values.imag > 0]), np.sort_complex(values[values.imag < 0].conj())
     if len(pairs[0]) != len(pairs[1]) or not np.allclose(*pairs, rtol=1e-12, atol=0):
-        raise DesignError("the poles are not closed under conjugation")
+        raise SettingError("the poles are not closed under conjugation")
     unstable = values[np.abs(values) >= 1] if plant.is_discrete else values[values.real >= 0]
     if len(unstable):
         where = "inside the unit circle" if plant.is_discrete else "in the left half plane"
-        raise DesignError(f"pole {format_pole(unstable[0])} is not stable: poles must lie {where}")
+        raise SettingError(f"pole {format_pole(unstable[0])} is not stable: poles must lie {where}")
     return values

@@ -8,10 +8,10 @@ from residua.analysis.coding_sets import Structure
 from residua.design.banks.bank import Bank, build_bank, wanted_rows
 from residua.design.generator import ResidualGenerator
 from residua.design.parity.parity_relations import with_rank
-from residua.design.parity.relation_model import RelationModel, relation_model
+from residua.design.parity.relation_model import relation_model
 from residua.design.parity.relations import Poles, relations_of
 from residua.design.parity.shortest import shortest_relation
-from residua.errors import DesignError
+from residua.errors import SettingError
 from residua.linear.pencil_null_space import DEFAULT_RTOL
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
@@ -31,8 +31,9 @@ def structured_parity(
 
     .. math:: w_i^T(z)\, g_j(z) = 0, \qquad w_i^T(z)\, h_j(z) = 0,
 
-    and answers to every one of its ones. Degrees are found by search, vectors from the singular values of block
-    Toeplitz matrices; what the resulting relation has as a factor common to all signals is divided out, and told.
+    and answers to every one of its ones. Degrees are found by search, vectors from the singular values of a block
+    matrix (:func:`residua.linear.left_null_vectors`, in a basis on the poles of the plant). The shortest relation has
+    no factor common to all signals; those that the equations of an input-output model share are divided out, and told.
 
     Parameters
     ----------
@@ -77,11 +78,15 @@ def structured_parity(
     """
     model = relation_model(plant)
     wanted = wanted_rows(structure, model.plant.faults)
-    names = {one.seen: one.name for one in wanted}
+    _check_names(poles, [one.name for one in wanted])
 
-    def design(part: Plant) -> ResidualGenerator:  # its faults are those that the row answers to
-        ignored = tuple(name for name in model.plant.faults if name not in part.faults)
-        return _scalar_relation(model, ignored, part.faults, _of_row(poles, names[part.faults]), rtol)
+    def design(name: str, part: Plant) -> ResidualGenerator:  # its faults are those that the row answers to
+        ignored = tuple(fault for fault in model.plant.faults if fault not in part.faults)
+        vector, space = shortest_relation(model, ignored, part.faults, rtol)
+        relations = relations_of(model.plant, [space.relation(model, ignored, vector)], [name])
+        own = poles[name] if isinstance(poles, Mapping) else poles
+        made = relations.with_poles(own, method="structured parity relation", notes=model.notes)
+        return with_rank(made, space)
 
     return build_bank(
         model.plant,
@@ -93,19 +98,13 @@ def structured_parity(
     )
 
 
-def _scalar_relation(
-    model: RelationModel, ignored: Sequence[str], seen: Sequence[str], poles: Poles | None, rtol: float
-) -> ResidualGenerator:
-    """Return the generator of the shortest relation that ignores and sees what was asked for."""
-    vector, space = shortest_relation(model, ignored, seen, rtol)
-    relations = relations_of(model.plant, [space.relation(model, ignored, vector)])
-    return with_rank(relations.with_poles(poles, method="structured parity relation", notes=model.notes), space)
-
-
-def _of_row(poles: Poles | None, name: str) -> Poles | None:
-    """Return the poles of one row."""
+def _check_names(poles: Poles | None, rows: Sequence[str]) -> None:
+    """Raise when poles are given for rows that do not exist, or not for all."""
     if not isinstance(poles, Mapping):
-        return poles
-    if name not in poles:
-        raise DesignError(f"there are no poles for row {name!r}")
-    return poles[name]
+        return
+    unknown, missing = [name for name in poles if name not in rows], [name for name in rows if name not in poles]
+    if unknown or missing:
+        raise SettingError(
+            f"poles are given by row, {', '.join(rows)}; "
+            + (f"there is no {unknown[0]!r}" if unknown else f"there are none for {missing[0]!r}")
+        )
