@@ -11,6 +11,7 @@ ORDER = (
     "plot_directions.py",
     "plot_matched_filters.py",
     "plot_gertler_examples.py",
+    "plot_uncertain_plants.py",
     "plot_live.py",
 )
 

@@ -133,5 +133,10 @@ print(
 
 # %%
 # What matched filters assume: one fault at a time, a step, white innovations (that is, a model and a noise model that are
-# right), and an arrival within the window. A fault that grows is still named, and its alarm is not put later than it was
-# raised; but its first size is that of the step which its beginning resembles.
+# right), and an arrival within the window, which is longer than the responses take to settle; where it is not, the print of
+# the matched filters and every diagnosis say so. A fault that grows is still named, and its alarm is not put later than it
+# was raised; but its first size is that of the step which its beginning resembles.
+#
+# Two faults are a close call where the second is less than 20 times as unlikely as the first. That holds for a model that is
+# right. Where neither of the two fits to within the noise, and they differ by less than what is left, the diagnosis says so
+# too: then an error of the model may decide, however large the lead in likelihood is.

@@ -175,3 +175,13 @@ def test_faults_with_parallel_transfer_functions_cannot_be_told_apart() -> None:
     for row in ("10", "01"):
         with pytest.raises(DesignError):
             rs.design.structured_bank(plant, [row])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_an_integrator_in_any_coordinates_hides_nothing(seed: int) -> None:
+    """A pole at zero comes out as rounding of some size, which says nothing about where the pencil is looked at."""
+    Q = np.linalg.qr(np.random.default_rng(seed).standard_normal((2, 2)))[0]
+    A, B, C = Q @ np.diag([0.0, -1.0]) @ Q.T, Q @ np.array([[1.0], [1.0]]), np.array([[1.0, 0], [0, 1]]) @ Q.T
+    plant = rs.Plant(A, B, C[1:]).with_faults({"f": (-Q @ np.array([0.0, 1.0]), [1.0])})  # s / (s + 1)
+    assert rs.diagnosability(plant).detectable.all()
+    assert rs.coding.attainable(plant, ["1"]).attainable.all()

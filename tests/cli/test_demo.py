@@ -23,7 +23,7 @@ def test_demo_jet_engine(tmp_path: Path, residua: Residua) -> None:
 
 
 def test_jet_engine_distances_are_the_ideal_ones() -> None:
-    """METHODS V2: distances of constant sensor faults in the disturbance-free case, computed by algebra."""
+    """Distances of constant sensor faults in the disturbance-free case, computed by algebra."""
     from residua.demos.jet_engine import ROBUST, diagnose
 
     cases, _ = diagnose()

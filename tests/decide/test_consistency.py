@@ -82,3 +82,12 @@ def test_what_does_not_fit_is_refused() -> None:
             code_likelihoods([1] * 5, CODES, false_alarm=wrong)
     with pytest.raises(SettingError, match="level"):
         consistent_faults([1] * 5, CODES, FAULTS).credible(1.0)
+
+
+@pytest.mark.parametrize("fired", [[np.nan, 0, 1, 1], ["0", "1", "0", "0"], [0.5, 0, 0, 0], [2, 0, 0, 0]])
+def test_what_is_neither_zero_nor_one_is_refused(fired) -> None:
+    codes = [[1, 1, 0], [1, 1, 0], [1, 0, 1], [1, 0, 1]]
+    with pytest.raises(DataError, match="0 or 1"):
+        consistent_faults(fired, codes, ["a", "b", "c"])
+    with pytest.raises(DataError, match="0 or 1"):
+        consistent_faults([1, 0, 0, 0], 7 * np.array(codes), ["a", "b", "c"])

@@ -118,7 +118,7 @@ def test_noise_free_data_do_not_turn_rounding_into_alarms() -> None:
 def test_the_model_gives_a_threshold_without_data() -> None:
     test = norm_test_from_model(NormThreshold(false_alarm_rate=0.001), np.diag([4.0, 1, 9]), 3)
     assert test is not None
-    assert test.threshold == pytest.approx(np.sqrt(16.266236), rel=1e-6)  # METHODS V12
+    assert test.threshold == pytest.approx(np.sqrt(16.266236), rel=1e-6)
     np.testing.assert_allclose(test.band, test.threshold * np.array([2, 1, 3]))
     assert norm_test_from_model(NormThreshold(), None, 3) is None
 

@@ -10,7 +10,7 @@ import pytest
 import residua as rs
 from generated import random_plant, simulate, singular_plant
 from residua.design.observers.general_residual_generator import general_form, residual_generator_from_observer
-from residua.errors import AccuracyError, DesignError, ModelError, SettingError
+from residua.errors import DesignError, ModelError, SettingError
 
 DESIGNS: dict[str, Callable[[rs.Plant], rs.ResidualGenerator]] = {
     "decoupled residual": lambda p: rs.design.decoupled_residual(p, insensitive_to=p.faults[0]),
@@ -113,8 +113,9 @@ def test_what_does_not_decouple_is_told_or_accepted() -> None:
     found = residual_generator_from_observer(plant, **matrices(made), decouples=False)
     assert "disturbance" not in found.evidence.decoupling
     assert found.evidence.conditions["T Fd - N Dd = 0"] > 0.5
-    with pytest.raises(AccuracyError, match="answers to the disturbance"):
-        residual_generator_from_observer(plant, gain=made.observer.K, decouples=True)
+    for source, options in ((plant, {"gain": made.observer.K}), (made.observer, {})):
+        with pytest.raises(DesignError, match=r"does not ignore the disturbances p1.*by 1 of the terms.*1e-07"):
+            residual_generator_from_observer(source, **options, decouples=True)
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -197,6 +198,7 @@ def test_a_sampled_continuous_design_has_no_general_form() -> None:
         ({"gain": np.zeros((2, 2))}, ModelError, "gain must be 3 x 2"),
         ({"gain": -np.ones((3, 2))}, DesignError, "A - K C is not stable"),
         ({"gain": np.zeros((3, 2)), "weight": [[1, 0, 0]]}, ModelError, "weight must be any x 2"),
+        ({"gain": np.zeros((3, 2)), "weight": [[0, 0]]}, DesignError, "weight is zero"),
         ({"M": [[1.5]], "N": [[1, 0]], "Ls": [[1]], "Ly": [[1, 0]]}, DesignError, "M is not stable"),
         ({"M": [[0.5]], "N": [[1]], "Ls": [[1]], "Ly": [[1, 0]]}, ModelError, "N must be 1 x 2"),
         ({"M": [[0.5]], "N": [[1, 0]], "Ls": [[1]], "Ly": [[1, 0]]}, DesignError, "no residual generator"),

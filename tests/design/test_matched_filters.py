@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
+from importlib import import_module
+
 import numpy as np
 import pytest
 
 import residua as rs
 from generated import random_plant
 from residua.design.matched_filters import MatchedFilters, matched_filters
-from residua.errors import DesignError
+from residua.errors import AccuracyError, DesignError
 
 
 def noisy(seed: int, **options: object) -> rs.Plant:
@@ -130,6 +134,9 @@ def test_what_cannot_be_matched_is_refused() -> None:
         (lambda: matched_filters(plant, alike=1.5), "alike"),
         (lambda: matched_filters(plant, window=10**7), "shorten the window"),
         (lambda: matched_filters(plant).deviation(41), "0 to 40"),
+        (lambda: matched_filters(plant).deviation(1.5), "whole number"),  # pyright: ignore[reportArgumentType]
+        (lambda: matched_filters(plant).similarity(1.5), "whole number"),  # pyright: ignore[reportArgumentType]
+        (lambda: matched_filters(plant).deviation(True), "whole number"),
     ):
         with pytest.raises(DesignError, match=words):
             make()
@@ -140,6 +147,44 @@ def test_what_cannot_be_matched_is_refused() -> None:
 
 
 def test_a_window_that_is_too_short_to_settle_is_told() -> None:
-    notes = matched_filters(rs.library.three_tank(), window=5).generator.evidence.notes
-    assert any("still under way at the end of the window" in note for note in notes)
-    assert not any("still under way" in note for note in matched_filters(gertler()).generator.evidence.notes)
+    short = matched_filters(rs.library.three_tank(), window=5)
+    assert any("still under way at the end of the window" in note for note in short.generator.evidence.notes)
+    assert "still under way at the end of the window" in str(short)
+    enough = matched_filters(gertler())
+    assert enough.under_way == ()
+    assert not any("still under way" in note for note in enough.generator.evidence.notes)
+    assert "still under way" not in str(enough)
+
+
+def test_a_window_as_long_as_is_said_sees_the_responses_settle() -> None:
+    """A slow filter of one state: (0.9859...)^k is a tenth after 163 samples."""
+    plant = rs.Plant([[0.99]], [[0.01]], [[1.0]], dt=1.0, outputs=["h"]).with_sensor_faults()
+    plant = plant.with_noise(process=1e-6, measurement=1e-2)
+    short = matched_filters(plant, window=40)
+    assert short.under_way == ("h sensor",)
+    found = re.search(r"of about (\d+) samples", str(short))
+    assert found is not None
+    assert abs(short.generator.system.poles()[0]) ** int(found[1]) == pytest.approx(0.1, rel=0.02)
+    assert matched_filters(plant, window=int(found[1])).under_way == ()
+
+
+@pytest.mark.parametrize("make", [rs.design.kalman_filter, matched_filters])
+def test_missing_process_noise_is_named(make: Callable[[rs.Plant], object], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the Riccati equation cannot be solved without any; with process noise that stays what is said."""
+
+    def fails(*_: object, **__: object) -> None:
+        raise AccuracyError("the Riccati equation was not solved")
+
+    monkeypatch.setattr(import_module("residua.design.observers.kalman_filter"), "filter_riccati", fails)
+    plant = rs.library.gertler(sensor_faults=True)
+    with pytest.raises(DesignError, match=r"no process noise.*with_noise\(process=\.\.\., measurement=\.\.\.\)"):
+        make(plant.with_noise(measurement=1e-2))
+    with pytest.raises(AccuracyError, match="Riccati"):
+        make(plant.with_noise(process=1e-2, measurement=1e-2))
+
+
+def test_a_gain_of_zero_is_told() -> None:
+    plant = rs.library.gertler(sensor_faults=True)
+    told = matched_filters(plant.with_noise(measurement=0.1)).generator.evidence.notes
+    assert any("no process noise, so that the gain is zero" in note for note in told)
+    assert not any("gain is zero" in note for note in matched_filters(gertler()).generator.evidence.notes)

@@ -151,7 +151,7 @@ def same(first: rs.design.ResidualGenerator, second: rs.design.ResidualGenerator
 @pytest.mark.parametrize("dt", [0.0, 0.1])
 @pytest.mark.parametrize("seed", range(10))
 def test_there_and_back(seed: int, dt: float) -> None:
-    """003-7: an observer's residuals as parity relations, with the observer's poles again, are the observer's."""
+    """An observer's residuals as parity relations, with the observer's poles again, are the observer's."""
     rng = np.random.default_rng(seed)
     plant = random_plant(rng, n=int(rng.integers(2, 7)), outputs=3, dt=dt)
     n = plant.n_states

@@ -17,7 +17,7 @@ from residua.testing import check_residual_generator
 
 
 def example(dt: float = 0) -> rs.Plant:
-    """V14: the worked example of the methods' page."""
+    """A worked example of two states."""
     plant = rs.Plant([[1, 2], [3, 4]], [[1], [1]], [[1, 1]], E=[[1, 0], [0, 0]], dt=dt)
     return plant.with_actuator_faults().with_sensor_faults()
 
@@ -205,7 +205,7 @@ def test_the_perfect_observer_is_unbiased_at_once_where_others_have_a_transient(
 
 
 def test_rank_of_E_and_C_is_not_necessary() -> None:
-    """Condition (31a) of paper 001 fails, the observer exists."""
+    """Condition (31a) of Twardy and Kaczorek fails, the observer exists."""
     rng = np.random.default_rng(4)
     plant = singular_plant(rng, 4, 2, 1)
     assert np.linalg.matrix_rank(np.vstack([plant.E, plant.C])) == 3

@@ -1,4 +1,4 @@
-"""The jet engine of paper 000 and its second-order model."""
+"""The jet engine of Chen, Patton and Zhang and its second-order model."""
 
 from __future__ import annotations
 

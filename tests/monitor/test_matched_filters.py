@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from residua.decide import NormThreshold
 from residua.decide.matched import Matched
 from residua.design.matched_filters import matched_filters
 from residua.errors import DataError, FileFormatError, SettingError
+from residua.report.verdict import verdict
 
 
 def gertler() -> rs.Plant:
@@ -324,6 +326,131 @@ def test_a_fault_that_grows_is_not_dated_after_its_alarm() -> None:
     assert 100 <= alarm.onset <= alarm.raised
     assert alarm.sizes[0].last > 1.5
     assert alarm.sizes[0].mean < 0.6, "the step that its beginning resembled"
+
+
+def slow() -> rs.Plant:
+    """A filter that settles in some 300 samples."""
+    plant = rs.Plant([[0.99]], [[0.01]], [[1.0]], dt=1.0, inputs=["q"], outputs=["h"]).with_sensor_faults()
+    return plant.with_noise(process=1e-6, measurement=1e-2)
+
+
+def test_a_window_shorter_than_the_filter_settles_keeps_arrival_and_size() -> None:
+    """Parts of one alarm date the fault anew, after its true arrival has left the window: the first ones are kept."""
+    plant = slow()
+    matched = matched_filters(plant, window=40)
+    running = rs.Monitor(matched)
+    size = 8 * matched.deviation()["h sensor"]
+    off, late, joined = [], [], 0
+    for seed in range(60):
+        y = 0.1 * np.random.default_rng(seed).standard_normal((2000, 1))
+        y[1000:] += size
+        found = running.run(np.zeros((2000, 1)), y)
+        assert isinstance(found, rs.Diagnosis)
+        alarm = found.main_alarm
+        assert alarm is not None
+        best = alarm.candidates[0]
+        assert best.arrival == alarm.arrival
+        if best.arrival is not None:
+            assert best.arrival <= alarm.raised
+            assert alarm.onset == best.arrival
+            late.append(best.arrival - 1000)
+        joined += not found.alarm[alarm.start : alarm.stop].all()
+        told = best.sizes[0]
+        assert told.deviation is not None
+        off.append((told.mean - size) / told.deviation)
+        assert any("window of 40 samples is shorter than the responses to h sensor" in note for note in found.notes)
+    assert joined > 20, "an alarm in one piece tests nothing here"
+    assert len(late) >= 55
+    assert np.median(np.abs(late)) <= 5
+    assert np.sqrt(np.mean(np.square(off))) < 1.25
+
+
+def test_every_candidate_arrives_before_its_alarm_is_raised() -> None:
+    """On small faults too, whose alarms come in pieces, and for those that are not the likeliest."""
+    plant = gertler()
+    matched = matched_filters(plant, window=20)
+    running, seen = rs.Monitor(matched), 0
+    for seed in range(60):
+        name = plant.faults[seed % 4]
+        size = 7 * matched.deviation()[name]
+        found = running.run(*recording(plant, seed, fault=seed % 4, size=size, steps=600))
+        assert isinstance(found, rs.Diagnosis)
+        assert not any("shorter than the responses" in note for note in found.notes)
+        for alarm in found.alarms:
+            assert alarm.arrival == alarm.candidates[0].arrival
+            for candidate in alarm.candidates:
+                assert candidate.arrival is None or candidate.arrival <= alarm.raised
+                seen += candidate.arrival is not None
+    assert seen > 100
+
+
+def test_sizes_of_faults_that_look_alike_are_told_with_their_names(tmp_path: Path) -> None:
+    plant = rs.Plant([[0.8]], [[1.0]], [[1.0]], dt=1.0, inputs=["q"], outputs=["h"])
+    plant = plant.with_faults({"inflow": [1.0], "leak": [-2.0]}).with_noise(process=1e-3, measurement=1e-2)
+    found = rs.Monitor(matched_filters(plant, window=20)).run(*recording(plant, 1, fault=1, size=0.3, steps=200))
+    assert isinstance(found, rs.Diagnosis)
+    (line,) = [line for line in str(found).splitlines() if line.startswith("  1. ")]
+    number = r"([\d.−-]+) ± [\d.]+"
+    told = re.search(rf"estimated size inflow {number}, or leak {number}  ", line)
+    assert told is not None
+    assert float(told[1]) == pytest.approx(-0.6, abs=0.05)
+    assert float(told[2]) == pytest.approx(0.3, abs=0.025)
+    page = found.to_html(tmp_path / "page.html").read_text()
+    assert re.search(rf"Estimated size: inflow {number} \(last {number.split(' ')[0]}\), or leak {number} ", page)
+    assert re.search(rf"<td[^>]*>inflow {number} [^<]*, or leak {number} ", page)
+
+
+def alike_but_told() -> rs.Plant:
+    plant = rs.Plant([[0.9, 0], [0.1, 0.9]], [[1.0], [0]], np.eye(2), dt=1.0)
+    return plant.with_faults({"f1": [1, 0], "f2": [1, 0.1]}).with_noise(process=1e-4, measurement=1e-3)
+
+
+def test_a_close_call_is_one_of_likelihood() -> None:
+    """Scores 0.004 apart, where the noise is small, can be told apart beyond doubt; or not at all, where it is not."""
+    plant = alike_but_told()
+    running = rs.Monitor(matched_filters(plant, window=60))
+    found = running.run(*recording(plant, 0, size=1.0, onset=200, steps=400))
+    assert isinstance(found, rs.Diagnosis)
+    (alarm,) = found.alarms
+    assert alarm.margin is not None
+    assert 0 < alarm.margin < 0.02
+    assert alarm.lead is not None
+    assert alarm.lead > 1000
+    assert alarm.doubt == ""
+    assert "close call" not in str(found)
+    said = verdict(found)
+    assert said.confidence == "clear lead"
+    assert said.headline == "Fault found: f1, since t = 200 s."
+    small = running.run(*recording(plant, 4, size=0.02, onset=200, steps=400))
+    assert isinstance(small, rs.Diagnosis)
+    (alarm,) = small.alarms
+    assert alarm.lead is not None
+    assert alarm.lead < 6
+    assert alarm.doubt == "likelihood"
+    assert "  a close call: the first is" in str(small)
+    assert verdict(small).confidence == "close call"
+
+
+def test_an_error_of_the_model_is_mentioned_where_neither_fits() -> None:
+    """The data are those of a fault between the two, plus what no fault does: likelihood alone would be sure."""
+    plant = alike_but_told()
+    running = rs.Monitor(matched_filters(plant, window=60))
+    u, y = recording(plant, 0, size=1.0, onset=200, steps=400)
+    _, other = recording(plant, 0, fault=1, size=1.0, onset=200, steps=400)
+    y = 0.6 * y + 0.4 * other
+    y[200:] += 2.0 * np.sin(0.7 * np.arange(200))[:, None] * [0.3, -0.3]
+    found = running.run(u, y)
+    assert isinstance(found, rs.Diagnosis)
+    alarm = found.main_alarm
+    assert alarm is not None
+    assert alarm.lead is not None
+    assert alarm.lead > 100
+    assert alarm.doubt == "fit"
+    assert "neither of the first two fits to within the noise" in str(found)
+    said = verdict(found)
+    assert said.confidence == "inexact match"
+    assert "(neither fits exactly)" in said.headline
+    assert "an error of the model" in " ".join(said.sentences)
 
 
 def test_what_does_not_fit_is_refused() -> None:

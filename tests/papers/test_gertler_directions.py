@@ -9,7 +9,7 @@ import residua as rs
 from residua.design.parity.directional_parity import directional_parity
 from residua.errors import DesignError
 
-#: METHODS V6: the directions of Example 3, and the paper's solution of part B, highest power first: on y1, y2 and u.
+#: Example 3: the directions of Example 3, and the paper's solution of part B, highest power first: on y1, y2 and u.
 DIRECTIONS = {"p1": [2, 1], "p2": [1, 2]}
 PAPER = [
     (3.5 * np.poly([0.4, 47 / 70]), -np.poly([0.35, 0.9]), [0, -4.15, 4.15 * 239 / 415]),

@@ -9,7 +9,7 @@ import residua as rs
 from residua.errors import DesignError
 from residua.linear import PolynomialMatrix
 
-#: METHODS V4: the residual of Example 2 that ignores p1, newest sample first, for y1, y2 and u.
+#: The residual of Example 2 that ignores p1, newest sample first, for y1, y2 and u.
 Y1, Y2, U = [1, -1.3, 0.36], [-2, 2.7, -0.81], [0, 0.7, -0.54]
 PARITY_VECTOR = [0.36, -0.81, -1.3, 2.7, 1, -2]
 
@@ -39,7 +39,7 @@ def test_input_output_form_of_example_2(plant: rs.Plant) -> None:
 
 @pytest.mark.parametrize("through", ["plant", "input-output model"])
 def test_example_2_a_and_b(plant: rs.Plant, through: str) -> None:
-    """V4: one relation of order two ignores p1, whichever way the plant is given."""
+    """One relation of order two ignores p1, whichever way the plant is given."""
     source = plant if through == "plant" else rs.InputOutputModel.from_plant(plant)
     relations = rs.design.parity_relations(source, insensitive_to="p1").relations
     assert relations is not None
@@ -96,7 +96,7 @@ def test_primary_residuals_in_both_forms(plant: rs.Plant) -> None:
 
 
 def test_the_attainable_rows_with_sensor_faults() -> None:
-    """V9: five rows, by relations of order at most two."""
+    """Five rows, by relations of order at most two."""
     plant = rs.library.gertler(sensor_faults=True)
     attainable = []
     for number in range(1, 16):

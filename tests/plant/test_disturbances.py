@@ -1,4 +1,4 @@
-"""Disturbance matrices: factoring, parameter perturbations, steady states (paper 000)."""
+"""Disturbance matrices: factoring, parameter perturbations, steady states (Chen, Patton and Zhang 1996)."""
 
 from __future__ import annotations
 

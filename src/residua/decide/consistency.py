@@ -154,12 +154,12 @@ def consistent_faults(
       'sensor': 0.00926 %, 2 unexplained, 0 of 2 members fired
     """
     table = _table(codes, faults)
-    pattern = np.asarray(fired)
+    pattern = _booleans(fired, "fired")
     if pattern.shape != (len(table),):
         raise DataError(f"fired must have one entry per member ({len(table)}), got shape {pattern.shape}")
     if members is not None and len(members) != len(table):
         raise DataError(f"expected {len(table)} names of members, got {len(members)}")
-    on = pattern.astype(bool)
+    on = pattern
     names = tuple(members) if members is not None else tuple(str(i + 1) for i in range(len(table)))
     made = (tuple(bool(x) for x in on), names)
     groups = equal_codes(table)
@@ -239,8 +239,7 @@ def code_likelihoods(
     >>> own.round(2).tolist(), none.round(2).tolist()
     ([[-0.33, -3.91], [-1.71, -1.71]], [-2.41, -0.21])
     """
-    table = np.asarray(codes, dtype=bool)
-    on = np.asarray(fired, dtype=bool)
+    table, on = _booleans(codes, "codes"), _booleans(fired, "fired")
     if table.ndim != 2 or on.ndim < 1 or on.shape[-1] != len(table):
         raise DataError(
             f"fired must have one entry per row of codes in its last axis, got {on.shape} and {table.shape}"
@@ -257,8 +256,18 @@ def code_likelihoods(
     return outside + factorials[k] + factorials[m - k] - factorials[m + 1], none
 
 
+def _booleans(values: ArrayLike, name: str) -> NDArray[np.bool_]:
+    """Return an array of booleans from one of booleans, or of zeros and ones."""
+    given = np.asarray(values)
+    if given.dtype == bool:
+        return given
+    if given.dtype.kind not in "iuf" or not np.isin(given, (0, 1)).all():
+        raise DataError(f"{name} must be true or false, or 0 or 1")
+    return given.astype(bool)
+
+
 def _table(codes: ArrayLike, faults: Sequence[str]) -> NDArray[np.bool_]:
-    table = np.asarray(codes, dtype=bool)
+    table = _booleans(codes, "codes")
     if table.ndim != 2 or table.shape[1] != len(faults):
         raise DataError(f"codes must have a row per member and a column per fault ({len(faults)}), got {table.shape}")
     return table

@@ -66,8 +66,9 @@ def hold_block(
 
     Thereafter the test cannot see how the fault began, so that name and arrival stay until the alarm ends. An alarm
     that begins with a settled fault, one that arrived before the window, has no arrival. Nor can an arrival explain
-    an alarm that was raised before it: those of a fault that still grows are not taken. Nor is a sample at which the
-    likelihood has fallen by more than noise does: the fault has gone, and what is left is no step any more.
+    an alarm that was raised before it: those of a fault that still grows, or of a filter that settles more slowly than
+    the window is long, are not taken. Nor is a sample at which the likelihood has fallen by more than noise does: the
+    fault has gone, and what is left is no step any more.
 
     Parameters
     ----------
@@ -109,7 +110,7 @@ def hold_block(
     final = on & (_latest(late) >= start)
     latest = _latest(dated & (~final | (at == 0)))
     known = latest >= start
-    source = np.where(known, latest, _latest(judged))
+    source = np.where(known, latest, _latest(judged & ~(arrival > raised)))
     put_down = on & (source >= start)
     fault = np.where(put_down, _pick(fault, source), np.nan)
     arrival = np.where(put_down & known, _pick(arrival, source), np.nan)

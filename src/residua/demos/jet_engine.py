@@ -1,4 +1,4 @@
-"""The jet engine of paper 000: with a model that is slightly wrong, only the robust filter names the right sensor."""
+"""The jet engine of Chen, Patton and Zhang: with a model that is slightly wrong, only the robust filter names the right sensor."""
 
 from __future__ import annotations
 

@@ -34,18 +34,27 @@ from residua.design.parity.primary_residuals import primary_residuals
 from residua.design.parity.relations import ParityRelations
 from residua.design.parity.structured_parity import structured_parity
 from residua.design.suggestion import Suggestion
+from residua.design.uncertain_parity.insensitive_parity import InsensitiveParity, insensitive_parity
+from residua.design.uncertain_parity.model_spread import model_spread
+from residua.design.uncertain_parity.multi_model_parity import MultiModelParity, multi_model_parity
+from residua.design.uncertain_parity.optimal_parity import OptimalParity, optimal_parity
+from residua.design.uncertain_parity.select_equations import EquationChoice, select_equations
 
 __all__ = [
     "Bank",
     "Compensation",
+    "EquationChoice",
     "Equivalence",
     "Evidence",
     "FaultEstimator",
     "GeneralForm",
+    "InsensitiveParity",
     "InverseFormObserver",
     "MatchedFilters",
     "Member",
+    "MultiModelParity",
     "Observer",
+    "OptimalParity",
     "ParityRelations",
     "PerfectObserver",
     "ResidualGenerator",
@@ -63,10 +72,14 @@ __all__ = [
     "eigenstructure_assignment",
     "fault_estimator",
     "general_form",
+    "insensitive_parity",
     "inverse_form_observer",
     "kalman_filter",
     "luenberger_observer",
     "matched_filters",
+    "model_spread",
+    "multi_model_parity",
+    "optimal_parity",
     "parity_orders",
     "parity_relations",
     "perfect_observer",
@@ -74,6 +87,7 @@ __all__ = [
     "reduced_order_observer",
     "residual_generator_from_observer",
     "robust_detection_filter",
+    "select_equations",
     "sensor_fault_bank",
     "sensor_fault_estimators",
     "structured_bank",

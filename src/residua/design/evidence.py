@@ -89,6 +89,8 @@ class Evidence:
 def format_pole(pole: complex) -> str:
     """Return a pole as short text."""
     pole = complex(pole)
+    if abs(pole) < 1e-12:  # what rounding leaves of a pole at zero
+        return "0"
     if abs(pole.imag) <= 1e-9 * max(1.0, abs(pole)):
         return f"{pole.real:.4g}"
     return f"{pole.real:.4g}{pole.imag:+.4g}i"

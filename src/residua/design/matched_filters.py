@@ -17,6 +17,8 @@ from residua.plant import Plant
 
 #: Entries of a response below this fraction of the terms they are made of are rounding.
 _ROUNDING = 1e-12
+#: A response that far from where it settles, as a fraction of its peak, is still under way.
+_SETTLED = 0.1
 #: Numbers in the table of responses; more is a mistake in the window.
 _MOST_NUMBERS = 10**7
 
@@ -81,6 +83,16 @@ class MatchedFilters:
         silent = ~np.any(self.settled != 0, axis=0)
         return tuple(name for name, gone in zip(self.faults, silent, strict=True) if gone and name not in self.unseen)
 
+    @cached_property
+    def under_way(self) -> tuple[str, ...]:
+        """Faults whose responses are still over a tenth of their peak away from settled at the end of the window.
+
+        If one of them arrived longer ago than the window is, and has not settled yet, no hypothesis describes it: what
+        is found then holds only as far as it was found while the arrival lay within the window.
+        """
+        settled = self.whitening.T @ self.settled
+        return () if self.steady else tuple(self.faults[j] for j in not_settled(self.whitened, settled))
+
     def deviation(self, age: int | None = None) -> dict[str, float]:
         """Return the standard deviation of the estimated size of each fault, in its own units.
 
@@ -116,8 +128,9 @@ class MatchedFilters:
         return np.abs(correlations(rho.reshape(-1, rho.shape[2])))
 
     def _age(self, age: int | None) -> int:
-        if age is not None and not 0 <= age <= self.window:
-            raise DesignError(f"age must be 0 to {self.window} samples, the window, got {age!r}")
+        whole = isinstance(age, (int, np.integer)) and not isinstance(age, bool)
+        if age is not None and not (whole and 0 <= age <= self.window):
+            raise DesignError(f"age must be a whole number of samples, 0 to {self.window}, the window, got {age!r}")
         return len(self.whitened) - 1 if age is None or self.steady else int(age)
 
     def __repr__(self) -> str:
@@ -135,6 +148,7 @@ class MatchedFilters:
             told = "  not seen" if name in self.unseen else told
             lines.append(f"{name:{width}}  {half[name]:.3g}, {whole[name]:.3g}{told}")
         lines += [f"alike: {', '.join(group)}" for group in self.groups if len(group) > 1]
+        lines += _window_notes(self)
         return "\n".join(lines)
 
 
@@ -166,8 +180,9 @@ def matched_filters(plant: Plant, *, window: int = 40, steady: bool = False, ali
     plant : Plant
         Sampled, with process and measurement noise (:meth:`residua.Plant.with_noise`) and with faults.
     window : int
-        ``N``: arrival times ``t - N`` to ``t`` are hypotheses. Longer than the filter takes to settle, if the fault
-        should still be told from others by how it began; each sample of it costs faults x residuals products.
+        ``N``: arrival times ``t - N`` to ``t`` are hypotheses. It should be longer than the filter takes to settle
+        (``under_way`` names the faults for which it is not, and so does the print): a fault that arrived before the
+        window is taken to have settled. Each sample of it costs faults x residuals products.
     steady : bool
         The simplified version: one direction per fault, that of its steady response, averaged over ``N + 1`` samples,
         and no arrival time. Cheaper, and wrong about the name while the residual turns to its steady direction.
@@ -288,6 +303,20 @@ def alike_faults(responses: NDArray[np.float64], alike: float) -> list[list[int]
     return sorted(groups)
 
 
+def not_settled(responses: NDArray[np.float64], settled: NDArray[np.float64]) -> list[int]:
+    """Return the numbers of the faults whose responses end over a tenth of their peak away from where they settle.
+
+    Parameters
+    ----------
+    responses : ndarray, shape (window + 1, residuals, faults)
+        Whitened, as ``settled``.
+    settled : ndarray, shape (residuals, faults)
+    """
+    peak = np.maximum(np.linalg.norm(responses, axis=1).max(axis=0), np.linalg.norm(settled, axis=0))
+    off = np.linalg.norm(responses[-1] - settled, axis=0)
+    return np.flatnonzero(off > _SETTLED * peak).tolist()
+
+
 def correlations(columns: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the correlation of every two columns, about zero; NaN for a zero column."""
     unit = _unit(columns)
@@ -337,17 +366,24 @@ def _notes(made: MatchedFilters) -> tuple[str, ...]:
     if made.steady:
         notes.append("settled responses only: the name may be wrong until the residual has settled")
         return tuple(notes)
-    size = np.linalg.norm(np.einsum("mf,mr->rf", made.settled, made.whitening), axis=0)
-    off = np.linalg.norm(made.whitened[-1] - np.einsum("mf,mr->rf", made.settled, made.whitening), axis=0)
-    peak = np.linalg.norm(made.whitened, axis=1).max(axis=0)
-    late = [name for name, far in zip(made.faults, off > 0.1 * np.maximum(size, peak), strict=True) if far]
-    if late:
-        notes.append(f"still under way at the end of the window: {_listed(late)}; a longer window sees them settle")
-    return tuple(notes)
+    return (*notes, *_window_notes(made))
+
+
+def _window_notes(made: MatchedFilters) -> tuple[str, ...]:
+    """Warn of a window that is shorter than the responses take to settle, and say how long one should be."""
+    if not made.under_way:
+        return ()
+    slowest = float(np.abs(made.generator.system.poles()).max(initial=0.0))
+    enough = int(np.ceil(np.log(_SETTLED) / np.log(min(max(slowest, 1e-3), 1 - 1e-9))))
+    longer = f", of about {enough} samples," if enough > made.window else ""
+    return (
+        f"still under way at the end of the window: {_listed(made.under_way)}; a longer window{longer} sees them "
+        "settle (until then, once its arrival has left the window, a fault resembles none that is expected)",
+    )
 
 
 def _listed(names: Sequence[str]) -> str:
     return ", ".join(names)
 
 
-__all__ = ["MatchedFilters", "alike_faults", "correlations", "matched_filters", "step_responses"]
+__all__ = ["MatchedFilters", "alike_faults", "correlations", "matched_filters", "not_settled", "step_responses"]

@@ -15,7 +15,7 @@ A = (
 B = ((0.4422, 0.1761), (3.5446, -7.5922), (-5.52, 4.49), (0.0, 0.0))
 C = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
-#: B(3, 1) as paper 004 prints it; the literature that it cites has the other sign.
+#: B(3, 1) as Sueur prints it; the literature that it cites has the other sign.
 PRINTED_B31 = 5.52
 
 STATES = ("v_horizontal", "v_vertical", "pitch_rate", "pitch")

@@ -7,6 +7,12 @@ from typing import Any
 
 from residua.decide.structured import CodeReading
 
+#: A lead in score below this is a close call.
+CLOSE_MARGIN = 0.02
+
+#: By matched filters, a lead in twice the logarithm of the likelihood below this (20 to 1) is a close call.
+CLOSE_LEAD = 6.0
+
 
 @dataclass(frozen=True)
 class Size:
@@ -95,8 +101,9 @@ class Alarm:
         Time at which it went away, ``None`` when it lasts to the end of the recording.
     candidates : tuple of Candidate
         Best first, judged over the isolation window that ends with the last sample over the threshold (of the
-        longest part, where alarms were joined). By code: the group that was read, then the others by the number
-        of members that agree; empty where the reading is unknown.
+        longest part, where alarms were joined). By matched filters arrivals and sizes are those of the longest part
+        whose arrival is not after ``raised``, and no candidate arrives after it. By code: the group that was read, then
+        the others by the number of members that agree; empty where the reading is unknown.
     start, stop : int
         Sample numbers of ``raised`` and of the first sample after the alarm.
     reading : CodeReading or None
@@ -131,6 +138,24 @@ class Alarm:
     def margin(self) -> float | None:
         """Lead of the best candidate over the next in score; ``None`` with fewer than two."""
         return self.candidates[0].score - self.candidates[1].score if len(self.candidates) > 1 else None
+
+    @property
+    def doubt(self) -> str:
+        """What makes the first name doubtful against the second one; empty where nothing does.
+
+        ``"score"``: the scores are a close call. By matched filters instead ``"likelihood"``: the second is not 20
+        times less likely; or ``"fit"``: both explain nearly the same, and neither explains the data to within the
+        noise. What is left then exceeds what sets the two apart, so that an error of the model, or a fault that is no
+        step, may have decided, however large the lead in likelihood is. By code always empty.
+        """
+        if self.margin is None or self.reading is not None:
+            return ""
+        if self.lead is None:
+            return "score" if self.margin < CLOSE_MARGIN else ""
+        if self.lead < CLOSE_LEAD:
+            return "likelihood"
+        first, second = (c.score**2 for c in self.candidates[:2])
+        return "fit" if self.margin < CLOSE_MARGIN and 1 - first > first - second else ""
 
     @property
     def lead(self) -> float | None:

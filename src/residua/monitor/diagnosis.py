@@ -15,20 +15,20 @@ from residua.decide.matched_hold import Match
 from residua.decide.structured import CodeTest
 from residua.errors import MissingExtraError
 from residua.files import write_text
-from residua.monitor.alarm import Alarm, Candidate
-from residua.monitor.naming import alike, arrival_text, estimates_of, ranked, tied_name
+from residua.monitor.alarm import CLOSE_LEAD, CLOSE_MARGIN, Alarm, Candidate
+from residua.monitor.naming import alike, arrival_text, estimates_of, ranked, sizes_text, tied_name
 
 if TYPE_CHECKING:
     from residua.design import ResidualGenerator
 
 
-__all__ = ["CLOSE_MARGIN", "Alarm", "Candidate", "Diagnosis"]
+__all__ = ["CLOSE_LEAD", "CLOSE_MARGIN", "NO_FIT", "Alarm", "Candidate", "Diagnosis"]
 
-#: A lead in score below this is a close call.
-CLOSE_MARGIN = 0.02
-
-#: By matched filters, a lead in twice the logarithm of the likelihood below this (20 to 1) is a close call.
-CLOSE_LEAD = 6.0
+#: What is said of two faults that explain nearly the same, and neither all of it.
+NO_FIT = (
+    "neither of the first two fits to within the noise, and what is left exceeds what sets them apart: an error of the "
+    "model, or a fault that is no step, may decide between them"
+)
 
 #: What is said of a fault that a single estimate found.
 NO_DIRECTION = "one estimate has no direction: any of these would look like this"
@@ -202,11 +202,13 @@ class Diagnosis:
                 lines.append(f"  {alarm.reading}")
             if alarm.candidates and alarm.samples < self.window:
                 lines.append(f"  shorter than the {self.window} samples that a name is judged by: not sure of its name")
-            elif alarm.lead is not None and alarm.lead < CLOSE_LEAD:
-                odds = f"{np.exp(alarm.lead / 2):.3g}"
+            elif alarm.doubt == "likelihood":
+                odds = f"{np.exp((alarm.lead or 0.0) / 2):.3g}"
                 lines.append(f"  a close call: the first is {odds} times as likely as the second")
-            elif alarm.reading is None and alarm.margin is not None and alarm.margin < CLOSE_MARGIN:
+            elif alarm.doubt == "score":
                 lines.append(f"  a close call: the first two are {alarm.margin:.3f} apart")
+            elif alarm.doubt == "fit":
+                lines.append(f"  {NO_FIT}")
             lines += self._candidate_lines(alarm)
         if len(self.alarms) > 20:
             lines.append(f"... and {len(self.alarms) - 20} more alarms")
@@ -227,7 +229,7 @@ class Diagnosis:
             if self.no_direction:
                 size = "".join(f"  estimated size, if it is {s.fault}: {s}" for s in candidate.sizes[:1])
             else:
-                size = "".join(f"  estimated size {size}" for size in candidate.sizes[:1])
+                size = f"  estimated size {sizes_text(candidate.sizes)}" if candidate.sizes else ""
             name = tied_name(alarm.candidates, rank)
             lines.append(f"  {rank}. {name:<40} score {candidate.score:.3f}{size}{arrival_text(candidate)}")
         return [*lines, f"  {NO_DIRECTION}"] if lines and self.no_direction else lines

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -56,12 +57,20 @@ def column_read(reading: CodeReading, codes: CodeTest) -> int | None:
 
 
 def ranked(candidates: tuple[Candidate, ...]) -> list[tuple[int, Candidate]]:
-    """Return the candidates with their ranks: after the first, those whose scores agree to three digits share one."""
+    """Return the candidates with their ranks: after the first, those whose scores agree to three digits share one.
+
+    By matched filters those whose likelihood ratios agree to one decimal.
+    """
     out: list[tuple[int, Candidate]] = []
     for k, candidate in enumerate(candidates):
-        tied = k > 1 and round(candidate.score, 3) == round(candidates[k - 1].score, 3)
+        tied = k > 1 and _weight(candidate) == _weight(candidates[k - 1])
         out.append((out[-1][0] if tied else k + 1, candidate))
     return out
+
+
+def _weight(candidate: Candidate) -> float:
+    """Return what a candidate is ranked by, with the digits that are shown."""
+    return round(candidate.score, 3) if candidate.ratio is None else round(candidate.ratio, 1)
 
 
 def tied_name(candidates: tuple[Candidate, ...], rank: int) -> str:
@@ -69,6 +78,11 @@ def tied_name(candidates: tuple[Candidate, ...], rank: int) -> str:
     names = [candidate.name for place, candidate in ranked(candidates) if place == rank]
     more = len(names) - 1
     return f"{names[0]} (tied with {more} more)" if more > 0 else "".join(names)
+
+
+def sizes_text(sizes: Sequence[Size], told: Callable[[Size], str] = str) -> str:
+    """Return the estimated sizes of one candidate: each with its fault where it may be one of several."""
+    return told(sizes[0]) if len(sizes) == 1 else ", or ".join(f"{size.fault} {told(size)}" for size in sizes)
 
 
 def arrival_text(candidate: Candidate) -> str:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from residua.decide.matched_hold import joined_matches
 from residua.decide.member_thresholds import BankTest
 from residua.design import ResidualGenerator
+from residua.design.matched_filters import not_settled
 from residua.monitor.alarm import Alarm
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.inputs import settling_reason
@@ -41,9 +42,11 @@ def diagnosis_from(
     matches = [part.match for part in parts if part.match is not None]
     match = joined_matches(matches, plant) if matches else None
 
+    over = joined("exceeded")
+
     def named(start: int, stop: int, last: int) -> dict[str, Any]:
         if spec.matched is not None and match is not None:
-            return named_by_match(spec.matched, match, scores, stop, last, generator, time)
+            return named_by_match(spec.matched, match, scores, alarm & over, start, stop, last, generator, time)
         first = max(start, last - spec.window + 1)
         sizes = sizes_over(generator, residuals, usable, first, last)
         found = _by_code(spec, code, usable, start, last) if spec.codes else _by_direction(spec, scores, last)
@@ -59,8 +62,9 @@ def diagnosis_from(
         missing=joined("missing"),
         scores=scores,
         alarms=_joined_alarms(
-            _alarms(time, alarm, usable, joined("up"), joined("exceeded"), named),
+            _alarms(time, alarm, usable, joined("up"), over, named),
             max(spec.window, spec.test.window),
+            (lambda parts: _named_anew(parts, over, named)) if match is not None else None,
         ),
         resets=resets,
         residual_names=generator.residuals,
@@ -70,7 +74,12 @@ def diagnosis_from(
         whitening=spec.test.whitening,
         settings=_settings(spec, generator),
         source=source,
-        notes=(*notes, *_sampling_notes(generator), *_settling_notes(spec, generator, usable, joined("missing"))),
+        notes=(
+            *notes,
+            *_sampling_notes(generator),
+            *_settling_notes(spec, generator, usable, joined("missing")),
+            *_window_notes(spec),
+        ),
         member_statistics=joined("member_statistics"),
         fired=joined("fired"),
         code=code,
@@ -123,6 +132,19 @@ def _settling_notes(
     if usable.any() or missing.all():
         return ()
     return (settling_reason(generator, spec.settle),)
+
+
+def _window_notes(spec: Specification) -> tuple[str, ...]:
+    """Return a warning where matched filters look back for less time than the responses take to settle."""
+    if spec.matched is None or not len(spec.matched.responses):
+        return ()
+    late = [spec.matched.faults[j] for j in not_settled(spec.matched.responses, spec.matched.settled)]
+    if not late:
+        return ()
+    return (
+        f"the window of {spec.matched.window} samples is shorter than the responses to {', '.join(late)} take to "
+        "settle: arrivals and sizes are those found while the arrival lay within the window; a longer window is better",
+    )
 
 
 def _settings(spec: Specification, generator: ResidualGenerator) -> dict[str, str]:
@@ -202,8 +224,7 @@ def _alarms(
     for start, stop in edges.reshape(-1, 2):
         position = int(np.searchsorted(counted, start, side="right")) - 1
         first = counted[max(0, position - int(up[start]) + 1)]
-        over = np.flatnonzero(exceeded[start:stop])
-        last = start + (int(over[-1]) if over.size else 0)
+        last = _last_over(exceeded, int(start), int(stop))
         found: dict[str, Any] = {"onset": float(time[first])}
         found |= named(int(start), int(stop), int(last))
         ended = float(time[stop]) if stop < len(time) else None
@@ -211,34 +232,59 @@ def _alarms(
     return tuple(out)
 
 
-def _joined_alarms(alarms: tuple[Alarm, ...], apart: int) -> tuple[Alarm, ...]:
+def _last_over(exceeded: NDArray[np.bool_], start: int, stop: int) -> int:
+    over = np.flatnonzero(exceeded[start:stop])
+    return start + (int(over[-1]) if over.size else 0)
+
+
+def _joined_alarms(
+    alarms: tuple[Alarm, ...], apart: int, anew: Callable[[Sequence[Alarm]], dict[str, Any]] | None
+) -> tuple[Alarm, ...]:
     """Return the alarms with those joined that lie less than ``apart`` samples apart and name the same fault.
 
     A small fault takes the statistic over the threshold and back many times; that is one event, and its
-    onset is that of the first alarm. The candidates, reading and sizes are those
-    of the longest part.
+    onset is that of the first alarm. The candidates, reading and sizes are those of the longest part (the later one
+    of two that are equally long), or what ``anew`` says of all parts together.
     """
-    out: list[Alarm] = []
-    longest = 0
+    joined: list[list[Alarm]] = []
     for alarm in alarms:
-        last = out[-1] if out else None
-        length = alarm.stop - alarm.start
-        if last is None or alarm.start - last.stop >= apart or _leader(last) != _leader(alarm):
-            out.append(alarm)
-            longest = length
-            continue
-        who = alarm if length >= longest else last
-        longest = max(longest, length)
-        out[-1] = replace(
-            who,
-            onset=last.onset,
-            raised=last.raised,
-            ended=alarm.ended,
-            start=last.start,
-            stop=alarm.stop,
-            arrival=last.arrival,
-        )
-    return tuple(out)
+        before = joined[-1][-1] if joined else None
+        if before is None or alarm.start - before.stop >= apart or _leader(before) != _leader(alarm):
+            joined.append([alarm])
+        else:
+            joined[-1].append(alarm)
+    return tuple(_one_alarm(parts, anew) for parts in joined)
+
+
+def _one_alarm(parts: Sequence[Alarm], anew: Callable[[Sequence[Alarm]], dict[str, Any]] | None) -> Alarm:
+    if len(parts) == 1:
+        return parts[0]
+    first, last = parts[0], parts[-1]
+    found = {"onset": first.onset} | (anew(parts) if anew else {})
+    who = _longest(parts)
+    return replace(who, raised=first.raised, ended=last.ended, start=first.start, stop=last.stop, **found)
+
+
+def _named_anew(
+    parts: Sequence[Alarm], exceeded: NDArray[np.bool_], named: Callable[[int, int, int], dict[str, Any]]
+) -> dict[str, Any]:
+    """Return what matched filters put several alarms down to that are one.
+
+    That of the longest part whose arrival is known, and not after the first part was raised; without any, of the
+    longest of those in which the fault had arrived before the window. A later part may date the same fault anew, by
+    what there is in its own window.
+    """
+    first, last = parts[0], parts[-1]
+    dated = [part for part in parts if part.arrival is not None and part.arrival <= first.raised]
+    who = _longest(dated or [part for part in parts if part.arrival is None])
+    found = named(first.start, who.stop, _last_over(exceeded, last.start, last.stop))
+    if found["candidates"][0].faults == _leader(first):
+        return found
+    return named(first.start, who.stop, _last_over(exceeded, who.start, who.stop))  # the name that all parts agree on
+
+
+def _longest(alarms: Sequence[Alarm]) -> Alarm:
+    return max(reversed(alarms), key=lambda alarm: alarm.samples)
 
 
 def _leader(alarm: Alarm) -> tuple[str, ...]:

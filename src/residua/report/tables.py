@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from residua.design.evidence import Evidence, format_pole
 from residua.monitor.naming import ranked, tied_name
-from residua.report.text import escape, number, score, seconds, size_text
+from residua.report.text import escape, lead_text, number, score, seconds, sizes_text
 from residua.report.verdict import angle
 
 if TYPE_CHECKING:
     from residua.design.generator import ResidualGenerator
     from residua.linear.rank import RankDecision
+    from residua.monitor.alarm import Alarm
     from residua.monitor.diagnosis import Diagnosis
 
 #: Rows of a table of alarms, entries of a list of poles or singular values, that are shown at most.
@@ -77,13 +78,19 @@ def alarm_table(diagnosis: Diagnosis) -> str:
                 _num(score(best.score)) if best else _num("–"),
                 _name(tied_name(tuple(named), 2) if following else "–"),
                 _num(score(following.score)) if following else _num("–"),
-                _num(score(best.score - following.score)) if best and following else _num("–"),
+                _num("–") if not best or not following else _num(_ahead(alarm)),
             ]
         )
-    header = ["Alarm", "Onset", "Raised", "Ended", "Most likely", "Score", "Next", "Score", "Margin"]
+    ahead = "Margin" if diagnosis.match is None else "Lead in 2 ln L"
+    header = ["Alarm", "Onset", "Raised", "Ended", "Most likely", "Score", "Next", "Score", ahead]
     more = len(diagnosis.alarms) - MAX_ROWS
     note = f'<p class="muted">… and {more:,} more alarms.</p>' if more > 0 else ""
     return html_table(header, rows) + note
+
+
+def _ahead(alarm: Alarm) -> str:
+    """Return the lead of the best candidate: in score, or of matched filters in likelihood."""
+    return score(alarm.margin or 0.0) if alarm.lead is None else lead_text(alarm.lead)
 
 
 def candidate_table(diagnosis: Diagnosis) -> str:
@@ -101,7 +108,7 @@ def candidate_table(diagnosis: Diagnosis) -> str:
         numbers = [score(c.score)] if by_code or matched else [score(c.score), angle(c.score), score(c.distance)]
         if matched:
             numbers += [number(c.ratio), "before the window" if c.arrival is None else seconds(c.arrival)]
-        sizes = [escape("; ".join(map(size_text, c.sizes)) or "–")] if sized else []
+        sizes = [escape(sizes_text(c.sizes) or "–")] if sized else []
         rows.append([str(k), _name(c.name), bar, *map(_num, [*numbers, *sizes])])
     header = ["Rank", "Fault", "", "Score"]
     header += ["2 ln likelihood ratio", "Arrived"] if matched else []

@@ -5,11 +5,13 @@ from __future__ import annotations
 import html
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from residua.monitor import naming
 
 if TYPE_CHECKING:
     from residua.monitor.alarm import Size
@@ -45,6 +47,16 @@ def size_text(size: Size) -> str:
     spread = "" if size.deviation is None else f" ± {number(size.deviation, 2)}"
     last = f" (last {number(size.last, 3)}{unit})" if math.isfinite(size.last) else ""
     return f"{number(size.mean, 3)}{spread}{unit}{last}"
+
+
+def sizes_text(sizes: Sequence[Size]) -> str:
+    """Return the estimated sizes of one candidate, each with its fault where there are several."""
+    return naming.sizes_text(sizes, size_text)
+
+
+def lead_text(lead: float) -> str:
+    """Return a lead in twice the logarithm of the likelihood; below a tenth it means nothing."""
+    return f"{lead:.1f}" if lead < 1000 else f"{lead:,.0f}"
 
 
 def percent(part: int, whole: int) -> str:

@@ -8,16 +8,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from residua.monitor.diagnosis import CLOSE_LEAD, CLOSE_MARGIN, NO_DIRECTION
+from residua.monitor.diagnosis import CLOSE_LEAD, CLOSE_MARGIN, NO_DIRECTION, NO_FIT
 from residua.monitor.naming import alike
-from residua.report.text import listing, number, percent, score, seconds, size_text
+from residua.report.text import lead_text, listing, number, percent, score, seconds, size_text, sizes_text
 
 if TYPE_CHECKING:
-    from residua.monitor.alarm import Alarm, Candidate, Size
+    from residua.monitor.alarm import Alarm, Candidate
     from residua.monitor.diagnosis import Diagnosis
 
 #: A lead in score at or above this is called clear.
 CLEAR_MARGIN = 0.10
+#: By matched filters, a lead in twice the logarithm of the likelihood at or above this (22,000 to 1) is called clear.
+CLEAR_LEAD = 20.0
 #: Below this score no listed fault explains the residual well (it points more than 45 degrees away).
 POOR_SCORE = 0.70
 
@@ -33,9 +35,11 @@ RULES = (
 MATCH_RULES = (
     "The score is the root of the fraction that a fault explains of what exceeds the noise in the window; the "
     "logarithm of its likelihood ratio against no fault adds the evidence of the window in which it arrived and of the "
-    f"last one of the alarm. A lead below {CLOSE_LEAD:g} (20 to 1), or {CLOSE_MARGIN:.2f} in score, is a close call; a "
-    f"best score below {POOR_SCORE:.2f} means that no listed fault, as a step, explains the innovations well. Sizes "
-    "are those of a step with the arrival given, with one standard deviation."
+    f"last one of the alarm. A lead in it of {CLEAR_LEAD:g} or more over the next candidate is called clear, below "
+    f"{CLOSE_LEAD:g} (20 to 1) a close call. Where scores less than {CLOSE_MARGIN:.2f} apart leave more unexplained "
+    "than sets them apart, the match is inexact: a model error may decide, however large the lead is. A best score "
+    f"below {POOR_SCORE:.2f} means that no listed fault, as a step, explains the innovations well. Sizes are those of "
+    "a step with the arrival given, with one standard deviation."
 )
 
 
@@ -50,8 +54,8 @@ class Verdict:
     sentences : tuple of str
     confidence : str
         ``"clear lead"``, ``"moderate lead"``, ``"close call"``, ``"no good match"``, ``"short alarm"``,
-        ``"not isolated"``; by code ``"exact code"``, ``"degraded code"``, ``"nearest code"``, ``"no code"``,
-        ``"unsteady code"``, ``"short alarm"``; or empty.
+        ``"not isolated"``; by matched filters also ``"inexact match"``; by code ``"exact code"``,
+        ``"degraded code"``, ``"nearest code"``, ``"no code"``, ``"unsteady code"``, ``"short alarm"``; or empty.
     margin : float or None
         Lead of the best candidate over the next in score.
     """
@@ -116,9 +120,7 @@ def _fault(diagnosis: Diagnosis) -> Verdict:
         confidence, margin = "not isolated", None
     else:
         best = candidates[0]
-        confidence, margin = _confidence(candidates)
-        if confidence.endswith("lead") and main.lead is not None and main.lead < CLOSE_LEAD:
-            confidence = "close call"
+        confidence, margin = _confidence(candidates, main)
         if main.samples < diagnosis.window:
             confidence = "short alarm"
             headline = f"Alarm {when}, too short to be sure of the name; nearest: {best.name}."
@@ -126,18 +128,21 @@ def _fault(diagnosis: Diagnosis) -> Verdict:
             headline = f"A fault was found, {when}; no listed fault explains it well. Nearest: {best.name}."
         elif confidence == "close call":
             headline = f"Fault found: {best.name}, or {candidates[1].name} (a close call), {when}."
+        elif confidence == "inexact match":
+            headline = f"Fault found: {best.name}, or {candidates[1].name} (neither fits exactly), {when}."
         else:
             headline = f"Fault found: {best.name}, {when}."
         if diagnosis.unjudged and (main.ended is not None or best.score < 0.9):
             headline = f"{headline[:-1]}; or {listing(diagnosis.unjudged)}, which this monitor never names."
-        sentences.append(_how_sure(candidates, confidence, margin))
-        if diagnosis.match is not None:
-            sentences.append(_arrived(main))
+        if diagnosis.match is None:
+            sentences.append(_how_sure(candidates, confidence, margin))
+        else:
+            sentences += [_how_likely(main, confidence), _arrived(main)]
         if len(best.faults) > 1:
             sentences.append(f"This monitor cannot tell {listing(best.faults)} apart.")
         if diagnosis.no_direction:
             sentences.append(f"{NO_DIRECTION[0].upper()}{NO_DIRECTION[1:]}, and the size is that of what it estimates.")
-    sentences += [f"Estimated size of {size.fault}: {size_text(size)}." for size in _told(main)]
+    sentences += _sized(main)
     others = [names for group, names in alike(diagnosis.groups, diagnosis.codes) if group != _first(candidates)]
     if others:
         sentences.append(f"Not told apart here either: {'; '.join(map(listing, others))}.")
@@ -177,31 +182,32 @@ def _first(candidates: list[Candidate]) -> tuple[str, ...]:
     return candidates[0].faults if candidates else ()
 
 
-def _told(alarm: Alarm) -> list[Size]:
-    """Return the estimated sizes of the best candidate; of all faults where none is named, or it is not estimated."""
+def _sized(alarm: Alarm) -> list[str]:
+    """Tell the estimated sizes of the best candidate; of all faults where none is named, or it is not estimated."""
     best = alarm.candidates[0].sizes if alarm.candidates else ()
-    return list(best or alarm.sizes)
+    if len(best) > 1:
+        return [f"Estimated size: {sizes_text(best)}."]
+    return [f"Estimated size of {size.fault}: {size_text(size)}." for size in best or alarm.sizes]
 
 
 def _arrived(alarm: Alarm) -> str:
-    """Say when the fault arrived by matched filters, and by how much it leads."""
-    arrival = (
-        "It arrived before the window of the matched filters, or grew slowly"
-        if alarm.arrival is None
-        else f"Estimated arrival {seconds(alarm.arrival)}"
-    )
-    lead = "" if alarm.lead is None else f"; its likelihood leads that of the next by 2 ln L = {number(alarm.lead, 3)}"
-    return f"{arrival}{lead}."
+    """Say when the fault arrived by matched filters."""
+    if alarm.arrival is None:
+        return "It arrived before the window of the matched filters, or grew slowly."
+    return f"Estimated arrival {seconds(alarm.arrival)}."
 
 
 def _end(ended: float | None) -> str:
     return "lasting to the end of the recording" if ended is None else f"ended at {seconds(ended)}"
 
 
-def _confidence(candidates: list[Candidate]) -> tuple[str, float | None]:
+def _confidence(candidates: list[Candidate], alarm: Alarm) -> tuple[str, float | None]:
     margin = candidates[0].score - candidates[1].score if len(candidates) > 1 else None
     if candidates[0].score < POOR_SCORE:
         return "no good match", margin
+    if alarm.lead is not None:
+        surely = "clear lead" if alarm.lead >= CLEAR_LEAD else "moderate lead"
+        return {"likelihood": "close call", "fit": "inexact match"}.get(alarm.doubt, surely), margin
     if margin is None or margin >= CLEAR_MARGIN:
         return "clear lead", margin
     return ("close call" if margin < CLOSE_MARGIN else "moderate lead"), margin
@@ -209,8 +215,7 @@ def _confidence(candidates: list[Candidate]) -> tuple[str, float | None]:
 
 def _how_sure(candidates: list[Candidate], confidence: str, margin: float | None) -> str:
     best = candidates[0]
-    matched = best.ratio is not None
-    text = f"Score {score(best.score)}" + ("" if matched else f", {angle(best.score)} off its signature")
+    text = f"Score {score(best.score)}, {angle(best.score)} off its signature"
     if margin is None:
         return f"{text}; there is no other candidate to compare with."
     following = candidates[1]
@@ -223,8 +228,26 @@ def _how_sure(candidates: list[Candidate], confidence: str, margin: float | None
     }[confidence]
     return (
         f"{text}; next is {following.name} with {score(following.score)}"
-        f"{'' if matched else f' ({angle(following.score)})'}: {words}, margin {score(margin)}."
+        f" ({angle(following.score)}): {words}, margin {score(margin)}."
     )
+
+
+def _how_likely(alarm: Alarm, confidence: str) -> str:
+    """Say by how much the best candidate of matched filters leads in likelihood, and whether it fits."""
+    best, *others = alarm.candidates
+    text = f"Score {score(best.score)}"
+    if alarm.lead is None:
+        return f"{text}; there is no other candidate to compare with."
+    words = {
+        "clear lead": "a clear lead",
+        "moderate lead": "a moderate lead",
+        "close call": "a close call",
+        "no good match": "neither fits: the model is in error, or the fault is no step, or none of these",
+        "inexact match": NO_FIT,
+        "short alarm": "judged over a window that is longer than the alarm",
+    }[confidence]
+    lead = f"its likelihood leads that of {others[0].name} by 2 ln L = {lead_text(alarm.lead)}"
+    return f"{text}, next {score(others[0].score)}; {lead}: {words}."
 
 
 def angle(cosine: float) -> str:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.design.evidence import Evidence
 from residua.design.generator import ResidualGenerator, make_generator
-from residua.design.internal_form import check_decoupling
+from residua.design.internal_form import check_decoupling, leakage
 from residua.design.observers.general_conditions import (
     CONDITIONS,
     FULFILLED,
@@ -31,6 +31,8 @@ from residua.linear.rank import RankDecision, decide_rank, equilibrated
 from residua.linear.spectrum import describe_modes
 from residua.plant import Plant
 
+#: Largest relative gain from the disturbances of a generator that ignores them.
+LEAKAGE = 1e-7
 REFERENCE = "Gertler (1991), Automatica 27(4), eqs. (3-11), (3-13), (4-8) and (4-15) to (4-20)"
 
 
@@ -270,6 +272,8 @@ def _of_gain(plant: Plant, gain: ArrayLike, weight: ArrayLike | None) -> Residua
     n, p = plant.n_states, plant.n_outputs
     K = matrix(gain, "gain", (n, p), what="states x outputs")
     S = np.eye(p) if weight is None else matrix(weight, "weight", (None, p), what="residuals x outputs")
+    if not S.any():
+        raise DesignError("weight is zero: the residual would be zero whatever fails; leave it out for all outputs")
     F = plant.A - K @ plant.C
     _require_stable(F, plant.dt, "A - K C")
     evidence = Evidence(
@@ -340,6 +344,14 @@ def _checked(plant: Plant, m: GeneralMatrices, decouples: bool, *, told: bool) -
 
 def _must_decouple(made: ResidualGenerator) -> ResidualGenerator:
     """Return a generator after checking that it ignores the disturbances."""
+    gain = leakage(made.system, made.plant).get("disturbance", 0.0)
+    if gain > LEAKAGE:
+        raise DesignError(
+            f"the residual does not ignore the disturbances {', '.join(made.plant.disturbances)}, as decouples=True "
+            f"asks: they reach it by {gain:.2g} of the terms that would have to cancel (allowed: {LEAKAGE:.0e}); "
+            "leave decouples out to take it as it is, or have one designed, as by unknown_input_observer or "
+            "decoupled_residual"
+        )
     found = check_decoupling(made.system, made.plant, decoupled=True)
     return replace(made, evidence=made.evidence.extended(decoupling=found))
 

@@ -7,9 +7,11 @@ import numpy as np
 from residua.design.evidence import Evidence
 from residua.design.generator import ResidualGenerator
 from residua.design.observers.observer import Observer
-from residua.errors import DesignError
+from residua.errors import AccuracyError, DesignError
 from residua.linear.riccati import filter_riccati
 from residua.plant import Plant
+
+_BOTH = "give both kinds, with_noise(process=..., measurement=...)"
 
 
 def kalman_filter(plant: Plant) -> ResidualGenerator:
@@ -35,8 +37,8 @@ def kalman_filter(plant: Plant) -> ResidualGenerator:
     Raises
     ------
     DesignError
-        If the plant has no noise, the measurement noise is singular, the pair (C, A) is not detectable or a
-        mode on the stability boundary gets no noise.
+        If the plant has no noise, or no process noise where the filter needs it, the measurement noise is singular,
+        the pair (C, A) is not detectable or a mode on the stability boundary gets no noise.
 
     Notes
     -----
@@ -60,14 +62,24 @@ def kalman_filter(plant: Plant) -> ResidualGenerator:
     plant = plant.explicit()
     if plant.Bw.shape[1] == 0:
         raise DesignError("a Kalman filter needs the noise of the plant: with_noise(process=..., measurement=...)")
-    solution = filter_riccati(
-        plant.A, plant.C, plant.process_noise, plant.measurement_noise, plant.cross_noise, dt=plant.dt
-    )
+    noiseless = not np.any(plant.process_noise)
+    try:
+        solution = filter_riccati(
+            plant.A, plant.C, plant.process_noise, plant.measurement_noise, plant.cross_noise, dt=plant.dt
+        )
+    except AccuracyError as error:
+        if not noiseless:
+            raise
+        raise DesignError(
+            f"the plant has no process noise, and without any the Kalman filter could not be computed: {_BOTH}"
+        ) from error
     n, p = plant.n_states, plant.n_outputs
     K = np.asarray(solution.gain)
     notes = ()
     if plant.disturbances:
         notes = (f"disturbances are not decoupled by a Kalman filter: {', '.join(plant.disturbances)}",)
+    if noiseless and not np.any(K):
+        notes += (f"no process noise, so that the gain is zero and the outputs correct nothing: {_BOTH}",)
     evidence = Evidence(
         method="Kalman filter",
         poles=np.asarray(solution.poles, dtype=complex),

@@ -19,7 +19,7 @@ from residua.plant import Plant
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Observer:
-    r"""An observer of ``E x' = A x + B u + ...``, with the matrices named as in paper 001.
+    r"""An observer of ``E x' = A x + B u + ...``, with the matrices named as by Twardy and Kaczorek.
 
     .. math::
 

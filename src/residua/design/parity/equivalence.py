@@ -45,7 +45,7 @@ class RowTransformation:
     zeros, poles : ndarray
         Roots of ``Z`` and ``P``; what cancels is left out.
     error : float
-        Largest relative distance of the two over frequency.
+        How far the two are from parallel at most, or from each other in the median over frequency, relative.
     """
 
     first: str

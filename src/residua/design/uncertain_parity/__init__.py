@@ -1,0 +1,1 @@
+"""Parity relations for plants that are not exactly known: families of models, and parameters that drift."""
