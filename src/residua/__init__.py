@@ -13,7 +13,7 @@ from residua.design.observers.general_residual_generator import residual_generat
 from residua.design.suggestion import suggest
 from residua.linear import StateSpace
 from residua.monitor import Diagnosis, Monitor, read_recording
-from residua.plant import InputOutputModel, Plant, load_plant
+from residua.plant import InputOutputModel, Plant, UncertainPlant, load_plant
 
 _LAZY = ("report", "testing")  # they are not needed to run a monitor, and slower to import
 
@@ -25,6 +25,7 @@ __all__ = [
     "Monitor",
     "Plant",
     "StateSpace",
+    "UncertainPlant",
     "analysis",
     "coding",
     "decide",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from itertools import combinations
 
 import numpy as np
@@ -10,7 +11,9 @@ import pytest
 import residua as rs
 from generated import nth, random_plant
 from residua.analysis.coding import CodingSet, attainable, choose, isolation_quality
+from residua.decide import Structured
 from residua.errors import DesignError, SettingError
+from residua.monitor.preparing import codes_of
 
 RANK = {"none": 0, "weak": 1, "strong": 2}
 
@@ -186,3 +189,47 @@ def test_sperners_bound_is_reached_where_all_rows_are_attainable() -> None:
     assert len(found.residuals) == 4
     assert found.canonical
     assert found.distance == 2
+
+
+def test_the_time_limit_is_that_of_all_of_it() -> None:
+    """Fourteen faults, thousands of rows: listing them takes a second or so, and the search gets what is left."""
+    rng = np.random.default_rng(0)
+    A = rng.standard_normal((20, 20))
+    plant = rs.Plant(
+        A * 0.9 / np.abs(np.linalg.eigvals(A)).max(), np.eye(20)[:, :2], rng.standard_normal((6, 20)), dt=1
+    )
+    plant = plant.with_sensor_faults().with_actuator_faults()
+    plant = plant.with_faults({f"c{i}": rng.standard_normal(20) for i in range(6)})
+    begun = time.process_time()
+    listed = len(attainable(plant).digits)
+    listing = time.process_time() - begun
+    assert listed > 3000
+    limit = 2 * listing + 4.0
+    begun = time.perf_counter()
+    found = choose(plant, time_limit=limit)
+    assert time.perf_counter() - begun < 1.15 * limit
+    assert found.quality == "strong"
+    assert any("time limit" in note for note in found.notes)
+
+
+def drive() -> rs.Plant:
+    """Two masses on a shaft, with the torque of the motor and a brake: at rest the shaft carries the torque alone."""
+    A = [[-3.0, 2.5, -50.0, 50.0], [0.625, -0.875, 12.5, 0.0], [60.0, -60.0, 0.0, 0.0], [0.0, 0.0, 0.0, -100.0]]
+    plant = rs.Plant(A, [[0, 0], [0, -12.5], [0, 0], [100, 0]], np.eye(4)[:3])
+    return plant.with_actuator_faults().with_sensor_faults().with_faults({"bearing": [-50.0, 0, 0, 0]})
+
+
+def test_codes_that_do_not_last_are_told() -> None:
+    plant = drive().discretize(0.005)
+    found = choose(plant)
+    assert found.quality == "strong"
+    (note,) = (note for note in found.notes if "once constant" in note)
+    assert note.startswith("once constant, ")
+    assert "'u1 actuator'" in note
+    assert "'bearing'" in note
+    assert "constant=True chooses residuals that answer for as long as a fault lasts" in note
+    test = codes_of(rs.design.structured_bank(plant, found).generator, Structured())
+    assert any(test.settled)
+    assert not test.strongly_isolating
+    assert not any("once constant" in note for note in choose(plant, constant=True).notes)
+    assert not any("once constant" in note for note in choose(rs.library.gertler(sensor_faults=True)).notes)

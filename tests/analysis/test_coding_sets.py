@@ -9,7 +9,8 @@ import pytest
 
 import residua as rs
 from residua.analysis.coding import CodingSet, isolation_quality
-from residua.errors import DesignError
+from residua.errors import DesignError, SettingError
+from residua.linear.rank import decide_rank, null_basis
 
 EXAMPLE_1 = {"none": ["110", "111", "111"], "weak": ["110", "101", "111"], "strong": ["110", "101", "011"]}
 
@@ -91,3 +92,37 @@ def test_a_bank_takes_a_coding_set_whatever_the_order_of_its_faults() -> None:
     np.testing.assert_array_equal(bank.structure, [[1, 0, 1, 1], [0, 1, 1, 1]])
     with pytest.raises(DesignError, match="other faults"):
         rs.design.structured_bank(rs.library.gertler(), other)
+
+
+@pytest.mark.parametrize("empty", [[], [[]], "", {}, {"a": []}, {"a": [], "b": []}])
+def test_what_has_nothing_to_isolate_is_refused(empty: object) -> None:
+    with pytest.raises(DesignError, match="there is nothing to isolate"):
+        isolation_quality(empty)  # pyright: ignore
+
+
+def test_rows_of_unequal_length_are_told_in_words() -> None:
+    for wrong, words in (([[1, 0], [1]], "the rows have 2 and 1 entries"), ([[1, [2]]], "with rows of one length")):
+        with pytest.raises(DesignError, match=words) as caught:
+            isolation_quality(wrong)
+        assert "inhomogeneous" not in str(caught.value)
+    assert CodingSet.of({"a": "pump", "b": ["valve"]}).faults == ("pump", "valve")
+
+
+def test_attainable_rows_are_a_structure() -> None:
+    plant = rs.library.gertler(sensor_faults=True)
+    found = rs.coding.attainable(plant, ["0111", "0011", "1101"])
+    assert CodingSet.of(found).digits == ("0111", "1101")
+    assert rs.design.structured_bank(plant, found).members == ("r1", "r3")
+    assert isolation_quality(found) == isolation_quality(["0111", "1101"])
+
+
+@pytest.mark.parametrize("wrong", [-1e-12, -1, float("nan"), "x", None])
+def test_a_tolerance_below_zero_is_refused(wrong: object) -> None:
+    plant = rs.library.gertler(sensor_faults=True)
+    for ask in (rs.coding.attainable, rs.coding.choose, rs.coding.mutually_isolable):
+        with pytest.raises(SettingError, match="rtol must be"):
+            ask(plant, rtol=wrong)  # pyright: ignore
+    with pytest.raises(SettingError, match="rtol must be"):
+        decide_rank(np.eye(2), rtol=wrong)  # pyright: ignore
+    with pytest.raises(SettingError, match="rtol must be"):
+        null_basis(np.eye(2), rtol=wrong)  # pyright: ignore

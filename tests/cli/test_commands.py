@@ -14,6 +14,7 @@ import residua as rs
 from cli_examples import DISTURBED, PLANT, Residua, assert_error, simulate, write_csv
 from residua.cli.guard import in_cli_words
 from residua.cli.methods import parse_poles
+from residua.design.evidence import format_pole
 
 # ------------------------------------------------------------------ the whole way
 
@@ -82,13 +83,46 @@ def test_options_of_banks(made: Path, tmp_path: Path, residua: Residua) -> None:
     status, out, _ = residua(*disturbed, "--allow-missing")
     assert status == 0
     assert "without y2" in out
-    assert "without y1" not in out
+    assert "without y1" not in re.sub("(?m)^  note: no member 'without y1': .*$", "", out)
+    assert "no member 'without y1': rank(CE)=0 < rank(E)=1" in out
 
 
 def test_advice_is_for_the_command_line() -> None:
     assert in_cli_words("x; observer='minimal' does: try it") == "x; --observer minimal does: try it"
     told = in_cli_words("design on the sampled plant, plant.discretize(dt), to avoid it")
     assert told == "design on the sampled plant, by sample_time in the plant file, to avoid it"
+    faults = "add some with with_sensor_faults, with_actuator_faults or with_faults; then"
+    assert in_cli_words(faults) == "add some with [[faults]] in the plant file; then"
+    assert in_cli_words("with_sensor_faults, with_faults") == "[[faults]] in the plant file"
+    noise = "needs the noise of the plant: with_noise(process=..., measurement=...)"
+    assert (
+        in_cli_words(noise) == "needs the noise of the plant: [noise] in the plant file, with process and measurement"
+    )
+    assert in_cli_words("give it with plant.with_noise(...)").endswith(
+        "[noise] in the plant file, with process and measurement"
+    )
+    assert in_cli_words("give poles=[...] or margin=, or dt=") == "give --poles or --margin, or --sample-time"
+    assert in_cli_words("constant=True chooses") == "--constant chooses"
+
+
+def test_advice_of_real_errors_is_for_the_command_line(made: Path, tmp_path: Path, residua: Residua) -> None:
+    text = (made / "plant.toml").read_text()
+    (tmp_path / "quiet.toml").write_text(re.sub(r"\[noise\][^\[]*", "", text))
+    (tmp_path / "bare.toml").write_text(text[: text.index("[[faults]]")])
+    out = ("-o", tmp_path / "out.json")
+    assert residua("design", tmp_path / "quiet.toml", *out)[0] == 0
+    for command in (
+        ("run", tmp_path / "out.json", made / "faulty.csv"),
+        ("design", tmp_path / "quiet.toml", *out, "--method", "kalman-filter"),
+        ("design", tmp_path / "quiet.toml", *out, "--method", "matched-filters"),
+        ("design", tmp_path / "bare.toml", *out, "--method", "structured-bank"),
+        ("codes", tmp_path / "bare.toml"),
+        ("analyze", tmp_path / "bare.toml"),
+    ):
+        status, _, err = residua(*command)
+        assert status == 2
+        assert not re.search(r"with_|fit\(|NormThreshold|=\.\.\.", err), err
+        assert re.search(r"residua fit|\[noise\] in the plant file|\[\[faults\]\] in the plant file", err), err
 
 
 def test_suggest_says_what_to_call(made: Path, residua: Residua) -> None:
@@ -403,3 +437,15 @@ def test_fit_refuses_too_little_data(made: Path, tmp_path: Path, residua: Residu
     path = write_csv(tmp_path / "short.csv", simulate(20, 5))
     assert_error(residua("fit", made / "design.json", path, "-o", tmp_path / "m.json"), "too few")
     assert not (tmp_path / "m.json").exists()
+
+
+def test_a_pole_at_zero_is_a_zero(made: Path, tmp_path: Path, residua: Residua) -> None:
+    assert [format_pole(p) for p in (-1.221e-15, -0.0, 1e-13 + 1e-14j, -0.5, 0.1 + 0.2j)] == [
+        "0",
+        "0",
+        "0",
+        "-0.5",
+        "0.1+0.2i",
+    ]
+    _, out, _ = residua("design", made / "plant.toml", "-o", tmp_path / "p.json", "--method", "parity")
+    assert re.search(r"^  poles: 0(, 0)*$", out, flags=re.MULTILINE)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 import re
+import time
 from pathlib import Path
 
 import pytest
 
 from cli_examples import PLANT, Residua, assert_error
+from residua.analysis import coding
+from residua.cli import screen
 from residua.cli.methods import parse_rows
 
 
@@ -31,6 +34,45 @@ def test_codes_lists_what_is_attainable_and_chooses(made: Path, residua: Residua
     assert "two tanks: 3 of 3 rows attainable; 2 independent residuals" in out
     assert "no method tells apart: pump actuator, leak" in out
     assert out.endswith("as an option: --rows 011,100\n")
+
+
+def test_codes_calls_two_tables_by_two_names(made: Path, residua: Residua) -> None:
+    _, out, _ = residua("codes", made / "plant.toml")
+    listed, chosen = out.split("\n\n")
+    assert re.findall(r"^(\S+ \d+)  ", listed, flags=re.MULTILINE) == ["row 1", "row 2", "row 3"]
+    assert re.findall(r"^(r\d+)  ", chosen, flags=re.MULTILINE) == ["r1", "r2"]
+
+
+def test_codes_for_constant_faults(made: Path, residua: Residua) -> None:
+    status, out, _ = residua("codes", made / "plant.toml", "--constant")
+    assert status == 0
+    assert "attainable for constant faults" in out
+    assert "all of this for residuals that answer for as long as a constant fault lasts" in out
+
+
+def test_codes_says_what_it_does_when_that_takes_long(
+    made: Path, residua: Residua, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = coding.choose
+
+    def slow(*given: object, **options: object) -> object:
+        time.sleep(0.3)
+        return real(*given, **options)  # pyright: ignore
+
+    monkeypatch.setattr(coding, "choose", slow)
+    status, out, err = residua("codes", made / "plant.toml")
+    assert (status, err) == (0, "")
+    monkeypatch.setattr(screen, "_PATIENCE", 0.15)
+    again, same, err = residua("codes", made / "plant.toml")
+    assert (again, same) == (0, out)
+    assert err.endswith("choosing among 3 rows, for 10 s at most ...\n")
+
+
+def test_a_slip_in_the_rows_names_no_other_methods(made: Path, tmp_path: Path, residua: Residua) -> None:
+    for method in ("structured-bank", "parity"):
+        told = design(made, tmp_path, residua, method, "--rows", "01,10")
+        assert_error(told, "row '01': expected 3 digits 0 or 1, one per fault")
+        assert "exist" not in told[2]
 
 
 def test_codes_says_why_a_row_is_not_attainable(made: Path, residua: Residua) -> None:
@@ -97,6 +139,7 @@ def test_rows_that_are_not_attainable_are_refused_or_left_out(made: Path, tmp_pa
         status, out, _ = design(made, tmp_path, residua, method, "--rows", "011,110", "--allow-missing")
         assert status == 0
         assert re.search(r"^fault +r1 +cannot be told from$", out, flags=re.MULTILINE)
+        assert re.search(r"^  note: no member 'r2': .*ignores .*leak", out, flags=re.MULTILINE)
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from residua.decide import CodeReading, Structured, read_code, read_codes
+from residua.decide.code_reading import UNKNOWN
 from residua.decide.structured import code_test
 from residua.errors import DataError, SettingError
 from residua.monitor.naming import candidates_of_code, column_read
@@ -41,7 +42,7 @@ def by_definition(fired: np.ndarray, codes: np.ndarray, distance: int) -> tuple[
     if len(p) < len(fired) and different:
         least = min(len(p ^ c) for c in different)
         near = [c for c in different if len(p ^ c) == least]
-        if len(near) == 1 and least <= distance:
+        if len(near) == 1 and least <= distance and all(c == near[0] for c in above):
             return "nearest", {j for j in code if code[j] == near[0]}
     return "unknown", set()
 
@@ -96,7 +97,8 @@ def test_a_generalized_bank_reads_single_faults_and_calls_two_unknown() -> None:
     missing = read_code([False, False, True, True], GENERALIZED, FAULTS)
     assert missing.answer == "unknown"
     assert missing.nearest == (("a",), ("b",))
-    assert "nearest codes 'a'; 'b', 1 member off" in str(missing)
+    assert missing.possible == (("a",), ("b",))
+    assert str(missing).endswith("not told which: 'a' or 'b' with members silent, " + UNKNOWN)
 
 
 def test_a_dedicated_bank_names_both_of_two_faults() -> None:
@@ -123,6 +125,43 @@ def test_texts_of_every_answer() -> None:
     assert said([1, 1], [[1, 0], [0, 1], [1, 1]]) == "code of 'c' (exact), or of two at once: 'a' and 'b'"
 
 
+@settings(max_examples=300, deadline=None)
+@given(cases(), st.data())
+def test_a_fault_with_silent_members_is_not_read_as_another_by_a_near_code(
+    case: tuple[np.ndarray, np.ndarray, int], data: st.DataObject
+) -> None:
+    """Settled codes too: of whatever part of a code fires, its fault is read, or possible, unless one is exact."""
+    _, codes, distance = case
+    bits = st.lists(st.booleans(), min_size=codes.size, max_size=codes.size)
+    settled = codes & np.array(data.draw(bits)).reshape(codes.shape)
+    faults = [f"f{j}" for j in range(codes.shape[1])]
+    test = code_test(Structured(distance=distance), codes, faults, settled=settled)
+    j = data.draw(st.integers(0, len(faults) - 1))
+    fired = codes[:, j] & np.array(data.draw(st.lists(st.booleans(), min_size=len(codes), max_size=len(codes))))
+    reading = test.read(fired)
+    if reading.answer in ("degraded", "nearest"):
+        assert faults[j] in reading.faults
+    if reading.answer == "unknown":
+        assert faults[j] in {name for group in reading.possible for name in group}
+        assert not reading.close
+
+
+def test_a_settled_code_that_is_near_does_not_hide_who_else_it_may_be() -> None:
+    """Six residuals of a drive; the torque and the bearing fire two of them once they are constant."""
+    codes = ["010111", "011110", "100111", "101101", "111001", "111010"]
+    faults = ["torque", "brake", "motor speed", "load speed", "shaft", "bearing"]
+    table = np.array([[digit == "1" for digit in row] for row in codes])
+    settled = np.zeros_like(table)
+    settled[[2, 4], 0] = settled[[2, 4], 5] = True
+    reading = code_test(Structured(), table, faults, settled=settled).read([False] * 4 + [True, False])
+    assert reading.answer == "unknown"
+    assert reading.possible == (("torque", "bearing"), ("brake",), ("motor speed",))
+    assert reading.meaning.startswith("not told which: 'torque' or 'bearing' or 'brake' or 'motor speed' with members")
+    wide = read_code([1] + [0] * 11, 1 - np.eye(12), [f"y{j}" for j in range(12)])
+    assert "'y8' or 3 more with members silent" in wide.meaning
+    assert len(wide.possible) == 11
+
+
 def test_a_settled_fault_has_a_second_code() -> None:
     codes, settled = np.array([[1, 0], [1, 1], [1, 1], [1, 0]], bool), np.array([[0, 0], [1, 1], [1, 1], [0, 0]], bool)
     test = code_test(Structured(), codes, ["a", "b"], settled=settled)
@@ -140,7 +179,9 @@ def test_a_settled_fault_has_a_second_code() -> None:
     own = code_test(Structured(), codes[:, :1], ["a"], settled=settled[:, :1])
     assert own.labels == ("a", "a, settled")
     half = own.read([True, True, True, False])
-    assert (half.answer, half.faults) == ("nearest", ("a",)), "as near to both codes of one fault"
+    assert (half.answer, half.faults) == ("degraded", ("a",)), (
+        "part of its own settled code too, and of no other fault's"
+    )
     assert own.read([False, True, True, False]).meaning == "code of 'a' once constant (exact)"
     assert column_read(own.read([False, True, True, False]), own) == 1
     none = code_test(Structured(), codes, ["a", "b"], settled=np.zeros_like(codes))

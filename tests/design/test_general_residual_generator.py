@@ -10,7 +10,7 @@ import pytest
 import residua as rs
 from generated import random_plant, simulate, singular_plant
 from residua.design.observers.general_residual_generator import general_form, residual_generator_from_observer
-from residua.errors import DesignError, ModelError, SettingError
+from residua.errors import AccuracyError, DesignError, ModelError, SettingError
 
 DESIGNS: dict[str, Callable[[rs.Plant], rs.ResidualGenerator]] = {
     "decoupled residual": lambda p: rs.design.decoupled_residual(p, insensitive_to=p.faults[0]),
@@ -113,6 +113,7 @@ def test_what_does_not_decouple_is_told_or_accepted() -> None:
     found = residual_generator_from_observer(plant, **matrices(made), decouples=False)
     assert "disturbance" not in found.evidence.decoupling
     assert found.evidence.conditions["T Fd - N Dd = 0"] > 0.5
+    assert made.observer is not None
     for source, options in ((plant, {"gain": made.observer.K}), (made.observer, {})):
         with pytest.raises(DesignError, match=r"does not ignore the disturbances p1.*by 1 of the terms.*1e-07"):
             residual_generator_from_observer(source, **options, decouples=True)

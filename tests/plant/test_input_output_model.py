@@ -148,7 +148,12 @@ def test_delays_are_states_at_zero() -> None:
         (H2, G2, {"dt": 0, "variable": "1/z"}, "continuous model"),
         (H2, G2, {"outputs": ["u1", "y"]}, "occurs twice"),
         (H2, G2, {"measured_inputs": "q"}, "unknown measured input"),
-        (H2, [[[1j]], [[1]]], {}, "polynomial matrix"),
+        (H2, [[[1j]], [[1]]], {}, r"G\[0, 0\]: .* real ones"),
+        (H2, [[[1]], [[]]], {}, r"G\[1, 0\] is an empty list"),
+        (H2, [[[1]], [[]]], {"variable": "1/z"}, r"G\[1, 0\] is an empty list"),
+        (H2, [[[1]], [[1, np.inf]]], {}, r"G\[1, 0\] has the coefficient inf"),
+        ([[[1, 0.5], [np.nan]], [[0], [1]]], [[[1]], [[1]]], {}, r"H\[0, 1\] has the coefficient nan"),
+        (H2, [[[1]], [[1], [1]]], {}, "rows of G must have one length, got 1, 2 entries"),
         ("H", G2, {}, "nested lists"),
     ],
 )
@@ -203,7 +208,10 @@ def test_wrong_kind_of_input() -> None:
         io.with_actuator_faults("u")
     with pytest.raises(ModelError, match=r"is commanded: .* with_actuator_faults"):
         example_2().with_input_sensor_faults(["u"])
-    assert io.with_actuator_faults().faults == ()
+    with pytest.raises(ModelError, match=r"all inputs are measured: .* with_input_sensor_faults"):
+        io.with_actuator_faults()
+    with pytest.raises(ModelError, match=r"all inputs are commanded: .* with_actuator_faults"):
+        example_2().with_input_sensor_faults()
 
 
 def test_faults_come_and_go() -> None:
@@ -219,7 +227,9 @@ def test_faults_come_and_go() -> None:
         ({"q": [[1]]}, "one per output"),
         ({"q": [0, 0]}, "no effect"),
         ({"q": [[1, 0, 0, 0], 0]}, "'y1' is no proper"),
-        ({"q": {"y7": 1}}, "unknown fault 'q': output 'y7'"),
+        ({"q": {"y7": 1}}, "fault 'q': unknown output 'y7'; known: y1, y2"),
+        ({"q": [[], 0]}, "fault 'q', output 'y1' is an empty list"),
+        ({"q": {"y2": [1, [2]]}}, r"fault 'q', output 'y2': a polynomial must be .* got \[1, \[2\]\]$"),
     ]:
         with pytest.raises(ModelError, match=message):
             io.with_faults(wrong)
@@ -504,6 +514,44 @@ def test_transfer_functions_of_generated_systems(k: int) -> None:
     assert io.H.row_degrees == tuple(len({*np.concatenate([np.roots(d).round(8) for _, d in row])}) for row in S)
 
 
+@pytest.mark.parametrize(
+    ("entries", "dt", "mode"),
+    [
+        ([[([1, -2], [1, -2.5, 1])]], 1.0, "2"),
+        ([[([1, 1], [1, 0, -1]), ([1], [1, -0.5])]], 1.0, "-1"),
+        ([[([1, -1], [1, 0, -1])]], 0.0, "1"),
+        ([[([1, 0], [1, 1, 0])]], 0.0, "0"),
+    ],
+)
+def test_a_mode_that_is_not_stable_does_not_cancel(entries: list, dt: float, mode: str) -> None:
+    """As in equations: refused, unless the same mode is in another denominator and stays."""
+    with pytest.raises(ModelError, match=rf"mode {mode} is in a denominator but cancels.*not stable"):
+        InputOutputModel.from_transfer_functions(entries, dt=dt)
+    kept = entries[0][0][1]
+    once = InputOutputModel.from_transfer_functions([[entries[0][0], ([1], kept)]], dt=dt)
+    assert once.H.row_degrees == (2,)
+    twice = InputOutputModel.from_transfer_functions([[entries[0][0]], [([1], kept)]], dt=dt)
+    assert twice.H.row_degrees == (1, 2)
+
+
+def test_stable_modes_cancel() -> None:
+    made = InputOutputModel.from_transfer_functions([[([1, -0.2], [1, -0.7, 0.1])]])
+    assert str(made) == "(z - 0.5) y1 = u1"
+    slow = InputOutputModel.from_transfer_functions([[([1, 1e-3], [1, 2 + 1e-3, 2e-3])]], dt=0)
+    assert slow.H.row_degrees == (1,)
+
+
+def test_the_entry_that_is_wrong_is_named() -> None:
+    for entry, words in (
+        (([1, [2]], [1]), r"the numerator of entry \[0, 1\]: a polynomial must be"),
+        (([1], [1, np.nan]), r"the denominator of entry \[0, 1\] has the coefficient nan"),
+        (([1], [0, 0]), r"the denominator of entry \[0, 1\] is zero"),
+        (([1], [1], [1]), r"entry \[0, 1\] must be a number or"),
+    ):
+        with pytest.raises(ModelError, match=words):
+            InputOutputModel.from_transfer_functions([[1.0, entry]])
+
+
 def test_other_packages() -> None:
     control = pytest.importorskip("control")
     tf = control.tf([[[1], [1, 2]]], [[[1, 3], [1, 3, 2]]], inputs=["p", "q"], outputs=["w"], name="mine")
@@ -527,3 +575,15 @@ def test_a_plant_without_inputs() -> None:
     assert str(io) == "(s + 1) y1 = f"
     assert io.to_plant().faults == ("f",)
     assert isinstance(io.to_plant().system(), StateSpace)
+
+
+def test_the_response_of_a_very_slow_plant_is_checked_where_it_is() -> None:
+    A = np.diag([1 - 1e-6, 1 - 2e-6]) + np.array([[0, 1e-7], [0, 0]])
+    plant = rs.Plant(A, [[0.0], [1e-6]], [[1.0, 0.0]], dt=1.0)
+    z = np.exp(1j * np.array([1e-8, 1e-7, 1e-6, 1e-5]))
+    wanted = plant.system("control").evaluate(z)
+    try:
+        found = InputOutputModel.from_plant(plant).transfer(z)
+    except AccuracyError:
+        return
+    assert np.abs(found - wanted).max() < 1e-5 * np.abs(wanted).max()

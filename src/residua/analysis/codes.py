@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,13 +17,20 @@ def equal_codes(codes: NDArray[np.bool_]) -> list[list[int]]:
     return list(found.values())
 
 
-def strongly_isolating(codes: NDArray[np.bool_]) -> bool:
+def strongly_isolating(codes: NDArray[np.bool_], faults: Sequence[tuple[str, ...]] | None = None) -> bool:
     """Tell whether no code becomes another one when some of its residuals stay silent: columns form an antichain.
+
+    With the faults of each column, codes of the same faults may be part of one another: nobody else is meant.
 
     References
     ----------
     Gertler (1991), section 4.
     """
-    different = codes[:, [group[0] for group in equal_codes(codes)]]
+    first = [group[0] for group in equal_codes(codes)]
+    different = codes[:, first]
     within = (different[:, :, None] <= different[:, None, :]).all(axis=0)
+    if faults is not None:
+        same = np.array([[set(faults[i]) == set(faults[j]) for j in first] for i in first], dtype=bool)
+        within &= ~same.reshape(within.shape)
+        return not within.any()
     return int(within.sum()) == different.shape[1]  # each within itself alone

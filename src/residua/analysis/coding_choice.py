@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 from math import comb, isfinite
@@ -10,17 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.analysis.attainability import MOST_ROWS, all_rows
-from residua.analysis.codes import equal_codes
+from residua.analysis.codes import equal_codes, strongly_isolating
 from residua.analysis.coding_sets import CodingSet, counted
 from residua.analysis.cover import Cover, Found, even_cover, far_cover, fewest
-from residua.analysis.fault_space import fault_space
+from residua.analysis.fault_space import FaultSpace, fault_space
 from residua.errors import DesignError, SettingError
 from residua.linear import arrays
 from residua.linear.rank import DEFAULT_RTOL
 from residua.plant import Plant
 
-#: Seconds that the search may take, unless the caller says otherwise.
+#: Seconds that the choice may take, unless the caller says otherwise.
 TIME_LIMIT = 30.0
+#: Part of the time that is left for the fewest rows; the rest is for even ones, far apart.
+_FIRST = 0.75
 
 
 def choose(
@@ -61,7 +64,8 @@ def choose(
     constant : bool
         Whether the residuals must answer for as long as a constant fault lasts.
     time_limit : float
-        Seconds that the search may take.
+        Seconds for all of it, from the list of attainable rows to the last program; what is left when that list is
+        there goes to the search, which always takes at least a first choice.
     most : int
         Attainable rows to choose from at most.
     rtol : float
@@ -109,10 +113,12 @@ def choose(
     codes differ in 2 residuals at least; ones per fault: 3; zeros per residual: 1 (canonical)
     chosen from 5 attainable rows; fewer residuals do not isolate strongly
     """
-    _check(quality, max_residuals, time_limit)
+    begun = time.perf_counter()
+    check_choice(quality, max_residuals, time_limit)
     ignored = [plant.faults[j] for j in arrays.positions(ignore, plant.faults, "fault")]
     watched = plant.faults_as_disturbances(ignored)
-    rows = all_rows(fault_space(watched, rtol=rtol), constant, most)
+    space = fault_space(watched, rtol=rtol)
+    rows = all_rows(space, constant, most)
     if not len(rows):
         raise DesignError(
             f"no residual that ignores {', '.join((*plant.disturbances, *ignored)) or 'nothing'} sees any fault"
@@ -122,8 +128,11 @@ def choose(
     names = [tuple(watched.faults[j] for j in group) for group in groups]
     unseen = tuple(name for name, code in zip(watched.faults, rows.T, strict=True) if not code.any())
     required = _required(plant, require, names, unseen, ignored)
-    task = _Task(rows[:, [group[0] for group in groups]], names, required)
-    chosen, notes = _search(task, quality, max_residuals, time_limit)
+    task = ChoiceTask(rows[:, [group[0] for group in groups]], names, required)
+    clock = _Clock(begun, float(time_limit))
+    chosen, notes = _search(task, quality, max_residuals, clock)
+    if not constant:
+        notes += _once_constant(space, rows[chosen], most, clock)
     if constant:
         notes += ("all of this for residuals that answer for as long as a constant fault lasts",)
     structure = np.zeros((len(chosen), len(plant.faults)), dtype=bool)
@@ -139,7 +148,8 @@ def choose(
     )
 
 
-def _check(quality: str, max_residuals: int | None, time_limit: float) -> None:
+def check_choice(quality: str, max_residuals: int | None, time_limit: float) -> None:
+    """Raise for settings that make no sense."""
     if quality not in ("strong", "weak"):
         raise SettingError(f"quality must be 'strong' or 'weak', got {quality!r}")
     if max_residuals is not None and (
@@ -176,7 +186,7 @@ def _required(
 
 
 @dataclass(frozen=True, eq=False)
-class _Task:
+class ChoiceTask:
     """Rows to choose from, one column per group of inseparable faults, and the groups that must be isolated."""
 
     rows: NDArray[np.bool_]
@@ -213,15 +223,28 @@ def _least(faults: int, strong: bool) -> int:
     return s
 
 
+@dataclass(frozen=True)
+class _Clock:
+    """When the work began, and how many seconds it has."""
+
+    begun: float
+    limit: float
+
+    def share(self, part: float) -> float:
+        """Return a part of the seconds that are left."""
+        return part * max(0.0, self.begun + self.limit - time.perf_counter())
+
+
 def _search(
-    task: _Task, quality: str, max_residuals: int | None, time_limit: float
+    task: ChoiceTask, quality: str, max_residuals: int | None, clock: _Clock
 ) -> tuple[NDArray[np.int64], tuple[str, ...]]:
-    """Return the chosen rows in their order, and what to say about them."""
-    budget = time_limit
+    """Return the chosen rows in their order, and what to say about them.
+
+    Every program leaves some time to those that follow it: a limit is met only after the step that reaches it.
+    """
     strong, told = quality == "strong", []
     cover, stuck = task.cover(strong)
-    first = fewest(cover, budget)
-    budget -= first.seconds
+    first = fewest(cover, clock.share(0.6 if strong and max_residuals is not None else _FIRST))
     if strong and max_residuals is not None and len(first.chosen) > max_residuals:
         told.append(
             f"weakly isolating only: strongly takes {_number(first)} residuals, and no more than {max_residuals} "
@@ -229,8 +252,7 @@ def _search(
         )
         strong, stuck = False, []
         cover, _ = task.cover(strong)
-        first = fewest(cover, max(budget, 0.1 * time_limit))
-        budget -= first.seconds
+        first = fewest(cover, clock.share(_FIRST))
     if max_residuals is not None and len(first.chosen) > max_residuals:
         raise DesignError(
             f"{counted(max_residuals, 'residual')} cannot isolate {counted(len(task.names), 'fault')}, not even "
@@ -242,9 +264,9 @@ def _search(
             f"the code of {_group(task, j)} always becomes that of {_group(task, k)} when residuals stay silent"
         )
     chosen = first.chosen
-    even = even_cover(cover, chosen, max(budget, 0.1 * time_limit))
-    far = far_cover(cover, even.chosen, max(budget - even.seconds, 0.1 * time_limit))
-    notes = [*told, _fewest_in_words(task, first, strong and not stuck, time_limit)]
+    even = even_cover(cover, chosen, clock.share(0.4))
+    far = far_cover(cover, even.chosen, clock.share(0.7))
+    notes = [*told, _fewest_in_words(task, first, strong and not stuck, clock.limit)]
     if even.bound is not None:
         notes.append("the time limit was reached before it was proved that no choice is more even")
     if far.bound is not None:
@@ -255,13 +277,38 @@ def _search(
     return np.array(order, dtype=np.int64), tuple(notes)
 
 
+def _once_constant(space: FaultSpace, rows: NDArray[np.bool_], most: int, clock: _Clock) -> tuple[str, ...]:
+    """Return a note where strong isolation is lost because constant faults fire fewer residuals than changing ones."""
+    if not len(rows) or not strongly_isolating(rows):
+        return ()
+    later = np.array([row & space.lasting(space.basis(np.flatnonzero(~row))) for row in rows])
+    later = later & (later != rows).any(axis=0)
+    within = np.asarray((later[:, :, None] <= rows[:, None, :]).all(axis=0))
+    within |= np.asarray((later[:, :, None] <= later[:, None, :]).all(axis=0)) & later.any(axis=0)
+    same = np.asarray((rows[:, :, None] == rows[:, None, :]).all(axis=0))
+    lost = later.any(axis=0) & (within & ~same).any(axis=1)
+    if not lost.any():
+        return ()
+    names = ", ".join(f"'{space.faults[j]}'" for j in np.flatnonzero(lost))
+    what = "constant=True chooses residuals that answer for as long as a fault lasts"
+    if clock.share(1.0):
+        code = all_rows(space, True, most).T.astype(int)
+        apart = np.asarray(code @ (1 - code.T) > 0)  # [j, k]: some row sees j and ignores k
+        seen = np.asarray(rows.any(axis=0))
+        others = ~same & seen & seen[:, None]
+        what += ", and isolates strongly" if apart[others].all() else "; not even these can isolate strongly"
+    return (
+        f"once constant, {names} may fire fewer of these residuals, and the codes do not isolate strongly then: {what}",
+    )
+
+
 def _number(found: Found) -> str:
     if found.bound is None:
         return f"{len(found.chosen)}"
     return f"{found.bound} to {len(found.chosen)} (the time limit was reached)"
 
 
-def _fewest_in_words(task: _Task, found: Found, strong: bool, time_limit: float) -> str:
+def _fewest_in_words(task: ChoiceTask, found: Found, strong: bool, time_limit: float) -> str:
     """Return whether the number of residuals is the fewest."""
     rows = counted(len(task.rows), "attainable row")
     if found.bound is not None:
@@ -274,5 +321,5 @@ def _fewest_in_words(task: _Task, found: Found, strong: bool, time_limit: float)
     return f"chosen from {rows}; fewer residuals do not {aim}"
 
 
-def _group(task: _Task, j: int) -> str:
+def _group(task: ChoiceTask, j: int) -> str:
     return " or ".join(f"'{name}'" for name in task.names[j])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -71,10 +71,11 @@ class CodingSet:
 
         Without names the faults are ``f1``, ``f2`` and so on. Residuals may be blind to all faults here.
         """
+        structure = _plain(structure)
         if isinstance(structure, CodingSet) and faults is None:
             return structure
         if isinstance(structure, Mapping) and faults is None:
-            structure = {name: list(seen) for name, seen in structure.items()}
+            structure = {name: [seen] if isinstance(seen, str) else list(seen) for name, seen in structure.items()}
             faults = list(dict.fromkeys(fault for seen in structure.values() for fault in seen))
         names = tuple(faults) if faults is not None else tuple(f"f{j + 1}" for j in range(_width(structure)))
         rows = _named_rows(structure, names)
@@ -196,9 +197,23 @@ class CodingSet:
         return lines + told[:NAMED] + more
 
 
-#: What says which residual answers to which fault: a coding set, a matrix, rows such as ``"0111"``, or a mapping from
-#: the name of each residual to the faults that it answers to.
-Structure = CodingSet | ArrayLike | Sequence[str] | Mapping[str, Iterable[str]]
+class HasCodingSet(Protocol):
+    """What has a coding set, as the answer of :func:`attainable`: that of the attainable rows."""
+
+    @property
+    def coding_set(self) -> CodingSet:
+        """The coding set."""
+        ...
+
+
+_WANTED = (
+    'structure must be a matrix of 0 and 1, residuals x faults, with rows of one length, rows such as "0111", or a '
+    "mapping from the name of each residual to the faults that it answers to"
+)
+
+#: What says which residual answers to which fault: a coding set, the attainable rows of a plant, a matrix, rows such as
+#: ``"0111"``, or a mapping from the name of each residual to the faults that it answers to.
+Structure = CodingSet | HasCodingSet | ArrayLike | Sequence[str] | Mapping[str, Iterable[str]]
 
 
 def isolation_quality(structure: Structure) -> str:
@@ -220,7 +235,7 @@ def isolation_quality(structure: Structure) -> str:
     Raises
     ------
     DesignError
-        If it is not a matrix of 0 and 1.
+        If it is not a matrix of 0 and 1, or has no residuals or no faults.
 
     See Also
     --------
@@ -236,7 +251,14 @@ def isolation_quality(structure: Structure) -> str:
     >>> [coding.isolation_quality(S) for S in (["110", "111", "111"], ["110", "101", "111"], ["110", "101", "011"])]
     ['none', 'weak', 'strong']
     """
-    return CodingSet.of(structure).quality
+    given = CodingSet.of(structure)
+    if not given.structure.size:
+        rows, columns = given.structure.shape
+        raise DesignError(
+            f"the structure has {counted(rows, 'residual')} and {counted(columns, 'fault')}: "
+            "there is nothing to isolate"
+        )
+    return given.quality
 
 
 def structure_rows(structure: Structure, faults: tuple[str, ...]) -> dict[str, NDArray[np.bool_]]:
@@ -252,6 +274,11 @@ def structure_rows(structure: Structure, faults: tuple[str, ...]) -> dict[str, N
     return rows
 
 
+def _plain(structure: Any) -> Any:
+    """Return what was given, or its ``coding_set`` where it has one: that of the attainable rows."""
+    return getattr(structure, "coding_set", structure)
+
+
 def _quality(codes: NDArray[np.bool_]) -> str:
     """Return what the columns are worth."""
     if not codes.any(axis=0).all() or len(equal_codes(codes)) < codes.shape[1]:
@@ -263,15 +290,15 @@ def _width(structure: Any) -> int:
     """Return the number of columns of a structure without names."""
     if isinstance(structure, str):
         return len(structure)
-    try:
-        rows = list(structure)
-        return len(rows[0]) if rows and np.ndim(rows[0]) + isinstance(rows[0], str) else len(rows)
-    except TypeError as error:
-        raise DesignError(f"structure must be a matrix of 0 and 1: {error}") from error
+    if not isinstance(structure, (Sequence, np.ndarray)):
+        raise DesignError(f"{_WANTED}; got {structure!r}")
+    first = structure[0] if len(structure) else None
+    return len(first) if isinstance(first, (str, Sequence, np.ndarray)) else len(structure)
 
 
 def _named_rows(structure: Structure, faults: tuple[str, ...]) -> dict[str, NDArray[np.bool_]]:
     """Return the rows of a structure by name."""
+    structure = _plain(structure)
     if isinstance(structure, CodingSet):
         return _rows_of_set(structure, faults)
     if isinstance(structure, Mapping):
@@ -289,12 +316,20 @@ def _named_rows(structure: Structure, faults: tuple[str, ...]) -> dict[str, NDAr
     try:
         M = np.atleast_2d(np.asarray(given, dtype=float))
     except (TypeError, ValueError) as error:
-        raise DesignError(f"structure must be a matrix of 0 and 1: {error}") from error
+        raise DesignError(f"{_WANTED}{_uneven(given)}") from error
     if M.ndim != 2 or M.shape[1] != len(faults) or not np.isin(M, (0, 1)).all():
         raise DesignError(
             f"structure must be 0 or 1, residuals x {len(faults)} faults ({', '.join(faults)}), got shape {M.shape}"
         )
     return {f"r{i + 1}": row.astype(bool) for i, row in enumerate(M)}
+
+
+def _uneven(rows: Any) -> str:
+    """Say how long the rows of something are that is no matrix, where they have lengths."""
+    lengths = [len(row) for row in rows if isinstance(row, (str, Sequence, np.ndarray))]
+    if len(set(lengths)) < 2:
+        return ""
+    return f"; the rows have {', '.join(map(str, lengths[:-1]))} and {lengths[-1]} entries"
 
 
 def _rows_of_set(given: CodingSet, faults: tuple[str, ...]) -> dict[str, NDArray[np.bool_]]:

@@ -13,6 +13,10 @@ from numpy.typing import NDArray
 
 from residua.errors import AccuracyError
 
+#: Seconds, and more of them per entry of the demands, that a program takes beside the search: to set it up, to
+#: simplify it, and until it looks at the clock.
+_SETUP, _SETUP_PER_ENTRY = 0.1, 1e-6
+
 
 @dataclass(frozen=True, eq=False)
 class Cover:
@@ -43,6 +47,11 @@ class Cover:
         first, second = [j for j, _ in self.pairs], [k for _, k in self.pairs]
         return (self.rows[:, first] != self.rows[:, second]).T
 
+    @property
+    def setup(self) -> float:
+        """Seconds that a program takes beside the search."""
+        return _SETUP + _SETUP_PER_ENTRY * self.demands.size
+
     def met(self, chosen: NDArray) -> bool:
         """Whether chosen rows meet every demand."""
         return bool(self.demands[:, chosen].any(axis=1).all())
@@ -67,7 +76,7 @@ def fewest(cover: Cover, limit: float) -> Found:
         (weights.astype(float), cuts, np.inf),
         (np.ones((1, n)), float(cover.least), np.inf),
     ]
-    result = _milp(np.ones(n), constraints, np.ones(n), np.ones(n), limit)
+    result = integer_program(np.ones(n), constraints, np.ones(n), np.ones(n), limit - cover.setup)
     chosen = _greedy(cover.demands)
     x = result.x
     if x is not None:
@@ -84,9 +93,9 @@ def even_cover(cover: Cover, chosen: NDArray[np.int64], limit: float) -> Found:
     """Return as many rows that meet the demands and have the most even numbers of ones and zeros."""
     begun = time.perf_counter()
     now = _unevenness(cover.rows[chosen])
-    if now == 0:
-        return Found(chosen, None, 0.0)
-    result = _milp(*_even_program(cover, len(chosen)), limit)
+    if now == 0 or limit < 2 * cover.setup:
+        return Found(chosen, 0 if now else None, 0.0)
+    result = integer_program(*_even_program(cover, len(chosen)), limit - cover.setup)
     if result.x is not None:
         other = np.flatnonzero(np.round(result.x[: len(cover.rows)]))
         if len(other) == len(chosen) and cover.met(other) and _unevenness(cover.rows[other]) < now:
@@ -101,6 +110,8 @@ def far_cover(cover: Cover, chosen: NDArray[np.int64], limit: float) -> Found:
     begun = time.perf_counter()
     if not cover.pairs:
         return Found(chosen, None, 0.0)
+    if limit < 2 * cover.setup:
+        return Found(chosen, len(chosen), 0.0)
     now = int(cover.differences[:, chosen].sum(axis=1).min())
     _, constraints, upper, integral = _even_program(cover, len(chosen))
     n = len(cover.rows)
@@ -111,7 +122,9 @@ def far_cover(cover: Cover, chosen: NDArray[np.int64], limit: float) -> Found:
     constraints.append((D, 0.0, np.inf))
     aim = np.zeros(n + 5)
     aim[-1] = -1.0
-    result = _milp(aim, constraints, np.append(upper, len(chosen)), np.append(integral, 1.0), limit)
+    result = integer_program(
+        aim, constraints, np.append(upper, len(chosen)), np.append(integral, 1.0), limit - cover.setup
+    )
     if result.x is not None:
         other = np.flatnonzero(np.round(result.x[:n]))
         fine = len(other) == len(chosen) and cover.met(other)
@@ -193,7 +206,7 @@ def _greedy(demands: NDArray[np.bool_]) -> NDArray[np.int64]:
     return np.array(sorted(chosen), dtype=np.int64)
 
 
-def _milp(aim: NDArray, constraints: list, upper: NDArray, integral: NDArray, limit: float) -> Any:
+def integer_program(aim: NDArray, constraints: list, upper: NDArray, integral: NDArray, limit: float) -> Any:
     """Run HiGHS on sparse constraints."""
     from scipy.optimize import Bounds, LinearConstraint, milp  # slow to import, and needed only here
     from scipy.sparse import csr_array

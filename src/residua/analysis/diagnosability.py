@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from residua.analysis.unknown_input import UnknownInputExistence, unknown_input_observer_existence
 from residua.analysis.visibility import Visible, check_regular, generic_points, in_balanced_units, visible_columns
 from residua.errors import ModelError
-from residua.linear.rank import DEFAULT_RTOL
+from residua.linear.rank import DEFAULT_RTOL, check_rtol
 from residua.plant import Plant
 
 
@@ -159,6 +159,7 @@ def diagnosability(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> Diagnosabilit
     >>> result.groups
     (('u1 actuator', 'leak'), ('clog',))
     """
+    check_rtol(rtol)
     if not plant.faults:
         raise ModelError(
             "the plant has no faults: name what may fail with with_sensor_faults, with_actuator_faults or with_faults"

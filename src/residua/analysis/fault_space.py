@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from residua.analysis.visibility import Visible, check_regular, generic_points, in_balanced_units, visible_columns
 from residua.errors import DesignError
+from residua.linear.rank import check_rtol
 from residua.plant import Plant
 
 #: Two columns closer than this are the same, as for diagnosability.
@@ -141,6 +142,7 @@ def fault_space(plant: Plant, *, rtol: float) -> FaultSpace:
     """Return what the disturbances leave of each fault of a plant, at a few generic points and near the limit."""
     if not plant.faults:
         raise DesignError("the plant has no faults: add some with with_sensor_faults or with_faults")
+    check_rtol(rtol)
     points = generic_points(plant)
     check_regular(plant, points)
     model = in_balanced_units(plant)

@@ -67,18 +67,35 @@ def describe(error: BaseException) -> str:
     return f"unexpected {type(error).__name__}: {text} (a defect; RESIDUA_TRACEBACK=1 shows where)"
 
 
-#: What is done in Python, and how the same is asked for here.
+_FAULTS = r"with_(?:sensor_faults|actuator_faults|faults)"
+#: What is done in Python, as a pattern, and how the same is asked for here.
 _WORDS = {
-    "allow_missing=True": "--allow-missing",
-    "plant.discretize(dt)": "by sample_time in the plant file",
+    r"allow_missing=True": "--allow-missing",
+    r"constant=True": "--constant",
+    r"plant\.discretize\(dt\)": "by sample_time in the plant file",
+    rf"(?:plant\.)?{_FAULTS}(?:(?:, or | or |, ){_FAULTS})*": "[[faults]] in the plant file",
+    r"(?:plant\.)?with_disturbances(?:\(\.\.\.\))?": "[[disturbances]] in the plant file",
+    r"\((?:plant\.)?with_noise\)": "([noise] in the plant file)",
+    r"(?:plant\.)?with_noise(?:\(process=\.\.\., measurement=\.\.\.\)|\(\.\.\.\))?": (
+        "[noise] in the plant file, with process and measurement"
+    ),
+    r"(?:\.)?\bfit\(u, y\) it to fault-free data": "give it one by residua fit, from fault-free data",
+    r"\.?\bfit\(u, y\)": "residua fit",
+    r",? or set NormThreshold\(threshold=\.\.\.\)": "",
+    r"NormThreshold\(window=(\d+|\.\.\.)\)": r"--average \1",
+    r"NormThreshold\(persistence=(\d+|\.\.\.)\)": r"--persistence \1",
+    r"\b(poles|margin|faults)=(?:\[\.\.\.\]|\.\.\.|(?=[,;. )]|$))": r"--\1",
+    r"\bdt=(?:\.\.\.|(?=[,;. )]|$))": "--sample-time",
+    r"\bstructure=(?:\.\.\.|(?=[,;. )]|$))": "--rows",
+    r"\b(observer|scheme)='([a-z-]+)'": r"--\1 \2",
 }
 
 
 def in_cli_words(text: str) -> str:
     """Return advice that is meant for Python as advice for the command line."""
     for python, here in _WORDS.items():
-        text = text.replace(python, here)
-    return re.sub(r"\b(observer|scheme)='([a-z-]+)'", r"--\1 \2", text)
+        text = re.sub(python, here, text)
+    return text
 
 
 def complain(line: str) -> None:

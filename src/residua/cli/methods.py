@@ -11,7 +11,7 @@ from residua import design
 from residua.analysis import coding
 from residua.design import Bank, MatchedFilters, ResidualGenerator
 from residua.design.estimation.fault_estimator import fault_estimator
-from residua.errors import AccuracyError, DesignError
+from residua.errors import AccuracyError, DesignError, SettingError
 from residua.plant import Plant
 
 #: Seconds for the choice of a coding set; what was found by then is taken.
@@ -145,11 +145,15 @@ def make(plant: Plant, method: Method, options: DesignOptions, *, why: str = "")
         names = ", ".join(f"--{name.replace('_', '-')}" for name in given)
         which = "banks" if given == ["allow_missing"] else "--method sensor-bank and actuator-bank"
         raise DesignError(f"{names} is for {which}, not for {method.value}")
+    if options.rows is not None:
+        coding.CodingSet.of(list(options.rows), plant.faults)  # a slip in these says nothing about other methods
     try:
         return _DESIGNS[method](plant, options)
     except (DesignError, AccuracyError) as error:
         chosen = f"{method.value} (chosen because {why})" if why else method.value
         raise type(error)(f"{chosen}: {error}; {_alternatives(plant, method, options)}") from error
+    except SettingError as error:  # an option is wrong: that says nothing about other methods
+        raise SettingError(f"{method.value}: {error}") from error
 
 
 def _alternatives(plant: Plant, failed: Method, options: DesignOptions) -> str:
@@ -160,7 +164,7 @@ def _alternatives(plant: Plant, failed: Method, options: DesignOptions) -> str:
             continue
         try:
             build(plant, options.for_method(method))
-        except (DesignError, AccuracyError):
+        except (DesignError, AccuracyError, SettingError):
             continue
         note = ""
         if plant.disturbances and method in _NOT_DECOUPLED:
@@ -208,23 +212,30 @@ def _inner(build: Callable[..., Any]) -> Callable[[Plant, DesignOptions], Residu
 
 def _bank(build: Callable[..., Bank]) -> Callable[[Plant, DesignOptions], ResidualGenerator]:
     def design_it(plant: Plant, options: DesignOptions) -> ResidualGenerator:
-        return build(plant, poles=options.poles, margin=options.margin, **options.of_banks).generator
+        return _of_bank(build(plant, poles=options.poles, margin=options.margin, **options.of_banks))
 
     return design_it
+
+
+def _of_bank(bank: Bank) -> ResidualGenerator:
+    """Return the generator of a bank, whose evidence says which members were left out."""
+    left_out = tuple(f"no member {name!r}: {reason}" for name, reason in bank.failures.items())
+    made = bank.generator
+    return replace(made, evidence=made.evidence.extended(notes=left_out)) if left_out else made
 
 
 def _structured_bank(plant: Plant, options: DesignOptions) -> ResidualGenerator:
     if options.poles is not None:
         raise DesignError("members of a structured bank have poles of their own: give --margin instead of --poles")
     rows = _rows(plant, options)
-    return design.structured_bank(plant, rows, margin=options.margin, allow_missing=options.allow_missing).generator
+    return _of_bank(design.structured_bank(plant, rows, margin=options.margin, allow_missing=options.allow_missing))
 
 
 def _parity(plant: Plant, options: DesignOptions) -> ResidualGenerator:
     if options.margin is not None:
         raise DesignError("parity relations have no margin: give --poles, as many as their order, or neither")
     rows = _rows(plant, options)
-    return design.structured_parity(plant, rows, poles=options.poles, allow_missing=options.allow_missing).generator
+    return _of_bank(design.structured_parity(plant, rows, poles=options.poles, allow_missing=options.allow_missing))
 
 
 def _rows(plant: Plant, options: DesignOptions) -> coding.CodingSet | list[str]:

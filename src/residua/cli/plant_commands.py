@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -11,6 +12,7 @@ import typer
 
 from residua.analysis import coding, diagnosability
 from residua.cli import methods, screen
+from residua.cli.guard import in_cli_words
 from residua.design.suggestion import suggest as suggestion
 from residua.files import check_input
 from residua.plant.plant_file import load_plant
@@ -65,21 +67,26 @@ def codes(
     quality: Annotated[
         Quality, typer.Option(help="How well the choice shall isolate; strong: also when residuals stay silent.")
     ] = Quality.strong,
+    constant: Annotated[
+        bool, typer.Option("--constant", help="Only residuals that answer for as long as a constant fault lasts.")
+    ] = False,
 ) -> None:
     """Tell which coding sets a plant allows, and choose one: which residual shall answer to which fault."""
     check_input(plant, "a plant file")
     model = load_plant(plant)
     if rows:
-        found = coding.attainable(model, list(methods.parse_rows(rows)))
+        found = coding.attainable(model, list(methods.parse_rows(rows)), constant=constant)
         screen.say(str(found), "", str(coding.CodingSet(found.structure, found.faults, found.residuals)))
         return
-    found = coding.attainable(model)
+    with screen.patience(f"looking for the rows of {model.name}"):
+        found = coding.attainable(model, constant=constant)
     if len(found.residuals) > _LISTED:
         screen.say(f"{model.name}: {len(found.residuals)} rows are attainable; --rows tells about those that you name")
-    else:
-        screen.say(str(found))
-    chosen = coding.choose(model, quality=quality.value, time_limit=methods.CHOICE_TIME)
-    screen.say("", str(chosen), f"as an option: --rows {','.join(chosen.digits)}")
+    else:  # r1, r2, ... are the residuals of the choice, and of a bank that is made of it
+        screen.say(str(replace(found, residuals=tuple(f"row {k + 1}" for k in range(len(found.residuals))))))
+    with screen.patience(f"choosing among {len(found.residuals)} rows, for {methods.CHOICE_TIME:g} s at most"):
+        chosen = coding.choose(model, quality=quality.value, constant=constant, time_limit=methods.CHOICE_TIME)
+    screen.say("", in_cli_words(str(chosen)), f"as an option: --rows {','.join(chosen.digits)}")
 
 
 def suggest(

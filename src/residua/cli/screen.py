@@ -6,13 +6,14 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Timer
 from time import monotonic
 from typing import Any
 
 import numpy as np
 from rich import box
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from residua.analysis import Diagnosability
@@ -22,7 +23,7 @@ from residua.design import MatchedFilters, ResidualGenerator
 from residua.monitor.diagnosis import Alarm, Diagnosis
 from residua.monitor.naming import fault_unit, ranked, tied_name
 from residua.monitor.preparing import codes_of
-from residua.report.text import size_text
+from residua.report.text import sizes_text
 from residua.report.verdict import verdict
 
 #: Alarms that are listed at most; ``--alarms`` writes all of them.
@@ -85,7 +86,7 @@ def _text(value: object) -> str:
     if isinstance(value, (bool, np.bool_)):
         return "yes" if value else "no"
     if isinstance(value, (float, np.floating)):
-        return "-" if not np.isfinite(value) else f"{value:.6g}"
+        return "-" if not np.isfinite(value) else f"{value + 0.0:.6g}"  # no -0
     return str(value) or "-"
 
 
@@ -275,7 +276,7 @@ def show_diagnosis(diagnosis: Diagnosis) -> None:
         show_table(
             ["rank", "candidate", "score", "distance", *(["estimated size"] if sized else [])],
             [
-                [k, c.name, f"{c.score:.3f}", f"{c.distance:.3f}", *(["; ".join(map(size_text, c.sizes))] * sized)]
+                [k, c.name, f"{c.score:.3f}", f"{c.distance:.3f}", *([sizes_text(c.sizes)] * sized)]
                 for k, c in ranked(diagnosis.candidates)
             ],
             title="candidates of the longest alarm" if len(diagnosis.alarms) > 1 else "",
@@ -302,7 +303,9 @@ def _alarm_row(k: int, alarm: Alarm, window: int) -> list[object]:
 
 
 def _unnamed(alarm: Alarm) -> str:
-    return "not isolated" if alarm.reading is None else "several, or not known"
+    if alarm.reading is None:
+        return "not isolated"
+    return "not told which, several, or not known" if alarm.reading.possible else "several, or not known"
 
 
 @contextmanager
@@ -314,6 +317,31 @@ def reading(path: Path) -> Iterator[None]:
             yield
     else:
         yield
+
+
+@contextmanager
+def patience(what: str) -> Iterator[None]:
+    """Say on stderr what is being done, once two seconds have gone; a terminal shows how long it has taken."""
+    err = Console(stderr=True, markup=False, highlight=False)
+    bar = Progress(SpinnerColumn(), TextColumn(what, markup=False), TimeElapsedColumn(), console=err, transient=True)
+
+    def show() -> None:
+        if err.is_terminal:
+            bar.add_task("", total=None)
+            bar.start()
+        else:
+            print(f"{what} ...", file=sys.stderr, flush=True)
+
+    clock = Timer(_PATIENCE, show)
+    clock.daemon = True
+    clock.start()
+    try:
+        yield
+    finally:
+        clock.cancel()
+        clock.join()
+        if err.is_terminal and bar.tasks:
+            bar.stop()
 
 
 class _Bar:

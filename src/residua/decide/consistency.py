@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.analysis.codes import equal_codes
-from residua.decide.structured import NAMED, quoted
+from residua.decide.code_reading import NAMED, quoted
 from residua.errors import DataError, SettingError
 
 

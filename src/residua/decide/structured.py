@@ -10,13 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.analysis.codes import equal_codes, strongly_isolating
+from residua.decide.code_reading import CodeReading
 from residua.decide.norm_threshold import check_samples, is_number
 from residua.errors import DataError, SettingError
-
-#: Pairs of faults, and nearest codes, that a text names at most.
-NAMED = 3
-
-UNKNOWN = "more than one fault, or one that the bank does not know"
 
 
 @dataclass(frozen=True)
@@ -52,104 +48,6 @@ class Structured:
         object.__setattr__(self, "window", int(self.window))
         object.__setattr__(self, "share", float(self.share))
         object.__setattr__(self, "distance", int(self.distance))
-
-
-@dataclass(frozen=True)
-class CodeReading:
-    """What a pattern of fired members says.
-
-    Attributes
-    ----------
-    answer : {"none", "exact", "degraded", "nearest", "unknown"}
-        ``none``: no member fired, no fault. ``exact``: the pattern is the code of one fault. ``degraded``: it is
-        the code of one fault with some members silent, and of no other. ``nearest``: one code is nearer than all
-        others, within the distance that is allowed. ``unknown``: more than one fault, or one that the bank
-        does not know.
-    faults : tuple of str
-        The fault that was read, with those that have the same code; empty for ``none`` and ``unknown``.
-    distance : int
-        Members that differ from the code that was read; for ``unknown`` from the nearest code, -1 if there is none.
-    pairs : tuple of pairs
-        Two (groups of) faults at once that would fire just these members, each of them fewer.
-    nearest : tuple of tuple of str
-        For ``unknown``: the groups whose codes are nearest.
-    pattern : tuple of bool
-        Which members fired.
-    members : tuple of str
-    settled : tuple of str
-        Those of ``faults`` that fire these members only once they are constant.
-    """
-
-    answer: str
-    faults: tuple[str, ...]
-    distance: int
-    pairs: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]
-    nearest: tuple[tuple[str, ...], ...]
-    pattern: tuple[bool, ...]
-    members: tuple[str, ...]
-    settled: tuple[str, ...] = ()
-
-    @property
-    def fired(self) -> tuple[str, ...]:
-        """Names of the members that fired."""
-        return tuple(name for name, on in zip(self.members, self.pattern, strict=True) if on)
-
-    @property
-    def meaning(self) -> str:
-        """The answer in words."""
-        name = quoted(self.faults, self.settled)
-        if self.answer == "none":
-            return "no fault"
-        if self.answer == "exact":
-            return f"code of {name} (exact){self._pairs(', or of two at once: ')}"
-        if self.answer == "degraded":
-            return f"code of {name} with {_count(self.distance)} silent (degraded){self._pairs(', or two at once: ')}"
-        if self.answer == "nearest":
-            return f"nearest code: {name}, {_count(self.distance)} off (nearest){self._pairs(', or two at once: ')}"
-        together = self._pairs(": these two at once would fire the same members: ")
-        if self.close:
-            return f"nearest code: {quoted(self.close)}, 1 member off; but it may be {UNKNOWN}{together}"
-        if self.pairs:
-            return UNKNOWN + together
-        if self.nearest:
-            several = "codes" if len(self.nearest) > 1 else "code"
-            return f"{UNKNOWN}: nearest {several} {_listed(map(quoted, self.nearest))}, {_count(self.distance)} off"
-        return UNKNOWN
-
-    @property
-    def close(self) -> tuple[str, ...]:
-        """For ``unknown``: the one group whose code is nearest, where only one member differs; else empty."""
-        one = self.answer == "unknown" and self.distance == 1 and len(self.nearest) == 1
-        return self.nearest[0] if one else ()
-
-    def _pairs(self, before: str) -> str:
-        if not self.pairs:
-            return ""
-        if all(self.pattern) and len(self.pairs) > NAMED:  # most pairs fire everything: their names say nothing
-            return f"{before}{len(self.pairs)} pairs"
-        return before + _listed(f"{quoted(a)} and {quoted(b)}" for a, b in self.pairs)
-
-    def __str__(self) -> str:
-        everyone = len(self.members) > NAMED and len(self.fired) == len(self.members)
-        fired = f"all {len(self.members)} members" if everyone else ", ".join(self.fired) or "none"
-        return f"fired: {fired}; {self.meaning}"
-
-
-def quoted(faults: Sequence[str], settled: Sequence[str] = ()) -> str:
-    """Return the faults of a group as text, those last that are meant only once they are constant."""
-    own = " or ".join(f"'{name}'" for name in faults if name not in settled)
-    later = " or ".join(f"'{name}'" for name in faults if name in settled)
-    return f"{own}{', or of ' if own else ''}{later} once constant" if later else own
-
-
-def _count(members: int) -> str:
-    return f"{members} member{'' if members == 1 else 's'}"
-
-
-def _listed(items: Iterable[str]) -> str:
-    entries = list(items)
-    more = len(entries) - NAMED
-    return "; ".join(entries[:NAMED]) + (f"; and {more} more" if more > 0 else "")
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +96,7 @@ class CodeTest:
     @cached_property
     def strongly_isolating(self) -> bool:
         """Whether no code turns into another one when members that should fire stay silent."""
-        return strongly_isolating(self.codes)
+        return strongly_isolating(self.codes, self.groups)
 
     def read(self, fired: ArrayLike) -> CodeReading:
         """Return what one pattern of fired members says; see :func:`read_code`."""
@@ -218,15 +116,28 @@ class CodeTest:
             g = int(off.argmin())
             return CodeReading("exact", groups[g], 0, pairs, (), *made, settled[g])
         above = np.flatnonzero((codes >= pattern[:, None]).all(axis=0))
-        if len(above) == 1 and self.strongly_isolating:
-            g = int(above[0])
+        if len({groups[g] for g in above}) == 1 and self.strongly_isolating:  # its own settled code may be there too
+            g = int(above[np.argmin(off[above])])
             return CodeReading("degraded", groups[g], int(off[g]), pairs, (), *made, settled[g])
         smallest = int(off.min(initial=len(pattern) + 1))
         near = np.flatnonzero(off == smallest)
         nearest = tuple(dict.fromkeys(groups[g] for g in near))  # both codes of one fault can be equally near
-        if len(nearest) == 1 and smallest <= self.distance and not pattern.all():
+        possible = _each_once(groups[g] for g in above[np.argsort(off[above], kind="stable")])
+        alone = len(nearest) == 1 and all(set(group) <= set(nearest[0]) for group in possible)
+        if alone and smallest <= self.distance and not pattern.all():
             return CodeReading("nearest", nearest[0], smallest, pairs, (), *made, settled[near[0]])
-        return CodeReading("unknown", (), smallest if len(near) else -1, pairs, nearest, *made)
+        return CodeReading("unknown", (), smallest if len(near) else -1, pairs, nearest, *made, possible=possible)
+
+
+def _each_once(groups: Iterable[tuple[str, ...]]) -> tuple[tuple[str, ...], ...]:
+    """Return groups without the faults that an earlier one has named."""
+    named: set[str] = set()
+    out = []
+    for group in groups:
+        left = tuple(name for name in group if name not in named)
+        named.update(left)
+        out += [left] if left else []
+    return tuple(out)
 
 
 def _pairs_of(
@@ -291,11 +202,15 @@ def read_code(
     2. the pattern is the code of a fault: *exact*;
     3. it is the code of just one fault with some ones missing, and the set of codes is strongly isolating (no
        code is another one with ones missing): *degraded*. A fault too small, or too slow, for some members does that;
-    4. one code is nearer than all others (Hamming distance), and differs in no more than ``distance`` members:
-       *nearest*. Not for a pattern in which all members fired: two faults at once do that in most banks;
-    5. anything else: *unknown*, more than one fault, or one that the bank does not know.
+    4. one code is nearer than all others (Hamming distance), differs in no more than ``distance`` members, and the
+       pattern is part of no other fault's code: *nearest*. Not for a pattern in which all members fired: two faults
+       at once do that in most banks;
+    5. anything else: *unknown*: a single fault of whose code the pattern is part (``possible`` lists them), more than
+       one fault, or one that the bank does not know.
 
-    Guaranteed: a fault that fires just the members that its code promises is read exactly. Two faults at once whose
+    Guaranteed: a fault that fires just the members that its code promises is read exactly. A fault that fires only
+    some of them is not read as another one by a *degraded* or *nearest* code: as another one only where it fires all
+    members of that one's code and no more (*exact*; never in a strongly isolating set). Two faults at once whose
     pattern is the code of a third, or comes near it, are read as that third; ``pairs`` then names them.
 
     Parameters
@@ -393,4 +308,4 @@ def distinct_rows(rows: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[n
     return counts.astype(np.int64), first.astype(np.int64), index.astype(np.int64).ravel()
 
 
-__all__ = ["CodeReading", "CodeTest", "Structured", "code_test", "distinct_rows", "quoted", "read_code", "read_codes"]
+__all__ = ["CodeReading", "CodeTest", "Structured", "code_test", "distinct_rows", "read_code", "read_codes"]

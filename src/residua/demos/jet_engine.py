@@ -1,4 +1,4 @@
-"""The jet engine of Chen, Patton and Zhang: with a model that is slightly wrong, only the robust filter names the right sensor."""
+"""The jet engine of Chen, Patton and Zhang: the model is slightly wrong, only the robust filter names the sensor."""
 
 from __future__ import annotations
 

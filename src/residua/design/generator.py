@@ -67,7 +67,8 @@ class ResidualGenerator(Transformable):
         What the design proves about itself.
     subspaces : dict of str to ndarray, shape (residuals, k)
         For each fault an orthonormal basis of the smallest subspace that the residual never leaves,
-        whatever the time course of that fault (Chen, Patton and Zhang 1996, Definitions 5 and 6; the part that it can reach).
+        whatever the time course of that fault (Chen, Patton and Zhang 1996, Definitions 5 and 6; the part that it
+        can reach).
         When it is the whole residual space, the fault's residual has no fixed direction.
     observer : Observer or None
         The observer that it is made of, where there is one.

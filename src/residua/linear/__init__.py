@@ -22,13 +22,16 @@ from residua.linear.observability import (
     is_stable_mode,
     observability_form,
 )
+from residua.linear.peak_norm import PeakNorm, peak_input, peak_norm
 from residua.linear.placement import Placement, default_margin, place_observer_margin, place_observer_poles
 from residua.linear.polynomial_matrix import PolynomialMatrix
 from residua.linear.polynomial_null_space import NullVectors, left_null_vectors, shortest_left_null_vectors
 from residua.linear.rank import DEFAULT_RTOL, RankDecision, decide_rank
 from residua.linear.riccati import RiccatiSolution, filter_riccati
+from residua.linear.robust_norm import RobustPeakNorm, robust_peak_norm
 from residua.linear.sampling import sample
 from residua.linear.state_space import StateSpace
+from residua.linear.uncertain_system import UncertainSystem
 from residua.linear.zeros import InvariantZeros, invariant_zeros, normal_rank, pencil_rank_at
 
 __all__ = [
@@ -42,12 +45,15 @@ __all__ = [
     "NullVectors",
     "ObservabilityForm",
     "PeakGain",
+    "PeakNorm",
     "Placement",
     "PolynomialMatrix",
     "PrimitivePart",
     "RankDecision",
     "RiccatiSolution",
+    "RobustPeakNorm",
     "StateSpace",
+    "UncertainSystem",
     "WeierstrassForm",
     "consistent_state",
     "decide_rank",
@@ -65,10 +71,13 @@ __all__ = [
     "left_null_vectors",
     "normal_rank",
     "observability_form",
+    "peak_input",
+    "peak_norm",
     "pencil_rank_at",
     "place_observer_margin",
     "place_observer_poles",
     "primitive_part",
+    "robust_peak_norm",
     "sample",
     "shortest_left_null_vectors",
     "simulate_descriptor",

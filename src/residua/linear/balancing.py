@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 #: Entries this far below both the largest of their row and of their column are rounding residue; scaling
 #: must not promote them to data.
 _RESIDUE = 64 * np.finfo(float).eps
+#: Couplings this far below the largest may have been scaled away.
+_VANISHED = 1e-5
 _SWEEPS = 60
 #: Units of states further apart than this power of two come from parts without couplings both ways.
 _WIDEST = 64
@@ -127,8 +129,9 @@ def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> Ba
     if radius < np.sqrt(np.finfo(float).eps) * size:  # numerically nilpotent: the radius is rounding
         radius = size
     level = float(power_of_two(np.array(radius or 1.0)))
-    left, right, settled = _factors(W.copy(), n, level, _length)
-    if not settled:
+    scaled = W.copy()
+    left, right, settled = _factors(scaled, n, level, _length)
+    if not settled or _vanished(scaled):
         left, right, _ = _factors(W, n, level, _largest)
     T, U, Y = right[:n], right[n:], left[n:]
     # The scaled matrices are the same for states and inputs in c times larger, outputs in c times smaller units:
@@ -137,6 +140,16 @@ def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> Ba
     c = 2.0 ** np.round(size / max(len(T) + len(Y), 1))
     T, U, Y = T / c, U / c, Y * c
     return BalancedSystem(A / T[:, None] * T, B / T[:, None] * U, Y[:, None] * C * T, Y[:, None] * D * U, T, U, Y)
+
+
+def _vanished(W: NDArray[np.float64]) -> bool:
+    """Tell whether scaling has made a coupling nothing beside the others: no scaling evens all norms.
+
+    Where the states are a cascade, one of them can be scaled without end, with an input and an output that take part,
+    until the path to it does not count any more, and the sweeps come to rest only then.
+    """
+    smallest = np.min(W[W > 0], initial=np.inf)
+    return bool(smallest < _VANISHED * W.max(initial=0.0))
 
 
 def _factors(

@@ -134,7 +134,8 @@ def _circle(basis: PolynomialBasis, degree: int) -> NDArray[np.complex128]:
     radius = float(np.max(np.hypot(real - center, imaginary), initial=0.0))
     radius = 1.5 * max(radius, float(np.median(basis.sizes[:degree])) if degree else 1.0)
     count = 2 * degree + 2
-    return center + radius * np.exp(2j * np.pi * (np.arange(count) + 0.25) / count)
+    circle = np.exp(2j * np.pi * (np.arange(count) + 0.25) / count).astype(np.complex128)
+    return np.complex128(center) + radius * circle
 
 
 def _parallel(V: NDArray[np.complex128], values: NDArray[np.complex128], rtol: float) -> NDArray[np.float64]:

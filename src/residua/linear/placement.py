@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear import arrays
+from residua.linear.descriptor import explicit_poles
 from residua.linear.observability import is_stable_mode
 from residua.linear.observable_part import ObservablePart, observable_part
 from residua.linear.pole_assignment import real_block_diagonal, robust_assignment, schur_assignment
@@ -270,14 +271,14 @@ def default_margin(A: ArrayLike, dt: float = 0) -> float:
     dt = arrays.sample_step(dt)
     A = arrays.matrix(A, "A", (None, None))
     A = arrays.matrix(A, "A", (A.shape[0], A.shape[0]))
-    modes = np.linalg.eigvals(A).astype(complex)
     if dt:
+        modes = 1.0 + explicit_poles(A - np.eye(len(A)))  # one is the pole that has no rate
         modes = modes[np.abs(modes) > 1e-6]
         rates = np.abs(np.log(modes)) / dt
         rates = rates[rates * dt > 1e-6]
     else:
-        rates = np.abs(modes)  # those below sqrt(eps) of the norm may be rounding of a multiple pole at zero
-        rates = rates[rates > max(1e-8 * rates.max(initial=0.0), np.sqrt(_EPS) * float(np.linalg.norm(A)))]
+        rates = np.abs(explicit_poles(A))
+        rates = rates[rates > 1e-8 * rates.max(initial=0.0)]
     if not rates.size:
         return 0.1 / dt if dt else 1.0
     mean = float(np.exp(np.mean(np.log(rates))))

@@ -39,17 +39,17 @@ class PolynomialBasis:
         return cls(np.zeros(count), np.zeros(count), np.full(count, float(size)))
 
     @classmethod
-    def on(cls, nodes: ArrayLike, *, in_order: bool = False) -> PolynomialBasis:
+    def on(cls, nodes: ArrayLike, *, in_order: bool = False, size: float = 1.0) -> PolynomialBasis:
         """Return the basis on some nodes, closed under conjugation.
 
         In the order of Leja, each node as far as possible from those before it, with sizes that keep the elements near
-        one on all nodes; or in the order given (pairs side by side) with sizes one.
+        one on all nodes, ``size`` where all nodes meet; or in the order given (pairs side by side) with sizes one.
         """
         values = np.asarray(nodes, dtype=np.complex128).ravel()
         if in_order:
             first = np.concatenate([np.zeros(0, dtype=bool), values.imag > 0])
             return cls(values.real.copy(), np.where(first, values.imag, 0.0), np.ones(len(values)))
-        return cls(*_leja(values))
+        return cls(*_leja(values, size))
 
     def with_room(self) -> PolynomialBasis:
         """Return the basis with one node more, so that products with the variable can be written too."""
@@ -125,7 +125,9 @@ class PolynomialBasis:
         return np.asarray(out, dtype=float).reshape(coefficients.shape)
 
 
-def _leja(values: NDArray[np.complex128]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _leja(
+    values: NDArray[np.complex128], given: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return real parts, imaginary parts and sizes of nodes in the order of Leja."""
     upper = values[values.imag >= 0]
     nearest = _least_distances(upper, values)
@@ -133,7 +135,7 @@ def _leja(values: NDArray[np.complex128]) -> tuple[NDArray[np.float64], NDArray[
     log_size = np.zeros(len(upper))  # of the current element at each node
     center = upper.mean().real if len(upper) else 0.0
     real, imaginary, sizes = [], [], []
-    previous = 1.0
+    previous = given
     while rest:
         far = np.abs(upper[rest] - center) if not real else log_size[rest]
         pick = rest.pop(int(np.argmax(far)))
@@ -181,8 +183,9 @@ def basis_on_poles(poles: ArrayLike, count: int, size: float, *, outward: bool =
     values = np.where(np.abs(values.imag) < 1e-9 * np.abs(values), values.real, values)
     if not len(values):
         return PolynomialBasis.powers(count, size)
-    floor = 1e-6 * (float(np.median(np.abs(values))) or size)  # poles that meet would make sizes of rounding
-    one = PolynomialBasis.on(values)
+    size = float(np.median(np.abs(values))) or size
+    floor = 1e-6 * size  # poles that meet would make sizes of rounding
+    one = PolynomialBasis.on(values, size=size)
     one = PolynomialBasis(one.real, one.imaginary, np.maximum(one.sizes, floor))
     if outward:
         one = _reversed(one)

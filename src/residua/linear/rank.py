@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.errors import SettingError
+
 #: Singular values below this fraction of the scale count as zero, unless the caller says otherwise. The
 #: staircase algorithms lose about three digits at order 30, so this stays well above rounding.
 DEFAULT_RTOL = 1e-10
@@ -50,9 +52,20 @@ class RankDecision:
         return f"rank {self.rank} (smallest kept {kept}, largest dropped {self.largest_dropped:.3g})"
 
 
+def check_rtol(rtol: float) -> None:
+    """Raise when a tolerance of rank decisions is negative or no number."""
+    try:
+        fine = bool(0 <= rtol < np.inf)
+    except (TypeError, ValueError):
+        fine = False
+    if not fine:
+        raise SettingError(f"rtol must be a number, zero or larger, got {rtol!r}")
+
+
 def _svd_decision(
     M: ArrayLike, rtol: float, scale: float | None, full: bool
 ) -> tuple[NDArray, NDArray, NDArray, RankDecision]:
+    check_rtol(rtol)
     M = np.atleast_2d(np.asarray(M))
     rows, columns = M.shape
     if rows == 0 or columns == 0:
@@ -81,12 +94,18 @@ def decide_rank(M: ArrayLike, *, rtol: float = DEFAULT_RTOL, scale: float | None
     -------
     RankDecision
 
+    Raises
+    ------
+    SettingError
+        If ``rtol`` is negative, or no number.
+
     Examples
     --------
     >>> from residua.linear import decide_rank
     >>> print(decide_rank([[1, 2], [2, 4]]))
     rank 1 (smallest kept 5, largest dropped ...)
     """
+    check_rtol(rtol)
     M = np.atleast_2d(np.asarray(M))
     s = np.linalg.svd(M, compute_uv=False) if M.size else np.zeros(0)
     largest = float(s[0]) if s.size else 0.0

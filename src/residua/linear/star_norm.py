@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from residua.errors import AccuracyError
 from residua.linear.impulse_terms import StableSystem
@@ -45,6 +44,9 @@ def star_ellipsoid(system: StableSystem, *, xtol: float = 1e-10) -> Ellipsoid:
     if not n or not m or not np.any(system.B) or not np.any(system.C):
         return Ellipsoid(np.zeros((n, n)), 0.5, direct)
     room = 1 - system.radius**2
+    middle = ellipsoid_shape(system.A, system.B, room / 2)
+    seen = middle is None or _spread(system.C, middle) > 1e-24 * np.trace(middle) * float(np.sum(system.C**2))
+    C = system.C if seen else np.eye(n)  # outputs that no input reaches leave the choice to the states
 
     def rate_of(t: float) -> float:
         # A logistic scale resolves both ends; the optimum of a slow system lies near the middle of it.
@@ -52,7 +54,9 @@ def star_ellipsoid(system: StableSystem, *, xtol: float = 1e-10) -> Ellipsoid:
 
     def size(t: float) -> float:
         Q = ellipsoid_shape(system.A, system.B, rate_of(t))
-        return np.inf if Q is None else float(np.log(max(_spread(system.C, Q), np.finfo(float).tiny)))
+        return np.inf if Q is None else float(np.log(max(_spread(C, Q), np.finfo(float).tiny)))
+
+    from scipy.optimize import minimize_scalar  # slow to import, and not needed to run a monitor
 
     found = minimize_scalar(size, bounds=(-12.0, 25.0), method="bounded", options={"xatol": xtol**0.5})
     rate = rate_of(float(found.x))
@@ -62,7 +66,7 @@ def star_ellipsoid(system: StableSystem, *, xtol: float = 1e-10) -> Ellipsoid:
             f"the Lyapunov equation of the star norm was not solved (spectral radius {system.radius:.12g}): "
             "a pole is too near to the stability boundary"
         )
-    return Ellipsoid(Q, rate, float(np.sqrt(_spread(system.C, Q))) + direct)
+    return Ellipsoid(Q, rate, float(np.sqrt(max(_spread(system.C, Q), 0.0))) + direct)
 
 
 def _spread(C: Matrix, Q: Matrix) -> float:

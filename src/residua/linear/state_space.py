@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua.errors import ModelError
 from residua.linear import arrays
 from residua.linear.arrays import frozen
-from residua.linear.descriptor import finite_poles
+from residua.linear.descriptor import explicit_poles, finite_poles
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -125,7 +125,7 @@ class StateSpace:
     @cached_property
     def _poles(self) -> NDArray[np.complex128]:
         if self.E is None:
-            return np.asarray(scipy.linalg.eigvals(self.A), dtype=complex).reshape(-1)
+            return explicit_poles(self.A)
         # Poles at infinity are found by rank decisions: rounding throws those in chains far into the plane.
         return finite_poles(self.A, self.E)
 

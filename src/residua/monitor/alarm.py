@@ -170,9 +170,9 @@ class Alarm:
         latter.
         """
         out: dict[str, Any] = {
-            "onset": self.onset,
-            "raised": self.raised,
-            "ended": self.ended,
+            "onset": _clean(self.onset),
+            "raised": _clean(self.raised),
+            "ended": None if self.ended is None else _clean(self.ended),
             "samples": self.samples,
             "short": self.samples < window,
             "margin": self.margin,
@@ -205,8 +205,14 @@ def _code(reading: CodeReading) -> dict[str, Any]:
         "settled": list(reading.settled),
         "distance": reading.distance,
         "pairs": [[list(a), list(b)] for a, b in reading.pairs],
+        "possible": [list(group) for group in reading.possible],
         "text": reading.meaning,
     }
+
+
+def _clean(time: float) -> float:
+    """Return a time without what rounding adds to a multiple of the step."""
+    return float(f"{time:.12g}")
 
 
 def _finite(value: float) -> float | None:

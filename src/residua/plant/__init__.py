@@ -13,23 +13,37 @@ from residua.plant.disturbances import (
 from residua.plant.input_output_conversion import input_output_from_plant
 from residua.plant.input_output_model import InputOutputModel
 from residua.plant.input_output_realization import Realization, realize_input_output
+from residua.plant.perturbation import Perturbation, UncertainParameter
 from residua.plant.plant import Plant
+from residua.plant.plant_family import (
+    Linearisation,
+    uncertain_plant_from_parameters,
+    uncertain_plant_from_plants,
+)
 from residua.plant.plant_file import load_plant, loads_plant
 from residua.plant.plant_writer import dumps_plant, save_plant
 from residua.plant.sensor_filter import augment_sensor_filter, sensor_filter
 from residua.plant.transfer_functions import input_output_from_transfer_functions
+from residua.plant.uncertain_loop import close_loop, estimator_residual
+from residua.plant.uncertain_plant import UncertainPlant
 
 __all__ = [
     "Fault",
     "InputOutputModel",
+    "Linearisation",
     "OperatingPoint",
+    "Perturbation",
     "Plant",
     "Realization",
+    "UncertainParameter",
+    "UncertainPlant",
     "augment_sensor_filter",
+    "close_loop",
     "disturbance_from_parameters",
     "disturbance_from_perturbations",
     "disturbance_from_steady_states",
     "dumps_plant",
+    "estimator_residual",
     "factor_disturbance",
     "input_output_from_plant",
     "input_output_from_transfer_functions",
@@ -40,5 +54,7 @@ __all__ = [
     "realize_input_output",
     "save_plant",
     "sensor_filter",
+    "uncertain_plant_from_parameters",
+    "uncertain_plant_from_plants",
     "without_algebraic_equations",
 ]

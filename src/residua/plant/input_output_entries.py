@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import ModelError
 from residua.linear.arrays import index_of
@@ -39,7 +39,7 @@ def output_polynomials(H: Any, variable: str) -> PolynomialMatrix:
         if not any(_is_sequence(entry) for row in rows for entry in row):
             m = len(rows)
             rows = [[row if i == j else [0.0] for j in range(m)] for i, row in enumerate(rows)]
-        H = _from_entries(rows, variable)
+        H = _from_entries(rows, variable, "H")
     if H.shape[0] != H.shape[1] or not H.shape[0]:
         raise ModelError(f"H must be square, one row and one column per output, got {H.shape[0]} x {H.shape[1]}")
     return H
@@ -56,7 +56,7 @@ def input_polynomials(G: Any, outputs: int, variable: str) -> PolynomialMatrix:
                 "G is a matrix of numbers, which may mean constants or one list of coefficients per output: write "
                 "every entry as a list of coefficients, [[[1.5, -0.65]], [[1.1, -0.95]]] for two outputs and one input"
             )
-        G = _from_entries(rows, variable)
+        G = _from_entries(rows, variable, "G")
     if G.shape[0] != outputs:
         raise ModelError(f"G must have one row per output, {outputs}, got {G.shape[0]}")
     return G
@@ -71,16 +71,20 @@ def columns(given: Mapping[str, Column], outputs: tuple[str, ...], what: str, va
         if isinstance(value, Mapping):
             entries: list[Any] = [[0.0] for _ in outputs]
             for key, entry in value.items():
-                entries[index_of(key, outputs, f"{what} {name!r}: output")] = entry
+                try:
+                    at = index_of(key, outputs, "output")
+                except ModelError as error:
+                    raise ModelError(f"{what} {name!r}: {error}") from None
+                entries[at] = entry
         else:
             entries = _listed(value, f"{what} {name!r}")
         if len(entries) != len(outputs):
             raise ModelError(
                 f"{what} {name!r}: expected {len(outputs)} polynomials, one per output, got {len(entries)}"
             )
-        for row, entry in zip(found, entries, strict=True):
-            row.append(entry)
-    P = _from_entries(found, variable)
+        for row, entry, output in zip(found, entries, outputs, strict=True):
+            row.append(polynomial(entry, f"{what} {name!r}, output {output!r}"))
+    P = _from_entries(found, variable, what)
     for j, name in enumerate(given):
         if not np.any(P.coefficients[:, :, j]):
             raise ModelError(f"{what} {name!r} has no effect: its polynomials are zero")
@@ -110,13 +114,33 @@ def multiplied(P: PolynomialMatrix, powers: Sequence[int]) -> PolynomialMatrix:
     return PolynomialMatrix(out)
 
 
-def _from_entries(rows: Sequence[Sequence[Any]], variable: str) -> PolynomialMatrix:
+def polynomial(entry: Any, where: str) -> NDArray[np.float64]:
+    """Return the coefficients of one entry in the order in which they were given, or say what is wrong with it."""
+    kind = "a polynomial must be a number or a list of coefficients"
+    try:
+        if np.iscomplexobj(entry):
+            kind = f"{kind}, real ones"
+        values = np.atleast_1d(np.asarray(entry, dtype=float))
+    except (TypeError, ValueError):
+        raise ModelError(f"{where}: {kind}, got {entry!r}") from None
+    if values.ndim != 1:
+        raise ModelError(f"{where}: {kind}, got {entry!r}")
+    if not values.size:
+        raise ModelError(f"{where} is an empty list: write 0 for a polynomial that is zero")
+    if not np.isfinite(values).all():
+        raise ModelError(f"{where} has the coefficient {values[~np.isfinite(values)][0]}: all must be finite numbers")
+    return values
+
+
+def _from_entries(rows: Sequence[Sequence[Any]], variable: str, name: str) -> PolynomialMatrix:
     """Return the matrix in powers of ``z`` or ``s``, or of ``1/z`` when that is the variable."""
-    P = PolynomialMatrix.from_entries(rows)
-    if variable != "1/z":
-        return P
-    # Coefficients of 1, 1/z, 1/z^2, ...: the first is that of the lowest power.
-    return PolynomialMatrix.from_entries([[np.atleast_1d(np.asarray(e, float))[::-1] for e in row] for row in rows])
+    lengths = [len(row) for row in rows]
+    if len(set(lengths)) > 1:
+        raise ModelError(f"the rows of {name} must have one length, got {', '.join(map(str, lengths))} entries")
+    checked = [[polynomial(e, f"{name}[{i}, {j}]") for j, e in enumerate(row)] for i, row in enumerate(rows)]
+    if variable == "1/z":  # coefficients of 1, 1/z, 1/z^2, ...: the first is that of the lowest power
+        checked = [[entry[::-1] for entry in row] for row in checked]
+    return PolynomialMatrix.from_entries(checked)
 
 
 def _is_sequence(value: Any) -> bool:

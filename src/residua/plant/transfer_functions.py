@@ -6,19 +6,25 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, ModelError
+from residua.linear.observability import dies_out, modes_with_uncertainty
 from residua.linear.polynomial_matrix import PolynomialMatrix
 from residua.linear.polynomial_null_space import shortest_left_null_vectors
 from residua.linear.rank import DEFAULT_RTOL
+from residua.linear.spectrum import describe_modes
 from residua.plant.conversion import system_labels, system_step
 from residua.plant.input_output_conversion import as_matrices
+from residua.plant.input_output_entries import polynomial
 from residua.plant.input_output_model import InputOutputModel
 from residua.plant.observer_form import check_response, response_error, response_points, unit_of_variable
 
 #: Coefficients below this fraction of the largest of their polynomial are rounding, at the size of the poles.
 _ROUNDING = 1e-14
+#: Poles closer than this, of the unit disk or of their size, are copies of one, as for equations.
+_COPY = 1e-4
 Entry = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
@@ -51,7 +57,8 @@ def input_output_from_transfer_functions(
     Raises
     ------
     ModelError
-        If an entry is malformed or not proper, or the time base is open.
+        If an entry is malformed or not proper, the time base is open, or a mode that is not stable is divided out: in
+        a denominator, and in no equation that is left.
     AccuracyError
         If the frequency response is missed by more than the tolerance.
 
@@ -68,6 +75,7 @@ def input_output_from_transfer_functions(
     denominators = [den for row in entries for _, den in row]
     unit = unit_of_variable(_diagonal(denominators)) if denominators else 1.0
     rows = [_least_common_row(row, unit, rtol) for row in entries]
+    _check_cancelled(denominators, [h[::-1] for h, _ in rows], step)
     H, N = as_matrices(rows, 1.0, m, k)
     model = InputOutputModel(H, N, dt=step, rtol=rtol, **(labels | options))
     poles = np.concatenate([np.zeros(0, complex), *(np.roots(den).astype(complex) for den in denominators)])
@@ -81,6 +89,32 @@ def input_output_from_transfer_functions(
         "some denominators are nearly the same; round what is meant to be equal, or give H and G",
     )
     return model
+
+
+def _check_cancelled(denominators: Sequence[NDArray], kept: Sequence[NDArray], dt: float) -> None:
+    """Raise when a root of a denominator is not stable, and no equation that is left has the same."""
+    left = [_roots(h) for h in kept]
+    poles, moved = (np.concatenate([np.zeros(0), *parts]) for parts in (zip(*left, strict=True) if left else ((), ())))
+    hidden: list[complex] = []
+    for den in denominators:
+        modes, own = _roots(den)
+        unstable = ~dies_out(modes, own, dt, float(np.abs(modes).max(initial=0.0)))
+        for mode, doubt in zip(modes[unstable], own[unstable], strict=True):
+            allowed = np.maximum(10 * (doubt + moved), _COPY * (1.0 if dt else abs(mode)))
+            if not np.any(np.abs(poles - mode) <= allowed):
+                hidden.append(complex(mode))
+    if hidden:
+        raise ModelError(
+            f"mode {describe_modes(hidden)} is in a denominator but cancels against the numerator, and it is not "
+            "stable: a plant without it would not behave like these transfer functions; divide the common factor out "
+            "if it is none of the plant's, or give the equations with the disturbance or fault that reaches it"
+        )
+
+
+def _roots(polynomial: NDArray) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+    """Return the roots of a polynomial, highest power first, and how far rounding may have moved each."""
+    found = np.trim_zeros(np.asarray(polynomial, dtype=float), "f")
+    return modes_with_uncertainty(scipy.linalg.companion(found) if len(found) > 1 else np.zeros((0, 0)))
 
 
 def _diagonal(polynomials: Sequence[NDArray[np.float64]]) -> PolynomialMatrix:
@@ -125,7 +159,7 @@ def _entries(system: Any, dt: float | None) -> tuple[list[list[Entry]], float, d
             rows = [list(row) for row in system]
         except TypeError as error:
             raise ModelError(f"expected rows of (numerator, denominator), got {type(system).__name__}") from error
-        return [[_entry(entry) for entry in row] for row in rows], 1.0 if dt is None else float(dt), {}
+        return _checked(rows), 1.0 if dt is None else float(dt), {}
     step = system_step(getattr(system, "dt", None), dt, system)
     num, den = system.num, system.den
     if _depth(den) < 2:  # SciPy: one denominator, and one numerator or one per output
@@ -138,7 +172,7 @@ def _entries(system: Any, dt: float | None) -> tuple[list[list[Entry]], float, d
     }
     if isinstance(getattr(system, "name", None), str):
         labels["name"] = system.name
-    return [[_entry(entry) for entry in row] for row in rows], step, labels
+    return _checked(rows), step, labels
 
 
 def _depth(value: Any) -> int:
@@ -146,15 +180,17 @@ def _depth(value: Any) -> int:
     return 0 if np.isscalar(value) or not len(value) else 1 + _depth(value[0])
 
 
-def _entry(entry: Any) -> Entry:
+def _checked(rows: Sequence[Sequence[Any]]) -> list[list[Entry]]:
+    return [[_entry(entry, f"entry [{i}, {j}]") for j, entry in enumerate(row)] for i, row in enumerate(rows)]
+
+
+def _entry(entry: Any, where: str) -> Entry:
     """Return numerator and denominator of one entry, without leading zeros."""
     pair = (entry, [1.0]) if np.isscalar(entry) else entry
-    try:
-        if len(pair) != 2:
-            raise ValueError(f"got {pair!r}")
-        num, den = (np.trim_zeros(np.atleast_1d(np.asarray(part, dtype=float)), "f") for part in pair)
-    except (TypeError, ValueError) as error:
-        raise ModelError(f"an entry must be a number or (numerator, denominator): {error}") from error
+    if isinstance(pair, (str, bytes)) or not hasattr(pair, "__len__") or len(pair) != 2:
+        raise ModelError(f"{where} must be a number or (numerator, denominator), got {entry!r}")
+    num = np.trim_zeros(polynomial(pair[0], f"the numerator of {where}"), "f")
+    den = np.trim_zeros(polynomial(pair[1], f"the denominator of {where}"), "f")
     if not len(den):
-        raise ModelError(f"the denominator of {entry!r} is zero")
+        raise ModelError(f"the denominator of {where} is zero")
     return num if len(num) else np.zeros(1), den

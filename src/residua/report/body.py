@@ -40,7 +40,9 @@ def summary_html(entries: Sequence[tuple[int, str, Diagnosis, tuple[str, ...] | 
         if best:
             named = best.name
         elif v.confidence == "no code":
-            named = "more than one fault, or one not known"
+            named = (
+                v.headline.split(":")[0] if "not told which" in v.headline else "more than one fault, or one not known"
+            )
         else:
             named = "a fault, not isolated" if v.kind == "fault" else v.headline.rstrip(".")
         row = [f'<a href="#s{k}">{escape(heading or f"Diagnosis {k}")}</a>']

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 CODE_RULES = (
     "A pattern of fired members is read in this order: exact, the code of one fault; degraded, the code of one fault "
     "with members silent, and of no other (only where no code is part of another); nearest, one code nearer than all "
-    "others, within the members that may differ; else it is more than one fault, or one that the bank does not know. "
+    "others, within the members that may differ, and the pattern is "
+    "part of no other fault's code; else it is more than one fault, or one that the bank does not know. "
     "The score is the fraction of the members that agree with a code."
 )
 

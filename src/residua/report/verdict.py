@@ -168,6 +168,8 @@ def _by_code(main: Alarm, window: int, when: str, sentences: list[str]) -> tuple
     if not reading.faults:
         one = f", such as {' and '.join(' or '.join(g) for g in reading.pairs[0])}" if len(reading.pairs) == 1 else ""
         several = f"ore than one fault{one}, or one that the bank does not know, {when}."
+        if reading.possible:
+            return f"Fault found, not told which: {reading.either} with members silent; or m{several}", "no code", None
         near = f"Nearest: {' or '.join(reading.close)}, 1 member off; or m" if reading.close else "M"
         headline = f"{near}{several}"
         return headline, "no code", None

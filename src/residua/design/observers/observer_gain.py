@@ -55,7 +55,8 @@ def margin_from(A1: NDArray, plant: Plant) -> float:
 
 def own_rate(plant: Plant) -> float:
     """Return the geometric mean of the sizes of the plant's poles, in 1/s."""
-    return default_margin(real_block_diagonal(plant.system(()).poles()), plant.dt)
+    A = plant.A if plant.E is None else real_block_diagonal(plant.system(()).poles())
+    return default_margin(A, plant.dt)
 
 
 def pole_evidence(placed: Placement, F: NDArray) -> dict[str, Any]:

@@ -292,9 +292,9 @@ def perfect_observer(
               \quad \text{for every finite } s.
 
     and, for the form above without disturbances, an invertible ``T`` can be chosen: always when
-    :math:`\operatorname{rank} [E; C] = n`, as Twardy and Kaczorek ask, and often when not. (``least_order`` needs the first
-    condition alone.) Its price is noise: as many derivatives of the measurements as the evidence says. Several gains
-    are tried and the one kept that takes the fewest derivatives, and of these the quietest.
+    :math:`\operatorname{rank} [E; C] = n`, as Twardy and Kaczorek ask, and often when not. (``least_order`` needs
+    the first condition alone.) Its price is noise: as many derivatives of the measurements as the evidence says.
+    Several gains are tried and the one kept that takes the fewest derivatives, and of these the quietest.
 
     Parameters
     ----------

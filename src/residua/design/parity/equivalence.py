@@ -239,6 +239,8 @@ def equivalence(first: ResidualGenerator, second: ResidualGenerator, *, rtol: fl
     w = frequency_grid(a, b)
     Qa, Qb = a.frequency_response(w), b.frequency_response(w)
     units = _signal_units(first, Qa, w)
+    units = np.where(units > 0, units, _signal_units(second, Qb, w))  # signals that the first has nothing to do with
+    units = np.where(units > 0, units, 1.0)
     Qa, Qb = Qa / units, Qb / units
     note, rows, zeros = "", (), False
     try:
@@ -292,7 +294,7 @@ def _signal_units(generator: ResidualGenerator, Q: NDArray, w: NDArray) -> NDArr
     p = plant.system(("control", "disturbance", "fault"))
     outputs = descriptor_units(p.A, p.E, p.B, p.C, p.D).outputs
     largest = np.max(size[n_u:] / outputs, initial=0.0)
-    return np.maximum(size, np.maximum(np.concatenate([terms, _FAINT_OUTPUT * largest * outputs]), 1e-300))
+    return np.maximum(size, np.concatenate([terms, _FAINT_OUTPUT * largest * outputs]))
 
 
 def _matched(

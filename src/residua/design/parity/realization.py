@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.linear import StateSpace
-from residua.linear.balancing import balance_system, has_units
+from residua.linear.balancing import balance_system, descriptor_units, has_units
 from residua.linear.polynomial_basis import PolynomialBasis
 from residua.plant import Plant
 
@@ -59,10 +59,17 @@ def realize_relation(
     U = -(p @ plant.Bu + q @ plant.Du)
     B, D = np.hstack([U[:k], q[:k]]), np.hstack([U[k:], q[k:]])
     C = np.eye(k)[-1:] if k else np.zeros((1, 0))
-    found = balance_system(M, B, C, D)
+    # what the filter remembers of the plant has a size too: a state that its inputs reach by rounding only has no other
+    known = p / _equation_units(plant)
+    found = balance_system(M, np.hstack([B, known[:k]]), C, np.hstack([D, known[k:]]))
     units = found.states / found.states[-1] if k and has_units(found.states) else np.ones(k)  # C stays one
     system = StateSpace(M / units[:, None] * units, B / units[:, None], C * units, D, dt=plant.dt)
     return Realization(system, -p[:k] / units[:, None], p[k:])
+
+
+def _equation_units(plant: Plant) -> NDArray[np.float64]:
+    s = plant.system(("control", "disturbance", "fault"))
+    return descriptor_units(s.A, s.E, s.B, s.C, s.D).equations
 
 
 def pole_basis(poles: NDArray[np.complex128]) -> PolynomialBasis:

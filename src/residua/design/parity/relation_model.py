@@ -106,5 +106,11 @@ def basis_for(plant: Plant, count: int) -> PolynomialBasis:
     size = float(np.median(np.abs(poles[np.isfinite(poles)]))) if np.isfinite(poles).any() else 0.0
     if not size:
         E = np.eye(plant.n_states) if plant.E is None else plant.E
-        size = 1.0 if plant.is_discrete else float(np.linalg.norm(plant.A) / max(np.linalg.norm(E), 1e-300)) or 1.0
+        size = 1.0 if plant.is_discrete else _mean_size(plant.A) / _mean_size(E)
     return basis_on_poles(poles, count, size, outward=True)
+
+
+def _mean_size(M: NDArray[np.float64]) -> float:
+    """Return the geometric mean of the entries that are not zero: units of states hardly change it."""
+    found = np.abs(M[M != 0])
+    return float(np.exp(np.mean(np.log(found)))) if found.size else 1.0

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.analysis.codes import equal_codes
-from residua.analysis.coding_choice import TIME_LIMIT, _check, _Task
+from residua.analysis.coding_choice import TIME_LIMIT, ChoiceTask, check_choice
 from residua.analysis.coding_sets import CodingSet
-from residua.analysis.cover import Cover, _milp
+from residua.analysis.cover import Cover, integer_program
 from residua.design.banks.bank import Bank
 from residua.design.generator import ResidualGenerator
 from residua.design.internal_form import internal_form
@@ -157,7 +157,7 @@ def select_equations(
     ('r1', 'r2', 'r3')
     """
     generator = relations.generator if isinstance(relations, Bank) else relations
-    _check(quality, None, time_limit)
+    check_choice(quality, None, time_limit)
     if criterion not in ("worst", "sum"):
         raise SettingError(f"criterion must be 'worst' or 'sum', got {criterion!r}")
     if (inputs is None) == (recording is None):
@@ -254,7 +254,7 @@ def _chosen(
         raise DesignError("no equation answers to any fault: there is nothing to isolate")
     notes = [f"no equation answers to {', '.join(unseen)}"] if unseen else []
     names = [tuple(generator.faults[j] for j in group) for group in groups]
-    task = _Task(structure[:, [group[0] for group in groups]], names, set(range(len(groups))))
+    task = ChoiceTask(structure[:, [group[0] for group in groups]], names, set(range(len(groups))))
     cover, stuck = task.cover(quality == "strong")
     for j, k in stuck:
         notes.append(
@@ -281,7 +281,7 @@ def _cheapest(
     few = 1e-6 * float(costs.max(initial=0.0)) + 1e-300
     aim = (costs + few) / (costs.max(initial=0.0) + few)
     constraints = [(cover.demands.astype(float), 1.0, np.inf)]
-    result = _milp(aim, constraints, allowed.astype(float), np.ones(len(costs)), time_limit)
+    result = integer_program(aim, constraints, allowed.astype(float), np.ones(len(costs)), time_limit)
     if result.x is None:
         chosen = np.flatnonzero(allowed)
     else:

@@ -1,0 +1,126 @@
+"""What a pattern of fired members says, in values and in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+#: Pairs of faults, and nearest codes, that a text names at most.
+NAMED = 3
+#: Single faults that explain a pattern, as a text names them at most.
+LISTED = 8
+
+UNKNOWN = "more than one fault, or one that the bank does not know"
+
+
+@dataclass(frozen=True)
+class CodeReading:
+    """What a pattern of fired members says.
+
+    Attributes
+    ----------
+    answer : {"none", "exact", "degraded", "nearest", "unknown"}
+        ``none``: no member fired, no fault. ``exact``: the pattern is the code of one fault. ``degraded``: it is
+        the code of one fault with some members silent, and of no other. ``nearest``: one code is nearer than all
+        others, within the distance that is allowed, and no other fault has the pattern as part of its code.
+        ``unknown``: one of the faults in ``possible``, more than one fault, or one that the bank does not know.
+    faults : tuple of str
+        The fault that was read, with those that have the same code; empty for ``none`` and ``unknown``.
+    distance : int
+        Members that differ from the code that was read; for ``unknown`` from the nearest code, -1 if there is none.
+    pairs : tuple of pairs
+        Two (groups of) faults at once that would fire just these members, each of them fewer.
+    nearest : tuple of tuple of str
+        For ``unknown``: the groups whose codes are nearest.
+    pattern : tuple of bool
+        Which members fired.
+    members : tuple of str
+    settled : tuple of str
+        Those of ``faults`` that fire these members only once they are constant.
+    possible : tuple of tuple of str
+        For ``unknown``: the single faults that explain the pattern by members that stay silent, those with the
+        fewest silent members first. Faults with the same code are together, each is named once.
+    """
+
+    answer: str
+    faults: tuple[str, ...]
+    distance: int
+    pairs: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]
+    nearest: tuple[tuple[str, ...], ...]
+    pattern: tuple[bool, ...]
+    members: tuple[str, ...]
+    settled: tuple[str, ...] = ()
+    possible: tuple[tuple[str, ...], ...] = ()
+
+    @property
+    def fired(self) -> tuple[str, ...]:
+        """Names of the members that fired."""
+        return tuple(name for name, on in zip(self.members, self.pattern, strict=True) if on)
+
+    @property
+    def meaning(self) -> str:
+        """The answer in words."""
+        name = quoted(self.faults, self.settled)
+        if self.answer == "none":
+            return "no fault"
+        if self.answer == "exact":
+            return f"code of {name} (exact){self._pairs(', or of two at once: ')}"
+        if self.answer == "degraded":
+            return f"code of {name} with {_count(self.distance)} silent (degraded){self._pairs(', or two at once: ')}"
+        if self.answer == "nearest":
+            return f"nearest code: {name}, {_count(self.distance)} off (nearest){self._pairs(', or two at once: ')}"
+        together = self._pairs(": these two at once would fire the same members: ")
+        if self.possible:
+            return f"not told which: {self.either} with members silent, {UNKNOWN}{together}"
+        if self.close:
+            return f"nearest code: {quoted(self.close)}, 1 member off; but it may be {UNKNOWN}{together}"
+        if self.pairs:
+            return UNKNOWN + together
+        if self.nearest:
+            several = "codes" if len(self.nearest) > 1 else "code"
+            return f"{UNKNOWN}: nearest {several} {_listed(map(quoted, self.nearest))}, {_count(self.distance)} off"
+        return UNKNOWN
+
+    @property
+    def close(self) -> tuple[str, ...]:
+        """For ``unknown``: the one group whose code is nearest, where only one member differs; else empty.
+
+        Empty also where single faults are ``possible``: none of them comes before the others.
+        """
+        one = self.answer == "unknown" and self.distance == 1 and len(self.nearest) == 1 and not self.possible
+        return self.nearest[0] if one else ()
+
+    @property
+    def either(self) -> str:
+        """The faults in ``possible`` as text; empty without any."""
+        more = sum(len(group) for group in self.possible[LISTED:])
+        return " or ".join(quoted(group) for group in self.possible[:LISTED]) + (f" or {more} more" if more else "")
+
+    def _pairs(self, before: str) -> str:
+        if not self.pairs:
+            return ""
+        if all(self.pattern) and len(self.pairs) > NAMED:  # most pairs fire everything: their names say nothing
+            return f"{before}{len(self.pairs)} pairs"
+        return before + _listed(f"{quoted(a)} and {quoted(b)}" for a, b in self.pairs)
+
+    def __str__(self) -> str:
+        everyone = len(self.members) > NAMED and len(self.fired) == len(self.members)
+        fired = f"all {len(self.members)} members" if everyone else ", ".join(self.fired) or "none"
+        return f"fired: {fired}; {self.meaning}"
+
+
+def quoted(faults: Sequence[str], settled: Sequence[str] = ()) -> str:
+    """Return the faults of a group as text, those last that are meant only once they are constant."""
+    own = " or ".join(f"'{name}'" for name in faults if name not in settled)
+    later = " or ".join(f"'{name}'" for name in faults if name in settled)
+    return f"{own}{', or of ' if own else ''}{later} once constant" if later else own
+
+
+def _count(members: int) -> str:
+    return f"{members} member{'' if members == 1 else 's'}"
+
+
+def _listed(items: Iterable[str]) -> str:
+    entries = list(items)
+    more = len(entries) - NAMED
+    return "; ".join(entries[:NAMED]) + (f"; and {more} more" if more > 0 else "")

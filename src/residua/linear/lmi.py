@@ -1,0 +1,183 @@
+"""Linear matrix inequalities: their unknowns as one vector, and the solver behind the extra ``lmi``."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+import scipy.sparse
+from numpy.typing import NDArray
+
+from residua.errors import missing_extra
+
+Matrix = NDArray[np.float64]
+#: Of the solver; what it returns is corrected afterwards, so that more digits would be lost on it.
+_ACCURACY = {"tol_gap_rel": 1e-6, "tol_gap_abs": 1e-7, "tol_feas": 1e-8}
+
+
+def has_solver() -> bool:
+    """Tell whether the packages of the extra ``lmi`` are there."""
+    try:
+        return find_spec("cvxpy") is not None and find_spec("clarabel") is not None
+    except ValueError:  # a module that is blocked by a None in sys.modules
+        return False
+
+
+def require_solver() -> Any:
+    """Return the modelling package, or raise with the name of the extra."""
+    try:
+        import clarabel  # noqa: F401  # pyright: ignore[reportMissingImports]
+        import cvxpy  # pyright: ignore[reportMissingImports]
+    except ImportError as error:
+        raise missing_extra("cvxpy' and 'clarabel", "lmi") from error
+    return cvxpy
+
+
+@dataclass(frozen=True, eq=False)
+class Unknown:
+    """A matrix of unknowns: its name, and one matrix for each unknown, shape (unknowns, size, size)."""
+
+    name: str
+    basis: Matrix
+
+
+def scalar(name: str) -> Unknown:
+    """Return one unknown number."""
+    return Unknown(name, np.ones((1, 1, 1)))
+
+
+def symmetric(name: str, size: int, sets: Sequence[Sequence[int]] | None = None) -> Unknown:
+    """Return an unknown symmetric matrix, zero but within each of the given index sets (one of all, when omitted)."""
+    return _within(name, size, [range(size)] if sets is None else sets, 0, 1.0)
+
+
+def skew(name: str, size: int, sets: Sequence[Sequence[int]]) -> Unknown:
+    """Return an unknown skew-symmetric matrix, zero but within each of the given index sets."""
+    return _within(name, size, sets, 1, -1.0)
+
+
+def _within(name: str, size: int, sets: Sequence[Sequence[int]], above: int, mirror: float) -> Unknown:
+    pairs = [(s[i], s[j]) for s in sets for i in range(len(s)) for j in range(i + above, len(s))]
+    basis = np.zeros((len(pairs), size, size))
+    for one, (i, j) in zip(basis, pairs, strict=True):
+        one[j, i] = mirror
+        one[i, j] = 1.0
+    return Unknown(name, basis)
+
+
+Values = Mapping[str, Matrix]
+#: An affine map from unknowns to a symmetric matrix that is to be positive semidefinite.
+Inequality = Callable[[Values], Matrix]
+
+
+@dataclass(frozen=True, eq=False)
+class Unknowns:
+    """Several unknowns behind one another in one vector."""
+
+    parts: tuple[Unknown, ...]
+
+    @cached_property
+    def count(self) -> int:
+        """Length of the vector."""
+        return sum(len(part.basis) for part in self.parts)
+
+    def values(self, x: NDArray[np.float64]) -> dict[str, Matrix]:
+        """Return the matrices that a vector stands for."""
+        out, start = {}, 0
+        for part in self.parts:
+            stop = start + len(part.basis)
+            out[part.name] = np.tensordot(x[start:stop], part.basis, axes=1)
+            start = stop
+        return out
+
+    def coefficients(self, inequality: Inequality) -> tuple[Matrix, scipy.sparse.csr_matrix]:
+        """Return constant and coefficients of an affine map, entries row by row: ``constant + coefficients @ x``."""
+        zero = np.zeros(self.count)
+        constant = inequality(self.values(zero))
+        columns = np.empty((constant.size, self.count))
+        values = self.values(zero)
+        j = 0
+        for part in self.parts:
+            before = values[part.name]
+            for one in part.basis:
+                values[part.name] = one
+                columns[:, j] = (inequality(values) - constant).ravel()
+                j += 1
+            values[part.name] = before
+        return constant, scipy.sparse.csr_matrix(columns)
+
+
+def solve(
+    unknowns: Unknowns,
+    inequalities: list[tuple[Matrix, scipy.sparse.csr_matrix]],
+    cost: NDArray[np.float64],
+    *,
+    margin: float,
+) -> NDArray[np.float64] | None:
+    """Minimise ``cost @ x`` subject to every inequality ``>= margin * I``; None where the solver found nothing.
+
+    What comes back is a candidate: solvers call a point optimal that misses a little, so that whoever asked has to
+    check it.
+    """
+    cp = require_solver()
+    x = cp.Variable(unknowns.count)
+    constraints = []
+    numbers = [(constant - margin, row) for constant, row in inequalities if len(constant) == 1]
+    if numbers:  # one by one they would take the modelling layer longer than the solver
+        rows = scipy.sparse.vstack([row for _, row in numbers]).tocsr()
+        constraints.append(rows @ x + np.concatenate([constant.ravel() for constant, _ in numbers]) >= 0)
+    for constant, coefficients in inequalities:
+        s = len(constant)
+        if s > 1:
+            shifted = (constant - margin * np.eye(s)).ravel()
+            constraints.append(cp.reshape(coefficients @ x + shifted, (s, s), order="C") >> 0)
+    problem = cp.Problem(cp.Minimize(cost @ x), constraints)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that a solution may be inaccurate: it is checked
+        try:
+            problem.solve(solver=cp.CLARABEL, **_ACCURACY)
+        except cp.error.SolverError:
+            return None
+    if problem.status not in ("optimal", "optimal_inaccurate") or x.value is None or not np.isfinite(x.value).all():
+        return None
+    return np.asarray(x.value, dtype=float)
+
+
+def smallest_eigenvalue(M: Matrix) -> float:
+    """Return the smallest eigenvalue of a symmetric matrix with its rows and columns brought to a unit diagonal.
+
+    Definiteness does not depend on the units of rows and columns, and this number tells it from rounding. A diagonal
+    entry that is not positive is returned as it is.
+    """
+    if not M.size:
+        return np.inf
+    diagonal = np.diagonal(M)
+    if diagonal.min() <= 0:
+        return float(min(diagonal.min(), -np.finfo(float).eps))
+    scale = 1 / np.sqrt(diagonal)
+    return float(np.linalg.eigvalsh(scale[:, None] * (M + M.T) / 2 * scale)[0])
+
+
+def least_level(M: Matrix, kept: int) -> float:
+    """Return the least ``g`` with ``M + diag(0, g I) >= 0``: the first ``kept`` rows must be positive definite.
+
+    Infinity where they are not; the number is raised by a trifle, so that the inequality is strict.
+    """
+    head, cross, tail = M[:kept, :kept], M[:kept, kept:], M[kept:, kept:]
+    if not tail.size:
+        return 0.0
+    rest = tail
+    if kept:
+        if not smallest_eigenvalue(head) > 1e-13 * kept:
+            return np.inf
+        L = np.linalg.cholesky((head + head.T) / 2)
+        half = np.linalg.solve(L, cross)
+        rest = tail - half.T @ half
+    least = -float(np.linalg.eigvalsh((rest + rest.T) / 2)[0])
+    size = float(np.abs(tail).max()) + float(np.abs(rest).max())
+    return max(least + 1e-10 * size, 0.0)

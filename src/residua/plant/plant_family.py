@@ -1,0 +1,265 @@
+"""Uncertain plants from physical parameters and from lists of plants."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import AccuracyError, ModelError
+from residua.linear.arrays import frozen
+from residua.linear.uncertain_system import corners
+from residua.plant.perturbation import UncertainParameter, factored
+from residua.plant.plant import Plant
+from residua.plant.uncertain_plant import UncertainPlant, make_uncertain_plant
+
+Matrix = NDArray[np.float64]
+#: Up to so many parameters every corner of their box is evaluated, beyond as many corners at random.
+_ALL_CORNERS = 10
+_INSIDE = 64
+#: What the affine form describes, and what it takes from the nominal plant.
+_MOVING, _FIXED = ("A", "Bu", "C", "Du"), ("E", "Bd", "Dd", "Bf", "Df", "Bw", "Dw")
+
+
+@dataclass(frozen=True, eq=False)
+class Linearisation:
+    """What an affine form of a plant leaves out, over all points at which both were evaluated.
+
+    Attributes
+    ----------
+    exact : bool
+        Whether nothing is left out but rounding.
+    deviation : dict of str to ndarray
+        The largest absolute deviation of each entry of each matrix of the plant.
+    relative : float
+        The largest deviation of an entry relative to the range of that entry over the points; infinite where an entry
+        moves that should not.
+    worst : dict of str to float
+        The parameters at which ``relative`` was found.
+    points : int
+        Points evaluated: corners of the box, and points inside. Between them more may be left out.
+    """
+
+    exact: bool
+    deviation: Mapping[str, Matrix]
+    relative: float
+    worst: Mapping[str, float]
+    points: int
+
+    def __str__(self) -> str:
+        if self.exact:
+            return f"affine at {self.points} points"
+        return f"linearised: up to {100 * self.relative:.2g} % of an entry's range is left out at {self.points} points"
+
+
+def uncertain_plant_from_parameters(
+    function: Callable[[Mapping[str, float]], Plant],
+    parameters: Mapping[str, Sequence[float]],
+    *,
+    rtol: float = 1e-9,
+    seed: int = 0,
+) -> UncertainPlant:
+    """Return the uncertain plant of named physical parameters.
+
+    Each parameter moves the matrices along the chord between its bounds, the others nominal. Where the matrices are
+    affine in the parameters, that is the plant itself; where they are not, it is a linearisation. Which of the two is
+    found by evaluating both at the corners of the box and at points inside: ``.linearisation`` has the outcome.
+
+    Parameters
+    ----------
+    function : callable
+        From a mapping of names to values to a :class:`residua.Plant`.
+    parameters : mapping of str to (low, high) or (low, nominal, high)
+        The middle is nominal when two numbers are given.
+    rtol : float
+        Deviations below this fraction of an entry are rounding.
+    seed : int
+        Of the points that are drawn.
+
+    Returns
+    -------
+    UncertainPlant
+        Guarantees over its members hold for the plants of ``function`` only where ``linearisation.exact``.
+
+    Raises
+    ------
+    ModelError
+        If bounds are not bounds, or the plants differ in more than their matrices.
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> from residua.plant import UncertainPlant
+    >>> def motor(v):
+    ...     return rs.Plant([[-v["friction"] / v["inertia"]]], [[1 / v["inertia"]]], [[1.0]])
+    >>> unc = UncertainPlant.from_parameters(motor, {"friction": (0.1, 0.2), "inertia": (1.0, 1.0, 1.1)})
+    >>> unc.linearisation.exact
+    False
+    >>> UncertainPlant.from_parameters(motor, {"friction": (0.1, 0.2), "inertia": (1.0, 1.0)}).linearisation.exact
+    True
+    """
+    known = tuple(_parameter(name, values) for name, values in parameters.items())
+    if not known:
+        raise ModelError("name at least one parameter: {name: (low, high)} or {name: (low, nominal, high)}")
+    names = tuple(p.name for p in known)
+    centre = np.array([p.nominal for p in known])
+
+    def evaluate(values: NDArray[np.float64]) -> Plant:
+        plant = function(dict(zip(names, (float(v) for v in values), strict=True)))
+        if not isinstance(plant, Plant):
+            raise ModelError(f"the function of the parameters must return a Plant, got {type(plant).__name__}")
+        return plant
+
+    nominal = evaluate(centre)
+    blocks, channels = [], []
+    for i, p in enumerate(known):
+        if p.high == p.low:
+            continue
+        high, low = centre.copy(), centre.copy()
+        high[i], low[i] = p.high, p.low
+        slope = (_stacked(evaluate(high), nominal) - _stacked(evaluate(low), nominal)) / (p.high - p.low)
+        blocks.append(_channels_of(slope, nominal))
+        channels += [i] * blocks[-1][0].shape[1]
+    made = make_uncertain_plant(nominal, known, tuple(channels), blocks)
+    points = _points(made, seed)
+    found = _compare(made, [evaluate(v) for v in points], points, rtol)
+    return make_uncertain_plant(nominal, known, tuple(channels), blocks, linearisation=found)
+
+
+def _parameter(name: str, values: Sequence[float]) -> UncertainParameter:
+    try:
+        v = [float(x) for x in values]
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"parameter {name!r}: give (low, high) or (low, nominal, high), got {values!r}") from error
+    if len(v) not in (2, 3) or not np.isfinite(v).all() or v != sorted(v):
+        raise ModelError(f"parameter {name!r}: give (low, high) or (low, nominal, high), in order, got {values!r}")
+    return UncertainParameter(str(name), v[0], v[-1], v[1] if len(v) == 3 else (v[0] + v[1]) / 2)
+
+
+def _stacked(plant: Plant, like: Plant) -> Matrix:
+    """Return ``[A B; C D]`` of a plant that has the channels of another."""
+    for what in ("inputs", "outputs", "states", "disturbances", "faults", "noises", "dt"):
+        if getattr(plant, what) != getattr(like, what):
+            raise ModelError(
+                f"the plants of one family differ in their {what}: {getattr(plant, what)} and {getattr(like, what)}"
+            )
+    return np.block([[plant.A, plant.Bu], [plant.C, plant.Du]])
+
+
+def _channels_of(slope: Matrix, plant: Plant) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+    """Return ``Hx, Hy, Gx, Gu`` with ``-[Hx; Hy] [Gx Gu] = slope``, with as few channels as its rank."""
+    n = plant.n_states
+    L, R = factored(slope)
+    return -L[:n], -L[n:], R[:, :n], R[:, n:]
+
+
+def _points(made: UncertainPlant, seed: int) -> NDArray[np.float64]:
+    rng = np.random.default_rng(seed)
+    k = len(made.parameters)
+    if k <= _ALL_CORNERS:
+        ends = corners(made.low, made.high)
+    else:
+        ends = np.where(rng.random((2**_ALL_CORNERS, k)) < 0.5, made.low, made.high)
+    return np.vstack([made.nominal_values, ends, made.sample_values(rng, _INSIDE)])
+
+
+def _all_matrices(plant: Plant) -> dict[str, Matrix]:
+    E = np.eye(plant.n_states) if plant.E is None else plant.E
+    return {name: E if name == "E" else getattr(plant, name) for name in (*_MOVING, *_FIXED)}
+
+
+def _compare(made: UncertainPlant, plants: list[Plant], points: NDArray[np.float64], rtol: float) -> Linearisation:
+    """Compare the members of an affine form with the plants that they stand for."""
+    for plant in plants:
+        _stacked(plant, made.nominal)
+    real = [_all_matrices(plant) for plant in plants]
+    ours = [_all_matrices(made.member(v)) for v in points]
+    deviation, relative, where, exact = {}, 0.0, 0, True
+    for name in (*_MOVING, *_FIXED):
+        true = np.stack([matrices[name] for matrices in real])
+        off = np.abs(true - np.stack([matrices[name] for matrices in ours]))
+        deviation[name] = frozen(off.max(axis=0))
+        if not off.size:
+            continue
+        size = np.abs(true).max(axis=0)
+        beside = np.minimum(size.max(axis=1, keepdims=True), size.max(axis=0, keepdims=True))
+        rounding = rtol * size + 1e-13 * beside
+        if np.all(off <= rounding):
+            continue
+        exact = False
+        spread = np.ptp(true, axis=0) if name in _MOVING else np.zeros_like(size)
+        ratio = np.where(off > rounding, off / np.where(spread > 0, spread, np.finfo(float).tiny), 0.0)
+        worst = ratio.reshape(len(points), -1).max(axis=1)
+        if worst.max() > relative:
+            relative, where = float(worst.max()), int(np.argmax(worst))
+    relative = float("inf") if relative > 1e6 else relative
+    values = dict(zip(made.names, (float(v) for v in points[where]), strict=True))
+    return Linearisation(exact, deviation, relative, values, len(points))
+
+
+def uncertain_plant_from_plants(plants: Iterable[Plant]) -> UncertainPlant:
+    """Return an uncertain plant that contains all plants of a list, and everything between them.
+
+    The matrices span an affine space of at most one dimension less than there are plants. The parameters are
+    coordinates along its principal axes, in units in which every entry that varies does so by 1, and their bounds are
+    the extremes of the plants: the box contains every plant, every mixture of them, and more. For two plants it is the
+    line between them. The first plant is nominal.
+
+    Parameters
+    ----------
+    plants : sequence of Plant
+        Same channels, same directions of disturbances, faults and noise.
+
+    Returns
+    -------
+    UncertainPlant
+        With ``.plants``, and ``.linearisation``, which compares the members at the plants with them.
+
+    Raises
+    ------
+    ModelError
+        If the plants differ in more than ``A, B, C, D``.
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> from residua.plant import UncertainPlant
+    >>> slow, fast = (rs.Plant([[-a]], [[a]], [[1.0]]) for a in (1.0, 2.0))
+    >>> unc = UncertainPlant.from_plants([slow, fast])
+    >>> unc.vertices()[1].A.round(9), len(unc.channels)
+    (array([[-2.]]), 1)
+    """
+    family = tuple(plants)
+    if not family or not all(isinstance(plant, Plant) for plant in family):
+        raise ModelError("give a list of at least one Plant")
+    nominal = family[0]
+    stacks = np.stack([_stacked(plant, nominal) for plant in family])
+    fixed = [_all_matrices(plant) for plant in family]
+    for name in _FIXED:
+        if any(not np.array_equal(matrices[name], fixed[0][name]) for matrices in fixed):
+            raise ModelError(f"the plants differ in {name}: only A, B, C and D may vary within a family")
+    spread = np.ptp(stacks, axis=0)
+    unit = np.where(spread > 0, spread, 1.0)
+    rows = ((stacks - stacks[0]) / unit).reshape(len(family), -1)
+    middle = rows.mean(axis=0)
+    _, s, axes = np.linalg.svd(rows - middle, full_matrices=False)
+    axes = axes[s > 1e-12 * max(float(s.max(initial=0.0)), np.finfo(float).tiny)]
+    coordinates = rows @ axes.T
+    known, blocks, channels = [], [], []
+    for i, axis in enumerate(axes):
+        along = coordinates[:, i] * (1 if coordinates[np.argmax(np.abs(coordinates[:, i])), i] > 0 else -1)
+        axis = axis * (1 if np.array_equal(along, coordinates[:, i]) else -1)
+        known.append(UncertainParameter(f"axis {i + 1}", float(along.min()), float(along.max())))
+        coordinates[:, i] = along
+        blocks.append(_channels_of(axis.reshape(unit.shape) * unit, nominal))
+        channels += [i] * blocks[-1][0].shape[1]
+    made = make_uncertain_plant(nominal, tuple(known), tuple(channels), blocks)
+    found = _compare(made, list(family), coordinates, 1e-9)
+    if not found.exact:
+        raise AccuracyError(
+            f"the box of principal axes misses the plants by {found.relative:.2g} of an entry's range: their entries "
+            "differ by too many orders of magnitude"
+        )
+    return make_uncertain_plant(nominal, tuple(known), tuple(channels), blocks, linearisation=found, plants=family)

@@ -1,0 +1,217 @@
+"""Uncertain plants under feedback, and what an estimator makes of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from residua.errors import DesignError, ModelError
+from residua.linear import StateSpace, arrays
+from residua.linear.arrays import frozen
+from residua.linear.observability import is_stable_mode
+from residua.linear.spectrum import describe_modes
+from residua.linear.uncertain_system import UncertainSystem
+from residua.plant.plant import Plant
+from residua.plant.uncertain_plant import UncertainPlant, make_uncertain_plant
+
+
+def close_loop(plant: UncertainPlant, controller: StateSpace) -> UncertainPlant:
+    r"""Return the uncertain plant under the feedback of a controller.
+
+    .. math::
+
+       x_{c,k+1} = A_c x_{c,k} + B_c y_k, \qquad u_k = C_c x_{c,k}
+
+    The loop has the states :math:`[x; x_c]`, no inputs, and uncertainty in ``A`` and ``C`` only:
+
+    .. math::
+
+       A = \begin{bmatrix} A_p & B_p C_c \\ B_c C_p & A_c \end{bmatrix}, \quad
+       \Delta A = \begin{bmatrix} \Delta A_p & \Delta B_p C_c \\ B_c \Delta C_p & 0 \end{bmatrix}, \quad
+       C = [C_p \; 0], \quad \Delta C = [\Delta C_p \; 0]
+
+    A sensor fault, and a disturbance of an output, also drives the controller. Each parameter keeps its channels: one
+    that stands in ``C`` enters the loop's ``A`` and ``C`` by the same channel, once, where the literature has two
+    copies. A direct term of the plant is allowed, and adds its parts.
+
+    Parameters
+    ----------
+    plant : UncertainPlant
+    controller : StateSpace
+        From the outputs of the plant to its inputs, in order, or by name where the names are those of the plant. The
+        sign of the feedback is the controller's own. Without a direct term.
+
+    Returns
+    -------
+    UncertainPlant
+        Outputs, faults, disturbances and noise of the plant; no control inputs.
+
+    Raises
+    ------
+    ModelError
+        If the controller does not fit: size, sample step, a direct term.
+    DesignError
+        If the nominal loop is not stable.
+
+    References
+    ----------
+    Robust l1 fault detection, eqs. (9)-(19).
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> from residua.plant import Perturbation, UncertainPlant
+    >>> tank = rs.Plant([[0.9]], [[0.1]], [[1.0]], dt=1.0)
+    >>> unc = UncertainPlant(tank, deltas=[Perturbation("C", [[-1.0]], [[1.0]], -0.02, 0.01, ["gain"])])
+    >>> loop = unc.in_closed_loop(rs.StateSpace([[0.5]], [[-0.5]], [[1.0]], dt=1.0))
+    >>> loop.member({"gain": 0.01}).A
+    array([[ 0.9  ,  0.1  ],
+           [-0.505,  0.5  ]])
+    """
+    p = plant.nominal
+    if p.E is not None:
+        raise ModelError("the plant has a matrix E: plant.explicit() first, and perturbations of that plant")
+    controller = _fitting(p, controller)
+    Ac, Bc, Cc = controller.A, controller.B, controller.C
+    A = np.block([[p.A, p.Bu @ Cc], [Bc @ p.C, Ac + Bc @ p.Du @ Cc]])
+    poles = np.linalg.eigvals(A).astype(complex)
+    unstable = poles[~is_stable_mode(poles, p.dt)]
+    if unstable.size:
+        raise DesignError(
+            f"the nominal loop is not stable: pole {describe_modes(unstable[:1])}; the controller gives u = +Cc xc, so "
+            "that its sign must be in Cc or Bc"
+        )
+    loop = Plant(
+        A,
+        np.zeros((len(A), 0)),
+        np.hstack([p.C, p.Du @ Cc]),
+        dt=p.dt,
+        outputs=p.outputs,
+        states=_apart(p.states, controller.states),
+        name=f"{p.name} in closed loop",
+        units={k: v for k, v in p.units.items() if k in (*p.outputs, *p.states)},
+        description=p.description,
+    ).with_operating_point(outputs=p.operating_point.outputs)
+    parts = {}
+    for letter in "dfw":
+        B, D = getattr(p, "B" + letter), getattr(p, "D" + letter)
+        parts |= {"B" + letter: frozen(np.vstack([B, Bc @ D])), "D" + letter: D}
+    loop = loop._with(**parts, disturbances=p.disturbances, fault_list=p.fault_list)
+    k = len(plant.channels)
+    block = (
+        np.vstack([plant.Hx, Bc @ plant.Hy]),
+        plant.Hy,
+        np.hstack([plant.Gx, plant.Gu @ Cc]),
+        np.zeros((k, 0)),
+    )
+    return make_uncertain_plant(loop, plant.parameters, plant.channels, [block], linearisation=plant.linearisation)
+
+
+def _fitting(p: Plant, controller: StateSpace) -> StateSpace:
+    if not isinstance(controller, StateSpace):
+        raise ModelError(f"the controller must be a StateSpace from y to u, got {type(controller).__name__}")
+    controller = controller.explicit()
+    if controller.dt != p.dt:
+        raise ModelError(f"the controller has dt={controller.dt:g} and the plant dt={p.dt:g}")
+    if (controller.n_inputs, controller.n_outputs) != (p.n_outputs, len(p.inputs)):
+        raise ModelError(
+            f"the controller has {controller.n_inputs} inputs and {controller.n_outputs} outputs for a plant with "
+            f"{p.n_outputs} outputs and {len(p.inputs)} inputs: it runs from y to u"
+        )
+    if np.any(controller.D):
+        raise ModelError(
+            "the controller has a direct term: uncertain B and C would multiply each other; compute u from the "
+            "measurements of the sample before (one state more for each input of the controller)"
+        )
+    named_in, named_out = set(controller.inputs) == set(p.outputs), set(controller.outputs) == set(p.inputs)
+    return controller.select(outputs=p.inputs if named_out else None, inputs=p.outputs if named_in else None)
+
+
+def _apart(first: tuple[str, ...], second: tuple[str, ...]) -> tuple[str, ...]:
+    labels = tuple(name if name not in first else f"controller {name}" for name in second)
+    if len({*first, *labels}) < len(first) + len(labels):
+        labels = tuple(f"controller state {i + 1}" for i in range(len(second)))
+    return first + labels
+
+
+def estimator_residual(
+    loop: UncertainPlant,
+    gain: ArrayLike,
+    projection: ArrayLike,
+    *,
+    nuisances: Iterable[str] = (),
+    nuisance_size: float = 1.0,
+    model: ArrayLike | None = None,
+) -> UncertainSystem:
+    r"""Return the residual of an estimator, seen from disturbances and nuisance faults, as an uncertain system.
+
+    The estimator :math:`\hat x_{k+1} = A_e \hat x_k + W (y_k - C \hat x_k)` with the residual
+    :math:`r = P (y - C \hat x)`. With :math:`e = x - \hat x` and the states :math:`[x; e]`,
+
+    .. math::
+
+       \tilde A = \begin{bmatrix} A & 0 \\ A - A_e & A_e - W C \end{bmatrix}, \quad
+       B_p = -\begin{bmatrix} H_x \\ H_x - W H_y \end{bmatrix}, \quad C_q = [G_x \; 0], \quad
+       B_w = \begin{bmatrix} D_1 \\ D_1 - W D_2 \end{bmatrix}, \\
+       C_z = P [0 \; C], \quad D_{zp} = -P H_y, \quad D_{zw} = P D_2
+
+    The part of :math:`\Delta C` in the residual, :math:`D_{zp}`, is missing in the literature's eqs. (42) and (45).
+
+    Parameters
+    ----------
+    loop : UncertainPlant
+        Without control inputs: see :func:`close_loop`.
+    gain : array_like, shape (n, outputs)
+        ``W``.
+    projection : array_like, shape (r, outputs)
+        ``P``.
+    nuisances : sequence of str
+        Faults that count as disturbances, after those of the plant.
+    nuisance_size : float
+        Their size, where disturbances and nuisances together have the length 1.
+    model : array_like, shape (n, n), optional
+        ``Ae``; the nominal ``A`` when omitted.
+
+    Returns
+    -------
+    UncertainSystem
+        From the disturbances (and nuisances) to the residual. White noise, which has no bound, is left out.
+
+    Raises
+    ------
+    ModelError
+        If the loop has control inputs or a shape does not fit.
+
+    References
+    ----------
+    Robust l1 fault detection, eqs. (27)-(37).
+    """
+    p = loop.nominal
+    if p.inputs or p.E is not None:
+        raise ModelError(
+            "an uncertain plant with control inputs has unbounded states: in_closed_loop(controller) first"
+        )
+    n, y = p.n_states, p.n_outputs
+    W = arrays.matrix(gain, "gain", (n, y), what="states x outputs")
+    P = arrays.matrix(projection, "projection", (None, y), what="one column per output")
+    Ae = p.A if model is None else arrays.matrix(model, "model", (n, n))
+    chosen = arrays.positions(nuisances, p.faults, "fault")
+    D1 = np.hstack([p.Bd, nuisance_size * p.Bf[:, chosen]])
+    D2 = np.hstack([p.Dd, nuisance_size * p.Df[:, chosen]])
+    zero = np.zeros((n, n))
+    return UncertainSystem(
+        np.block([[p.A, zero], [p.A - Ae, Ae - W @ p.C]]),
+        -np.vstack([loop.Hx, loop.Hx - W @ loop.Hy]),
+        np.vstack([D1, D1 - W @ D2]),
+        np.hstack([loop.Gx, np.zeros_like(loop.Gx)]),
+        np.hstack([np.zeros((len(P), n)), P @ p.C]),
+        -P @ loop.Hy,
+        P @ D2,
+        low=loop.low - loop.nominal_values,
+        high=loop.high - loop.nominal_values,
+        channels=loop.channels,
+        parameters=loop.names,
+        dt=p.dt,
+    )
