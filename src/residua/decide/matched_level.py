@@ -12,9 +12,8 @@ from residua.decide.matched import MatchedTest, empty_match, match_block, summed
 from residua.decide.norm_threshold import (
     NormTest,
     NormThreshold,
-    _smallest_threshold,
-    _tail_decay,
     fit_norm_test,
+    fitted_threshold,
     norm_test_from_model,
 )
 from residua.decide.window import empty_window, moving_sum
@@ -156,14 +155,7 @@ def fit_matched_test(
     if settings.threshold is not None:
         return base
     statistic = np.sqrt(_largest(test, base, residuals, usable))
-    seen_rate = max(false_alarm_rate, min(0.2, 10 / count))
-    fitted = _smallest_threshold(statistic, usable, base, seen_rate)
-    basis = f"fitted to {count} fault-free samples, at most {false_alarm_rate:g} of them in alarm"
-    if seen_rate > false_alarm_rate:
-        decay = _tail_decay(statistic[usable], base.persistence)
-        extended = float(np.sqrt(fitted**2 + decay * np.log(seen_rate / false_alarm_rate)))
-        fitted = max(extended, _smallest_threshold(statistic, usable, base, false_alarm_rate))
-        basis += f" (too few to see that: extended from a rate of {seen_rate:.2g} by the tail of the data)"
+    fitted, basis = fitted_threshold(statistic, usable, base, false_alarm_rate)
     return replace(base, threshold=float(max(fitted, np.finfo(float).tiny)), basis=basis)
 
 

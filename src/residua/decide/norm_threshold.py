@@ -191,7 +191,21 @@ def fit_norm_test(
     if settings.threshold is not None:
         return replace(test, threshold=settings.threshold, basis="threshold given, mean and covariance fitted")
     statistic = np.linalg.norm(_sums((residuals - mean) @ whitening, usable, settings.window), axis=1)
-    count = len(rows)
+    fitted, basis = fitted_threshold(statistic, usable, test, false_alarm_rate)
+    if noise_free:
+        fitted = max(fitted, rounding, np.finfo(float).tiny)
+        basis += "; no noise in these data: the threshold is at rounding level"
+    return replace(test, threshold=float(fitted), basis=basis)
+
+
+def fitted_threshold(
+    statistic: NDArray, usable: NDArray[np.bool_], test: NormTest, false_alarm_rate: float
+) -> tuple[float, str]:
+    """Return the smallest threshold with at most a rate of false alarms on fault-free samples, and its basis in words.
+
+    Where fewer than ten samples would be left in alarm, that for ten is extended by the tail of the data.
+    """
+    count = int(usable.sum())
     seen_rate = max(false_alarm_rate, min(0.2, 10 / count))
     fitted = _smallest_threshold(statistic, usable, test, seen_rate)
     basis = f"fitted to {count} fault-free samples, at most {false_alarm_rate:g} of them in alarm"
@@ -200,10 +214,7 @@ def fit_norm_test(
         extended = float(np.sqrt(fitted**2 + decay * np.log(seen_rate / false_alarm_rate)))
         fitted = max(extended, _smallest_threshold(statistic, usable, test, false_alarm_rate))
         basis += f" (too few to see that: extended from a rate of {seen_rate:.2g} by the tail of the data)"
-    if noise_free:
-        fitted = max(fitted, rounding, np.finfo(float).tiny)
-        basis += "; no noise in these data: the threshold is at rounding level"
-    return replace(test, threshold=float(fitted), basis=basis)
+    return fitted, basis
 
 
 def _sums(residuals: NDArray, usable: NDArray[np.bool_], window: int) -> NDArray[np.float64]:

@@ -34,21 +34,28 @@ def judge_whole(
 ) -> _Judged:
     """Return alarm, run lengths, window and decisions of a residual that is tested as a whole."""
     statistic = np.where(usable, _norm(tested) / np.sqrt(test.window), np.nan)
+    runs, found = _against_threshold(test, state, statistic, usable)
+    sums, window = moving_sum(q, window)
+    return runs, window, {**found, "scores": _scores(direction, sums, usable)}
+
+
+def _against_threshold(
+    test: NormTest, state: State, statistic: NDArray, usable: NDArray[np.bool_]
+) -> tuple[tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]], dict[str, Any]]:
+    """Return alarm and run lengths of one statistic, and the decisions that follow from them alone."""
     exceeded = usable & (np.where(usable, statistic, 0.0) > test.threshold)
     alarm, up, down = alarm_logic(exceeded, usable, state.up, state.down, state.alarm, test.persistence, test.release)
-    sums, window = moving_sum(q, window)
     nobody = np.zeros((*usable.shape, 0))
     found = {
         "statistic": statistic,
         "exceeded": exceeded,
         "alarm": alarm,
         "up": up,
-        "scores": _scores(direction, sums, usable),
         "member_statistics": nobody,
         "fired": nobody.astype(bool),
         "code": nobody.astype(bool),
     }
-    return (alarm, up, down), window, found
+    return (alarm, up, down), found
 
 
 def judge_members(
@@ -89,22 +96,10 @@ def judge_matched(
     before = MatchState(state.match_sums, state.match_weights, state.match_held)
     found, after = match_block(matched, before, q, usable, sums)
     statistic = np.where(usable, np.sqrt(found["ratios"].max(axis=2)), np.nan)
-    exceeded = usable & (np.where(usable, statistic, 0.0) > test.threshold)
-    alarm, up, down = alarm_logic(exceeded, usable, state.up, state.down, state.alarm, test.persistence, test.release)
-    match, after = hold_block(matched, after, found, alarm, state.alarm, exceeded, state.count)
-    nobody = np.zeros((*usable.shape, 0))
-    decided = {
-        "statistic": statistic,
-        "exceeded": exceeded,
-        "alarm": alarm,
-        "up": up,
-        "scores": match_scores(matched, found["ratios"], sums, usable),
-        "member_statistics": nobody,
-        "fired": nobody.astype(bool),
-        "code": nobody.astype(bool),
-        "match": match,
-    }
-    return ((alarm, up, down), window, decided), _match_fields(after)
+    runs, decided = _against_threshold(test, state, statistic, usable)
+    match, after = hold_block(matched, after, found, runs[0], state.alarm, decided["exceeded"], state.count)
+    scores = match_scores(matched, found["ratios"], sums, usable)
+    return (runs, window, {**decided, "scores": scores, "match": match}), _match_fields(after)
 
 
 def empty_fields(matched: MatchedTest | None, plants: int) -> dict[str, Any]:

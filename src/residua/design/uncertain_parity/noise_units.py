@@ -5,16 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-#: Variances below this fraction of the largest, in units of each residual's own spread, are raised to it.
-_FLOOR = 1e-8
-
-
-def whitening(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return ``M`` with ``M' covariance M = I``, nearly singular directions held back; applied as ``e @ M``."""
-    spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    spread = np.where(spread > 0, spread, spread[spread > 0].min(initial=np.inf) if spread.any() else 1.0)
-    values, vectors = np.linalg.eigh(covariance / np.outer(spread, spread))
-    return vectors / np.sqrt(np.maximum(values, _FLOOR * values[-1])) / spread[:, None]
+from residua.linear.whitening import whitening_matrix
 
 
 def fitted_scale(
@@ -29,7 +20,7 @@ def fitted_scale(
     covariance = e.T @ e / len(e)
     if np.all(np.sqrt(np.diag(covariance)) <= 1e-12 * terms):
         return now, True
-    return whitening(covariance), False
+    return whitening_matrix(covariance), False
 
 
 def threshold_of(statistic: NDArray[np.float64], rate: float, memory: int) -> float:
