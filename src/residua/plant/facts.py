@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from residua.errors import ModelError
 from residua.linear import StateSpace
 from residua.plant.channels import ROLES, Fault, OperatingPoint, by_role
+from residua.plant.fault_facts import FaultFacts
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
-class PlantFacts:
+class PlantFacts(FaultFacts):
     """The fields of :class:`residua.Plant`, and what follows from them."""
 
     A: NDArray[np.float64]
@@ -53,21 +54,6 @@ class PlantFacts:
     def is_discrete(self) -> bool:
         """Whether the plant is sampled."""
         return self.dt > 0
-
-    @property
-    def faults(self) -> tuple[str, ...]:
-        """Names of the faults, in the order of the columns of ``Bf`` and ``Df``."""
-        return tuple(fault.name for fault in self.fault_list)
-
-    @property
-    def fault_kinds(self) -> tuple[str, ...]:
-        """``"actuator"``, ``"sensor"`` or ``"component"`` for each fault."""
-        return tuple(fault.kind for fault in self.fault_list)
-
-    @property
-    def fault_components(self) -> tuple[str, ...]:
-        """The component that each fault belongs to."""
-        return tuple(fault.component for fault in self.fault_list)
 
     @property
     def noises(self) -> tuple[str, ...]:

@@ -11,11 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 from residua.errors import ModelError
 from residua.linear.polynomial_matrix import PolynomialMatrix
 from residua.plant.channels import ROLES, Fault, OperatingPoint
+from residua.plant.fault_facts import FaultFacts
 from residua.plant.polynomial_text import equation_text
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
-class InputOutputFacts:
+class InputOutputFacts(FaultFacts):
     """The fields of :class:`InputOutputModel`, and what follows from them."""
 
     H: PolynomialMatrix
@@ -50,21 +51,6 @@ class InputOutputFacts:
         """Whether every equation has one output."""
         off = self.H.coefficients[:, ~np.eye(self.n_outputs, dtype=bool)]
         return not np.any(off)
-
-    @property
-    def faults(self) -> tuple[str, ...]:
-        """Names of the faults, in the order of the columns of ``Gf``."""
-        return tuple(fault.name for fault in self.fault_list)
-
-    @property
-    def fault_kinds(self) -> tuple[str, ...]:
-        """``"actuator"``, ``"sensor"`` or ``"component"`` for each fault; sensors of inputs are sensors."""
-        return tuple(fault.kind for fault in self.fault_list)
-
-    @property
-    def fault_components(self) -> tuple[str, ...]:
-        """The component that each fault belongs to."""
-        return tuple(fault.component for fault in self.fault_list)
 
     def right_side(self, roles: Iterable[str] = ("control", "disturbance", "fault")) -> PolynomialMatrix:
         """Return the columns of ``G``, ``Gd`` and ``Gf`` of the given roles, in that order."""

@@ -37,7 +37,7 @@ REFERENCE = "Gertler (1991), Automatica 27(4), eqs. (3-11), (3-13), (4-8) and (4
 
 
 @dataclass(frozen=True, eq=False)
-class GeneralForm:
+class GeneralForm(GeneralMatrices):
     r"""A residual generator in the general form, with the conditions that make it one.
 
     .. math:: \dot s = M s + J u + N y, \qquad r = L_s s + L_u u + L_y y
@@ -71,14 +71,6 @@ class GeneralForm:
         the fault, :math:`-L_s (T f - N d)`.
     """
 
-    T: NDArray[np.float64]
-    M: NDArray[np.float64]
-    J: NDArray[np.float64]
-    N: NDArray[np.float64]
-    Ls: NDArray[np.float64]
-    Lu: NDArray[np.float64]
-    Ly: NDArray[np.float64]
-    V: NDArray[np.float64]
     conditions: Mapping[str, float]
     rank_TF: RankDecision
     rank_F: RankDecision
