@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.linear.balancing import evened, without_residue
+from residua.linear.degree_search import at_smallest_degree
 from residua.linear.polynomial_basis import PolynomialBasis
 from residua.linear.rank import RankDecision, decide_rank, left_null_basis
 
@@ -128,10 +129,8 @@ def shortest_pencil_null_vectors(given: Pencil, *, most: int, rtol: float = DEFA
         if high == most:
             return None
         low, high = high + 1, min(max(2 * high, 1), most)
-    while low < high:
-        middle = (low + high) // 2
-        low, high = (low, middle) if exists(middle) else (middle + 1, high)
-    return pencil_null_vectors(given, low, rtol=rtol)
+    smallest = at_smallest_degree(lambda degree: degree if exists(degree) else None, low, high, high)
+    return pencil_null_vectors(given, smallest, rtol=rtol)
 
 
 def refined(given: Pencil, x: NDArray[np.float64], *, rtol: float = DEFAULT_RTOL) -> NDArray[np.float64]:

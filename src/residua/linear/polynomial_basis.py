@@ -47,8 +47,7 @@ class PolynomialBasis:
         """
         values = np.asarray(nodes, dtype=np.complex128).ravel()
         if in_order:
-            first = np.concatenate([np.zeros(0, dtype=bool), values.imag > 0])
-            return cls(values.real.copy(), np.where(first, values.imag, 0.0), np.ones(len(values)))
+            return cls(values.real.copy(), np.where(values.imag > 0, values.imag, 0.0), np.ones(len(values)))
         return cls(*_leja(values, size))
 
     def with_room(self) -> PolynomialBasis:

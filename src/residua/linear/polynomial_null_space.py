@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.linear.balancing import evened, without_residue
+from residua.linear.degree_search import at_smallest_degree
 from residua.linear.polynomial_matrix import PolynomialMatrix
 from residua.linear.rank import DEFAULT_RTOL, RankDecision, decide_rank, left_null_basis
 
@@ -102,10 +103,7 @@ def shortest_left_null_vectors(
 
     if rows == 0 or not exists(most):
         return None
-    low, high = 0, most
-    while low < high:
-        middle = (low + high) // 2
-        low, high = (low, middle) if exists(middle) else (middle + 1, high)
+    low = at_smallest_degree(lambda degree: degree if exists(degree) else None, 0, most, most)
     W, decision = left_null_basis(_toeplitz(balanced, low), rtol=rtol)
     return _null_vectors(W, decision, units, low, variable)
 

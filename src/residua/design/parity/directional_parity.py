@@ -13,9 +13,11 @@ from residua.design.parity.directional_pencil import DirectionalPencil, Directio
 from residua.design.parity.relation import Relation
 from residua.design.parity.relation_model import RelationModel, basis_for, relation_model, state_pencil
 from residua.design.parity.relations import Poles, relations_of
+from residua.design.parity.shortest import combinations_to_try, simplest_of_the_best
 from residua.errors import AccuracyError, DesignError
 from residua.linear import arrays
 from residua.linear.common_factor import without_common_factor
+from residua.linear.degree_search import at_smallest_degree
 from residua.linear.pencil_null_space import DEFAULT_RTOL
 from residua.linear.polynomial_basis import PolynomialBasis
 from residua.linear.rank import RankDecision, decide_rank, left_null_basis
@@ -24,8 +26,6 @@ from residua.plant.input_output_model import InputOutputModel
 
 #: A response, or a singular value of what is read, below this fraction of the largest possible counts as none.
 _SEEN = 1e-9
-#: Combinations of equally short solutions that are tried.
-_TRIES = 30
 
 
 def directional_parity(
@@ -182,29 +182,20 @@ class _Solutions:
         own = s[..., self.rank - 1] if self.rank <= s.shape[-1] else np.zeros(s.shape[:-1])
         return response, np.asarray(np.median(own, axis=1), dtype=np.float64)
 
-    def tries(self) -> NDArray[np.float64]:
-        """Return each solution alone, the directions of the singular vectors of the responses, and random ones."""
-        n = len(self.vectors)
-        turned = np.linalg.svd(self.responses.reshape(n, -1))[0].T
-        random = np.random.default_rng(20).standard_normal((_TRIES, n))
-        return np.vstack([np.eye(n), turned, random / np.linalg.norm(random, axis=1, keepdims=True)])
-
     @property
     def serves(self) -> bool:
         """Whether some combination answers to all faults, with as many independent residuals as are attainable."""
         if not len(self.vectors):
             return False
-        response, own = self.quality(self.tries())
+        response, own = self.quality(combinations_to_try(self.responses))
         return bool(np.any((response > _SEEN) & (own > _SEEN)))
 
     def best_combination(self) -> NDArray[np.float64]:
         """Return the combination of which the weakest response, or residual, is strongest."""
-        tries = self.tries()
+        tries = combinations_to_try(self.responses)
         response, own = self.quality(tries)
         score = np.minimum(response / response.max(), own / own.max())
-        # one of the first as long as it is not much worse: it is simpler than a mixture
-        best = int(np.flatnonzero(score >= 0.2 * score.max())[0])
-        return np.einsum("n,nkj->kj", tries[best], self.vectors)
+        return np.einsum("n,nkj->kj", tries[simplest_of_the_best(score)], self.vectors)
 
 
 def _checked(directions: Mapping[str, ArrayLike], plant: Plant) -> Directions:
@@ -338,15 +329,12 @@ def _shortest(joint: DirectionalPencil, generic: _Generic, most: int, rtol: floa
                 "directions, or give the plant in better units"
             )
         low, degree = degree + 1, min(2 * degree, most)
-    high = degree
-    while low < high:
-        middle = (low + high) // 2
+
+    def serving(middle: int) -> _Solutions | None:
         tried = _solutions(joint, generic, middle, rtol)
-        if tried.serves:
-            high, found = middle, tried
-        else:
-            low = middle + 1
-    return found
+        return tried if tried.serves else None
+
+    return at_smallest_degree(serving, low, degree, found)
 
 
 def _of_order(joint: DirectionalPencil, generic: _Generic, order: int, most: int, rtol: float) -> _Solutions:

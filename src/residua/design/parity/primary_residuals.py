@@ -15,7 +15,7 @@ from residua.design.parity.relations import Poles, relations_of
 from residua.design.parity.shortest import shortest_relations
 from residua.design.signals import signal_names
 from residua.errors import DesignError
-from residua.linear import StateSpace
+from residua.linear import StateSpace, is_stable_mode
 from residua.linear.pencil_null_space import DEFAULT_RTOL
 from residua.linear.polynomial_basis import PolynomialBasis
 from residua.plant import Plant
@@ -101,8 +101,9 @@ def _shortest_of_each(equations: RelationModel) -> list[Relation]:
 
 def _with_the_poles_of(plant: Plant, names: list[str]) -> ResidualGenerator:
     """Return ``e = y - S u``: the plant runs along as a model."""
-    unstable = [pole for pole in plant.system(()).poles() if not _is_stable(pole, plant.is_discrete)]
-    if unstable:
+    poles = plant.system(()).poles()
+    unstable = poles[~is_stable_mode(poles, plant.dt)]
+    if len(unstable):
         raise DesignError(
             f"the plant has the pole {format_pole(unstable[0])}, which is not stable, and e = y - S u takes it over: "
             "use form='ma'"
@@ -126,7 +127,3 @@ def _with_the_poles_of(plant: Plant, names: list[str]) -> ResidualGenerator:
         references=("Gertler (1991), eq. (3-1)",),
     )
     return make_generator(system, plant, "primary residuals", evidence, state_map=np.eye(n))
-
-
-def _is_stable(pole: complex, discrete: bool) -> bool:
-    return abs(pole) < 1 if discrete else pole.real < 0

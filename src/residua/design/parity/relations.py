@@ -20,7 +20,7 @@ from residua.design.parity.relation import Relation, digits_lost, plant_rate
 from residua.design.parity.relation_text import joined, terms_of
 from residua.design.signals import signal_names
 from residua.errors import AccuracyError, DesignError, SettingError
-from residua.linear import PolynomialMatrix, StateSpace
+from residua.linear import PolynomialMatrix, StateSpace, is_stable_mode
 from residua.linear.balancing import descriptor_units
 from residua.linear.polynomial_basis import PolynomialBasis
 from residua.plant import Plant
@@ -312,7 +312,7 @@ def relations_of(
         leading = float(newest[large[0]] / np.prod(row.basis.sizes[: row.order]))
         factors.append(1 / leading if leading else 1.0)
     if directions is not None:
-        factors = [factors[0] * _sign(rows, plant, directions) * np.sign(factors[0])] * len(factors)
+        factors = [abs(factors[0]) * _sign(rows, plant, directions)] * len(factors)
     names = tuple(names) if names else tuple(f"r{i + 1}" for i in range(len(rows)))
     scaled = tuple(row.times(factor) for row, factor in zip(rows, factors, strict=True))
     return ParityRelations(plant, scaled, names, directions)
@@ -365,7 +365,7 @@ def _checked_poles(poles: Any, order: int, name: str, plant: Plant) -> NDArray[n
     pairs = np.sort_complex(values[values.imag > 0]), np.sort_complex(values[values.imag < 0].conj())
     if len(pairs[0]) != len(pairs[1]) or not np.allclose(*pairs, rtol=1e-12, atol=0):
         raise SettingError("the poles are not closed under conjugation")
-    unstable = values[np.abs(values) >= 1] if plant.is_discrete else values[values.real >= 0]
+    unstable = values[~is_stable_mode(values, plant.dt)]
     if len(unstable):
         where = "inside the unit circle" if plant.is_discrete else "in the left half plane"
         raise SettingError(f"pole {format_pole(unstable[0])} is not stable: poles must lie {where}")

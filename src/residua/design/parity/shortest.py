@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from residua.design.parity.relation import Relation
 from residua.design.parity.relation_model import RelationModel, basis_for, state_pencil
 from residua.errors import DesignError
+from residua.linear.degree_search import at_smallest_degree
 from residua.linear.pencil_null_space import (
     Pencil,
     PencilNullVectors,
@@ -79,21 +80,30 @@ class RelationSpace:
         n = self.count
         if n == 1:
             return self.vectors[0]
-        flat = self.responses[:, :, list(faults)].reshape(n, -1)
-        directions = np.linalg.svd(flat)[0].T if flat.size else np.eye(n)
-        random = np.random.default_rng(20).standard_normal((_TRIES, n))
-        tries = np.vstack([np.eye(n), directions, random / np.linalg.norm(random, axis=1, keepdims=True)])
+        tries = combinations_to_try(self.responses[:, :, list(faults)])
         response = np.einsum("tn,nkf->tkf", tries, self.responses[:, :, list(faults)])
         weakest = np.linalg.norm(response, axis=1).min(axis=1, initial=1.0)
-        # one of the first as long as it is not much worse: it is simpler than a mixture
-        best = int(np.flatnonzero(weakest >= 0.2 * weakest.max())[0])
-        return np.einsum("n,nkj->kj", tries[best], self.vectors)
+        return np.einsum("n,nkj->kj", tries[simplest_of_the_best(weakest)], self.vectors)
 
     def relation(self, model: RelationModel, ignored: Sequence[str | int], vector: NDArray[np.float64]) -> Relation:
         """Return a combination of the vectors as a relation."""
         n = model.plant.n_states
         none = np.zeros(0, dtype=np.complex128)
         return Relation(vector[:, :n], vector[:, n:], self.basis, model.ignored_columns(ignored), none)
+
+
+def combinations_to_try(responses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return each relation alone, the directions of the singular vectors of the responses, and seeded random ones."""
+    n = len(responses)
+    flat = responses.reshape(n, -1)
+    directions = np.linalg.svd(flat)[0].T if flat.size else np.eye(n)
+    random = np.random.default_rng(20).standard_normal((_TRIES, n))
+    return np.vstack([np.eye(n), directions, random / np.linalg.norm(random, axis=1, keepdims=True)])
+
+
+def simplest_of_the_best(scores: NDArray[np.float64]) -> int:
+    """Return the first combination that is not much worse than the best: it is simpler than a mixture."""
+    return int(np.flatnonzero(scores >= 0.2 * scores.max())[0])
 
 
 def relation_space(model: RelationModel, ignored: Sequence[str | int], order: int, rtol: float) -> RelationSpace:
@@ -138,14 +148,12 @@ def shortest_relation(
             f"a parity relation that ignores {what} cannot see {', '.join(blind)}: of up to order {model.most}, "
             "there is none that answers"
         )
-    low, high, space = first.order + 1, model.most, longest
-    while low < high:
-        middle = (low + high) // 2
-        tried = relation_space(model, ignored, middle, rtol)
-        if tried.seen[faults].all():
-            high, space = middle, tried
-        else:
-            low = middle + 1
+
+    def seeing_all(order: int) -> RelationSpace | None:
+        tried = relation_space(model, ignored, order, rtol)
+        return tried if tried.seen[faults].all() else None
+
+    space = at_smallest_degree(seeing_all, first.order + 1, model.most, longest)
     return space.best_combination(faults), space
 
 
