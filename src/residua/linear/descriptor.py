@@ -279,34 +279,6 @@ def weierstrass_form(
     return _assembled(p, V, W, levels, tolerance, decisions)
 
 
-def explicit_poles(A: NDArray) -> NDArray[np.complex128]:
-    r"""Return the eigenvalues of a matrix; those that may be nothing but rounding of zero are zero.
-
-    Rounding scatters a zero of multiplicity ``m`` by :math:`|A| \epsilon^{1/m}`, and to first order any eigenvalue by
-    :math:`\epsilon |A| / |w^H v|`, with its unit eigenvectors: what is within both is zero.
-    """
-    from scipy.sparse.csgraph import connected_components  # parts of a cascade have poles of their own, exactly
-
-    count, part = connected_components(A != 0, connection="strong") if len(A) else (0, np.zeros(0, dtype=int))
-    chosen = [np.flatnonzero(part == i) for i in range(count)]
-    return np.concatenate([np.zeros(0, dtype=complex), *(_poles_of_part(A[np.ix_(i, i)]) for i in chosen)])
-
-
-def _poles_of_part(A: NDArray) -> NDArray[np.complex128]:
-    if len(A) == 1:
-        return A[0].astype(complex)
-    balanced = scipy.linalg.matrix_balance(A)[0]
-    poles, left, right = scipy.linalg.eig(balanced, left=True, right=True)
-    overlap = np.abs(np.sum(left.conj() * right, axis=0))
-    size, rounding = np.linalg.norm(balanced), 10 * len(A) * np.finfo(float).eps
-    zero = np.zeros(len(A), dtype=bool)
-    for m in range(1, len(A) + 1):
-        near = np.abs(poles) <= size * rounding ** (1 / m)
-        if np.count_nonzero(near) >= m:
-            zero = near & (np.abs(poles) * overlap <= rounding * size)
-    return np.where(zero, 0.0, poles).astype(complex)
-
-
 def finite_poles(A: NDArray, E: NDArray, *, rtol: float = DEFAULT_RTOL) -> NDArray[np.complex128]:
     """Return the finite poles of a regular pencil: all eigenvalues where ``E`` is invertible, else those of ``A1``."""
     p = unit_free_pencil(A, E)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear import arrays
-from residua.linear.descriptor import explicit_poles
+from residua.linear.matrix_poles import explicit_poles
 from residua.linear.observability import is_stable_mode
 from residua.linear.observable_part import ObservablePart, observable_part
 from residua.linear.pole_assignment import real_block_diagonal, robust_assignment, schur_assignment

@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from residua.errors import ModelError
 from residua.linear import arrays
 from residua.linear.arrays import frozen
-from residua.linear.descriptor import explicit_poles, finite_poles
+from residua.linear.descriptor import finite_poles
+from residua.linear.matrix_poles import explicit_poles
 
 
 @dataclass(frozen=True, init=False, eq=False)
