@@ -2,36 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-import scipy.io
 
 import residua as rs
 from residua.design.matched_filters import matched_filters
-
-FAILED = {
-    2: "Q1 actuator",
-    3: "Q2 actuator",
-    4: "h1 sensor",
-    5: "h2 sensor",
-    6: "h3 sensor",
-    7: "leak 1",
-    8: "leak 2",
-    9: "leak 3",
-    10: "clog 13",
-    11: "clog 20",
-    12: "clog 32",
-}
-START = 200  # sample at which every fault begins
-
-
-@pytest.fixture(scope="module")
-def recordings(shared_data: Path) -> dict[str, np.ndarray]:
-    folder = shared_data / "three_tank_dts200"
-    content = scipy.io.loadmat(folder / "test_5ch.mat") | scipy.io.loadmat(folder / "train_5ch.mat")
-    return {name: value for name, value in content.items() if not name.startswith("__")}
+from three_tank_faults import FAILED, START, diagnosis
 
 
 @pytest.fixture(scope="module")
@@ -39,12 +15,6 @@ def monitor(recordings: dict[str, np.ndarray]) -> rs.Monitor:
     normal = recordings["normal"]
     made = rs.Monitor(matched_filters(rs.library.three_tank(), window=60))
     return made.fit(normal[:8004, :2], normal[:8004, 2:], false_alarm_rate=0.005)
-
-
-def diagnosis(monitor: rs.Monitor, data: np.ndarray) -> rs.Diagnosis:
-    found = monitor.run(data[:, :2], data[:, 2:])
-    assert isinstance(found, rs.Diagnosis)
-    return found
 
 
 def test_at_most_one_percent_false_alarms(monitor: rs.Monitor, recordings: dict[str, np.ndarray]) -> None:
