@@ -11,6 +11,8 @@ from residua.errors import AccuracyError
 from residua.linear.impulse_terms import StableSystem
 
 Matrix = NDArray[np.float64]
+#: In place of the logarithm of a size that was not found.
+_TOO_LARGE = 1e3
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +56,8 @@ def star_ellipsoid(system: StableSystem, *, xtol: float = 1e-10) -> Ellipsoid:
 
     def size(t: float) -> float:
         Q = ellipsoid_shape(system.A, system.B, rate_of(t))
-        return np.inf if Q is None else float(np.log(max(_spread(C, Q), np.finfo(float).tiny)))
+        # larger than any logarithm, and finite: the search lays parabolas through its points
+        return _TOO_LARGE if Q is None else float(np.log(max(_spread(C, Q), np.finfo(float).tiny)))
 
     from scipy.optimize import minimize_scalar  # slow to import, and not needed to run a monitor
 

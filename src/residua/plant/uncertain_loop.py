@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -189,26 +189,88 @@ def estimator_residual(
     Robust l1 fault detection, eqs. (27)-(37).
     """
     p = loop.nominal
-    if p.inputs or p.E is not None:
-        raise ModelError(
-            "an uncertain plant with control inputs has unbounded states: in_closed_loop(controller) first"
-        )
     n, y = p.n_states, p.n_outputs
     W = arrays.matrix(gain, "gain", (n, y), what="states x outputs")
     P = arrays.matrix(projection, "projection", (None, y), what="one column per output")
     Ae = p.A if model is None else arrays.matrix(model, "model", (n, n))
-    chosen = arrays.positions(nuisances, p.faults, "fault")
-    D1 = np.hstack([p.Bd, nuisance_size * p.Bf[:, chosen]])
-    D2 = np.hstack([p.Dd, nuisance_size * p.Df[:, chosen]])
-    zero = np.zeros((n, n))
+    estimator = StateSpace(Ae - W @ p.C, W, -P @ p.C, P, dt=p.dt)
+    signals = (*p.disturbances, *(p.faults[i] for i in arrays.positions(nuisances, p.faults, "fault")))
+    sizes = dict.fromkeys(signals[len(p.disturbances) :], nuisance_size)
+    return residual_over_set(loop, estimator, np.eye(n), signals=signals, sizes=sizes)
+
+
+def residual_over_set(
+    loop: UncertainPlant,
+    residual_filter: StateSpace,
+    state_map: ArrayLike | None = None,
+    *,
+    signals: Iterable[str] | None = None,
+    sizes: Mapping[str, float] | None = None,
+) -> UncertainSystem:
+    r"""Return what disturbances and faults of an uncertain loop do to the residual of any filter.
+
+    The filter :math:`\xi_{k+1} = F \xi_k + K y_k,\; r_k = H \xi_k + J y_k` and a map ``T`` with :math:`\xi = T x`
+    while nothing happens to the nominal loop. With :math:`e = T x - \xi` and the states :math:`[x; e]`,
+
+    .. math::
+
+       \tilde A = \begin{bmatrix} A & 0 \\ T A - F T - K C & F \end{bmatrix}, \quad
+       B_p = -\begin{bmatrix} H_x \\ T H_x - K H_y \end{bmatrix}, \quad C_q = [G_x \; 0], \quad
+       B_w = \begin{bmatrix} D_1 \\ T D_1 - K D_2 \end{bmatrix}, \\
+       C_z = [H T + J C, \; -H], \quad D_{zp} = -J H_y, \quad D_{zw} = J D_2
+
+    True for any ``T``; that of the filter makes the corner of :math:`\tilde A` zero.
+
+    Parameters
+    ----------
+    loop : UncertainPlant
+        Without control inputs: see :func:`close_loop`.
+    residual_filter : StateSpace
+        From the outputs of the loop.
+    state_map : array_like, shape (states of the filter, n), optional
+        Zero when omitted.
+    signals : sequence of str, optional
+        Disturbances and faults that are the inputs, in this order; all disturbances when omitted. White noise, which
+        has no bound, is none.
+    sizes : mapping of str to float, optional
+        What the signals are multiplied by; one when omitted.
+
+    Returns
+    -------
+    UncertainSystem
+
+    Raises
+    ------
+    ModelError
+        If the loop has control inputs, or a shape does not fit.
+    """
+    p = loop.nominal
+    if p.inputs or p.E is not None:
+        raise ModelError(
+            "an uncertain plant with control inputs has unbounded states: in_closed_loop(controller) first"
+        )
+    flt = residual_filter.explicit()
+    if flt.n_inputs != p.n_outputs or flt.dt != p.dt:
+        raise ModelError(
+            f"the filter must read the {p.n_outputs} outputs of the loop with dt={p.dt:g}, "
+            f"got {flt.n_inputs} inputs and dt={flt.dt:g}"
+        )
+    n = p.n_states
+    T = np.zeros((flt.n_states, n)) if state_map is None else arrays.matrix(state_map, "state_map", (flt.n_states, n))
+    known = (*p.disturbances, *p.faults)
+    chosen = arrays.positions(p.disturbances if signals is None else signals, known, "disturbance or fault")
+    scale = np.array([float((sizes or {}).get(known[i], 1.0)) for i in chosen])
+    D1 = np.hstack([p.Bd, p.Bf])[:, chosen] * scale
+    D2 = np.hstack([p.Dd, p.Df])[:, chosen] * scale
+    F, K, H, J = flt.A, flt.B, flt.C, flt.D
     return UncertainSystem(
-        np.block([[p.A, zero], [p.A - Ae, Ae - W @ p.C]]),
-        -np.vstack([loop.Hx, loop.Hx - W @ loop.Hy]),
-        np.vstack([D1, D1 - W @ D2]),
-        np.hstack([loop.Gx, np.zeros_like(loop.Gx)]),
-        np.hstack([np.zeros((len(P), n)), P @ p.C]),
-        -P @ loop.Hy,
-        P @ D2,
+        np.block([[p.A, np.zeros((n, len(F)))], [T @ p.A - F @ T - K @ p.C, F]]),
+        -np.vstack([loop.Hx, T @ loop.Hx - K @ loop.Hy]),
+        np.vstack([D1, T @ D1 - K @ D2]),
+        np.hstack([loop.Gx, np.zeros((len(loop.Gx), len(F)))]),
+        np.hstack([H @ T + J @ p.C, -H]),
+        -J @ loop.Hy,
+        J @ D2,
         low=loop.low - loop.nominal_values,
         high=loop.high - loop.nominal_values,
         channels=loop.channels,

@@ -172,8 +172,8 @@ def build_bank(
     for one in wanted:
         try:
             part = design(one.name, plant.faults_as_disturbances(one.ignored))
-            generator = _for_whole_plant(part, plant)
-            _check_promise(generator, one)
+            generator = for_whole_plant(part, plant)
+            check_promise(generator, one)
         except (DesignError, AccuracyError) as error:
             failures[one.name] = str(error)
             kinds.add(type(error))
@@ -188,13 +188,13 @@ def build_bank(
         missing = "do not exist" if DesignError in kinds else "missed their tolerance"
         kind = DesignError if DesignError in kinds else AccuracyError
         raise kind(f"{len(failures)} of {len(wanted)} members of the bank {missing}: {told}{hint}{advice}")
-    generator = _stacked(parts, method, reference)
+    generator = stacked_members(parts, method, reference)
     codes = generator.codes
-    assert codes is not None  # _stacked gives them
+    assert codes is not None  # stacked_members gives them
     return Bank(generator, codes, observers, failures)
 
 
-def _for_whole_plant(part: ResidualGenerator, plant: Plant) -> ResidualGenerator:
+def for_whole_plant(part: ResidualGenerator, plant: Plant) -> ResidualGenerator:
     """Return a member as generator of the plant with all its faults, in their order."""
     if plant.E is not None and part.plant.E is None:
         plant = plant.explicit()
@@ -224,7 +224,7 @@ def _columns(part: Plant, plant: Plant) -> list[int]:
     )
 
 
-def _check_promise(generator: ResidualGenerator, one: Wanted) -> None:
+def check_promise(generator: ResidualGenerator, one: Wanted) -> None:
     """Raise when a member answers to what it should ignore, or is blind to what it should see."""
     seen = dict(zip(generator.faults, _code(generator), strict=True))
     leaking = [name for name in one.ignored if seen[name]]
@@ -240,8 +240,10 @@ def _check_promise(generator: ResidualGenerator, one: Wanted) -> None:
         )
 
 
-def _stacked(parts: dict[str, ResidualGenerator], method: str, reference: str) -> ResidualGenerator:
-    """Return the members as one generator, with their codes."""
+def stacked_members(
+    parts: dict[str, ResidualGenerator], method: str, reference: str, *, decoupled: bool = True
+) -> ResidualGenerator:
+    """Return the members as one generator, with their codes; ``decoupled``: from the disturbances of the plant."""
     generators = list(parts.values())
     plant = generators[0].plant
     system = _named(stack_systems([g.system for g in generators]), parts)
@@ -257,7 +259,7 @@ def _stacked(parts: dict[str, ResidualGenerator], method: str, reference: str) -
         poles=system.poles(),
         requested_poles=np.concatenate([g.evidence.requested_poles for g in generators]),
         fixed_poles=np.concatenate([g.evidence.fixed_poles for g in generators]),
-        decoupling=check_decoupling(system, plant, decoupled=True),
+        decoupling=check_decoupling(system, plant, decoupled=decoupled),
         conditions=_worst([g.evidence for g in generators]),
         notes=tuple(f"{name}: {note}" for name, g in parts.items() for note in g.evidence.notes),
         references=(reference,),

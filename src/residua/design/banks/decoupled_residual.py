@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from residua.design.banks.unknown_input_quotient import (
+    ExplicitParts,
+    Quotient,
+    explicit_parts,
+    quotient_filter,
+    unknown_input_quotient,
+)
 from residua.design.evidence import Evidence
 from residua.design.generator import ResidualGenerator, make_generator
 from residua.design.internal_form import check_decoupling
 from residua.design.observers.observer_gain import margin_from, place, pole_evidence
-from residua.design.signals import signal_names
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace, arrays
-from residua.linear.balancing import descriptor_units, without_rounding
-from residua.linear.detection_space import confining_gain, detection_space
 from residua.linear.placement import Placement
-from residua.linear.rank import DEFAULT_RTOL, RankDecision, decide_rank, left_null_basis, range_basis
-from residua.linear.reachability import reachable_basis
+from residua.linear.rank import DEFAULT_RTOL
 from residua.linear.riccati import filter_riccati
 from residua.plant import Plant
 
@@ -92,8 +95,8 @@ def decoupled_residual(
     array([False,  True])
     """
     ignored = [plant.faults[i] for i in arrays.positions(insensitive_to, plant.faults, "fault")]
-    parts = _explicit_parts(plant.faults_as_disturbances(ignored))
-    quotient = _quotient(parts, rtol)
+    parts = explicit_parts(plant.faults_as_disturbances(ignored))
+    quotient = unknown_input_quotient(parts, rtol)
     if not quotient.read.shape[0]:
         names = ", ".join(f"'{name}'" for name in (*plant.disturbances, *ignored))
         raise DesignError(
@@ -111,36 +114,22 @@ def decoupled_residual(
 
 
 def _assembled(
-    plant: Plant, parts: _Parts, quotient: _Quotient, placed: Placement, ignored: list[str], note: str
+    plant: Plant, parts: ExplicitParts, quotient: Quotient, placed: Placement, ignored: list[str], note: str
 ) -> ResidualGenerator:
     """Return the generator of a gain on the quotient, in the units of the plant."""
-    F = quotient.A - placed.gain @ quotient.C
-    K = quotient.inject + placed.gain @ quotient.read
-    n_y = plant.n_outputs
-    T = _without_rounding(quotient.T1 - K[:, n_y:] @ parts.algebra) * parts.equations
-    V = quotient.read[:, n_y:] @ parts.algebra * parts.equations
-    used = _above_rounding(K[:, :n_y]) | _above_rounding(quotient.read[:, :n_y])
-    Ky, Hy = K[:, :n_y] * parts.outputs * used, quotient.read[:, :n_y] * parts.outputs * used
-    system = StateSpace(
-        F,
-        np.hstack([T @ plant.Bu - Ky @ plant.Du, Ky]),
-        -quotient.C,
-        np.hstack([-V @ plant.Bu - Hy @ plant.Du, Hy]),
-        dt=plant.dt,
-        inputs=signal_names(plant),
-        outputs=[f"r{i + 1}" for i in range(len(Hy))],
-    )
+    found = quotient_filter(plant, parts, quotient, placed.gain)
+    system = found.system
     evidence = Evidence(
         method="decoupled residual",
-        **pole_evidence(placed, F),
+        **pole_evidence(placed, system.A),
         decoupling=_checked_decoupling(system, plant, ignored),
         ranks={"unknown inputs in the outputs": quotient.direct},
         conditions={"pole error": placed.error, "norm of the gain": placed.norm},
         notes=((f"ignores {', '.join(ignored)}",) if ignored else ()) + ((note,) if note else ()),
         references=("Massoumnia, Verghese and Willsky (1989), IEEE TAC 34(3)", "Gertler (1991), section 4"),
     )
-    static = V if plant.E is not None else None
-    made = make_generator(system, plant, "decoupled residual", evidence, state_map=T, static_map=static)
+    maps = {"state_map": found.state_map, "static_map": found.static_map}
+    made = make_generator(system, plant, "decoupled residual", evidence, **maps)
     silent = {name: np.zeros((made.n_residuals, 0)) for name in ignored}  # what is left of them has passed the check
     return replace(made, subspaces={**made.subspaces, **silent})
 
@@ -154,7 +143,7 @@ def _checked_decoupling(system: StateSpace, plant: Plant, ignored: list[str]) ->
 
 
 def _attempts(
-    quotient: _Quotient,
+    quotient: Quotient,
     poles: Sequence[complex] | ArrayLike | None,
     margin: float | None,
     kind: str | None,
@@ -190,132 +179,9 @@ def _attempts(
     return [(lambda: best, "gain of the Kalman filter"), *([] if kind == "kalman" else placed)]
 
 
-def _kalman_gain(quotient: _Quotient, plant: Plant) -> Placement:
+def _kalman_gain(quotient: Quotient, plant: Plant) -> Placement:
     """Return the gain of the Kalman filter of the quotient."""
     G, J = quotient.process_noise, quotient.measurement_noise
     found = filter_riccati(quotient.A, quotient.C, G @ G.T, J @ J.T, G @ J.T, dt=plant.dt)
     none, K = np.zeros(0, dtype=complex), np.asarray(found.gain)
     return Placement(K, none, np.asarray(found.poles, dtype=complex), none, 0.0, 1.0, float(np.linalg.norm(K)))
-
-
-def _without_rounding(M: NDArray) -> NDArray:
-    """Return a matrix without the entries that are rounding against the largest of their row."""
-    return np.where(np.abs(M) > 1e-14 * np.abs(M).max(axis=1, keepdims=True, initial=0.0), M, 0.0)
-
-
-def _above_rounding(M: NDArray) -> NDArray[np.bool_]:
-    """Tell which columns are more than what rounding leaves of nothing: an output that is not used has none."""
-    size = np.abs(M).max(axis=0, initial=0.0)
-    return size > 1e-13 * size.max(initial=0.0)
-
-
-@dataclass(frozen=True, eq=False)
-class _Parts:
-    """A plant in balanced units, as ordinary state equations with further unknown inputs and known outputs.
-
-    With ``E = U diag(S, 0) V'`` the states that ``E`` does not see are unknown inputs, and the equations without
-    derivatives are outputs that are known to be zero.
-    """
-
-    A: NDArray
-    C: NDArray
-    B: NDArray
-    D: NDArray
-    derivative: NDArray  # T1 with x1' = T1 (A x + ...), x1 = T1 E x
-    algebra: NDArray  # rows that annihilate E
-    process_noise: NDArray
-    measurement_noise: NDArray
-    equations: NDArray
-    outputs: NDArray
-
-
-def _explicit_parts(plant: Plant) -> _Parts:
-    """Return the plant with everything that must be ignored as unknown inputs ``B``, ``D``."""
-    n = plant.n_states
-    units = descriptor_units(
-        plant.A,
-        plant.E,
-        np.hstack([plant.Bu, plant.Bd, plant.Bf]),
-        plant.C,
-        np.hstack([plant.Du, plant.Dd, plant.Df]),
-    )
-    R, S, Y = units.equations[:, None], units.states, units.outputs[:, None]
-    A, C = R * plant.A * S, Y * plant.C * S
-    unknown = np.vstack([R * plant.Bd, Y * plant.Dd])
-    size = np.linalg.norm(unknown, axis=0)
-    unknown = unknown / np.where(size > 0, size, 1.0)
-    B, D = unknown[:n], unknown[n:]
-    noise, seen = R * plant.Bw, Y * plant.Dw
-    if plant.E is None:
-        return _Parts(A, C, B, D, np.eye(n), np.zeros((0, n)), noise, seen, units.equations, units.outputs)
-    E = R * plant.E * S
-    U, s, Vh = np.linalg.svd(E)
-    k = decide_rank(E).rank
-    derivative, algebra = U[:, :k].T / s[:k, None], U[:, k:].T
-    V1, V2 = Vh[:k].T, Vh[k:].T
-    size2 = np.maximum(np.linalg.norm(A @ V2, axis=0), np.linalg.norm(C @ V2, axis=0))
-    V2 = V2 / np.where(size2 > 0, size2, 1.0)
-    return _Parts(
-        derivative @ A @ V1,
-        np.vstack([C @ V1, algebra @ A @ V1]),
-        np.hstack([derivative @ A @ V2, derivative @ B]),
-        np.vstack([np.hstack([C @ V2, D]), algebra @ np.hstack([A @ V2, B])]),
-        derivative,
-        algebra,
-        derivative @ noise,
-        np.vstack([seen, algebra @ noise]),
-        units.equations,
-        units.outputs,
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class _Quotient:
-    """What is left when the unknown inputs are divided out: ``z' = A z + inject eta``, ``0 = read eta - C z``."""
-
-    A: NDArray
-    C: NDArray
-    T1: NDArray  # z = T1 E x, before the algebraic equations take part
-    inject: NDArray
-    read: NDArray
-    process_noise: NDArray
-    measurement_noise: NDArray
-    direct: RankDecision
-
-
-def _quotient(parts: _Parts, rtol: float) -> _Quotient:
-    """Divide out the smallest unobservability subspace that holds the unknown inputs."""
-    n = len(parts.A)
-    U, s, Vh = np.linalg.svd(parts.D)
-    direct = decide_rank(parts.D, rtol=rtol, scale=1.0)
-    k = direct.rank
-    G = parts.B @ (Vh[:k].T / s[:k]) @ U[:, :k].T
-    W = U[:, k:].T
-    A, C = parts.A - G @ parts.C, without_rounding(W, parts.C)
-    L, _ = range_basis(parts.B @ Vh[k:].T, rtol=rtol, scale=1.0)
-    S = detection_space(A, C, L, rtol=rtol).basis if L.shape[1] else _unobservable(A, C, rtol)
-    if S.shape[1]:
-        inject = confining_gain(A, C, S)
-        scale = float(np.linalg.norm(parts.C, 2)) if parts.C.size else 0.0  # what is left of C may be all rounding
-        H = left_null_basis(C @ S, rtol=rtol, scale=scale)[0].T
-        P = left_null_basis(S)[0]
-    else:
-        inject, H, P = np.zeros((n, len(C))), np.eye(len(C)), np.eye(n)
-    F = without_rounding(P.T, A - inject @ C, P)
-    inject, read = P.T @ (G + inject @ W), H @ W
-    return _Quotient(
-        F,
-        without_rounding(H, C, P),
-        P.T @ parts.derivative,
-        inject,
-        read,
-        P.T @ parts.process_noise - inject @ parts.measurement_noise,
-        read @ parts.measurement_noise,
-        direct,
-    )
-
-
-def _unobservable(A: NDArray, C: NDArray, rtol: float) -> NDArray:
-    """Return an orthonormal basis of the states that no output sees."""
-    seen = reachable_basis(A.T, C.T, rtol=rtol)
-    return left_null_basis(seen)[0] if seen.shape[1] else np.eye(len(A))
