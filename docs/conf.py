@@ -68,6 +68,7 @@ html_sidebars = {
         "observers-on-benchmarks",
         "coding-sets",
         "parity-and-conditioning",
+        "robust-bounds",
         "gallery/**",
     )
 }

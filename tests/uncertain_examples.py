@@ -5,47 +5,30 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-import scipy.linalg
 
 import residua as rs
+from residua.library import degrading_jet_engine, degrading_jet_engine_controller
 from residua.linear import UncertainSystem
-from residua.plant import Perturbation, UncertainPlant
+from residua.plant import UncertainPlant
 
-A = np.array([[0.8938, 0.0034, 0.0020], [-0.0001, 0.8940, 0.0014], [0, -0.0001, 0.8996]])
-B = np.array([[0.0059, 0.1119, -0.0160], [0.0042, 0.0720, 0.0083], [0.0001, -0.0003, 0]])
-C = np.array([[1, 0.0077, 0.0044], [-0.0003, 1, 0.0031], [0.0299, -0.0208, 0.0010]])
+A, B, C = (getattr(degrading_jet_engine().nominal, name) for name in ("A", "Bu", "C"))
 D1, D2 = np.diag([0.1, 0.1, 0.01]), 0.1 * np.eye(3)
 H_A = -np.array([[1.0, 1, 1, 0, 0, 0], [0, 0, 0, 1, 1, 1], [0, 0, 0, 0, 0, 0]])
 G_A = np.vstack([np.eye(3), np.eye(3)])
 H_B = H_C = -np.array([[1.0, 1, 1], [0, 0, 0], [0, 0, 0]])
 G_B = G_C = np.eye(3)
-LOW_A, HIGH_A = [0, -0.0008, 0, -0.0001, 0, 0], [0.0011, 0, 0.0002, 0, 0.0005, 0.0001]
-LOW_B, HIGH_B = [0, 0, -0.0005], [0.0008, 0.0115, 0]
-LOW_C, HIGH_C = [-0.0001, -0.0015, 0], [0, 0, 0.0004]
 
 
 @cache
 def jet_engine_controller() -> rs.StateSpace:
-    """Return the regulator with unit weights on the estimator for the disturbances of the engine."""
-    X = scipy.linalg.solve_discrete_are(A, B, np.eye(3), np.eye(3))
-    K = np.linalg.solve(np.eye(3) + B.T @ X @ B, B.T @ X @ A)
-    Y = scipy.linalg.solve_discrete_are(A.T, C.T, D1 @ D1.T, D2 @ D2.T)
-    L = A @ Y @ C.T @ np.linalg.inv(C @ Y @ C.T + D2 @ D2.T)
-    return rs.StateSpace(A - B @ K - L @ C, L, -K, dt=0.01)
+    """Return the regulator of the engine."""
+    return degrading_jet_engine_controller()
 
 
 @cache
 def jet_engine() -> UncertainPlant:
     """Return the engine with its perturbations, disturbances and sensor faults."""
-    plant = rs.Plant(A, B, C, dt=0.01, outputs=["XNH", "XNL", "TMPC"], name="engine")
-    return UncertainPlant(
-        plant.with_disturbances(D1, output=D2).with_sensor_faults(),
-        deltas=[
-            Perturbation("A", H_A, G_A, LOW_A, HIGH_A),
-            Perturbation("C", H_C, G_C, LOW_C, HIGH_C),
-            Perturbation("B", H_B, G_B, LOW_B, HIGH_B),
-        ],
-    )
+    return degrading_jet_engine()
 
 
 @cache

@@ -25,7 +25,7 @@ from uncertain_examples import (
 
 
 def values_of(letter: str, f: np.ndarray) -> np.ndarray:
-    """Return the diagonal of F of one matrix; the engine names its parameters A1..A6, C1..C3, B1..B3."""
+    """Return the diagonal of F of one matrix; the engine names its parameters dA1..dA6, dC1..dC3, dB1..dB3."""
     return np.diag(f[{"A": slice(0, 6), "C": slice(6, 9), "B": slice(9, 12)}[letter]])
 
 
@@ -34,7 +34,7 @@ def test_structure_of_the_closed_loop():
     unc, controller = jet_engine(), jet_engine_controller()
     loop = unc.in_closed_loop(controller)
     Ac, Bc, Cc = controller.A, controller.B, controller.C
-    assert loop.names == (*(f"A{i}" for i in range(1, 7)), "C1", "C2", "C3", "B1", "B2", "B3")
+    assert loop.names == (*(f"dA{i}" for i in range(1, 7)), "dC1", "dC2", "dC3", "dB1", "dB2", "dB3")
     zero, wide = np.zeros((3, 3)), np.zeros((3, 6))
     # Eqs. (16)-(18): F_A = diag(F_Ap, F_Cp, F_Bp).
     assert np.allclose(loop.Hx, np.block([[H_A, zero, H_B], [wide, Bc @ H_C, zero]]), atol=1e-14, rtol=0)
@@ -101,7 +101,7 @@ def test_residual_is_what_the_estimator_gives():
 def test_members_vertices_samples():
     unc = jet_engine()
     assert np.array_equal(unc.member({}).A, unc.nominal.A)
-    assert unc.member({"A1": 0.0011}).A[0, 0] == pytest.approx(0.8938 + 0.0011, abs=1e-15)
+    assert unc.member({"dA1": 0.0011}).A[0, 0] == pytest.approx(0.8938 + 0.0011, abs=1e-15)
     values = unc.vertex_values()
     assert values.shape == (4096, 12)
     assert len(np.unique(values, axis=0)) == 4096

@@ -1,5 +1,11 @@
 """Ready plants, one file per paper or benchmark."""
 
+from residua.library.degrading_jet_engine import (
+    degrading_jet_engine,
+    degrading_jet_engine_controller,
+    degrading_jet_engine_corner,
+    simulate_degrading_jet_engine,
+)
 from residua.library.gertler import gertler
 from residua.library.jet_engine import (
     E_HAT,
@@ -9,7 +15,7 @@ from residua.library.jet_engine import (
     simulate_jet_engine,
 )
 from residua.library.ladder_circuit import ladder_circuit
-from residua.library.simulation import SimulatedRecording
+from residua.library.simulation import SimulatedRecording, drift
 from residua.library.three_tank import three_tank, three_tank_fault, three_tank_rate
 from residua.library.three_tank_simulation import simulate_three_tank
 from residua.library.twardy import twardy
@@ -18,11 +24,16 @@ from residua.library.vtol import vtol
 __all__ = [
     "E_HAT",
     "SimulatedRecording",
+    "degrading_jet_engine",
+    "degrading_jet_engine_controller",
+    "degrading_jet_engine_corner",
+    "drift",
     "gertler",
     "jet_engine",
     "jet_engine_rate",
     "jet_engine_steady_state",
     "ladder_circuit",
+    "simulate_degrading_jet_engine",
     "simulate_jet_engine",
     "simulate_three_tank",
     "three_tank",

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import AccuracyError, ModelError
-from residua.library.simulation import SimulatedRecording, fault_courses, filled, runge_kutta
+from residua.library.simulation import Course, SimulatedRecording, fault_courses, filled, runge_kutta
 from residua.plant import Plant, quadratic_terms
 
 A = ((-1.5581, 0.6925, 0.3974), (0.2619, -2.2228, 0.2238), (0.0, 0.0, -10.0))
@@ -145,7 +145,7 @@ def simulate_jet_engine(
     u: ArrayLike,
     *,
     dt: float = 0.01,
-    faults: Mapping[str, ArrayLike] | None = None,
+    faults: Mapping[str, Course] | None = None,
     relative: bool = False,
     x0: ArrayLike | None = None,
     noise: float = 0.0,
@@ -161,9 +161,9 @@ def simulate_jet_engine(
         Commanded fuel, as relative deviation.
     dt : float
         Step in seconds, at most 0.1.
-    faults : mapping of str to array_like, optional
+    faults : mapping of str to array_like, shape (T,), number, or function of time, optional
         Fault name (as in :func:`jet_engine`: ``"n_low sensor"`` .. ``"t4 sensor"``, ``"fuel actuator"``) to its
-        time course, shape (T,) or one number for a constant fault.
+        course; a number is a constant fault, :func:`drift` makes one that grows.
     relative : bool
         Whether sensor faults are fractions of the measured deviation (0.02: it reads 2 % too high).
     x0 : array_like, shape (3,), optional
@@ -200,7 +200,7 @@ def simulate_jet_engine(
     command = filled(np.reshape(u, (-1, 1)), (steps, 1), "u")
     if not (np.isfinite(dt) and 0 < dt <= 0.1):
         raise ModelError(f"dt must lie in (0, 0.1] seconds, got {dt}")
-    courses = fault_courses(faults, ("fuel actuator", *(f"{name} sensor" for name in OUTPUTS)), steps)
+    courses = fault_courses(faults, ("fuel actuator", *(f"{name} sensor" for name in OUTPUTS)), steps, dt=dt)
     applied = command + courses["fuel actuator"][:, None]
     x = np.zeros((steps, 3))
     x[0] = 0.0 if x0 is None else np.asarray(x0, dtype=float)

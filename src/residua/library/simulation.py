@@ -8,7 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.errors import ModelError
+from residua.errors import ModelError, SettingError
+
+#: The size of a fault over time: samples, one number, or a function of the times of the samples.
+Course = ArrayLike | Callable[[NDArray[np.float64]], ArrayLike]
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,14 +60,44 @@ def runge_kutta(rate: Callable[[NDArray], NDArray], x: NDArray, dt: float) -> ND
     return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
-def fault_courses(faults: Mapping[str, ArrayLike] | None, known: tuple[str, ...], steps: int) -> dict[str, NDArray]:
+def drift(start: float, slope: float) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    """Return a fault that grows steadily from a certain time on, as the simulations take it.
+
+    Parameters
+    ----------
+    start : float
+        Seconds.
+    slope : float
+        Per second, in the unit of the fault.
+
+    Returns
+    -------
+    callable
+        From times in seconds to sizes.
+
+    Examples
+    --------
+    >>> from residua.library import drift
+    >>> drift(1.0, 0.5)([0.0, 1.0, 2.0, 3.0])
+    array([0. , 0. , 0.5, 1. ])
+    """
+    if not np.isfinite([start, slope]).all():
+        raise SettingError(f"start and slope of a drift must be finite numbers, got {start!r} and {slope!r}")
+    return lambda time: slope * np.maximum(np.asarray(time, dtype=float) - start, 0.0)
+
+
+def fault_courses(
+    faults: Mapping[str, Course] | None, known: tuple[str, ...], steps: int, *, dt: float
+) -> dict[str, NDArray]:
     """Return the time course of every known fault, zero where none is given.
 
     Parameters
     ----------
-    faults : mapping of str to array_like, shape (steps,), or to one number
+    faults : mapping of str to array_like, shape (steps,), to one number, or to a function of time
     known : tuple of str
     steps : int
+    dt : float
+        Step in seconds; the first sample is at 0.
 
     Returns
     -------
@@ -74,7 +107,8 @@ def fault_courses(faults: Mapping[str, ArrayLike] | None, known: tuple[str, ...]
     for name, course in (faults or {}).items():
         if name not in known:
             raise ModelError(f"unknown fault {name!r}; known: {', '.join(known)}")
-        out[name] = filled(course, (steps,), f"fault {name!r}")
+        sizes = course(dt * np.arange(steps, dtype=np.float64)) if callable(course) else course
+        out[name] = filled(sizes, (steps,), f"fault {name!r}")
     return out
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import ModelError
-from residua.library.simulation import SimulatedRecording, fault_courses, filled, runge_kutta
+from residua.library.simulation import Course, SimulatedRecording, fault_courses, filled, runge_kutta
 from residua.library.three_tank import (
     ACTUATORS,
     CLOGS,
@@ -33,7 +33,7 @@ def simulate_three_tank(
     steps: int = 2001,
     *,
     dt: float = 1.0,
-    faults: Mapping[str, ArrayLike] | None = None,
+    faults: Mapping[str, Course] | None = None,
     u: ArrayLike | None = None,
     setpoints: ArrayLike | None = None,
     noise: float = 1.0,
@@ -50,8 +50,9 @@ def simulate_three_tank(
         Number of samples.
     dt : float
         Step in seconds, at most 5.
-    faults : mapping of str to array_like, optional
-        Fault name (as in :func:`three_tank`) to its time course, shape (steps,), or one number for a constant fault.
+    faults : mapping of str to array_like, shape (steps,), number, or function of time, optional
+        Fault name (as in :func:`three_tank`) to its course; a number is a constant fault, :func:`drift` makes one that
+        grows.
     u : array_like, shape (steps, 2), optional
         Commanded pump flows: open loop. When omitted, two PI controllers hold h1 and h2.
     setpoints : array_like, shape (2,) or (steps, 2), optional
@@ -81,7 +82,7 @@ def simulate_three_tank(
         raise ModelError(f"dt must lie in (0, 5] seconds, got {dt}")
     if int(steps) != steps or steps < 1:
         raise ModelError(f"steps must be a positive whole number, got {steps!r}")
-    course = fault_courses(faults, (*ACTUATORS, *SENSORS, *LEAKS, *CLOGS), steps)
+    course = fault_courses(faults, (*ACTUATORS, *SENSORS, *LEAKS, *CLOGS), steps, dt=dt)
     commands = None if u is None else filled(u, (steps, 2), "u")
     wanted = filled(LEVELS[:2] if setpoints is None else setpoints, (steps, 2), "setpoints")
     sensor, level, flow = _noise(steps, dt, noise, seed)

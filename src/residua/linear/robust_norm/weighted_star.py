@@ -11,6 +11,7 @@ terms are products of their powers), so that a point at which no weight wants to
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,9 +73,11 @@ class _Sums:
     def solve(self, a: NDArray[np.float64]) -> tuple[Matrix, object] | None:
         """Return ``Q`` and the factors of the equation, or None where the weights let it grow without end."""
         M = np.eye(len(self.source)) - sum(w * K for w, K in zip(a[:-1], self.terms, strict=True))
-        factors = scipy.linalg.lu_factor(M, check_finite=False)
-        # The map is positive: a positive answer to a positive source is a proof that its powers die out.
-        trial = self.square(scipy.linalg.lu_solve(factors, self.vector(np.eye(self.n))))
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore", scipy.linalg.LinAlgWarning)  # a singular equation has no positive answer
+            factors = scipy.linalg.lu_factor(M, check_finite=False)
+            # The map is positive: a positive answer to a positive source is a proof that its powers die out.
+            trial = self.square(scipy.linalg.lu_solve(factors, self.vector(np.eye(self.n))))
         if not np.isfinite(trial).all() or not np.linalg.eigvalsh(trial)[0] >= 1 - 1e-6:
             return None
         Q = self.square(scipy.linalg.lu_solve(factors, a[-1] * self.source))
