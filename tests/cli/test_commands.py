@@ -298,7 +298,7 @@ def test_a_bank_names_by_code(made: Path, tmp_path: Path, residua: Residua) -> N
     assert "Codes" in (tmp_path / "r.html").read_text()
 
 
-def test_two_faults_are_no_name(made: Path, tmp_path: Path, residua: Residua) -> None:
+def test_two_faults_are_both_named(made: Path, tmp_path: Path, residua: Residua) -> None:
     (tmp_path / "two.toml").write_text(TWO_SENSORS)
     residua("design", tmp_path / "two.toml", "-o", tmp_path / "bank.json", "--method", "sensor-bank")
     rows = simulate(400, 3, sensor=3.0, from_=200)
@@ -306,8 +306,10 @@ def test_two_faults_are_no_name(made: Path, tmp_path: Path, residua: Residua) ->
     both = write_csv(tmp_path / "both.csv", rows)
     status, out, _ = residua("run", tmp_path / "bank.json", both)
     assert status == 1
-    assert "More than one fault, such as level 1 sensor and level 2 sensor, or one that the bank does not know" in out
-    assert "several, or not known" in out
+    assert "2 faults found: " in out
+    assert "level 2 sensor since t = " in out
+    assert "level 1 sensor since t = " in out
+    assert "several, or not known" not in out
 
 
 def test_an_estimator_tells_the_size(made: Path, tmp_path: Path, residua: Residua) -> None:

@@ -35,6 +35,8 @@ def by_definition(fired: np.ndarray, codes: np.ndarray, distance: int) -> tuple[
         return "none", set()
     if p in different:
         return "exact", {j for j in code if code[j] == p}
+    if all(len(c) == 1 for c in different) and p == frozenset().union(*(c for c in different if c <= p)):
+        return "several", {j for j in code if code[j] <= p}
     antichain = all(not a < b for a in different for b in different)
     above = [c for c in different if p < c]
     if antichain and len(above) == 1:
@@ -54,9 +56,13 @@ def test_it_is_read_as_defined(case: tuple[np.ndarray, np.ndarray, int]) -> None
     faults = [f"f{j}" for j in range(codes.shape[1])]
     reading = read_code(fired, codes, faults, distance=distance)
     answer, named = by_definition(fired, codes, distance)
-    assert (reading.answer, set(reading.faults)) == (answer, {faults[j] for j in named})
+    told = {name for group in reading.named for name in group}
+    assert (reading.answer, told) == (answer, {faults[j] for j in named})
     assert reading.fired == tuple(str(i + 1) for i in np.flatnonzero(fired))
-    if named:
+    assert bool(reading.together) == (answer == "several")
+    if answer == "several":
+        assert (reading.faults, reading.distance, len(reading.together)) == ((), 0, np.count_nonzero(fired))
+    elif named:
         assert reading.distance == np.count_nonzero(codes[:, min(named)] != fired)
     pairs = {frozenset((a[0], b[0])) for a, b in reading.pairs}
     for i, j in combinations(range(len(faults)), 2):
@@ -103,9 +109,20 @@ def test_a_generalized_bank_reads_single_faults_and_calls_two_unknown() -> None:
 
 def test_a_dedicated_bank_names_both_of_two_faults() -> None:
     reading = read_code([True, False, True, False], np.eye(4), FAULTS, members=["A", "B", "C", "D"])
-    assert (reading.answer, reading.pairs) == ("unknown", ((("a",), ("c",)),))
-    assert str(reading).startswith("fired: A, C; more than one fault")
-    assert str(reading).endswith("fire the same members: 'a' and 'c'")
+    assert (reading.answer, reading.pairs) == ("several", ((("a",), ("c",)),))
+    assert (reading.faults, reading.together) == ((), (("a",), ("c",)))
+    assert str(reading) == "fired: A, C; several faults: 'a' and 'c'"
+
+
+def test_a_dedicated_bank_names_all_of_many_faults_in_the_order_of_its_members() -> None:
+    codes = np.eye(5)[:, [4, 0, 2, 2, 1]]  # the code of member D belongs to nobody, that of C to two
+    faults = ["e", "a", "c", "d", "b"]
+    reading = read_code([1, 1, 1, 0, 1], codes, faults)
+    assert reading.together == (("a",), ("b",), ("c", "d"), ("e",))
+    assert reading.meaning == "several faults: 'a', 'b', ('c' or 'd') and 'e'"
+    assert read_code([1, 1, 1, 1, 1], codes, faults).answer == "unknown", "nobody fires the fourth member"
+    mixed = np.array([[1, 0, 0], [0, 1, 1], [0, 0, 1]])
+    assert read_code([1, 1, 0], mixed, "abc").answer == "unknown", "a bank with a longer code is read as before"
 
 
 def test_texts_of_every_answer() -> None:

@@ -13,6 +13,7 @@ import pytest
 
 import residua as rs
 from generated import random_plant
+from older_files import as_version
 from residua.decide import NormThreshold
 from residua.decide.matched import Matched
 from residua.design.matched_filters import matched_filters
@@ -118,11 +119,7 @@ def test_files_of_the_version_before_are_still_read(tmp_path: Path) -> None:
     u, y = recording(plant, 1)
     first.update(u[:100], y[:100])
     first.save(tmp_path / "m.json")
-    content = json.loads((tmp_path / "m.json").read_text())
-    content["version"] = 3
-    del content["running"]["matched"]
-    for name in ("match_sums", "match_weights", "match_held"):
-        del content["state"][name]
+    content = as_version(3, json.loads((tmp_path / "m.json").read_text()))
     (tmp_path / "old.json").write_text(json.dumps(content))
     second = rs.Monitor.load(tmp_path / "old.json")
     one, other = first.update(u[100:], y[100:]), second.update(u[100:], y[100:])

@@ -60,9 +60,16 @@ def test_the_verdict_says_what_fired_and_what_that_is(one: rs.Diagnosis) -> None
 def test_two_faults_are_not_a_found_fault() -> None:
     pair = diagnosis({"y1 sensor": 5.0, "y3 sensor": -4.0}, monitor(dedicated=True))
     found = verdict(pair)
-    assert found.confidence == "no code"
-    assert found.headline.startswith("More than one fault, such as y1 sensor and y3 sensor, or one that the bank does")
+    assert found.confidence == "exact codes"
+    assert found.headline.startswith("2 faults found: y1 sensor since t = ")
+    assert found.present == (("y1 sensor",), ("y3 sensor",))
     sections = [Section("two", pair, actual=["y1 sensor", "y3 sensor"]), Section("one", pair, actual="y1 sensor")]
+    text = words(render(sections, "t"))
+    assert "y1 sensor and y3 sensor ✓ right" in text
+    assert "y1 sensor and y3 sensor ✗ wrong" in text
+    general = diagnosis({"y1 sensor": 5.0, "y3 sensor": -4.0})
+    assert verdict(general).confidence == "no code"
+    sections = [Section("two", general, actual=["y1 sensor", "y3 sensor"]), Section("one", general, actual="y1 sensor")]
     text = words(render(sections, "t"))
     assert "more than one fault, or one not known ✓ right" in text
     assert "more than one fault, or one not known ✗ missed" in text

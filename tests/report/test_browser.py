@@ -13,6 +13,7 @@ import pytest
 
 import residua as rs
 from bank_examples import hand_made_bank, recording, sampled_plant, static_estimator
+from dedicated_examples import dedicated_bank, three_drifts
 from report_examples import diagnosis, generator
 from residua.report.page import Section, write_demo_page, write_page
 
@@ -89,6 +90,17 @@ def test_a_bank_with_an_estimator_is_drawn(tmp_path):
     assert seen["error"] == ""
     assert int(seen["charts"]) == len(found.residual_names) + 1 + 5 + 1
     assert int(seen["drawn-charts"]) == 1 + 1 + 5 + 1  # the bank's own residuals wait behind a click
+
+
+def test_three_drifting_sensors_are_drawn(tmp_path):
+    """Charts with axes, alarms and onsets of their own, and residuals behind a click."""
+    found = rs.Monitor(dedicated_bank()).run(None, three_drifts())
+    assert isinstance(found, rs.Diagnosis)
+    dom = browse(found.to_html(tmp_path / "page.html"), tmp_path, "--dump-dom")
+    seen = facts(dom)
+    assert seen["error"] == ""
+    assert int(seen["charts"]) == 3 + 1 + 3
+    assert int(seen["drawn-charts"]) == 1 + 3
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

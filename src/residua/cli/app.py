@@ -239,7 +239,7 @@ def fit(
         f"basis: {watch.norm_test.basis}",
         f"fault-free samples: {len(found.time)} over {_span(found):.6g} s, {judged} judged "
         f"({found.n_missing} incomplete, the rest while the filter settles)",
-        f"fraction in alarm: {found.false_alarm_fraction:.3g} (asked for: at most {rate:g})",
+        f"fraction in alarm: {found.false_alarm_fraction:.3g} ({_asked(found, rate)})",
         _expected_alarms(watch, rate, len(found.alarms)),
         f"written: {output}",
     )
@@ -248,6 +248,10 @@ def fit(
             f"{judged} samples are too few to see a false alarm rate of {rate:g}: give {int(10 / rate) + 1} or more, "
             "or ask for a higher rate with --false-alarm-rate"
         )
+
+
+def _asked(found: Diagnosis, rate: float) -> str:
+    return "thresholds certified by the design" if found.certified else f"asked for: at most {rate:g}"
 
 
 def _expected_alarms(watch: Monitor, rate: float, here: int) -> str:

@@ -81,7 +81,7 @@ _WORDS = {
     ),
     r"(?:\.)?\bfit\(u, y\) it to fault-free data": "give it one by residua fit, from fault-free data",
     r"\.?\bfit\(u, y\)": "residua fit",
-    r",? or set NormThreshold\(threshold=\.\.\.\)": "",
+    r",? or set (?:NormThreshold\(threshold|PeakThreshold\(thresholds)=\.\.\.\)": "",
     r"NormThreshold\(window=(\d+|\.\.\.)\)": r"--average \1",
     r"NormThreshold\(persistence=(\d+|\.\.\.)\)": r"--persistence \1",
     r"\b(poles|margin|faults)=(?:\[\.\.\.\]|\.\.\.|(?=[,;. )]|$))": r"--\1",

@@ -305,6 +305,8 @@ def _alarm_row(k: int, alarm: Alarm, window: int) -> list[object]:
 def _unnamed(alarm: Alarm) -> str:
     if alarm.reading is None:
         return "not isolated"
+    if alarm.reading.together:
+        return " and ".join(" or ".join(group) for group in alarm.reading.together)
     return "not told which, several, or not known" if alarm.reading.possible else "several, or not known"
 
 

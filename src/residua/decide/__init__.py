@@ -6,6 +6,7 @@ from residua.decide.matched import Matched, MatchedTest
 from residua.decide.matched_hold import Match
 from residua.decide.member_thresholds import BankTest
 from residua.decide.norm_threshold import NormTest, NormThreshold
+from residua.decide.peak_threshold import PeakThreshold, peak_over_window
 from residua.decide.structured import CodeReading, CodeTest, Structured, read_code, read_codes
 from residua.decide.whitening import whitening_matrix
 
@@ -22,10 +23,12 @@ __all__ = [
     "MatchedTest",
     "NormTest",
     "NormThreshold",
+    "PeakThreshold",
     "Structured",
     "code_likelihoods",
     "consistent_faults",
     "correlation",
+    "peak_over_window",
     "projection_distance",
     "read_code",
     "read_codes",

@@ -19,13 +19,14 @@ class CodeReading:
 
     Attributes
     ----------
-    answer : {"none", "exact", "degraded", "nearest", "unknown"}
-        ``none``: no member fired, no fault. ``exact``: the pattern is the code of one fault. ``degraded``: it is
+    answer : {"none", "exact", "several", "degraded", "nearest", "unknown"}
+        ``none``: no member fired, no fault. ``exact``: the pattern is the code of one fault. ``several``: every code
+        of the bank is a single member, and the pattern is those of the faults in ``together``. ``degraded``: it is
         the code of one fault with some members silent, and of no other. ``nearest``: one code is nearer than all
         others, within the distance that is allowed, and no other fault has the pattern as part of its code.
         ``unknown``: one of the faults in ``possible``, more than one fault, or one that the bank does not know.
     faults : tuple of str
-        The fault that was read, with those that have the same code; empty for ``none`` and ``unknown``.
+        The fault that was read, with those that have the same code; empty for ``none``, ``several`` and ``unknown``.
     distance : int
         Members that differ from the code that was read; for ``unknown`` from the nearest code, -1 if there is none.
     pairs : tuple of pairs
@@ -40,6 +41,9 @@ class CodeReading:
     possible : tuple of tuple of str
         For ``unknown``: the single faults that explain the pattern by members that stay silent, those with the
         fewest silent members first. Faults with the same code are together, each is named once.
+    together : tuple of tuple of str
+        For ``several``: the faults that are there at once, in the order of their members; those with the same member
+        are one group, of which one fault or more is there.
     """
 
     answer: str
@@ -51,6 +55,12 @@ class CodeReading:
     members: tuple[str, ...]
     settled: tuple[str, ...] = ()
     possible: tuple[tuple[str, ...], ...] = ()
+    together: tuple[tuple[str, ...], ...] = ()
+
+    @property
+    def named(self) -> tuple[tuple[str, ...], ...]:
+        """The groups of faults that are there by this reading: the one that was read, or all of several."""
+        return self.together or ((self.faults,) if self.faults else ())
 
     @property
     def fired(self) -> tuple[str, ...]:
@@ -69,6 +79,9 @@ class CodeReading:
             return f"code of {name} with {_count(self.distance)} silent (degraded){self._pairs(', or two at once: ')}"
         if self.answer == "nearest":
             return f"nearest code: {name}, {_count(self.distance)} off (nearest){self._pairs(', or two at once: ')}"
+        if self.answer == "several":
+            *others, last = (f"({quoted(group)})" if len(group) > 1 else quoted(group) for group in self.together)
+            return f"several faults: {', '.join(others)} and {last}"
         together = self._pairs(": these two at once would fire the same members: ")
         if self.possible:
             return f"not told which: {self.either} with members silent, {UNKNOWN}{together}"

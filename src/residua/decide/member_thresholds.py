@@ -32,6 +32,8 @@ class BankTest:
     persistence, release, window : int
     basis : str
         Where thresholds and covariances come from, in words.
+    kind : {"norm", "peak"}
+        As of :class:`residua.decide.NormTest`.
     """
 
     center: NDArray[np.float64]
@@ -42,6 +44,7 @@ class BankTest:
     release: int
     window: int
     basis: str
+    kind: str = "norm"
 
     @property
     def threshold(self) -> float:
@@ -73,7 +76,7 @@ def bank_test_from_model(
     single = replace(settings, false_alarm_rate=settings.false_alarm_rate / max(1, len(members)))
     tests = [norm_test_from_model(single, _part(covariance, rows), len(rows)) for rows in members]
     found = [test for test in tests if test is not None]
-    return _side_by_side(found, members, n_residuals) if found and len(found) == len(tests) else None
+    return side_by_side(found, members, n_residuals) if found and len(found) == len(tests) else None
 
 
 def fit_bank_test(
@@ -122,7 +125,7 @@ def fit_bank_test(
         )
         for rows, size in zip(members, signal_sizes, strict=True)
     ]
-    return _side_by_side(tests, members, residuals.shape[1])
+    return side_by_side(tests, members, residuals.shape[1])
 
 
 def _part(covariance: NDArray | None, rows: Sequence[int]) -> NDArray | None:
@@ -131,7 +134,8 @@ def _part(covariance: NDArray | None, rows: Sequence[int]) -> NDArray | None:
     return None if covariance is None else covariance[np.ix_(list(rows), list(rows))]
 
 
-def _side_by_side(tests: Sequence[NormTest], members: Sequence[Sequence[int]], n_residuals: int) -> BankTest:
+def side_by_side(tests: Sequence[NormTest], members: Sequence[Sequence[int]], n_residuals: int) -> BankTest:
+    """Return the tests of the members as one; ``members`` are the residual numbers of each."""
     sizes = np.array([len(rows) for rows in members], dtype=np.int64)
     center, whitening, at = np.zeros(n_residuals), np.zeros((n_residuals, int(sizes.sum()))), 0
     for test, rows in zip(tests, members, strict=True):
@@ -144,7 +148,7 @@ def _side_by_side(tests: Sequence[NormTest], members: Sequence[Sequence[int]], n
         basis += f"; that is 1/{len(tests)} of the rate of the whole bank"
     one = tests[0]
     thresholds = np.array([test.threshold for test in tests])
-    return BankTest(center, whitening, sizes, thresholds, one.persistence, one.release, one.window, basis)
+    return BankTest(center, whitening, sizes, thresholds, one.persistence, one.release, one.window, basis, one.kind)
 
 
 def member_alarms(

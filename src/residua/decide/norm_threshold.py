@@ -103,6 +103,9 @@ class NormTest:
     persistence, release, window : int
     basis : str
         Where threshold and covariance come from, in words.
+    kind : {"norm", "peak"}
+        What it was made of: :class:`NormThreshold`, or :class:`residua.decide.PeakThreshold`, whose window is
+        ``release``.
     """
 
     center: NDArray[np.float64]
@@ -112,6 +115,7 @@ class NormTest:
     release: int
     window: int
     basis: str
+    kind: str = "norm"
 
     @property
     def band(self) -> NDArray[np.float64]:
@@ -170,12 +174,7 @@ def fit_norm_test(
     check_rate(false_alarm_rate)
     rows = residuals[usable]
     k = residuals.shape[1]
-    least = max(10 * k, 30, 10 * settings.window)
-    if len(rows) < least:
-        raise DataError(
-            f"{len(rows)} usable samples are too few to fit {k} residuals with a window of {settings.window}: give at "
-            f"least {least} fault-free samples after the filter has settled"
-        )
+    check_enough(len(rows), k, settings.window)
     mean, spread = residual_moments(rows)
     if settings.window > 1:
         _, spread = residual_moments(_sums(residuals - mean, usable, settings.window)[usable])
@@ -193,20 +192,35 @@ def fit_norm_test(
     statistic = np.linalg.norm(_sums((residuals - mean) @ whitening, usable, settings.window), axis=1)
     fitted, basis = fitted_threshold(statistic, usable, test, false_alarm_rate)
     if noise_free:
-        fitted = max(fitted, rounding, np.finfo(float).tiny)
-        basis += "; no noise in these data: the threshold is at rounding level"
+        fitted, basis = above_rounding(fitted, rounding, basis)
     return replace(test, threshold=float(fitted), basis=basis)
 
 
+def above_rounding(threshold: float, rounding: float, basis: str) -> tuple[float, str]:
+    """Return a threshold fitted to data without noise, raised to the rounding of the signals, and its basis."""
+    told = f"{basis}; no noise in these data: the threshold is at rounding level"
+    return max(threshold, rounding, np.finfo(float).tiny), told
+
+
+def check_enough(samples: int, k: int, window: int) -> None:
+    """Raise unless there are enough usable samples to fit the threshold of ``k`` residuals."""
+    least = max(10 * k, 30, 10 * window)
+    if samples < least:
+        raise DataError(
+            f"{samples} usable samples are too few to fit {k} residuals with a window of {window}: give at "
+            f"least {least} fault-free samples after the filter has settled"
+        )
+
+
 def fitted_threshold(
-    statistic: NDArray, usable: NDArray[np.bool_], test: NormTest, false_alarm_rate: float
+    statistic: NDArray, usable: NDArray[np.bool_], test: NormTest, false_alarm_rate: float, *, least: int = 10
 ) -> tuple[float, str]:
     """Return the smallest threshold with at most a rate of false alarms on fault-free samples, and its basis in words.
 
-    Where fewer than ten samples would be left in alarm, that for ten is extended by the tail of the data.
+    Where fewer than ``least`` samples would be left in alarm, that for so many is extended by the tail of the data.
     """
     count = int(usable.sum())
-    seen_rate = max(false_alarm_rate, min(0.2, 10 / count))
+    seen_rate = max(false_alarm_rate, min(0.2, least / count))
     fitted = _smallest_threshold(statistic, usable, test, seen_rate)
     basis = f"fitted to {count} fault-free samples, at most {false_alarm_rate:g} of them in alarm"
     if seen_rate > false_alarm_rate:

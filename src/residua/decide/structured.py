@@ -98,6 +98,15 @@ class CodeTest:
         """Whether no code turns into another one when members that should fire stay silent."""
         return strongly_isolating(self.codes, self.groups)
 
+    @cached_property
+    def dedicated(self) -> bool:
+        """Whether every code is a single member: then each fault fires its own, and several at once are all read."""
+        return bool(self.groups) and bool((self.codes.sum(axis=0) == 1).all())
+
+    def member_of(self, group: tuple[str, ...]) -> int:
+        """Return the number of the first member that a group of faults fires; of a dedicated bank the only one."""
+        return int(self.codes[:, self.groups.index(group)].argmax())
+
     def read(self, fired: ArrayLike) -> CodeReading:
         """Return what one pattern of fired members says; see :func:`read_code`."""
         pattern = np.asarray(fired, dtype=bool)
@@ -115,6 +124,9 @@ class CodeTest:
         if (off == 0).any():
             g = int(off.argmin())
             return CodeReading("exact", groups[g], 0, pairs, (), *made, settled[g])
+        if self.dedicated and (codes.any(axis=1) | ~pattern).all():  # each member that fired has a fault of its own
+            own = sorted((groups[g] for g in np.flatnonzero(pattern @ codes)), key=self.member_of)
+            return CodeReading("several", (), 0, pairs, (), *made, together=tuple(own))
         above = np.flatnonzero((codes >= pattern[:, None]).all(axis=0))
         if len({groups[g] for g in above}) == 1 and self.strongly_isolating:  # its own settled code may be there too
             g = int(above[np.argmin(off[above])])
@@ -200,18 +212,22 @@ def read_code(
 
     1. no member fired: *none*, no fault;
     2. the pattern is the code of a fault: *exact*;
-    3. it is the code of just one fault with some ones missing, and the set of codes is strongly isolating (no
+    3. every code is a single member (a dedicated bank), and each member that fired is one: *several*. There is just
+       one way to fire them, all of ``together`` at once;
+    4. it is the code of just one fault with some ones missing, and the set of codes is strongly isolating (no
        code is another one with ones missing): *degraded*. A fault too small, or too slow, for some members does that;
-    4. one code is nearer than all others (Hamming distance), differs in no more than ``distance`` members, and the
+    5. one code is nearer than all others (Hamming distance), differs in no more than ``distance`` members, and the
        pattern is part of no other fault's code: *nearest*. Not for a pattern in which all members fired: two faults
        at once do that in most banks;
-    5. anything else: *unknown*: a single fault of whose code the pattern is part (``possible`` lists them), more than
+    6. anything else: *unknown*: a single fault of whose code the pattern is part (``possible`` lists them), more than
        one fault, or one that the bank does not know.
 
     Guaranteed: a fault that fires just the members that its code promises is read exactly. A fault that fires only
     some of them is not read as another one by a *degraded* or *nearest* code: as another one only where it fires all
     members of that one's code and no more (*exact*; never in a strongly isolating set). Two faults at once whose
-    pattern is the code of a third, or comes near it, are read as that third; ``pairs`` then names them.
+    pattern is the code of a third, or comes near it, are read as that third; ``pairs`` then names them. In a dedicated
+    bank any number of faults at once that each fire their member, and no other, are read as just these. A fault that
+    the bank does not know may fire the members of others there, as in any bank.
 
     Parameters
     ----------
@@ -244,6 +260,9 @@ def read_code(
     fired: A, C; code of 'y2' (exact)
     >>> read_code([True, True, True], codes, ["y1", "y2", "y3"]).answer
     'unknown'
+    >>> dedicated = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    >>> print(read_code([True, False, True], dedicated, ["y1", "y2", "y3"], members=["A", "B", "C"]))
+    fired: A, C; several faults: 'y1' and 'y3'
     """
     test = code_test(Structured(distance=distance), codes, faults, members)
     pattern = np.asarray(fired)
@@ -286,7 +305,7 @@ def read_codes(
     >>> from residua.decide import read_codes
     >>> index, readings = read_codes([[0, 1], [1, 1], [0, 1]], [[1, 0], [0, 1]], ["a", "b"])
     >>> [readings[k].answer for k in index]
-    ['exact', 'unknown', 'exact']
+    ['exact', 'several', 'exact']
     """
     test = code_test(Structured(distance=distance), codes, faults, members)
     patterns = np.asarray(fired, dtype=bool)

@@ -1,6 +1,6 @@
 """A generator with its decision logic, running on data."""
 
-from residua.monitor.alarm import Alarm, Candidate, Size
+from residua.monitor.alarm import Alarm, Candidate, PresentFault, Size
 from residua.monitor.decision import Decision
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.monitor import Monitor
@@ -14,6 +14,7 @@ __all__ = [
     "Decisions",
     "Diagnosis",
     "Monitor",
+    "PresentFault",
     "Recording",
     "Size",
     "read_recording",

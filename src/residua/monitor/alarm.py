@@ -85,10 +85,42 @@ class Candidate:
 
 
 @dataclass(frozen=True)
+class PresentFault:
+    """A fault that is there by the code of a dedicated bank, and when its own member fired.
+
+    Attributes
+    ----------
+    faults : tuple of str
+        With those that have the same member: one of them or more is there.
+    member : str
+    since : float
+        Time at which its member first fired in this alarm, in seconds. A fault that grows arrived before.
+    until : float or None
+        Time at which its member's alarm went away for the last time; ``None`` when it lasts to the end of the
+        recording, and always in a :class:`residua.monitor.Decision`.
+    """
+
+    faults: tuple[str, ...]
+    member: str
+    since: float
+    until: float | None = None
+
+    @property
+    def name(self) -> str:
+        """The faults as text."""
+        return " or ".join(self.faults)
+
+    def __str__(self) -> str:
+        until = "" if self.until is None else f" until {self.until:.6g} s"
+        return f"{self.name} since {self.since:.6g} s{until}"
+
+
+@dataclass(frozen=True)
 class Alarm:
     """One alarm: where it lies in the recording and what explains it.
 
-    Alarms that follow each other by less than the isolation window and name the same fault are one.
+    Alarms that follow each other by less than the isolation window and name the same fault are one; by the code of a
+    dedicated bank those that have one of their faults in common.
 
     Attributes
     ----------
@@ -103,19 +135,22 @@ class Alarm:
         Best first, judged over the isolation window that ends with the last sample over the threshold (of the
         longest part, where alarms were joined). By matched filters arrivals and sizes are those of the longest part
         whose arrival is not after ``raised``, and no candidate arrives after it. By code: the group that was read, then
-        the others by the number of members that agree; empty where the reading is unknown.
+        the others by the number of members that agree; empty where the reading is unknown, or several faults.
     start, stop : int
         Sample numbers of ``raised`` and of the first sample after the alarm.
     reading : CodeReading or None
         For a bank: what the fired members say. Read from the pattern that stood for the largest number of samples of
-        the alarm, the later one of two that stood equally long.
+        the alarm, the later one of two that stood equally long. Of a dedicated bank, with them every member that
+        counted as fired for an isolation window; by :class:`residua.decide.PeakThreshold` every one that fired.
     read_share : float or None
-        The fraction of the alarm's samples in which that pattern stood.
+        The fraction of the alarm's samples in which just that pattern stood.
     sizes : tuple of Size
         Estimated sizes of all faults that are estimated, over the isolation window that ends with the last sample
         over the threshold.
     arrival : float or None
         By matched filters: the estimated arrival of the best candidate; ``None`` where it was before the window.
+    present : tuple of PresentFault
+        By the code of a dedicated bank: every fault that was read and when its own member fired, the first one first.
     """
 
     onset: float
@@ -128,6 +163,7 @@ class Alarm:
     read_share: float | None = None
     sizes: tuple[Size, ...] = field(default=())
     arrival: float | None = None
+    present: tuple[PresentFault, ...] = ()
 
     @property
     def samples(self) -> int:
@@ -166,8 +202,8 @@ class Alarm:
     def to_dict(self, *, window: int = 1) -> dict[str, Any]:
         """Return the alarm as plain values for JSON; ``short`` means shorter than the isolation window.
 
-        ``code`` is there for banks, ``sizes`` for estimators and matched filters, ``arrival`` and ``lead`` for the
-        latter.
+        ``code`` is there for banks, ``present`` for dedicated ones, ``sizes`` for estimators and matched filters,
+        ``arrival`` and ``lead`` for the latter.
         """
         out: dict[str, Any] = {
             "onset": _clean(self.onset),
@@ -182,6 +218,8 @@ class Alarm:
             out |= {"arrival": self.arrival, "lead": self.lead}
         if self.reading is not None:
             out["code"] = _code(self.reading) | {"share": self.read_share}
+        if self.present:
+            out["present"] = [_present(fault) for fault in self.present]
         if self.sizes:
             out["sizes"] = [_size(s) for s in self.sizes]
         return out
@@ -190,6 +228,11 @@ class Alarm:
 def _candidate(c: Candidate) -> dict[str, Any]:
     out: dict[str, Any] = {"faults": list(c.faults), "score": c.score, "distance": c.distance}
     return out if c.ratio is None else out | {"arrival": c.arrival, "ratio": c.ratio}
+
+
+def _present(p: PresentFault) -> dict[str, Any]:
+    until = None if p.until is None else _clean(p.until)
+    return {"faults": list(p.faults), "member": p.member, "since": _clean(p.since), "until": until}
 
 
 def _size(s: Size) -> dict[str, Any]:
@@ -206,6 +249,7 @@ def _code(reading: CodeReading) -> dict[str, Any]:
         "distance": reading.distance,
         "pairs": [[list(a), list(b)] for a, b in reading.pairs],
         "possible": [list(group) for group in reading.possible],
+        "together": [list(group) for group in reading.together],
         "text": reading.meaning,
     }
 

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from residua.decide.structured import CodeReading
 from residua.design import ResidualGenerator
-from residua.monitor.alarm import Candidate
+from residua.monitor.alarm import Candidate, PresentFault
+from residua.monitor.dedicated import present_now
 from residua.monitor.matched_naming import candidates_of_match
 from residua.monitor.naming import candidates_at, candidates_of_code, estimates_of
-from residua.monitor.running import Decisions, Specification
+from residua.monitor.running import Decisions, Specification, State
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +26,7 @@ class Decision:
     residual : ndarray, shape (residuals,)
         NaN when a value was missing.
     statistic : float
-        Norm of the whitened residual; for a bank the largest ratio of a member's to its threshold; NaN when
+        Norm of the (whitened) residual; for a bank the largest ratio of a member's to its threshold; NaN when
         nothing was decided.
     alarm : bool
     decided : bool
@@ -46,6 +47,10 @@ class Decision:
         For matched filters while the alarm is on: that fault. The candidates are those of this very sample, their
         arrivals in seconds since the first sample; once the arrival of that fault has left the window, the last of
         their sizes are by the steady responses.
+    present : tuple of PresentFault
+        By the code of a dedicated bank while the alarm is on: the faults that are read and when their members fired, in
+        seconds since the first sample of the run, the first one first. Without those of which that is not known: the
+        monitor was saved by an earlier version while they fired.
     """
 
     residual: NDArray[np.float64]
@@ -59,19 +64,23 @@ class Decision:
     estimates: Mapping[str, float] = field(default_factory=dict)
     arrived: float | None = None
     blamed: str = ""
+    present: tuple[PresentFault, ...] = ()
 
 
-def decision_from(found: Decisions, spec: Specification, generator: ResidualGenerator, count: int) -> Decision:
-    """Return the decision on the first sample of the first plant of a block; ``count`` is its number in the run."""
+def decision_from(found: Decisions, spec: Specification, generator: ResidualGenerator, state: State) -> Decision:
+    """Return the decision on the one sample of the first plant of a block; ``state`` is that after it."""
+    count = state.count - 1  # the number of this sample in the run
     alarm = bool(found.alarm[0, 0])
     candidates: tuple[Candidate, ...] = ()
     fired: tuple[str, ...] = ()
+    present: tuple[PresentFault, ...] = ()
     reading = None
     if spec.codes is not None:
         fired = tuple(name for name, on in zip(spec.codes.members, found.fired[0, 0], strict=True) if on)
         if alarm:
             reading = spec.codes.read(found.code[0, 0])
             candidates = candidates_of_code(reading, spec.codes)
+            present = present_now(spec.codes, reading, state.since[0], generator.dt)
     elif alarm and spec.direction is not None:
         candidates = candidates_at(found.scores[0, 0], spec.direction.groups, spec.direction.dimensions)
     arrived, blamed = None, ""
@@ -101,4 +110,5 @@ def decision_from(found: Decisions, spec: Specification, generator: ResidualGene
         estimates={name: float(value) for name, value in estimates_of(generator, found.residuals[0, 0]).items()},
         arrived=arrived,
         blamed=blamed,
+        present=present,
     )

@@ -15,7 +15,7 @@ from residua.decide.matched_hold import Match
 from residua.decide.structured import CodeTest
 from residua.errors import MissingExtraError
 from residua.files import write_text
-from residua.monitor.alarm import CLOSE_LEAD, CLOSE_MARGIN, Alarm, Candidate
+from residua.monitor.alarm import CLOSE_LEAD, CLOSE_MARGIN, Alarm, Candidate, PresentFault
 from residua.monitor.naming import alike, arrival_text, estimates_of, ranked, sizes_text, tied_name
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ class Diagnosis:
     residuals : ndarray, shape (T, residuals)
         NaN where a sample was missing.
     statistic : ndarray, shape (T,)
-        Norm of the whitened residual, of a bank the largest ratio of a member's to its threshold; NaN where no
+        Norm of the (whitened) residual, of a bank the largest ratio of a member's to its threshold; NaN where no
         decision was possible.
     threshold : float
     alarm : ndarray of bool, shape (T,)
@@ -77,7 +77,8 @@ class Diagnosis:
         matrices side by side.
     window : int
         Samples over which direction is judged: an alarm that is shorter is not sure of its name. 1 for matched
-        filters, whose likelihood tells how sure a name is after any time.
+        filters, whose likelihood tells how sure a name is after any time, and for a dedicated bank with a peak test, of
+        which one sample over a threshold names the fault.
     settings : mapping of str to str
         How threshold, alarms and isolation were set, in words.
     generator : ResidualGenerator
@@ -97,6 +98,10 @@ class Diagnosis:
     match : Match or None
         Of matched filters: likelihood ratio, arrival and size of every fault at every sample, and what a standing
         alarm is put down to; see :class:`residua.decide.Match`.
+    horizon : int
+        Samples of the window of a finite-horizon test (:class:`residua.decide.PeakThreshold`); 0 for any other.
+    certified : bool
+        Whether its thresholds are certified by the design.
     """
 
     time: NDArray[np.float64] = field(repr=False)
@@ -127,6 +132,8 @@ class Diagnosis:
     fired: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), dtype=bool), repr=False)
     code: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), dtype=bool), repr=False)
     match: Match | None = field(default=None, repr=False)
+    horizon: int = 0
+    certified: bool = False
 
     # ------------------------------------------------------------------- facts
 
@@ -149,6 +156,11 @@ class Diagnosis:
     def candidates(self) -> tuple[Candidate, ...]:
         """Candidates of the longest alarm, best first; empty without an alarm."""
         return self.main_alarm.candidates if self.main_alarm else ()
+
+    @property
+    def present(self) -> tuple[PresentFault, ...]:
+        """By the code of a dedicated bank: the faults of the longest alarm and when their members fired."""
+        return self.main_alarm.present if self.main_alarm else ()
 
     @property
     def members(self) -> tuple[str, ...]:
@@ -200,6 +212,7 @@ class Diagnosis:
             lines.append(f"alarm {k}: onset {alarm.onset:.6g} s, raised {alarm.raised:.6g} s, {until}")
             if alarm.reading is not None:
                 lines.append(f"  {alarm.reading}")
+                lines += [f"  {fault}" for fault in alarm.present if alarm.reading.together]
             if alarm.candidates and alarm.samples < self.window:
                 lines.append(f"  shorter than the {self.window} samples that a name is judged by: not sure of its name")
             elif alarm.doubt == "likelihood":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import fields
 from typing import Any, NoReturn
 
 import numpy as np
@@ -146,6 +147,49 @@ def array_in(value: Any, where: str) -> NDArray:
     else:
         numbers = np.array([flag_in(x, where) for x in flat], dtype=bool)
     return numbers.reshape(shape)
+
+
+_READERS = {"int": whole_in, "float": float_in, "str": text_in, "bool": flag_in}
+_DTYPES = {"float64": "f", "int64": "i", "bool_": "b"}
+
+
+def values_out(values: Any) -> dict[str, Any]:
+    """Return a dataclass of numbers, texts and arrays as a record."""
+    out = {}
+    for name in field_names(values):
+        value = getattr(values, name)
+        if isinstance(value, np.ndarray):
+            value = array_out(value)
+        elif isinstance(value, (float, np.floating)):
+            value = float_out(float(value))
+        elif isinstance(value, np.integer):
+            value = int(value)
+        out[name] = value
+    return out
+
+
+def values_in(value: Any, where: str, cls: type[Any]) -> Any:
+    """Return the dataclass that a record describes, each entry of the type that its field declares."""
+    content = record(value, where, field_names(cls))
+    out = {}
+    for field in fields(cls):
+        entry, at, declared = content[field.name], joined(where, field.name), str(field.type)
+        kind = declared.removesuffix(" | None")
+        if entry is None and kind != declared:
+            out[field.name] = None
+        elif kind.startswith("NDArray["):
+            array = array_in(entry, at)
+            if array.dtype.kind != _DTYPES[kind[len("NDArray[np.") : -1]]:
+                raise FileFormatError(f"{at}: expected an array of {kind[len('NDArray[np.') : -1]}")
+            out[field.name] = array
+        else:
+            out[field.name] = _READERS[kind](entry, at)
+    return cls(**out)
+
+
+def field_names(cls: Any) -> list[str]:
+    """Return the names of the fields of a dataclass."""
+    return [field.name for field in fields(cls)]
 
 
 def _kind(value: Any) -> str:

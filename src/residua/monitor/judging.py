@@ -13,6 +13,7 @@ from residua.decide.matched_hold import hold_block
 from residua.decide.member_thresholds import BankTest, member_alarms
 from residua.decide.norm_threshold import NormTest
 from residua.decide.persistence import alarm_logic
+from residua.decide.row_norms import row_norms
 from residua.decide.structured import CodeTest
 from residua.decide.window import WindowState, moving_sum
 from residua.linear.recursion import ordered_product
@@ -33,7 +34,7 @@ def judge_whole(
     usable: NDArray[np.bool_],
 ) -> _Judged:
     """Return alarm, run lengths, window and decisions of a residual that is tested as a whole."""
-    statistic = np.where(usable, _norm(tested) / np.sqrt(test.window), np.nan)
+    statistic = np.where(usable, row_norms(tested) / np.sqrt(test.window), np.nan)
     runs, found = _against_threshold(test, state, statistic, usable)
     sums, window = moving_sum(q, window)
     return runs, window, {**found, "scores": _scores(direction, sums, usable)}
@@ -64,13 +65,15 @@ def judge_members(
     """Return alarms and run lengths of every member, window and decisions of a bank."""
     statistics = np.full((*usable.shape, len(test.sizes)), np.nan)
     for m, (start, stop) in enumerate(test.columns):
-        statistics[..., m] = np.where(usable, _norm(tested[..., start:stop]) / np.sqrt(test.window), np.nan)
+        statistics[..., m] = np.where(usable, row_norms(tested[..., start:stop]) / np.sqrt(test.window), np.nan)
     over = usable[..., None] & (np.where(usable[..., None], statistics, 0.0) > test.thresholds)
     fired, up, down = member_alarms(test, over, usable, state.up, state.down, state.alarm)
     alarm = fired.any(axis=2)
     counts, window = moving_sum((fired & usable[..., None]).astype(float), window)  # whole numbers: exact
     largest = counts.max(axis=2, initial=0.0)[..., None]
     code = np.asarray(alarm)[..., None] & (counts > 0) & (counts >= codes.share * largest)
+    if test.kind == "peak" and codes.dedicated:  # its window has passed already, and each member speaks for itself
+        code = fired
     agree = np.zeros((*usable.shape, len(codes.groups)))
     for g in range(len(codes.groups)):
         agree[..., g] = np.count_nonzero(code == codes.codes[:, g], axis=2)
@@ -102,6 +105,29 @@ def judge_matched(
     return (runs, window, {**decided, "scores": scores, "match": match}), _match_fields(after)
 
 
+def alarms_since(alarm: NDArray[np.bool_], state: State) -> NDArray[np.int64]:
+    """Return when a standing alarm began: how many samples had been seen with that one, 0 where none stands.
+
+    For the members of a bank, when each first fired in the alarm of the bank that stands. Where that is not known, the
+    state being one of an earlier version, it stays 0.
+
+    Parameters
+    ----------
+    alarm : ndarray of bool, shape (plants, time) or (plants, time, members)
+        With a sample at least.
+    state : State
+        Before the block.
+    """
+    rows = alarm if alarm.ndim == 3 else alarm[..., None]
+    plants, time, members = rows.shape
+    samples = np.arange(time)
+    last_off = np.where(rows.any(axis=2), -1, samples).max(axis=1)
+    standing = rows & (samples > last_off[:, None])[..., None]
+    first = np.where(standing.any(axis=1), state.count + 1 + standing.argmax(axis=1), 0)
+    before, stood = state.since.reshape(plants, members), state.alarm.reshape(plants, members)
+    return np.where((last_off == -1)[:, None] & (stood | (before > 0)), before, first).reshape(state.since.shape)
+
+
 def empty_fields(matched: MatchedTest | None, plants: int) -> dict[str, Any]:
     """Return the fields of a state that matched filters use, before the first sample; without any, empty ones."""
     nothing = np.zeros((plants, 0, 0))
@@ -118,19 +144,11 @@ def _scores(test: DirectionTest | None, sums: NDArray, usable: NDArray[np.bool_]
     """Return the correlation of the summed residual with each signature."""
     if test is None:
         return np.zeros((*sums.shape[:2], 0))
-    size = _norm(sums)
+    size = row_norms(sums)
     usable = usable & (size > 0)
     size = np.where(usable, size, 1.0)
     scores = np.full((*sums.shape[:2], len(test.bases)), np.nan)
     for g, basis in enumerate(test.bases):
-        part = _norm(ordered_product(sums, basis)) / size
+        part = row_norms(ordered_product(sums, basis)) / size
         scores[..., g] = np.where(usable, np.minimum(part, 1.0), np.nan)
     return scores
-
-
-def _norm(rows: NDArray) -> NDArray[np.float64]:
-    """Return the norm of each row, its squares added in order."""
-    total = np.zeros(rows.shape[:-1])
-    for j in range(rows.shape[-1]):
-        total = total + rows[..., j] * rows[..., j]
-    return np.sqrt(total)

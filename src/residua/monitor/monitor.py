@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua.decide.directional import Directional
 from residua.decide.matched import Matched
 from residua.decide.member_thresholds import BankTest
-from residua.decide.norm_threshold import NormTest, NormThreshold, check_rate, check_samples
+from residua.decide.norm_threshold import NormTest, check_rate, check_samples
 from residua.decide.structured import Structured
 from residua.design import ResidualGenerator
 from residua.design.signals import stack_signals
@@ -20,15 +20,15 @@ from residua.errors import DataError, ModelError, NotFittedError, SettingError
 from residua.monitor.decision import Decision, decision_from
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.estimating import with_estimator
-from residua.monitor.inputs import settling_reason, settling_samples, signals
+from residua.monitor.fitting import fitted_test
+from residua.monitor.inputs import settling_samples, signals
 from residua.monitor.outcome import diagnosis_from
+from residua.monitor.peak_preparing import Threshold, chosen_threshold, no_threshold
 from residua.monitor.preparing import (
     Isolation,
     as_generator,
-    blank_test,
     chosen_isolation,
     first_test,
-    fitted_test,
     specification,
 )
 from residua.monitor.running import Decisions, Specification, State, initial_state, run_block
@@ -51,8 +51,10 @@ class Monitor:
     ----------
     generator : ResidualGenerator, or a bank, matched filters or an estimator
         Of an object that is not a generator itself, its ``generator`` is run.
-    test : NormThreshold
-        When to raise an alarm.
+    test : NormThreshold or PeakThreshold, optional
+        When to raise an alarm. When omitted, for a design that brings certified thresholds (its ``thresholds``, one for
+        each member) :class:`residua.decide.PeakThreshold` with those, for any other
+        :class:`residua.decide.NormThreshold`.
     isolate : Directional, Structured, Matched, None or "auto"
         How to name the fault. With :class:`residua.decide.Structured` every member of a bank has its own
         whitening, threshold and alarm, each with its share of the false alarm rate; the monitor is in alarm while
@@ -90,7 +92,7 @@ class Monitor:
         self,
         generator: Any,
         *,
-        test: NormThreshold | None = None,
+        test: Threshold | None = None,
         isolate: Directional | Structured | Matched | str | None = "auto",
         estimator: Any = None,
         dt: float | None = None,
@@ -104,8 +106,8 @@ class Monitor:
             check_samples(settle, "settle", least=0)
         check_samples(max_hold, "max_hold", least=0)
         self.design: ResidualGenerator = generator
-        self.test = NormThreshold() if test is None else test
         self.isolate: Isolation = chosen_isolation(isolate, generator, design)
+        self.test, self._certified = chosen_threshold(test, design, generator, self.isolate)
         if estimator is not None and not isinstance(self.isolate, Structured):
             raise SettingError("an estimator runs beside a bank that is read by code: use a bank, and Structured()")
         self.settle = settle
@@ -143,10 +145,7 @@ class Monitor:
     def norm_test(self) -> NormTest | BankTest:
         """The threshold test with every number filled in; for a bank, those of all its members."""
         if self._norm_test is None:
-            raise NotFittedError(
-                "this monitor has no threshold: fit(u, y) it to fault-free data, give the plant noise "
-                "(with_noise), or set NormThreshold(threshold=...)"
-            )
+            raise NotFittedError(no_threshold(self.test))
         return self._norm_test
 
     @property
@@ -182,6 +181,9 @@ class Monitor:
     ) -> Monitor:
         """Fit mean, covariance and threshold to a fault-free recording.
 
+        A finite-horizon test has thresholds alone, and those that are given or certified are not changed: the recording
+        is held against them, and ``norm_test.basis`` then tells how close it came.
+
         Parameters
         ----------
         u : array_like, shape (time, inputs), or None
@@ -203,31 +205,22 @@ class Monitor:
         Raises
         ------
         DataError
-            If the recording does not fit the plant, or is too short.
+            If the recording does not fit the plant, or is too short, or goes over a threshold of a finite-horizon test.
         """
         rate = self.test.false_alarm_rate if false_alarm_rate is None else float(false_alarm_rate)
         check_rate(rate)
         given = signals(u, y, time, dt, "", self.design.plant)
         self._learn_step(given.dt)
-        data = self._block(given.u, given.y)
-        if len(data) != 1:
-            raise DataError("fit takes one recording, (time, channels)")
-        outputs = data[0, :, len(self.design.plant.inputs) :]
-        if len(outputs) > 1 and not np.nanmax(np.ptp(np.where(np.isfinite(outputs), outputs, 0.0), axis=0)) > 0:
-            raise DataError("no output ever changes in this recording: it cannot show what is normal")
-        blank = specification(
-            self.generator, blank_test(self.generator), None, settle=self.settle, max_hold=self.max_hold
+        self._norm_test = fitted_test(
+            self.test,
+            self._certified,
+            self.isolate,
+            self.generator,
+            self._block(given.u, given.y),
+            rate,
+            settle=self.settle,
+            max_hold=self.max_hold,
         )
-        _, found = run_block(blank, initial_state(blank, 1), data)
-        usable, deviations = found.usable[0], data[0] - blank.offset
-        try:
-            self._norm_test = fitted_test(
-                self.test, self.isolate, self.generator, found.residuals[0], usable, deviations, rate
-            )
-        except DataError as error:
-            if 2 * blank.settle < len(outputs):
-                raise
-            raise DataError(f"{error}; {settling_reason(self.generator, blank.settle)}") from error
         self._spec = self._state = None
         return self
 
@@ -333,7 +326,7 @@ class Monitor:
         u_ = None if u is None else np.atleast_1d(np.asarray(u, dtype=float))[None]
         found = self.update(u_, np.atleast_1d(np.asarray(y, dtype=float))[None])
         assert self._state is not None
-        return decision_from(found, self._specification(), self.generator, self._state.count - 1)
+        return decision_from(found, self._specification(), self.generator, self._state)
 
     def reset(self) -> None:
         """Forget all data seen so far; thresholds stay."""
@@ -367,7 +360,7 @@ class Monitor:
 
     def _use(self, sampled: ResidualGenerator) -> None:
         self._generator = sampled
-        self._norm_test = first_test(self.test, self.isolate, sampled)
+        self._norm_test = first_test(self.test, self._certified, self.isolate, sampled)
         self._spec = self._state = None
 
     def _learn_step(self, dt: float | None) -> None:

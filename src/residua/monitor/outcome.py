@@ -11,14 +11,17 @@ from numpy.typing import NDArray
 
 from residua.decide.matched_hold import joined_matches
 from residua.decide.member_thresholds import BankTest
+from residua.decide.peak_tests import CERTIFIED
 from residua.design import ResidualGenerator
 from residua.design.matched_filters import not_settled
 from residua.monitor.alarm import Alarm
+from residua.monitor.dedicated import named_faults, named_pattern, present_faults
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.inputs import settling_reason
 from residua.monitor.matched_naming import named_by_match, settled_bases
 from residua.monitor.naming import candidates_at, candidates_of_code, longest_code, sizes_over, with_sizes
 from residua.monitor.running import Decisions, Specification
+from residua.monitor.settings_text import settings_of
 
 
 def diagnosis_from(
@@ -37,7 +40,8 @@ def diagnosis_from(
         return np.concatenate([getattr(part, name)[plant] for part in parts], axis=0)
 
     alarm, usable = joined("alarm"), joined("usable")
-    residuals, scores, code = joined("residuals"), joined("scores"), joined("code")
+    residuals, scores, code, fired = joined("residuals"), joined("scores"), joined("code"), joined("fired")
+    dedicated = spec.codes is not None and spec.codes.dedicated
 
     matches = [part.match for part in parts if part.match is not None]
     match = joined_matches(matches, plant) if matches else None
@@ -49,7 +53,11 @@ def diagnosis_from(
             return named_by_match(spec.matched, match, scores, alarm & over, start, stop, last, generator, time)
         first = max(start, last - spec.window + 1)
         sizes = sizes_over(generator, residuals, usable, first, last)
-        found = _by_code(spec, code, usable, start, last) if spec.codes else _by_direction(spec, scores, last)
+        if spec.codes is None:
+            found = _by_direction(spec, scores, last)
+        else:
+            found = _by_code(spec, code, fired, usable, start, last)
+            found["present"] = present_faults(spec.codes, found["reading"], fired, time, start, stop)
         return found | {"candidates": with_sizes(found["candidates"], sizes), "sizes": sizes}
 
     return Diagnosis(
@@ -65,6 +73,7 @@ def diagnosis_from(
             _alarms(time, alarm, usable, joined("up"), over, named),
             max(spec.window, spec.test.window),
             (lambda parts: _named_anew(parts, over, named)) if match is not None else None,
+            (lambda parts: _named_over_all(parts, over, named)) if dedicated else None,
         ),
         resets=resets,
         residual_names=generator.residuals,
@@ -72,7 +81,7 @@ def diagnosis_from(
         band=spec.test.band,
         generator=generator,
         whitening=spec.test.whitening,
-        settings=_settings(spec, generator),
+        settings=settings_of(spec, generator),
         source=source,
         notes=(
             *notes,
@@ -81,7 +90,7 @@ def diagnosis_from(
             *_window_notes(spec),
         ),
         member_statistics=joined("member_statistics"),
-        fired=joined("fired"),
+        fired=fired,
         code=code,
         match=match,
         **_judge_fields(spec),
@@ -91,13 +100,16 @@ def diagnosis_from(
 def _judge_fields(spec: Specification) -> dict[str, Any]:
     """Return what a diagnosis says of how faults are named."""
     judge = spec.judge
+    alone = spec.codes is not None and spec.codes.dedicated and spec.test.kind == "peak"
     return {
         "groups": judge.groups if judge else (),
         "signatures": spec.direction.bases if spec.direction else settled_bases(spec.matched),
         "unjudged": judge.unjudged if judge else (),
-        "window": 1 if spec.matched else spec.window,  # likelihood tells how sure a name is, after any time
+        "window": 1 if spec.matched or alone else spec.window,  # names are as sure after any time
         "codes": spec.codes,
         "member_thresholds": spec.test.thresholds if isinstance(spec.test, BankTest) else np.zeros(0),
+        "horizon": spec.test.release if spec.test.kind == "peak" else 0,
+        "certified": spec.test.basis.startswith(CERTIFIED),
     }
 
 
@@ -107,10 +119,18 @@ def _by_direction(spec: Specification, scores: NDArray, last: int) -> dict[str, 
     return {"candidates": candidates_at(scores[last], test.groups, test.dimensions) if test and test.groups else ()}
 
 
-def _by_code(spec: Specification, code: NDArray, usable: NDArray, start: int, last: int) -> dict[str, Any]:
-    """Return what the fired members say: the pattern that stood the longest, and the candidates by it."""
+def _by_code(
+    spec: Specification, code: NDArray, fired: NDArray, usable: NDArray, start: int, last: int
+) -> dict[str, Any]:
+    """Return what the fired members say: the pattern that stood the longest, and the candidates by it.
+
+    Of a dedicated bank with all members that lasted: each is a fault of its own.
+    """
     assert spec.codes is not None
-    pattern, share = longest_code(code[start : last + 1], usable[start : last + 1])
+    judged = slice(start, last + 1)
+    pattern, share = longest_code(code[judged], usable[judged])
+    if spec.codes.dedicated:
+        pattern, share = named_pattern(spec, pattern, code[judged], fired[judged], usable[judged])
     reading = spec.codes.read(pattern)
     return {"reading": reading, "read_share": share, "candidates": candidates_of_code(reading, spec.codes)}
 
@@ -147,65 +167,6 @@ def _window_notes(spec: Specification) -> tuple[str, ...]:
     )
 
 
-def _settings(spec: Specification, generator: ResidualGenerator) -> dict[str, str]:
-    """Return how the monitor was set, in words."""
-    test, step = spec.test, generator.dt
-    summed = f", summed over {test.window} samples" if test.window > 1 else ""
-    if isinstance(test, BankTest):
-        limits = ", ".join(f"{n} {t:.4g}" for n, t in zip(_names(spec), test.thresholds, strict=True))
-        threshold = f"{limits} ({test.basis})"
-        kind = f"norm of each member's whitened residual{summed}; the statistic is the largest ratio to its threshold"
-        persists = f"of a member: raised by {test.persistence} samples in a row over its threshold, ended by "
-        persists += f"{test.release} below it; of the bank: while any member is in alarm"
-    else:
-        threshold = f"{test.threshold:.4g} ({test.basis})"
-        kind = f"norm of the whitened residual{summed}"
-        persists = f"raised by {test.persistence} samples in a row over it, ended by {test.release} below it"
-    out = {
-        "sample step": f"{step:g} s",
-        "threshold": threshold,
-        "test": kind,
-        "alarm": persists,
-        "settling": f"no decision in the first {spec.settle} samples after a start ({spec.settle * step:g} s)",
-        "missing values": f"held for up to {spec.max_hold} samples, then the filter starts anew",
-    }
-    if spec.direction is not None:
-        window = spec.direction.window
-        out["isolation"] = f"direction of the residual averaged over {window} samples ({window * step:g} s)"
-    if spec.matched is not None:
-        out |= _matched_settings(spec, step)
-    if spec.codes is not None:
-        window = spec.codes.window
-        out["isolation"] = (
-            f"code of the members that fired over {window} samples ({window * step:g} s): those in alarm for at least "
-            f"{spec.codes.share:g} of the samples of the one that was in alarm the longest; nearest codes up to "
-            f"{spec.codes.distance} off"
-        )
-    return out
-
-
-def _matched_settings(spec: Specification, step: float) -> dict[str, str]:
-    """Return how matched filters were set, in words."""
-    assert spec.matched is not None
-    window = spec.matched.window
-    if not len(spec.matched.responses):
-        return {
-            "test": f"largest standardised size of a settled fault, over {window + 1} samples",
-            "isolation": "the settled response that explains them best; the name may be wrong until it has settled",
-        }
-    return {
-        "test": f"largest standardised size of a step fault that arrived up to {window} samples ago, or before",
-        "isolation": f"the fault and arrival, up to {window} samples ({window * step:g} s) ago, that explain the "
-        "innovations best; held once that arrival has left the window",
-        "missing values": f"held for up to {spec.max_hold} samples, then the filter starts anew; samples without a "
-        "decision carry no information, and count for none",
-    }
-
-
-def _names(spec: Specification) -> tuple[str, ...]:
-    return spec.codes.members if spec.codes else ()
-
-
 def _alarms(
     time: NDArray,
     alarm: NDArray[np.bool_],
@@ -237,26 +198,34 @@ def _last_over(exceeded: NDArray[np.bool_], start: int, stop: int) -> int:
     return start + (int(over[-1]) if over.size else 0)
 
 
-def _joined_alarms(
-    alarms: tuple[Alarm, ...], apart: int, anew: Callable[[Sequence[Alarm]], dict[str, Any]] | None
-) -> tuple[Alarm, ...]:
+_Anew = Callable[[Sequence[Alarm]], dict[str, Any]] | None
+
+
+def _joined_alarms(alarms: tuple[Alarm, ...], apart: int, anew: _Anew, of_several: _Anew = None) -> tuple[Alarm, ...]:
     """Return the alarms with those joined that lie less than ``apart`` samples apart and name the same fault.
 
     A small fault takes the statistic over the threshold and back many times; that is one event, and its
     onset is that of the first alarm. The candidates, reading and sizes are those of the longest part (the later one
-    of two that are equally long), or what ``anew`` says of all parts together.
+    of two that are equally long), or what ``anew`` says of all parts together. With ``of_several``, which says it for a
+    dedicated bank, parts that have one of several faults in common are one event too.
     """
     joined: list[list[Alarm]] = []
     for alarm in alarms:
         before = joined[-1][-1] if joined else None
-        if before is None or alarm.start - before.stop >= apart or _leader(before) != _leader(alarm):
+        if before is None or alarm.start - before.stop >= apart or not _same_event(before, alarm, bool(of_several)):
             joined.append([alarm])
         else:
             joined[-1].append(alarm)
-    return tuple(_one_alarm(parts, anew) for parts in joined)
+    return tuple(_one_alarm(parts, of_several or anew) for parts in joined)
 
 
-def _one_alarm(parts: Sequence[Alarm], anew: Callable[[Sequence[Alarm]], dict[str, Any]] | None) -> Alarm:
+def _same_event(before: Alarm, alarm: Alarm, several: bool) -> bool:
+    """Tell whether two alarms have the same leader; by the code of a dedicated bank, one of their faults in common."""
+    one, other = (named_faults(before), named_faults(alarm)) if several else (set(), set())
+    return bool(one & other) if one or other else _leader(before) == _leader(alarm)
+
+
+def _one_alarm(parts: Sequence[Alarm], anew: _Anew) -> Alarm:
     if len(parts) == 1:
         return parts[0]
     first, last = parts[0], parts[-1]
@@ -281,6 +250,14 @@ def _named_anew(
     if found["candidates"][0].faults == _leader(first):
         return found
     return named(first.start, who.stop, _last_over(exceeded, who.start, who.stop))  # the name that all parts agree on
+
+
+def _named_over_all(
+    parts: Sequence[Alarm], exceeded: NDArray[np.bool_], named: Callable[[int, int, int], dict[str, Any]]
+) -> dict[str, Any]:
+    """Return what a dedicated bank says of several alarms that are one: all faults of their whole time."""
+    first, last = parts[0], parts[-1]
+    return named(first.start, last.stop, _last_over(exceeded, last.start, last.stop))
 
 
 def _longest(alarms: Sequence[Alarm]) -> Alarm:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -9,14 +10,16 @@ from numpy.typing import NDArray
 
 from residua.decide.directional import Directional, direction_test
 from residua.decide.matched import Matched, MatchedTest, matched_test
-from residua.decide.matched_level import fit_matched_test, matched_test_from_model
-from residua.decide.member_thresholds import BankTest, bank_test_from_model, fit_bank_test
-from residua.decide.norm_threshold import NormTest, NormThreshold, fit_norm_test, norm_test_from_model
+from residua.decide.matched_level import matched_test_from_model
+from residua.decide.member_thresholds import BankTest, bank_test_from_model
+from residua.decide.norm_threshold import NormTest, norm_test_from_model
+from residua.decide.peak_threshold import PeakThreshold
 from residua.decide.structured import CodeTest, Structured, code_test
 from residua.design import ResidualGenerator
 from residua.design.matched_filters import MatchedFilters, step_responses
 from residua.errors import ModelError, SettingError
-from residua.monitor.inputs import settling_samples, signal_size
+from residua.monitor.inputs import settling_samples
+from residua.monitor.peak_preparing import Threshold, first_peak_test, member_names, member_rows
 from residua.monitor.running import Specification
 
 #: How faults are named: by direction, by code, by matched responses, or not at all.
@@ -98,62 +101,20 @@ def responses_of(generator: ResidualGenerator, isolate: Matched, whitening: NDAr
     return matched_test(isolate, generator.faults, responses, settled, whitening)
 
 
-def first_test(settings: NormThreshold, isolate: Isolation, generator: ResidualGenerator) -> NormTest | BankTest | None:
+def first_test(
+    settings: Threshold, certified: Mapping[str, float], isolate: Isolation, generator: ResidualGenerator
+) -> NormTest | BankTest | None:
     """Return the test that needs no data, or ``None`` when data are needed."""
+    if isinstance(settings, PeakThreshold):
+        return first_peak_test(settings, certified, generator, by_code=isinstance(isolate, Structured))
     covariance = generator.covariance_of_sums(settings.window)
     if isinstance(isolate, Structured):
-        return bank_test_from_model(settings, covariance, _rows(generator), generator.n_residuals)
+        return bank_test_from_model(settings, covariance, member_rows(generator), generator.n_residuals)
     if isinstance(isolate, Matched):
         return matched_test_from_model(
             settings, covariance, generator.n_residuals, lambda w: responses_of(generator, isolate, w)
         )
     return norm_test_from_model(settings, covariance, generator.n_residuals)
-
-
-def fitted_test(
-    settings: NormThreshold,
-    isolate: Isolation,
-    generator: ResidualGenerator,
-    residuals: NDArray[np.float64],
-    usable: NDArray[np.bool_],
-    deviations: NDArray[np.float64],
-    rate: float,
-) -> NormTest | BankTest:
-    """Return the test fitted to fault-free residuals; ``deviations`` are the signals that they were made from."""
-    covariance = generator.covariance_of_sums(settings.window)
-    if isinstance(isolate, Structured):
-        rows = _rows(generator)
-        return fit_bank_test(
-            settings,
-            residuals,
-            usable,
-            rows,
-            false_alarm_rate=rate,
-            covariance=covariance,
-            signal_sizes=[signal_size(generator, deviations, part) for part in rows],
-        )
-    if isinstance(isolate, Matched):
-        return fit_matched_test(
-            settings,
-            residuals,
-            usable,
-            lambda w: responses_of(generator, isolate, w),
-            false_alarm_rate=rate,
-            covariance=covariance,
-            signal_size=signal_size(generator, deviations),
-        )
-    return fit_norm_test(
-        settings,
-        residuals,
-        usable,
-        false_alarm_rate=rate,
-        covariance=covariance,
-        signal_size=signal_size(generator, deviations),
-    )
-
-
-def _rows(generator: ResidualGenerator) -> list[tuple[int, ...]]:
-    return [member.residuals for member in generator.members]
 
 
 def settled_codes(generator: ResidualGenerator) -> NDArray[np.bool_]:
@@ -164,15 +125,16 @@ def settled_codes(generator: ResidualGenerator) -> NDArray[np.bool_]:
     assert generator.codes is not None
     steady = np.array([generator.steady_directions[name] for name in generator.faults])
     steady = steady.reshape(len(generator.faults), generator.n_residuals).T
-    seen = [(steady[list(rows)] != 0).any(axis=0) for rows in _rows(generator)]
+    seen = [(steady[list(rows)] != 0).any(axis=0) for rows in member_rows(generator)]
     return np.array(seen, dtype=bool).reshape(generator.codes.shape) & generator.codes
 
 
 def codes_of(generator: ResidualGenerator, isolate: Structured) -> CodeTest:
     """Return the codes that a bank is read by: those of its faults, and those of constant faults where they differ."""
     assert generator.codes is not None
-    names = [member.name for member in generator.members]
-    return code_test(isolate, generator.codes, generator.faults, names, settled=settled_codes(generator))
+    return code_test(
+        isolate, generator.codes, generator.faults, member_names(generator), settled=settled_codes(generator)
+    )
 
 
 def blank_test(generator: ResidualGenerator) -> NormTest:

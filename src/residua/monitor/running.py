@@ -19,7 +19,7 @@ from residua.decide.norm_threshold import NormTest
 from residua.decide.structured import CodeTest
 from residua.decide.window import WindowState, empty_window, moving_sum
 from residua.linear.recursion import ordered_product, run_filter
-from residua.monitor.judging import empty_fields, judge_matched, judge_members, judge_whole
+from residua.monitor.judging import alarms_since, empty_fields, judge_matched, judge_members, judge_whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,11 +95,13 @@ class State:
     ----------
     x : filter state; held : last value of each channel; gap : incomplete samples in a row;
     running : whether the filter has been started; age : samples since its start or the last held value;
-    up, down : usable samples in a row over and under the threshold; alarm : whether it is on (each of these three
-    with an axis for the members of a bank); ends, block, begun, filled : of the moving sum for the direction, or of
-    the members' alarms for the code (:class:`residua.decide.window.WindowState`), and the same with ``test_`` for
-    the threshold test; count : samples so far; resets : restarts; match_sums, match_weights, match_held : of the
-    matched filters (:class:`residua.decide.matched.MatchState`).
+    up, down : usable samples in a row over and under the threshold; alarm : whether it is on; since : samples seen
+    when it was raised, that one included, 0 while it is off (each of these four with an axis for the members of a
+    bank, whose ``since`` is when they first fired in the standing alarm of the bank); ends, block, begun, filled : of
+    the moving sum for the direction, or of the members' alarms for the code
+    (:class:`residua.decide.window.WindowState`), and the same with ``test_`` for the threshold test; count : samples
+    so far; resets : restarts; match_sums, match_weights, match_held : of the matched filters
+    (:class:`residua.decide.matched.MatchState`).
     """
 
     x: NDArray[np.float64]
@@ -110,6 +112,7 @@ class State:
     up: NDArray[np.int64]
     down: NDArray[np.int64]
     alarm: NDArray[np.bool_]
+    since: NDArray[np.int64]
     ends: NDArray[np.float64]
     block: NDArray[np.float64]
     begun: NDArray[np.float64]
@@ -140,7 +143,8 @@ class Decisions:
     fired : ndarray of bool, shape (plants, time, members)
         Which members are in alarm.
     code : ndarray of bool, shape (plants, time, members)
-        Which members count as fired over the window: what :func:`residua.decide.read_codes` reads.
+        Which members count as fired over the window: what :func:`residua.decide.read_codes` reads. Of a dedicated bank
+        with :class:`residua.decide.PeakThreshold`, which has a window of its own, those in alarm.
     match : Match or None
         Of matched filters: likelihood ratio, arrival and size of every fault.
     """
@@ -174,6 +178,7 @@ def initial_state(spec: Specification, plants: int) -> State:
         up=runs,
         down=runs,
         alarm=alarm,
+        since=runs,
         **_window_fields(judged, ""),
         **_window_fields(tested, "test_"),
         count=0,
@@ -312,6 +317,7 @@ def _decide(
             up=up[:, -1].copy(),
             down=down[:, -1].copy(),
             alarm=alarm[:, -1].copy(),
+            since=alarms_since(alarm, state),
             **_window_fields(window, ""),
             **_window_fields(test_window, "test_"),
             **further,

@@ -7,8 +7,9 @@ monitor goes on with the same bits on a machine whose linear algebra rounds diff
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,8 @@ import numpy as np
 from residua.decide.directional import Directional, DirectionTest
 from residua.decide.matched import Matched, MatchedTest
 from residua.decide.member_thresholds import BankTest
-from residua.decide.norm_threshold import NormTest, NormThreshold
+from residua.decide.norm_threshold import NormTest
+from residua.decide.peak_threshold import PeakThreshold
 from residua.decide.structured import CodeTest, Structured
 from residua.errors import FileFormatError, ResiduaError
 from residua.files import read_bytes, write_text
@@ -25,7 +27,7 @@ from residua.monitor.encoding import (
     array_in,
     array_out,
     dumps,
-    flag_in,
+    field_names,
     float_in,
     float_out,
     joined,
@@ -35,16 +37,20 @@ from residua.monitor.encoding import (
     table_in,
     text_in,
     texts_in,
+    values_in,
+    values_out,
     whole_in,
 )
 from residua.monitor.judging import empty_fields
 from residua.monitor.monitor import Monitor
+from residua.monitor.older_files import OLDER, renewed
 from residua.monitor.preparing import Isolation
 from residua.monitor.running import Specification, State
+from residua.monitor.threshold_records import threshold_in, threshold_out
 from residua.plant import Plant
 
 FORMAT = "residua-monitor"
-VERSION = 4
+VERSION = 5
 
 #: How faults are named, by the entry ``kind`` of ``isolate``.
 _ISOLATION: dict[str, type[Any]] = {"direction": Directional, "code": Structured, "matched": Matched}
@@ -55,6 +61,7 @@ _ENTRIES = (
     "design",
     "sampled",
     "test",
+    "certified",
     "isolate",
     "settle",
     "max_hold",
@@ -74,14 +81,15 @@ def save_monitor(monitor: Monitor, path: str | Path) -> None:
         "version": VERSION,
         "design": generator_out(monitor.design),
         "sampled": sampled_out(generator) if generator is not None and resampled else None,
-        "test": _values_out(monitor.test),
+        "test": threshold_out(monitor.test),
+        "certified": {name: float_out(value) for name, value in monitor._certified.items()},
         "isolate": _isolation_out(monitor.isolate),
         "settle": monitor.settle,
         "max_hold": monitor.max_hold,
         "notes": list(monitor.notes),
-        "fitted": None if test is None else _values_out(test),
+        "fitted": None if test is None else values_out(test),
         "running": None if test is None or generator is None else _running_out(monitor._specification()),
-        "state": None if monitor._state is None else _values_out(monitor._state),
+        "state": None if monitor._state is None else values_out(monitor._state),
     }
     write_text(path, dumps(content))
 
@@ -94,37 +102,27 @@ def load_monitor(path: str | Path) -> Monitor:
     content = loads(read_bytes(path, "a monitor"), path.name)
     if content.get("format") != FORMAT:
         raise FileFormatError(f'{path.name} is not a monitor of residua (no "format": {FORMAT!r} in it)')
-    if content.get("version") not in (3, VERSION):
+    if content.get("version") not in (*OLDER, VERSION):
         raise FileFormatError(
-            f"{path.name} has schema version {content.get('version')!r}, this residua reads version {VERSION} (and 3): "
-            "make the monitor anew with this version"
+            f"{path.name} has schema version {content.get('version')!r}, this residua reads version {VERSION} (and "
+            f"{' and '.join(map(str, OLDER))}): make the monitor anew with this version"
         )
     try:
-        return _monitor_in(_renewed(record(content, "", _ENTRIES)))
+        return _monitor_in(record(renewed(content), "", _ENTRIES))
     except (TypeError, ValueError, AttributeError, IndexError, OverflowError, ResiduaError) as error:
         raise FileFormatError(f"{path.name}: {error}") from error
-
-
-def _renewed(content: dict[str, Any]) -> dict[str, Any]:
-    """Return the content of a file of version 3 as one of today: nothing in it was matched with responses."""
-    if content["version"] == VERSION:
-        return content
-    if content["running"] is not None:
-        content["running"] = table_in(content["running"], "running") | {"matched": None}
-    if content["state"] is not None:
-        state = table_in(content["state"], "state")
-        plants = len(array_in(state["resets"], "state.resets")) if "resets" in state else 0
-        nothing = empty_fields(None, plants)
-        content["state"] = state | {name: array_out(value) for name, value in nothing.items()}
-    return content
 
 
 def _monitor_in(content: Mapping[str, Any]) -> Monitor:
     design = generator_in(content["design"], "design")
     settle, isolate = content["settle"], content["isolate"]
+    certified = {
+        name: float_in(value, joined("certified", name))
+        for name, value in table_in(content["certified"], "certified").items()
+    }
     monitor = Monitor(
-        design,
-        test=_values_in(content["test"], "test", NormThreshold),
+        SimpleNamespace(generator=design, thresholds=certified),
+        test=threshold_in(content["test"]),
         isolate=None if isolate is None else _isolation_in(isolate),
         settle=None if settle is None else whole_in(settle, "settle"),
         max_hold=whole_in(content["max_hold"], "max_hold"),
@@ -135,12 +133,12 @@ def _monitor_in(content: Mapping[str, Any]) -> Monitor:
     monitor._norm_test = monitor._spec = monitor._state = None
     if content["fitted"] is not None:
         by_code = isinstance(monitor.isolate, Structured)
-        monitor._norm_test = _values_in(content["fitted"], "fitted", BankTest if by_code else NormTest)
+        monitor._norm_test = values_in(content["fitted"], "fitted", BankTest if by_code else NormTest)
         _check_fitted(monitor)
     if content["running"] is not None:
         monitor._spec = _running_in(monitor._specification(), content["running"], monitor.design.plant)
     if content["state"] is not None:
-        monitor._state = _values_in(content["state"], "state", State)
+        monitor._state = values_in(content["state"], "state", State)
         _check_state(monitor)
     return monitor
 
@@ -149,7 +147,7 @@ def _isolation_out(isolate: Isolation) -> dict[str, Any] | None:
     if isolate is None:
         return None
     kind = next(kind for kind, cls in _ISOLATION.items() if isinstance(isolate, cls))
-    return {"kind": kind} | _values_out(isolate)
+    return {"kind": kind} | values_out(isolate)
 
 
 def _isolation_in(value: Any) -> Directional | Structured | Matched:
@@ -159,51 +157,7 @@ def _isolation_in(value: Any) -> Directional | Structured | Matched:
     kind = text_in(content.pop("kind"), "isolate.kind")
     if kind not in _ISOLATION:
         raise FileFormatError(f"isolate.kind: expected one of {', '.join(_ISOLATION)}, got {kind!r}")
-    return _values_in(content, "isolate", _ISOLATION[kind])
-
-
-# ------------------------------------------------------------- records of plain values
-
-_READERS = {"int": whole_in, "float": float_in, "str": text_in, "bool": flag_in}
-_DTYPES = {"float64": "f", "int64": "i", "bool_": "b"}
-
-
-def _values_out(values: Any) -> dict[str, Any]:
-    """Return a dataclass of numbers, texts and arrays as a record."""
-    out = {}
-    for name in _names(values):
-        value = getattr(values, name)
-        if isinstance(value, np.ndarray):
-            value = array_out(value)
-        elif isinstance(value, (float, np.floating)):
-            value = float_out(float(value))
-        elif isinstance(value, np.integer):
-            value = int(value)
-        out[name] = value
-    return out
-
-
-def _values_in(value: Any, where: str, cls: type[Any]) -> Any:
-    """Return the dataclass that a record describes, each entry of the type that its field declares."""
-    content = record(value, where, _names(cls))
-    out = {}
-    for field in fields(cls):
-        entry, at, declared = content[field.name], joined(where, field.name), str(field.type)
-        kind = declared.removesuffix(" | None")
-        if entry is None and kind != declared:
-            out[field.name] = None
-        elif kind.startswith("NDArray["):
-            array = array_in(entry, at)
-            if array.dtype.kind != _DTYPES[kind[len("NDArray[np.") : -1]]:
-                raise FileFormatError(f"{at}: expected an array of {kind[len('NDArray[np.') : -1]}")
-            out[field.name] = array
-        else:
-            out[field.name] = _READERS[kind](entry, at)
-    return cls(**out)
-
-
-def _names(cls: Any) -> list[str]:
-    return [field.name for field in fields(cls)]
+    return values_in(content, "isolate", _ISOLATION[kind])
 
 
 # --------------------------------------------------------------------- what runs
@@ -251,7 +205,7 @@ def _matched_out(test: MatchedTest) -> dict[str, Any]:
 
 
 def _matched_in(value: Any, where: str, plant: Plant, residuals: int, steady: bool) -> MatchedTest:
-    content = record(value, where, _names(MatchedTest))
+    content = record(value, where, field_names(MatchedTest))
     groups = tuple(texts_in(group, joined(where, "groups")) for group in list_in(content["groups"], where))
     unjudged, faults = (texts_in(content[name], joined(where, name)) for name in ("unjudged", "faults"))
     window = whole_in(content["window"], joined(where, "window"))
@@ -288,7 +242,7 @@ def _running_in(spec: Specification, value: Any, plant: Plant) -> Specification:
 
 
 def _codes_in(value: Any, where: str, plant: Plant, count: int) -> CodeTest:
-    content = record(value, where, _names(CodeTest))
+    content = record(value, where, field_names(CodeTest))
     groups = tuple(texts_in(group, joined(where, "groups")) for group in list_in(content["groups"], where))
     members, unjudged = (texts_in(content[name], joined(where, name)) for name in ("members", "unjudged"))
     settled = tuple(texts_in(group, joined(where, "settled")) for group in list_in(content["settled"], where))
@@ -312,7 +266,7 @@ def _check_groups(groups: tuple[tuple[str, ...], ...], unjudged: tuple[str, ...]
 
 
 def _direction_in(value: Any, where: str, plant: Plant, residuals: int) -> DirectionTest:
-    content = record(value, where, _names(DirectionTest))
+    content = record(value, where, field_names(DirectionTest))
     groups = tuple(texts_in(group, joined(where, "groups")) for group in list_in(content["groups"], where))
     bases = tuple(
         array_in(basis, joined(where, "bases"))
@@ -328,6 +282,8 @@ def _direction_in(value: Any, where: str, plant: Plant, residuals: int) -> Direc
 
 def _check_fitted(monitor: Monitor) -> None:
     k, test = monitor.generator.n_residuals, monitor.norm_test
+    if test.kind != ("peak" if isinstance(monitor.test, PeakThreshold) else "norm"):
+        raise FileFormatError(f"fitted.kind must be that of the test, got {test.kind!r}")
     columns, limits = k, np.array([test.threshold])
     if isinstance(test, BankTest):
         members = [len(member.residuals) for member in monitor.generator.members]
@@ -349,7 +305,7 @@ def _check_state(monitor: Monitor) -> None:
     wanted = {
         "x": (plants, len(spec.A)),
         "held": (plants, spec.B.shape[1]),
-        **dict.fromkeys(("up", "down", "alarm"), (plants, *spec.alarms)),
+        **dict.fromkeys(("up", "down", "alarm", "since"), (plants, *spec.alarms)),
     }
     for name, empty in empty_fields(spec.matched, plants).items():
         wanted[name] = empty.shape
@@ -358,7 +314,7 @@ def _check_state(monitor: Monitor) -> None:
         wanted[prefix + "begun"] = (plants, k)
         if not 0 <= getattr(state, prefix + "filled") < max(length, 2):
             raise FileFormatError(f"state.{prefix}filled must be below the window of {length}")
-    for name in _names(State):
+    for name in field_names(State):
         value = getattr(state, name)
         shape = wanted.get(name, (plants,))
         if isinstance(value, np.ndarray) and value.shape != shape:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.report.charts import SHOWN_MEMBERS, SHOWN_RESIDUALS, by_interest, residual_unit
-from residua.report.codes import CODE_RULES, code_alarm_table, code_table
+from residua.report.codes import CODE_RULES, DEDICATED_RULES, SCORE_RULE, code_alarm_table, code_table, present_table
 from residua.report.pictures import direction_picture
 from residua.report.signatures import Signatures, judged_signatures
 from residua.report.tables import (
@@ -39,6 +39,8 @@ def summary_html(entries: Sequence[tuple[int, str, Diagnosis, tuple[str, ...] | 
         best = diagnosis.candidates[0] if diagnosis.candidates else None
         if best:
             named = best.name
+        elif v.present:
+            named = listing(" or ".join(group) for group in v.present)
         elif v.confidence == "no code":
             named = (
                 v.headline.split(":")[0] if "not told which" in v.headline else "more than one fault, or one not known"
@@ -50,6 +52,8 @@ def summary_html(entries: Sequence[tuple[int, str, Diagnosis, tuple[str, ...] | 
             row.append("–" if actual is None else escape(listing(actual)) or "nothing")
         several = actual is not None and len(actual) > 1 and v.confidence == "no code"  # as the verdict says
         faults = actual if several and actual else best.faults if best else ()
+        if actual and v.present:  # right if each is named, and nothing else
+            faults = actual if _just_these(actual, v.present) else ("",)
         row.append(f"{escape(named)}{_agreement(actual, faults, v.kind == 'fault')}")
         row += [
             f'<td class="num">{cell}</td>'
@@ -62,6 +66,11 @@ def summary_html(entries: Sequence[tuple[int, str, Diagnosis, tuple[str, ...] | 
         rows.append([*row, escape(v.confidence) or "–"])
     header = ["Case", *(["Really failed"] if told else []), "Diagnosis", "Onset", "Score", "Margin", "How sure"]
     return f'<section class="summary"><h2>Summary</h2>{html_table(header, rows)}</section>'
+
+
+def _just_these(actual: tuple[str, ...], groups: tuple[tuple[str, ...], ...]) -> bool:
+    """Tell whether every fault that was there is in a group that was named, and each of those has one that was."""
+    return all(any(f in g for g in groups) for f in actual) and all(set(g) & set(actual) for g in groups)
 
 
 def _agreement(actual: tuple[str, ...] | None, named: tuple[str, ...], alarm: bool) -> str:
@@ -91,7 +100,9 @@ def diagnosis_html(diagnosis: Diagnosis, charts: dict[str, Any], *, number: int,
     tag = f' <span class="tag">{escape(v.confidence)}</span>' if v.confidence else ""
     sentences = "".join(f"<li>{escape(s)}</li>" for s in v.sentences)
     by_code = diagnosis.codes is not None
-    rules = CODE_RULES if by_code and diagnosis.alarms else RULES if diagnosis.candidates else ""
+    code_rules = DEDICATED_RULES if diagnosis.codes is not None and diagnosis.codes.dedicated else CODE_RULES
+    code_rules += f" {SCORE_RULE}" if diagnosis.candidates else ""
+    rules = code_rules if by_code and diagnosis.alarms else RULES if diagnosis.candidates else ""
     rules = MATCH_RULES if rules and diagnosis.match is not None else rules
     link = f'<p><a href="#f{filter_number}">Filter {filter_number}, its structure and evidence</a></p>'
     return "\n".join(
@@ -102,6 +113,7 @@ def diagnosis_html(diagnosis: Diagnosis, charts: dict[str, Any], *, number: int,
             _charts(diagnosis, charts, number),
             "<h3>Alarms</h3>",
             code_alarm_table(diagnosis) if by_code and diagnosis.alarms else alarm_table(diagnosis),
+            present_table(diagnosis),
             candidate_table(diagnosis),
             f'<p class="muted">{escape(rules)}</p>' if rules else "",
             code_table(diagnosis) if by_code else _directions(diagnosis),
@@ -144,7 +156,7 @@ def _charts(diagnosis: Diagnosis, charts: dict[str, Any], number: int) -> str:
     bank = bool(diagnosis.members)
     figures: dict[str, list[str]] = {"estimate": [], "residual": [], "statistic": [], "member": [], "scores": []}
     for k, chart in enumerate(charts["charts"]):
-        figures["estimate" if chart.get("estimate") else chart["kind"]].append(_figure(k, chart, bank))
+        figures["estimate" if chart.get("estimate") else chart["kind"]].append(_figure(k, chart, diagnosis))
     shown = 0 if bank else SHOWN_RESIDUALS  # of a bank, the statistics of its members tell the story
     residuals, members = figures["residual"], figures["member"]
     closer = "" if bank else " more"
@@ -157,23 +169,28 @@ def _charts(diagnosis: Diagnosis, charts: dict[str, Any], number: int) -> str:
         _behind(members[SHOWN_MEMBERS:], " more members, which stayed further below their thresholds"),
         *figures["scores"],
     ]
-    what = "Statistics of the members, and candidates" if bank else "Residuals, statistic and candidates"
+    if bank:
+        what = "Statistics of the members" + (", and candidates" if figures["scores"] else "")
+    else:
+        what = "Residuals, statistic and candidates"
     return (
-        f'<h3>{what} over time</h3><div class="charts" data-diagnosis="{number}">{_key(charts)}{"".join(parts)}</div>'
+        f'<h3>{what} over time</h3><div class="charts" data-diagnosis="{number}">{_key(charts, diagnosis)}'
+        f"{''.join(parts)}</div>"
     )
 
 
-def _figure(k: int, chart: dict[str, Any], bank: bool) -> str:
+def _figure(k: int, chart: dict[str, Any], diagnosis: Diagnosis) -> str:
     """Return the place of one chart, with its title."""
+    bank, what = bool(diagnosis.members), "norm" if diagnosis.horizon else "statistic"
     if chart["kind"] == "residual":
         fault = chart.get("estimate")
         name = f"Estimated size of {fault}" if fault else f"Residual {chart['label']}"
     else:
         name = {
-            "statistic": "Largest ratio of a member's statistic to its threshold"
+            "statistic": f"Largest ratio of a member's {what} to its threshold"
             if bank
-            else "Statistic and its threshold",
-            "member": f"Member {chart['label']}: statistic and its threshold",
+            else f"{what[0].upper()}{what[1:]} and its threshold",
+            "member": f"Member {chart['label']}: {what}{' of its residual' * (what == 'norm')} and its threshold",
             "scores": f"Candidate scores{', members that agree' if bank else ''} (faded where no alarm stands)",
         }[chart["kind"]]
     title = with_unit(name, chart["unit"])
@@ -199,17 +216,21 @@ def _behind(figures: list[str], what: str) -> str:
     return f'<details class="more"><summary>{len(figures)}{what}</summary>{"".join(figures)}</details>'
 
 
-def _key(charts: dict[str, Any]) -> str:
+def _key(charts: dict[str, Any], diagnosis: Diagnosis) -> str:
     """Return what the colours mean, for those that occur, and how the samples were binned."""
     band = (
-        "fault-free mean ± how far a residual (averaged over the test window, where there is one) can be off below "
-        "the threshold"
+        "how far from zero a residual can be below the threshold"
+        if diagnosis.horizon
+        else (
+            "fault-free mean ± how far a residual (averaged over the test window, where there is one) can be off below "
+            "the threshold"
+        )
     )
     entries = [("band", band)]
     present = {"alarm": "alarm", "missing": "values missing", "undecided": "not judged (filter settles)"}
     entries += [(kind, text) for kind, text in present.items() if charts["spans"][kind]]
     if charts["onsets"]:
-        entries.append(("onset", "onset"))
+        entries.append(("onset", "onset, of each fault" if any(a.present[1:] for a in diagnosis.alarms) else "onset"))
     items = "".join(f'<li><span class="swatch {kind}"></span>{escape(text)}</li>' for kind, text in entries)
     remarks = []
     if charts["binned"] > 1:
@@ -281,7 +302,14 @@ def _residual_table(diagnosis: Diagnosis) -> str:
             [escape(name), escape(residual_unit(diagnosis, name)) or "–"]
             + [f'<td class="num">{number(float(c))}</td>' for c in cells]
         )
-    header = ["Residual", "Unit", "Fault-free mean", "Band (±)", "Smallest seen", "Largest seen"]
+    header = [
+        "Residual",
+        "Unit",
+        "Centre" if diagnosis.horizon else "Fault-free mean",
+        "Band (±)",
+        "Smallest seen",
+        "Largest seen",
+    ]
     settings = [[escape(key), escape(value)] for key, value in diagnosis.settings.items()]
     how = html_table(["Setting", ""], settings) if settings else ""
     return f"<details><summary>Settings, and residuals in numbers</summary>{how}{html_table(header, rows)}</details>"

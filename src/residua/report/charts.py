@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from residua.monitor.naming import fault_unit
 from residua.report.codes import member_order
 from residua.report.decimate import Bins, choose_bins, runs, spans
-from residua.report.text import rounded
+from residua.report.text import rounded, with_unit
 
 if TYPE_CHECKING:
     from residua.monitor.diagnosis import Diagnosis
@@ -22,8 +22,10 @@ MAX_POINTS_TOTAL = 400_000
 SHOWN_RESIDUALS = 6
 #: Members of a bank whose statistics are shown at once.
 SHOWN_MEMBERS = 8
+#: A logarithmic axis of a norm begins at this fraction of its threshold: a norm of one residual passes through zero.
+PEAK_FLOOR = 0.02
 #: The statistic starts on a logarithmic axis when it goes this far over its threshold.
-_LOG_FROM = 20.0
+LOG_FROM = 20.0
 
 
 def residual_unit(diagnosis: Diagnosis, name: str) -> str:
@@ -76,20 +78,11 @@ def chart_data(diagnosis: Diagnosis) -> dict[str, Any]:
             "missing": spans(diagnosis.time, runs(diagnosis.missing)),
             "undecided": spans(diagnosis.time, runs(undecided)),
         },
-        "onsets": [float(a.onset) for a in diagnosis.alarms[:50] if np.isfinite(a.onset)],
+        "onsets": onsets(diagnosis),
         "charts": [
             *_residual_charts(diagnosis, bins),
-            _statistic_chart(diagnosis.statistic, diagnosis.threshold, bins),
-            *(
-                _statistic_chart(
-                    diagnosis.member_statistics[:, m],
-                    diagnosis.member_thresholds[m],
-                    bins,
-                    kind="member",
-                    name=diagnosis.members[m],
-                )
-                for m in member_order(diagnosis, SHOWN_MEMBERS)
-            ),
+            _statistic_chart(diagnosis.statistic, diagnosis.threshold, bins) | _peak_axis(diagnosis),
+            *_member_charts(diagnosis, bins),
             *_score_charts(diagnosis, bins),
         ],
     }
@@ -154,14 +147,83 @@ def _statistic_chart(
         "label": name,
         "unit": "",
         "threshold": threshold if np.isfinite(threshold) else None,
-        "log": bool(usable and seen.size and seen.max() > _LOG_FROM * threshold),
+        "log": bool(usable and seen.size and seen.max() > LOG_FROM * threshold),
         "y": [rounded(values, relative=True)],
         "names": [name],
     }
 
 
+def _member_charts(diagnosis: Diagnosis, bins: Bins) -> list[dict[str, Any]]:
+    charts = [
+        _statistic_chart(
+            diagnosis.member_statistics[:, m],
+            diagnosis.member_thresholds[m],
+            bins,
+            kind="member",
+            name=diagnosis.members[m],
+        )
+        | _peak_axis(diagnosis, m)
+        | _own_alarms(diagnosis, m)
+        for m in member_order(diagnosis, SHOWN_MEMBERS)
+    ]
+    if diagnosis.horizon:  # side by side, norms are compared: one kind of axis for all
+        charts = [chart | {"log": any(c["log"] for c in charts)} for chart in charts]
+    return charts
+
+
+def own_alarms(diagnosis: Diagnosis, m: int) -> NDArray[np.int64] | None:
+    """Return where a member of a dedicated bank is in alarm, as pairs (start, stop); ``None`` for any other bank.
+
+    There it has a fault of its own, and the alarms of the others are none of it.
+    """
+    dedicated = diagnosis.codes is not None and diagnosis.codes.dedicated
+    return runs(diagnosis.fired[:, m]) if dedicated else None
+
+
+def _own_alarms(diagnosis: Diagnosis, m: int) -> dict[str, Any]:
+    pairs = own_alarms(diagnosis, m)
+    if pairs is None:
+        return {}
+    first = [p.since for a in diagnosis.alarms[:50] for p in a.present if p.member == diagnosis.members[m]]
+    return {"alarms": spans(diagnosis.time, pairs), "onsets": first}
+
+
+def onsets(diagnosis: Diagnosis) -> list[float]:
+    """Return the onsets of the alarms and, where several faults are there, those of each."""
+    alarms = diagnosis.alarms[:50]
+    found = [a.onset for a in alarms] + [p.since for a in alarms for p in a.present[1:]]
+    return sorted(float(t) for t in dict.fromkeys(found) if np.isfinite(t))
+
+
+def norm_unit(diagnosis: Diagnosis, member: int | None = None) -> str:
+    """Return the unit of the norm of a member's residuals, or of all: theirs where they share one, else none."""
+    names = diagnosis.residual_names
+    if member is not None:
+        names = [names[i] for i in diagnosis.generator.members[member].residuals]
+    units = {residual_unit(diagnosis, name) for name in names}
+    return units.pop() if len(units) == 1 else ""
+
+
+def _peak_axis(diagnosis: Diagnosis, member: int | None = None) -> dict[str, Any]:
+    """Return unit, axis and floor of a chart of a norm that is neither centred nor whitened; else nothing."""
+    if not diagnosis.horizon:
+        return {}
+    limit = diagnosis.threshold if member is None else diagnosis.member_thresholds[member]
+    floor = {"floor": float(limit) * PEAK_FLOOR}
+    if member is None and diagnosis.members:
+        return {"axis": "ratio [–]"} | floor
+    unit = norm_unit(diagnosis, member)
+    return {"unit": unit, "axis": with_unit("norm", unit)} | floor
+
+
+def shows_scores(diagnosis: Diagnosis) -> bool:
+    """Tell whether the candidates' scores say something: not where several faults are there, each with its member."""
+    several = any(alarm.reading is not None and alarm.reading.together for alarm in diagnosis.alarms)
+    return bool(diagnosis.groups) and diagnosis.scores.size > 0 and not several
+
+
 def _score_charts(diagnosis: Diagnosis, bins: Bins) -> list[dict[str, Any]]:
-    if not diagnosis.groups or not diagnosis.scores.size:
+    if not shows_scores(diagnosis):
         return []
     columns: list[NDArray[np.float64]] = [bins.extremes(column) for column in diagnosis.scores.T]
     return [

@@ -12,6 +12,7 @@ from residua.report.tables import MAX_ROWS, html_table
 from residua.report.text import escape, percent, seconds
 
 if TYPE_CHECKING:
+    from residua.decide.structured import CodeReading, CodeTest
     from residua.monitor.alarm import Alarm
     from residua.monitor.diagnosis import Diagnosis
 
@@ -19,8 +20,15 @@ CODE_RULES = (
     "A pattern of fired members is read in this order: exact, the code of one fault; degraded, the code of one fault "
     "with members silent, and of no other (only where no code is part of another); nearest, one code nearer than all "
     "others, within the members that may differ, and the pattern is "
-    "part of no other fault's code; else it is more than one fault, or one that the bank does not know. "
-    "The score is the fraction of the members that agree with a code."
+    "part of no other fault's code; else it is more than one fault, or one that the bank does not know."
+)
+
+SCORE_RULE = "The score is the fraction of the members that agree with a code."
+
+
+DEDICATED_RULES = (
+    "Every fault fires a member of its own. A member that fires names its fault, and members that fire together, or "
+    "one after the other in one alarm, name several faults; each is there since its own member fired."
 )
 
 
@@ -35,22 +43,49 @@ def code_table(diagnosis: Diagnosis) -> str:
     rows = []
     entries = [*zip(codes.labels, codes.codes.T, strict=True)]
     entries += [(fault, np.zeros(len(codes.members), dtype=bool)) for fault in codes.unjudged]
-    which = None if reading is None else column_read(reading, codes)
+    which = _columns_read(reading, codes)
+    compared = None if reading is None or reading.together else fired  # several codes make the pattern together
     for g, (label, code) in enumerate(entries):
-        name = f'<b>{escape(label)}</b> <span class="tag">read</span>' if g == which else escape(label)
-        cells = [_cell(bool(on), fired is not None and bool(on) != bool(fired[m])) for m, on in enumerate(code)]
-        agree = "" if fired is None else f'<td class="num">{int(np.sum(code == fired))} of {len(code)}</td>'
+        name = f'<b>{escape(label)}</b> <span class="tag">read</span>' if g in which else escape(label)
+        cells = [_cell(bool(on), compared is not None and bool(on) != bool(compared[m])) for m, on in enumerate(code)]
+        agree = "" if compared is None else f'<td class="num">{int(np.sum(code == compared))} of {len(code)}</td>'
         rows.append([f'<th scope="row">{name}</th>', *cells, *([agree] if agree else [])])
     if fired is not None:
         seen = [_cell(bool(on), False) for on in fired]
-        rows.append(['<th scope="row"><i>fired, main alarm</i></th>', *seen, '<td class="num">–</td>'])
+        dash = [] if compared is None else ['<td class="num">–</td>']
+        rows.append(['<th scope="row"><i>fired, main alarm</i></th>', *seen, *dash])
     header = ["What fails", *(f"<span>{escape(name)}</span>" for name in codes.members)]
-    header += ["Agree"] if fired is not None else []
+    header += ["Agree"] if compared is not None else []
     kind = "matrix codes upright" if len(codes.members) > 8 else "matrix codes"
-    differ = "; marked where a code differs from what fired" if fired is not None else ""
+    differ = "; marked where a code differs from what fired" if compared is not None else ""
     later = "; <i>settled</i>: what a fault still fires once it is constant" if any(codes.settled) else ""
     caption = f"Which members each fault fires (● fires, · stays silent{differ}{later})"
     return f"<h3>Codes</h3>{html_table(header, rows, caption=caption, kind=kind)}"
+
+
+def _columns_read(reading: CodeReading | None, codes: CodeTest) -> set[int]:
+    """Return the numbers of the codes that were read."""
+    if reading is None:
+        return set()
+    one = column_read(reading, codes)
+    return {codes.groups.index(group) for group in reading.together} | ({one} if one is not None else set())
+
+
+def present_table(diagnosis: Diagnosis) -> str:
+    """Return the faults of the main alarm where there are several, and when their members fired; else empty."""
+    if len(diagnosis.present) < 2:
+        return ""
+    rows = [
+        [
+            f'<td class="name">{escape(fault.name)}</td>',
+            escape(fault.member),
+            f'<td class="num">{seconds(fault.since)}</td>',
+            f'<td class="num">{"end of recording" if fault.until is None else seconds(fault.until)}</td>',
+        ]
+        for fault in diagnosis.present
+    ]
+    title = "Faults of the main alarm" if len(diagnosis.alarms) > 1 else "Faults"
+    return html_table(["Fault", "Its member", "First fired", "Until"], rows, caption=title)
 
 
 def _cell(on: bool, differs: bool) -> str:
@@ -70,14 +105,22 @@ def code_alarm_table(diagnosis: Diagnosis) -> str:
                 *(f'<td class="num">{seconds(t)}</td>' for t in (alarm.onset, alarm.raised)),
                 f'<td class="num">{"end of recording" if alarm.ended is None else seconds(alarm.ended)}</td>',
                 escape(", ".join(alarm.reading.fired) or "none") if alarm.reading else "–",
-                f'<td class="name">{escape(alarm.reading.meaning) if alarm.reading else "–"}</td>',
-                f'<td class="num">{read_share(alarm)}</td>',
+                f'<td class="name">{escape(_read_as(alarm))}</td>',
+                f'<td class="num">{"–" if alarm.present[1:] else read_share(alarm)}</td>',
             ]
         )
     header = ["Alarm", "Onset", "Raised", "Ended", "Fired", "Read as", "Of its samples"]
     more = len(diagnosis.alarms) - MAX_ROWS
     note = f'<p class="muted">… and {more:,} more alarms.</p>' if more > 0 else ""
     return html_table(header, rows) + note
+
+
+def _read_as(alarm: Alarm) -> str:
+    if alarm.reading is None:
+        return "–"
+    if not alarm.reading.together:
+        return alarm.reading.meaning
+    return f"several faults: {', '.join(f'{p.name} since {seconds(p.since)}' for p in alarm.present)}"
 
 
 def read_share(alarm: Alarm) -> str:

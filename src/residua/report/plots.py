@@ -8,7 +8,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from residua.errors import missing_extra
-from residua.report.charts import by_interest, estimated_fault, judged_range, residual_unit
+from residua.report.charts import (
+    LOG_FROM,
+    PEAK_FLOOR,
+    by_interest,
+    estimated_fault,
+    judged_range,
+    norm_unit,
+    onsets,
+    own_alarms,
+    residual_unit,
+    shows_scores,
+)
 from residua.report.codes import member_order
 from residua.report.decimate import choose_bins, runs
 from residua.report.signatures import Signatures, generator_signatures
@@ -61,7 +72,7 @@ def plot_diagnosis(diagnosis: Diagnosis, ax: Axes | None = None, *, figure: Figu
         return ax
     members = member_order(diagnosis, _MAX_RESIDUALS)[:_MAX_RESIDUALS]
     shown = [i for i in by_interest(diagnosis) if not members or _is_estimate(diagnosis, i)][:_MAX_RESIDUALS]
-    with_scores = bool(diagnosis.groups) and diagnosis.scores.size > 0
+    with_scores = shows_scores(diagnosis)
     heights = [1.0] * (len(shown) + len(members)) + [1.4] + [1.6] * with_scores
     figure = figure or _new_figure(8.0, 1.0 + 1.15 * sum(heights))
     axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
@@ -177,10 +188,17 @@ def _line(diagnosis: Diagnosis, values: np.ndarray, ax: Axes, **style: Any) -> N
     ax.plot(bins.times(diagnosis.time), bins.extremes(values), **style)
 
 
-def _shade(diagnosis: Diagnosis, ax: Axes) -> None:
-    """Shade alarms and missing values; only the first of each gets a name in the legend."""
+def _shade(diagnosis: Diagnosis, ax: Axes, member: int | None = None) -> None:
+    """Shade alarms and missing values; only the first of each gets a name in the legend.
+
+    With a member of a dedicated bank, its own alarms.
+    """
     last = len(diagnosis.time) - 1
-    stretches = [(a.start, a.stop) for a in diagnosis.alarms]
+    stretches, begun = [(a.start, a.stop) for a in diagnosis.alarms], onsets(diagnosis)
+    own = None if member is None else own_alarms(diagnosis, member)
+    if member is not None and own is not None:
+        stretches = own.tolist()
+        begun = [p.since for a in diagnosis.alarms[:50] for p in a.present if p.member == diagnosis.members[member]]
     for pairs, colour, name in (
         (stretches, _ALARM, "alarm"),
         (runs(diagnosis.missing).tolist(), _MISSING, "values missing"),
@@ -188,8 +206,8 @@ def _shade(diagnosis: Diagnosis, ax: Axes) -> None:
         for k, (start, stop) in enumerate(pairs[:500]):
             left, right = diagnosis.time[min(start, last)], diagnosis.time[min(stop, last)]
             ax.axvspan(left, right, color=colour, alpha=0.16, lw=0, label=name if k == 0 else None)
-    for k, alarm in enumerate(diagnosis.alarms[:50]):
-        ax.axvline(alarm.onset, color=_ALARM, lw=1, ls=":", label="onset" if k == 0 else None)
+    for k, onset in enumerate(begun):
+        ax.axvline(onset, color=_ALARM, lw=1, ls=":", label="onset" if k == 0 else None)
 
 
 def _residual(diagnosis: Diagnosis, i: int, ax: Axes) -> None:
@@ -226,11 +244,12 @@ def _is_estimate(diagnosis: Diagnosis, i: int) -> bool:
 
 def _member(diagnosis: Diagnosis, m: int, ax: Axes) -> None:
     """Draw the statistic of one member of a bank with its threshold."""
-    _shade(diagnosis, ax)
+    _shade(diagnosis, ax, m)
     _line(diagnosis, diagnosis.member_statistics[:, m], ax, color=_COLOURS[0], lw=0.9)
     ax.axhline(diagnosis.member_thresholds[m], color=_ALARM, ls="--", lw=1.2)
     ax.set_title(_plain(diagnosis.members[m]), loc="left", fontsize="small")
-    ax.set_ylabel("statistic [–]")
+    ax.set_ylabel(_plain(with_unit("norm", norm_unit(diagnosis, m))) if diagnosis.horizon else "statistic [–]")
+    _scale(diagnosis, ax, diagnosis.member_statistics, diagnosis.member_thresholds, m)
     ax.margins(x=0)
 
 
@@ -239,9 +258,21 @@ def _statistic(diagnosis: Diagnosis, ax: Axes, **place: Any) -> None:
     _line(diagnosis, diagnosis.statistic, ax, color=_COLOURS[0], lw=0.9, label="statistic")
     if np.isfinite(diagnosis.threshold):
         ax.axhline(diagnosis.threshold, color=_ALARM, ls="--", lw=1.2, label="threshold")
-    ax.set_ylabel("largest ratio to\nthreshold [–]" if diagnosis.members else "statistic [–]")
+    norm = _plain(with_unit("norm", norm_unit(diagnosis))) if diagnosis.horizon else "statistic [–]"
+    ax.set_ylabel("largest ratio to\nthreshold [–]" if diagnosis.members else norm)
+    _scale(diagnosis, ax, diagnosis.statistic[:, None], np.array([diagnosis.threshold]), 0)
     ax.margins(x=0)
     ax.legend(fontsize="small", ncols=5, **place)
+
+
+def _scale(diagnosis: Diagnosis, ax: Axes, values: np.ndarray, limits: np.ndarray, m: int) -> None:
+    """Give a norm that goes far over its threshold a logarithmic axis, on which that is seen; all members alike."""
+    ratio = values / limits
+    if not diagnosis.horizon or not np.any(ratio > LOG_FROM):
+        return
+    ax.set_yscale("log")
+    top = np.nanmax(np.where(np.isfinite(values[:, m]), values[:, m], np.nan), initial=limits[m])
+    ax.set_ylim(PEAK_FLOOR * limits[m], 2 * top)
 
 
 def _scores(diagnosis: Diagnosis, ax: Axes) -> None:

@@ -43,6 +43,13 @@ MATCH_RULES = (
 )
 
 
+#: What is said of an alarm by certified thresholds.
+CERTAIN = (
+    "The thresholds are certified: without a fault no plant of the uncertainty set goes over them while the "
+    "disturbances keep their bounds."
+)
+
+
 @dataclass(frozen=True)
 class Verdict:
     """What a diagnosis comes to.
@@ -55,9 +62,12 @@ class Verdict:
     confidence : str
         ``"clear lead"``, ``"moderate lead"``, ``"close call"``, ``"no good match"``, ``"short alarm"``,
         ``"not isolated"``; by matched filters also ``"inexact match"``; by code ``"exact code"``,
-        ``"degraded code"``, ``"nearest code"``, ``"no code"``, ``"unsteady code"``, ``"short alarm"``; or empty.
+        ``"exact codes"`` (of several faults), ``"degraded code"``, ``"nearest code"``, ``"no code"``,
+        ``"unsteady code"``, ``"short alarm"``; or empty.
     margin : float or None
         Lead of the best candidate over the next in score.
+    present : tuple of tuple of str
+        Several faults that a dedicated bank names together.
     """
 
     kind: str
@@ -65,6 +75,7 @@ class Verdict:
     sentences: tuple[str, ...]
     confidence: str = ""
     margin: float | None = None
+    present: tuple[tuple[str, ...], ...] = ()
 
 
 def verdict(diagnosis: Diagnosis) -> Verdict:
@@ -142,8 +153,11 @@ def _fault(diagnosis: Diagnosis) -> Verdict:
             sentences.append(f"This monitor cannot tell {listing(best.faults)} apart.")
         if diagnosis.no_direction:
             sentences.append(f"{NO_DIRECTION[0].upper()}{NO_DIRECTION[1:]}, and the size is that of what it estimates.")
+    if diagnosis.certified:
+        sentences.append(CERTAIN)
     sentences += _sized(main)
-    others = [names for group, names in alike(diagnosis.groups, diagnosis.codes) if group != _first(candidates)]
+    told = main.reading.named if main.reading else (_first(candidates),)
+    others = [names for group, names in alike(diagnosis.groups, diagnosis.codes) if group not in told]
     if others:
         sentences.append(f"Not told apart here either: {'; '.join(map(listing, others))}.")
     if diagnosis.unjudged:
@@ -151,7 +165,8 @@ def _fault(diagnosis: Diagnosis) -> Verdict:
         sentences.append(f"Without a {want} in this monitor, so never named: {listing(diagnosis.unjudged)}.")
     if len(diagnosis.alarms) > 1:
         sentences.append(f"This is the longest of {len(diagnosis.alarms):,} alarms.")
-    return Verdict("fault", headline, tuple(sentences), confidence, margin)
+    present = main.reading.together if main.reading else ()
+    return Verdict("fault", headline, tuple(sentences), confidence, margin, present)
 
 
 def _by_code(main: Alarm, window: int, when: str, sentences: list[str]) -> tuple[str, str, float | None]:
@@ -160,6 +175,8 @@ def _by_code(main: Alarm, window: int, when: str, sentences: list[str]) -> tuple
     assert reading is not None
     name = " or ".join(reading.faults)
     sentences.append(f"Fired: {listing(reading.fired) or 'none'}; {reading.meaning}.")
+    if reading.together:
+        return _several(main, window, when, sentences)
     if main.read_share is not None:
         share = percent(round(1000 * main.read_share), 1000)
         sentences.append(f"In {share} of the alarm's samples these were the members that fired.")
@@ -178,6 +195,30 @@ def _by_code(main: Alarm, window: int, when: str, sentences: list[str]) -> tuple
     off = "" if reading.answer == "exact" else f" ({reading.answer} code)"
     steady = main.read_share is None or main.read_share >= STEADY_SHARE
     return f"Fault found: {name}{off}, {when}.", f"{reading.answer if steady else 'unsteady'} code", main.margin
+
+
+def _several(main: Alarm, window: int, when: str, sentences: list[str]) -> tuple[str, str, None]:
+    """Return headline and confidence where a dedicated bank names several faults, each with its own time."""
+    reading = main.reading
+    assert reading is not None
+    if main.read_share:
+        share = percent(round(1000 * main.read_share), 1000)
+        sentences.append(f"In {share} of the alarm's samples all of these members had fired.")
+    sentences += [
+        f"{p.name}: its member fell silent at {seconds(p.until)}." for p in main.present if p.until is not None
+    ]
+    sentences += [f"This monitor cannot tell {listing(group)} apart." for group in reading.together if len(group) > 1]
+    sentences.append(
+        "Each fault has a member of its own here; a fault that the bank does not know may fire any of them."
+    )
+    timed = [p.faults for p in main.present]
+    names = listing(
+        [f"{p.name} since t = {seconds(p.since)}" for p in main.present]
+        + [" or ".join(group) for group in reading.together if group not in timed]
+    )
+    if main.samples < window:
+        return f"Alarm {when}, too short to be sure of the names; read as {names}.", "short alarm", None
+    return f"{len(reading.together)} faults found: {names}.", "exact codes", None
 
 
 def _first(candidates: list[Candidate]) -> tuple[str, ...]:

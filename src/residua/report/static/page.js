@@ -52,7 +52,7 @@
       ctx.clip();
       for (const kind of ["undecided", "missing", "alarm"]) {
         ctx.fillStyle = colours[kind];
-        for (const [a, b] of data.spans[kind]) {
+        for (const [a, b] of (kind === "alarm" && chart.alarms) || data.spans[kind]) {
           const left = u.valToPos(a, "x", true), right = u.valToPos(b, "x", true);
           if (right < box.left || left > box.left + box.width) continue;
           ctx.fillRect(left, box.top, Math.max(right - left, devicePixelRatio), box.height);
@@ -86,7 +86,7 @@
       ctx.lineWidth = 1.25 * pixel;
       ctx.setLineDash([2 * pixel, 3 * pixel]);
       ctx.strokeStyle = colours.onset;
-      for (const onset of data.onsets) {
+      for (const onset of chart.onsets || data.onsets) {
         const at = u.valToPos(onset, "x", true);
         ctx.beginPath();
         ctx.moveTo(at, box.top);
@@ -128,7 +128,8 @@
         distr: 3,
         range: (u, min, max) => {
           const top = Math.max(max || 0, ...must.map((v) => 1.5 * v), 1e-300);
-          return uPlot.rangeLog(Math.max(Math.min(min || top, ...must), top * 1e-6), top, 10, false);
+          const low = Math.max(Math.min(min || top, ...must), top * 1e-6, chart.floor || 0);
+          return uPlot.rangeLog(Math.min(low, top), top, 10, false);
         },
       };
     return {
@@ -161,7 +162,7 @@
       ticks: { stroke: () => colours.grid, width: 1 }, font: "12px system-ui, sans-serif",
       labelFont: "12px system-ui, sans-serif", labelSize: 18 };
     const names = { residual: chart.estimate ? "estimate" : "residual", statistic: "statistic [–]", member: "statistic [–]", scores: "score [–]" };
-    const label = chart.unit ? names[chart.kind] + " [" + chart.unit + "]" : names[chart.kind];
+    const label = chart.axis || (chart.unit ? names[chart.kind] + " [" + chart.unit + "]" : names[chart.kind]);
     return {
       width, height: HEIGHT[chart.kind], padding: [8, 14, 0, 0],
       scales: { x: { time: false, range: (u, min, max) => (min == null ? data.ends : [min, max]) }, y: yScale(chart, data) },

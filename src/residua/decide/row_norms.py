@@ -1,0 +1,14 @@
+"""The norm of every row, with the same order of operations everywhere."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def row_norms(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the norm of each row, its squares added in order: the same bits however the rows are cut."""
+    total = np.zeros(rows.shape[:-1])
+    for j in range(rows.shape[-1]):
+        total = total + rows[..., j] * rows[..., j]
+    return np.sqrt(total)

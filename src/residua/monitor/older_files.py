@@ -1,0 +1,52 @@
+"""Files of earlier versions as files of today."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from residua.monitor.encoding import array_in, array_out, table_in
+from residua.monitor.judging import empty_fields
+
+#: Versions before today's that are read.
+OLDER = (3, 4)
+
+
+def renewed(content: dict[str, Any]) -> dict[str, Any]:
+    """Return the content of a file of version 3 or 4 as one of version 5.
+
+    In a file of version 3 nothing was matched with responses; before version 5 every test was of the norm, and when a
+    standing alarm began was not known: it stays so until it ends.
+    """
+    content = dict(content)
+    if content["version"] == 3:
+        _with_matched(content)
+    if content["version"] in OLDER:
+        _with_kinds(content)
+    return content
+
+
+def _with_matched(content: dict[str, Any]) -> None:
+    if content.get("running") is not None:
+        content["running"] = table_in(content["running"], "running") | {"matched": None}
+    if content.get("state") is not None:
+        state = table_in(content["state"], "state")
+        plants = len(array_in(state["resets"], "state.resets")) if "resets" in state else 0
+        nothing = empty_fields(None, plants)
+        content["state"] = state | {name: array_out(value) for name, value in nothing.items()}
+
+
+def _with_kinds(content: dict[str, Any]) -> None:
+    content["certified"] = {}
+    for name in ("test", "fitted"):
+        if content.get(name) is not None:
+            content[name] = table_in(content[name], name) | {"kind": "norm"}
+    if content.get("state") is not None:
+        state = table_in(content["state"], "state")
+        if "alarm" in state:
+            alarm = array_in(state["alarm"], "state.alarm")
+            content["state"] = state | {"since": array_out(np.zeros(alarm.shape, dtype=np.int64))}
+
+
+__all__ = ["OLDER", "renewed"]
