@@ -28,7 +28,7 @@ from residua.linear.polynomial_matrix import PolynomialMatrix
 from residua.linear.polynomial_null_space import NullVectors, left_null_vectors, shortest_left_null_vectors
 from residua.linear.rank import DEFAULT_RTOL, RankDecision, decide_rank
 from residua.linear.riccati import RiccatiSolution, filter_riccati
-from residua.linear.robust_norm import RobustPeakNorm, robust_peak_norm
+from residua.linear.robust_norm import RobustPeakNorm, SmallestGain, robust_peak_norm, smallest_gain
 from residua.linear.sampling import sample
 from residua.linear.state_space import StateSpace
 from residua.linear.uncertain_system import UncertainSystem
@@ -52,6 +52,7 @@ __all__ = [
     "RankDecision",
     "RiccatiSolution",
     "RobustPeakNorm",
+    "SmallestGain",
     "StateSpace",
     "UncertainSystem",
     "WeierstrassForm",
@@ -81,5 +82,6 @@ __all__ = [
     "sample",
     "shortest_left_null_vectors",
     "simulate_descriptor",
+    "smallest_gain",
     "weierstrass_form",
 ]

@@ -132,7 +132,10 @@ def _evaluate(sums: _Sums, a: NDArray[np.float64]) -> tuple[float, Matrix, NDArr
 
 def _weights(slopes: NDArray[np.float64]) -> NDArray[np.float64]:
     """Minimise ``sum a_i slopes_i`` subject to ``sum 1 / a_i = 1``."""
-    roots = np.sqrt(np.maximum(slopes, 1e-16 * max(slopes.max(), np.finfo(float).tiny)))
+    largest = slopes.max()
+    if not largest > np.finfo(float).tiny:  # no input reaches the outputs: any weights do
+        return np.full(len(slopes), float(len(slopes)))
+    roots = np.sqrt(np.maximum(slopes, 1e-16 * largest))
     return roots.sum() / roots
 
 

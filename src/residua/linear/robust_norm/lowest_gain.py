@@ -1,0 +1,137 @@
+"""The member of an uncertain system, and the frequency, with the smallest gain that can be found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import DesignError
+from residua.linear.observability import is_stable_mode
+from residua.linear.robust_norm.member_response import MemberResponse
+from residua.linear.spectrum import describe_modes
+from residua.linear.uncertain_system import MOST_CORNERS
+
+Points = NDArray[np.float64]
+_FREQUENCIES = 9
+#: Corners whose poles are computed.
+_CHECKED = 128
+_STEPS = 12
+#: Numbers held at a time.
+_CHUNK = 2_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class LowestGain:
+    """A gain that some member has at some frequency.
+
+    Attributes
+    ----------
+    gain : float
+    point : ndarray, shape (parameters + 1,)
+        The last is the frequency, in rad/s or rad/sample.
+    rounding : float
+        What rounding of the sizes that cancel may have left of a gain of zero.
+    """
+
+    gain: float
+    point: Points
+    rounding: float
+
+
+def lowest_gain(response: MemberResponse, low: Points, high: Points, *, samples: int, seed: int) -> LowestGain:
+    """Visit points inside, all corners of the parameters or many, then descend.
+
+    Raises
+    ------
+    DesignError
+        If a member is not stable: of those inside, and of some corners.
+    """
+    rng = np.random.default_rng(seed)
+    inside = np.vstack([(low + high) / 2, rng.uniform(low, high, (samples, len(low)))])
+    corner = _corners(low, high, samples, rng)
+    some = corner[rng.permutation(len(corner))[:_CHECKED]]
+    check_stable(response, np.vstack([inside, some])[:, :-1])
+    first, gain = _lowest(response, _at_frequencies(inside, low[-1], high[-1]))
+    corner[:, -1] = first[-1]
+    second, other = _lowest(response, corner)
+    found = min(
+        descended(response, low, high, first, gain),
+        descended(response, low, high, second, other),
+        key=lambda one: one.gain,
+    )
+    check_stable(response, found.point[None, :-1])
+    return found
+
+
+def descended(response: MemberResponse, low: Points, high: Points, point: Points, gain: float) -> LowestGain:
+    """Descend from a point by Gauss-Newton steps within the box, halved until the gain falls."""
+    from scipy.optimize import lsq_linear  # slow to import
+
+    moving = np.flatnonzero(high > low)
+    width = (high - low)[moving]
+    T, slopes, rounding = response.slopes(point)
+    for _ in range(_STEPS):
+        J = np.vstack([np.real(slopes), np.imag(slopes)])[:, moving] * width
+        size = float(np.abs(J).max(initial=0.0))
+        if gain <= rounding or size == 0:
+            break
+        span = (low - point)[moving] / width, (high - point)[moving] / width
+        target = -np.concatenate([np.real(T), np.imag(T)]) / size
+        step = np.zeros(len(point))
+        step[moving] = lsq_linear(J / size, target, span, method="bvls").x * width
+        tries = np.clip(point + step * 0.5 ** np.arange(12)[:, None], low, high)
+        gains = response.gains(tries)
+        best = int(np.argmin(gains))
+        if gains[best] >= gain * (1 - 1e-6):
+            break
+        point, gain = tries[best], float(gains[best])
+        T, slopes, rounding = response.slopes(point)
+    return LowestGain(gain, point, rounding)
+
+
+def check_stable(response: MemberResponse, values: Points) -> None:
+    """Raise unless members are stable; the message names the first that is not."""
+    A = response.members(values)[0]
+    if not A.shape[1]:
+        return
+    modes = np.linalg.eigvals(A)
+    stable = is_stable_mode(modes, response.dt)
+    if stable.all():
+        return
+    i = int(np.argmin(stable.all(axis=1)))
+    named = ", ".join(f"{name} = {v:g}" for name, v in zip(response.parameters, values[i], strict=True))
+    raise DesignError(
+        f"a member of the set is not stable: pole {describe_modes(modes[i][~stable[i]][:1])}"
+        f"{f' at {named}' if named else ''}; its output does not settle, so that it has no gain: narrow the set, or "
+        "change the controller or estimator"
+    )
+
+
+def _at_frequencies(points: Points, first: float, last: float) -> Points:
+    """Return points, and the same at frequencies of a grid."""
+    if first == last:
+        return points
+    grid = np.linspace(first, last, _FREQUENCIES)
+    moved = np.repeat(points, len(grid), axis=0)
+    moved[:, -1] = np.tile(grid, len(points))
+    return np.vstack([points, moved])
+
+
+def _corners(low: Points, high: Points, samples: int, rng: np.random.Generator) -> Points:
+    """Return all corners of the parameters, or as many at random."""
+    moving = np.flatnonzero(high[:-1] > low[:-1])
+    k = len(moving)
+    every = k <= MOST_CORNERS
+    bits = (np.arange(2**k)[:, None] >> np.arange(k)) & 1 if every else rng.integers(0, 2, (max(samples, 256), k))
+    points = np.repeat(low[None], len(bits), axis=0)
+    points[:, moving] = np.where(bits.astype(bool), high[moving], low[moving])
+    return points
+
+
+def _lowest(response: MemberResponse, points: Points) -> tuple[Points, float]:
+    step = max(1, _CHUNK // max(len(response.A) ** 2, 1))
+    gains = np.concatenate([response.gains(points[i : i + step]) for i in range(0, len(points), step)])
+    best = int(np.argmin(gains))
+    return points[best].copy(), float(gains[best])

@@ -1,0 +1,122 @@
+"""Frequency responses of many members of an uncertain system at once, and their slopes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.linear.balancing import state_units
+from residua.linear.uncertain_system import UncertainSystem
+
+#: Real where every frequency is zero.
+Array = NDArray
+#: Relative rounding of a response, of the sizes that cancel in it.
+ROUNDING = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class MemberResponse:
+    """An uncertain system in balanced states, evaluated at points ``(parameters, theta)``.
+
+    ``theta`` is rad/s for continuous systems and rad/sample for sampled ones, the last coordinate of every point.
+
+    Attributes
+    ----------
+    A, Bp, Bw, Cq, Cz, Dzp, Dzw : ndarray
+    owners : ndarray of int
+        The parameter of each channel.
+    parameters : tuple of str
+    dt : float
+    constant : bool
+        Whether only ``theta = 0`` is asked for: everything is real then.
+    """
+
+    A: Array
+    Bp: Array
+    Bw: Array
+    Cq: Array
+    Cz: Array
+    Dzp: Array
+    Dzw: Array
+    owners: NDArray[np.intp]
+    parameters: tuple[str, ...]
+    dt: float
+    constant: bool
+
+    def variable(self, theta: NDArray[np.float64]) -> Array:
+        """Return ``s`` or ``z`` at frequencies."""
+        if self.constant:
+            return np.full(theta.shape, 1.0 if self.dt else 0.0)
+        return np.exp(1j * theta) if self.dt else 1j * theta
+
+    def members(self, values: NDArray[np.float64]) -> tuple[Array, Array]:
+        """Return ``A`` and ``C`` of members, shapes (count, n, n) and (count, p, n)."""
+        F = values[:, self.owners][:, :, None] * self.Cq
+        return self.A + self.Bp @ F, self.Cz + self.Dzp @ F
+
+    def responses(self, points: NDArray[np.float64]) -> Array:
+        """Return frequency responses, shape (count, p, m); infinite where a pole is in the way."""
+        A, C = self.members(points[:, :-1])
+        M = self.variable(points[:, -1])[:, None, None] * np.eye(len(self.A)) - A
+        return C @ solved(M, np.broadcast_to(self.Bw, (len(M), *self.Bw.shape))) + self.Dzw
+
+    def gains(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the smallest singular value at every point; infinite where a pole is in the way."""
+        T = self.responses(points)
+        fine = np.all(np.isfinite(T), axis=(1, 2))
+        if T.shape[2] == 1:
+            sizes = np.linalg.norm(T[:, :, 0], axis=1)
+        else:
+            sizes = np.linalg.svd(np.where(fine[:, None, None], T, 0.0), compute_uv=False)[:, -1]
+        return np.where(fine, sizes, np.inf)
+
+    def slopes(self, point: NDArray[np.float64]) -> tuple[Array, Array, float]:
+        """Return the weakest column of the response, its slopes along every coordinate, and its rounding.
+
+        The weakest column is ``T v`` for the unit input ``v`` with the smallest output; shapes (p,) and (p, q).
+        """
+        (A,), (C,) = self.members(point[None, :-1])
+        z = self.variable(point[-1:])[0]
+        R = np.linalg.inv(z * np.eye(len(A)) - A)
+        B, D = self.Bw, self.Dzw
+        T = C @ R @ B + D
+        U, _, Vh = np.linalg.svd(T)
+        v, weak = Vh[-1].conj(), U[:, len(Vh) - 1 :].conj().T
+        x = R @ (B @ v)
+        to_output = C @ R @ self.Bp + self.Dzp
+        slopes = np.zeros((len(T), len(point)), dtype=complex)
+        np.add.at(slopes.T, self.owners, (to_output * (self.Cq @ x)).T)
+        if not self.constant:
+            slopes[:, -1] = -(1j * z if self.dt else 1j) * (C @ (R @ x))
+        terms = np.abs(C @ R) @ ((abs(z) + np.abs(A)) @ np.abs(x) + np.abs(B @ v)) + np.abs(C) @ np.abs(x)
+        return weak @ (T @ v), weak @ slopes, ROUNDING * float(np.linalg.norm(terms + np.abs(D @ v)))
+
+
+def member_response(system: UncertainSystem, *, constant: bool) -> MemberResponse:
+    """Return a system in balanced states."""
+    T = state_units(system.A, np.hstack([system.Bw, system.Bp]), np.vstack([system.Cz, system.Cq]))
+    return MemberResponse(
+        system.A / T[:, None] * T,
+        system.Bp / T[:, None],
+        system.Bw / T[:, None],
+        system.Cq * T,
+        system.Cz * T,
+        system.Dzp,
+        system.Dzw,
+        np.array(system.channels, dtype=int),
+        system.parameters,
+        system.dt,
+        constant,
+    )
+
+
+def solved(M: Array, B: Array) -> Array:
+    """Return ``M^-1 B`` for stacks of matrices; infinite where ``M`` is singular."""
+    try:
+        return np.linalg.solve(M, B)
+    except np.linalg.LinAlgError:
+        if len(M) == 1:
+            return np.full(B.shape, np.inf, dtype=np.result_type(M, B))
+        return np.concatenate([solved(M[i : i + 1], B[i : i + 1]) for i in range(len(M))])
