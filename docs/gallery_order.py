@@ -12,6 +12,7 @@ ORDER = (
     "plot_matched_filters.py",
     "plot_gertler_examples.py",
     "plot_uncertain_plants.py",
+    "plot_robust_l1.py",
     "plot_live.py",
 )
 

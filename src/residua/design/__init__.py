@@ -33,6 +33,12 @@ from residua.design.parity.parity_relations import chow_willsky_matrices, parity
 from residua.design.parity.primary_residuals import primary_residuals
 from residua.design.parity.relations import ParityRelations
 from residua.design.parity.structured_parity import structured_parity
+from residua.design.robust_l1.certified_threshold import CertifiedThreshold, certified_thresholds
+from residua.design.robust_l1.differential_evolution import DifferentialEvolution
+from residua.design.robust_l1.genetic_search import GeneticSearch
+from residua.design.robust_l1.robust_estimator import RobustEstimator
+from residua.design.robust_l1.robust_l1_bank import RobustL1Bank, robust_l1_bank
+from residua.design.robust_l1.search_result import SearchResult
 from residua.design.suggestion import Suggestion
 from residua.design.uncertain_parity.insensitive_parity import InsensitiveParity, insensitive_parity
 from residua.design.uncertain_parity.model_spread import model_spread
@@ -42,12 +48,15 @@ from residua.design.uncertain_parity.select_equations import EquationChoice, sel
 
 __all__ = [
     "Bank",
+    "CertifiedThreshold",
     "Compensation",
+    "DifferentialEvolution",
     "EquationChoice",
     "Equivalence",
     "Evidence",
     "FaultEstimator",
     "GeneralForm",
+    "GeneticSearch",
     "InsensitiveParity",
     "InverseFormObserver",
     "MatchedFilters",
@@ -58,10 +67,14 @@ __all__ = [
     "ParityRelations",
     "PerfectObserver",
     "ResidualGenerator",
+    "RobustEstimator",
+    "RobustL1Bank",
     "RowTransformation",
+    "SearchResult",
     "SensorFaultEstimators",
     "Suggestion",
     "actuator_fault_bank",
+    "certified_thresholds",
     "chow_willsky_matrices",
     "closed_loop",
     "compensation_gain",
@@ -87,6 +100,7 @@ __all__ = [
     "reduced_order_observer",
     "residual_generator_from_observer",
     "robust_detection_filter",
+    "robust_l1_bank",
     "select_equations",
     "sensor_fault_bank",
     "sensor_fault_estimators",

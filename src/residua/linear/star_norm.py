@@ -64,6 +64,9 @@ def star_ellipsoid(system: StableSystem, *, xtol: float = 1e-10) -> Ellipsoid:
     found = minimize_scalar(size, bounds=(-12.0, 25.0), method="bounded", options={"xatol": xtol**0.5})
     rate = rate_of(float(found.x))
     Q = ellipsoid_shape(system.A, system.B, rate)
+    if Q is None:  # a search that begins where nothing is solved does not find its way out
+        rate = rate_of(min(np.linspace(-12.0, 25.0, 75), key=size))
+        Q = ellipsoid_shape(system.A, system.B, rate)
     if Q is None:
         raise AccuracyError(
             f"the Lyapunov equation of the star norm was not solved (spectral radius {system.radius:.12g}): "
@@ -78,8 +81,29 @@ def _spread(C: Matrix, Q: Matrix) -> float:
 
 def ellipsoid_shape(A: Matrix, B: Matrix, rate: float) -> Matrix | None:
     """Return ``Q = A Q A' / (1 - rate) + B B' / rate`` by doubling, or None where it was not solved."""
-    Q, power = B @ B.T / rate, A / np.sqrt(1 - rate)
-    W, first = Q, power
+    W, first = B @ B.T / rate, A / np.sqrt(1 - rate)
+    Q = _doubled(first, W)
+    for _ in range(3):
+        if Q is None:
+            return None
+        rest = first @ Q @ first.T + W - Q
+        size = np.linalg.norm(Q)
+        missed = np.linalg.norm(rest)
+        if missed <= 1e-13 * size:
+            break
+        more = _doubled(first, rest)  # squaring a matrix that is far from normal loses digits
+        better = None if more is None else Q + more
+        if better is None or np.linalg.norm(first @ better @ first.T + W - better) >= missed:
+            break
+        Q = better
+    if Q is None or not np.linalg.norm(first @ Q @ first.T + W - Q) <= 1e-10 * np.linalg.norm(Q):
+        return None
+    return (Q + Q.T) / 2
+
+
+def _doubled(power: Matrix, W: Matrix) -> Matrix | None:
+    """Return ``sum power^k W power'^k`` by squaring, or None where it grows without end."""
+    Q = W
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(60):
             step = power @ Q @ power.T
@@ -90,7 +114,4 @@ def ellipsoid_shape(A: Matrix, B: Matrix, rate: float) -> Matrix | None:
             if np.linalg.norm(step) <= 1e-16 * size:
                 break
             power = power @ power
-    rest = np.linalg.norm(first @ Q @ first.T + W - Q)
-    if not rest <= 1e-10 * np.linalg.norm(Q):
-        return None
-    return (Q + Q.T) / 2
+    return Q

@@ -1,0 +1,133 @@
+"""Differential evolution, SciPy's, over a box."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from residua.design.robust_l1.polish import polish
+from residua.design.robust_l1.search_box import (
+    BoxedCost,
+    Cost,
+    SearchProgress,
+    check_switch,
+    check_whole,
+    first_population,
+    starting_points,
+)
+from residua.design.robust_l1.search_result import SETTLED, USED_UP, SearchResult, settled
+
+#: Improvement within ``patience`` generations that counts as none, relative to the cost.
+_TOLERANCE = 1e-4
+
+
+@dataclass(frozen=True)
+class DifferentialEvolution:
+    """Global search by differential evolution: SciPy's, all points of a generation at once.
+
+    Each point competes with a mixture of the best one and the difference of two others (``best1bin``).
+
+    Parameters
+    ----------
+    population : int
+        Points of a generation; more where more starts are given.
+    generations : int
+        At most.
+    patience : int
+        Generations without an improvement of 1e-4, relatively, that end the search.
+    polish : bool
+        Whether a local search follows.
+    seed : int
+
+    References
+    ----------
+    Storn and Price (1997), J. Global Optimization 11, 341-359.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from residua.design import DifferentialEvolution
+    >>> found = DifferentialEvolution(generations=60).minimise(lambda x: ((x - 1) ** 2).sum(axis=1), [-3, -3], [3, 3])
+    >>> found.x.round(3)
+    array([1., 1.])
+    """
+
+    population: int = 60
+    generations: int = 150
+    patience: int = 30
+    polish: bool = True
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        check_whole(self.population, "population", 5)
+        check_whole(self.generations, "generations", 1)
+        check_whole(self.patience, "patience", 1)
+        check_whole(self.seed, "seed", 0)
+        check_switch(self.polish, "polish")
+
+    def minimise(
+        self,
+        cost: Cost,
+        lower: ArrayLike,
+        upper: ArrayLike,
+        *,
+        start: ArrayLike | None = None,
+        progress: SearchProgress | None = None,
+    ) -> SearchResult:
+        """Search the smallest cost in a box.
+
+        Parameters
+        ----------
+        cost : callable
+            From points, shape (k, d), to their costs, shape (k,); NaN counts as infinite.
+        lower, upper : array_like, shape (d,)
+        start : array_like, shape (s, d), optional
+            Points of the first generation; what is found is no worse than any of them.
+        progress : callable, optional
+            Called with (generations done, of how many, smallest cost).
+
+        Returns
+        -------
+        SearchResult
+        """
+        from scipy.optimize import differential_evolution  # slow to import, and not needed to run a monitor
+
+        box = BoxedCost(cost, lower, upper)
+        rng = np.random.default_rng(self.seed)
+        first = first_population(rng, box, starting_points(start, box), self.population)
+        box(first)  # as they are given; SciPy scales them, and words errors of the cost its own way
+        history = [box.best]
+
+        def told(*_: Any, **__: Any) -> bool:
+            history.append(box.best)
+            if progress is not None:
+                progress(len(history) - 1, self.generations, box.best)
+            return settled(history, self.patience, _TOLERANCE)
+
+        with warnings.catch_warnings(), np.errstate(invalid="ignore"):
+            warnings.simplefilter("ignore", RuntimeWarning)  # of infinite costs, which it takes the spread of
+            differential_evolution(
+                lambda x: box(x.T),
+                np.column_stack([box.lower, box.upper]),
+                init=first,
+                maxiter=self.generations,
+                vectorized=True,
+                updating="deferred",
+                polish=False,
+                tol=0.0,
+                atol=0.0,
+                seed=rng,
+                callback=told,
+            )
+        done = len(history) - 1
+        ended = SETTLED if settled(history, self.patience, _TOLERANCE) else USED_UP
+        _, before = box.checked_best()
+        if self.polish:
+            polish(box, self.seed)
+        x, best = box.checked_best()
+        return SearchResult(x, best, before, box.evaluations, done, np.array(history), ended, "differential evolution")

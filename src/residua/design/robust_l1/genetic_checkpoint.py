@@ -1,0 +1,92 @@
+"""The state of a genetic search as a file: what it has bred, and whose search it is."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.design.robust_l1.search_box import BoxedCost, Matrix
+from residua.errors import FileFormatError, SettingError
+from residua.files import read_bytes, write_text
+
+if TYPE_CHECKING:
+    from residua.design.robust_l1.genetic_search import GeneticSearch
+
+_FORMAT = "residua-genetic-search"
+_VERSION = 1
+#: Settings that may differ: they say when a search ends, not how it goes.
+_ENDS = ("generations", "patience", "polish")
+
+
+@dataclass(frozen=True, eq=False)
+class Progressed:
+    """How far a genetic search is: its generation, ranked, and the smallest costs so far."""
+
+    points: Matrix
+    costs: NDArray[np.float64]
+    history: list[float]
+    evaluations: int
+
+
+def save_checkpoint(path: str | Path, now: Progressed, search: GeneticSearch, box: BoxedCost, starts: Matrix) -> None:
+    """Write the state of a search; the file appears whole or not at all."""
+    content = {
+        "format": _FORMAT,
+        "version": _VERSION,
+        "search": _fingerprint(search, box, starts),
+        "points": [[float(x).hex() for x in row] for row in now.points],
+        "costs": [float(x).hex() for x in now.costs],
+        "history": [float(x).hex() for x in now.history],
+        "evaluations": now.evaluations,
+    }
+    write_text(Path(path), json.dumps(content) + "\n")
+
+
+def load_checkpoint(path: str | Path, search: GeneticSearch, box: BoxedCost, starts: Matrix) -> Progressed | None:
+    """Read the state of a search; None where there is no file."""
+    path = Path(path)
+    if not path.exists():
+        return None
+    try:
+        content = json.loads(read_bytes(path, "a checkpoint").decode("utf-8"))
+        if content.get("format") != _FORMAT or content.get("version") != _VERSION:
+            raise ValueError(f'no "format": {_FORMAT!r} of version {_VERSION} in it')
+        found = Progressed(
+            np.array([[float.fromhex(x) for x in row] for row in content["points"]]),
+            np.array([float.fromhex(x) for x in content["costs"]]),
+            [float.fromhex(x) for x in content["history"]],
+            int(content["evaluations"]),
+        )
+        whose = dict(content["search"])
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise FileFormatError(
+            f"{path.name} is no checkpoint of a genetic search ({error}): delete it to begin anew"
+        ) from error
+    for name, value in _fingerprint(search, box, starts).items():
+        if whose.get(name) != value:
+            raise SettingError(
+                f"{path.name} belongs to another search: its {name} is not the same; delete it to begin anew, or give "
+                "another checkpoint"
+            )
+    if found.points.shape != (len(found.costs), box.dimension) or not found.history:
+        raise FileFormatError(f"{path.name} is damaged: delete it to begin anew")
+    box.evaluations = found.evaluations
+    return found
+
+
+def _fingerprint(search: GeneticSearch, box: BoxedCost, starts: Matrix) -> dict[str, Any]:
+    """Return what makes a search the same: settings, box, starts, and the cost of three points."""
+    settings = {name: value for name, value in asdict(search).items() if name not in _ENDS}
+    probes = box.lower + np.array([0.25, 0.5, 0.8])[:, None] * box.width
+    return {
+        **settings,
+        "lower": [float(x).hex() for x in box.lower],
+        "upper": [float(x).hex() for x in box.upper],
+        "start": [[float(x).hex() for x in row] for row in starts],
+        "cost": [float(x).hex() for x in box.values(probes)],
+    }
