@@ -55,20 +55,20 @@ one = bank.estimators["XNH sensor"]
 system = rs.plant.residual_over_set(loop, one.filter, one.state_map)
 corners = system.vertices()
 inside = system.sample(0, 10_000 - len(corners))
-sizes = np.array([rs.linear.peak_norm(system.member(v), rtol=1e-3).value for v in np.vstack([corners, inside])])
+sizes = np.array([rs.linear.peak_norm(system.member(v), rtol=1e-2).value for v in np.vstack([corners, inside])])
 print(f"{len(sizes)} engines: largest residual {sizes.max():.4f}, threshold {one.threshold:.4f}")
 fig, ax = plt.subplots(figsize=(6.5, 3.2), layout="constrained")
 bins = np.linspace(sizes.min(), one.threshold, 60)
 ax.hist(sizes[: len(corners)], bins, alpha=0.7, label="corners of the set")
 ax.hist(sizes[len(corners) :], bins, alpha=0.7, label="drawn inside")
 new = rs.linear.peak_norm(system.member(np.zeros(12))).value
-ax.axvline(new, color="0.4", lw=1, ls=":")
-ax.text(new, ax.get_ylim()[1] * 0.95, " new engine", color="0.4", va="top")
-ax.axvline(one.threshold, color="C3", lw=1.5)
-ax.text(one.threshold, ax.get_ylim()[1] * 0.95, "threshold ", color="C3", ha="right", va="top")
+ax.legend(loc="upper left")
+ax.set_ylim(0, 1.4 * ax.get_ylim()[1])
+for at, label, color in ((new, "new engine ", "0.3"), (one.threshold, "threshold ", "C3")):
+    ax.axvline(at, color=color, lw=1.2)
+    ax.text(at, ax.get_ylim()[1] * 0.97, label, color=color, ha="right", va="top", fontsize=8)
 ax.set(xlabel="largest residual that the worst disturbance causes", ylabel="engines")
 ax.set_title("Estimator for the sensor of XNH, without a fault", fontsize=10)
-ax.legend(loc="center left")
 plt.show()
 
 
@@ -140,24 +140,28 @@ for label, faults in {
 # --------------------------------
 # In a worn engine the drift of one sensor does reach the residuals of the others, a little: the decoupling is that of the
 # model. The bank tells by how much at most (the leakage, for a fault of any time course). A threshold that is to hold
-# while other sensors are off by up to 12.5, as they are at the end of Figure 2, has to be told so:
-covered = rs.design.certified_thresholds(bank, loop, sizes=dict.fromkeys(loop.nominal.faults, 12.5))
-for name, threshold in covered.items():
-    print(f"{name:12} {float(threshold):.3f}, instead of {bank.thresholds[name]:.3f}")
+# while another sensor is off by up to 12.5, as it is at the end of Figure 2, has to be told so; the search then finds a gain
+# that leaks less, and what is left is added.
+quick = rs.design.DifferentialEvolution(population=40, generations=25, polish=False)
+covered = rs.design.robust_l1_bank(
+    loop, ["XNH sensor"], sizes={"XNL sensor": 12.5, "TMPC sensor": 12.5}, search=quick, progress=False
+)
+print(
+    f"without other faults: {bank.smallest_faults['XNH sensor']:.2f}, with them: {covered.smallest_faults['XNH sensor']:.2f}"
+)
 
 # %%
-# Two entries of the matrices cannot be read in the scan of the paper. What was shown does not hang on them, except that
-# with ``a33 = 0.9960`` the temperature moves slowly, and the loop with it.
+# Two entries of the matrices cannot be read in the scan of the paper. What was shown does not hang on them: the sizes from
+# which faults are certain to be seen, with each reading (by a short search). With ``a33 = 0.9960`` the engine settles in seconds
+# instead of a tenth of one, and the bound has to allow for more; with ``c33 = 1.0010`` the third sensor measures its own
+# state, and a fault in it is harder to tell from the state.
 print("a33     c33     certain to be seen from")
-for a33 in (0.8996, 0.8960, 0.9960):
-    for c33 in (0.0010, 1.0010):
-        other = degrading_jet_engine(a33=a33, c33=c33)
-        made = rs.design.robust_l1_bank(
-            other.in_closed_loop(degrading_jet_engine_controller(other)), method="centred", progress=False
-        )
-        print(
-            f"{a33:.4f}  {c33:.4f}  " + ", ".join(f"{name} {size:.2f}" for name, size in made.smallest_faults.items())
-        )
+for a33, c33 in ((0.8996, 0.0010), (0.8960, 0.0010), (0.9960, 0.0010), (0.8996, 1.0010)):
+    other = degrading_jet_engine(a33=a33, c33=c33)
+    closed = other.in_closed_loop(degrading_jet_engine_controller(other))
+    made = rs.design.robust_l1_bank(closed, search=quick, method="centred", progress=False)
+    sizes = ", ".join(f"{name} {size:.2f}" for name, size in made.smallest_faults.items())
+    print(f"{a33:.4f}  {c33:.4f}  {sizes}")
 
 # %%
 # A fault with a higher band of frequencies

@@ -71,7 +71,9 @@ def response_changes_sign(loop: UncertainPlant, options: dict) -> bool:
 @pytest.mark.parametrize("seed", [1, 2, 5])
 def test_no_member_exceeds_its_threshold(seed):
     loop = random_loop(seed)
-    bank = rs.design.robust_l1_bank(loop, search=QUICK, progress=False)
+    # one with all that the default may try for its certificate
+    method = None if seed == 2 else "centred"
+    bank = rs.design.robust_l1_bank(loop, search=QUICK, method=method, progress=False)
     check(loop, bank, seed, 10)
     assert np.array_equal(bank.structure, np.eye(len(bank.members), dtype=bool))
 
@@ -162,7 +164,7 @@ def test_sizes_cover_what_leaks():
 
 def test_thresholds_go_into_a_monitor_and_a_file(tmp_path):
     loop = random_loop(1)
-    bank = rs.design.robust_l1_bank(loop, search=QUICK, progress=False)
+    bank = rs.design.robust_l1_bank(loop, search=QUICK, method="centred", progress=False)
     monitor = rs.Monitor(bank)
     assert monitor.norm_test.thresholds == pytest.approx(list(bank.thresholds.values()))
     rng = np.random.default_rng(0)
@@ -223,7 +225,7 @@ def test_fault_that_vanishes_is_refused():
     plant = plant.with_faults({"glitch": ([-0.1, 0], [1, 0])})  # (z - 1) / (z - 0.9) in y1
     loop = UncertainPlant(plant, deltas=[Perturbation("A", [[0], [1]], [[0, 1]], 0, 0.1, ["a"])])
     with pytest.raises(DesignError, match="glitch"):
-        rs.design.robust_l1_bank(loop, search=QUICK, progress=False)
+        rs.design.robust_l1_bank(loop, search=QUICK, method="centred", progress=False)
 
 
 def test_wrong_settings_are_refused():
@@ -263,6 +265,6 @@ def test_wrong_settings_are_refused():
 
 def test_without_uncertainty_the_threshold_is_the_exact_norm():
     plant = random_loop(2).nominal
-    bank = rs.design.robust_l1_bank(UncertainPlant(plant), search=QUICK, progress=False)
+    bank = rs.design.robust_l1_bank(UncertainPlant(plant), search=QUICK, method="centred", progress=False)
     for one in bank.estimators.values():
         assert one.threshold == pytest.approx(one.certificate.attained, rel=2e-4)
