@@ -164,17 +164,21 @@ for a33, c33 in ((0.8996, 0.0010), (0.8960, 0.0010), (0.9960, 0.0010), (0.8996, 
     print(f"{a33:.4f}  {c33:.4f}  {sizes}")
 
 # %%
-# A fault with a higher band of frequencies
-# -----------------------------------------
-# ``band`` asks for a response to faults that swing, up to an angular frequency. The search then finds a faster residual; it
-# pays with a higher threshold for its response.
+# Faults that swing
+# -----------------
+# ``band`` asks for a response to faults up to an angular frequency, not to lasting ones alone. The search then finds a
+# residual without the dip, and here it loses next to nothing for it.
 fast = rs.design.robust_l1_bank(loop, ["XNL sensor"], band=20.0, progress=False)
+omega = np.logspace(-1, 2.3, 200)
+fig, ax = plt.subplots(figsize=(6.5, 3.6), layout="constrained")
 for label, made in {"lasting faults": bank, "up to 20 rad/s": fast}.items():
     one = made.estimators["XNL sensor"]
-    omega = np.logspace(-1, 2.3, 200)
-    nominal = rs.plant.residual_over_set(loop, one.filter, one.state_map, signals=["XNL sensor"]).member(np.zeros(12))
-    plt.loglog(omega, np.abs(nominal.frequency_response(omega))[:, 0, 0] / one.threshold, label=label)
-plt.xlabel("angular frequency of the fault [rad/s]")
-plt.ylabel("response over threshold")
-plt.legend()
+    response = rs.plant.residual_over_set(loop, one.filter, one.state_map, signals=["XNL sensor"]).member(np.zeros(12))
+    ax.semilogx(
+        omega, np.abs(response.frequency_response(omega))[:, 0, 0] / one.threshold, label=f"designed for {label}"
+    )
+ax.axvline(20, color="0.6", lw=0.8, ls=":")
+ax.set(xlabel="angular frequency of the fault [rad/s]", ylabel="response over threshold", ylim=(0, 2))
+ax.set_title("Sensor of XNL, new engine", fontsize=10)
+ax.legend()
 plt.show()
