@@ -58,6 +58,7 @@ class RobustL1Bank(Bank):
 
     def __str__(self) -> str:
         lines = [super().__str__()] + [str(one) for one in self.estimators.values()]
+        lines += [f"note: {note}" for note in _left_out(self.loop)]
         leaks = [
             f"{other} {one.leakage[other]:.3g}" + (f" (covered to {size:g})" if size else "")
             for one in self.estimators.values()
@@ -265,6 +266,16 @@ def _bank(loop: UncertainPlant, made: Mapping[str, RobustEstimator]) -> RobustL1
     return RobustL1Bank(generator, generator.codes, {}, {}, loop, made)
 
 
+def _left_out(loop: UncertainPlant) -> tuple[str, ...]:
+    """Return what the certificates do not cover."""
+    out = []
+    if loop.linearisation is not None and not loop.linearisation.exact:
+        out.append(f"certified for the affine form of the set: {loop.linearisation}")
+    if loop.nominal.noises:
+        out.append("white noise has no bound: the thresholds are for the disturbances alone")
+    return tuple(out)
+
+
 def _generator(loop: UncertainPlant, one: RobustEstimator) -> ResidualGenerator:
     """Return one estimator as a residual generator of the nominal loop, after checking what it ignores."""
     poles = one.filter.poles()
@@ -276,7 +287,7 @@ def _generator(loop: UncertainPlant, one: RobustEstimator) -> ResidualGenerator:
             "certified response over the smallest found": one.sensitivity.ratio,
             "cost": one.cost,
         },
-        notes=tuple(note for note in (one.certificate.disturbances.note, one.sensitivity.note) if note),
+        notes=(*filter(None, (one.certificate.disturbances.note, one.sensitivity.note)), *_left_out(loop)),
         references=(_REFERENCE,),
     )
     generator = make_generator(one.filter, loop.nominal, _METHOD, evidence, state_map=one.state_map)
