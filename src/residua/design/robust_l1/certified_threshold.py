@@ -22,8 +22,6 @@ from residua.plant.uncertain_loop import residual_over_set
 _CLOSE, _NOT_FAR = 1.02, 1.1
 #: Parts that the set is cut into where one is not close.
 _BOXES = (1, 8, 32)
-#: Methods that are not tried on parts of the set where one has an answer.
-_DEAR = ("lifted", "popov-tsypkin", "quadratic")
 #: States and twice the channels up to which these take minutes at most.
 _PRACTICAL = 50
 
@@ -136,8 +134,8 @@ def _bound(
     best: RobustPeakNorm | None = None
     failure: DesignError | AccuracyError | None = None
     for options in attempts:
-        if options["method"] in _DEAR and best is not None and (method or best.ratio <= _NOT_FAR):
-            break
+        if best is not None and (method or (options["method"] == "lifted" and best.ratio <= _NOT_FAR)):
+            break  # what was asked for is cut into parts only where it has no answer for the whole
         try:
             found = robust_peak_norm(system, **options)
         except (DesignError, AccuracyError) as error:
