@@ -210,7 +210,7 @@ def certified_thresholds(
     >>> observer = rs.design.luenberger_observer(tank, poles=[0.5]).residual_generator()
     >>> found = rs.design.certified_thresholds(observer, loop)
     >>> [(name, round(one.value, 3), round(one.attained, 3)) for name, one in found.items()]
-    [('Luenberger observer', 0.222, 0.222)]
+    [('Luenberger observer', 0.225, 0.222)]
     """
     made = generator.generator if isinstance(generator, Bank) else generator
     chosen = checked_sizes(loop, sizes)
