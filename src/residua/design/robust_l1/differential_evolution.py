@@ -23,13 +23,18 @@ from residua.design.robust_l1.search_result import SETTLED, USED_UP, SearchResul
 
 #: Improvement within ``patience`` generations that counts as none, relative to the cost.
 _TOLERANCE = 1e-4
+#: Chance of a number to come from the mixture.
+_RECOMBINATION = 0.9
 
 
 @dataclass(frozen=True)
 class DifferentialEvolution:
-    """Global search by differential evolution: SciPy's, all points of a generation at once.
+    r"""Global search by differential evolution: SciPy's, all points of a generation at once.
 
-    Each point competes with a mixture of the best one and the difference of two others (``best1bin``).
+    Each point competes with a mixture of it with :math:`a + F (b - a) + F (c - d)`: ``b`` the best point, ``a``, ``c``
+    and ``d`` drawn from the others, :math:`F \in [0.5, 1]` drawn for each generation (``randtobest1bin``). Nine in ten
+    numbers come from the latter: the costs of gains have valleys that are narrow and oblique, and numbers that change
+    one by one do not follow these.
 
     Parameters
     ----------
@@ -57,8 +62,8 @@ class DifferentialEvolution:
     """
 
     population: int = 60
-    generations: int = 150
-    patience: int = 30
+    generations: int = 200
+    patience: int = 40
     polish: bool = True
     seed: int = 0
 
@@ -115,6 +120,8 @@ class DifferentialEvolution:
                 lambda x: box(x.T),
                 np.column_stack([box.lower, box.upper]),
                 init=first,
+                strategy="randtobest1bin",
+                recombination=_RECOMBINATION,
                 maxiter=self.generations,
                 vectorized=True,
                 updating="deferred",

@@ -21,6 +21,8 @@ _FORMAT = "residua-genetic-search"
 _VERSION = 1
 #: Settings that may differ: they say when a search ends, not how it goes.
 _ENDS = ("generations", "patience", "polish")
+#: How far the cost of a point may differ, relatively, from what it was: points may be evaluated in other company.
+_SAME = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +77,12 @@ def load_checkpoint(path: str | Path, search: GeneticSearch, box: BoxedCost, sta
             )
     if found.points.shape != (len(found.costs), box.dimension) or not found.history:
         raise FileFormatError(f"{path.name} is damaged: delete it to begin anew")
+    # the probes may all be penalised, and then tell nothing of the cost of what is feasible
+    if not np.allclose(box.values(box.inside(found.points)), found.costs, rtol=_SAME, atol=0.0):
+        raise SettingError(
+            f"{path.name} belongs to another search: its points have another cost now; delete it to begin anew, or "
+            "give another checkpoint"
+        )
     box.evaluations = found.evaluations
     return found
 

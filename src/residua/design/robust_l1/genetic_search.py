@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from residua.design.robust_l1.genetic_checkpoint import Progressed, load_checkpoint, save_checkpoint
 from residua.design.robust_l1.polish import polish
@@ -26,36 +26,43 @@ from residua.design.robust_l1.search_result import SETTLED, USED_UP, SearchResul
 #: Improvement within ``patience`` generations that counts as none, relative to the cost.
 _TOLERANCE = 1e-4
 #: How often each crossover is taken: arithmetic, BLX-alpha, heuristic.
-_SHARES = (1, 4, 4)
+_SHARES = (1, 3, 6)
 #: How far BLX-alpha goes beyond the parents, as a fraction of their distance.
 _ALPHA = 0.5
+#: Longest step of the heuristic crossover, in distances of the parents.
+_REACH = 2.0
 #: Degree of non-uniformity of mutations: the larger, the more of them are small.
 _DEGREE = 5.0
+#: Chance of each further number to change where a mutation changes several.
+_SEVERAL = 0.3
 
 
 @dataclass(frozen=True)
 class GeneticSearch:
     r"""Global search by a real-coded genetic algorithm.
 
-    A generation of ``N`` points has as many children; the best ``N`` of both live on (so that the best is never lost).
+    Each of the ``N`` points of a generation has one child, with a mate; the child takes its place where it is no worse
+    (crowding: the best is never lost, and neither are the differences between points that lie far apart, as long as
+    each improves where it is. When instead the best ``N`` of all live on, a population in a narrow valley collapses).
 
-    *Selection*, normalised geometric ranking: the point of rank ``k`` (0 is the best) becomes a parent with probability
-    :math:`q (1-q)^k / (1 - (1-q)^N)`. The parents of a pair are different points, ``a`` the better one of them.
+    *Selection* of the mate, normalised geometric ranking: the point of rank ``k`` (0 is the best) is drawn with
+    probability :math:`q (1-q)^k / (1 - (1-q)^N)`. Of parent and mate, ``a`` is the better and ``b`` the worse.
 
     *Crossover*, with probability ``crossover``, one of
 
-    - arithmetic (1 of 9): :math:`\lambda a + (1-\lambda) b` and :math:`\lambda b + (1-\lambda) a`, one
-      :math:`\lambda \in [0, 1]`;
-    - BLX-0.5 (4 of 9): each number uniform on the interval of the parents' numbers, longer by half on both sides;
-    - heuristic (4 of 9): :math:`a + \rho (a - b)`, one :math:`\rho \in [0, 1]` for each child.
+    - arithmetic (1 of 10): :math:`\lambda a + (1-\lambda) b`, one :math:`\lambda \in [0, 1]`;
+    - BLX-0.5 (3 of 10): each number uniform on the interval of the parents' numbers, longer by half on both sides;
+    - heuristic (6 of 10): :math:`a + \rho (a - b)`, one :math:`\rho \in [0, 2]`; in the literature up to 1.
 
-    Arithmetic crossover only contracts, and is the rarest for that.
+    Arithmetic crossover only contracts, and is the rarest for that. The heuristic one keeps to the directions in which
+    the population extends, whatever the axes, and stretches it; it is the most frequent, for the costs of gains have
+    valleys that are narrow and oblique.
 
-    *Mutation*, non-uniform, with probability ``mutation``, and of every child that is a copy: one number of the child,
-    or half of all, moves up or down, :math:`x + (u - x)(1 - \rho^{e})` or :math:`x - (x - l)(1 - \rho^{e})`, with
-    :math:`\rho \in [0, 1]` and :math:`e = \tau^5`. In the literature :math:`\tau` falls from 1 to 0 with the
-    generations; here it is drawn from [0, 1] for every child, so that all sizes occur at any time, and a search with
-    more generations goes on as one with fewer has begun.
+    *Mutation*, non-uniform, with probability ``mutation``, and of every child without a crossover: one number of it,
+    or that and three in ten of the others, moves up or down, :math:`x + (u - x)(1 - \rho^{e})` or
+    :math:`x - (x - l)(1 - \rho^{e})`, with :math:`\rho \in [0, 1]` and :math:`e = \tau^5`. In the literature
+    :math:`\tau` falls from 1 to 0 with the generations; here it is drawn from [0, 1] for every child, so that all
+    sizes occur at any time, and a search with more generations goes on as one with fewer has begun.
 
     Children outside of the box are moved to its rim.
 
@@ -79,8 +86,9 @@ class GeneticSearch:
     ----------
     Joines and Houck (1994), IEEE Conf. Evolutionary Computation (ranking); Eshelman and Schaffer (1993), Foundations of
     Genetic Algorithms 2 (BLX); Wright (1991), Foundations of Genetic Algorithms (heuristic crossover); Michalewicz
-    (1992), Genetic Algorithms + Data Structures = Evolution Programs (non-uniform mutation); robust l1 fault
-    detection, section 3.
+    (1992), Genetic Algorithms + Data Structures = Evolution Programs (arithmetic crossover, non-uniform mutation); De
+    Jong (1975), An analysis of the behavior of a class of genetic adaptive systems, and Mahfoud (1992), Parallel
+    Problem Solving from Nature 2 (crowding); robust l1 fault detection, section 3.
 
     Examples
     --------
@@ -93,8 +101,8 @@ class GeneticSearch:
     population: int = 80
     generations: int = 200
     crossover: float = 0.8
-    mutation: float = 0.5
-    selection: float = 0.03
+    mutation: float = 0.2
+    selection: float = 0.08
     patience: int = 40
     polish: bool = True
     seed: int = 0
@@ -172,51 +180,49 @@ class GeneticSearch:
     def _next(self, now: Progressed, box: BoxedCost) -> Progressed:
         """Return the next generation, ranked; its random numbers are those of its number, wherever it is bred."""
         rng = np.random.default_rng([self.seed, len(now.history)])
-        better, other = now.points[self._parents(rng, len(now.points))]
-        children, copied = self._crossed(rng, better, other)
+        own = np.arange(len(now.points))
+        mates = self._mates(rng, len(own))
+        better, worse = now.points[np.minimum(own, mates)], now.points[np.maximum(own, mates)]
+        crossed = rng.random(len(own)) < self.crossover
+        children = np.where(crossed[:, None], _crossed(rng, better, worse), now.points)
+        mutated = (rng.random(len(own)) < self.mutation) | ~crossed
         children = box.inside(children)
-        mutated = (rng.random(len(children)) < self.mutation) | copied
         children = np.where(mutated[:, None], _mutated(rng, children, box), children)
         costs = box(children)
-        both = Progressed(np.vstack([now.points, children]), np.append(now.costs, costs), now.history, 0)
-        return _ranked(both, len(now.points))
+        taken = costs <= now.costs
+        points = np.where(taken[:, None], children, now.points)
+        return _ranked(Progressed(points, np.where(taken, costs, now.costs), now.history, 0))
 
-    def _parents(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        """Return pairs of ranks, the better one first, shape (2, half of the population)."""
+    def _mates(self, rng: np.random.Generator, count: int) -> NDArray[np.intp]:
+        """Return the rank of a mate for every rank, never the same."""
         chances = np.cumsum(self.selection * (1 - self.selection) ** np.arange(count))
-        pairs = np.searchsorted(chances / chances[-1], rng.random((2, (count + 1) // 2)), side="right")
-        pairs = np.minimum(pairs, count - 1)
-        shifted = (pairs[0] + 1 + rng.integers(count - 1, size=pairs.shape[1])) % count
-        return np.sort(np.stack([pairs[0], np.where(pairs[0] == pairs[1], shifted, pairs[1])]), axis=0)
+        drawn = np.minimum(np.searchsorted(chances / chances[-1], rng.random(count), side="right"), count - 1)
+        own = np.arange(count)
+        return np.where(drawn == own, (own + rng.integers(1, count, size=count)) % count, drawn)
 
-    def _crossed(self, rng: np.random.Generator, a: Matrix, b: Matrix) -> tuple[Matrix, np.ndarray]:
-        """Return two children of every pair, and which of them are copies."""
-        pairs, d = a.shape
-        shares = np.cumsum(_SHARES) / np.sum(_SHARES)
-        kind = np.searchsorted(shares, rng.random(pairs), side="right")
-        kind = np.where(rng.random(pairs) < self.crossover, kind, len(_SHARES))[:, None]
-        part, spread, reach = rng.random((pairs, 1)), rng.random((2, pairs, d)), rng.random((2, pairs, 1))
-        copies = np.stack([a, b])
-        arithmetic = np.stack([part * a + (1 - part) * b, part * b + (1 - part) * a])
-        blended = a + ((1 + 2 * _ALPHA) * spread - _ALPHA) * (b - a)
-        heuristic = a + reach * (a - b)
-        children = np.select([kind == 0, kind == 1, kind == 2], [arithmetic, blended, heuristic], copies)
-        copied = (children == a).all(axis=2) | (children == b).all(axis=2)
-        return children.reshape(2 * pairs, d), copied.ravel()
+
+def _crossed(rng: np.random.Generator, a: Matrix, b: Matrix) -> Matrix:
+    """Return a child of every pair, ``a`` the better parent."""
+    pairs, d = a.shape
+    kind = np.searchsorted(np.cumsum(_SHARES) / np.sum(_SHARES), rng.random((pairs, 1)), side="right")
+    part, spread, reach = rng.random((pairs, 1)), rng.random((pairs, d)), _REACH * rng.random((pairs, 1))
+    arithmetic = part * a + (1 - part) * b
+    blended = a + ((1 + 2 * _ALPHA) * spread - _ALPHA) * (b - a)
+    return np.select([kind == 0, kind == 1], [arithmetic, blended], a + reach * (a - b))
 
 
 def _mutated(rng: np.random.Generator, points: Matrix, box: BoxedCost) -> Matrix:
-    """Return points with one number, or about half of all, moved towards a rim of the box."""
+    """Return points with one number, or that and some others, moved towards a rim of the box."""
     count, d = points.shape
     one = np.arange(d) == rng.integers(d, size=(count, 1))
-    several = (rng.random((count, 1)) < 0.5) & (rng.random((count, d)) < 0.5)
+    several = (rng.random((count, 1)) < 0.5) & (rng.random((count, d)) < _SEVERAL)
     age = np.maximum(rng.random((count, 1)) ** _DEGREE, 1e-6)
-    step = 1 - rng.random((count, d)) ** age
+    step = 1 - (1 - rng.random((count, d))) ** age  # of (0, 1]: zero would be a jump to the rim
     up = rng.random((count, d)) < 0.5
     moved = np.where(up, points + (box.upper - points) * step, points - (points - box.lower) * step)
     return box.inside(np.where(one | several, moved, points))
 
 
-def _ranked(now: Progressed, count: int | None = None) -> Progressed:
-    order = np.argsort(now.costs, kind="stable")[:count]
+def _ranked(now: Progressed) -> Progressed:
+    order = np.argsort(now.costs, kind="stable")
     return Progressed(now.points[order], now.costs[order], now.history, now.evaluations)
