@@ -104,6 +104,14 @@ def certified_threshold(
     own = _bound(
         system(loop.nominal.disturbances), method, lambda found: found.ratio <= _CLOSE, matrix_inequalities=True
     )
+    # what the filter weighs signals with: a bound far below is rounding of what cancels, and no threshold
+    J, plant = residual_filter.D, loop.nominal
+    weighed = float(np.linalg.norm(J) * (np.linalg.norm(plant.Dd) + np.linalg.norm(plant.Bd)))
+    if not sized and own.bound <= 1e-12 * max(weighed, float(np.linalg.norm(J))):
+        raise DesignError(
+            f"the disturbances do not reach this residual (bound {own.bound:.2g}, rounding): a threshold would mean "
+            "nothing; give it one for the noise of the measurements, NormThreshold() fitted to data"
+        )
     others = {}
     for name in dict.fromkeys((*faults, *sized)):
         # what leaks matters by what it adds to the threshold, and hardly where it is only told
@@ -218,6 +226,11 @@ def certified_thresholds(
         raise ModelError(
             "this generator reads control inputs; a closed loop has none: design on loop.nominal, whose only signals "
             "are its outputs"
+        )
+    if made.plant.outputs != loop.nominal.outputs:
+        raise ModelError(
+            f"this generator reads the outputs {', '.join(made.plant.outputs)}, the loop has "
+            f"{', '.join(loop.nominal.outputs)}: they must be the same, in the same order"
         )
     out = {}
     for member in made.members:
