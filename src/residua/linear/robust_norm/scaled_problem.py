@@ -7,17 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.errors import DesignError, ModelError
-from residua.linear.impulse_terms import stable_system
+from residua.errors import ModelError
 from residua.linear.peak_norm_lmi import root
-from residua.linear.star_norm import ellipsoid_shape, star_ellipsoid
-from residua.linear.state_space import StateSpace
+from residua.linear.robust_norm.reached_middle import reached_middle
 from residua.linear.uncertain_system import UncertainSystem
 
 Matrix = NDArray[np.float64]
 #: Channels below this fraction of the largest of their parameter are rounding of its factors.
 _RANK = 1e-12
-_WIDENINGS = 3
 #: The least extent, squared, of the ellipsoid that gives the coordinates, relative to the extents of its states.
 _FLOOR = 1e-5
 
@@ -57,8 +54,10 @@ class ScaledProblem:
     T: Matrix
     rate: float
 
-    def widest(self) -> int:
-        """Return the parameter that moves the system most, as a position among those of the system."""
+    def widest(self) -> float:
+        """Return the parameter that moves the system most, as a position among those of the system; NaN without any."""
+        if not self.groups:
+            return np.nan
         sizes = [np.linalg.norm(self.B[:, list(g)] @ self.C[list(g)]) for g in self.groups]
         return self.owners[int(np.argmax(sizes))]
 
@@ -92,8 +91,8 @@ def scaled_problem(system: UncertainSystem) -> ScaledProblem:
     own = np.array(system.channels, dtype=int)
     shift = low[own][:, None] * system.Cq
     A, Cz = system.A + system.Bp @ shift, system.Cz + system.Dzp @ shift
-    middle = system.member((system.low + system.high) / 2)
-    T, unit, rate = _coordinates(system, middle)
+    reached = reached_middle(system)
+    T, unit, rate = reached.middle.units[:, None] * root(reached.Q, _FLOOR), reached.unit, reached.rate
     back = np.linalg.inv(T)
     n = len(A)
     scale = np.concatenate([np.ones(n), np.full(len(Cz), np.sqrt(rate) / unit)])
@@ -126,23 +125,3 @@ def scaled_problem(system: UncertainSystem) -> ScaledProblem:
         T,
         rate,
     )
-
-
-def _coordinates(system: UncertainSystem, middle: StateSpace) -> tuple[Matrix, float, float]:
-    """Return a root of the ellipsoid in the middle of the set, widened by what the parameters drive."""
-    try:
-        s = stable_system(middle)
-    except ModelError as error:
-        raise DesignError(f"the middle of the set has no peak norm: {error}") from error
-    star = star_ellipsoid(s)
-    half = (system.high - system.low)[list(system.channels)] / 2
-    B, C = half * system.Bp / s.units[:, None], system.Cq * s.units
-    Q: Matrix | None = star.Q
-    for _ in range(_WIDENINGS):
-        # Where the middle of the set does not reach, other members may; a collapsed ellipsoid is no unit of length.
-        reach = np.sqrt(np.maximum(np.sum((C @ Q) * C, axis=1), 0.0))
-        wider = ellipsoid_shape(s.A, np.hstack([s.B, B * reach]), star.rate)
-        if wider is None or np.trace(wider) > 1e4 * np.trace(Q):
-            break
-        Q = wider
-    return s.units[:, None] * root(Q, _FLOOR), star.bound or 1.0, star.rate

@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 from residua.linear.robust_norm.scaled_problem import ScaledProblem
 
 Matrix = NDArray[np.float64]
+#: Shares of the decay of the middle of the set that weights begin with.
+_SHARES = (0.1, 0.3, 0.03, 0.01, 0.001)
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,11 +36,14 @@ class CommonEllipsoid:
     Q : ndarray, shape (n, n)
     shares : ndarray, shape (1 + parameters + 1,)
         ``1 / a``: of the middle of the set, of each parameter, of the inputs.
+    spare : ndarray, shape (n, n)
+        What can be added to ``Q`` in any multiple, to leave room for rounding: the equation with a source of one.
     """
 
     bound: float
     Q: Matrix
     shares: NDArray[np.float64]
+    spare: Matrix
 
 
 class _Sums:
@@ -54,6 +59,7 @@ class _Sums:
         self._rows, self._columns = rows, columns
         self._weight = np.where(rows == columns, 1.0, np.sqrt(2.0))
         self.terms = [self._matrix(M) for M in (middle, *half)]
+        self.room = 1 - min(float(np.abs(np.linalg.eigvals(middle)).max(initial=0.0)), 1 - 1e-9) ** 2
         self.source = self.vector(s.D @ s.D.T)
 
     def vector(self, Q: Matrix) -> NDArray[np.float64]:
@@ -70,8 +76,10 @@ class _Sums:
         full = M[r][:, r] * M[c][:, c] + M[r][:, c] * M[c][:, r]
         return full * (self._weight[:, None] * self._weight / 2)
 
-    def solve(self, a: NDArray[np.float64]) -> tuple[Matrix, object] | None:
-        """Return ``Q`` and the factors of the equation, or None where the weights let it grow without end."""
+    def solve(self, a: NDArray[np.float64]) -> tuple[Matrix, object, Matrix] | None:
+        """Return ``Q``, the factors of the equation, and its answer to a source of one; None where it grows without
+        end with these weights.
+        """
         M = np.eye(len(self.source)) - sum(w * K for w, K in zip(a[:-1], self.terms, strict=True))
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore", scipy.linalg.LinAlgWarning)  # a singular equation has no positive answer
@@ -81,7 +89,7 @@ class _Sums:
         if not np.isfinite(trial).all() or not np.linalg.eigvalsh(trial)[0] >= 1 - 1e-6:
             return None
         Q = self.square(scipy.linalg.lu_solve(factors, a[-1] * self.source))
-        return Q + 1e-9 * np.trace(Q) / self.n * trial, factors
+        return Q + 1e-9 * np.trace(Q) / self.n * trial, factors, trial
 
 
 def common_ellipsoid(s: ScaledProblem) -> CommonEllipsoid | None:
@@ -107,7 +115,8 @@ def common_ellipsoid(s: ScaledProblem) -> CommonEllipsoid | None:
         step = min(1.0, 1.5 * step)
         if moved <= 1e-9 * bound:
             break
-    return CommonEllipsoid(bound, Q, 1 / a)
+    solved = sums.solve(a)
+    return None if solved is None else CommonEllipsoid(bound, Q, 1 / a, solved[2])
 
 
 def _evaluate(sums: _Sums, a: NDArray[np.float64]) -> tuple[float, Matrix, NDArray[np.float64]] | None:
@@ -115,7 +124,7 @@ def _evaluate(sums: _Sums, a: NDArray[np.float64]) -> tuple[float, Matrix, NDArr
     solved = sums.solve(a)
     if solved is None:
         return None
-    Q, factors = solved
+    Q, factors, _ = solved
     bound, pull = sums.direct, np.zeros_like(Q)
     for C in sums.outputs:
         values, vectors = np.linalg.eigh(C @ Q @ C.T)
@@ -143,12 +152,13 @@ def _start(sums: _Sums) -> NDArray[np.float64] | None:
     """Return weights with which the states die out: a guess from sizes, or those with the least spectral radius."""
     sizes = np.sqrt([max(float(np.linalg.norm(K)), np.finfo(float).tiny) for K in sums.terms])
     k = len(sizes)
-    for uncertain in (0.1, 0.3, 0.03, 0.01) if k > 1 else (0.0,):
+    # a slow system leaves little room: what its own decay needs is not to be given away
+    for uncertain in sums.room * np.array(_SHARES) if k > 1 else (0.0,):
         parts = np.concatenate([[1 - uncertain], uncertain * sizes[1:] / max(sizes[1:].sum(), np.finfo(float).tiny)])
         a = _feasible(sums, parts)
         if a is not None:
             return a
-    shares = np.full(k, 0.1 / k)
+    shares = np.full(k, 0.1 * sums.room / k)
     shares[0] = 1 - shares[1:].sum()
     for _ in range(40):
         K = np.tensordot(1 / shares, np.stack(sums.terms), axes=1)
@@ -165,7 +175,7 @@ def _start(sums: _Sums) -> NDArray[np.float64] | None:
 
 def _feasible(sums: _Sums, shares: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """Return weights with these shares of what the inputs leave, or None where the states do not die out."""
-    for own in (0.1, 0.01, 0.001):
+    for own in sums.room * np.array(_SHARES):
         a = 1 / np.append(np.maximum(shares, 1e-12) * (1 - own), own)
         a *= np.sum(1 / a)
         if sums.solve(a) is not None:
