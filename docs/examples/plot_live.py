@@ -46,7 +46,7 @@ same_alarms = np.array_equal([d.alarm for d in live], recorded.alarm)
 print("same statistic, bit for bit:", same_statistic, "  same alarms:", same_alarms)
 assert same_statistic and same_alarms
 first = next(k for k, decision in enumerate(live) if decision.alarm)
-print(f"first alarm at {run.time[first]:g} s, first candidate at the end: {live[-1].candidates[0].name}")
+print(f"first alarm at {run.time[first]:g} s, named at the end: {live[-1].named}")
 
 # %%
 # The short gap was bridged by holding the last value. After the long one, more than ``max_hold`` samples, the filter

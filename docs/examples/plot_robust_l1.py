@@ -141,7 +141,8 @@ for label, faults in {
 # In a worn engine the drift of one sensor does reach the residuals of the others, a little: the decoupling is that of the
 # model. The bank tells by how much at most (the leakage, for a fault of any time course). A threshold that is to hold
 # while another sensor is off by up to 12.5, as it is at the end of Figure 2, has to be told so; the search then finds a gain
-# that leaks less, and what is left is added.
+# that leaks less, and what is left is added. Beyond the sizes that were told, one large fault may be read as several; the
+# diagnosis then says in a note which of them may be another one alone, and from which size on.
 quick = rs.design.DifferentialEvolution(population=40, generations=25, polish=False)
 covered = rs.design.robust_l1_bank(
     loop, ["XNH sensor"], sizes={"XNL sensor": 12.5, "TMPC sensor": 12.5}, search=quick, progress=False

@@ -13,6 +13,7 @@ import residua as rs
 from generated import random_plant, singular_plant
 from residua.design import catalogue, suggestion
 from residua.errors import AccuracyError, DesignError, ModelError, SettingError
+from residua.plant import Perturbation, UncertainPlant
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 LIBRARY = ("gertler", "twardy", "jet_engine", "three_tank", "vtol")
@@ -190,6 +191,31 @@ def test_settings_that_make_no_sense_are_refused(options: dict) -> None:
 def test_faults_that_are_not_there_cannot_be_wanted(want: str) -> None:
     with pytest.raises(SettingError, match="no faults"):
         rs.suggest(rs.Plant([[-1.0]], [[1.0]], [[1.0]]), want=want)
+
+
+def test_a_set_of_plants_is_sent_to_what_serves_sets() -> None:
+    """It has no attributes of a plant; the calls that are named are run here."""
+    plant = rs.Plant([[0.9, 0.0], [0.1, 0.7]], [[1.0], [0.0]], np.eye(2), dt=1.0).with_sensor_faults()
+    uncertain = UncertainPlant(
+        plant.with_disturbances([[0.1], [0.0]], output=[[0.0], [0.1]]),
+        deltas=[Perturbation("A", [[-1.0], [0.0]], [[1.0, 0.0]], -0.02, 0.02)],
+    )
+    with pytest.raises(ModelError, match=r"in_closed_loop.*robust_l1_bank.*multi_model_parity.*insensitive_parity"):
+        rs.suggest(uncertain)  # pyright: ignore[reportArgumentType]
+    members = [uncertain.member(v) for v in uncertain.sample_values(0, 20)]
+    assert rs.design.multi_model_parity(members, order=1)
+    loop = uncertain.in_closed_loop(rs.StateSpace([[0.5]], [[0.1, 0.0]], [[-1.0]], dt=1.0))
+    with pytest.raises(ModelError, match=r"rs.design.robust_l1_bank\(plant\), whose.*suggest\(plant.nominal\)"):
+        rs.suggest(loop)  # pyright: ignore[reportArgumentType]
+    assert rs.suggest(loop.nominal).entries
+
+
+def test_what_is_no_plant_is_refused() -> None:
+    model = rs.InputOutputModel.from_plant(rs.library.gertler())
+    with pytest.raises(ModelError, match="to_plant"):
+        rs.suggest(model)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ModelError, match="got StateSpace"):
+        rs.suggest(rs.StateSpace([[0.5]], [[1.0]], [[1.0]], dt=1.0))  # pyright: ignore[reportArgumentType]
 
 
 # ------------------------------------------------------------------------ the catalogue

@@ -91,6 +91,7 @@ def test_two_faults_are_not_called_by_one_name(seed: int) -> None:
     assert general.reading is not None
     assert general.reading.answer == "unknown"
     assert general.candidates == ()
+    assert general.named == (), "nobody is named by a code that is not known"
     assert ((plant.faults[0],), (plant.faults[2],)) in general.reading.pairs
     dedicated = run(make(seed, dedicated=True, average=10, rate=1e-3), *data)
     assert dedicated.main_alarm is not None

@@ -272,7 +272,8 @@ def test_three_drifts_are_three_faults_with_their_times(drifted: rs.Diagnosis) -
     (alarm,) = drifted.alarms
     assert alarm.reading is not None
     assert (alarm.reading.answer, alarm.reading.together) == ("several", tuple((f,) for f in FAULTS))
-    assert alarm.candidates == ()
+    assert alarm.candidates == (), "they are no alternatives of each other"
+    assert drifted.named == alarm.named == tuple((f,) for f in FAULTS)
     assert [p.faults[0] for p in alarm.present] == list(THREE)
     assert drifted.present == alarm.present
     for fault in alarm.present:
@@ -371,6 +372,7 @@ def test_step_tells_the_same_as_run() -> None:
         seen = [replace(p, until=None) for p in whole.present if p.since <= whole.time[k] + 1e-9] if now.alarm else []
         assert [p.faults for p in now.present] == [p.faults for p in seen]
         assert [p.since for p in now.present] == pytest.approx([p.since for p in seen], abs=1e-9)
+        assert set(now.named) >= {p.faults for p in now.present}
         if now.present:
             assert now.reading is not None
             assert now.reading.answer == ("exact" if len(seen) == 1 else "several")
@@ -405,7 +407,7 @@ def test_a_loaded_monitor_still_knows_what_is_certified(tmp_path: Path) -> None:
     rs.Monitor(BANK).save(tmp_path / "m.json")
     loaded = rs.Monitor.load(tmp_path / "m.json")
     loaded.fit(None, recording(30.0, seed=5))
-    assert loaded.norm_test.basis.startswith("certified by the design over its uncertainty set; 2915 fault-free")
+    assert loaded.norm_test.basis.startswith("certified by the design over its uncertainty set; 2746 fault-free")
     with pytest.raises(DataError, match="certified"):
         loaded.fit(None, recording(30.0, size=2.0))
 

@@ -24,6 +24,11 @@ _SEEN = 10
 _TOLD = 8
 
 
+def is_bound(test: NormTest | BankTest) -> bool:
+    """Tell whether the thresholds of a test are bounds of the residual, certified or given, and not fitted to data."""
+    return test.kind == "peak" and test.basis.startswith((CERTIFIED, GIVEN))
+
+
 def peak_test(
     settings: PeakThreshold,
     thresholds: Sequence[float],
@@ -176,13 +181,13 @@ def _check_below(
     if certified:
         raise DataError(
             f"{told}. The threshold is certified, so one of its assumptions does not hold: disturbances are larger "
-            "than 1 in the units of the design, or the plant lies outside the uncertainty set, or the recording has a "
-            "fault in it, or the filter had not settled. Give a fault-free recording, or design for larger "
-            "disturbances or a wider set"
+            "than 1 in the units of the design, or the recording is in other units, or the plant lies outside the "
+            "uncertainty set, or the recording has a fault in it, or the filter had not settled. Give a fault-free "
+            "recording, or design for larger disturbances or a wider set"
         )
     raise DataError(
         f"{told}. Give a fault-free recording, or higher thresholds; PeakThreshold() without thresholds fits them"
     )
 
 
-__all__ = ["CERTIFIED", "GIVEN", "checked_peak_test", "fit_peak_test", "peak_test"]
+__all__ = ["CERTIFIED", "GIVEN", "checked_peak_test", "fit_peak_test", "is_bound", "peak_test"]

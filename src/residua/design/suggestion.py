@@ -19,7 +19,7 @@ from residua.design.generator import ResidualGenerator
 from residua.design.matched_filters import MatchedFilters
 from residua.design.suggestion_candidates import Candidate, candidates
 from residua.errors import AccuracyError, DesignError, ModelError, SettingError
-from residua.plant import Plant
+from residua.plant import InputOutputModel, Plant, UncertainPlant
 
 WANTS = ("name", "size", "state")
 #: Larger plants are tried with the single observers only, and the largest not at all.
@@ -128,6 +128,8 @@ def suggest(plant: Plant, *, want: str | None = None, seconds: float = 30.0) -> 
     ------
     SettingError
         If ``want`` is none of these, or the plant has no faults to name.
+    ModelError
+        If it is no :class:`residua.Plant`; for an uncertain one with what serves a set.
 
     Notes
     -----
@@ -145,6 +147,8 @@ def suggest(plant: Plant, *, want: str | None = None, seconds: float = 30.0) -> 
     >>> rs.suggest(rs.library.gertler(), want="state").best.call
     'rs.design.luenberger_observer(plant)'
     """
+    if not isinstance(plant, Plant):
+        raise ModelError(_no_plant(plant))
     want = _checked(plant, want)
     if not (np.isfinite(seconds) and seconds >= 0):
         raise SettingError(f"seconds must be a number of at least zero, got {seconds}")
@@ -154,6 +158,29 @@ def suggest(plant: Plant, *, want: str | None = None, seconds: float = 30.0) -> 
     position = {entry.call: k for k, entry in enumerate(entries)}
     entries.sort(key=lambda entry: (*_rank(entry, plant, want), position[entry.call]))
     return Suggestion(plant, want, tuple(entries), tuple(_notes(plant, known, entries)))
+
+
+def _no_plant(given: object) -> str:
+    """Return what to do with what is no plant."""
+    if isinstance(given, InputOutputModel):
+        return "suggest looks at a plant: suggest(model.to_plant())"
+    if not isinstance(given, UncertainPlant):
+        return f"suggest looks at a residua.Plant, got {type(given).__name__}"
+    if given.nominal.inputs:
+        serves = (
+            "with its controller, loop = plant.in_closed_loop(controller) and rs.design.robust_l1_bank(loop), whose "
+            "thresholds hold for all of the set; without one, rs.design.multi_model_parity([plant.member(v) for v in "
+            "plant.sample_values(0, 20)], order=...), or rs.design.insensitive_parity of a function of the parameters"
+        )
+    else:
+        sampled = (
+            "" if given.nominal.is_discrete else " (sampled first, plant.discretize(dt), before the loop is closed)"
+        )
+        serves = f"rs.design.robust_l1_bank(plant){sampled}, whose thresholds hold for all of the set"
+    return (
+        "suggest looks at one plant, and this is a set of them. For the set: "
+        f"{serves}. For its nominal plant alone: suggest(plant.nominal)"
+    )
 
 
 def _checked(plant: Plant, want: str | None) -> str:

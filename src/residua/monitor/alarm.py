@@ -135,7 +135,8 @@ class Alarm:
         Best first, judged over the isolation window that ends with the last sample over the threshold (of the
         longest part, where alarms were joined). By matched filters arrivals and sizes are those of the longest part
         whose arrival is not after ``raised``, and no candidate arrives after it. By code: the group that was read, then
-        the others by the number of members that agree; empty where the reading is unknown, or several faults.
+        the others by the number of members that agree; empty where the reading is unknown, or several faults, which are
+        no alternatives of each other: ``named`` has them.
     start, stop : int
         Sample numbers of ``raised`` and of the first sample after the alarm.
     reading : CodeReading or None
@@ -164,6 +165,14 @@ class Alarm:
     sizes: tuple[Size, ...] = field(default=())
     arrival: float | None = None
     present: tuple[PresentFault, ...] = ()
+
+    @property
+    def named(self) -> tuple[tuple[str, ...], ...]:
+        """The faults that the alarm is put down to: the best candidate, or all of several at once by code.
+
+        Those that cannot be told apart are one group, of which one fault or more is there. Empty where nobody is named.
+        """
+        return self.reading.named if self.reading is not None else tuple(c.faults for c in self.candidates[:1])
 
     @property
     def samples(self) -> int:

@@ -33,7 +33,7 @@ class Decision:
         False while the filter settles and where data are missing.
     missing : bool
     candidates : tuple of Candidate
-        Best first while the alarm is on; empty otherwise.
+        Best first while the alarm is on; empty otherwise, and by a code of several faults at once (``named``).
     fired : tuple of str
         For a bank: the members that are in alarm.
     reading : CodeReading or None
@@ -65,6 +65,11 @@ class Decision:
     arrived: float | None = None
     blamed: str = ""
     present: tuple[PresentFault, ...] = ()
+
+    @property
+    def named(self) -> tuple[tuple[str, ...], ...]:
+        """The faults that are named now, one or several, each with those that cannot be told from it; else empty."""
+        return self.reading.named if self.reading is not None else tuple(c.faults for c in self.candidates[:1])
 
 
 def decision_from(found: Decisions, spec: Specification, generator: ResidualGenerator, state: State) -> Decision:

@@ -154,8 +154,19 @@ class Diagnosis:
 
     @property
     def candidates(self) -> tuple[Candidate, ...]:
-        """Candidates of the longest alarm, best first; empty without an alarm."""
+        """Candidates of the longest alarm, best first; empty without an alarm.
+
+        They are alternatives: empty also by a code of several faults at once (``named`` has them), or of unknown ones.
+        """
         return self.main_alarm.candidates if self.main_alarm else ()
+
+    @property
+    def named(self) -> tuple[tuple[str, ...], ...]:
+        """The faults that the longest alarm is put down to, one or several; empty where nobody is named.
+
+        Each with those that cannot be told from it.
+        """
+        return self.main_alarm.named if self.main_alarm else ()
 
     @property
     def present(self) -> tuple[PresentFault, ...]:

@@ -15,8 +15,8 @@ from residua.decide.peak_threshold import PeakThreshold
 from residua.decide.structured import Structured
 from residua.design import ResidualGenerator
 from residua.errors import DataError
-from residua.monitor.inputs import settling_reason, signal_size
-from residua.monitor.peak_preparing import Threshold, fitted_peak_test, member_rows
+from residua.monitor.inputs import settling_reason, settling_samples, signal_size
+from residua.monitor.peak_preparing import Threshold, first_peak_test, fitted_peak_test, member_rows
 from residua.monitor.preparing import Isolation, blank_test, responses_of, specification
 from residua.monitor.running import initial_state, run_block
 
@@ -38,6 +38,9 @@ def fitted_test(
     outputs = data[0, :, len(generator.plant.inputs) :]
     if len(outputs) > 1 and not np.nanmax(np.ptp(np.where(np.isfinite(outputs), outputs, 0.0), axis=0)) > 0:
         raise DataError("no output ever changes in this recording: it cannot show what is normal")
+    if settle is None and isinstance(settings, PeakThreshold):  # known thresholds want a longer one
+        known = first_peak_test(settings, certified, generator, by_code=isinstance(isolate, Structured))
+        settle = settling_samples(generator, known)
     blank = specification(generator, blank_test(generator), None, settle=settle, max_hold=max_hold)
     _, found = run_block(blank, initial_state(blank, 1), data)
     try:

@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.decide.member_thresholds import BankTest
+from residua.decide.norm_threshold import NormTest
+from residua.decide.peak_tests import is_bound
 from residua.design import ResidualGenerator
 from residua.design.evidence import format_pole
 from residua.errors import DataError
@@ -91,20 +94,33 @@ def _seconds(time: ArrayLike) -> NDArray[np.float64]:
         raise DataError(f"time must be seconds, or dates: {error}") from error
 
 
-def settling_samples(generator: ResidualGenerator) -> int:
-    """Return how many samples the slowest pole of a sampled generator needs to decay to 1 %."""
-    slowest = float(np.abs(generator.system.poles()).max(initial=0.0))
-    return 1 if slowest < 1e-6 else int(np.ceil(np.log(0.01) / np.log(min(slowest, 1 - 1e-9))))
+#: What is left of the slowest pole once a filter counts as settled: where thresholds come from data or a noise model,
+#: and where they are bounds that are known or certified, to the digits that these are computed to.
+SETTLED, SETTLED_FOR_BOUNDS = 1e-2, 1e-6
+
+
+def settling_samples(generator: ResidualGenerator, test: NormTest | BankTest | None = None) -> int:
+    """Return how many samples the slowest pole of a sampled generator needs to decay to 1 %.
+
+    To a millionth for a test by bounds: 1 % of what a start leaves in the residual is in no certified threshold.
+    """
+    return _samples_until(generator, SETTLED_FOR_BOUNDS if test is not None and is_bound(test) else SETTLED)
 
 
 def settling_reason(generator: ResidualGenerator, settle: int) -> str:
     """Say how long a filter settles, and which pole makes it take that long."""
     told = f"settling takes {settle} samples ({settle * generator.dt:g} s)"
-    if settle != settling_samples(generator) or not generator.system.n_states:
+    by_itself = [_samples_until(generator, left) for left in (SETTLED, SETTLED_FOR_BOUNDS)]
+    if settle not in by_itself or not generator.system.n_states:
         return f"{told}, as asked for by settle"
     poles = generator.system.poles()
     slowest = poles[np.abs(poles).argmax()]
     return f"{told} because of its slowest pole, sampled at {format_pole(slowest)}: a faster one settles sooner"
+
+
+def _samples_until(generator: ResidualGenerator, left: float) -> int:
+    slowest = float(np.abs(generator.system.poles()).max(initial=0.0))
+    return 1 if slowest < 1e-6 else int(np.ceil(np.log(left) / np.log(min(slowest, 1 - 1e-9))))
 
 
 def signal_size(generator: ResidualGenerator, v: NDArray, rows: Sequence[int] | None = None) -> float:

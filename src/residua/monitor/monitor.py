@@ -17,13 +17,14 @@ from residua.decide.structured import Structured
 from residua.design import ResidualGenerator
 from residua.design.signals import stack_signals
 from residua.errors import DataError, ModelError, NotFittedError, SettingError
+from residua.monitor.cautions import brought_bounds
 from residua.monitor.decision import Decision, decision_from
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.estimating import with_estimator
 from residua.monitor.fitting import fitted_test
 from residua.monitor.inputs import settling_samples, signals
 from residua.monitor.outcome import diagnosis_from
-from residua.monitor.peak_preparing import Threshold, chosen_threshold, no_threshold
+from residua.monitor.peak_preparing import Threshold, chosen_threshold, member_names, no_threshold
 from residua.monitor.preparing import (
     Isolation,
     as_generator,
@@ -71,7 +72,9 @@ class Monitor:
         is fitted.
     settle : int, optional
         Samples after a start or a gap in which nothing is decided. By default until the slowest pole of the filter
-        has decayed to 1 %.
+        has decayed to 1 %; to a millionth, which takes three times as long, where the thresholds of
+        :class:`residua.decide.PeakThreshold` are certified or given: no certified threshold has in it what a start or a
+        held value leaves in the residual. Fewer samples decide earlier, at that price.
     max_hold : int
         Longest gap in samples that is bridged by holding values.
 
@@ -108,6 +111,7 @@ class Monitor:
         self.design: ResidualGenerator = generator
         self.isolate: Isolation = chosen_isolation(isolate, generator, design)
         self.test, self._certified = chosen_threshold(test, design, generator, self.isolate)
+        self._bounds = brought_bounds(design, member_names(generator))
         if estimator is not None and not isinstance(self.isolate, Structured):
             raise SettingError("an estimator runs beside a bank that is read by code: use a bank, and Structured()")
         self.settle = settle
@@ -166,6 +170,8 @@ class Monitor:
     @property
     def settling_samples(self) -> int:
         """Samples after a start in which nothing is decided."""
+        if self._norm_test is not None:
+            return self._specification().settle  # of a loaded monitor that with which it was saved
         return settling_samples(self.generator) if self.settle is None else int(self.settle)
 
     # ----------------------------------------------------------------- fitting
@@ -276,7 +282,17 @@ class Monitor:
                 progress(min(start + PIECE, data.shape[1]), data.shape[1])
         clock = self.generator.dt * np.arange(data.shape[1]) if given.time is None else given.time
         whole = [
-            diagnosis_from(parts, p, clock, spec, self.generator, int(self._state.resets[p]), given.source, self.notes)
+            diagnosis_from(
+                parts,
+                p,
+                clock,
+                spec,
+                self.generator,
+                int(self._state.resets[p]),
+                given.source,
+                self.notes,
+                self._bounds,
+            )
             for p in range(len(data))
         ]
         return whole if np.ndim(given.y) == 3 else whole[0]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -15,6 +15,7 @@ from residua.decide.peak_tests import CERTIFIED
 from residua.design import ResidualGenerator
 from residua.design.matched_filters import not_settled
 from residua.monitor.alarm import Alarm
+from residua.monitor.cautions import MemberBounds, leakage_cautions, unit_cautions
 from residua.monitor.dedicated import named_faults, named_pattern, present_faults
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.inputs import settling_reason
@@ -33,6 +34,7 @@ def diagnosis_from(
     resets: int,
     source: str,
     notes: tuple[str, ...],
+    bounds: Mapping[str, MemberBounds],
 ) -> Diagnosis:
     """Return the diagnosis of one plant from the decisions on all pieces of its recording."""
 
@@ -60,21 +62,23 @@ def diagnosis_from(
             found["present"] = present_faults(spec.codes, found["reading"], fired, time, start, stop)
         return found | {"candidates": with_sizes(found["candidates"], sizes), "sizes": sizes}
 
+    alarms = _joined_alarms(
+        _alarms(time, alarm, usable, joined("up"), over, named),
+        max(spec.window, spec.test.window),
+        (lambda parts: _named_anew(parts, over, named)) if match is not None else None,
+        (lambda parts: _named_over_all(parts, over, named)) if dedicated else None,
+    )
+    statistic, statistics = joined("statistic"), joined("member_statistics")
     return Diagnosis(
         time=time,
         residuals=residuals,
-        statistic=joined("statistic"),
+        statistic=statistic,
         threshold=spec.test.threshold,
         alarm=alarm,
         decided=usable,
         missing=joined("missing"),
         scores=scores,
-        alarms=_joined_alarms(
-            _alarms(time, alarm, usable, joined("up"), over, named),
-            max(spec.window, spec.test.window),
-            (lambda parts: _named_anew(parts, over, named)) if match is not None else None,
-            (lambda parts: _named_over_all(parts, over, named)) if dedicated else None,
-        ),
+        alarms=alarms,
         resets=resets,
         residual_names=generator.residuals,
         center=spec.test.center,
@@ -88,8 +92,10 @@ def diagnosis_from(
             *_sampling_notes(generator),
             *_settling_notes(spec, generator, usable, joined("missing")),
             *_window_notes(spec),
+            *unit_cautions(spec.test, usable, statistic, statistics),
+            *leakage_cautions(bounds, spec.test, spec.codes, alarms, statistics),
         ),
-        member_statistics=joined("member_statistics"),
+        member_statistics=statistics,
         fired=fired,
         code=code,
         match=match,

@@ -34,7 +34,7 @@ def chosen_threshold(
         raise SettingError(f"test must be NormThreshold(...) or PeakThreshold(...), got {test!r}")
     if isinstance(test, NormThreshold):
         return test, {}
-    certified = certified_thresholds(design, generator)
+    certified = brought_thresholds(design, generator)
     if test is None and not certified:
         return NormThreshold(), {}
     if isinstance(isolate, Matched):
@@ -60,7 +60,7 @@ def chosen_threshold(
     return test, certified
 
 
-def certified_thresholds(design: Any, generator: ResidualGenerator) -> dict[str, float]:
+def brought_thresholds(design: Any, generator: ResidualGenerator) -> dict[str, float]:
     """Return the thresholds that a design brings for the members of its generator; empty for one that brings none.
 
     Raises
@@ -77,7 +77,7 @@ def certified_thresholds(design: Any, generator: ResidualGenerator) -> dict[str,
     except SettingError as error:
         raise ModelError(f"the certified thresholds of this design do not fit its members: {error}") from error
     assert isinstance(settings.thresholds, dict)
-    return settings.thresholds
+    return {name: float(value) for name, value in settings.thresholds.items()}
 
 
 def first_peak_test(

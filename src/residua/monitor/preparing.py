@@ -173,6 +173,6 @@ def specification(
         direction,
         codes,
         matched,
-        settling_samples(generator) if settle is None else int(settle),
+        settling_samples(generator, test) if settle is None else int(settle),
         max_hold,
     )

@@ -22,6 +22,7 @@ from residua.decide.peak_threshold import PeakThreshold
 from residua.decide.structured import CodeTest, Structured
 from residua.errors import FileFormatError, ResiduaError
 from residua.files import read_bytes, write_text
+from residua.monitor.cautions import bounds_in, bounds_out
 from residua.monitor.design_records import generator_in, generator_out, sampled_in, sampled_out
 from residua.monitor.encoding import (
     array_in,
@@ -91,6 +92,8 @@ def save_monitor(monitor: Monitor, path: str | Path) -> None:
         "running": None if test is None or generator is None else _running_out(monitor._specification()),
         "state": None if monitor._state is None else values_out(monitor._state),
     }
+    if monitor._bounds:  # an entry of its own where there is something to tell: any other file stays as it was
+        content["bounds"] = bounds_out(monitor._bounds)
     write_text(path, dumps(content))
 
 
@@ -108,7 +111,7 @@ def load_monitor(path: str | Path) -> Monitor:
             f"{' and '.join(map(str, OLDER))}): make the monitor anew with this version"
         )
     try:
-        return _monitor_in(record(renewed(content), "", _ENTRIES))
+        return _monitor_in(record({"bounds": {}} | renewed(content), "", (*_ENTRIES, "bounds")))
     except (TypeError, ValueError, AttributeError, IndexError, OverflowError, ResiduaError) as error:
         raise FileFormatError(f"{path.name}: {error}") from error
 
@@ -128,6 +131,7 @@ def _monitor_in(content: Mapping[str, Any]) -> Monitor:
         max_hold=whole_in(content["max_hold"], "max_hold"),
     )
     monitor.notes = texts_in(content["notes"], "notes")
+    monitor._bounds = bounds_in(content["bounds"], "bounds", [member.name for member in design.members])
     if content["sampled"] is not None:
         monitor._generator = sampled_in(design, content["sampled"], "sampled")
     monitor._norm_test = monitor._spec = monitor._state = None

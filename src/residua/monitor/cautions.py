@@ -1,0 +1,174 @@
+"""What to mind before a name is believed: faults that leak into the residuals of others, data in other units."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide.member_thresholds import BankTest
+from residua.decide.norm_threshold import NormTest
+from residua.decide.peak_tests import is_bound
+from residua.decide.structured import CodeTest
+from residua.errors import FileFormatError
+from residua.monitor.alarm import Alarm
+from residua.monitor.encoding import float_in, float_out, joined, record, table_in
+
+#: Pairs of faults that a caution tells at most.
+_TOLD = 4
+#: Times its threshold that every residual reaches at once where units or operating point are to be doubted.
+_FAR = 10.0
+
+
+@dataclass(frozen=True)
+class MemberBounds:
+    """What is certain of one member of a bank, which has the name of its fault, over the whole uncertainty set.
+
+    Attributes
+    ----------
+    disturbances : float
+        Bound of what disturbances alone cause.
+    response : float
+        The least that a lasting fault of size one, the member's own, causes.
+    leakage : mapping of str to float
+        Bound of what other faults of size one cause, at any time course.
+    """
+
+    disturbances: float
+    response: float
+    leakage: Mapping[str, float]
+
+
+def brought_bounds(design: Any, members: Sequence[str]) -> dict[str, MemberBounds]:
+    """Return the bounds that a bank of robust estimators brings for its members; empty for any other design."""
+    found = getattr(design, "estimators", None)
+    if not isinstance(found, Mapping) or set(found) != set(members):
+        return {}
+    out = {}
+    for name, one in found.items():
+        certificate, sensitivity = getattr(one, "certificate", None), getattr(one, "sensitivity", None)
+        if certificate is None or sensitivity is None:
+            return {}
+        leakage = {fault: float(bound) for fault, bound in certificate.leakage.items()}
+        out[name] = MemberBounds(float(certificate.disturbances.bound), float(sensitivity.bound), leakage)
+    return out
+
+
+def bounds_out(bounds: Mapping[str, MemberBounds]) -> dict[str, Any]:
+    """Return the bounds of all members as a record."""
+    return {
+        name: {
+            "disturbances": float_out(one.disturbances),
+            "response": float_out(one.response),
+            "leakage": {fault: float_out(value) for fault, value in one.leakage.items()},
+        }
+        for name, one in bounds.items()
+    }
+
+
+def bounds_in(value: Any, where: str, members: Sequence[str]) -> dict[str, MemberBounds]:
+    """Return the bounds of all members from a record."""
+    out = {}
+    for name, entry in table_in(value, where).items():
+        at = joined(where, name)
+        content = record(entry, at, ("disturbances", "response", "leakage"))
+        leakage = table_in(content["leakage"], joined(at, "leakage"))
+        out[name] = MemberBounds(
+            float_in(content["disturbances"], joined(at, "disturbances")),
+            float_in(content["response"], joined(at, "response")),
+            {fault: float_in(bound, joined(joined(at, "leakage"), fault)) for fault, bound in leakage.items()},
+        )
+    if out and set(out) != set(members):
+        raise FileFormatError(f"{where} must have each member once: {', '.join(members)}")
+    return out
+
+
+def leakage_cautions(
+    bounds: Mapping[str, MemberBounds],
+    test: NormTest | BankTest,
+    codes: CodeTest | None,
+    alarms: Sequence[Alarm],
+    statistics: NDArray[np.float64],
+) -> tuple[str, ...]:
+    """Return for each alarm which of its residuals a single other fault may have driven over their thresholds.
+
+    Parameters
+    ----------
+    bounds : mapping of str to MemberBounds
+        Of every member.
+    test : NormTest or BankTest
+    codes : CodeTest or None
+    alarms : sequence of Alarm
+    statistics : ndarray, shape (time, members)
+    """
+    if not bounds or codes is None or not codes.dedicated or test.kind != "peak":
+        return ()
+    out: list[str] = []
+    for k, alarm in enumerate(alarms, 1):
+        if alarm.reading is None:
+            continue
+        seen = statistics[alarm.start : alarm.stop]
+        peaks = np.where(np.isnan(seen), 0.0, seen).max(axis=0, initial=0.0)
+        largest = dict(zip(codes.members, peaks.tolist(), strict=True))
+        told = sorted(_explained(bounds, largest, alarm.reading.fired))
+        if told:
+            more = f"; and {len(told) - _TOLD} more" if len(told) > _TOLD else ""
+            where = f"in alarm {k} " if len(alarms) > 1 else ""
+            out.append(f"other faults leak: {where}{'; '.join(text for _, text in told[:_TOLD])}{more}")
+    return tuple(out)
+
+
+def _explained(
+    bounds: Mapping[str, MemberBounds], peaks: Mapping[str, float], fired: Sequence[str]
+) -> Iterator[tuple[float, str]]:
+    """Yield the other faults that may alone have made a member fire, those first that need the least for it.
+
+    The residual of a member is at most ``disturbances + leakage s`` where another fault alone is of size ``s``, and a
+    lasting ``s`` makes that of its own member at least ``response s - disturbances``. So the other is not excluded
+    where the size that the first asks for is no larger than the one that the second allows.
+    """
+    for name in fired:
+        excess = peaks[name] - bounds[name].disturbances
+        for other, leak in bounds[name].leakage.items():
+            needed = excess / leak if excess > 0 and leak > 0 else np.inf
+            own = bounds.get(other)  # members are named by their faults
+            allowed = np.inf if own is None else (peaks[other] + own.disturbances) / own.response
+            if np.isfinite(needed) and needed <= allowed:
+                room = f"its own residual allows up to {allowed:.3g} of a lasting one"
+                told = "no member sees it" if own is None else room
+                text = f"what fires {name!r} may be {other!r} alone, if that reaches {needed:.3g} or more ({told})"
+                yield needed / allowed, text
+
+
+def unit_cautions(
+    test: NormTest | BankTest, usable: NDArray[np.bool_], statistic: NDArray[np.float64], members: NDArray[np.float64]
+) -> tuple[str, ...]:
+    """Return a doubt of the recording where every residual is far over a bound as soon as anything is judged.
+
+    A threshold that is fitted would have shown it; one that is certified or given has never seen the data.
+
+    Parameters
+    ----------
+    test : NormTest or BankTest
+    usable : ndarray of bool, shape (time,)
+    statistic : ndarray, shape (time,)
+        Of the residual as a whole.
+    members : ndarray, shape (time, members)
+        Of each member of a bank; no columns without one.
+    """
+    judged = np.flatnonzero(usable)[: test.release]
+    if not is_bound(test) or not len(judged):
+        return ()
+    rows, limits = (members, test.thresholds) if isinstance(test, BankTest) else (statistic[:, None], test.threshold)
+    ratios = rows[judged] / limits
+    smallest = float(ratios.max(axis=0).min())
+    if not (ratios[0] > 1).all() or smallest < _FAR:
+        return ()
+    every = "every residual" if isinstance(test, BankTest) and len(test.thresholds) > 1 else "the residual"
+    return (
+        f"from the first judged sample on {every} is far over its threshold ({smallest:.3g} times and more): is the "
+        "recording in the units, signs and order of the model, and is its operating point that of the plant?",
+    )
