@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+import residua as rs
 from residua.decide import BankTest, NormTest, PeakThreshold, peak_over_window
 from residua.decide.peak_tests import CERTIFIED, GIVEN, checked_peak_test, fit_peak_test, peak_test
 from residua.decide.persistence import alarm_logic
 from residua.errors import DataError, SettingError
+from robust_loops import random_loop
 
 MEMBERS = ("a", "b", "c")
 ROWS = ((0,), (1, 2), (3,))
@@ -92,6 +94,37 @@ def test_what_is_no_time_course_or_no_window_is_refused() -> None:
 def test_thresholds_are_positive_numbers(wrong: object) -> None:
     with pytest.raises(SettingError):
         PeakThreshold(wrong)  # pyright: ignore[reportArgumentType]
+
+
+class Certified:
+    """A value that is a number, and much besides."""
+
+    def __init__(self, value: float) -> None:
+        self.value = value
+
+    def __float__(self) -> float:
+        return self.value
+
+    def __repr__(self) -> str:
+        return "line\n" * 1200
+
+
+def test_thresholds_may_be_what_a_design_has_certified() -> None:
+    assert PeakThreshold({"a": Certified(0.3)}).thresholds == {"a": 0.3}
+    assert PeakThreshold([Certified(0.3), 1]).thresholds == (0.3, 1.0)
+    assert PeakThreshold(Certified(0.3)).thresholds == 0.3  # pyright: ignore[reportArgumentType]
+    loop = random_loop(3)
+    observer = rs.design.luenberger_observer(loop.nominal, margin=1.0).residual_generator()
+    found = rs.design.certified_thresholds(observer, loop, method="centred")
+    assert PeakThreshold(found).thresholds == {name: float(one) for name, one in found.items()}
+
+
+@pytest.mark.parametrize("wrong", [Certified(-1.0), {"a": Certified(np.nan)}, ["x" * 5000], np.ones((200, 200))])
+def test_what_is_wrong_is_repeated_in_short(wrong: object) -> None:
+    with pytest.raises(SettingError) as error:
+        PeakThreshold(wrong)  # pyright: ignore[reportArgumentType]
+    assert len(str(error.value)) < 300
+    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("wrong", [{"window": 0}, {"window": 1.5}, {"false_alarm_rate": 0.0}])

@@ -7,6 +7,7 @@ import residua as rs
 from residua.errors import DesignError, ModelError, SettingError
 from residua.linear import StateSpace
 from residua.plant import Perturbation, UncertainPlant
+from residua.plant.uncertain_loop import loop_parameters, unstable_member
 from uncertain_examples import (
     D1,
     D2,
@@ -157,8 +158,46 @@ def test_directions_that_move_are_told():
 
     left = UncertainPlant.from_parameters(leaking, {"area": (1, 2)}).linearisation
     assert not left.exact
-    assert left.relative == np.inf
+    assert left.relative == 0
     assert left.deviation["Bf"] == pytest.approx(0.5)
+    assert left.kept == pytest.approx({"Bf": 0.25})  # 1.5 for 1 to 2: a quarter of the largest
+    assert str(left) == "linearised: kept as in the nominal plant although they move: Bf by 25 % of their size"
+
+
+def in_other_units(k: float, seed: int) -> rs.Plant:
+    """Return a plant that went through other coordinates and back: entries that are zero are off by rounding."""
+    rng = np.random.default_rng(seed)
+    A, B, C = np.array([[0.9, 0.1, 0], [0, 0.8, k], [0.3, 0, 0.5]]), np.array([[1.0], [0], [2]]), np.eye(3)[[0, 2]]
+    units, T = 10.0 ** np.array([-4.0, 0, 5]), np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    Ti = np.linalg.inv(T)
+    Bd = (T @ (Ti @ np.array([[0.0], [1], [0]]))) * units[:, None]
+    Du = C @ T @ (Ti @ B) - C @ B
+    plant = rs.Plant(
+        (T @ (Ti @ A @ T) @ Ti) * units[:, None] / units, (T @ (Ti @ B)) * units[:, None], C / units, Du, dt=1.0
+    )
+    return plant.with_disturbances(Bd)
+
+
+def test_rounding_of_zeros_is_neither_uncertain_nor_left_out():
+    plants = [in_other_units(k, seed) for seed, k in enumerate((0.1, 0.2, 0.3, 0.15))]
+    assert any(np.any(plant.Du != plants[0].Du) for plant in plants)
+    unc = UncertainPlant.from_plants(plants)
+    assert (len(unc.parameters), len(unc.channels)) == (1, 1)
+    assert unc.linearisation.exact
+    for values, plant in zip(np.array([0, 0.1, 0.2, 0.05]) / 0.2 * (unc.high - unc.low)[0], plants, strict=True):
+        assert np.abs(unc.member([values]).A - plant.A).max() <= 1e-12 * np.abs(plant.A).max()
+    seeds = iter(range(1000))
+    named = UncertainPlant.from_parameters(lambda v: in_other_units(v["k"], next(seeds)), {"k": (0.1, 0.3)})
+    assert named.linearisation.exact
+    assert len(named.channels) == 1
+
+
+def test_a_sampled_plant_without_direct_term():
+    """Sampling leaves rounding of zeros; what is left out are per cents of ranges that are there."""
+    unc = UncertainPlant.from_parameters(spring, {"stiffness": (1, 1.2), "damping": (0.1, 0.3), "mass": (1, 1.1)})
+    left = unc.discretize(0.1).linearisation
+    assert 0 < left.relative < 0.2
+    assert "inf" not in str(left)
 
 
 def test_sampling_an_uncertain_plant():
@@ -208,6 +247,10 @@ def test_bad_requests():
         unc.member({"b": 0.0})
     with pytest.raises(ModelError, match=r"low = 1 exceeds high = 0"):
         Perturbation("A", [[1.0]], [[1.0]], 1, 0)
+    with pytest.raises(ModelError, match=r"\[0.1, 0.2\] of parameter 1 leave out 0, the nominal plant"):
+        Perturbation("A", [[1.0]], [[1.0]], 0.1, 0.2)
+    with pytest.raises(ModelError, match="of parameter 2 leave out 0"):
+        Perturbation("A", [[1.0, 1.0]], [[1.0], [1.0]], -1, [0.2, -0.1])
     with pytest.raises(ModelError, match="one of A, B, C, D"):
         Perturbation("E", [[1.0]], [[1.0]], 0, 1)
     with pytest.raises(ModelError, match="must be 1 x 1 as A of the plant is"):
@@ -227,3 +270,35 @@ def test_bad_requests():
     many = UncertainPlant(plant, [Perturbation("A", np.ones((1, 13)), np.ones((13, 1)), 0, 0.01)])
     with pytest.raises(SettingError, match=r"2\^13 corners"):
         many.vertices()
+
+
+def test_a_controller_is_wired_by_name_or_in_order():
+    plant = rs.Plant([[0.5, 0.1], [0, 0.3]], np.eye(2), np.eye(2), dt=1, inputs=["a", "b"], outputs=["p", "q"])
+    unc = UncertainPlant(plant)
+    gains = np.array([[-0.1, 0.0], [0.0, -0.2]])
+
+    def controller(**names):
+        return StateSpace(np.zeros((2, 2)), np.eye(2), gains, dt=1, **names)
+
+    by_order = unc.in_closed_loop(controller()).nominal
+    named = unc.in_closed_loop(controller(inputs=["p", "q"], outputs=["a", "b"])).nominal
+    assert np.array_equal(by_order.A, named.A)
+    turned = unc.in_closed_loop(controller(inputs=["q", "p"], outputs=["b", "a"])).nominal
+    assert np.array_equal(turned.A[2:, :2], [[0, 1], [1, 0]]) or np.array_equal(turned.A[:2, 2:], gains[::-1])
+    with pytest.raises(ModelError, match=r"inputs 'qq' are no outputs of the plant.*'q'"):
+        unc.in_closed_loop(controller(inputs=["p", "qq"]))
+    with pytest.raises(ModelError, match=r"outputs 'c' are no inputs of the plant.*'a'"):
+        unc.in_closed_loop(controller(outputs=["b", "c"]))
+
+
+def test_deviations_and_parameters():
+    unc = UncertainPlant.from_parameters(spring, {"stiffness": (1, 2), "damping": (0.1, 0.1, 0.3), "mass": (1, 1)})
+    assert loop_parameters(unc, {"stiffness": -0.5}) == {"stiffness": 1.0, "damping": 0.1, "mass": 1.0}
+    found = loop_parameters(unc, unc.high - unc.nominal_values)
+    assert found == {"stiffness": 2.0, "damping": 0.3, "mass": 1.0}
+    assert unc.member(found).A[1, 0] == pytest.approx(-2.0)
+    with pytest.raises(ModelError, match="outside"):
+        loop_parameters(unc, {"stiffness": 0.6})
+    assert unstable_member(unc) is None
+    drifting = UncertainPlant.from_parameters(spring, {"stiffness": (1, 2), "damping": (-0.1, 0.3), "mass": (1, 1)})
+    assert "damping = -0.1" in (unstable_member(drifting) or "")

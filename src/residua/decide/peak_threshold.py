@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import SupportsFloat
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,6 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from residua.decide.norm_threshold import check_rate, check_samples, is_number
 from residua.decide.row_norms import row_norms
 from residua.errors import DataError, SettingError
+
+#: Characters up to which an error repeats what was given.
+_LONGEST = 80
 
 
 @dataclass(frozen=True)
@@ -41,7 +46,9 @@ class PeakThreshold:
     ----------
     thresholds : float, mapping of str to float, or sequence of float, optional
         :math:`J_{th}` in the unit of the residual: one number for all members of a bank, or for a residual that is
-        tested as a whole; by name of the member; or in the order of the members. When omitted, those that the design
+        tested as a whole; by name of the member; or in the order of the members. A number is whatever ``float`` takes
+        as one, a :class:`residua.design.CertifiedThreshold` as well: the outcome of
+        :func:`residua.design.certified_thresholds` may be given as it is. When omitted, those that the design
         has certified (its ``thresholds``); without any, fitted to fault-free data (:meth:`residua.Monitor.fit`).
     window : int
         Samples of the window, the last one included.
@@ -72,7 +79,7 @@ class PeakThreshold:
     [(100.0, 161.0)]
     """
 
-    thresholds: float | Mapping[str, float] | Sequence[float] | None = None
+    thresholds: SupportsFloat | Mapping[str, SupportsFloat] | Sequence[SupportsFloat] | None = None
     window: int = 60
     false_alarm_rate: float = 1e-4
 
@@ -95,12 +102,12 @@ class PeakThreshold:
         given = self.thresholds
         if given is None:
             return None
-        if isinstance(given, (int, float)):  # a plain number: see __post_init__
+        if not isinstance(given, (Mapping, Sequence)):
             return (float(given),) * max(1, len(members))
         if (not members and len(given) > 1) or (isinstance(given, Mapping) and not members):
             raise SettingError(
                 "thresholds one by one are for the members of a bank that is read by code, isolate=Structured(); "
-                "here the residual is tested as a whole: give one number"
+                "here the residual is tested as a whole: give one number (of a design with one member, float() of its)"
             )
         if isinstance(given, Mapping):
             missing, unknown = [m for m in members if m not in given], [m for m in given if m not in members]
@@ -113,12 +120,12 @@ class PeakThreshold:
                         if names
                     )
                 )
-            return tuple(given[name] for name in members)
+            return tuple(float(given[name]) for name in members)
         if len(given) != max(1, len(members)):
             raise SettingError(
                 f"expected {len(members)} thresholds, one for each of {', '.join(map(repr, members))}, got {len(given)}"
             )
-        return tuple(given)
+        return tuple(map(float, given))
 
 
 def _checked(given: object) -> float | dict[str, float] | tuple[float, ...] | None:
@@ -127,7 +134,7 @@ def _checked(given: object) -> float | dict[str, float] | tuple[float, ...] | No
         return None
     if isinstance(given, Mapping):
         found: float | dict[str, float] | tuple[float, ...] = {
-            str(name): _positive(value, f"the threshold of {name!r}") for name, value in given.items()
+            str(name): _positive(value, f"the threshold of {_short(name)}") for name, value in given.items()
         }
     elif isinstance(given, (Sequence, np.ndarray)) and not isinstance(given, str) and np.ndim(given) == 1:
         found = tuple(_positive(value, f"threshold {k + 1}") for k, value in enumerate(given))
@@ -139,9 +146,18 @@ def _checked(given: object) -> float | dict[str, float] | tuple[float, ...] | No
 
 
 def _positive(value: object, what: str) -> float:
-    if not is_number(value) or not value > 0:  # pyright: ignore[reportOperatorIssue]
-        raise SettingError(f"{what} must be a positive finite number, got {value!r}")
-    return float(value)  # pyright: ignore[reportArgumentType]
+    """Return a threshold as a number; what a design has certified is one."""
+    one = isinstance(value, SupportsFloat) and not isinstance(value, (bool, np.bool_)) and np.size(value) == 1  # type: ignore[arg-type]
+    number = float(value) if one else np.nan  # type: ignore[arg-type]
+    if not (is_number(number) and number > 0):
+        raise SettingError(f"{what} must be a positive finite number, got {_short(value)}")
+    return number
+
+
+def _short(value: object) -> str:
+    """Return what was given, in a line."""
+    text = " ".join(reprlib.repr(value).split())
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}... ({type(value).__name__})"
 
 
 def peak_over_window(residuals: ArrayLike, window: int = 60) -> NDArray[np.float64]:

@@ -48,7 +48,7 @@ class Perturbation:
     H : array_like, shape (rows of the matrix, k)
     G : array_like, shape (k, columns of the matrix)
     low, high : array_like, shape (k,)
-        One number stands for all.
+        One number stands for all. They contain 0, which is the nominal plant.
     names : sequence of str, optional
         One for each diagonal entry of ``F``; ``"A1", "A2", ..`` when omitted. The same name in several places, of one
         or of several perturbations, is the same parameter.
@@ -56,7 +56,7 @@ class Perturbation:
     Raises
     ------
     ModelError
-        If a shape does not fit or bounds are not bounds.
+        If a shape does not fit, bounds are not bounds, or leave out 0.
 
     References
     ----------
@@ -94,6 +94,12 @@ class Perturbation:
         low_, high_ = bounds(lows, highs)
         if len(low_) != k:
             raise ModelError(f"d{matrix}: {k} columns of H need {k} bounds, got {len(low_)}")
+        for i in np.flatnonzero((low_ > 0) | (high_ < 0)):
+            raise ModelError(
+                f"d{matrix}: the bounds [{low_[i]:g}, {high_[i]:g}] of parameter {i + 1} leave out 0, the nominal "
+                f"plant: add the middle, {-(low_[i] + high_[i]) / 2:g} x H x G, to {matrix} of the plant, and bound "
+                "deviations from it"
+            )
         labels = None if names is None else (names,) if isinstance(names, str) else tuple(names)
         if labels is not None and (len(labels) != k or not all(isinstance(x, str) and x.strip() for x in labels)):
             raise ModelError(f"d{matrix}: {k} columns of H need {k} names, got {labels!r}")

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, ModelError
 from residua.linear.arrays import frozen
-from residua.linear.uncertain_system import corners
 from residua.plant.perturbation import UncertainParameter, factored
 from residua.plant.plant import Plant
-from residua.plant.uncertain_plant import UncertainPlant, make_uncertain_plant
+from residua.plant.uncertain_plant import UncertainPlant, make_uncertain_plant, visited_values
 
 Matrix = NDArray[np.float64]
-#: Up to so many parameters every corner of their box is evaluated, beyond as many corners at random.
-_ALL_CORNERS = 10
+#: Points inside of the box of parameters that are evaluated besides its corners.
 _INSIDE = 64
+#: From so many times its range on, how far an entry is off is not told: it does not vary, but for rounding.
+_MANY = 10.0
+#: What rounding may do to an entry, relative to the terms that it is the sum of.
+_ROUNDED = 1e-13
 #: What the affine form describes, and what it takes from the nominal plant.
 _MOVING, _FIXED = ("A", "Bu", "C", "Du"), ("E", "Bd", "Dd", "Bf", "Df", "Bw", "Dw")
 
@@ -34,12 +36,15 @@ class Linearisation:
     deviation : dict of str to ndarray
         The largest absolute deviation of each entry of each matrix of the plant.
     relative : float
-        The largest deviation of an entry relative to the range of that entry over the points; infinite where an entry
-        moves that should not.
+        The largest deviation of an entry of ``A``, ``B``, ``C`` or ``D`` relative to the range of that entry over the
+        points.
     worst : dict of str to float
         The parameters at which ``relative`` was found.
     points : int
         Points evaluated: corners of the box, and points inside. Between them more may be left out.
+    kept : dict of str to float
+        Matrices that the affine form takes from the nominal plant although they move, those of disturbances, faults
+        and noise and ``E``: by how much of their size, the largest of their columns.
     """
 
     exact: bool
@@ -47,11 +52,21 @@ class Linearisation:
     relative: float
     worst: Mapping[str, float]
     points: int
+    kept: Mapping[str, float] = field(default_factory=dict)
 
     def __str__(self) -> str:
         if self.exact:
             return f"affine at {self.points} points"
-        return f"linearised: up to {100 * self.relative:.2g} % of an entry's range is left out at {self.points} points"
+        out = []
+        if self.relative:
+            out.append(f"{self._share()} an entry's range is left out at {self.points} points")
+        if self.kept:
+            moved = ", ".join(f"{name} by {100 * share:.2g} %" for name, share in self.kept.items())
+            out.append(f"kept as in the nominal plant although they move: {moved} of their size")
+        return f"linearised: {'; '.join(out)}"
+
+    def _share(self) -> str:
+        return f"up to {100 * self.relative:.2g} % of" if self.relative < _MANY else f"more than {_MANY:g} times"
 
 
 def uncertain_plant_from_parameters(
@@ -119,11 +134,15 @@ def uncertain_plant_from_parameters(
             continue
         high, low = centre.copy(), centre.copy()
         high[i], low[i] = p.high, p.low
-        slope = (_stacked(evaluate(high), nominal) - _stacked(evaluate(low), nominal)) / (p.high - p.low)
+        ends = [evaluate(high), evaluate(low)]
+        slope = (_stacked(ends[0], nominal) - _stacked(ends[1], nominal)) / (p.high - p.low)
+        # what moves by rounding only would be a channel of its own
+        rounding = _stacked_from(_rounding([nominal, *ends], 0.0))
+        slope = np.where(np.abs(slope) * (p.high - p.low) > 2 * rounding, slope, 0.0)
         blocks.append(_channels_of(slope, nominal))
         channels += [i] * blocks[-1][0].shape[1]
     made = make_uncertain_plant(nominal, known, tuple(channels), blocks)
-    points = _points(made, seed)
+    points = visited_values(made, _INSIDE, seed)
     found = _compare(made, [evaluate(v) for v in points], points, rtol)
     return make_uncertain_plant(nominal, known, tuple(channels), blocks, linearisation=found)
 
@@ -155,19 +174,37 @@ def _channels_of(slope: Matrix, plant: Plant) -> tuple[Matrix, Matrix, Matrix, M
     return -L[:n], -L[n:], R[:, :n], R[:, n:]
 
 
-def _points(made: UncertainPlant, seed: int) -> NDArray[np.float64]:
-    rng = np.random.default_rng(seed)
-    k = len(made.parameters)
-    if k <= _ALL_CORNERS:
-        ends = corners(made.low, made.high)
-    else:
-        ends = np.where(rng.random((2**_ALL_CORNERS, k)) < 0.5, made.low, made.high)
-    return np.vstack([made.nominal_values, ends, made.sample_values(rng, _INSIDE)])
-
-
 def _all_matrices(plant: Plant) -> dict[str, Matrix]:
     E = np.eye(plant.n_states) if plant.E is None else plant.E
     return {name: E if name == "E" else getattr(plant, name) for name in (*_MOVING, *_FIXED)}
+
+
+def _stacked_from(matrices: Mapping[str, Matrix]) -> Matrix:
+    return np.block([[matrices["A"], matrices["Bu"]], [matrices["C"], matrices["Du"]]])
+
+
+def _rounding(plants: Sequence[Plant], rtol: float) -> dict[str, Matrix]:
+    """Return what entries of matrices may be off by: of themselves, of those beside them, and of products.
+
+    A zero that was computed, by a change of coordinates or by sampling a plant, is off by the rounding of its terms.
+    These are as large as what leads from the column to the row by way of the states, whatever units states are in:
+    the entry of ``[A; C] (1 + A + A^2 + ...) [A B]`` of absolute values.
+    """
+    stacks = [_all_matrices(plant) for plant in plants]
+    sizes = {name: np.abs(np.stack([m[name] for m in stacks])).max(axis=0) for name in (*_MOVING, *_FIXED)}
+    A, n = sizes["A"], len(sizes["A"])
+    N = A / max(1.0, float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)))
+    ways = np.eye(n)
+    for _ in range(1, n):
+        ways = np.eye(n) + N @ ways
+    out = {}
+    for name, size in sizes.items():
+        beside = np.minimum(size.max(axis=1, initial=0.0, keepdims=True), size.max(axis=0, initial=0.0, keepdims=True))
+        if name != "E":
+            left, right = (sizes["C"] if name[0] in "CD" else A), (A if name in "AC" else sizes["B" + name[1]])
+            beside = np.maximum(beside, left @ ways @ right)
+        out[name] = rtol * size + _ROUNDED * beside
+    return out
 
 
 def _compare(made: UncertainPlant, plants: list[Plant], points: NDArray[np.float64], rtol: float) -> Linearisation:
@@ -176,27 +213,34 @@ def _compare(made: UncertainPlant, plants: list[Plant], points: NDArray[np.float
         _stacked(plant, made.nominal)
     real = [_all_matrices(plant) for plant in plants]
     ours = [_all_matrices(made.member(v)) for v in points]
-    deviation, relative, where, exact = {}, 0.0, 0, True
+    rounding = _rounding(plants, rtol)
+    deviation, kept, relative, where, exact = {}, {}, 0.0, 0, True
     for name in (*_MOVING, *_FIXED):
         true = np.stack([matrices[name] for matrices in real])
         off = np.abs(true - np.stack([matrices[name] for matrices in ours]))
         deviation[name] = frozen(off.max(axis=0))
-        if not off.size:
-            continue
-        size = np.abs(true).max(axis=0)
-        beside = np.minimum(size.max(axis=1, keepdims=True), size.max(axis=0, keepdims=True))
-        rounding = rtol * size + 1e-13 * beside
-        if np.all(off <= rounding):
+        if not off.size or np.all(off <= rounding[name]):
             continue
         exact = False
-        spread = np.ptp(true, axis=0) if name in _MOVING else np.zeros_like(size)
-        ratio = np.where(off > rounding, off / np.where(spread > 0, spread, np.finfo(float).tiny), 0.0)
-        worst = ratio.reshape(len(points), -1).max(axis=1)
+        off = np.where(off > rounding[name], off, 0.0)
+        if name in _FIXED:
+            kept[name] = _moved(off, np.abs(true))
+            continue
+        spread = np.maximum(np.ptp(true, axis=0), rounding[name])
+        worst = (off / np.where(spread > 0, spread, np.finfo(float).tiny)).reshape(len(points), -1).max(axis=1)
         if worst.max() > relative:
             relative, where = float(worst.max()), int(np.argmax(worst))
-    relative = float("inf") if relative > 1e6 else relative
     values = dict(zip(made.names, (float(v) for v in points[where]), strict=True))
-    return Linearisation(exact, deviation, relative, values, len(points))
+    return Linearisation(exact, deviation, relative, values, len(points), kept)
+
+
+def _moved(off: Matrix, size: Matrix) -> float:
+    """Return the largest deviation of a column relative to its largest size, in even units of its rows."""
+    largest = size.max(axis=0)
+    unit = np.where(largest.max(axis=1) > 0, largest.max(axis=1), 1.0)[:, None]
+    columns = np.linalg.norm(largest / unit, axis=0)
+    moved = np.linalg.norm(off / unit, axis=1).max(axis=0)
+    return float((moved[columns > 0] / columns[columns > 0]).max(initial=0.0))
 
 
 def uncertain_plant_from_plants(plants: Iterable[Plant]) -> UncertainPlant:
@@ -237,12 +281,14 @@ def uncertain_plant_from_plants(plants: Iterable[Plant]) -> UncertainPlant:
     nominal = family[0]
     stacks = np.stack([_stacked(plant, nominal) for plant in family])
     fixed = [_all_matrices(plant) for plant in family]
+    rounding = _rounding(family, 0.0)
     for name in _FIXED:
-        if any(not np.array_equal(matrices[name], fixed[0][name]) for matrices in fixed):
+        if any(np.any(np.abs(matrices[name] - fixed[0][name]) > rounding[name]) for matrices in fixed):
             raise ModelError(f"the plants differ in {name}: only A, B, C and D may vary within a family")
     spread = np.ptp(stacks, axis=0)
-    unit = np.where(spread > 0, spread, 1.0)
-    rows = ((stacks - stacks[0]) / unit).reshape(len(family), -1)
+    varies = spread > _stacked_from(rounding)
+    unit = np.where(varies, spread, 1.0)
+    rows = (np.where(varies, stacks - stacks[0], 0.0) / unit).reshape(len(family), -1)
     middle = rows.mean(axis=0)
     _, s, axes = np.linalg.svd(rows - middle, full_matrices=False)
     axes = axes[s > 1e-12 * max(float(s.max(initial=0.0)), np.finfo(float).tiny)]
@@ -253,13 +299,13 @@ def uncertain_plant_from_plants(plants: Iterable[Plant]) -> UncertainPlant:
         axis = axis * (1 if np.array_equal(along, coordinates[:, i]) else -1)
         known.append(UncertainParameter(f"axis {i + 1}", float(along.min()), float(along.max())))
         coordinates[:, i] = along
-        blocks.append(_channels_of(axis.reshape(unit.shape) * unit, nominal))
+        blocks.append(_channels_of(np.where(varies, axis.reshape(unit.shape) * unit, 0.0), nominal))
         channels += [i] * blocks[-1][0].shape[1]
     made = make_uncertain_plant(nominal, tuple(known), tuple(channels), blocks)
     found = _compare(made, list(family), coordinates, 1e-9)
     if not found.exact:
         raise AccuracyError(
-            f"the box of principal axes misses the plants by {found.relative:.2g} of an entry's range: their entries "
-            "differ by too many orders of magnitude"
+            f"the box of principal axes misses the plants by {found._share()} an entry's range: the entries of the "
+            "plants differ by too many orders of magnitude; write them in units of even size"
         )
     return make_uncertain_plant(nominal, tuple(known), tuple(channels), blocks, linearisation=found, plants=family)

@@ -12,9 +12,9 @@ from residua.linear import StateSpace, arrays
 from residua.linear.arrays import frozen
 from residua.linear.observability import is_stable_mode
 from residua.linear.spectrum import describe_modes
-from residua.linear.uncertain_system import UncertainSystem
+from residua.linear.uncertain_system import UncertainSystem, parameter_values
 from residua.plant.plant import Plant
-from residua.plant.uncertain_plant import UncertainPlant, make_uncertain_plant
+from residua.plant.uncertain_plant import UncertainPlant, make_uncertain_plant, visited_values
 
 
 def close_loop(plant: UncertainPlant, controller: StateSpace) -> UncertainPlant:
@@ -125,8 +125,21 @@ def _fitting(p: Plant, controller: StateSpace) -> StateSpace:
             "the controller has a direct term: uncertain B and C would multiply each other; compute u from the "
             "measurements of the sample before (one state more for each input of the controller)"
         )
-    named_in, named_out = set(controller.inputs) == set(p.outputs), set(controller.outputs) == set(p.inputs)
+    named_in = _by_name(controller.inputs, p.outputs, "inputs", "outputs")
+    named_out = _by_name(controller.outputs, p.inputs, "outputs", "inputs")
     return controller.select(outputs=p.inputs if named_out else None, inputs=p.outputs if named_in else None)
+
+
+def _by_name(own: tuple[str, ...], of_plant: tuple[str, ...], what: str, theirs: str) -> bool:
+    """Tell whether channels are wired by name; in order where no name is shared, and an error in between."""
+    odd = [name for name in own if name not in of_plant]
+    if not odd or len(odd) == len(own):
+        return not odd
+    missing = [name for name in of_plant if name not in own]
+    raise ModelError(
+        f"the controller's {what} {', '.join(map(repr, odd))} are no {theirs} of the plant, while the others are (not "
+        f"named: {', '.join(map(repr, missing))}): name them all as the plant does, or none, to wire them in order"
+    )
 
 
 def _apart(first: tuple[str, ...], second: tuple[str, ...]) -> tuple[str, ...]:
@@ -177,7 +190,8 @@ def estimator_residual(
     Returns
     -------
     UncertainSystem
-        From the disturbances (and nuisances) to the residual. White noise, which has no bound, is left out.
+        From the disturbances (and nuisances) to the residual. Its parameters are deviations from the nominal values of
+        the loop: ``residua.plant.uncertain_loop.loop_parameters``. White noise, which has no bound, is left out.
 
     Raises
     ------
@@ -238,6 +252,8 @@ def residual_over_set(
     Returns
     -------
     UncertainSystem
+        Its parameters have the names of those of the loop, and are deviations from their nominal values: ``F`` itself.
+        ``residua.plant.uncertain_loop.loop_parameters`` leads back to what ``loop.member`` takes.
 
     Raises
     ------
@@ -277,3 +293,47 @@ def residual_over_set(
         parameters=loop.names,
         dt=p.dt,
     )
+
+
+def loop_parameters(loop: UncertainPlant, deviations: Mapping[str, float] | ArrayLike) -> dict[str, float]:
+    """Return the parameters that have given deviations from the nominal values of an uncertain plant.
+
+    Norms of :func:`residual_over_set` and :func:`estimator_residual` name their members by deviations.
+
+    Parameters
+    ----------
+    loop : UncertainPlant
+    deviations : mapping of str to float, or array_like, shape (parameters,)
+        A mapping may leave out parameters: these are nominal.
+
+    Returns
+    -------
+    dict of str to float
+        What ``loop.member`` takes.
+
+    Raises
+    ------
+    ModelError
+        If a parameter is unknown or outside of its bounds.
+    """
+    nominal = loop.nominal_values
+    v = parameter_values(deviations, loop.names, loop.low - nominal, loop.high - nominal, np.zeros(len(nominal)))
+    # the sum may round to just outside of the bounds
+    return dict(zip(loop.names, np.clip(nominal + v, loop.low, loop.high).tolist(), strict=True))
+
+
+def unstable_member(loop: UncertainPlant, *, samples: int = 256, seed: int = 0) -> str | None:
+    """Return the pole and the parameters of a member that is not stable, or None where none was found.
+
+    Visited are the nominal plant, the corners of the set (up to 10 parameters; beyond, as many at random) and points
+    inside.
+    """
+    points = visited_values(loop, samples, seed)
+    F = (points - loop.nominal_values)[:, list(loop.channels)]
+    poles = np.linalg.eigvals(loop.nominal.A - (loop.Hx * F[:, None, :]) @ loop.Gx).astype(complex)
+    if not poles.size or is_stable_mode(poles.ravel(), loop.nominal.dt).all():
+        return None
+    size = np.abs(poles) if loop.nominal.is_discrete else np.real(poles)
+    i, j = np.unravel_index(int(np.argmax(size)), size.shape)
+    named = ", ".join(f"{name} = {v:.6g}" for name, v in zip(loop.names, points[i], strict=True))
+    return f"pole {describe_modes(poles[i, [j]])}" + (f" at {named}" if named else "")

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from residua.plant.plant_family import Linearisation
 
 Matrix = NDArray[np.float64]
+#: Up to so many parameters every corner of their box is visited, beyond as many corners at random.
+_ALL_CORNERS = 10
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -261,6 +263,17 @@ def make_uncertain_plant(
     new = object.__new__(UncertainPlant)
     _assign(new, nominal, parameters, channels, blocks, linearisation, plants)
     return new
+
+
+def visited_values(plant: UncertainPlant, inside: int, seed: int) -> NDArray[np.float64]:
+    """Return parameters to look at: the nominal ones, corners (all up to 10 parameters), and points inside."""
+    rng = np.random.default_rng(seed)
+    k = len(plant.parameters)
+    if k <= _ALL_CORNERS:
+        ends = plant.vertex_values()
+    else:
+        ends = np.where(rng.random((2**_ALL_CORNERS, k)) < 0.5, plant.low, plant.high)
+    return np.vstack([plant.nominal_values, ends, plant.sample_values(rng, inside)])
 
 
 def _assign(

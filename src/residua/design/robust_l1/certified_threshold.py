@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,12 +11,13 @@ from numpy.typing import ArrayLike
 
 from residua.design.banks.bank import Bank
 from residua.design.generator import ResidualGenerator
+from residua.design.robust_l1.rounding_scale import rounding_scale
 from residua.errors import AccuracyError, DesignError, ModelError, SettingError
 from residua.linear import StateSpace, UncertainSystem, lmi
 from residua.linear.arrays import index_of
 from residua.linear.robust_norm import RobustPeakNorm, robust_peak_norm
 from residua.plant import UncertainPlant
-from residua.plant.uncertain_loop import residual_over_set
+from residua.plant.uncertain_loop import loop_parameters, residual_over_set, unstable_member
 
 #: A bound this close to what is attained is not worth cutting the set, or this close not the matrix inequalities.
 _CLOSE, _NOT_FAR = 1.02, 1.1
@@ -24,9 +25,12 @@ _CLOSE, _NOT_FAR = 1.02, 1.1
 _BOXES = (1, 8, 32)
 #: States and twice the channels up to which these take minutes at most.
 _PRACTICAL = 50
+#: Parts of what a residual would be without cancellation. Designs that decouple all disturbances left 1e-14 of it, for
+#: plants with units 1e8 apart up to 6e-11, and searches 2e-9; thresholds that mean something are 1e-6 and more.
+_DECOUPLED, _ROUNDED = 1e-8, 1e-13
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class CertifiedThreshold:
     r"""What the residual of no member exceeds while disturbances and bounded faults keep to their sizes.
 
@@ -37,17 +41,22 @@ class CertifiedThreshold:
     value : float
         ``J_th``.
     disturbances : RobustPeakNorm
-        ``J_rw``: all disturbances together, of length one at every sample.
+        ``J_rw``: all disturbances together, of length one at every sample. ``worst`` are parameters of the loop, for
+        ``loop.member``.
     faults : mapping of str to RobustPeakNorm
-        ``J_rf`` of other faults of size one, at any time course: what leaks into the residual.
+        ``J_rf`` of other faults of size one, at any time course: what leaks into the residual. Of faults that are
+        decoupled it is what rounding may leave.
     sizes : mapping of str to float
         ``kappa``: those of them that the threshold covers.
+    notes : tuple of str
+        What the proof leaves out; empty when there is nothing.
     """
 
     value: float
     disturbances: RobustPeakNorm
-    faults: Mapping[str, RobustPeakNorm] = field(repr=False)
+    faults: Mapping[str, RobustPeakNorm]
     sizes: Mapping[str, float]
+    notes: tuple[str, ...] = ()
 
     @property
     def attained(self) -> float:
@@ -61,6 +70,26 @@ class CertifiedThreshold:
 
     def __float__(self) -> float:
         return self.value
+
+    def __str__(self) -> str:
+        covered = "".join(f", {name} up to {size:g} covered" for name, size in self.sizes.items())
+        text = f"threshold {self.value:.5g} (disturbances alone attain {self.attained:.5g}{covered})"
+        return "\n".join([text, *(f"note: {note}" for note in self.notes)])
+
+    def __repr__(self) -> str:
+        leaks = ", ".join(f"{name} {bound:.3g}" for name, bound in self.leakage.items())
+        told = f", leakage: {leaks}" if leaks else ""
+        return f"CertifiedThreshold({self.value:.6g}, attained {self.attained:.6g}, {self.disturbances.method!r}{told})"
+
+
+def left_out(loop: UncertainPlant) -> tuple[str, ...]:
+    """Return what certificates of a loop do not cover."""
+    out = []
+    if loop.linearisation is not None and not loop.linearisation.exact:
+        out.append(f"certified for the affine form of the set: {loop.linearisation}")
+    if loop.nominal.noises:
+        out.append("white noise has no bound: the thresholds are for the disturbances alone")
+    return tuple(out)
 
 
 def certified_threshold(
@@ -97,30 +126,76 @@ def certified_threshold(
             "the loop has neither disturbances nor bounded faults: nothing but rounding would be under a threshold; "
             "give the plant its disturbances, with_disturbances(...)"
         )
-
-    def system(signals: tuple[str, ...]) -> UncertainSystem:
-        return residual_over_set(loop, residual_filter, state_map, signals=signals)
-
-    own = _bound(
-        system(loop.nominal.disturbances), method, lambda found: found.ratio <= _CLOSE, matrix_inequalities=True
-    )
-    # what the filter weighs signals with: a bound far below is rounding of what cancels, and no threshold
-    J, plant = residual_filter.D, loop.nominal
-    weighed = float(np.linalg.norm(J) * (np.linalg.norm(plant.Dd) + np.linalg.norm(plant.Bd)))
-    if not sized and own.bound <= 1e-12 * max(weighed, float(np.linalg.norm(J))):
-        raise DesignError(
-            f"the disturbances do not reach this residual (bound {own.bound:.2g}, rounding): a threshold would mean "
-            "nothing; give it one for the noise of the measurements, NormThreshold() fitted to data"
-        )
-    others = {}
+    task = _Task(loop, residual_filter, state_map, method)
+    own, scale = task.bound(loop.nominal.disturbances, lambda found: found.ratio <= _CLOSE, matrix_inequalities=True)
+    others, reached = {}, own.attained > _DECOUPLED * scale
+    if not reached and not sized:
+        raise _not_reached(own, scale)
     for name in dict.fromkeys((*faults, *sized)):
         # what leaks matters by what it adds to the threshold, and hardly where it is only told
         room = 0.02 * own.bound / sized[name] if name in sized else np.inf
-        others[name] = _bound(
-            system((name,)), method, lambda found, room=room: found.bound - found.attained <= room and found.ratio <= 3
+        others[name], unit = task.bound(
+            (name,), lambda found, room=room: found.bound - found.attained <= room and found.ratio <= 3
         )
+        reached |= name in sized and others[name].attained > _DECOUPLED * unit
+    if not reached:
+        raise _not_reached(own, scale, tuple(sized))
     value = own.bound + sum(size * others[name].bound for name, size in sized.items())
-    return CertifiedThreshold(value, own, others, sized)
+    return CertifiedThreshold(value, own, others, sized, left_out(loop))
+
+
+def _not_reached(own: RobustPeakNorm, scale: float, sized: tuple[str, ...] = ()) -> DesignError:
+    bounded = f" and the bounded faults ({', '.join(sized)})" if sized else ""
+    why = (
+        f"they are decoupled from it, and what is left of them, {own.attained:.2g}, is rounding (their parts of it are "
+        f"of the order of {scale:.2g} before they cancel), so that a threshold of that would mean false alarms"
+        if scale
+        else "they reach no output that it reads"
+    )
+    return DesignError(
+        f"the disturbances{bounded} do not reach this residual: {why}; give the measurements their bounded noise as "
+        "disturbances, with_disturbances(..., output=...), or test the residual by a threshold that is fitted to data, "
+        "residua.decide.NormThreshold()"
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """One residual of a loop, of which several bounds are wanted."""
+
+    loop: UncertainPlant
+    filter: StateSpace
+    state_map: ArrayLike | None
+    method: str | None
+
+    def bound(
+        self,
+        signals: tuple[str, ...],
+        close: Callable[[RobustPeakNorm], bool],
+        *,
+        matrix_inequalities: bool = False,
+    ) -> tuple[RobustPeakNorm, float]:
+        """Return the bound for some signals, no smaller than rounding, and what it would be without cancellation."""
+        system = residual_over_set(self.loop, self.filter, self.state_map, signals=signals)
+        scale = rounding_scale(self.loop.nominal, self.filter, signals)
+
+        def enough(found: RobustPeakNorm) -> bool:
+            return found.bound <= _DECOUPLED * scale or close(found)
+
+        try:
+            found = _bound(system, self.method, enough, matrix_inequalities=matrix_inequalities)
+        except DesignError as error:
+            unstable = unstable_member(self.loop)  # the error itself names deviations from the nominal values
+            if unstable is None:
+                raise
+            raise DesignError(
+                f"a member of the set is not stable: {unstable}; no bound exists: narrow the set, or change the "
+                "controller"
+            ) from error
+        worst = loop_parameters(self.loop, found.worst)
+        # signals may reach the outputs by way of the uncertainty only
+        scale = max(scale, rounding_scale(self.loop.member(worst), self.filter, signals))
+        return replace(found, worst=worst, bound=float(max(found.bound, _ROUNDED * scale))), scale
 
 
 def _bound(
@@ -195,14 +270,14 @@ def certified_thresholds(
     Returns
     -------
     dict of str to CertifiedThreshold
-        By member; for :class:`residua.decide.PeakThreshold` take ``{name: float(t) for name, t in ...items()}``.
+        By member; :class:`residua.decide.PeakThreshold` takes them as they are.
 
     Raises
     ------
     ModelError
         If the generator does not read the outputs of the loop, or nothing acts on it.
     DesignError
-        If a member of the set is not stable, or no bound is found.
+        If a member of the set is not stable, or no bound is found; if the disturbances do not reach a residual.
 
     References
     ----------
@@ -217,8 +292,8 @@ def certified_thresholds(
     >>> loop = UncertainPlant(tank, deltas=[Perturbation("A", [[-1.0]], [[1.0]], -0.02, 0.01)])
     >>> observer = rs.design.luenberger_observer(tank, poles=[0.5]).residual_generator()
     >>> found = rs.design.certified_thresholds(observer, loop)
-    >>> [(name, round(one.value, 3), round(one.attained, 3)) for name, one in found.items()]
-    [('Luenberger observer', 0.225, 0.222)]
+    >>> [(name, round(one.value, 2), round(one.attained, 2)) for name, one in found.items()]
+    [('Luenberger observer', 0.22, 0.22)]
     """
     made = generator.generator if isinstance(generator, Bank) else generator
     chosen = checked_sizes(loop, sizes)
@@ -234,9 +309,22 @@ def certified_thresholds(
         )
     out = {}
     for member in made.members:
-        rows = list(member.residuals)
         others = [name for name in loop.nominal.faults if name not in member.faults]
-        part = made.system.select(outputs=rows)
+        part, T = _part(made, list(member.residuals))
         sized = {name: chosen[name] for name in others if chosen[name]}
-        out[member.name] = certified_threshold(loop, part, made.state_map, faults=others, sizes=sized, method=method)
+        out[member.name] = certified_threshold(loop, part, T, faults=others, sizes=sized, method=method)
     return out
+
+
+def _part(made: ResidualGenerator, rows: list[int] | list[str]) -> tuple[StateSpace, ArrayLike | None]:
+    """Return the filter of some residuals without the states that do not reach them: those of other members."""
+    part = made.system.explicit().select(outputs=rows)
+    reaching = np.any(part.C, axis=0)
+    for _ in range(part.n_states):
+        further = reaching | np.any(part.A[reaching], axis=0)
+        if np.array_equal(further, reaching):
+            break
+        reaching = further
+    kept = np.flatnonzero(reaching)
+    T = None if made.state_map is None else np.asarray(made.state_map)[kept]
+    return StateSpace(part.A[np.ix_(kept, kept)], part.B[kept], part.C[:, kept], part.D, dt=part.dt), T

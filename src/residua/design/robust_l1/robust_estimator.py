@@ -35,7 +35,8 @@ class RobustEstimator:
     certificate : CertifiedThreshold
         Over the whole set.
     sensitivity : SmallestGain
-        Certified response to the target, the smallest over the set and the band of frequencies.
+        Certified response to the target, the smallest over the set and the band of frequencies; ``values`` are
+        parameters of the loop.
     cost : float
         Eq. (40), with the norms over the members that the search looked at.
     sampled_norm : float
@@ -79,17 +80,26 @@ class RobustEstimator:
 
     @property
     def smallest_fault(self) -> float:
-        r"""The size from which a lasting fault is certain to be seen, whatever the disturbances: ``2 J_th / |T_rf|``.
+        r"""The size from which a lasting fault is certain to be seen, whatever the disturbances.
 
-        The response of at least :math:`2 J_{th}` less a disturbance of at most :math:`J_{th}` is above the threshold.
-        Once the residual has settled.
+        .. math:: \frac{2 J_{th}}{|T_{rf}| \cos(\omega_b \Delta t / 2)}
+
+        Once the residual has settled, for a constant fault, and for a sinusoid of that amplitude at any frequency up
+        to the band :math:`\omega_b`. The response of at least :math:`2 J_{th}` less a disturbance of at most
+        :math:`J_{th}` reaches the threshold. The cosine is for what happens between samples: the phase of a sinusoid
+        advances by :math:`\omega \Delta t` per sample, so that one of them lies within half of that of a crest, and
+        no more is certain: of a wave of four samples in phase :math:`\pi/4` none is above 0.71 of the amplitude. At
+        half the sample rate every sample may fall on a zero: infinite. One without a band.
         """
-        return 2 * self.threshold / self.sensitivity.bound
+        return 2 * self.undisturbed_fault
 
     @property
     def undisturbed_fault(self) -> float:
         """The size from which it is seen where no disturbance acts: half of :attr:`smallest_fault`."""
-        return self.threshold / self.sensitivity.bound
+        angle = self.sensitivity.band * self.filter.dt / 2
+        if angle >= np.pi / 2 * (1 - 1e-9):
+            return float("inf")
+        return self.threshold / (self.sensitivity.bound * float(np.cos(angle)))
 
     def __str__(self) -> str:
         return (
