@@ -15,6 +15,10 @@ class DesignError(ResiduaError, ValueError):
     """A design that does not exist for this plant; the message names the condition and the numbers."""
 
 
+class NoCertificateError(DesignError):
+    """A bound or a promise over an uncertainty set that was not proved: it may hold, and narrower sets may have one."""
+
+
 class AccuracyError(ResiduaError, ArithmeticError):
     """A computed result failed its own check."""
 

@@ -7,8 +7,8 @@ import pytest
 
 import residua as rs
 from residua.design.robust_l1.estimator_family import estimator_family
-from residua.design.robust_l1.sampled_cost import PENALTY, Weights, sampled_cost
-from residua.design.robust_l1.starting_gains import error_system, least_star_gain, starting_gains
+from residua.design.robust_l1.sampled_cost import PENALTY, Norms, Weights, sampled_cost
+from residua.design.robust_l1.starting_gains import error_system, least_star_gains, starting_gains
 from residua.errors import DesignError
 from residua.linear import StateSpace, lmi, peak_norm
 from residua.plant.uncertain_loop import residual_over_set
@@ -118,6 +118,21 @@ def test_cost_of_slow_loops_by_longer_steps():
         assert found[k] == pytest.approx(exact, rel=2e-3)
 
 
+def test_any_cost_is_below_that_of_what_is_of_no_use():
+    """However large, and in their order; small ones are what they are."""
+    loop = random_loop(3)
+    family = estimator_family(loop.nominal, loop.nominal.faults[0], others(loop, loop.nominal.faults[0]))
+    cost = sampled_cost(family, [loop.nominal], Weights(0.0, 1.0), radius=0.95)
+    ratios = np.logspace(-3, 30, 400)
+    one, radius = np.ones(400), np.full(400, 0.95)
+    found = cost.ranked(Norms(ratios, ratios, one, radius))
+    useless = cost.ranked(Norms(ratios, ratios, 0 * one, radius))
+    assert found.max() < PENALTY <= useless.min()
+    assert np.all(np.diff(found) >= 0)
+    small = ratios < PENALTY / 3
+    assert found[small] == pytest.approx(1.002 * ratios[small], rel=1e-12)
+
+
 def test_size_of_the_residual_is_the_best_one():
     weights = Weights(0.3, 0.7)
     scale = weights.scale(2.0, 5.0)
@@ -139,7 +154,7 @@ def test_convex_start_is_the_least_star_norm(seed):
         closed = StateSpace(s.A - Z @ s.C, s.B - Z @ s.D, s.C, s.D, dt=1.0)
         return peak_norm(closed, kind="star").value if closed.is_stable() else np.inf
 
-    convex = min(star(Z) for Z in (least_star_gain(s, rate) for rate in np.linspace(0.05, 0.9, 8)) if Z is not None)
+    convex = min(star(Z) for Z in least_star_gains(s, np.linspace(0.05, 0.9, 8)))
     rng = np.random.default_rng(seed)
     starts = starting_gains(family, 0.95)
     assert len(starts) >= 4

@@ -88,22 +88,22 @@ def _largest(M: Matrix) -> float:
 
 
 def tail_bound(system: StableSystem) -> TailBound:
-    """Return the bound, from the Lyapunov equation of ``A`` sped up by half of its stability margin."""
+    """Return the bound, from the Lyapunov equation of ``A`` sped up by half of its stability margin, or from powers.
+
+    The latter where the equation is not solved to enough digits: where poles are near to each other, and slow.
+    """
     n = len(system.A)
     if not n:
         return TailBound(np.zeros((0, 0)), 0.0, 0.0)
-    fast = 0.5 * (1 + system.radius)
-    L = _contracting(system.A, fast)
-    contraction = _largest(scipy.linalg.solve_triangular(L, (L.T @ system.A).T, lower=True))
-    if not contraction < 1:
-        raise AccuracyError(
-            f"no norm was found in which the system contracts (spectral radius {system.radius:.12g}): "
-            "its poles are too near to the stability boundary, or too badly conditioned, for double precision"
-        )
-    return TailBound(L, contraction, _largest(scipy.linalg.solve_triangular(L, system.C.T, lower=True)))
+    L = _contracting(system.A, 0.5 * (1 + system.radius))
+    if L is not None:
+        contraction = _largest(scipy.linalg.solve_triangular(L, (L.T @ system.A).T, lower=True))
+        if contraction < 1:
+            return TailBound(L, contraction, _largest(scipy.linalg.solve_triangular(L, system.C.T, lower=True)))
+    return _by_powers(system)
 
 
-def _contracting(A: Matrix, fast: float) -> Matrix:
+def _contracting(A: Matrix, fast: float) -> Matrix | None:
     """Return a Cholesky factor of ``P = (A / fast)' P (A / fast) + I``, by doubling, which keeps ``P`` positive."""
     P, power = np.eye(len(A)), A / fast
     for _ in range(70):
@@ -114,10 +114,25 @@ def _contracting(A: Matrix, fast: float) -> Matrix:
         power = power @ power
     try:
         return np.asarray(np.linalg.cholesky(P), dtype=float)
-    except np.linalg.LinAlgError as error:
-        raise AccuracyError(
-            "the Lyapunov equation of the system was not solved: a pole is too near to the stability boundary"
-        ) from error
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _by_powers(system: StableSystem) -> TailBound:
+    r"""Bound by :math:`\sum_j |A^j| \le \sum_{j < N} |A^j| / (1 - |A^N|)`, ``N`` a power of two."""
+    power, total, n = system.A, 1.0, len(system.A)
+    for _ in range(60):
+        size = _largest(power)
+        if size < 0.5:
+            return TailBound(np.eye(n), size, _largest(system.C) * total)
+        total *= 1 + size  # the terms from N to 2 N - 1 are those before times A^N
+        power = power @ power
+        if not (np.isfinite(power).all() and np.isfinite(total)):
+            break
+    raise AccuracyError(
+        f"no norm was found in which the system contracts (spectral radius {system.radius:.12g}): "
+        "its poles are too near to the stability boundary, or too badly conditioned, for double precision"
+    )
 
 
 def impulse_blocks(system: StableSystem, *, most: int) -> Iterator[tuple[Matrix, float]]:

@@ -24,7 +24,7 @@ from residua.plant.plant_file import load_plant, loads_plant
 from residua.plant.plant_writer import dumps_plant, save_plant
 from residua.plant.sensor_filter import augment_sensor_filter, sensor_filter
 from residua.plant.transfer_functions import input_output_from_transfer_functions
-from residua.plant.uncertain_loop import close_loop, estimator_residual, residual_over_set
+from residua.plant.uncertain_loop import close_loop, estimator_residual, loop_parameters, residual_over_set
 from residua.plant.uncertain_plant import UncertainPlant
 
 __all__ = [
@@ -49,6 +49,7 @@ __all__ = [
     "input_output_from_transfer_functions",
     "load_plant",
     "loads_plant",
+    "loop_parameters",
     "plant_from_state_space",
     "quadratic_terms",
     "realize_input_output",

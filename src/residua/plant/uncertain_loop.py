@@ -191,7 +191,7 @@ def estimator_residual(
     -------
     UncertainSystem
         From the disturbances (and nuisances) to the residual. Its parameters are deviations from the nominal values of
-        the loop: ``residua.plant.uncertain_loop.loop_parameters``. White noise, which has no bound, is left out.
+        the loop: ``residua.plant.loop_parameters``. White noise, which has no bound, is left out.
 
     Raises
     ------
@@ -253,7 +253,7 @@ def residual_over_set(
     -------
     UncertainSystem
         Its parameters have the names of those of the loop, and are deviations from their nominal values: ``F`` itself.
-        ``residua.plant.uncertain_loop.loop_parameters`` leads back to what ``loop.member`` takes.
+        ``residua.plant.loop_parameters`` leads back to what ``loop.member`` takes.
 
     Raises
     ------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,19 +12,17 @@ from numpy.typing import ArrayLike
 from residua.design.banks.bank import Bank
 from residua.design.generator import ResidualGenerator
 from residua.design.robust_l1.rounding_scale import rounding_scale
-from residua.errors import AccuracyError, DesignError, ModelError, SettingError
-from residua.linear import StateSpace, UncertainSystem, lmi
+from residua.errors import AccuracyError, DesignError, ModelError, NoCertificateError, SettingError
+from residua.linear import StateSpace, UncertainSystem
 from residua.linear.arrays import index_of
 from residua.linear.robust_norm import RobustPeakNorm, robust_peak_norm
 from residua.plant import UncertainPlant
 from residua.plant.uncertain_loop import loop_parameters, residual_over_set, unstable_member
 
-#: A bound this close to what is attained is not worth cutting the set, or this close not the matrix inequalities.
-_CLOSE, _NOT_FAR = 1.02, 1.1
-#: Parts that the set is cut into where one is not close.
-_BOXES = (1, 8, 32)
-#: States and twice the channels up to which these take minutes at most.
-_PRACTICAL = 50
+#: How close bounds are to what is attained: those that count, and what is only told, in so many parts of the set.
+_COUNTS, _ONLY_TOLD = 1e-2, {"rtol": 0.1, "boxes": 8}
+#: Parts that the set is cut into where a method has no answer before; a tolerance that any answer keeps to.
+_BOXES, _ANY = 32, 1e300
 #: Parts of what a residual would be without cancellation. Designs that decouple all disturbances left 1e-14 of it, for
 #: plants with units 1e8 apart up to 6e-11, and searches 2e-9; thresholds that mean something are 1e-6 and more.
 _DECOUPLED, _ROUNDED = 1e-8, 1e-13
@@ -116,9 +114,9 @@ def certified_threshold(
     sizes : mapping of str to float, optional
         Largest sizes of faults that the threshold covers; those of different faults are reached at once.
     method : str, optional
-        Of :func:`residua.linear.robust_peak_norm`. When omitted ``"centred"``; where that leaves more than 2 per cent
-        to what is attained, of a set cut into parts; where 10 per cent are left then, ``"lifted"``, if the extra
-        ``lmi`` is there and the system is not too large. The smallest counts. For what is only told, less.
+        Of :func:`residua.linear.robust_peak_norm`; its default when omitted, within 1 per cent of what is attained
+        where that can be had. What is only told is known to 10 per cent. A method that is given is used for the whole
+        set, and for parts of it where it has no answer for the whole.
     """
     sized = {name: float(size) for name, size in (sizes or {}).items() if size}
     if not loop.nominal.disturbances and not sized:
@@ -127,16 +125,14 @@ def certified_threshold(
             "give the plant its disturbances, with_disturbances(...)"
         )
     task = _Task(loop, residual_filter, state_map, method)
-    own, scale = task.bound(loop.nominal.disturbances, lambda found: found.ratio <= _CLOSE, matrix_inequalities=True)
+    own, scale = task.bound(loop.nominal.disturbances, rtol=_COUNTS)
     others, reached = {}, own.attained > _DECOUPLED * scale
     if not reached and not sized:
         raise _not_reached(own, scale)
     for name in dict.fromkeys((*faults, *sized)):
         # what leaks matters by what it adds to the threshold, and hardly where it is only told
-        room = 0.02 * own.bound / sized[name] if name in sized else np.inf
-        others[name], unit = task.bound(
-            (name,), lambda found, room=room: found.bound - found.attained <= room and found.ratio <= 3
-        )
+        close = {"rtol": 0.0, "atol": _COUNTS * own.bound / sized[name]} if name in sized else _ONLY_TOLD
+        others[name], unit = task.bound((name,), **close)
         reached |= name in sized and others[name].attained > _DECOUPLED * unit
     if not reached:
         raise _not_reached(own, scale, tuple(sized))
@@ -147,8 +143,9 @@ def certified_threshold(
 def _not_reached(own: RobustPeakNorm, scale: float, sized: tuple[str, ...] = ()) -> DesignError:
     bounded = f" and the bounded faults ({', '.join(sized)})" if sized else ""
     why = (
-        f"they are decoupled from it, and what is left of them, {own.attained:.2g}, is rounding (their parts of it are "
-        f"of the order of {scale:.2g} before they cancel), so that a threshold of that would mean false alarms"
+        f"they cancel in it, and what is left of them, {own.attained:.2g}, is rounding (their parts of it are of the "
+        f"order of {scale:.2g}): they are decoupled from it, or it weighs outputs without disturbances too much; a "
+        "threshold of that would mean false alarms"
         if scale
         else "they reach no output that it reads"
     )
@@ -168,22 +165,13 @@ class _Task:
     state_map: ArrayLike | None
     method: str | None
 
-    def bound(
-        self,
-        signals: tuple[str, ...],
-        close: Callable[[RobustPeakNorm], bool],
-        *,
-        matrix_inequalities: bool = False,
-    ) -> tuple[RobustPeakNorm, float]:
+    def bound(self, signals: tuple[str, ...], **close: Any) -> tuple[RobustPeakNorm, float]:
         """Return the bound for some signals, no smaller than rounding, and what it would be without cancellation."""
         system = residual_over_set(self.loop, self.filter, self.state_map, signals=signals)
         scale = rounding_scale(self.loop.nominal, self.filter, signals)
-
-        def enough(found: RobustPeakNorm) -> bool:
-            return found.bound <= _DECOUPLED * scale or close(found)
-
+        close["atol"] = max(close.get("atol", 0.0), _DECOUPLED * scale)
         try:
-            found = _bound(system, self.method, enough, matrix_inequalities=matrix_inequalities)
+            found = _bound(system, self.method, **close)
         except DesignError as error:
             unstable = unstable_member(self.loop)  # the error itself names deviations from the nominal values
             if unstable is None:
@@ -199,38 +187,17 @@ class _Task:
 
 
 def _bound(
-    system: UncertainSystem,
-    method: str | None,
-    close: Callable[[RobustPeakNorm], bool],
-    *,
-    matrix_inequalities: bool = False,
+    system: UncertainSystem, method: str | None, *, rtol: float, atol: float, boxes: int | None = None
 ) -> RobustPeakNorm:
-    """Return the smallest of ever dearer bounds, until one is close to what is attained."""
-    attempts: list[dict[str, Any]] = [{"method": method or "centred", "boxes": boxes} for boxes in _BOXES]
-    if (
-        method is None
-        and matrix_inequalities
-        and lmi.has_solver()
-        and system.n_states + 2 * len(system.channels) <= _PRACTICAL
-    ):
-        attempts.append({"method": "lifted"})
-    best: RobustPeakNorm | None = None
-    failure: DesignError | AccuracyError | None = None
-    for options in attempts:
-        if best is not None and (method or (options["method"] == "lifted" and best.ratio <= _NOT_FAR)):
-            break  # what was asked for is cut into parts only where it has no answer for the whole
-        try:
-            found = robust_peak_norm(system, **options)
-        except (DesignError, AccuracyError) as error:
-            failure = failure or error
-            continue
-        best = found if best is None or found.bound < best.bound else best
-        if close(best):
-            break
-    if best is None:
-        assert failure is not None  # no attempt has ended otherwise
-        raise failure
-    return best
+    """Return a bound within tolerances of what is attained, or the best in so many parts."""
+    if method is None and boxes is None:
+        return robust_peak_norm(system, rtol=rtol, atol=atol)
+    method = method or "centred"
+    try:
+        return robust_peak_norm(system, method=method, boxes=boxes, rtol=rtol, atol=atol)
+    except (NoCertificateError, AccuracyError):
+        # where there is no answer for the set as it is asked for, the first for parts of it
+        return robust_peak_norm(system, method=method, boxes=_BOXES, atol=_ANY)
 
 
 def checked_sizes(loop: UncertainPlant, sizes: Mapping[str, float] | None) -> dict[str, float]:

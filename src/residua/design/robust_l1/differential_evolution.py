@@ -9,20 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from residua.design.robust_l1.polish import polish
 from residua.design.robust_l1.search_box import (
     BoxedCost,
     Cost,
     SearchProgress,
-    check_switch,
-    check_whole,
     first_population,
     starting_points,
 )
-from residua.design.robust_l1.search_result import SETTLED, USED_UP, SearchResult, settled
+from residua.design.robust_l1.search_ending import check_ending, concluded, settled
+from residua.design.robust_l1.search_result import SearchResult
 
-#: Improvement within ``patience`` generations that counts as none, relative to the cost.
-_TOLERANCE = 1e-4
 #: Chance of a number to come from the mixture.
 _RECOMBINATION = 0.9
 
@@ -69,11 +65,7 @@ class DifferentialEvolution:
 
     def __post_init__(self) -> None:
         """Check the settings."""
-        check_whole(self.population, "population", 5)
-        check_whole(self.generations, "generations", 1)
-        check_whole(self.patience, "patience", 1)
-        check_whole(self.seed, "seed", 0)
-        check_switch(self.polish, "polish")
+        check_ending(self, least=5)
 
     def minimise(
         self,
@@ -112,7 +104,7 @@ class DifferentialEvolution:
             history.append(box.best)
             if progress is not None:
                 progress(len(history) - 1, self.generations, box.best)
-            return settled(history, self.patience, _TOLERANCE)
+            return settled(history, self.patience)
 
         with warnings.catch_warnings(), np.errstate(invalid="ignore"):
             warnings.simplefilter("ignore", RuntimeWarning)  # of infinite costs, which it takes the spread of
@@ -131,10 +123,4 @@ class DifferentialEvolution:
                 seed=rng,
                 callback=told,
             )
-        done = len(history) - 1
-        ended = SETTLED if settled(history, self.patience, _TOLERANCE) else USED_UP
-        _, before = box.checked_best()
-        if self.polish:
-            polish(box, self.seed)
-        x, best = box.checked_best()
-        return SearchResult(x, best, before, box.evaluations, done, np.array(history), ended, "differential evolution")
+        return concluded(self, box, history, "differential evolution")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,11 +16,17 @@ from residua.design.banks.unknown_input_quotient import (
     unknown_input_quotient,
 )
 from residua.errors import DesignError
-from residua.linear import StateSpace
+from residua.linear import StateSpace, UncertainSystem
+from residua.linear.arrays import frozen
 from residua.linear.rank import DEFAULT_RTOL
+from residua.linear.robust_norm.member_response import reached_units
 from residua.plant import Plant
 
 Matrix = NDArray[np.float64]
+#: A steady response is zero below this part of the terms that cancel in it.
+_ROUNDING = 1e-10
+#: Units of states that are no farther apart than this power of two are left as they are.
+_EVEN = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,10 +117,9 @@ class EstimatorFamily:
         H, J = scale * g[None] @ s.C, scale * g[None] @ s.D
         if not self.full:
             return s.replaced(C=H, D=J, outputs=["r"]), T
-        back = np.linalg.inv(T)
-        one = StateSpace(
-            back @ s.A @ T, back @ s.B, H @ T, J, dt=s.dt, states=self.plant.states, inputs=s.inputs, outputs=["r"]
-        )
+        W, p = np.linalg.solve(T, s.B), self.plant
+        # from the plant itself, so that nothing but the rounding of W C is left between the two
+        one = StateSpace(p.A - W @ p.C, W, -J @ p.C, J, dt=s.dt, states=p.states, inputs=s.inputs, outputs=["r"])
         return one, np.eye(self.order)
 
 
@@ -122,8 +127,7 @@ def estimator_family(
     plant: Plant, target: str, decoupled: tuple[str, ...], *, rtol: float = DEFAULT_RTOL
 ) -> EstimatorFamily:
     """Divide out what nuisance faults reach; raises where no residual is left, or the target is lost with them."""
-    aim = plant.without_disturbances().faults_as_disturbances(decoupled)
-    parts = explicit_parts(aim)
+    parts = _even_parts(plant, decoupled)
     quotient = unknown_input_quotient(parts, rtol)
     family = EstimatorFamily(plant, target, decoupled, parts, quotient)
     if not family.rows:
@@ -132,7 +136,7 @@ def estimator_family(
             "up; decouple fewer faults (decouple=) and give the others a size (sizes=)"
         )
     i = plant.faults.index(target)
-    direct, driven = family.read @ plant.Df[:, i], family.state_map @ plant.Bf[:, i] - family.inject @ plant.Df[:, i]
+    driven, direct = _driven(family, i)
     size = np.abs(family.read) @ np.abs(plant.Df[:, i])
     moved = np.abs(family.state_map) @ np.abs(plant.Bf[:, i]) + np.abs(family.inject) @ np.abs(plant.Df[:, i])
     terms = np.concatenate([size, moved]).max(initial=0.0)
@@ -142,3 +146,49 @@ def estimator_family(
             "decouple fewer faults (decouple=) and give the others a size (sizes=)"
         )
     return family
+
+
+def _even_parts(plant: Plant, decoupled: tuple[str, ...]) -> ExplicitParts:
+    """Return the loop in even units; what is zero cannot be told from rounding in units that are far apart."""
+    aim = plant.without_disturbances().faults_as_disturbances(decoupled)
+    n, B, D = plant.n_states, np.hstack([plant.Bd, plant.Bf]), np.hstack([plant.Dd, plant.Df])
+    none = np.zeros((n, 0))
+    units = reached_units(UncertainSystem(plant.A, none, B, none.T, plant.C, None, D, low=[], high=[], dt=plant.dt))
+    if not n or np.ptp(np.log2(units)) <= _EVEN:
+        return explicit_parts(aim)
+    driven = {name: frozen(getattr(aim, name) / units[:, None]) for name in ("Bu", "Bd", "Bf", "Bw")}
+    scaled = aim._with(A=frozen(aim.A * units / units[:, None]), C=frozen(aim.C * units), **driven)
+    parts = explicit_parts(scaled)
+    return replace(parts, equations=parts.equations / units)
+
+
+def check_lasting(family: EstimatorFamily) -> None:
+    """Raise where the target leaves nothing in the residuals of the nominal loop once they have settled."""
+    p, i = family.plant, family.plant.faults.index(family.target)
+    R, one = np.linalg.inv(np.eye(p.n_states) - p.A), np.eye(p.n_states)
+    reached = np.abs(R) @ (one + (one + np.abs(p.A)) @ np.abs(R)) @ np.abs(p.Bf[:, i])
+    left = np.abs(p.C @ R @ p.Bf[:, i] + p.Df[:, i])
+    if not np.any(left > _ROUNDING * (np.abs(p.C) @ reached + np.abs(p.Df[:, i]))):
+        raise DesignError(
+            f"a lasting {family.target!r} leaves the outputs of the nominal loop as they are without it: their steady "
+            "response to it is zero. Integral action of the controller does that: it moves the plant until all sensors "
+            "read their set points again. The command shows it: give the plant its control inputs as further outputs, "
+            "or leave this fault out (faults=)"
+        )
+    q, b, d = family.quotient, *_driven(family, i)
+    # e' = A e + b - Z r with r = C e + d is at rest with r = 0, whatever Z, where that can be solved for e
+    M, v = np.vstack([np.eye(family.order) - q.A, q.C]), np.concatenate([b, -d])
+    e = np.linalg.lstsq(M, v, rcond=None)[0]
+    if not np.any(np.abs(v - M @ e) > _ROUNDING * (np.abs(M) @ np.abs(e) + np.abs(v)).max(initial=0.0)):
+        raise DesignError(
+            f"no estimator that ignores {', '.join(family.decoupled) or 'nothing'} sees {family.target!r} while it "
+            "lasts: once they have settled, the outputs answer to it as to what is ignored; decouple fewer faults "
+            "(decouple=) and give the others a size (sizes=), or add a sensor (where the controller has integral "
+            "action, the control inputs as further outputs)"
+        )
+
+
+def _driven(family: EstimatorFamily, i: int) -> tuple[Matrix, Matrix]:
+    """Return how a fault drives the error of all estimators, and what of it they read at once."""
+    p = family.plant
+    return family.state_map @ p.Bf[:, i] - family.inject @ p.Df[:, i], family.read @ p.Df[:, i]

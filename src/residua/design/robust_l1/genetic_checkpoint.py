@@ -35,12 +35,12 @@ class Progressed:
     evaluations: int
 
 
-def save_checkpoint(path: str | Path, now: Progressed, search: GeneticSearch, box: BoxedCost, starts: Matrix) -> None:
-    """Write the state of a search; the file appears whole or not at all."""
+def save_checkpoint(path: str | Path, now: Progressed, whose: dict[str, Any]) -> None:
+    """Write the state of a search with a fingerprint; the file appears whole or not at all."""
     content = {
         "format": _FORMAT,
         "version": _VERSION,
-        "search": _fingerprint(search, box, starts),
+        "search": whose,
         "points": [[float(x).hex() for x in row] for row in now.points],
         "costs": [float(x).hex() for x in now.costs],
         "history": [float(x).hex() for x in now.history],
@@ -49,8 +49,8 @@ def save_checkpoint(path: str | Path, now: Progressed, search: GeneticSearch, bo
     write_text(Path(path), json.dumps(content) + "\n")
 
 
-def load_checkpoint(path: str | Path, search: GeneticSearch, box: BoxedCost, starts: Matrix) -> Progressed | None:
-    """Read the state of a search; None where there is no file."""
+def load_checkpoint(path: str | Path, own: dict[str, Any], box: BoxedCost) -> Progressed | None:
+    """Read the state of the search with a fingerprint; None where there is no file."""
     path = Path(path)
     if not path.exists():
         return None
@@ -69,7 +69,7 @@ def load_checkpoint(path: str | Path, search: GeneticSearch, box: BoxedCost, sta
         raise FileFormatError(
             f"{path.name} is no checkpoint of a genetic search ({error}): delete it to begin anew"
         ) from error
-    for name, value in _fingerprint(search, box, starts).items():
+    for name, value in own.items():
         if whose.get(name) != value:
             raise SettingError(
                 f"{path.name} belongs to another search: its {name} is not the same; delete it to begin anew, or give "
@@ -87,12 +87,16 @@ def load_checkpoint(path: str | Path, search: GeneticSearch, box: BoxedCost, sta
     return found
 
 
-def _fingerprint(search: GeneticSearch, box: BoxedCost, starts: Matrix) -> dict[str, Any]:
+def settings_of(search: Any) -> dict[str, Any]:
+    """Return the settings that make the way of a search; those that say when it ends may differ."""
+    return {name: value for name, value in asdict(search).items() if name not in _ENDS}
+
+
+def fingerprint(search: GeneticSearch, box: BoxedCost, starts: Matrix) -> dict[str, Any]:
     """Return what makes a search the same: settings, box, starts, and the cost of three points."""
-    settings = {name: value for name, value in asdict(search).items() if name not in _ENDS}
     probes = box.lower + np.array([0.25, 0.5, 0.8])[:, None] * box.width
     return {
-        **settings,
+        **settings_of(search),
         "lower": [float(x).hex() for x in box.lower],
         "upper": [float(x).hex() for x in box.upper],
         "start": [[float(x).hex() for x in row] for row in starts],

@@ -8,23 +8,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.design.robust_l1.genetic_checkpoint import Progressed, load_checkpoint, save_checkpoint
-from residua.design.robust_l1.polish import polish
+from residua.design.robust_l1.genetic_checkpoint import Progressed, fingerprint, load_checkpoint, save_checkpoint
 from residua.design.robust_l1.search_box import (
     BoxedCost,
     Cost,
     Matrix,
     SearchProgress,
     check_number,
-    check_switch,
-    check_whole,
     first_population,
     starting_points,
 )
-from residua.design.robust_l1.search_result import SETTLED, USED_UP, SearchResult, settled
+from residua.design.robust_l1.search_ending import check_ending, concluded, settled
+from residua.design.robust_l1.search_result import SearchResult
 
-#: Improvement within ``patience`` generations that counts as none, relative to the cost.
-_TOLERANCE = 1e-4
 #: How often each crossover is taken: arithmetic, BLX-alpha, heuristic.
 _SHARES = (1, 3, 6)
 #: How far BLX-alpha goes beyond the parents, as a fraction of their distance.
@@ -109,14 +105,10 @@ class GeneticSearch:
 
     def __post_init__(self) -> None:
         """Check the settings."""
-        check_whole(self.population, "population", 4)
-        check_whole(self.generations, "generations", 1)
-        check_whole(self.patience, "patience", 1)
-        check_whole(self.seed, "seed", 0)
+        check_ending(self, least=4)
         check_number(self.crossover, "crossover", 0.0, 1.0)
         check_number(self.mutation, "mutation", 0.0, 1.0)
         check_number(self.selection, "selection", 0.0, 1.0, inside=True)
-        check_switch(self.polish, "polish")
 
     def minimise(
         self,
@@ -156,26 +148,21 @@ class GeneticSearch:
         """
         box = BoxedCost(cost, lower, upper)
         starts = starting_points(start, box)
-        now = None if checkpoint is None else load_checkpoint(checkpoint, self, box, starts)
+        whose = {} if checkpoint is None else fingerprint(self, box, starts)
+        now = None if checkpoint is None else load_checkpoint(checkpoint, whose, box)
         if now is None:
             points = first_population(np.random.default_rng(self.seed), box, starts, self.population)
             now = _ranked(Progressed(points, box(points), [], 0))
-        while len(now.history) <= self.generations and not settled(now.history, self.patience, _TOLERANCE):
+        while len(now.history) <= self.generations and not settled(now.history, self.patience):
             if now.history:
                 now = self._next(now, box)
             now = Progressed(now.points, now.costs, [*now.history, float(now.costs[0])], box.evaluations)
             if checkpoint is not None:
-                save_checkpoint(checkpoint, now, self, box, starts)
+                save_checkpoint(checkpoint, now, whose)
             if progress is not None:
                 progress(len(now.history) - 1, self.generations, now.history[-1])
         box.remember(now.points[0], float(now.costs[0]))  # which it has not seen where another run found it
-        _, before = box.checked_best()
-        if self.polish:
-            polish(box, self.seed)
-        x, best = box.checked_best()
-        ended = SETTLED if settled(now.history, self.patience, _TOLERANCE) else USED_UP
-        done = len(now.history) - 1
-        return SearchResult(x, best, before, box.evaluations, done, np.array(now.history), ended, "genetic")
+        return concluded(self, box, now.history, "genetic")
 
     def _next(self, now: Progressed, box: BoxedCost) -> Progressed:
         """Return the next generation, ranked; its random numbers are those of its number, wherever it is bred."""

@@ -11,22 +11,27 @@ import numpy as np
 from residua.design.banks.bank import Bank, Wanted, check_promise, stacked_members
 from residua.design.evidence import Evidence
 from residua.design.generator import ResidualGenerator, make_generator
-from residua.design.robust_l1.certified_threshold import checked_sizes
+from residua.design.robust_l1.certified_threshold import checked_sizes, left_out
 from residua.design.robust_l1.differential_evolution import DifferentialEvolution
+from residua.design.robust_l1.estimator_family import EstimatorFamily, check_lasting, estimator_family
 from residua.design.robust_l1.estimator_search import Search, Task, search_estimator
 from residua.design.robust_l1.genetic_search import GeneticSearch
 from residua.design.robust_l1.robust_estimator import RobustEstimator
-from residua.design.robust_l1.sampled_cost import Weights
+from residua.design.robust_l1.sampled_cost import Weights, spectral_radius
 from residua.errors import DesignError, ModelError, SettingError
 from residua.linear import arrays
 from residua.linear.rank import DEFAULT_RTOL
-from residua.plant import UncertainPlant
+from residua.linear.robust_norm.box_bound import check_method
+from residua.plant import Plant, UncertainPlant
+from residua.plant.uncertain_loop import unstable_member
 from residua.progress import Progress, progress_of
 
 _METHOD = "robust l1 estimators"
 _REFERENCE = "Robust l1 fault detection, eqs. (27)-(49)"
 #: Samples that estimators may take to settle, however fast the loop is.
 _LEAST_SETTLING = 50
+#: How many times they are tried, each within half the time, where no threshold is certified.
+_HALVINGS = 5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -58,13 +63,15 @@ class RobustL1Bank(Bank):
 
     def __str__(self) -> str:
         lines = [super().__str__()] + [str(one) for one in self.estimators.values()]
-        lines += [f"note: {note}" for note in _left_out(self.loop)]
-        leaks = [
-            f"{other} {one.leakage[other]:.3g}" + (f" (covered to {size:g})" if size else "")
-            for one in self.estimators.values()
-            for other, size in ((o, one.certificate.sizes.get(o, 0.0)) for o in one.leakage)
-        ]
-        return "\n".join(lines) + (f"\nleakage of other faults, per unit: {'; '.join(leaks)}" if leaks else "")
+        lines += [f"note: {note}" for note in left_out(self.loop)]
+        return "\n".join(lines + [_leaks(one) for one in self.estimators.values() if one.leakage])
+
+
+def _leaks(one: RobustEstimator) -> str:
+    """Return what other faults add to one residual, as a line."""
+    sizes = one.certificate.sizes
+    parts = (f"{o} {x:.3g}" + (f" (covered to {sizes[o]:g})" if o in sizes else "") for o, x in one.leakage.items())
+    return f"{one.fault}: of other faults a unit adds at most: {', '.join(parts)}"
 
 
 def robust_l1_bank(
@@ -119,13 +126,14 @@ def robust_l1_bank(
         With a band the residual answers faster, and the threshold is higher for it.
     settling : float, optional
         Seconds in which a residual settles to 2 per cent. When omitted, four times as long as the loop takes, and 50
-        samples at least.
+        samples at least; half of that, and so on, where no threshold is certified, as the evidence then notes.
     search : DifferentialEvolution or GeneticSearch or {"differential-evolution", "genetic"}, optional
         The former when omitted.
     method : str, optional
         Of the certificate, see :func:`residua.linear.robust_peak_norm`; the cheapest that is close when omitted.
     checkpoint : str or Path, optional
-        A folder in which a genetic search leaves its state: started anew, it goes on from there.
+        A folder in which a genetic search leaves its state: the same design, started anew or with more generations,
+        goes on from there. Another begins its own files.
     progress : callable or bool, optional
         Called with (what, done, of how many); ``True`` for a line on standard error, ``False`` for none. When omitted,
         the line where that is a terminal.
@@ -143,7 +151,10 @@ def robust_l1_bank(
     ModelError
         If the loop has control inputs, no disturbances, or is continuous.
     DesignError
-        If a fault cannot be told from the others, or is not seen while it lasts; if a member of the set is not stable.
+        If a fault cannot be told from the others, or is not seen while it lasts; if a member of the set is not stable;
+        if no threshold is certified (a NoCertificateError).
+    SettingError
+        If an option makes no sense.
 
     Notes
     -----
@@ -179,39 +190,87 @@ def robust_l1_bank(
     >>> list(bank.thresholds)
     ['upper sensor', 'lower sensor']
     """
+    plant = _checked(loop, sizes)
+    targets = _targets(faults, plant)
+    check_method(method)
+    ignored = [plant.faults[i] for i in arrays.positions(decouple, plant.faults, "fault")]
+    task = Task(
+        loop,
+        {name: size for name, size in checked_sizes(loop, sizes).items() if size},
+        _weights(beta, gamma),
+        _band(band, plant.dt),
+        _radii(loop, settling),
+        _search(search, seed),
+        method,
+        None if checkpoint is None else Path(checkpoint),
+        seed,
+    )
+    families = [_family(plant, name, ignored, rtol) for name in targets]
+    unstable = unstable_member(loop)
+    if unstable is not None:
+        raise DesignError(
+            f"a member of the set is not stable: {unstable}; nothing is bounded in it: narrow the set, or change the "
+            "controller"
+        )
+    _make_folder(task)
+    tell, close = progress_of(progress)
+    try:
+        made = {family.target: search_estimator(task, family, tell) for family in families}
+    finally:
+        close()
+    return _bank(loop, made)
+
+
+# -------------------------------------------------------------------- the request
+
+
+def _checked(loop: UncertainPlant, sizes: Mapping[str, float] | None) -> Plant:
+    """Return the nominal loop of an uncertain one that estimators can be designed for."""
+    if not isinstance(loop, UncertainPlant):
+        how = "UncertainPlant(plant, deltas=[...]), or UncertainPlant(plant) where nothing is uncertain"
+        raise ModelError(f"the loop must be an UncertainPlant, got {type(loop).__name__}: make one by {how}")
     plant = loop.nominal
     if plant.inputs:
         raise ModelError("the loop is open: loop.in_closed_loop(controller) closes it, and nothing is certain without")
     if not plant.is_discrete:
         raise ModelError("robust l1 estimators run on samples: loop.discretize(dt), before the loop is closed")
-    targets = [plant.faults[i] for i in arrays.positions(faults, plant.faults, "fault")]
     if not plant.disturbances and not any((sizes or {}).values()):
         raise ModelError(
             "the loop has no disturbances to be robust against: with_disturbances(...), scaled to length one"
         )
-    if not targets:
+    return plant
+
+
+def _targets(faults: Iterable[str | int] | str | None, plant: Plant) -> list[str]:
+    if not plant.faults:
         raise DesignError("the loop has no faults to look for: with_sensor_faults(), with_actuator_faults()")
-    task = Task(
-        loop,
-        tuple(plant.faults[i] for i in arrays.positions(decouple, plant.faults, "fault")),
-        checked_sizes(loop, sizes),
-        _weights(beta, gamma),
-        _band(band, plant.dt),
-        _radius(loop, settling),
-        _search(search, seed),
-        method,
-        None if checkpoint is None else Path(checkpoint),
-        rtol,
-        seed,
-    )
-    if task.checkpoint is not None and not isinstance(task.search, GeneticSearch):
+    # one that is named twice is meant once
+    found = list(dict.fromkeys(plant.faults[i] for i in arrays.positions(faults, plant.faults, "fault")))
+    if not found:
+        raise SettingError(f"faults= is empty: leave it out for all, or choose of {', '.join(plant.faults)}")
+    return found
+
+
+def _family(plant: Plant, target: str, ignored: Iterable[str], rtol: float) -> EstimatorFamily:
+    others = tuple(dict.fromkeys(name for name in ignored if name != target))
+    family = estimator_family(plant, target, others, rtol=rtol)
+    check_lasting(family)
+    return family
+
+
+def _make_folder(task: Task) -> None:
+    """Make the folder for the states of searches, before anything has been computed."""
+    if task.checkpoint is None:
+        return
+    if not isinstance(task.search, GeneticSearch):
         raise SettingError("only a genetic search leaves its state: search='genetic' with checkpoint=")
-    tell, close = progress_of(progress)
     try:
-        made = {name: search_estimator(task, name, tell) for name in targets}
-    finally:
-        close()
-    return _bank(loop, made)
+        task.checkpoint.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SettingError(
+            f"checkpoint= must be a folder, for several files, and {str(task.checkpoint)!r} is not or cannot be made "
+            f"one: {error.strerror or error}"
+        ) from error
 
 
 def _weights(beta: float, gamma: float) -> Weights:
@@ -231,16 +290,23 @@ def _band(band: float, dt: float) -> float:
     return float(band)
 
 
-def _radius(loop: UncertainPlant, settling: float | None) -> float:
-    """Return the spectral radius up to which estimators count."""
-    own = float(np.abs(np.linalg.eigvals(loop.nominal.A)).max(initial=0.0))
+def _radii(loop: UncertainPlant, settling: float | None) -> tuple[float, ...]:
+    """Return the spectral radii up to which estimators count; ever faster ones where that is left open."""
+    own = float(spectral_radius(loop.nominal.A))
     if not own < 1:
         raise DesignError(f"the nominal loop is not stable (spectral radius {own:.6g}): nothing is bounded in it")
     if settling is None:
-        return max(own**0.25, 0.02 ** (1 / _LEAST_SETTLING))
+        fastest = 0.02 ** (1 / _LEAST_SETTLING)
+        halved = (own ** (0.25 * 2**k) for k in range(_HALVINGS))
+        return tuple(dict.fromkeys(max(radius, fastest) for radius in halved))
     if not (np.isfinite(settling) and settling > 0):
         raise SettingError(f"settling must be a positive time in seconds, got {settling!r}")
-    return float(0.02 ** (loop.nominal.dt / settling))
+    if settling < loop.nominal.dt * (1 - 1e-9):
+        raise SettingError(
+            f"settling = {settling:g} s is shorter than one sample, {loop.nominal.dt:g} s: no filter is that fast; "
+            "give a few samples at least"
+        )
+    return (float(0.02 ** (loop.nominal.dt / settling)),)
 
 
 def _search(search: Search | str | None, seed: int) -> Search:
@@ -259,24 +325,15 @@ def _search(search: Search | str | None, seed: int) -> Search:
 # ------------------------------------------------------------------------- the bank
 
 
-def _bank(loop: UncertainPlant, made: Mapping[str, RobustEstimator]) -> RobustL1Bank:
-    parts = {name: _generator(loop, one) for name, one in made.items()}
+def _bank(loop: UncertainPlant, made: Mapping[str, tuple[RobustEstimator, str]]) -> RobustL1Bank:
+    parts = {name: _generator(loop, one, note) for name, (one, note) in made.items()}
+    estimators = {name: one for name, (one, _) in made.items()}
     generator = stacked_members(parts, _METHOD, _REFERENCE, decoupled=False)
     assert generator.codes is not None  # stacked_members gives them
-    return RobustL1Bank(generator, generator.codes, {}, {}, loop, made)
+    return RobustL1Bank(generator, generator.codes, {}, {}, loop, estimators)
 
 
-def _left_out(loop: UncertainPlant) -> tuple[str, ...]:
-    """Return what the certificates do not cover."""
-    out = []
-    if loop.linearisation is not None and not loop.linearisation.exact:
-        out.append(f"certified for the affine form of the set: {loop.linearisation}")
-    if loop.nominal.noises:
-        out.append("white noise has no bound: the thresholds are for the disturbances alone")
-    return tuple(out)
-
-
-def _generator(loop: UncertainPlant, one: RobustEstimator) -> ResidualGenerator:
+def _generator(loop: UncertainPlant, one: RobustEstimator, note: str) -> ResidualGenerator:
     """Return one estimator as a residual generator of the nominal loop, after checking what it ignores."""
     poles = one.filter.poles()
     evidence = Evidence(
@@ -287,7 +344,7 @@ def _generator(loop: UncertainPlant, one: RobustEstimator) -> ResidualGenerator:
             "certified response over the smallest found": one.sensitivity.ratio,
             "cost": one.cost,
         },
-        notes=(*filter(None, (one.certificate.disturbances.note, one.sensitivity.note)), *_left_out(loop)),
+        notes=(*filter(None, (note, one.certificate.disturbances.note, one.sensitivity.note)), *left_out(loop)),
         references=(_REFERENCE,),
     )
     generator = make_generator(one.filter, loop.nominal, _METHOD, evidence, state_map=one.state_map)

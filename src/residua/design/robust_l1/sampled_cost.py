@@ -19,8 +19,8 @@ _DENSE, _PER_OCTAVE = 128, 64
 #: What the time to settle counts, at the longest allowed: of gains that cost the same the fastest is taken.
 _HASTE = 2e-3
 _ROUNDING = 1e-7
-#: Cost of an estimator that is not stable, or too slow, or blind; its spectral radius is added.
-PENALTY = 1e3
+#: Cost of an estimator that is not stable, or too slow, or blind; its spectral radius is added. No other costs as much.
+PENALTY = 1e6
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,10 @@ class Weights:
         """Return the cost with the best size of the residual; infinite where the fault is not seen."""
         ratio = np.full(np.shape(disturbance), np.inf)
         np.divide(disturbance, fault, out=ratio, where=fault > 0)
-        return 2 * np.sqrt(self.beta * (1 - self.beta) * ratio) + self.gamma * ratio
+        both = self.beta * (1 - self.beta)
+        # weights of zero are no terms: zero times infinity would be none either
+        cost = 2 * np.sqrt(both * ratio) if both else np.zeros_like(ratio)
+        return cost + self.gamma * ratio if self.gamma else cost
 
     def scale(self, disturbance: float, fault: float) -> float:
         """Return the best size of the residual; where none is best, that with a response of one to the fault."""
@@ -100,18 +103,21 @@ class SampledCost:
 
     def __call__(self, points: Matrix) -> NDArray[np.float64]:
         """Return the cost of every point, shape (k,), in its unit and with a trifle for slowness."""
-        found = self.norms(points)
+        return self.ranked(self.norms(points))
+
+    def ranked(self, found: Norms) -> NDArray[np.float64]:
+        """Return the cost of estimators with known norms; what is of use costs less than what is not, however much."""
         slowness = np.log(self.radius) / np.log(np.clip(found.radius, 1e-6, 1 - 1e-12))
         cost = self.weights.cost(found.disturbance, found.fault) * (1 + _HASTE * slowness)
         cost = cost / self.unit
-        return np.where(np.isfinite(cost) & (found.radius <= self.radius), cost, PENALTY + found.radius)
+        return np.where(np.isfinite(cost) & (found.radius <= self.radius), _below_penalty(cost), PENALTY + found.radius)
 
     def norms(self, points: Matrix) -> Norms:
         """Return the norms of every point."""
         Z, g = self.family.split(points)
         q = self.family.quotient
         F = q.A - Z @ q.C
-        radius = np.abs(np.linalg.eigvals(F)).max(axis=1, initial=0.0) if len(q.A) else np.zeros(len(Z))
+        radius = spectral_radius(F)
         found = np.full((3, len(Z)), np.nan)
         usable = radius <= self.radius
         if usable.any():
@@ -128,7 +134,7 @@ class SampledCost:
         return int(np.ceil(np.log(_TAIL) / np.log(slowest)))
 
     def _member_norm(
-        self, part: _MemberParts, F: Matrix, Z: Matrix, g: Matrix, steps: Sequence[int]
+        self, part: _MemberParts, F: Matrix, Z: Matrix, g: Matrix, steps: Sequence[tuple[int, int]]
     ) -> NDArray[np.float64]:
         """Return the sums of lengths of one member's impulse responses, shape (k, 1 + faults)."""
         q, n = self.family.quotient, len(part.A)
@@ -137,23 +143,21 @@ class SampledCost:
         A[:, n:, :n] = part.driven - Z @ part.seen
         x = np.concatenate([np.broadcast_to(part.B, (len(F), *part.B.shape)), part.start - Z @ part.direct], axis=1)
         row = np.concatenate([g @ part.seen, g @ q.C], axis=1)[:, None]
-        total = self._lengths(g[:, None] @ part.direct)
-        before, step = self._lengths(row @ x), 1
-        power = A
-        for stride in steps:
-            while step < stride:
-                power, step = power @ power, 2 * step
-            x = power @ x
-            now = self._lengths(row @ x)
+        total = self._lengths(g[:, None] @ part.direct)[:, 0]
+        before, power = self._lengths(row @ x), A
+        for stride, count in steps:
+            h, leap = _responses(row, power, x, count)
+            now = self._lengths(h)
+            known = np.concatenate([before, now[:, :-1]], axis=1)
             # the samples between two that are looked at are taken to lie on a line
-            total += stride * (before + now) / 2 + (before - now) / 2
-            before = now
-        return total + before
+            total += (stride * (known + now) / 2 + (known - now) / 2).sum(axis=1)
+            before, power, x = now[:, -1:], power @ power, leap @ x
+        return total + before[:, 0]
 
     def _lengths(self, h: Matrix) -> Matrix:
-        """Return the length of a term of the impulse response to the disturbances, and to every fault."""
+        """Return the lengths of terms of the impulse response to the disturbances, and to every fault."""
         n = self.disturbances
-        return np.concatenate([np.linalg.norm(h[:, 0, :n], axis=1)[:, None], np.abs(h[:, 0, n:])], axis=1)
+        return np.concatenate([np.linalg.norm(h[..., :n], axis=2, keepdims=True), np.abs(h[..., n:])], axis=2)
 
     def _fault(self, F: Matrix, Z: Matrix, g: Matrix) -> NDArray[np.float64]:
         """Return the smallest response to the target over frequencies and members."""
@@ -194,6 +198,13 @@ class _MemberParts:
     radius: float
 
 
+def _below_penalty(cost: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return costs as they are up to half of the penalty, and beyond in the same order, smoothly, all below it."""
+    large = np.maximum(cost, PENALTY / 2)
+    squeezed = np.minimum(PENALTY * (1 - PENALTY / (4 * large)), np.nextafter(PENALTY, 0))
+    return np.where(cost <= PENALTY / 2, cost, squeezed)
+
+
 def sampled_cost(
     family: EstimatorFamily,
     members: Sequence[Plant],
@@ -204,8 +215,7 @@ def sampled_cost(
     bounded: Mapping[str, float] | None = None,
 ) -> SampledCost:
     """Prepare the cost for some members of the set; faults in ``bounded`` count as disturbances of that size."""
-    plant = family.plant
-    bounded = {name: size for name, size in (bounded or {}).items() if size and name != family.target}
+    plant, bounded = family.plant, bounded or {}
     columns = [plant.faults.index(name) for name in bounded]
     sizes = np.array(list(bounded.values()))
     B = np.hstack([plant.Bd, plant.Bf[:, columns] * sizes])
@@ -216,20 +226,34 @@ def sampled_cost(
     parts = []
     for member in members:
         dA, dC = member.A - plant.A, member.C - plant.C
-        rho = float(np.abs(np.linalg.eigvals(member.A)).max(initial=0.0))
         error = {"driven": T @ dA - L @ dC, "start": T @ B - L @ D, "fault_start": T @ b - L @ d}
         seen = {"seen": N @ dC, "direct": N @ D, "fault_direct": N @ d}
-        parts.append(_MemberParts(A=member.A, B=B, fault=b, radius=rho, **error, **seen))
+        parts.append(_MemberParts(A=member.A, B=B, fault=b, radius=float(spectral_radius(member.A)), **error, **seen))
     omega = np.linspace(0.0, band, 1 if band == 0 else 9)
     z = np.exp(1j * omega * plant.dt)
     return SampledCost(family, weights, len(plant.disturbances), radius, z, tuple(parts))
 
 
-def _steps(terms: int) -> list[int]:
-    """Return the strides from each sample that is looked at to the next, until ``terms`` samples are covered."""
-    out, covered, stride = [1] * min(terms, _DENSE), min(terms, _DENSE), 1
+def spectral_radius(A: Matrix) -> NDArray[np.float64]:
+    """Return the spectral radius of a matrix, or of each of a stack; 0 without states."""
+    return np.abs(np.linalg.eigvals(A)).max(axis=-1, initial=0.0) if A.shape[-1] else np.zeros(A.shape[:-2])
+
+
+def _steps(terms: int) -> list[tuple[int, int]]:
+    """Return strides from each sample that is looked at to the next, and how many of each, to cover ``terms``."""
+    out = [(1, min(terms, _DENSE))]
+    covered, stride = out[0][1], 1
     while covered < terms:
         stride *= 2
-        out += [stride] * _PER_OCTAVE
+        out.append((stride, _PER_OCTAVE))
         covered += stride * _PER_OCTAVE
     return out
+
+
+def _responses(row: Matrix, power: Matrix, x: Matrix, count: int) -> tuple[Matrix, Matrix]:
+    """Return ``row power^k x`` for ``k = 1..count`` by doubling, and ``power^m``, ``m`` the next power of two."""
+    seen = row @ power
+    while seen.shape[1] < count:
+        seen = np.concatenate([seen, seen @ power], axis=1)
+        power = power @ power
+    return (seen @ x)[:, :count], power

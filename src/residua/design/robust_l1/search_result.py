@@ -7,9 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-SETTLED = "settled"
-USED_UP = "generations used up"
-
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
@@ -49,10 +46,3 @@ class SearchResult:
             f"{self.method} search: cost {self.cost:.6g}{before} after {self.generations} generations, "
             f"{self.evaluations} evaluations; {self.ended}"
         )
-
-
-def settled(history: list[float], patience: int, tolerance: float) -> bool:
-    """Tell whether the last ``patience`` generations brought no more than ``tolerance``, relative to the cost."""
-    if len(history) <= patience:
-        return False
-    return history[-1 - patience] <= history[-1] + tolerance * abs(history[-1])

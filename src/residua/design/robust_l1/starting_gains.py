@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,9 +48,10 @@ def starting_gains(family: EstimatorFamily, radius: float) -> list[Matrix]:
     system = error_system(family)
     # the Kalman gain of the system divided by the radius is stable for that one, and so within the radius for this
     faster = ErrorSystem(system.A / radius, system.B, system.C / radius, system.D)
-    found = [np.zeros((family.order, family.rows)), *_kalman_gains(system), *_kalman_gains(faster)]
+    slow = _kalman_gains(system)
+    found = [np.zeros((family.order, family.rows)), *slow, *_kalman_gains(faster)]
     if lmi.has_solver() and family.order:
-        found += [gain for gain in (least_star_gain(system, rate) for rate in _RATES) if gain is not None]
+        found += least_star_gains(system, _RATES, slow)
     return [gain for gain in found if np.isfinite(gain).all()]
 
 
@@ -67,10 +69,11 @@ def _kalman_gains(s: ErrorSystem) -> list[Matrix]:
     return out
 
 
-def least_star_gain(s: ErrorSystem, rate: float) -> Matrix | None:
-    r"""Return the gain with the least star norm from disturbances to all rows of the residual, for one rate.
+def least_star_gains(s: ErrorSystem, rates: Iterable[float], stable: list[Matrix] | None = None) -> list[Matrix]:
+    r"""Return the gains with the least star norm from disturbances to all rows of the residual, one for each rate.
 
-    With :math:`Y = P Z`, minimise :math:`g_1 + g_2` subject to
+    None for rates at which there is none. The problem is scaled with one of the gains ``stable``, Kalman gains when
+    omitted. With :math:`Y = P Z`, minimise :math:`g_1 + g_2` subject to
 
     .. math::
 
@@ -80,12 +83,17 @@ def least_star_gain(s: ErrorSystem, rate: float) -> Matrix | None:
 
     Convex: no other gain has a smaller bound at this rate. Nearly blind to faults, and so only where a search begins.
     """
-    n, m = s.B.shape
-    p = len(s.C)
-    first = _scaled(s)
-    if first is None:
-        return None
-    T, A, B, C, D, unit = first
+    scaled = _scaled(s, _kalman_gains(s) if stable is None else stable)
+    if scaled is None:
+        return []
+    found = (_least_star_gain(scaled, rate) for rate in rates)
+    return [scaled.T @ gain / scaled.unit for gain in found if gain is not None]
+
+
+def _least_star_gain(s: _Scaled, rate: float) -> Matrix | None:
+    """Return the gain with the least star norm for one rate, in scaled coordinates."""
+    A, B, C, D = s.A, s.B, s.C, s.D
+    (n, m), p = B.shape, len(C)
     full = lmi.Unknown("Y", np.eye(n * p).reshape(n * p, n, p))
     unknowns = lmi.Unknowns((lmi.symmetric("P", n), full, lmi.scalar("g1"), lmi.scalar("g2")))
 
@@ -111,14 +119,19 @@ def least_star_gain(s: ErrorSystem, rate: float) -> Matrix | None:
     v = unknowns.values(x)
     if lmi.smallest_eigenvalue(v["P"]) <= 0:
         return None
-    return T @ np.linalg.solve(v["P"], v["Y"]) / unit
+    return np.asarray(np.linalg.solve(v["P"], v["Y"]), dtype=float)
 
 
-def _scaled(s: ErrorSystem) -> tuple[Matrix, Matrix, Matrix, Matrix, Matrix, float] | None:
-    """Return the error system in coordinates ``e = T z`` in which a Kalman gain leaves errors of about one, residuals
-    too, and the unit of these.
-    """
-    for gain in reversed(_kalman_gains(s)):
+@dataclass(frozen=True, eq=False)
+class _Scaled(ErrorSystem):
+    """An error system in coordinates ``e = T z`` in which a gain leaves errors of about one, and residuals too."""
+
+    T: Matrix
+    unit: float
+
+
+def _scaled(s: ErrorSystem, gains: list[Matrix]) -> _Scaled | None:
+    for gain in reversed(gains):
         closed = StateSpace(s.A - gain @ s.C, s.B - gain @ s.D, s.C, s.D, dt=1.0)
         if not closed.is_stable():
             continue
@@ -128,5 +141,5 @@ def _scaled(s: ErrorSystem) -> tuple[Matrix, Matrix, Matrix, Matrix, Matrix, flo
         T = root(ellipsoid, 1e-6)
         size = max(float(np.linalg.norm(s.C @ T, 2)), float(np.linalg.norm(s.D, 2)), 1e-300)
         back = np.linalg.inv(T)
-        return T, back @ s.A @ T, back @ s.B, s.C @ T / size, s.D / size, size
+        return _Scaled(back @ s.A @ T, back @ s.B, s.C @ T / size, s.D / size, T, size)
     return None

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from residua.linear.impulse_terms import StableSystem, impulse_blocks
 from residua.linear.peak_direction import largest_sum
+from residua.linear.peak_norm import peak_norm
 from residua.linear.robust_norm.reached_middle import ReachedMiddle, reached_middle
 from residua.linear.uncertain_system import UncertainSystem
 
@@ -75,6 +76,10 @@ class CentredBound:
 
 def centred_bound(system: UncertainSystem) -> CentredBound | None:
     """Bound the output of all members for inputs of unit size; None where the responses are too long for it."""
+    width = (system.high - system.low)[list(system.channels)]
+    if not np.any(width):
+        alone = peak_norm(system.member((system.low + system.high) / 2), rtol=1e-4).value
+        return CentredBound(alone, 0.0, 0.0, np.zeros(system.n_parameters), 0.0)
     reached = reached_middle(system)
     centre = _centre(system, reached)
     gains = _gains(centre)

@@ -7,11 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.errors import DesignError
-from residua.linear.observability import is_stable_mode
 from residua.linear.robust_norm.member_response import MemberResponse
-from residua.linear.spectrum import describe_modes
-from residua.linear.uncertain_system import MOST_CORNERS
+from residua.linear.robust_norm.visited_members import check_modes, corner_points
 
 Points = NDArray[np.float64]
 _FREQUENCIES = 9
@@ -50,7 +47,8 @@ def lowest_gain(response: MemberResponse, low: Points, high: Points, *, samples:
     """
     rng = np.random.default_rng(seed)
     inside = np.vstack([(low + high) / 2, rng.uniform(low, high, (samples, len(low)))])
-    corner = _corners(low, high, samples, rng)
+    corner = corner_points(low[:-1], high[:-1], samples, rng)
+    corner = np.hstack([corner, np.full((len(corner), 1), low[-1])])
     some = corner[rng.permutation(len(corner))[:_CHECKED]]
     check_stable(response, np.vstack([inside, some])[:, :-1])
     first, gain = _lowest(response, _at_frequencies(inside, low[-1], high[-1]))
@@ -96,17 +94,8 @@ def check_stable(response: MemberResponse, values: Points) -> None:
     A = response.members(values)[0]
     if not A.shape[1]:
         return
-    modes = np.linalg.eigvals(A)
-    stable = is_stable_mode(modes, response.dt)
-    if stable.all():
-        return
-    i = int(np.argmin(stable.all(axis=1)))
-    named = ", ".join(f"{name} = {v:g}" for name, v in zip(response.parameters, values[i], strict=True))
-    raise DesignError(
-        f"a member of the set is not stable: pole {describe_modes(modes[i][~stable[i]][:1])}"
-        f"{f' at {named}' if named else ''}; its output does not settle, so that it has no gain: narrow the set, or "
-        "change the controller or estimator"
-    )
+    consequence = "its output does not settle, so that it has no gain"
+    check_modes(np.linalg.eigvals(A), values, response.parameters, response.dt, consequence)
 
 
 def _at_frequencies(points: Points, first: float, last: float) -> Points:
@@ -117,17 +106,6 @@ def _at_frequencies(points: Points, first: float, last: float) -> Points:
     moved = np.repeat(points, len(grid), axis=0)
     moved[:, -1] = np.tile(grid, len(points))
     return np.vstack([points, moved])
-
-
-def _corners(low: Points, high: Points, samples: int, rng: np.random.Generator) -> Points:
-    """Return all corners of the parameters, or as many at random."""
-    moving = np.flatnonzero(high[:-1] > low[:-1])
-    k = len(moving)
-    every = k <= MOST_CORNERS
-    bits = (np.arange(2**k)[:, None] >> np.arange(k)) & 1 if every else rng.integers(0, 2, (max(samples, 256), k))
-    points = np.repeat(low[None], len(bits), axis=0)
-    points[:, moving] = np.where(bits.astype(bool), high[moving], low[moving])
-    return points
 
 
 def _lowest(response: MemberResponse, points: Points) -> tuple[Points, float]:

@@ -7,18 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.linear.balancing import state_units
+from residua.linear.balancing import power_of_two, state_units
 from residua.linear.uncertain_system import UncertainSystem
 
 #: Real where every frequency is zero.
 Array = NDArray
 #: Relative rounding of a response, of the sizes that cancel in it.
 ROUNDING = 1e-12
+#: Sweeps from balanced units of states to units of what reaches them.
+_SWEEPS = 4
 
 
 @dataclass(frozen=True, eq=False)
 class MemberResponse:
-    """An uncertain system in balanced states, evaluated at points ``(parameters, theta)``.
+    """An uncertain system in units of states of its own, evaluated at points ``(parameters, theta)``.
 
     ``theta`` is rad/s for continuous systems and rad/sample for sampled ones, the last coordinate of every point.
 
@@ -95,8 +97,8 @@ class MemberResponse:
 
 
 def member_response(system: UncertainSystem, *, constant: bool) -> MemberResponse:
-    """Return a system in balanced states."""
-    T = state_units(system.A, np.hstack([system.Bw, system.Bp]), np.vstack([system.Cz, system.Cq]))
+    """Return a system in units of states that do not depend on those it is given in."""
+    T = reached_units(system)
     return MemberResponse(
         system.A / T[:, None] * T,
         system.Bp / T[:, None],
@@ -110,6 +112,34 @@ def member_response(system: UncertainSystem, *, constant: bool) -> MemberRespons
         system.dt,
         constant,
     )
+
+
+def reached_units(system: UncertainSystem) -> NDArray[np.float64]:
+    r"""Return units in which what reaches the states is about one.
+
+    With the resolvent ``R`` of the centre at frequency zero, :math:`M = |R| (|z| I + |A| + |B_p F C_q|)` is what the
+    rounding of states grows by on the way through the loop. In units of :math:`x = (I - M/c)^{-1} |R| |B_w|`, ``c``
+    above its spectral radius, no row of ``M`` sums to more than ``c``. Balanced units alone may take the rounding of an
+    entry that ought to be zero for a coupling, and scale a state that nothing drives without end.
+    """
+    units = state_units(system.A, np.hstack([system.Bw, system.Bp]), np.vstack([system.Cz, system.Cq]))
+    own, one, z = list(system.channels), np.eye(len(units)), float(system.dt > 0)
+    middle, widest = (system.low + system.high) / 2, np.maximum(np.abs(system.low), np.abs(system.high))
+    for _ in range(_SWEEPS if len(units) else 0):
+        A, Bw, Bp = (M / units[:, None] for M in (system.A * units, np.abs(system.Bw), system.Bp))
+        Cq, Cz = system.Cq * units, system.Cz * units
+        (R,) = solved((z * one - A - (Bp * middle[own]) @ Cq)[None], one[None])
+        if not np.isfinite(R).all():
+            break  # a pole at the centre, which is found where members are visited
+        M = np.abs(R) @ (z * one + np.abs(A) + (np.abs(Bp) * widest[own]) @ np.abs(Cq))
+        reached, seen = np.abs(R) @ Bw, np.abs(Cz @ R) @ Bw + np.abs(system.Dzw)
+        # inputs in units of what they do to the outputs
+        effect = seen.sum(axis=0)
+        rows = np.stack([(reached / np.where(effect > 0, effect, 1.0)).sum(axis=1), np.ones(len(one))], axis=1)
+        beyond = 1.5 * float(np.abs(np.linalg.eigvals(M)).max()) or 1.0
+        x = np.abs(np.linalg.solve(one - M / beyond, rows))
+        units = units * power_of_two(np.where(x[:, 0] > 0, x[:, 0], x[:, 1]))
+    return units if np.isfinite(units).all() and (units > 0).all() else np.ones_like(units)
 
 
 def solved(M: Array, B: Array) -> Array:

@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.errors import AccuracyError, DesignError, SettingError
+from residua.errors import AccuracyError, NoCertificateError, SettingError
 from residua.linear import lmi
-from residua.linear.robust_norm.box_bound import BoxBound, Task, box_bound
-from residua.linear.robust_norm.inequalities import METHODS
+from residua.linear.robust_norm.box_bound import BoxBound, Task, box_bound, check_method
 from residua.linear.robust_norm.scaled_problem import check_sampled
 from residua.linear.robust_norm.worst_member import worst_member
 from residua.linear.uncertain_system import UncertainSystem
@@ -159,7 +158,7 @@ def robust_peak_norm(
     ModelError
         If the system is continuous.
     DesignError
-        If a member is not stable (it is named), or the method has no certificate for this set.
+        If a member is not stable (it is named); a NoCertificateError if the method has no certificate for this set.
     AccuracyError
         If the check finds a member above the bound, or no solution could be verified.
     MissingExtraError
@@ -227,9 +226,7 @@ def robust_peak_norm(
 
 def _chosen(method: str | None) -> tuple[str, str]:
     """Return the method to use, and what the reader should know."""
-    known = (*METHODS, "star", "centred")
-    if method is not None and method not in known:
-        raise SettingError(f"method must be one of {', '.join(map(repr, known))}, got {method!r}")
+    check_method(method)
     if method in _NEED_CONSTANT:
         lmi.require_solver()
     if method == "quadratic" and not lmi.has_solver():
@@ -263,8 +260,8 @@ def _halves(system: UncertainSystem, i: int) -> tuple[UncertainSystem, Uncertain
     return system.within(system.low, high), system.within(low, system.high)
 
 
-def _none(task: Task, method: str | None, boxes: int) -> DesignError:
-    return DesignError(
+def _none(task: Task, method: str | None, boxes: int) -> NoCertificateError:
+    return NoCertificateError(
         f"method {method or task.method!r} found no certificate for this set (largest spectral radius visited "
         f"{task.worst.radius:.6g}{'' if task.rate is None else f', rate {task.rate:g}'}): cut it into parts with "
         f"boxes={4 * boxes} or more, narrow it, or use another method ('centred'; 'lifted', extra 'lmi')"

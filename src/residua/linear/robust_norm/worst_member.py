@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.errors import AccuracyError, DesignError
+from residua.errors import AccuracyError
 from residua.linear.balancing import state_units
 from residua.linear.peak_norm import peak_norm
-from residua.linear.spectrum import describe_modes
+from residua.linear.robust_norm.visited_members import check_modes, corner_points
 from residua.linear.uncertain_system import MOST_CORNERS, UncertainSystem
 
 Matrix = NDArray[np.float64]
@@ -46,7 +46,7 @@ def worst_member(system: UncertainSystem, *, samples: int, seed: int) -> WorstMe
     rng = np.random.default_rng(seed)
     moving = np.flatnonzero(system.high > system.low)
     every = len(moving) <= MOST_CORNERS
-    points = _corners(system, moving, every, samples, rng)
+    points = corner_points(system.low, system.high, samples, rng)
     points = np.vstack([points, system.sample(rng, samples)]) if len(moving) else points
     sizes, radius = _visit(system, points)
     visited = len(points)
@@ -64,16 +64,6 @@ def worst_member(system: UncertainSystem, *, samples: int, seed: int) -> WorstMe
     candidates = np.vstack([best[None], points[np.argsort(-sizes)[:3]]]) if len(sizes) == len(points) else best[None]
     attained, values = max(((_attained(system, v), tuple(v)) for v in candidates), key=lambda item: item[0])
     return WorstMember(attained, np.array(values), radius, visited, every)
-
-
-def _corners(
-    system: UncertainSystem, moving: NDArray[np.intp], every: bool, samples: int, rng: np.random.Generator
-) -> Matrix:
-    k = len(moving)
-    bits = (np.arange(2**k)[:, None] >> np.arange(k)) & 1 if every else rng.integers(0, 2, (max(samples, 256), k))
-    points = np.repeat(system.low[None], len(bits), axis=0)
-    points[:, moving] = np.where(bits.astype(bool), system.high[moving], system.low[moving])
-    return points
 
 
 def _attained(system: UncertainSystem, values: NDArray[np.float64]) -> float:
@@ -100,13 +90,7 @@ def _visit(system: UncertainSystem, points: Matrix) -> tuple[NDArray[np.float64]
         A, C = A0 + Bp @ F, Cz + system.Dzp @ F
         modes = np.linalg.eigvals(A) if n else np.zeros((len(part), 1))
         rho = np.abs(modes).max(axis=1)
-        if rho.max() >= 1:
-            i = int(np.argmax(rho))
-            named = ", ".join(f"{name} = {v:g}" for name, v in zip(system.parameters, part[i], strict=True))
-            raise DesignError(
-                f"a member of the set is not stable: pole {describe_modes(modes[i][np.argmax(np.abs(modes[i]))])} at "
-                f"{named}; no bound exists: narrow the set, or change the controller or estimator"
-            )
+        check_modes(modes, part, system.parameters, system.dt, "no bound exists")
         radius = max(radius, float(rho.max()))
         count = int(np.clip(np.ceil(np.log(1e-4) / np.log(max(rho.max(), 1e-3))), 8, _TERMS))
         sizes.append(_sizes(A, Bw, C, system.Dzw, count))
