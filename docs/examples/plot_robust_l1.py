@@ -40,10 +40,10 @@ bank = rs.design.robust_l1_bank(loop, progress=False)
 print(bank)
 
 # %%
-# How sharp the thresholds are: each lies between what some member and some disturbance cause, and a few per cent more.
+# How sharp the thresholds are: no smaller one would do than what is attained, by some member and some disturbance.
 for name, one in bank.estimators.items():
     print(
-        f"{name:12} threshold {one.threshold:.4f}, attained {one.certificate.attained:.4f}, by '{one.certificate.disturbances.method}'"
+        f"{name:12} threshold {one.threshold:.5f}, attained {one.certificate.attained:.5f}, by '{one.certificate.disturbances.method}'"
     )
 
 # %%
