@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from residua.linear import UncertainSystem, peak_norm, robust_peak_norm
+from residua.linear import UncertainSystem, impulse_terms, peak_norm, robust_peak_norm
+from residua.linear.robust_norm import centred
 from residua.linear.robust_norm.centred import centred_bound
 from residua.linear.robust_norm.scaled_problem import scaled_problem
-from residua.linear.robust_norm.verified_star import verified_star
+from residua.linear.robust_norm.verified_star import _least, verified_star
 from residua.linear.robust_norm.weighted_star import CommonEllipsoid, common_ellipsoid
 
 
@@ -121,10 +122,81 @@ def test_an_ellipsoid_that_is_too_small_is_not_believed():
     sure = verified_star(system, problem, found)
     assert sure is not None
     assert sure.least > 0
+    assert sure.shares.sum() <= 1 + 1e-12
     assert largest(system) <= sure.bound
-    smaller = CommonEllipsoid(0.9 * found.bound, 0.8 * found.Q, found.shares, np.zeros_like(found.spare))
+    smaller = CommonEllipsoid(0.8 * found.Q, found.shares, np.zeros_like(found.spare))
     assert verified_star(system, problem, smaller) is None
-    # with room to be added the answer is an ellipsoid that holds, or none
-    with_room = CommonEllipsoid(0.9 * found.bound, 0.8 * found.Q, found.shares, found.spare)
+    # with room to be added it is repaired
+    with_room = CommonEllipsoid(0.9999999 * found.Q, found.shares, found.spare)
     repaired = verified_star(system, problem, with_room)
-    assert repaired is None or largest(system) <= repaired.bound
+    assert repaired is not None
+    assert largest(system) <= repaired.bound
+    assert np.linalg.eigvalsh(repaired.Q)[0] > 0
+
+
+def test_what_is_no_ellipsoid_is_not_believed():
+    # of an unstable direction with a negative extent the inequality holds as well
+    system = UncertainSystem(
+        np.diag([0.5, 2.0]), np.zeros((2, 1)), [[1.0], [0.0]], np.zeros((1, 2)), [[1, 1]], low=[0], high=[0], dt=1
+    )
+    for Q in (np.diag([10.0, -1.0]), np.diag([10.0, 1.0])):
+        assert _least(Q, [np.diag([0.5, 2.0])], system.Bw, np.array([0.8, 0.2])) < 0
+
+
+@pytest.mark.parametrize(("parameters", "outputs"), [(12, 1), (6, 2)])
+def test_parameters_whose_corners_are_not_visited(parameters, outputs):
+    # lags side by side, each moved by a parameter of its own: as many corners as there are count
+    rng = np.random.default_rng(parameters)
+    n = parameters
+    Cz = np.ones((outputs, n)) + 0.1 * rng.standard_normal((outputs, n))
+    system = UncertainSystem(
+        0.5 * np.eye(n), np.eye(n), np.ones((n, 1)), np.eye(n), Cz, low=[-0.1] * n, high=[0.1] * n, dt=1
+    )
+    whole = centred_bound(system)
+    assert whole is not None
+    worst = peak_norm(system.member([0.1] * n), rtol=1e-3).attained
+    first = peak_norm(system.member([0.0] * n)).attained * (1 + 0.1 / 0.5)  # 1/(1-a) to first order
+    assert whole.linear >= first * (1 - 1e-6)
+    assert worst <= whole.value <= 1.05 * worst
+
+
+def test_where_the_responses_are_too_long_an_ellipsoid_serves(monkeypatch):
+    system = slow(3e-5)
+    before = robust_peak_norm(system)
+    monkeypatch.setattr(centred, "_TERMS", 512)
+    assert centred_bound(system) is None
+    star = robust_peak_norm(system, method="star")
+    found = robust_peak_norm(system, method="centred")
+    assert (found.method, found.bound) == ("star", star.bound)
+    assert "ellipsoid" in found.note
+    cut = robust_peak_norm(system, method="centred", boxes=8, rtol=0.0)
+    assert cut.boxes == 8
+    assert before.attained <= cut.bound < found.bound
+
+
+def test_no_inputs_and_no_states():
+    one = {"low": [-0.1], "high": [0.1], "dt": 1}
+    for method in ("centred", "star", None):
+        silent = UncertainSystem([[0.5]], [[1]], np.zeros((1, 0)), [[1]], [[1]], **one)
+        assert robust_peak_norm(silent, method=method).bound == 0
+        static = UncertainSystem(
+            np.zeros((0, 0)),
+            np.zeros((0, 1)),
+            np.zeros((0, 1)),
+            np.zeros((1, 0)),
+            np.zeros((1, 0)),
+            [[1]],
+            [[3]],
+            **one,
+        )
+        assert robust_peak_norm(static, method=method).bound == pytest.approx(3)
+
+
+def test_what_is_cut_off_is_in_the_bound(monkeypatch):
+    monkeypatch.setattr(centred, "_TAIL", 0.1)
+    monkeypatch.setattr(centred, "_LARGEST_TAIL", 0.2)
+    monkeypatch.setattr(impulse_terms, "_BLOCK", 4)
+    for seed in range(20):
+        system = generated(seed)
+        found = centred_bound(system)
+        assert found is None or largest(system) <= found.value * (1 + 1e-9), seed

@@ -72,6 +72,9 @@ class TailBound:
     .. math:: \sum_{j \ge 0} \|C A^j X\|_2 \le \|C L^{-T}\|_2 \, \|L^T X\|_2 / (1 - s)
 
     for every ``X``. The bound holds for whatever ``P`` the equation gave: only ``s`` has to be less than one.
+
+    Where no equation gave one, ``L`` is the identity, ``contraction`` the norm of a power of ``A``, and ``output`` has
+    the sum of the norms of those before it in it.
     """
 
     L: Matrix

@@ -76,11 +76,13 @@ def bounds_in(value: Any, where: str, members: Sequence[str]) -> dict[str, Membe
         at = joined(where, name)
         content = record(entry, at, ("disturbances", "response", "leakage"))
         leakage = table_in(content["leakage"], joined(at, "leakage"))
-        out[name] = MemberBounds(
+        out[name] = one = MemberBounds(
             float_in(content["disturbances"], joined(at, "disturbances")),
             float_in(content["response"], joined(at, "response")),
             {fault: float_in(bound, joined(joined(at, "leakage"), fault)) for fault, bound in leakage.items()},
         )
+        if not (one.response > 0 and min((one.disturbances, *one.leakage.values())) >= 0):
+            raise FileFormatError(f"{at}: bounds must be 0 or more, and that of the response above 0")
     if out and set(out) != set(members):
         raise FileFormatError(f"{where} must have each member once: {', '.join(members)}")
     return out
@@ -114,6 +116,12 @@ def leakage_cautions(
         peaks = np.where(np.isnan(seen), 0.0, seen).max(axis=0, initial=0.0)
         largest = dict(zip(codes.members, peaks.tolist(), strict=True))
         told = sorted(_explained(bounds, largest, alarm.reading.fired))
+        low = [name for name in alarm.reading.fired if largest[name] <= bounds[name].disturbances]
+        if low:
+            out.append(
+                f"disturbances alone may fire {', '.join(map(repr, low))}: thresholds are below the bounds that the "
+                "design has certified"
+            )
         if told:
             more = f"; and {len(told) - _TOLD} more" if len(told) > _TOLD else ""
             where = f"in alarm {k} " if len(alarms) > 1 else ""

@@ -17,9 +17,10 @@ def renewed(content: dict[str, Any]) -> dict[str, Any]:
     """Return the content of a file of version 3 or 4 as one of version 5.
 
     In a file of version 3 nothing was matched with responses; before version 5 every test was of the norm, and when a
-    standing alarm began was not known: it stays so until it ends.
+    standing alarm began was not known: it stays so until it ends. ``bounds`` are an entry of version 5 only where there
+    are any.
     """
-    content = dict(content)
+    content = {"bounds": {}} | content
     if content["version"] == 3:
         _with_matched(content)
     if content["version"] in OLDER:

@@ -111,7 +111,7 @@ def load_monitor(path: str | Path) -> Monitor:
             f"{' and '.join(map(str, OLDER))}): make the monitor anew with this version"
         )
     try:
-        return _monitor_in(record({"bounds": {}} | renewed(content), "", (*_ENTRIES, "bounds")))
+        return _monitor_in(record(renewed(content), "", (*_ENTRIES, "bounds")))
     except (TypeError, ValueError, AttributeError, IndexError, OverflowError, ResiduaError) as error:
         raise FileFormatError(f"{path.name}: {error}") from error
 

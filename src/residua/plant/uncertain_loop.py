@@ -322,8 +322,8 @@ def loop_parameters(loop: UncertainPlant, deviations: Mapping[str, float] | Arra
     return dict(zip(loop.names, np.clip(nominal + v, loop.low, loop.high).tolist(), strict=True))
 
 
-def unstable_member(loop: UncertainPlant, *, samples: int = 256, seed: int = 0) -> str | None:
-    """Return the pole and the parameters of a member that is not stable, or None where none was found.
+def check_members_stable(loop: UncertainPlant, *, samples: int = 256, seed: int = 0) -> None:
+    """Raise a DesignError that names the least stable member, by its pole and parameters, unless all are stable.
 
     Visited are the nominal plant, the corners of the set (up to 10 parameters; beyond, as many at random) and points
     inside.
@@ -332,8 +332,11 @@ def unstable_member(loop: UncertainPlant, *, samples: int = 256, seed: int = 0) 
     F = (points - loop.nominal_values)[:, list(loop.channels)]
     poles = np.linalg.eigvals(loop.nominal.A - (loop.Hx * F[:, None, :]) @ loop.Gx).astype(complex)
     if not poles.size or is_stable_mode(poles.ravel(), loop.nominal.dt).all():
-        return None
+        return
     size = np.abs(poles) if loop.nominal.is_discrete else np.real(poles)
     i, j = np.unravel_index(int(np.argmax(size)), size.shape)
     named = ", ".join(f"{name} = {v:.6g}" for name, v in zip(loop.names, points[i], strict=True))
-    return f"pole {describe_modes(poles[i, [j]])}" + (f" at {named}" if named else "")
+    raise DesignError(
+        f"a member of the set is not stable: pole {describe_modes(poles[i, [j]])}{f' at {named}' if named else ''}; "
+        "nothing is bounded in it: narrow the set, or change the controller"
+    )

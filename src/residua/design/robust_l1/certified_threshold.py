@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike
 from residua.design.banks.bank import Bank
 from residua.design.generator import ResidualGenerator
 from residua.design.robust_l1.rounding_scale import rounding_scale
-from residua.errors import AccuracyError, DesignError, ModelError, NoCertificateError, SettingError
+from residua.errors import DesignError, ModelError, NoCertificateError, SettingError
 from residua.linear import StateSpace, UncertainSystem
 from residua.linear.arrays import index_of
 from residua.linear.robust_norm import RobustPeakNorm, robust_peak_norm
 from residua.plant import UncertainPlant
-from residua.plant.uncertain_loop import loop_parameters, residual_over_set, unstable_member
+from residua.plant.uncertain_loop import check_members_stable, loop_parameters, residual_over_set
 
 #: How close bounds are to what is attained: those that count, and what is only told, in so many parts of the set.
 _COUNTS, _ONLY_TOLD = 1e-2, {"rtol": 0.1, "boxes": 8}
@@ -172,14 +172,9 @@ class _Task:
         close["atol"] = max(close.get("atol", 0.0), _DECOUPLED * scale)
         try:
             found = _bound(system, self.method, **close)
-        except DesignError as error:
-            unstable = unstable_member(self.loop)  # the error itself names deviations from the nominal values
-            if unstable is None:
-                raise
-            raise DesignError(
-                f"a member of the set is not stable: {unstable}; no bound exists: narrow the set, or change the "
-                "controller"
-            ) from error
+        except DesignError:
+            check_members_stable(self.loop)  # that error names deviations from the nominal values
+            raise
         worst = loop_parameters(self.loop, found.worst)
         # signals may reach the outputs by way of the uncertainty only
         scale = max(scale, rounding_scale(self.loop.member(worst), self.filter, signals))
@@ -192,10 +187,11 @@ def _bound(
     """Return a bound within tolerances of what is attained, or the best in so many parts."""
     if method is None and boxes is None:
         return robust_peak_norm(system, rtol=rtol, atol=atol)
-    method = method or "centred"
+    # a method that is given may be wanted for what it proves of the whole: parameters that vary in time
+    method, boxes = (method, 1) if method else ("centred", boxes)
     try:
         return robust_peak_norm(system, method=method, boxes=boxes, rtol=rtol, atol=atol)
-    except (NoCertificateError, AccuracyError):
+    except NoCertificateError:
         # where there is no answer for the set as it is asked for, the first for parts of it
         return robust_peak_norm(system, method=method, boxes=_BOXES, atol=_ANY)
 

@@ -20,7 +20,7 @@ from residua.design.robust_l1.robust_estimator import RobustEstimator
 from residua.design.robust_l1.sampled_cost import PENALTY, Norms, SampledCost, Weights, sampled_cost
 from residua.design.robust_l1.search_result import SearchResult
 from residua.design.robust_l1.starting_gains import starting_gains
-from residua.errors import AccuracyError, DesignError, NoCertificateError
+from residua.errors import DesignError, NoCertificateError
 from residua.linear import smallest_gain
 from residua.linear.robust_norm.worst_member import worst_member
 from residua.plant import UncertainPlant, residual_over_set
@@ -71,6 +71,7 @@ def search_estimator(task: Task, family: EstimatorFamily, tell: Progress) -> tup
     Where no threshold is certified for one as slow as it may be, a faster one is searched; a note tells of that.
     """
     failure: Exception | None = None
+    tried: list[float] = []
     for radius in task.radii:
         try:
             found = _sought(task, family, radius, tell)
@@ -78,19 +79,20 @@ def search_estimator(task: Task, family: EstimatorFamily, tell: Progress) -> tup
             if failure is None:
                 raise
             break  # none is as fast: what counts is why the slower ones have failed
+        tried.append(_settling(task, radius))
         tell(f"{family.target}: certificate", 0, 1)
         try:
             made = _certified(task, found)
-        except (NoCertificateError, AccuracyError) as error:
+        except NoCertificateError as error:
             failure = failure or error
             continue
         return made, "" if failure is None else (
-            f"settles in {_settling(task, radius):.3g} s: no threshold was certified for one that may take "
-            f"{_settling(task, task.radii[0]):.3g} s, the default; settling= sets it"
+            f"settles in {tried[-1]:.3g} s: no threshold was certified for one that may take {tried[0]:.3g} s, the "
+            "default; settling= sets it"
         )
-    tried = ", ".join(f"{_settling(task, radius):.3g}" for radius in task.radii)
     raise NoCertificateError(
-        f"no threshold for {family.target!r} was certified over the set, for estimators that settle within {tried} s "
+        f"no threshold for {family.target!r} was certified over the set, for estimators that settle within "
+        f"{', '.join(f'{t:.3g}' for t in tried)} s "
         f"({str(failure).partition(': ')[0]}): narrow the set, give a shorter or longer settling=, or decouple fewer "
         "faults (decouple=)"
     ) from failure

@@ -21,7 +21,7 @@ _FORMAT = "residua-genetic-search"
 _VERSION = 1
 #: Settings that may differ: they say when a search ends, not how it goes.
 _ENDS = ("generations", "patience", "polish")
-#: How far the cost of a point may differ, relatively, from what it was: points may be evaluated in other company.
+#: How far the cost of a point may differ, relatively, from what it was: libraries round differently.
 _SAME = 1e-6
 
 

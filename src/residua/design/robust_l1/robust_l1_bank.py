@@ -23,7 +23,7 @@ from residua.linear import arrays
 from residua.linear.rank import DEFAULT_RTOL
 from residua.linear.robust_norm.box_bound import check_method
 from residua.plant import Plant, UncertainPlant
-from residua.plant.uncertain_loop import unstable_member
+from residua.plant.uncertain_loop import check_members_stable
 from residua.progress import Progress, progress_of
 
 _METHOD = "robust l1 estimators"
@@ -63,7 +63,9 @@ class RobustL1Bank(Bank):
 
     def __str__(self) -> str:
         lines = [super().__str__()] + [str(one) for one in self.estimators.values()]
-        lines += [f"note: {note}" for note in left_out(self.loop)]
+        common = left_out(self.loop)  # which every member has in its notes
+        own = [note for note in self.generator.evidence.notes if not note.endswith(common)]
+        lines += [f"note: {note}" for note in (*common, *own)]
         return "\n".join(lines + [_leaks(one) for one in self.estimators.values() if one.leakage])
 
 
@@ -130,7 +132,7 @@ def robust_l1_bank(
     search : DifferentialEvolution or GeneticSearch or {"differential-evolution", "genetic"}, optional
         The former when omitted.
     method : str, optional
-        Of the certificate, see :func:`residua.linear.robust_peak_norm`; the cheapest that is close when omitted.
+        Of the certificate, see :func:`residua.linear.robust_peak_norm`; its default when omitted.
     checkpoint : str or Path, optional
         A folder in which a genetic search leaves its state: the same design, started anew or with more generations,
         goes on from there. Another begins its own files.
@@ -206,12 +208,7 @@ def robust_l1_bank(
         seed,
     )
     families = [_family(plant, name, ignored, rtol) for name in targets]
-    unstable = unstable_member(loop)
-    if unstable is not None:
-        raise DesignError(
-            f"a member of the set is not stable: {unstable}; nothing is bounded in it: narrow the set, or change the "
-            "controller"
-        )
+    check_members_stable(loop)
     _make_folder(task)
     tell, close = progress_of(progress)
     try:
@@ -317,7 +314,7 @@ def _search(search: Search | str | None, seed: int) -> Search:
         "differential-evolution": lambda: DifferentialEvolution(seed=seed),
         "genetic": lambda: GeneticSearch(seed=seed),
     }
-    if search not in known:
+    if not (search is None or isinstance(search, str)) or search not in known:
         raise SettingError(f"search must be 'differential-evolution', 'genetic' or an object of these, got {search!r}")
     return known[search]()
 

@@ -135,7 +135,10 @@ def _scaled(s: ErrorSystem, gains: list[Matrix]) -> _Scaled | None:
         closed = StateSpace(s.A - gain @ s.C, s.B - gain @ s.D, s.C, s.D, dt=1.0)
         if not closed.is_stable():
             continue
-        ellipsoid = peak_norm(closed, kind="star").ellipsoid
+        try:
+            ellipsoid = peak_norm(closed, kind="star").ellipsoid
+        except AccuracyError:
+            continue
         if ellipsoid is None or not np.any(ellipsoid):
             continue
         T = root(ellipsoid, 1e-6)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,20 +59,27 @@ def check_method(method: str | None) -> None:
 
 def box_bound(system: UncertainSystem, task: Task) -> BoxBound:
     """Bound the output of all members of one box; infinite where the method has no certificate."""
-    if not (np.any(system.Cz) or np.any(system.Dzp) or np.any(system.Dzw)):
-        return BoxBound(system, bound=0.0, method=task.method)
+    if not np.any(system.Bw) or not (np.any(system.Cz) or np.any(system.Dzp)):
+        direct = float(np.linalg.norm(system.Dzw, 2)) if system.Dzw.size else 0.0
+        return BoxBound(system, bound=direct, method=task.method)
     if task.method == "centred":
-        centred = _by_expansion(system)
-        loose = centred.bound > _LOOSE * task.worst.attained
-        return min(centred, _by_weights(system), key=lambda part: part.bound) if loose else centred
-    return _by_weights(system) if task.method == "star" else _by_inequalities(system, task)
+        centred = _tried(_by_expansion, system)
+        if centred.bound <= _LOOSE * task.worst.attained:
+            return centred
+        star = _tried(_by_weights, system)
+        return star if star.bound < centred.bound or np.isnan(centred.widest) else centred
+    return _tried(_by_weights if task.method == "star" else partial(_by_inequalities, task=task), system)
+
+
+def _tried(method: Callable[[UncertainSystem], BoxBound], system: UncertainSystem) -> BoxBound:
+    try:
+        return method(system)
+    except AccuracyError:  # too slow, or too far from normal, for its equations to be solved
+        return BoxBound(system)
 
 
 def _by_expansion(system: UncertainSystem) -> BoxBound:
-    try:
-        found = centred_bound(system)
-    except AccuracyError:  # too slow, or too far from normal, for its responses
-        found = None
+    found = centred_bound(system)
     if found is None:
         return BoxBound(system)
     terms = {"linear": found.linear, "second": found.second, "rest": found.rest}
@@ -96,7 +104,7 @@ def _by_weights(system: UncertainSystem) -> BoxBound:
         part,
         bound=sure.bound,
         method="star",
-        certificate={"Q": sure.Q, "shares": found.shares},
+        certificate={"Q": sure.Q, "shares": sure.shares},
         eigenvalues={"decrease": sure.least},
     )
 

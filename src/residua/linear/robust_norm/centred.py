@@ -76,8 +76,7 @@ class CentredBound:
 
 def centred_bound(system: UncertainSystem) -> CentredBound | None:
     """Bound the output of all members for inputs of unit size; None where the responses are too long for it."""
-    width = (system.high - system.low)[list(system.channels)]
-    if not np.any(width):
+    if not np.any((system.high - system.low)[list(system.channels)]):
         alone = peak_norm(system.member((system.low + system.high) / 2), rtol=1e-4).value
         return CentredBound(alone, 0.0, 0.0, np.zeros(system.n_parameters), 0.0)
     reached = reached_middle(system)
@@ -179,7 +178,7 @@ class _Expansion:
     def bound(self, unit: float) -> CentredBound:
         """Return the bound; its parts are infinite where small gains prove nothing."""
         around = self.gains.qp * self.width
-        gain = float(np.abs(np.linalg.eigvals(around)).max(initial=0.0)) if len(around) else 0.0
+        gain = float(np.abs(np.linalg.eigvals(around)).max())
         none = CentredBound(np.inf, np.inf, np.inf, self._weights(around), gain)
         if not gain < 1:
             return none
@@ -227,7 +226,7 @@ class _Expansion:
         for h, own in zip(self.half, self.owned, strict=True):
             zp, qw = g.zp[:, own], g.qw[own]
             missed += h * float(np.linalg.norm(g.tail * (qw.sum() + zp.sum(axis=1)) + _ROUNDING * (zp @ qw)))
-        centre = np.zeros_like(first[0]) if first else g.zw
+        centre = np.zeros_like(first[0])
         centre[: g.terms] = g.zw
         parts = [h * z for h, z in zip(self.half, first, strict=True)]
         largest = np.argsort([-np.linalg.norm(z) for z in parts])
@@ -268,7 +267,7 @@ class _Expansion:
     def _weights(self, around: Matrix) -> Real:
         """Return about how much each parameter is to blame for gains that are too large."""
         right = left = np.ones(len(around))
-        for _ in range(20 if len(around) else 0):
+        for _ in range(20):
             right, left = around @ right + 1e-3 * right, around.T @ left + 1e-3 * left
             right, left = right / right.max(), left / left.max()
         blame = np.zeros(self.count)

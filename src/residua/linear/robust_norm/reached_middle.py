@@ -33,7 +33,7 @@ class ReachedMiddle:
     unit : float
         How large the output gets, about; 1 where nothing reaches it.
     rate : float
-        Of the star norm.
+        Of the smallest ellipsoid, for the outputs, about what is reached.
     """
 
     middle: StableSystem

@@ -22,6 +22,7 @@ _BOXES, _FAR = 32, 1.1
 #: States and twice the channels up to which matrix inequalities take minutes at most.
 _PRACTICAL = 50
 _WITHOUT = "without the extra 'lmi'"
+_ELLIPSOID = "responses around the centre are too long, or gains too large: the bound is that of an ellipsoid ('star')"
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +202,9 @@ def robust_peak_norm(
         parts = [found] if found.bound < parts[0].bound else parts
     top = parts[0]
     if not np.isfinite(top.bound):
-        raise _none(task, method, most)
+        raise _none(task, method, len(parts), most)
+    if used == "centred" and top.method == "star":
+        note = "; ".join(filter(None, (_ELLIPSOID, note)))
     if worst.attained > top.bound * (1 + 1e-9):
         raise AccuracyError(
             f"a member has a peak norm of at least {worst.attained:.9g}, above the bound {top.bound:.9g} of method "
@@ -247,7 +250,7 @@ def _cut(system: UncertainSystem, task: Task, boxes: int, enough: float) -> list
 def _by_inequalities(system: UncertainSystem, task: Task) -> tuple[BoxBound, str]:
     """Return the bound of the whole by the lifted inequalities, where it takes minutes at most; and what to note."""
     if system.n_states + 2 * len(system.channels) > _PRACTICAL:
-        return BoxBound(system), ""
+        return BoxBound(system), "'lifted' was not tried: it would take many minutes; method='lifted' does"
     if not lmi.has_solver():
         return BoxBound(system), f"{_WITHOUT}: 'lifted' was not tried; pip install 'residua[lmi]'"
     return box_bound(system, task), ""
@@ -260,9 +263,12 @@ def _halves(system: UncertainSystem, i: int) -> tuple[UncertainSystem, Uncertain
     return system.within(system.low, high), system.within(low, system.high)
 
 
-def _none(task: Task, method: str | None, boxes: int) -> NoCertificateError:
+def _none(task: Task, method: str | None, made: int, most: int) -> NoCertificateError:
+    others = [name for name in ("centred", "star", "lifted") if name != (method or "centred")]
+    more = f"cut it into more parts, boxes={4 * most}, " if made >= most else ""
     return NoCertificateError(
-        f"method {method or task.method!r} found no certificate for this set (largest spectral radius visited "
-        f"{task.worst.radius:.6g}{'' if task.rate is None else f', rate {task.rate:g}'}): cut it into parts with "
-        f"boxes={4 * boxes} or more, narrow it, or use another method ('centred'; 'lifted', extra 'lmi')"
+        f"method {method or task.method!r} found no certificate for this set in {made} part{'s' if made > 1 else ''} "
+        f"(largest spectral radius visited {task.worst.radius:.6g}"
+        f"{'' if task.rate is None else f', rate {task.rate:g}'}): {more}narrow it, or use another method "
+        f"({', '.join(map(repr, others))})"
     )

@@ -23,8 +23,8 @@ _FLOOR = 1e-5
 class ScaledProblem:
     """``x+ = A x + B p + D w``, ``q = C x``, ``p = F q`` with ``0 <= F <= 1``, ``z = Cz x + Dzp p + Dzw w``.
 
-    In coordinates in which the ellipsoid of the star norm in the middle of the set is the unit ball, and ``z`` in units
-    of that norm.
+    In coordinates in which an ellipsoid about what inputs reach in the middle of the set, by way of parameters as well,
+    is the unit ball, and ``z`` in units of what it gets to there.
 
     Attributes
     ----------
@@ -37,8 +37,6 @@ class ScaledProblem:
         What ``z`` was divided by.
     T : ndarray, shape (n, n)
         ``x = T x_scaled``.
-    rate : float
-        Of the star norm in the middle of the set.
     """
 
     A: Matrix
@@ -52,7 +50,6 @@ class ScaledProblem:
     owners: tuple[int, ...]
     unit: float
     T: Matrix
-    rate: float
 
     def widest(self) -> float:
         """Return the parameter that moves the system most, as a position among those of the system; NaN without any."""
@@ -123,5 +120,4 @@ def scaled_problem(system: UncertainSystem) -> ScaledProblem:
         tuple(owners),
         unit,
         T,
-        rate,
     )

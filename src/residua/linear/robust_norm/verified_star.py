@@ -20,16 +20,18 @@ _ROUNDING = 4 * np.finfo(float).eps
 
 #: What is added to the ellipsoid, relative to its size, until rounding cannot matter.
 _ADDED = (0.0, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4)
-#: The size, squared, that stands for an ellipsoid without extent, where no input drives a state.
-_NOTHING = 1e-24
 
 
 @dataclass(frozen=True, eq=False)
 class VerifiedEllipsoid:
-    """An ellipsoid that no member leaves, in the units of the system, and the bound that follows."""
+    """An ellipsoid that no member leaves, in the units of the system, and the bound that follows.
+
+    ``shares`` are those of the middle of the set, of every parameter of the system, and of the inputs.
+    """
 
     bound: float
     Q: Matrix
+    shares: NDArray[np.float64]
     least: float
 
 
@@ -46,13 +48,13 @@ def verified_star(system: UncertainSystem, problem: ScaledProblem, found: Common
     shares[[0, *(1 + i for i in problem.owners), -1]] = found.shares
     shares /= max(float(shares.sum()), 1.0)
     terms, outputs, B, direct = _parts(system)
-    size = max(float(np.trace(found.Q)) / max(len(found.Q), 1), _NOTHING)
+    size = float(np.trace(found.Q)) / max(len(found.Q), 1)
     for added in _ADDED:
         Q = problem.T @ (found.Q + added * size * found.spare) @ problem.T.T
         Q = (Q + Q.T) / 2
         least = _least(Q, terms, B, shares)
         if least > 0:
-            return VerifiedEllipsoid(_largest_output(Q, outputs) + direct, Q, least)
+            return VerifiedEllipsoid(_largest_output(Q, outputs) + direct, Q, shares, least)
     return None
 
 
@@ -82,7 +84,9 @@ def _least(Q: Matrix, terms: list[Matrix], B: Matrix, shares: NDArray[np.float64
         M = M / extent[:, None] * extent
         left = left - M @ Q @ M.T / share
         size = size + np.abs(M) @ np.abs(Q) @ np.abs(M).T / share
-    return float(np.linalg.eigvalsh((left + left.T) / 2)[0] - _ROUNDING * n * np.linalg.norm(size))
+    # where the inequality holds and Q is an ellipsoid at all, Q is no smaller than what is left
+    least = min(np.linalg.eigvalsh((left + left.T) / 2)[0], np.linalg.eigvalsh(Q)[0])
+    return float(least - _ROUNDING * n * np.linalg.norm(size))
 
 
 def _largest_output(Q: Matrix, outputs: list[Matrix]) -> float:

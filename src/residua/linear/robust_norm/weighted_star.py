@@ -31,8 +31,6 @@ class CommonEllipsoid:
 
     Attributes
     ----------
-    bound : float
-        In units of ``problem.unit``.
     Q : ndarray, shape (n, n)
     shares : ndarray, shape (1 + parameters + 1,)
         ``1 / a``: of the middle of the set, of each parameter, of the inputs.
@@ -40,7 +38,6 @@ class CommonEllipsoid:
         What can be added to ``Q`` in any multiple, to leave room for rounding: the equation with a source of one.
     """
 
-    bound: float
     Q: Matrix
     shares: NDArray[np.float64]
     spare: Matrix
@@ -116,7 +113,7 @@ def common_ellipsoid(s: ScaledProblem) -> CommonEllipsoid | None:
         if moved <= 1e-9 * bound:
             break
     solved = sums.solve(a)
-    return None if solved is None else CommonEllipsoid(bound, Q, 1 / a, solved[2])
+    return None if solved is None else CommonEllipsoid(Q, 1 / a, solved[2])
 
 
 def _evaluate(sums: _Sums, a: NDArray[np.float64]) -> tuple[float, Matrix, NDArray[np.float64]] | None:
