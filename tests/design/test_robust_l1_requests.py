@@ -207,7 +207,7 @@ def test_faster_estimators_where_no_threshold_is_certified(monkeypatch, given):
     assert len(seen) == 3
     assert seen[2] <= 0.995
     (note,) = (note for note in bank.generator.evidence.notes if "settles in" in note)
-    assert "settles in 78 s: no threshold was certified for one that may take 312 s, the default" in note
+    assert "settles in 19.5 s: no threshold was certified for one that may take 78 s, the default" in note
 
 
 def test_wrong_settings_are_refused():

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -160,7 +162,31 @@ def test_directions_that_move_are_told():
     assert not left.exact
     assert left.relative == 0
     assert left.deviation["Bf"] == pytest.approx(0.5)
-    assert left.kept == pytest.approx({"Bf": 0.25})  # 1.5 for 1 to 2: a quarter of the largest
+    assert left.kept == pytest.approx({"Bf": 1 / 3})  # 1.5 for 1 to 2
+
+
+def test_sampling_does_not_forget_what_was_left_out_before():
+    def room(v):
+        plant = rs.Plant([[-v["loss"], 0.1], [0.1, -0.3]], [[1.0], [0.0]], np.eye(2))
+        return plant.with_disturbances([[2 * v["loss"]], [1.0]])
+
+    continuous = UncertainPlant.from_parameters(room, {"loss": (0.8, 1.2)})
+    assert continuous.linearisation is not None
+    assert continuous.linearisation.kept == pytest.approx({"Bd": 0.2})
+    sampled = continuous.discretize(0.1)
+    assert not sampled.linearisation.exact
+    assert sampled.linearisation.kept["Bd"] > 0.15
+    # sampled plants of the function itself are what it is compared with
+    real = room({"loss": 1.2}).discretize(0.1)
+    assert np.abs(sampled.member({"loss": 1.2}).A - real.A).max() < 1e-15
+    assert sampled.linearisation.deviation["Bd"] == pytest.approx(
+        np.maximum(*(np.abs(room({"loss": x}).discretize(0.1).Bd - sampled.nominal.Bd) for x in (0.8, 1.2)))
+    )
+    # without the function, after pickling, what was left out before is told as well
+    again = pickle.loads(pickle.dumps(continuous)).discretize(0.1)
+    assert not again.linearisation.exact
+    assert again.linearisation.before.kept == pytest.approx({"Bd": 0.2})
+    assert "Bd by 20 %" in str(again)
     assert str(left) == "linearised: kept as in the nominal plant although they move: Bf by 25 % of their size"
 
 

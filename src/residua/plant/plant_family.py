@@ -44,7 +44,9 @@ class Linearisation:
         Points evaluated: corners of the box, and points inside. Between them more may be left out.
     kept : dict of str to float
         Matrices that the affine form takes from the nominal plant although they move, those of disturbances, faults
-        and noise and ``E``: by how much of their size, the largest of their columns.
+        and noise and ``E``: by how much at most, relative to the largest entry of the column in the nominal plant.
+    before : Linearisation or None
+        What an earlier step has left out, where the points of this one were taken from its affine form.
     """
 
     exact: bool
@@ -53,11 +55,12 @@ class Linearisation:
     worst: Mapping[str, float]
     points: int
     kept: Mapping[str, float] = field(default_factory=dict)
+    before: Linearisation | None = None
 
     def __str__(self) -> str:
         if self.exact:
             return f"affine at {self.points} points"
-        out = []
+        out = [] if self.before is None else [f"of a set that was {self.before} itself"]
         if self.relative:
             out.append(f"{self._share()} an entry's range is left out at {self.points} points")
         if self.kept:
@@ -144,7 +147,7 @@ def uncertain_plant_from_parameters(
     made = make_uncertain_plant(nominal, known, tuple(channels), blocks)
     points = visited_values(made, _INSIDE, seed)
     found = _compare(made, [evaluate(v) for v in points], points, rtol)
-    return make_uncertain_plant(nominal, known, tuple(channels), blocks, linearisation=found)
+    return make_uncertain_plant(nominal, known, tuple(channels), blocks, linearisation=found, function=function)
 
 
 def _parameter(name: str, values: Sequence[float]) -> UncertainParameter:
@@ -224,7 +227,7 @@ def _compare(made: UncertainPlant, plants: list[Plant], points: NDArray[np.float
         exact = False
         off = np.where(off > rounding[name], off, 0.0)
         if name in _FIXED:
-            kept[name] = _moved(off, np.abs(true))
+            kept[name] = _moved(off, np.abs(_all_matrices(made.nominal)[name]))
             continue
         spread = np.maximum(np.ptp(true, axis=0), rounding[name])
         worst = (off / np.where(spread > 0, spread, np.finfo(float).tiny)).reshape(len(points), -1).max(axis=1)
@@ -234,13 +237,13 @@ def _compare(made: UncertainPlant, plants: list[Plant], points: NDArray[np.float
     return Linearisation(exact, deviation, relative, values, len(points), kept)
 
 
-def _moved(off: Matrix, size: Matrix) -> float:
-    """Return the largest deviation of a column relative to its largest size, in even units of its rows."""
-    largest = size.max(axis=0)
-    unit = np.where(largest.max(axis=1) > 0, largest.max(axis=1), 1.0)[:, None]
-    columns = np.linalg.norm(largest / unit, axis=0)
-    moved = np.linalg.norm(off / unit, axis=1).max(axis=0)
-    return float((moved[columns > 0] / columns[columns > 0]).max(initial=0.0))
+def _moved(off: Matrix, nominal: Matrix) -> float:
+    """Return the largest deviation of an entry, relative to the largest of its column, in even units of the rows."""
+    most = np.maximum(nominal, off.max(axis=0)).max(axis=1)
+    unit = np.where(most > 0, most, 1.0)[:, None]
+    columns, moved = (nominal / unit).max(axis=0), (off.max(axis=0) / unit).max(axis=0)
+    # a column that is zero in the nominal plant moves by all that it is
+    return float(np.where(columns > 0, moved / np.where(columns > 0, columns, 1.0), np.sign(moved)).max(initial=0.0))
 
 
 def uncertain_plant_from_plants(plants: Iterable[Plant]) -> UncertainPlant:

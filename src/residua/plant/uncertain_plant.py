@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -58,6 +58,8 @@ class UncertainPlant:
         What the form above leaves out of the plants that it was made from; None where it was given.
     plants : tuple of Plant
         Those of :meth:`from_plants`.
+    function : callable or None
+        That of :meth:`from_parameters`, from which sampled plants are made. Not kept when the object is pickled.
 
     Raises
     ------
@@ -93,6 +95,7 @@ class UncertainPlant:
     Gu: Matrix
     linearisation: Linearisation | None
     plants: tuple[Plant, ...]
+    function: Callable[[Mapping[str, float]], Plant] | None
 
     def __init__(self, nominal: Plant, deltas: Iterable[Perturbation] = ()) -> None:
         if not isinstance(nominal, Plant):
@@ -236,10 +239,27 @@ class UncertainPlant:
         """Return the uncertain plant sampled with step ``dt``.
 
         Sampled matrices are not affine in the parameters of continuous ones: ``linearisation`` of what is returned
-        tells what the affine form leaves out, the directions of disturbances and faults included.
+        tells what the affine form leaves out, the directions of disturbances and faults included. A set that was made
+        by :meth:`from_parameters` is made anew of sampled plants of its function, so that this is told of these.
         """
+        of = self.member if self.function is None else self.function
         bounds = {p.name: (p.low, p.nominal, p.high) for p in self.parameters}
-        return type(self).from_parameters(lambda values: self.member(values).discretize(dt), bounds)
+        made = type(self).from_parameters(lambda values: of(values).discretize(dt), bounds)
+        before, found = self.linearisation, made.linearisation
+        if self.function is not None or before is None or before.exact or found is None:
+            return made
+        return made._with_linearisation(replace(found, exact=False, before=before))
+
+    def _with_linearisation(self, linearisation: Linearisation) -> UncertainPlant:
+        new = object.__new__(type(self))
+        for name, value in vars(self).items():
+            object.__setattr__(new, name, value)
+        object.__setattr__(new, "linearisation", linearisation)
+        return new
+
+    def __getstate__(self) -> dict[str, Any]:
+        # functions that are given are seldom importable, and what they have made is all here
+        return vars(self) | {"function": None}
 
     def __repr__(self) -> str:
         kind = f"dt={self.nominal.dt:g} s" if self.nominal.is_discrete else "continuous"
@@ -258,10 +278,11 @@ def make_uncertain_plant(
     *,
     linearisation: Linearisation | None = None,
     plants: tuple[Plant, ...] = (),
+    function: Callable[[Mapping[str, float]], Plant] | None = None,
 ) -> UncertainPlant:
     """Return an uncertain plant from blocks ``(Hx, Hy, Gx, Gu)`` of channels, one after another."""
     new = object.__new__(UncertainPlant)
-    _assign(new, nominal, parameters, channels, blocks, linearisation, plants)
+    _assign(new, nominal, parameters, channels, blocks, linearisation, plants, function)
     return new
 
 
@@ -284,6 +305,7 @@ def _assign(
     blocks: Iterable[tuple[Matrix, Matrix, Matrix, Matrix]],
     linearisation: Linearisation | None = None,
     plants: tuple[Plant, ...] = (),
+    function: Callable[[Mapping[str, float]], Plant] | None = None,
 ) -> None:
     blocks = list(blocks)
     unique(tuple(p.name for p in parameters), "parameters")
@@ -298,6 +320,7 @@ def _assign(
         "Gu": frozen(np.vstack([np.zeros((0, m)), *(b[3] for b in blocks)])),
         "linearisation": linearisation,
         "plants": plants,
+        "function": function,
     }
     for key, value in fields.items():
         object.__setattr__(new, key, value)

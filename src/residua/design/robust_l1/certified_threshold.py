@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -199,9 +200,11 @@ def _bound(
 def checked_sizes(loop: UncertainPlant, sizes: Mapping[str, float] | None) -> dict[str, float]:
     """Return sizes by fault, zero where none is given."""
     out = dict.fromkeys(loop.nominal.faults, 0.0)
+    if not isinstance(sizes, Mapping | None):
+        raise SettingError(f"sizes names faults: {{name: size}}, got {sizes!r}"[:200])
     for name, size in (sizes or {}).items():
         index_of(name, loop.nominal.faults, "fault")
-        if not (np.isfinite(size) and size >= 0):
+        if not (isinstance(size, Real) and np.isfinite(size) and size >= 0):
             raise SettingError(f"the size of {name!r} must be a finite number, 0 or more, got {size!r}")
         out[name] = float(size)
     return out
@@ -258,6 +261,11 @@ def certified_thresholds(
     >>> [(name, round(one.value, 2), round(one.attained, 2)) for name, one in found.items()]
     [('Luenberger observer', 0.22, 0.22)]
     """
+    if not isinstance(loop, UncertainPlant):
+        raise ModelError(
+            f"the loop must be an UncertainPlant, got {type(loop).__name__}: UncertainPlant(plant, deltas=[...]), or "
+            "UncertainPlant(plant) where nothing is uncertain"
+        )
     made = generator.generator if isinstance(generator, Bank) else generator
     chosen = checked_sizes(loop, sizes)
     if made.plant.inputs:

@@ -171,9 +171,10 @@ def check_lasting(family: EstimatorFamily) -> None:
     if not np.any(left > _ROUNDING * (np.abs(p.C) @ reached + np.abs(p.Df[:, i]))):
         raise DesignError(
             f"a lasting {family.target!r} leaves the outputs of the nominal loop as they are without it: their steady "
-            "response to it is zero. Integral action of the controller does that: it moves the plant until all sensors "
-            "read their set points again. The command shows it: give the plant its control inputs as further outputs, "
-            "or leave this fault out (faults=)"
+            "response to it is zero. Integral action does that: where the controller integrates, it moves the plant "
+            "until all sensors read their set points again, and the command shows the fault (give the plant its "
+            "control inputs as further outputs); where the plant itself integrates, nothing shows it: leave it out, "
+            "faults="
         )
     q, b, d = family.quotient, *_driven(family, i)
     # e' = A e + b - Z r with r = C e + d is at rest with r = 0, whatever Z, where that can be solved for e

@@ -70,7 +70,7 @@ def search_estimator(task: Task, family: EstimatorFamily, tell: Progress) -> tup
 
     Where no threshold is certified for one as slow as it may be, a faster one is searched; a note tells of that.
     """
-    failure: Exception | None = None
+    failure: NoCertificateError | None = None
     tried: list[float] = []
     for radius in task.radii:
         try:
@@ -92,9 +92,8 @@ def search_estimator(task: Task, family: EstimatorFamily, tell: Progress) -> tup
         )
     raise NoCertificateError(
         f"no threshold for {family.target!r} was certified over the set, for estimators that settle within "
-        f"{', '.join(f'{t:.3g}' for t in tried)} s "
-        f"({str(failure).partition(': ')[0]}): narrow the set, give a shorter or longer settling=, or decouple fewer "
-        "faults (decouple=)"
+        f"{', '.join(f'{t:.3g}' for t in tried)} s ({str(failure).partition(': ')[0]}): narrow the set, give a shorter "
+        "or longer settling=, or decouple fewer faults (decouple=)"
     ) from failure
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from numbers import Real
 from pathlib import Path
 
 import numpy as np
@@ -30,8 +31,8 @@ _METHOD = "robust l1 estimators"
 _REFERENCE = "Robust l1 fault detection, eqs. (27)-(49)"
 #: Samples that estimators may take to settle, however fast the loop is.
 _LEAST_SETTLING = 50
-#: How many times they are tried, each within half the time, where no threshold is certified.
-_HALVINGS = 5
+#: Powers of the loop's own decay that are tried, one after the other, where no threshold is certified.
+_POWERS = (1.0, 2.0, 4.0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -72,7 +73,9 @@ class RobustL1Bank(Bank):
 def _leaks(one: RobustEstimator) -> str:
     """Return what other faults add to one residual, as a line."""
     sizes = one.certificate.sizes
-    parts = (f"{o} {x:.3g}" + (f" (covered to {sizes[o]:g})" if o in sizes else "") for o, x in one.leakage.items())
+    # what is rounding beside the threshold is nothing
+    told = {o: x if x > 1e-9 * one.threshold else 0.0 for o, x in one.leakage.items()}
+    parts = (f"{o} {x:.3g}" + (f" (covered to {sizes[o]:g})" if o in sizes else "") for o, x in told.items())
     return f"{one.fault}: of other faults a unit adds at most: {', '.join(parts)}"
 
 
@@ -127,8 +130,9 @@ def robust_l1_bank(
         Angular frequency in rad/s up to which faults are to be seen; 0 for constant and slowly drifting ones.
         With a band the residual answers faster, and the threshold is higher for it.
     settling : float, optional
-        Seconds in which a residual settles to 2 per cent. When omitted, four times as long as the loop takes, and 50
-        samples at least; half of that, and so on, where no threshold is certified, as the evidence then notes.
+        Seconds in which a residual settles to 2 per cent. When omitted, as long as the loop takes, and 50 samples at
+        least; half of that, and a quarter, where no threshold is certified, as a note then tells. A monitor of the
+        bank decides nothing for three to four times as long after a start or a gap; a longer time may lower thresholds.
     search : DifferentialEvolution or GeneticSearch or {"differential-evolution", "genetic"}, optional
         The former when omitted.
     method : str, optional
@@ -294,9 +298,8 @@ def _radii(loop: UncertainPlant, settling: float | None) -> tuple[float, ...]:
         raise DesignError(f"the nominal loop is not stable (spectral radius {own:.6g}): nothing is bounded in it")
     if settling is None:
         fastest = 0.02 ** (1 / _LEAST_SETTLING)
-        halved = (own ** (0.25 * 2**k) for k in range(_HALVINGS))
-        return tuple(dict.fromkeys(max(radius, fastest) for radius in halved))
-    if not (np.isfinite(settling) and settling > 0):
+        return tuple(dict.fromkeys(max(own**power, fastest) for power in _POWERS))
+    if not (isinstance(settling, Real) and np.isfinite(settling) and settling > 0):
         raise SettingError(f"settling must be a positive time in seconds, got {settling!r}")
     if settling < loop.nominal.dt * (1 - 1e-9):
         raise SettingError(
