@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from residua.errors import AccuracyError, MissingExtraError, ModelError, SettingError
-from residua.linear import StateSpace, peak_input, peak_norm
+from residua.linear import StateSpace, impulse_terms, peak_input, peak_norm
+from residua.linear.impulse_terms import StableSystem
 
 A = [[0.5, 0.2], [-0.1, 0.7]]
 KNOWN = {
@@ -159,3 +160,49 @@ def test_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "cvxpy", None)
     with pytest.raises(MissingExtraError, match=r"residua\[lmi\]"):
         peak_norm(KNOWN["lag"][0], kind="lmi")
+
+
+def stepped_sum(A, B, C, D, count):
+    """The sum of the lengths of the impulse response, one step after the other."""
+    total, x = np.linalg.norm(D), B
+    for _ in range(count):
+        total, x = total + np.linalg.norm(C @ x), A @ x
+    return total
+
+
+def test_squares_of_matrices_far_from_normal_are_not_relied_on():
+    """Poles near to each other: products with powers of A are off by more than any tolerance, steps are not."""
+    told = 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        n = int(rng.integers(3, 7))
+        coefficients = np.poly(0.75 + 0.15 * rng.random(n))
+        A = np.diag(np.ones(n - 1), 1)
+        A[-1] = -coefficients[1:][::-1]
+        Q, _ = np.linalg.qr(rng.standard_normal((n, n)))
+        A, B, C = Q @ A @ Q.T, Q[:, -1:], Q[:, 0][None]
+        try:
+            found = peak_norm(StateSpace(A, B, C, dt=1.0))
+        except (AccuracyError, ModelError):
+            told += 1
+            continue
+        assert found.value == pytest.approx(stepped_sum(A, B, C, np.zeros((1, 1)), 3000), rel=2e-6), seed
+    assert told < 40
+
+
+@pytest.mark.parametrize("coupling", [1e-3, 1.0, 1e2, 1e5])
+def test_triangles_bound_the_tail(coupling):
+    A = np.diag([0.9, 0.9, 0.9, 0.2]) + coupling * np.diag([1.0, 1.0, 1.0], 1)
+    Q, _ = np.linalg.qr(np.random.default_rng(0).standard_normal((4, 4)))
+    A = Q @ A @ Q.T
+    system = StableSystem(A, np.eye(4), np.eye(4), np.zeros((4, 4)), np.ones(4), 0.9)
+    if coupling > 1e3:
+        with pytest.raises(AccuracyError, match="no norm was found"):
+            impulse_terms._by_triangle(system)
+        return
+    bound = impulse_terms._by_triangle(system)
+    for X in (np.eye(4), Q[:, :1]):
+        exact, x = 0.0, X
+        for _ in range(600):
+            exact, x = exact + np.linalg.norm(x, 2), A @ x
+        assert exact <= bound.beyond(X) <= 40 * exact

@@ -369,3 +369,20 @@ def test_the_same_request_has_the_same_answer():
     system = random_uncertain_system(10)
     first, second = (smallest_gain(system, band=0.5, seed=3) for _ in range(2))
     assert (first.bound, first.attained, first.values) == (second.bound, second.attained, second.values)
+
+
+@pytest.mark.parametrize("size", [1.0, 1e9])
+def test_two_inputs_by_way_of_one_state_leave_one_without_output(size):
+    system = UncertainSystem(
+        [[-0.9]],
+        [[1.0]],
+        np.array([[-1.013, 1.181]]) * size,
+        [[0.1]],
+        [[-0.263], [-3.257]],
+        low=[-0.1],
+        high=[0.1],
+        dt=1,
+    )
+    found = smallest_gain(system)
+    assert (found.bound, found.attained) == (0, 0)
+    assert "zero" in found.note

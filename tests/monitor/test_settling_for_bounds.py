@@ -111,3 +111,17 @@ def test_a_monitor_that_was_saved_with_a_shorter_wait_keeps_it(tmp_path: Path) -
     assert isinstance(found, rs.Diagnosis)
     assert int(np.argmax(found.decided)) == samples_until(0.01)
     assert found.members == MEMBERS
+
+
+def test_a_filter_without_slow_poles_forgets_as_late_as_it_has_states():
+    """Deadbeat filters have no pole to wait for, and need a sample for each state of a chain all the same."""
+    A = np.diag([0.9] * 3) + np.diag([0.3] * 2, -1)
+    plant = rs.Plant(A, np.zeros((3, 0)), [[0, 0, 1.0]], dt=1.0, outputs=["y"])
+    plant = plant.with_disturbances([[0.1], [0], [0]]).with_sensor_faults()
+    filters = [
+        rs.design.luenberger_observer(plant, poles=poles).residual_generator() for poles in ([0.0] * 3, [0.5] * 3)
+    ]
+    waits = [rs.Monitor(one, test=PeakThreshold(1.0)).settling_samples for one in filters]
+    assert waits[0] == 3
+    # (k, 2) 0.5^k is left of three equal poles, and not 0.5^k
+    assert waits[1] > np.ceil(np.log(1e-6) / np.log(0.5)) + 4

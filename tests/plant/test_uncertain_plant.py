@@ -163,6 +163,7 @@ def test_directions_that_move_are_told():
     assert left.relative == 0
     assert left.deviation["Bf"] == pytest.approx(0.5)
     assert left.kept == pytest.approx({"Bf": 1 / 3})  # 1.5 for 1 to 2
+    assert str(left) == "linearised: kept as in the nominal plant although they move: Bf by 33 % of their size"
 
 
 def test_sampling_does_not_forget_what_was_left_out_before():
@@ -177,8 +178,6 @@ def test_sampling_does_not_forget_what_was_left_out_before():
     assert not sampled.linearisation.exact
     assert sampled.linearisation.kept["Bd"] > 0.15
     # sampled plants of the function itself are what it is compared with
-    real = room({"loss": 1.2}).discretize(0.1)
-    assert np.abs(sampled.member({"loss": 1.2}).A - real.A).max() < 1e-15
     assert sampled.linearisation.deviation["Bd"] == pytest.approx(
         np.maximum(*(np.abs(room({"loss": x}).discretize(0.1).Bd - sampled.nominal.Bd) for x in (0.8, 1.2)))
     )
@@ -187,7 +186,6 @@ def test_sampling_does_not_forget_what_was_left_out_before():
     assert not again.linearisation.exact
     assert again.linearisation.before.kept == pytest.approx({"Bd": 0.2})
     assert "Bd by 20 %" in str(again)
-    assert str(left) == "linearised: kept as in the nominal plant although they move: Bf by 25 % of their size"
 
 
 def in_other_units(k: float, seed: int) -> rs.Plant:
@@ -329,3 +327,14 @@ def test_deviations_and_parameters():
     drifting = UncertainPlant.from_parameters(spring, {"stiffness": (1, 2), "damping": (-0.1, 0.3), "mass": (1, 1)})
     with pytest.raises(DesignError, match=r"damping = -0\.1"):
         check_members_stable(drifting)
+
+
+@pytest.mark.parametrize("fast", [1e6, 1e9, 1e12])
+def test_a_fast_state_does_not_hide_what_is_left_out(fast):
+    def stiff(v):
+        return rs.Plant([[-(v["rate"] ** 2), 1.0], [0.5 * fast, -fast]], [[1.0], [0.0]], [[1.0, 0.0]])
+
+    found = UncertainPlant.from_parameters(stiff, {"rate": (0.99, 1.01)}).linearisation
+    assert found is not None
+    assert not found.exact
+    assert found.deviation["A"][0, 0] == pytest.approx(1e-4, rel=1e-3)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.linalg
@@ -16,8 +17,11 @@ from residua.linear.spectrum import describe_modes
 from residua.linear.state_space import StateSpace
 
 Matrix = NDArray[np.float64]
-#: Terms of a block; the powers of ``A`` within it are computed once.
+#: Terms of a block.
 _BLOCK = 256
+#: Blocks over which products with powers are compared with single steps, and how far they may be apart, relative to the
+#: sum of their terms.
+_COMPARED, _AGREED = 2, 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,9 +76,6 @@ class TailBound:
     .. math:: \sum_{j \ge 0} \|C A^j X\|_2 \le \|C L^{-T}\|_2 \, \|L^T X\|_2 / (1 - s)
 
     for every ``X``. The bound holds for whatever ``P`` the equation gave: only ``s`` has to be less than one.
-
-    Where no equation gave one, ``L`` is the identity, ``contraction`` the norm of a power of ``A``, and ``output`` has
-    the sum of the norms of those before it in it.
     """
 
     L: Matrix
@@ -90,8 +91,28 @@ def _largest(M: Matrix) -> float:
     return float(np.linalg.norm(M, 2)) if M.size else 0.0
 
 
-def tail_bound(system: StableSystem) -> TailBound:
-    """Return the bound, from the Lyapunov equation of ``A`` sped up by half of its stability margin, or from powers.
+@dataclass(frozen=True, eq=False)
+class TriangularTailBound:
+    r"""A bound by absolute values of a triangular form, where no norm was found in which ``A`` contracts.
+
+    With the Schur form :math:`A = Q T Q^H` and :math:`N \ge |Q^H A Q|`, for every ``X``,
+
+    .. math:: \sum_{j \ge 0} \|C A^j X\|_2 \le \sum_{ik} \bigl(|C Q| (I - N)^{-1} |Q^H X|\bigr)_{ik}
+
+    ``N`` is ``|T|`` and what rounding of the form amounts to; its powers die out as those of ``A`` do, however near to
+    each other the poles are.
+    """
+
+    Q: NDArray[np.complex128]
+    weights: NDArray[np.float64]
+
+    def beyond(self, X: Matrix) -> float:
+        """Return the bound for the terms ``C X, C A X, C A^2 X, ...``."""
+        return float(self.weights @ np.abs(self.Q.conj().T @ X).sum(axis=1))
+
+
+def tail_bound(system: StableSystem) -> TailBound | TriangularTailBound:
+    """Return the bound, from the Lyapunov equation of ``A`` sped up by half of its stability margin, or by triangles.
 
     The latter where the equation is not solved to enough digits: where poles are near to each other, and slow.
     """
@@ -103,39 +124,41 @@ def tail_bound(system: StableSystem) -> TailBound:
         contraction = _largest(scipy.linalg.solve_triangular(L, (L.T @ system.A).T, lower=True))
         if contraction < 1:
             return TailBound(L, contraction, _largest(scipy.linalg.solve_triangular(L, system.C.T, lower=True)))
-    return _by_powers(system)
+    return _by_triangle(system)
 
 
 def _contracting(A: Matrix, fast: float) -> Matrix | None:
     """Return a Cholesky factor of ``P = (A / fast)' P (A / fast) + I``, by doubling, which keeps ``P`` positive."""
     P, power = np.eye(len(A)), A / fast
-    for _ in range(70):
-        step = power.T @ P @ power
-        P = P + step
-        if not np.isfinite(P).all() or np.linalg.norm(step) <= 1e-15 * np.linalg.norm(P):
-            break
-        power = power @ power
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(70):
+            step = power.T @ P @ power
+            P = P + step
+            if not np.isfinite(P).all() or np.linalg.norm(step) <= 1e-15 * np.linalg.norm(P):
+                break
+            power = power @ power
+    if not np.isfinite(P).all():
+        return None
     try:
         return np.asarray(np.linalg.cholesky(P), dtype=float)
     except np.linalg.LinAlgError:
         return None
 
 
-def _by_powers(system: StableSystem) -> TailBound:
-    r"""Bound by :math:`\sum_j |A^j| \le \sum_{j < N} |A^j| / (1 - |A^N|)`, ``N`` a power of two."""
-    power, total, n = system.A, 1.0, len(system.A)
-    for _ in range(60):
-        size = _largest(power)
-        if size < 0.5:
-            return TailBound(np.eye(n), size, _largest(system.C) * total)
-        total *= 1 + size  # the terms from N to 2 N - 1 are those before times A^N
-        power = power @ power
-        if not (np.isfinite(power).all() and np.isfinite(total)):
-            break
-    raise AccuracyError(
-        f"no norm was found in which the system contracts (spectral radius {system.radius:.12g}): "
-        "its poles are too near to the stability boundary, or too badly conditioned, for double precision"
-    )
+def _by_triangle(system: StableSystem) -> TriangularTailBound:
+    n, eps = len(system.A), np.finfo(float).eps
+    T, Q = scipy.linalg.schur(system.A, output="complex")
+    N = np.abs(np.triu(T)) + 10 * n * eps * np.linalg.norm(system.A)
+    inverse = np.linalg.solve(np.eye(n) - N, np.eye(n)) if np.abs(np.diagonal(T)).max() < 1 else np.full((n, n), np.nan)
+    x = inverse.sum(axis=1)
+    # a positive x with x > N x proves that the powers of N die out
+    if not (np.isfinite(x).all() and (x > 0).all() and (x - N @ x > 0.5).all()):
+        raise AccuracyError(
+            f"no norm was found in which the system contracts (spectral radius {system.radius:.12g}): "
+            "its poles are too near to the stability boundary, or too badly conditioned, for double precision"
+        )
+    seen = np.abs(system.C @ Q) + 10 * n * eps * np.abs(system.C).sum(axis=1, keepdims=True)
+    return TriangularTailBound(Q, (1 + 1e-6) * seen.sum(axis=0) @ np.abs(inverse))
 
 
 def impulse_blocks(system: StableSystem, *, most: int) -> Iterator[tuple[Matrix, float]]:
@@ -143,17 +166,63 @@ def impulse_blocks(system: StableSystem, *, most: int) -> Iterator[tuple[Matrix,
 
     The first block is the direct term ``D``; ``most`` terms are yielded at most, rounded up to a block.
     """
-    p, m = system.D.shape
-    n = len(system.A)
     bound = tail_bound(system)
-    X = system.B
-    yield system.D[None], bound.beyond(X)
-    if not n:
+    yield system.D[None], bound.beyond(system.B)
+    if len(system.A):
+        for H, X in response_blocks(system.A, system.B, system.C, most):
+            yield H, bound.beyond(X)
+
+
+def response_blocks(A: Matrix, B: Matrix, C: Matrix, terms: int) -> Iterator[tuple[Matrix, Matrix]]:
+    """Yield ``C A^k B`` from ``k = 0`` on in blocks of 256, and the ``A^k B`` that comes after each, for so many terms.
+
+    By products with a high power of ``A``, where these agree with one step after the other over the first two blocks.
+    Squares of a matrix that is far from normal are far off, though its steps are not: then by steps.
+    """
+    p, m = len(C), B.shape[1]
+    if not (p and m and terms):
         return
-    rows, power = system.C, system.A
-    while len(rows) < _BLOCK * p:
-        rows, power = np.vstack([rows, rows @ power]), power @ power
-    for _ in range(0, most, _BLOCK):
-        X_next = power @ X
-        yield (rows @ X).reshape(-1, p, m), bound.beyond(X_next)
-        X = X_next
+    blocks = -(-terms // _BLOCK)
+    jumps = _Jumps(A, C)
+    X, jumped, missed, size = B, B, 0.0, 0.0
+    for k in range(blocks):
+        if k >= _COMPARED and missed <= _AGREED * size:
+            H, X = jumps.rows_times(X), jumps.times_power(X)
+        else:
+            H, X = _stepped(A, X, C)
+            if k < _COMPARED:
+                missed += float(np.abs(jumps.rows_times(jumped) - H).sum())
+                size, jumped = size + float(np.abs(H).sum()), jumps.times_power(jumped)
+        yield H, X
+
+
+def _stepped(A: Matrix, X: Matrix, C: Matrix) -> tuple[Matrix, Matrix]:
+    """Return a block of terms by one step after the other, and the state after it."""
+    states = np.empty((_BLOCK, *X.shape))
+    for k in range(_BLOCK):
+        states[k] = X
+        X = A @ X
+    return C @ states, X
+
+
+class _Jumps:
+    """``C A^k`` for a block of ``k``, and the power of ``A`` that leads to the next; made when they are asked for."""
+
+    def __init__(self, A: Matrix, C: Matrix) -> None:
+        self._A, self._C = A, C
+
+    @cached_property
+    def _parts(self) -> tuple[Matrix, Matrix]:
+        rows, power = self._C, self._A
+        with np.errstate(over="ignore", invalid="ignore"):
+            while len(rows) < _BLOCK * len(self._C):
+                rows, power = np.vstack([rows, rows @ power]), power @ power
+        return rows, power
+
+    def rows_times(self, X: Matrix) -> Matrix:
+        with np.errstate(over="ignore", invalid="ignore"):
+            return (self._parts[0] @ X).reshape(_BLOCK, len(self._C), X.shape[1])
+
+    def times_power(self, X: Matrix) -> Matrix:
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self._parts[1] @ X

@@ -271,7 +271,10 @@ class Diagnosis:
         """What was done about missing values, in words."""
         times = f"{self.resets} time{'' if self.resets == 1 else 's'}"
         restarts = f"; filter restarted {times} after longer gaps" if self.resets else ""
-        return f"{self.n_missing} samples with missing values: last values held, no decision there{restarts}"
+        one = "" if self.n_missing == 1 else "s"
+        waited = int(np.count_nonzero(~(self.decided | self.missing) & np.maximum.accumulate(self.missing)))
+        after = f", nor at {waited} after them while the filter settled again" if waited else ""
+        return f"{self.n_missing} sample{one} with missing values: last values held, no decision there{after}{restarts}"
 
     def columns(self) -> dict[str, NDArray]:
         """Return time, residuals, statistic, alarm and scores as named columns.

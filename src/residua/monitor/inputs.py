@@ -15,9 +15,16 @@ from residua.decide.peak_tests import is_bound
 from residua.design import ResidualGenerator
 from residua.design.evidence import format_pole
 from residua.errors import DataError
+from residua.linear.balancing import state_units
 from residua.monitor.recording import Recording, recording_from_frame
 from residua.monitor.time_axis import regular_step, seconds_from_dates
 from residua.plant import Plant
+
+#: What is left of the slowest pole once a filter counts as settled: where thresholds come from data or a noise model,
+#: and where they are bounds that are known or certified, to the digits that these are computed to.
+SETTLED, SETTLED_FOR_BOUNDS = 1e-2, 1e-6
+#: Samples after which a filter counts as settled, however slow it is.
+_MOST_SAMPLES = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,28 +101,46 @@ def _seconds(time: ArrayLike) -> NDArray[np.float64]:
         raise DataError(f"time must be seconds, or dates: {error}") from error
 
 
-#: What is left of the slowest pole once a filter counts as settled: where thresholds come from data or a noise model,
-#: and where they are bounds that are known or certified, to the digits that these are computed to.
-SETTLED, SETTLED_FOR_BOUNDS = 1e-2, 1e-6
-
-
 def settling_samples(generator: ResidualGenerator, test: NormTest | BankTest | None = None) -> int:
     """Return how many samples the slowest pole of a sampled generator needs to decay to 1 %.
 
-    To a millionth for a test by bounds: 1 % of what a start leaves in the residual is in no certified threshold.
+    To a millionth for a test by bounds: 1 % of what a start leaves in the residual is in no certified threshold. And
+    until the residual itself has forgotten the start as far: poles that are near to each other, or zero, take longer.
     """
-    return _samples_until(generator, SETTLED_FOR_BOUNDS if test is not None and is_bound(test) else SETTLED)
+    if test is None or not is_bound(test):
+        return _samples_until(generator, SETTLED)
+    return _samples_for_bounds(generator)
 
 
 def settling_reason(generator: ResidualGenerator, settle: int) -> str:
     """Say how long a filter settles, and which pole makes it take that long."""
     told = f"settling takes {settle} samples ({settle * generator.dt:g} s)"
-    by_itself = [_samples_until(generator, left) for left in (SETTLED, SETTLED_FOR_BOUNDS)]
+    by_itself = [_samples_until(generator, SETTLED), _samples_for_bounds(generator)]
     if settle not in by_itself or not generator.system.n_states:
         return f"{told}, as asked for by settle"
     poles = generator.system.poles()
     slowest = poles[np.abs(poles).argmax()]
     return f"{told} because of its slowest pole, sampled at {format_pole(slowest)}: a faster one settles sooner"
+
+
+def _samples_for_bounds(generator: ResidualGenerator) -> int:
+    return max(_samples_until(generator, SETTLED_FOR_BOUNDS), _forgotten(generator, SETTLED_FOR_BOUNDS))
+
+
+def _forgotten(generator: ResidualGenerator, left: float) -> int:
+    """Return after how many samples a state at the start leaves no more in the residual than a part of the largest."""
+    s = generator.system.explicit()
+    if not s.n_states or not np.any(s.C):
+        return 1
+    units = state_units(s.A, s.B, s.C, s.D)
+    rows, step, largest = s.C * units, s.A / units[:, None] * units, 0.0
+    for k in range(_MOST_SAMPLES):
+        size = float(np.linalg.norm(rows))
+        largest = max(largest, size)
+        if k >= s.n_states and size <= left * largest:
+            return k
+        rows = rows @ step
+    return _MOST_SAMPLES
 
 
 def _samples_until(generator: ResidualGenerator, left: float) -> int:

@@ -191,15 +191,19 @@ def _rounding(plants: Sequence[Plant], rtol: float) -> dict[str, Matrix]:
 
     A zero that was computed, by a change of coordinates or by sampling a plant, is off by the rounding of its terms.
     These are as large as what leads from the column to the row by way of the states, whatever units states are in:
-    the entry of ``[A; C] (1 + A + A^2 + ...) [A B]`` of absolute values.
+    the entry of ``[A; C] (1 + A + A^2 + ...) [A B]`` of absolute values; in continuous time every row of the ``A``
+    between is divided by its rate.
     """
     stacks = [_all_matrices(plant) for plant in plants]
     sizes = {name: np.abs(np.stack([m[name] for m in stacks])).max(axis=0) for name in (*_MOVING, *_FIXED)}
     A, n = sizes["A"], len(sizes["A"])
-    N = A / max(1.0, float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)))
-    ways = np.eye(n)
+    if plants[0].is_discrete:
+        rate = np.full(n, max(1.0, float(np.abs(np.linalg.eigvals(A)).max(initial=0.0))))
+    else:  # a state that is fast hands on what drives it divided by its rate
+        rate = np.where(A.max(axis=1, initial=0.0) > 0, A.max(axis=1, initial=0.0), 1.0)
+    ways = first = np.eye(n) if plants[0].is_discrete else np.diag(1 / rate)
     for _ in range(1, n):
-        ways = np.eye(n) + N @ ways
+        ways = first + (A / rate[:, None]) @ ways
     out = {}
     for name, size in sizes.items():
         beside = np.minimum(size.max(axis=1, initial=0.0, keepdims=True), size.max(axis=0, initial=0.0, keepdims=True))

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.linear.impulse_terms import StableSystem, impulse_blocks
+from residua.linear.impulse_terms import StableSystem, impulse_blocks, response_blocks
 from residua.linear.peak_direction import largest_sum
 from residua.linear.peak_norm import peak_norm
 from residua.linear.robust_norm.reached_middle import ReachedMiddle, reached_middle
@@ -34,14 +34,14 @@ Real = NDArray[np.float64]
 _TAIL, _LARGEST_TAIL = 1e-8, 1e-3
 #: Terms of impulse responses that are computed, and numbers of them that are kept.
 _TERMS, _STORED = 1_000_000, 20_000_000
-#: Terms that are computed at a time.
-_BLOCK = 256
 #: Parameters whose corners are visited, for one output and for several; of others the norms are added.
 _CORNERS, _CORNERS_OF_MANY = 10, 4
 #: Numbers of the responses at corners that are held at a time.
 _CHUNK = 4_000_000
 #: What rounding does to a response of second or third order, relative to the norms of its factors.
 _ROUNDING = 1e-12
+#: What rounding of sums of responses may do to the bound.
+_ROUNDED = 1 + 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class CentredBound:
     @property
     def value(self) -> float:
         """The bound."""
-        return self.linear + self.second + self.rest
+        return (self.linear + self.second + self.rest) * _ROUNDED
 
 
 def centred_bound(system: UncertainSystem) -> CentredBound | None:
@@ -203,7 +203,7 @@ class _Expansion:
         A = np.block([[c.A, zero], [self.loops[i], c.A]])
         C = np.block([[self.directs[i], c.Cz], [np.zeros_like(c.Cq), c.Cq]])
         z, q = [np.zeros((1, *c.Dzw.shape))], np.zeros(len(c.Cq))
-        for H in _blocks(A, np.vstack([c.Bw, np.zeros_like(c.Bw)]), C, 2 * g.terms):
+        for H, _ in response_blocks(A, np.vstack([c.Bw, np.zeros_like(c.Bw)]), C, 2 * g.terms):
             z.append(H[:, :p])
             q += np.linalg.norm(H[:, p:], axis=2).sum(axis=0)
         missed = g.tail * (g.qw[own].sum() + g.qp[:, own].sum(axis=1)) + _ROUNDING * (g.qp[:, own] @ g.qw[own])
@@ -215,7 +215,7 @@ class _Expansion:
         A = np.block([[c.A, np.zeros_like(c.A)], [self.loops[i], c.A]])
         norms = np.zeros_like(g.zp)
         C = np.hstack([self.directs[i], c.Cz])
-        for H in _blocks(A, np.vstack([c.Bp, np.zeros_like(c.Bp)]), C, 2 * g.terms):
+        for H, _ in response_blocks(A, np.vstack([c.Bp, np.zeros_like(c.Bp)]), C, 2 * g.terms):
             norms += np.abs(H).sum(axis=0)
         tail = g.tail * (g.zp[:, own].sum(axis=1)[:, None] + g.qp[own].sum(axis=0))
         return norms + tail + _ROUNDING * (g.zp[:, own] @ g.qp[own])
@@ -255,7 +255,7 @@ class _Expansion:
             C = np.hstack([0 * Di, Dj, Di, c.Cz])
         B = np.zeros((len(A), c.Bw.shape[1]))
         B[: len(c.Bw)] = c.Bw
-        return _blocks(A, B, C, 3 * self.gains.terms)
+        return (H for H, _ in response_blocks(A, B, C, 3 * self.gains.terms))
 
     def _missed_of_two(self, i: int, norms: Real) -> float:
         """Bound what is cut off and rounded in the response of ``z`` to a parameter that sees ``q`` of first order."""
@@ -274,19 +274,6 @@ class _Expansion:
         for i, own in zip(self.moving, self.owned, strict=True):
             blame[i] = (right * left)[own].sum()
         return blame
-
-
-def _blocks(A: Matrix, B: Matrix, C: Matrix, terms: int) -> Iterator[Real]:
-    """Yield ``C A^k B`` for ``k`` from 0 to ``terms`` at least, many at a time."""
-    p, m = len(C), B.shape[1]
-    if not (p and m and len(A)):
-        return
-    rows, power = C, A
-    while len(rows) < min(_BLOCK, terms) * p:
-        rows, power = np.vstack([rows, rows @ power]), power @ power
-    for _ in range(0, terms, len(rows) // p):
-        yield (rows @ B).reshape(-1, p, m)
-        B = power @ B
 
 
 def _solved(gains: Matrix, once: Real) -> Real | None:

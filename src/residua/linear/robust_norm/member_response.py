@@ -92,8 +92,10 @@ class MemberResponse:
         np.add.at(slopes.T, self.owners, (to_output * (self.Cq @ x)).T)
         if not self.constant:
             slopes[:, -1] = -(1j * z if self.dt else 1j) * (C @ (R @ x))
-        terms = np.abs(C @ R) @ ((abs(z) + np.abs(A)) @ np.abs(x) + np.abs(B @ v)) + np.abs(C) @ np.abs(x)
-        return weak @ (T @ v), weak @ slopes, ROUNDING * float(np.linalg.norm(terms + np.abs(D @ v)))
+        # of every input alone: the weakest combination of them is where they cancel
+        size, states = np.abs(v), np.abs(R @ B) @ np.abs(v)
+        terms = np.abs(C @ R) @ ((abs(z) + np.abs(A)) @ states + np.abs(B) @ size) + np.abs(C) @ states
+        return weak @ (T @ v), weak @ slopes, ROUNDING * float(np.linalg.norm(terms + np.abs(D) @ size))
 
 
 def member_response(system: UncertainSystem, *, constant: bool) -> MemberResponse:
