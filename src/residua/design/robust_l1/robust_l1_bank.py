@@ -132,7 +132,7 @@ def robust_l1_bank(
     settling : float, optional
         Seconds in which a residual settles to 2 per cent. When omitted, as long as the loop takes, and 50 samples at
         least; half of that, and a quarter, where no threshold is certified, as a note then tells. A monitor of the
-        bank decides nothing for three to four times as long after a start or a gap; a longer time may lower thresholds.
+        bank decides nothing for several times as long after a start or a gap; a longer time may lower thresholds.
     search : DifferentialEvolution or GeneticSearch or {"differential-evolution", "genetic"}, optional
         The former when omitted.
     method : str, optional
