@@ -89,9 +89,7 @@ def diagnosis_from(
         source=source,
         notes=(
             *notes,
-            *_sampling_notes(generator),
-            *_settling_notes(spec, generator, usable, joined("missing")),
-            *_window_notes(spec),
+            *_notes(spec, generator, usable, joined("missing")),
             *unit_cautions(spec.test, usable, statistic, statistics),
             *leakage_cautions(bounds, spec.test, spec.codes, alarms, statistics),
         ),
@@ -149,6 +147,13 @@ def _sampling_notes(generator: ResidualGenerator) -> tuple[str, ...]:
         for name, gain in generator.evidence.decoupling.items()
         if name.endswith(", sampled") and gain > 0.01
     )
+
+
+def _notes(
+    spec: Specification, generator: ResidualGenerator, usable: NDArray[np.bool_], missing: NDArray[np.bool_]
+) -> tuple[str, ...]:
+    """Return what is to be minded of the filter and the settings."""
+    return *_sampling_notes(generator), *_settling_notes(spec, generator, usable, missing), *_window_notes(spec)
 
 
 def _settling_notes(

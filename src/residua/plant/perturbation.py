@@ -94,7 +94,9 @@ class Perturbation:
         low_, high_ = bounds(lows, highs)
         if len(low_) != k:
             raise ModelError(f"d{matrix}: {k} columns of H need {k} bounds, got {len(low_)}")
-        for i in np.flatnonzero((low_ > 0) | (high_ < 0)):
+        wrong = np.flatnonzero((low_ > 0) | (high_ < 0))
+        if wrong.size:
+            i = int(wrong[0])
             raise ModelError(
                 f"d{matrix}: the bounds [{low_[i]:g}, {high_[i]:g}] of parameter {i + 1} leave out 0, the nominal "
                 f"plant: add the middle, {-(low_[i] + high_[i]) / 2:g} x H x G, to {matrix} of the plant, and bound "
