@@ -74,7 +74,7 @@ print({name: f"{ratio:.4f}" for name, ratio in worst.items()})
 # %%
 # A recording
 # -----------
-# A motor with much friction, a load that comes and goes at the worst pace, and from 6 s on a speed sensor that reads
+# A motor with much friction, a load that comes and goes, and from 6 s on a speed sensor that reads
 # too much, by the size from which the fault is certain to be seen.
 rng = np.random.default_rng(0)
 real = rs.UncertainPlant(motor({**middle, "friction": 0.003}).discretize(dt)).in_closed_loop(controller).nominal
