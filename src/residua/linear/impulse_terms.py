@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import scipy.linalg
@@ -182,17 +181,15 @@ def response_blocks(A: Matrix, B: Matrix, C: Matrix, terms: int) -> Iterator[tup
     p, m = len(C), B.shape[1]
     if not (p and m and terms):
         return
-    blocks = -(-terms // _BLOCK)
-    jumps = _Jumps(A, C)
-    X, jumped, missed, size = B, B, 0.0, 0.0
-    for k in range(blocks):
-        if k >= _COMPARED and missed <= _AGREED * size:
-            H, X = jumps.rows_times(X), jumps.times_power(X)
-        else:
-            H, X = _stepped(A, X, C)
-            if k < _COMPARED:
-                missed += float(np.abs(jumps.rows_times(jumped) - H).sum())
-                size, jumped = size + float(np.abs(H).sum()), jumps.times_power(jumped)
+    X, stepped = B, []
+    jumps: _Jumps | None = None
+    for k in range(-(-terms // _BLOCK)):
+        if k == _COMPARED:
+            jumps = _Jumps(A, C)
+            jumps = jumps if jumps.agree(B, stepped) else None
+        H, X = _stepped(A, X, C) if jumps is None else (jumps.rows_times(X), jumps.times_power(X))
+        if k < _COMPARED:
+            stepped.append(H)
         yield H, X
 
 
@@ -206,23 +203,29 @@ def _stepped(A: Matrix, X: Matrix, C: Matrix) -> tuple[Matrix, Matrix]:
 
 
 class _Jumps:
-    """``C A^k`` for a block of ``k``, and the power of ``A`` that leads to the next; made when they are asked for."""
+    """``C A^k`` for a block of ``k``, and the power of ``A`` that leads to the next, by squaring."""
 
     def __init__(self, A: Matrix, C: Matrix) -> None:
-        self._A, self._C = A, C
-
-    @cached_property
-    def _parts(self) -> tuple[Matrix, Matrix]:
-        rows, power = self._C, self._A
+        rows, power = C, A
         with np.errstate(over="ignore", invalid="ignore"):
-            while len(rows) < _BLOCK * len(self._C):
+            while len(rows) < _BLOCK * len(C):
                 rows, power = np.vstack([rows, rows @ power]), power @ power
-        return rows, power
+        self._rows, self._power, self._outputs = rows, power, len(C)
 
     def rows_times(self, X: Matrix) -> Matrix:
+        """Return a block of terms from a state on."""
         with np.errstate(over="ignore", invalid="ignore"):
-            return (self._parts[0] @ X).reshape(_BLOCK, len(self._C), X.shape[1])
+            return (self._rows @ X).reshape(_BLOCK, self._outputs, X.shape[1])
 
     def times_power(self, X: Matrix) -> Matrix:
+        """Return the state after a block."""
         with np.errstate(over="ignore", invalid="ignore"):
-            return self._parts[1] @ X
+            return self._power @ X
+
+    def agree(self, X: Matrix, blocks: list[Matrix]) -> bool:
+        """Tell whether blocks that were made by steps from a state on come out again."""
+        missed = size = 0.0
+        for H in blocks:
+            missed, size = missed + float(np.abs(self.rows_times(X) - H).sum()), size + float(np.abs(H).sum())
+            X = self.times_power(X)
+        return bool(missed <= _AGREED * size)
