@@ -131,3 +131,22 @@ def test_faults_are_not_taken_for_other_units() -> None:
     assert run(monitor, one).notes == (), "the other residuals are below their thresholds"
     fitted = rs.Monitor(made.generator).fit(None, recording(20.0))
     assert run(fitted, 1000 * recording(20.0)).notes == (), "what is fitted has seen the data"
+
+
+def test_thresholds_of_a_linearised_set_are_told_as_such_wherever_a_diagnosis_is_read(tmp_path: Path) -> None:
+    """Certified for the affine form only: said once, by a monitor that was loaded too."""
+
+    def tank(v: Mapping[str, float]) -> rs.Plant:
+        plant = rs.Plant([[-v["outflow"] / v["area"]]], [[]], [[1.0], [1.0]], outputs=["one", "other"])
+        plant = plant.with_disturbances([[0.1, 0, 0]], output=[[0, 0.1, 0], [0, 0, 0.1]])
+        return plant.with_sensor_faults()
+
+    loop = rs.UncertainPlant.from_parameters(tank, {"outflow": (0.9, 1.1), "area": (0.9, 1.1)}).discretize(0.1)
+    assert loop.linearisation is not None
+    assert not loop.linearisation.exact
+    quick = DifferentialEvolution(population=10, generations=3, polish=False)
+    monitor = rs.Monitor(rs.design.robust_l1_bank(loop, search=quick, progress=False))
+    monitor.save(tmp_path / "tank.json")
+    for one in (monitor, rs.Monitor.load(tmp_path / "tank.json")):
+        told = [note for note in run(one, np.zeros((300, 2))).notes if "affine form" in note]
+        assert told == [f"certified for the affine form of the set: {loop.linearisation}"]

@@ -14,6 +14,7 @@ from residua.decide.member_thresholds import BankTest
 from residua.decide.peak_tests import CERTIFIED
 from residua.design import ResidualGenerator
 from residua.design.matched_filters import not_settled
+from residua.design.robust_l1.certified_threshold import AFFINE_FORM
 from residua.monitor.alarm import Alarm
 from residua.monitor.cautions import MemberBounds, leakage_cautions, unit_cautions
 from residua.monitor.dedicated import named_faults, named_pattern, present_faults
@@ -152,8 +153,17 @@ def _sampling_notes(generator: ResidualGenerator) -> tuple[str, ...]:
 def _notes(
     spec: Specification, generator: ResidualGenerator, usable: NDArray[np.bool_], missing: NDArray[np.bool_]
 ) -> tuple[str, ...]:
-    """Return what is to be minded of the filter and the settings."""
-    return *_sampling_notes(generator), *_settling_notes(spec, generator, usable, missing), *_window_notes(spec)
+    """Return what is to be minded of the design, the filter and the settings."""
+    settling = _settling_notes(spec, generator, usable, missing)
+    return *_affine_notes(spec, generator), *_sampling_notes(generator), *settling, *_window_notes(spec)
+
+
+def _affine_notes(spec: Specification, generator: ResidualGenerator) -> tuple[str, ...]:
+    """Return that certified thresholds are those of a linearised set, once for all members of a bank."""
+    if not spec.test.basis.startswith(CERTIFIED):
+        return ()
+    notes = (note.partition(AFFINE_FORM) for note in generator.evidence.notes)
+    return tuple(dict.fromkeys(start + text for _, start, text in notes if start))
 
 
 def _settling_notes(

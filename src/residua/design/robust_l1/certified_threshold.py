@@ -28,6 +28,9 @@ _BOXES, _ANY = 32, 1e300
 #: plants with units 1e8 apart up to 6e-11, and searches 2e-9; thresholds that mean something are 1e-6 and more.
 _DECOUPLED, _ROUNDED = 1e-8, 1e-13
 
+#: How a note begins that tells of a set that was linearised.
+AFFINE_FORM = "certified for the affine form of the set"
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CertifiedThreshold:
@@ -85,7 +88,7 @@ def left_out(loop: UncertainPlant) -> tuple[str, ...]:
     """Return what certificates of a loop do not cover."""
     out = []
     if loop.linearisation is not None and not loop.linearisation.exact:
-        out.append(f"certified for the affine form of the set: {loop.linearisation}")
+        out.append(f"{AFFINE_FORM}: {loop.linearisation}")
     if loop.nominal.noises:
         out.append("white noise has no bound: the thresholds are for the disturbances alone")
     return tuple(out)
