@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import DesignError, ModelError
-from residua.linear.balancing import state_units
 from residua.linear.impulse_terms import StableSystem, stable_system
 from residua.linear.star_norm import ellipsoid_shape, star_ellipsoid
+from residua.linear.state_space import StateSpace
 from residua.linear.uncertain_system import UncertainSystem
 
 Matrix = NDArray[np.float64]
@@ -69,11 +69,9 @@ def reached_middle(system: UncertainSystem) -> ReachedMiddle:
 def _middle(system: UncertainSystem) -> StableSystem:
     """Return the middle of the set, in units of its states that suit the channels of the parameters as well."""
     middle = system.member((system.low + system.high) / 2)
+    both = StateSpace(middle.A, np.hstack([middle.B, system.Bp]), np.vstack([middle.C, system.Cq]), dt=system.dt)
     try:
-        stable_system(middle)
+        s = stable_system(both)
     except ModelError as error:
         raise DesignError(f"the middle of the set has no peak norm: {error}") from error
-    units = state_units(middle.A, np.hstack([middle.B, system.Bp]), np.vstack([middle.C, system.Cq]))
-    A = middle.A / units[:, None] * units
-    radius = float(np.abs(np.linalg.eigvals(A)).max(initial=0.0))
-    return StableSystem(A, middle.B / units[:, None], middle.C * units, middle.D, units, radius)
+    return replace(s, B=s.B[:, : middle.n_inputs], C=s.C[: middle.n_outputs], D=middle.D)
