@@ -24,6 +24,11 @@ def describe_modes(modes: Iterable[complex] | NDArray) -> str:
     return ", ".join(out) if out else "none"
 
 
+def spectral_radius(A: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the spectral radius of a matrix, or of each of a stack; 0 without states."""
+    return np.abs(np.linalg.eigvals(A)).max(axis=-1, initial=0.0) if A.shape[-1] else np.zeros(A.shape[:-2])
+
+
 def match_poles(wanted: Poles, found: Poles) -> NDArray[np.intp]:
     """Return for each wanted pole the index of a found one, each used at most once, nearest in sum.
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, ModelError
 from residua.linear.arrays import frozen
+from residua.linear.spectrum import spectral_radius
 from residua.plant.perturbation import UncertainParameter, factored
 from residua.plant.plant import Plant
 from residua.plant.uncertain_plant import UncertainPlant, make_uncertain_plant, visited_values
@@ -198,7 +199,7 @@ def _rounding(plants: Sequence[Plant], rtol: float) -> dict[str, Matrix]:
     sizes = {name: np.abs(np.stack([m[name] for m in stacks])).max(axis=0) for name in (*_MOVING, *_FIXED)}
     A, n = sizes["A"], len(sizes["A"])
     if plants[0].is_discrete:
-        rate = np.full(n, max(1.0, float(np.abs(np.linalg.eigvals(A)).max(initial=0.0))))
+        rate = np.full(n, max(1.0, float(spectral_radius(A))))
     else:  # a state that is fast hands on what drives it divided by its rate
         rate = np.where(A.max(axis=1, initial=0.0) > 0, A.max(axis=1, initial=0.0), 1.0)
     ways = first = np.eye(n) if plants[0].is_discrete else np.diag(1 / rate)

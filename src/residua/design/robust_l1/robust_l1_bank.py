@@ -18,11 +18,12 @@ from residua.design.robust_l1.estimator_family import EstimatorFamily, check_las
 from residua.design.robust_l1.estimator_search import Search, Task, search_estimator
 from residua.design.robust_l1.genetic_search import GeneticSearch
 from residua.design.robust_l1.robust_estimator import RobustEstimator
-from residua.design.robust_l1.sampled_cost import Weights, spectral_radius
+from residua.design.robust_l1.sampled_cost import Weights
 from residua.errors import DesignError, ModelError, SettingError
 from residua.linear import arrays
 from residua.linear.rank import DEFAULT_RTOL
 from residua.linear.robust_norm.box_bound import check_method
+from residua.linear.spectrum import spectral_radius
 from residua.plant import Plant, UncertainPlant
 from residua.plant.uncertain_loop import check_members_stable
 from residua.progress import Progress, progress_of

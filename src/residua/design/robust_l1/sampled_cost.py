@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.design.robust_l1.estimator_family import EstimatorFamily
+from residua.linear.spectrum import spectral_radius
 from residua.plant import Plant
 
 Matrix = NDArray[np.float64]
@@ -232,11 +233,6 @@ def sampled_cost(
     omega = np.linspace(0.0, band, 1 if band == 0 else 9)
     z = np.exp(1j * omega * plant.dt)
     return SampledCost(family, weights, len(plant.disturbances), radius, z, tuple(parts))
-
-
-def spectral_radius(A: Matrix) -> NDArray[np.float64]:
-    """Return the spectral radius of a matrix, or of each of a stack; 0 without states."""
-    return np.abs(np.linalg.eigvals(A)).max(axis=-1, initial=0.0) if A.shape[-1] else np.zeros(A.shape[:-2])
 
 
 def _steps(terms: int) -> list[tuple[int, int]]:

@@ -20,6 +20,7 @@ from residua.design.uncertain_parity.noise_units import fitted_scale, threshold_
 from residua.design.uncertain_parity.window_filter import window_filter, window_poles
 from residua.errors import DataError, DesignError, SettingError
 from residua.linear import StateSpace, arrays
+from residua.linear.spectrum import spectral_radius
 from residua.plant import Plant
 
 #: Name of the cause that fires everything.
@@ -362,7 +363,7 @@ def _excited(plant: Plant) -> NDArray[np.float64]:
     """Return a stretch of operation of the plant under white inputs, from rest."""
     rng = np.random.default_rng(41)
     v = rng.standard_normal((400, len(plant.inputs)))
-    growth = float(np.abs(np.linalg.eigvals(plant.A)).max()) if plant.n_states else 0.0
+    growth = float(spectral_radius(plant.A))
     v = v[: int(np.clip(20 / np.log(growth), 40, 400))] if growth > 1 else v
     return np.hstack([v, plant.system(("control",)).simulate(v)])[None]
 

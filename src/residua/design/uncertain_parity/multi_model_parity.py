@@ -15,6 +15,7 @@ from residua.design.uncertain_parity.expected_signals import ExpectedSignals, Si
 from residua.design.uncertain_parity.plant_family import plant_family, probabilities
 from residua.design.uncertain_parity.window_filter import approximate_generator, window_filter, window_poles
 from residua.errors import DesignError, SettingError
+from residua.linear.spectrum import spectral_radius
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
 
@@ -323,7 +324,7 @@ def _steady(outputs: NDArray[np.float64], poles: NDArray[np.complex128], plant: 
     Exactly zero where that is rounding of what cancels.
     """
     n = plant.n_states
-    if n and np.abs(np.linalg.eigvals(plant.A)).max() >= 1:
+    if spectral_radius(plant.A) >= 1:
         return np.full((len(outputs), len(plant.faults)), np.nan)
     x = np.linalg.solve(np.eye(n) - plant.A, plant.Bf)
     y, parts = plant.C @ x + plant.Df, np.abs(plant.C) @ np.abs(x) + np.abs(plant.Df)

@@ -26,6 +26,7 @@ from residua.linear.impulse_terms import StableSystem, impulse_blocks, response_
 from residua.linear.peak_direction import largest_sum
 from residua.linear.peak_norm import peak_norm
 from residua.linear.robust_norm.reached_middle import ReachedMiddle, reached_middle
+from residua.linear.spectrum import spectral_radius
 from residua.linear.uncertain_system import UncertainSystem
 
 Matrix = NDArray[np.float64]
@@ -178,7 +179,7 @@ class _Expansion:
     def bound(self, unit: float) -> CentredBound:
         """Return the bound; its parts are infinite where small gains prove nothing."""
         around = self.gains.qp * self.width
-        gain = float(np.abs(np.linalg.eigvals(around)).max())
+        gain = float(spectral_radius(around))
         none = CentredBound(np.inf, np.inf, np.inf, self._weights(around), gain)
         if not gain < 1:
             return none

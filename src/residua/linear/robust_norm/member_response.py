@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.linear.balancing import power_of_two, state_units
+from residua.linear.spectrum import spectral_radius
 from residua.linear.uncertain_system import UncertainSystem
 
 #: Real where every frequency is zero.
@@ -138,7 +139,7 @@ def reached_units(system: UncertainSystem) -> NDArray[np.float64]:
         # inputs in units of what they do to the outputs
         effect = seen.sum(axis=0)
         rows = np.stack([(reached / np.where(effect > 0, effect, 1.0)).sum(axis=1), np.ones(len(one))], axis=1)
-        beyond = 1.5 * float(np.abs(np.linalg.eigvals(M)).max()) or 1.0
+        beyond = 1.5 * float(spectral_radius(M)) or 1.0
         x = np.abs(np.linalg.solve(one - M / beyond, rows))
         units = units * power_of_two(np.where(x[:, 0] > 0, x[:, 0], x[:, 1]))
     return units if np.isfinite(units).all() and (units > 0).all() else np.ones_like(units)

@@ -19,6 +19,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from residua.linear.robust_norm.scaled_problem import ScaledProblem
+from residua.linear.spectrum import spectral_radius
 
 Matrix = NDArray[np.float64]
 #: Shares of the decay of the middle of the set that weights begin with.
@@ -56,7 +57,7 @@ class _Sums:
         self._rows, self._columns = rows, columns
         self._weight = np.where(rows == columns, 1.0, np.sqrt(2.0))
         self.terms = [self._matrix(M) for M in (middle, *half)]
-        self.room = 1 - min(float(np.abs(np.linalg.eigvals(middle)).max(initial=0.0)), 1 - 1e-9) ** 2
+        self.room = 1 - min(float(spectral_radius(middle)), 1 - 1e-9) ** 2
         self.source = self.vector(s.D @ s.D.T)
 
     def vector(self, Q: Matrix) -> NDArray[np.float64]:
