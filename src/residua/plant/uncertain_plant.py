@@ -248,14 +248,11 @@ class UncertainPlant:
         before, found = self.linearisation, made.linearisation
         if self.function is not None or before is None or before.exact or found is None:
             return made
-        return made._with_linearisation(replace(found, exact=False, before=before))
-
-    def _with_linearisation(self, linearisation: Linearisation) -> UncertainPlant:
-        new = object.__new__(type(self))
-        for name, value in vars(self).items():
-            object.__setattr__(new, name, value)
-        object.__setattr__(new, "linearisation", linearisation)
-        return new
+        both = replace(found, exact=False, before=before)
+        block = made.Hx, made.Hy, made.Gx, made.Gu
+        return make_uncertain_plant(
+            made.nominal, made.parameters, made.channels, [block], linearisation=both, function=made.function
+        )
 
     def __getstate__(self) -> dict[str, Any]:
         # functions that are given are seldom importable, and what they have made is all here
