@@ -11,6 +11,7 @@ from residua.errors import DesignError, ModelError
 from residua.linear import StateSpace, arrays
 from residua.linear.arrays import frozen
 from residua.linear.observability import is_stable_mode
+from residua.linear.robust_norm.visited_members import check_modes
 from residua.linear.spectrum import describe_modes
 from residua.linear.uncertain_system import UncertainSystem, parameter_values
 from residua.plant.plant import Plant
@@ -330,13 +331,6 @@ def check_members_stable(loop: UncertainPlant, *, samples: int = 256, seed: int 
     """
     points = visited_values(loop, samples, seed)
     F = (points - loop.nominal_values)[:, list(loop.channels)]
-    poles = np.linalg.eigvals(loop.nominal.A - (loop.Hx * F[:, None, :]) @ loop.Gx).astype(complex)
-    if not poles.size or is_stable_mode(poles.ravel(), loop.nominal.dt).all():
-        return
-    size = np.abs(poles) if loop.nominal.is_discrete else np.real(poles)
-    i, j = np.unravel_index(int(np.argmax(size)), size.shape)
-    named = ", ".join(f"{name} = {v:.6g}" for name, v in zip(loop.names, points[i], strict=True))
-    raise DesignError(
-        f"a member of the set is not stable: pole {describe_modes(poles[i, [j]])}{f' at {named}' if named else ''}; "
-        "nothing is bounded in it: narrow the set, or change the controller"
-    )
+    poles = np.linalg.eigvals(loop.nominal.A - (loop.Hx * F[:, None, :]) @ loop.Gx)
+    consequence = "nothing is bounded in it: narrow the set, or change the controller"
+    check_modes(poles, points, loop.names, loop.nominal.dt, consequence)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.linear.robust_norm.member_response import MemberResponse
-from residua.linear.robust_norm.visited_members import check_modes, corner_points
+from residua.linear.robust_norm.visited_members import REMEDY, check_modes, corner_points
 
 Points = NDArray[np.float64]
 _FREQUENCIES = 9
@@ -90,11 +90,11 @@ def descended(response: MemberResponse, low: Points, high: Points, point: Points
 
 
 def check_stable(response: MemberResponse, values: Points) -> None:
-    """Raise unless members are stable; the message names the first that is not."""
+    """Raise unless members are stable; the message names the least stable."""
     A = response.members(values)[0]
     if not A.shape[1]:
         return
-    consequence = "its output does not settle, so that it has no gain"
+    consequence = f"its output does not settle, so that it has no gain: {REMEDY}"
     check_modes(np.linalg.eigvals(A), values, response.parameters, response.dt, consequence)
 
 

@@ -13,6 +13,8 @@ from residua.linear.spectrum import describe_modes
 from residua.linear.uncertain_system import MOST_CORNERS
 
 Points = NDArray[np.float64]
+#: What to do about a member that is not stable, of a loop with an estimator.
+REMEDY = "narrow the set, or change the controller or estimator"
 
 
 def corner_points(low: Points, high: Points, samples: int, rng: np.random.Generator) -> Points:
@@ -27,7 +29,7 @@ def corner_points(low: Points, high: Points, samples: int, rng: np.random.Genera
 
 
 def check_modes(modes: NDArray, values: Points, parameters: Sequence[str], dt: float, consequence: str) -> None:
-    """Raise unless members are stable; the message names the first that is not, and says what follows.
+    """Raise unless members are stable; the message names the least stable, and says what follows.
 
     Parameters
     ----------
@@ -36,14 +38,15 @@ def check_modes(modes: NDArray, values: Points, parameters: Sequence[str], dt: f
     parameters : sequence of str
     dt : float
     consequence : str
-        What follows from it.
+        What follows from it, and what to do.
     """
-    stable = is_stable_mode(modes, dt)
-    if np.all(stable):
+    modes = np.asarray(modes, dtype=complex)
+    if not modes.size or is_stable_mode(modes.ravel(), dt).all():
         return
-    i = int(np.argmin(stable.all(axis=1)))
+    size = np.abs(modes) if dt else np.real(modes)
+    i, j = np.unravel_index(int(np.argmax(size)), size.shape)
     named = ", ".join(f"{name} = {v:g}" for name, v in zip(parameters, values[i], strict=True))
     raise DesignError(
-        f"a member of the set is not stable: pole {describe_modes(modes[i][~stable[i]][:1])}"
-        f"{f' at {named}' if named else ''}; {consequence}: narrow the set, or change the controller or estimator"
+        f"a member of the set is not stable: pole {describe_modes(modes[i, [j]])}{f' at {named}' if named else ''}; "
+        f"{consequence}"
     )

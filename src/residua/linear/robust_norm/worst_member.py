@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from residua.errors import AccuracyError
 from residua.linear.balancing import state_units
 from residua.linear.peak_norm import peak_norm
-from residua.linear.robust_norm.visited_members import check_modes, corner_points
+from residua.linear.robust_norm.visited_members import REMEDY, check_modes, corner_points
 from residua.linear.uncertain_system import MOST_CORNERS, UncertainSystem
 
 Matrix = NDArray[np.float64]
@@ -90,7 +90,7 @@ def _visit(system: UncertainSystem, points: Matrix) -> tuple[NDArray[np.float64]
         A, C = A0 + Bp @ F, Cz + system.Dzp @ F
         modes = np.linalg.eigvals(A) if n else np.zeros((len(part), 1))
         rho = np.abs(modes).max(axis=1)
-        check_modes(modes, part, system.parameters, system.dt, "no bound exists")
+        check_modes(modes, part, system.parameters, system.dt, f"no bound exists: {REMEDY}")
         radius = max(radius, float(rho.max()))
         count = int(np.clip(np.ceil(np.log(1e-4) / np.log(max(rho.max(), 1e-3))), 8, _TERMS))
         sizes.append(_sizes(A, Bw, C, system.Dzw, count))
