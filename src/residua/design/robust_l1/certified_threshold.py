@@ -200,8 +200,15 @@ def _bound(
         return robust_peak_norm(system, method=method, boxes=_BOXES, atol=_ANY)
 
 
+def check_uncertain(loop: object) -> None:
+    """Raise unless it is an uncertain plant."""
+    if not isinstance(loop, UncertainPlant):
+        how = "UncertainPlant(plant, deltas=[...]), or UncertainPlant(plant) where nothing is uncertain"
+        raise ModelError(f"the loop must be an UncertainPlant, got {type(loop).__name__}: make one by {how}")
+
+
 def checked_sizes(loop: UncertainPlant, sizes: Mapping[str, float] | None) -> dict[str, float]:
-    """Return sizes by fault, zero where none is given."""
+    """Return the sizes that are not zero, by fault, in the order of the loop."""
     out = dict.fromkeys(loop.nominal.faults, 0.0)
     if not isinstance(sizes, Mapping | None):
         raise SettingError(f"sizes names faults: {{name: size}}, got {sizes!r}"[:200])
@@ -210,7 +217,7 @@ def checked_sizes(loop: UncertainPlant, sizes: Mapping[str, float] | None) -> di
         if not (isinstance(size, Real) and np.isfinite(size) and size >= 0):
             raise SettingError(f"the size of {name!r} must be a finite number, 0 or more, got {size!r}")
         out[name] = float(size)
-    return out
+    return {name: size for name, size in out.items() if size}
 
 
 def certified_thresholds(
@@ -264,11 +271,7 @@ def certified_thresholds(
     >>> [(name, round(one.value, 2), round(one.attained, 2)) for name, one in found.items()]
     [('Luenberger observer', 0.22, 0.22)]
     """
-    if not isinstance(loop, UncertainPlant):
-        raise ModelError(
-            f"the loop must be an UncertainPlant, got {type(loop).__name__}: UncertainPlant(plant, deltas=[...]), or "
-            "UncertainPlant(plant) where nothing is uncertain"
-        )
+    check_uncertain(loop)
     made = generator.generator if isinstance(generator, Bank) else generator
     chosen = checked_sizes(loop, sizes)
     if made.plant.inputs:
@@ -285,7 +288,7 @@ def certified_thresholds(
     for member in made.members:
         others = [name for name in loop.nominal.faults if name not in member.faults]
         part, T = _part(made, list(member.residuals))
-        sized = {name: chosen[name] for name in others if chosen[name]}
+        sized = {name: size for name, size in chosen.items() if name in others}
         out[member.name] = certified_threshold(loop, part, T, faults=others, sizes=sized, method=method)
     return out
 

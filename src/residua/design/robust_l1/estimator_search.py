@@ -55,6 +55,10 @@ class Task:
     checkpoint: Path | None
     seed: int
 
+    def bounded(self, target: str) -> dict[str, float]:
+        """Return the sizes of faults other than the target that estimators for it have to stand."""
+        return {name: size for name, size in self.sizes.items() if name != target}
+
 
 @dataclass(frozen=True, eq=False)
 class _Sought:
@@ -150,7 +154,7 @@ def _in_unit(cost: SampledCost, starts: Matrix, unit: float) -> SampledCost:
 
 def _cost(task: Task, family: EstimatorFamily, radius: float, values: list[Matrix]) -> SampledCost:
     members = [task.loop.member(v) for v in values]
-    bounded = {name: size for name, size in task.sizes.items() if name != family.target}
+    bounded = task.bounded(family.target)
     cost = sampled_cost(family, members, task.weights, radius=radius, band=task.band, bounded=bounded)
     for part, v in zip(cost.parts, values, strict=True):
         if not part.radius < 1:
@@ -244,8 +248,8 @@ def _certified(task: Task, sought: _Sought) -> RobustEstimator:
     scale = task.weights.scale(disturbance, fault)
     one, T = cost.family.estimator(found.x, scale)
     others = tuple(name for name in task.loop.nominal.faults if name != target)
-    sized = {name: task.sizes[name] for name in others if name in task.sizes}
-    certificate = certified_threshold(task.loop, one, T, faults=others, sizes=sized, method=task.method)
+    sizes = task.bounded(target)
+    certificate = certified_threshold(task.loop, one, T, faults=others, sizes=sizes, method=task.method)
     response = smallest_gain(residual_over_set(task.loop, one, T, signals=(target,)), band=task.band)
     if not response.bound > 0:
         raise NoCertificateError(

@@ -12,7 +12,7 @@ import numpy as np
 from residua.design.banks.bank import Bank, Wanted, check_promise, stacked_members
 from residua.design.evidence import Evidence
 from residua.design.generator import ResidualGenerator, make_generator
-from residua.design.robust_l1.certified_threshold import checked_sizes, left_out
+from residua.design.robust_l1.certified_threshold import check_uncertain, checked_sizes, left_out
 from residua.design.robust_l1.differential_evolution import DifferentialEvolution
 from residua.design.robust_l1.estimator_family import EstimatorFamily, check_lasting, estimator_family
 from residua.design.robust_l1.estimator_search import Search, Task, search_estimator
@@ -203,7 +203,7 @@ def robust_l1_bank(
     ignored = [plant.faults[i] for i in arrays.positions(decouple, plant.faults, "fault")]
     task = Task(
         loop,
-        {name: size for name, size in checked_sizes(loop, sizes).items() if size},
+        checked_sizes(loop, sizes),
         _weights(beta, gamma),
         _band(band, plant.dt),
         _radii(loop, settling),
@@ -228,9 +228,7 @@ def robust_l1_bank(
 
 def _checked(loop: UncertainPlant, sizes: Mapping[str, float] | None) -> Plant:
     """Return the nominal loop of an uncertain one that estimators can be designed for."""
-    if not isinstance(loop, UncertainPlant):
-        how = "UncertainPlant(plant, deltas=[...]), or UncertainPlant(plant) where nothing is uncertain"
-        raise ModelError(f"the loop must be an UncertainPlant, got {type(loop).__name__}: make one by {how}")
+    check_uncertain(loop)
     plant = loop.nominal
     if plant.inputs:
         raise ModelError("the loop is open: loop.in_closed_loop(controller) closes it, and nothing is certain without")
