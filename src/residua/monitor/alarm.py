@@ -115,6 +115,11 @@ class PresentFault:
         return f"{self.name} since {self.since:.6g} s{until}"
 
 
+def put_down_to(reading: CodeReading | None, candidates: tuple[Candidate, ...]) -> tuple[tuple[str, ...], ...]:
+    """Return the faults that are named: all that a code reads, or the best candidate."""
+    return reading.named if reading is not None else tuple(c.faults for c in candidates[:1])
+
+
 @dataclass(frozen=True)
 class Alarm:
     """One alarm: where it lies in the recording and what explains it.
@@ -172,7 +177,7 @@ class Alarm:
 
         Those that cannot be told apart are one group, of which one fault or more is there. Empty where nobody is named.
         """
-        return self.reading.named if self.reading is not None else tuple(c.faults for c in self.candidates[:1])
+        return put_down_to(self.reading, self.candidates)
 
     @property
     def samples(self) -> int:

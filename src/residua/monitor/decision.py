@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from residua.decide.structured import CodeReading
 from residua.design import ResidualGenerator
-from residua.monitor.alarm import Candidate, PresentFault
+from residua.monitor.alarm import Candidate, PresentFault, put_down_to
 from residua.monitor.dedicated import present_now
 from residua.monitor.matched_naming import candidates_of_match
 from residua.monitor.naming import candidates_at, candidates_of_code, estimates_of
@@ -69,7 +69,7 @@ class Decision:
     @property
     def named(self) -> tuple[tuple[str, ...], ...]:
         """The faults that are named now, one or several, each with those that cannot be told from it; else empty."""
-        return self.reading.named if self.reading is not None else tuple(c.faults for c in self.candidates[:1])
+        return put_down_to(self.reading, self.candidates)
 
 
 def decision_from(found: Decisions, spec: Specification, generator: ResidualGenerator, state: State) -> Decision:
