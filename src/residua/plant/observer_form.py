@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, ModelError
-from residua.linear.balancing import has_units, power_of_two, state_units
+from residua.linear.balancing import power_of_two, state_units
 from residua.linear.descriptor import weierstrass_form
 from residua.linear.observability import modes_with_uncertainty, staircase
 from residua.linear.polynomial_matrix import PolynomialMatrix
@@ -178,8 +178,8 @@ def reachable_part(system: StateSpace, rtol: float) -> ReachablePart:
     """Return the part of a system that its inputs reach, in balanced units; its transfer matrix is unchanged."""
     At, Bt = np.ascontiguousarray(system.A.T), np.ascontiguousarray(system.B.T)
     form = staircase(At, Bt, rtol=rtol)
-    if not has_units(form.states):
-        form = staircase(At, Bt, rtol=rtol, balance=False)
+    if not form.has_units:
+        form = staircase(At, Bt, rtol=rtol, units="even")
     k = form.n_observable
     removed, uncertainty = modes_with_uncertainty(form.Q[:, k:].T @ form.A @ form.Q[:, k:], form.rounding)
     if k < system.n_states:

@@ -28,7 +28,7 @@ from residua.design.observers.observer import Observer
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
 from residua.linear.arrays import index_of
-from residua.linear.balancing import balance_system, has_units
+from residua.linear.balancing import balance_system
 from residua.linear.observability import detectability
 from residua.linear.placement import default_margin
 from residua.linear.rank import DEFAULT_RTOL, decide_rank
@@ -250,7 +250,7 @@ class _Units:
     def of(A: NDArray, C: NDArray, events: dict[str, NDArray]) -> _Units:
         B = np.hstack([np.zeros((len(A), 0)), *events.values()])
         found = balance_system(A, B, C, np.zeros((len(C), B.shape[1])))
-        T = found.states if has_units(found.states) else np.ones(len(A))
+        T = found.own_units
         scaled = found.outputs[:, None] * C * T
         outputs = found.outputs if decide_rank(scaled).rank == len(C) else np.ones(len(C))
         unit = {name: _unit_columns(L / T[:, None]) for name, L in events.items()}
