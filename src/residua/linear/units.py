@@ -1,9 +1,14 @@
 """Units that are the same whatever units a model was written in, so that no answer depends on them.
 
-A model in other units has entries ``rho_i a_ij gamma_j``. The scaling that brings the logarithms of all entries nearest
-to one level, in least squares, takes these factors out again: the fitted logarithms are a projection, which does not
-depend on them. Rounded to powers of two from a fixed origin, the scaled entries of a model are the same *to the last bit*
-for all units that are powers of two, and so is everything that is computed from them.
+A model in other units has entries ``rho_i a_ij gamma_j``. The scaling that brings the logarithms of all entries
+nearest to one level, in least squares, takes these factors out again: the fitted logarithms are a projection, which
+does not depend on them. Rounded to powers of two from a fixed origin, the scaled entries of a model are the same *to
+the last bit* for all units that are powers of two, and so is everything that is computed from them.
+
+References
+----------
+A. R. Curtis and J. K. Reid, On the automatic scaling of matrices for Gaussian elimination, J. Inst. Maths. Applics. 10
+(1972) 118-124.
 """
 
 from __future__ import annotations
@@ -90,13 +95,13 @@ def matrix_units(M: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def pencil_units(A: NDArray, E: NDArray) -> PencilUnits:
-    """Return the factors of rows and columns, and the unit of ``s``, with which the entries of a pencil are nearest to one.
+    """Return the factors of rows and columns, and the unit of ``s``, that bring the entries of a pencil nearest to one.
 
     A bordered pencil has further rows and columns in ``A``; those of ``E`` are zero there.
     """
     a, e = np.abs(np.asarray(A, dtype=float)), np.abs(np.asarray(E, dtype=float))
     unit = 0.0
-    p, q = a.shape
+    p = len(a)
     for _ in range(_ROUNDS):
         v, unit = _pencil_potentials(a, e)
         rows, columns = np.exp2(-v[:p]), np.exp2(v[p:])
@@ -111,7 +116,7 @@ def pencil_units(A: NDArray, E: NDArray) -> PencilUnits:
 
 
 def without_residue(M: NDArray[np.float64], rows: NDArray | None = None, columns: NDArray | None = None) -> NDArray:
-    """Return ``abs(M)`` with the entries set to zero that can only be rounding residue, in units of rows and columns."""
+    """Return ``abs(M)`` with the entries set to zero that can only be residue, in units of rows and columns."""
     M = np.abs(M)
     if not M.size:
         return M

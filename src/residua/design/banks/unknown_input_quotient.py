@@ -92,7 +92,6 @@ class Quotient:
 
 def unknown_input_quotient(parts: ExplicitParts, rtol: float) -> Quotient:
     """Divide out the smallest unobservability subspace that holds the unknown inputs."""
-    n = len(parts.A)
     U, s, Vh = np.linalg.svd(parts.D)
     direct = decide_rank(parts.D, rtol=rtol, scale=1.0)
     k = direct.rank
@@ -107,8 +106,9 @@ def unknown_input_quotient(parts: ExplicitParts, rtol: float) -> Quotient:
         H = left_null_basis(C @ S, rtol=rtol, scale=scale)[0].T
         P = left_null_basis(S)[0]
     else:
-        inject, H, P = np.zeros((n, len(C))), np.eye(len(C)), np.eye(n)
-    F = without_rounding(P.T, A - inject @ C, P)
+        inject, H, P = np.zeros((len(A), len(C))), np.eye(len(C)), np.eye(len(A))
+    n = len(A)
+    F = without_rounding(P.T, np.hstack([np.eye(n), -G, -inject @ W]), np.vstack([parts.A, parts.C, parts.C]), P)
     inject, read = P.T @ (G + inject @ W), H @ W
     return Quotient(
         F,

@@ -7,7 +7,12 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from residua.analysis.unknown_input import decoupling_map, output_free_form, unknown_input_observer_existence
+from residua.analysis.unknown_input import (
+    OrdinaryDecoupling,
+    decoupling_map,
+    output_free_form,
+    unknown_input_observer_existence,
+)
 from residua.design.detection_filters.detection_filter import REFERENCES, directional_filters
 from residua.design.detection_filters.directional_gain import Poles
 from residua.design.evidence import Evidence
@@ -90,8 +95,9 @@ def robust_detection_filter(
             f"{plant.n_outputs} measurements are all used up to decouple {len(plant.disturbances)} disturbances: "
             "nothing is left to see faults with; add a sensor or decouple fewer disturbances"
         )
-    form = output_free_form(plant, rtol=rtol)
-    H = decoupling_gain(form, H0)
+    form, parts = output_free_form(plant, rtol=rtol), existence.decomposition
+    assert isinstance(parts, OrdinaryDecoupling)
+    H = parts.plant_H if H0 is None else decoupling_gain(form, H0)
     T = decoupling_map(H, plant.C)
     p, q = len(form.W), form.E.shape[1]
     base = Evidence(

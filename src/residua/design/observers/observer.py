@@ -14,7 +14,9 @@ from residua.design.internal_form import check_decoupling
 from residua.design.signals import sampled_filter, signal_names, stack_signals
 from residua.errors import DesignError
 from residua.linear import StateSpace
+from residua.linear.balancing import power_of_two
 from residua.plant import Plant
+from residua.plant.even_units import EvenPlant
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -204,6 +206,29 @@ class Observer:
             f"the residual is zero whatever fails: the {p.n_outputs} measurements are all used up "
             f"({' and '.join(used)}); add a sensor or decouple fewer disturbances"
         )
+
+
+def in_units_of_the_plant(observer: Observer, plant: Plant, even: EvenPlant) -> Observer:
+    """Return an observer that was designed for a plant in even units, for the plant itself.
+
+    The states of a full-order observer take the units of the plant's; a residual that is the error of one output that
+    of this output, and any other stays as large as it is.
+    """
+    S, R, Y = even.states, even.equations, even.outputs
+    own = S if observer.order == plant.n_states else np.ones(observer.order)
+    rows = 1 / power_of_two(np.abs(observer.W * Y).max(axis=1, initial=0.0))
+    return replace(
+        observer,
+        plant=plant,
+        F=own[:, None] * observer.F / own,
+        T=own[:, None] * observer.T * R,
+        K=own[:, None] * observer.K * Y,
+        M=S[:, None] * observer.M / own,
+        H=S[:, None] * observer.H * Y,
+        W=rows[:, None] * observer.W * Y,
+        J=None if observer.J is None else S[:, None] * observer.J * R,
+        V=None if observer.V is None else rows[:, None] * observer.V * R,
+    )
 
 
 def without_measured_equations(observer: Observer, plant: Plant, N: NDArray) -> Observer:
