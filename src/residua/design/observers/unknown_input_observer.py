@@ -112,20 +112,34 @@ def unknown_input_observer(
             raise DesignError("H0 is the free matrix of an ordinary plant; for a singular one leave it out")
         return _of_singular_plant(plant, parts, poles, margin, existence, rtol)
     assert isinstance(parts, OrdinaryDecoupling)
-    plant, even = plant.explicit(), parts.even.plant
-    if H0 is None:
-        T, H, outputs = parts.T, parts.H, parts.outputs
-        A1, C1, M = *parts.error_pair, parts.M
-    else:
-        H = decoupling_gain(output_free_form(plant, rtol=rtol), H0) / parts.even.states[:, None] / parts.even.outputs
-        T = decoupling_map(H, even.C)
-        A1, C1 = without_rounding(T, parts.form.A), parts.form.C
-        M, outputs = np.eye(len(A1)), np.eye(len(C1))
+    if H0 is not None:
+        return _with_free_matrix(plant.explicit(), H0, poles, margin, existence, rtol)
+    even = parts.even.plant
     if poles is None and margin is None:
-        margin = margin_from(A1, even)
-    placed = place(A1, C1, poles, margin, plant.dt, rtol)
-    placed = replace(placed, gain=without_rounding(M, placed.gain, outputs))
-    return in_units_of_the_plant(assemble(even, parts.form, T, H, placed, existence), plant, parts.even)
+        margin = margin_from(parts.A22, even)
+    placed = place(*parts.error_pair, poles, margin, plant.dt, rtol)
+    placed = replace(placed, gain=without_rounding(parts.M, placed.gain, parts.outputs))
+    made = assemble(even, parts.form, parts.T, parts.H, placed, existence)
+    return in_units_of_the_plant(made, plant.explicit(), parts.even)
+
+
+def _with_free_matrix(
+    plant: Plant,
+    H0: ArrayLike,
+    poles: Sequence[complex] | ArrayLike | None,
+    margin: float | None,
+    existence: UnknownInputExistence,
+    rtol: float,
+) -> Observer:
+    """Return the observer of a given free matrix: as the equations say, in the units of the plant."""
+    form = output_free_form(plant, rtol=rtol)
+    H = decoupling_gain(form, H0)
+    T = decoupling_map(H, plant.C)
+    A1 = without_rounding(T, form.A)
+    if poles is None and margin is None:
+        margin = margin_from(A1, plant)
+    placed = place(A1, form.C, poles, margin, plant.dt, rtol)
+    return assemble(plant, form, T, H, placed, existence)
 
 
 def _of_singular_plant(
