@@ -194,9 +194,10 @@ def assemble(
     K1 = placed.gain @ form.W + T @ form.G
     F = without_rounding(np.hstack([T, -K1]), np.vstack([plant.A, plant.C]))
     K = K1 + F @ H
-    identity = _relative(
-        T @ plant.Bd - K @ plant.Dd, np.abs(T) @ np.abs(plant.Bd) + np.abs(K) @ np.abs(plant.Dd), by_column=True
-    )
+    # where nothing is left of T, or of a column, what counts is what it is the rounding of
+    sizes = max(1.0, float(np.linalg.norm(T))), float(np.linalg.norm(K))
+    terms = sizes[0] * np.linalg.norm(plant.Bd, axis=0) + sizes[1] * np.linalg.norm(plant.Dd, axis=0)
+    identity = _relative(T @ plant.Bd - K @ plant.Dd, terms[None, :], by_column=True)
     if not identity < 1e-8:
         raise AccuracyError(
             f"the disturbances are not decoupled: |T E| / |E| = {identity:.2g}; the outputs see them too weakly "
