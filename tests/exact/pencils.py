@@ -144,7 +144,7 @@ def _reduced(S: tuple[fmpq_mat, fmpq_mat, fmpq_mat, fmpq_mat]) -> tuple[fmpq_mat
 
 
 def null_space_in_the_limit(P: Pencil, s: fmpq | int) -> fmpq_mat:
-    """Return a basis, in rows, of what the left null vectors of a pencil tend to at a point, with the point a zero or not.
+    """Return a basis, in rows, of what the left null vectors of a pencil tend to at a point, be it a zero or not.
 
     ``q0`` is the value of a null vector at the point when the equations of its power series can be solved to any order.
     """

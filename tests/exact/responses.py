@@ -1,4 +1,4 @@
-"""What a filter of floats does to a plant of floats, evaluated with 200 bits: totals, and the terms that cancel in them."""
+"""What a filter of floats does to a plant of floats, evaluated with 200 bits: totals, and the terms that cancel."""
 
 from __future__ import annotations
 

@@ -19,10 +19,14 @@ def main() -> None:
     parser.add_argument(
         "--out", type=Path, default=Path("campaign"), help="folder of the record; resumed when it is there"
     )
+    parser.add_argument("--tables", type=Path, default=None, help="folder for the tables of the documentation too")
     options = parser.parse_args()
     record = options.out / "record.jsonl"
     run(options.plants, options.seed, options.workers, record, seconds=options.seconds)
     write_results(record, options.out)
+    if options.tables is not None:
+        for table in sorted(options.out.glob("campaign_*.csv")):
+            (options.tables / table.name).write_text(table.read_text(encoding="utf-8"), encoding="utf-8")
 
 
 if __name__ == "__main__":

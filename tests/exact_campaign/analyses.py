@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from flint import fmpq_poly
+from flint import fmpq, fmpq_poly
 
 import residua as rs
 from exact import pencils, questions
-from exact.matrices import zeros
+from exact.matrices import rank, rational, zeros
+from exact.plants import at
 from exact.stability import distance_to_boundary, roots
 from exact_campaign.answers import Record, Subject, plain
 
@@ -21,6 +22,8 @@ def analyses(subject: Subject) -> None:
     """Ask every analysis."""
     for which in ("u", "d", "f", "none"):
         _zeros(subject, which)
+    _ranks_at_points(subject)
+    _detectability(subject)
     _existence(subject)
     _diagnosability(subject)
     _mutual(subject)
@@ -34,7 +37,7 @@ def near_boundary(p: fmpq_poly, sampled: bool) -> bool:
 
 
 def zeros_missed(found: np.ndarray, exact: fmpq_poly, rates: float) -> float:
-    """Return how far the polynomial of the zeros is from the exact one, relative to that with the roots made negative."""
+    """Return how far the polynomial of the zeros is from the exact one, relative to the one without signs."""
     wanted = [z for z, k in roots(exact) for _ in range(k)]
     size = max([abs(z) for z in wanted], default=0.0)
     a, b = np.poly(found) if len(found) else np.ones(1), np.poly(wanted) if wanted else np.ones(1)
@@ -60,7 +63,7 @@ def _zeros(subject: Subject, which: str) -> None:
         "none": (zeros(X.n, 0), zeros(X.p, 0)),
     }[which]
     P = X.pencil(*columns)
-    exact, rank = pencils.zero_polynomial(P), pencils.normal_rank(P) - X.n
+    exact, wanted = pencils.zero_polynomial(P), pencils.normal_rank(P) - X.n
     if record.answer.refused:
         record.problem("wrong", "zeros", f"refused: {record.answer.refused[:120]}; exact: {exact}")
         return
@@ -68,14 +71,53 @@ def _zeros(subject: Subject, which: str) -> None:
         return
     found = record.answer.made
     record.facts = {"count": len(found.zeros), "normal rank": found.normal_rank}
-    if found.normal_rank != rank:
-        record.problem("wrong", "zeros", f"normal rank {found.normal_rank}, exact {rank}")
+    if found.normal_rank != wanted:
+        record.problem("wrong", "zeros", f"normal rank {found.normal_rank}, exact {wanted}")
     if len(found.zeros) != exact.degree():
         record.problem("wrong", "zeros", f"zeros {found.zeros}, exact polynomial {exact}")
         return
     missed = zeros_missed(found.zeros, exact, subject.rates)
     if missed > _ZEROS_TOLERANCE:
         record.problem("wrong", "zeros", f"zeros {found.zeros} miss {exact} by {missed:.1e}")
+
+
+def _ranks_at_points(subject: Subject) -> None:
+    """Compare the rank of the pencil at a few rational points, zeros among them, with the exact one."""
+    plant, X = subject.plant, subject.exact
+    P = X.pencil(X.Bd, X.Dd)
+    p = pencils.zero_polynomial(P)
+    places = [rational(z.real) for z, _ in roots(p) if z.imag == 0 and p(rational(z.real)) == 0][:2]
+    for s in (fmpq(0), fmpq(3, 8), *places):
+        value = float(s.p) / float(s.q)
+        record = subject.ask(
+            f"pencil_rank_at ({'a zero' if s in places else s})",
+            lambda value=value: rs.linear.pencil_rank_at(plant.A, plant.Bd, plant.C, plant.Dd, plant.E, value),
+        )
+        if record.answer.made is not None:
+            wanted = rank(at(P, s))
+            record.facts = {"rank": record.answer.made.rank}
+            if record.answer.made.rank != wanted:
+                record.problem("wrong", "ranks", f"rank {record.answer.made} at {s}, exact {wanted}")
+
+
+def _detectability(subject: Subject) -> None:
+    plant, X = subject.plant, subject.exact
+    if not X.plain:
+        return
+    record = subject.ask("detectability", lambda: rs.linear.detectability(plant.A, plant.C, dt=plant.dt))
+    if record.answer.refused:
+        record.problem("wrong", "detectability", f"refused: {record.answer.refused[:200]}")
+    if record.answer.made is None:
+        return
+    found, p = record.answer.made, questions.hidden_polynomial(X)
+    record.facts = {"detectable": bool(found), "hidden": len(found.unobservable_modes)}
+    wanted = questions.detectable(X)
+    if bool(found) != wanted:
+        close = near_boundary(p, X.sampled)
+        text = f"detectable={bool(found)}, exact {wanted}, hidden modes {_texts(p)}"
+        record.problem("close" if close else "wrong", "detectability", text)
+    if len(found.unobservable_modes) != p.degree():
+        record.problem("wrong", "detectability", f"hidden modes {found.unobservable_modes}, exact {_texts(p)}")
 
 
 def _existence(subject: Subject) -> None:
@@ -103,9 +145,9 @@ def _existence(subject: Subject) -> None:
         record.problem("close" if close else "wrong", "existence", text)
     elif not found.exists and ("rank" in found.reasons[0].split(":")[0]) == proper:
         record.problem("wrong", "existence", f"the wrong reason: {found.reasons}; exact: (i) {proper}, (ii) {stable}")
-    if proper and found.exists and len(found.fixed_poles) != P.degree():
-        record.problem("wrong", "existence", f"fixed poles {found.fixed_poles}, exact zeros {_texts(P)}")
-    elif proper and found.exists and zeros_missed(found.fixed_poles, P, subject.rates) > _ZEROS_TOLERANCE:
+    if (proper and found.exists and len(found.fixed_poles) != P.degree()) or (
+        proper and found.exists and zeros_missed(found.fixed_poles, P, subject.rates) > _ZEROS_TOLERANCE
+    ):
         record.problem("wrong", "existence", f"fixed poles {found.fixed_poles}, exact zeros {_texts(P)}")
     if found.exists and found.useful != questions.residual_exists(X):
         record.problem("wrong", "existence", f"useful={found.useful}, exact {not found.useful}")

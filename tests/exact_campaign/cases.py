@@ -81,7 +81,7 @@ def floats(rows: Rows, shape: tuple[int, int]) -> NDArray[np.float64]:
 def plant_of(case: Case, by: Units | None = None, *, noise: bool = False) -> rs.Plant:
     """Return the plant in units: a state of the case is ``x`` times the state of the plant, and so on."""
     by = base_units(case) if by is None else by
-    n, m, p, q, k = case.sizes
+    _, _, _, q, k = case.sizes
     left = by.r if case.E is not None else 1 / by.x
 
     def scaled(rows: Rows, first: NDArray, second: NDArray) -> NDArray[np.float64]:
@@ -158,7 +158,7 @@ def _number(x: float) -> str:
 
 def smaller(case: Case) -> list[Case]:
     """Return cases with something left out: a fault, a disturbance, an input, an output."""
-    n, m, p, q, k = case.sizes
+    _, m, _, q, k = case.sizes
     out = [replace(case, sensors=tuple(j for j in case.sensors if j != i)) for i in case.sensors]
     out += [replace(case, actuators=tuple(j for j in case.actuators if j != i)) for i in case.actuators]
     out += [replace(case, Bf=_less(case.Bf, i), Df=_less(case.Df, i)) for i in range(k)]

@@ -31,6 +31,7 @@ def designs(subject: Subject) -> None:
     _estimators(subject)
     _scheme_banks(subject)
     _noise(subject)
+    _from_elsewhere(subject)
 
 
 def judged(record: Record, exists: bool | None, topic: str, *, close: bool = False, told: str = "") -> bool:
@@ -238,12 +239,17 @@ def _parity(subject: Subject) -> None:
             different = {k: (record.answer.made.get(k), wanted.get(k)) for k in wanted | record.answer.made}
             different = {k: v for k, v in different.items() if v[0] != v[1]}
             record.problem("wrong", "parity", f"parity_orders (said, exact): {different}")
+    least = max(questions.residual_indices(X), default=0)
+    record = subject.ask("optimal_parity", lambda: rs.design.optimal_parity(plant, order=least))
+    sees = X.plain and not X.Bd.ncols() and any(questions.visible(X))
+    if judged(record, True if sees else None, "parity"):
+        examine_generator(subject, record, record.answer.made.generator, plant)
     record = subject.ask("primary_residuals", lambda: rs.design.primary_residuals(plant))
     if judged(record, True if X.plain else None, "parity"):
         examine_generator(subject, record, record.answer.made, plant)
     if X.faults > 1:
         directions = {plant.faults[0]: [1.0, 0.0], plant.faults[1]: [0.0, 1.0]}
-        rest = [name for name in plant.faults[2:]][:1]
+        rest = list(plant.faults[2:3])
         record = subject.ask(
             "directional_parity",
             lambda: rs.design.directional_parity(plant, directions=directions, insensitive_to=rest),
@@ -312,12 +318,46 @@ def _scheme_banks(subject: Subject) -> None:
                 lambda kind=kind: rs.design.actuator_fault_bank(plant, observer=kind, allow_missing=True),
             ),
         ]
+    for scheme, design in (("sensor", rs.design.sensor_fault_bank), ("actuator", rs.design.actuator_fault_bank)):
+        asked.append(
+            (
+                f"{scheme}_fault_bank (dedicated, minimal)",
+                lambda design=design: design(plant, scheme="dedicated", observer="minimal", allow_missing=True),
+            )
+        )
     for name, call in asked:
         record = subject.ask(name, call)
         if judged(record, None, "banks"):
             bank = record.answer.made
             examine_generator(subject, record, bank.generator, bank.plant)
             record.facts |= {"members": list(bank.members), "failures": dict(bank.failures)}
+
+
+def _from_elsewhere(subject: Subject) -> None:
+    """Hand the matrices of designs back as those of an observer from elsewhere: they must be taken as what they are."""
+    plant = subject.plant
+    luenberger = subject.records["luenberger_observer"].answer.made
+    if luenberger is not None:
+        record = subject.ask(
+            "residual_generator_from_observer (gain)",
+            lambda: rs.residual_generator_from_observer(plant, gain=luenberger.K),
+        )
+        if judged(record, True, "from elsewhere"):
+            examine_generator(subject, record, record.answer.made, plant)
+    made = subject.records["decoupled_residual []"].answer.made
+    if made is None or not subject.exact.plain:
+        return
+    form = subject.ask("general_form", lambda: rs.design.general_form(made))
+    if form.answer.made is None:
+        return
+    g = form.answer.made
+    matrices = {name: getattr(g, name) for name in ("M", "J", "N", "Ls", "Lu", "Ly", "T")}
+    record = subject.ask(
+        "residual_generator_from_observer (matrices)",
+        lambda: rs.residual_generator_from_observer(plant, **matrices),
+    )
+    if judged(record, True, "from elsewhere"):
+        examine_generator(subject, record, record.answer.made, plant)
 
 
 def _noise(subject: Subject) -> None:

@@ -20,6 +20,8 @@ _BEYOND_EVIDENCE = 100.0
 _SILENT, _ANSWER = 1e-9, 1e-6
 #: A response off the claimed subspace by more than this fraction contradicts it.
 _OFF = 1e-5
+#: A gain of a plant of small fractions above this comes of rounding that was taken for a coupling.
+_GAIN = 1e9
 #: A residual that is made of less than this, against the others in base units, is rounding as a whole.
 _NOTHING = 1e-9
 
@@ -35,6 +37,9 @@ def examine_generator(subject: Subject, record: Record, made: Any, plant: Any, p
     _subspaces(record, found, made, plant.faults)
     if not made.system.is_stable():
         record.problem("wrong", "stability", f"not stable: {made.system.poles()}")
+    gain = made.evidence.conditions.get("norm of the gain", 0.0)
+    if subject.by.name == "base" and gain > _GAIN * max(1.0, subject.rates):
+        record.problem("wrong", "gain", f"{record.function}: a gain of norm {gain:.1e} for a plant of small fractions")
     record.facts |= {
         f"{prefix}residuals": made.n_residuals,
         f"{prefix}order": made.system.n_states,

@@ -16,7 +16,7 @@ from exact_campaign.examination import Failure, examine
 from exact_campaign.kinds import KINDS
 
 #: Plants of one chunk: what a stopped campaign may lose.
-CHUNK = 20
+CHUNK = 5
 
 
 @dataclass(frozen=True)
