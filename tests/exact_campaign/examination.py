@@ -83,7 +83,8 @@ def rounded(case: Case, by: Units, ask: tuple[Stage, ...]) -> Subject:
     for stage in ask:
         stage(second)
     for name, record in subject.records.items():
-        wrong = {topic for outcome, topic, _ in second.records[name].problems if outcome == "wrong"}
+        again = second.records.get(name)  # what is asked may depend on what is exactly attainable
+        wrong = {topic for outcome, topic, _ in again.problems if outcome == "wrong"} if again else set()
         record.problems = [
             (outcome if outcome != "wrong" or topic in wrong else "close", topic, text)
             for outcome, topic, text in record.problems

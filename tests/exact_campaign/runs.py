@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
+import traceback
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -57,7 +58,12 @@ def run_chunk(chunk: Chunk) -> Outcome:
     counts: Counter[str] = Counter()
     failures: list[Failure] = []
     for seed in range(chunk.first, chunk.first + chunk.count):
-        outcomes, failed = examine(chunk.kind, seed)
+        try:
+            outcomes, failed = examine(chunk.kind, seed)
+        except Exception:  # of the campaign itself: one plant must not end it
+            text = traceback.format_exc(limit=-4)
+            failed = [Failure(chunk.kind, seed, "base", "campaign", "crash", "campaign", text, "")]
+            outcomes = {"campaign | base": "crash"}
         counts.update(f"{name} | {outcome}" for name, outcome in outcomes.items())
         failures += failed
     return Outcome(chunk.key, chunk.kind, chunk.count, time.perf_counter() - start, dict(counts), failures)
