@@ -100,14 +100,14 @@ def isolable(plant: ExactPlant) -> list[list[bool]]:
 
 
 def lasting_isolable(plant: ExactPlant) -> list[list[bool]]:
-    """Return the same for faults that stay constant: their lasting traces are independent."""
-    columns = lasting_columns(plant)
+    """Return the same for faults that stay constant too: of those, the pairs whose lasting traces are independent."""
+    columns, apart = lasting_columns(plant), isolable(plant)
     out = []
     for i in range(plant.faults):
         row = []
         for j in range(plant.faults):
             alone = rank(part(columns, columns=[j]))
-            row.append(i != j and rank(part(columns, columns=[i, j])) > alone)
+            row.append(apart[i][j] and rank(part(columns, columns=[i, j])) > alone)
         out.append(row)
     return out
 

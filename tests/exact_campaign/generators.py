@@ -18,8 +18,9 @@ _LEAK = 1e-6
 _BEYOND_EVIDENCE = 100.0
 #: A response below this, relative to what the residual is made of, is silence; above the next, an answer.
 _SILENT, _ANSWER = 1e-9, 1e-6
-#: A response off the claimed subspace by more than this fraction contradicts it.
-_OFF = 1e-5
+#: A response off the claimed subspace by more than this fraction contradicts it; between the two it is close: what is
+#: below a millionth, in the units of the design, is no direction.
+_NEAR, _OFF = 1e-5, 1e-3
 #: A gain of a plant of small fractions above this comes of rounding that was taken for a coupling.
 _GAIN = 1e9
 #: A residual that is made of less than this, against the others in base units, is rounding as a whole.
@@ -105,9 +106,9 @@ def _subspaces(record: Record, found: Paths, made: Any, faults: Sequence[str]) -
         height = np.linalg.norm(r, axis=0)
         off = np.linalg.norm(r - scaled @ (scaled.T @ r), axis=0)
         worst = float(np.max(np.where(height > 1e-7, off / np.where(height > 0, height, 1.0), 0.0)))
-        if worst > _OFF:
+        if worst > _NEAR:
             text = f"{record.function}: {name!r} leaves its subspace of dimension {basis.shape[1]} by {worst:.1e}"
-            record.problem("wrong", "subspace", text)
+            record.problem("wrong" if worst > _OFF else "close", "subspace", text)
 
 
 def examine_estimate(subject: Subject, record: Record, system: Any, plant: Any, decoupled: bool) -> None:
