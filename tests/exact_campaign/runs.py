@@ -84,9 +84,17 @@ def entries(path: Path) -> Iterator[dict]:
                 yield json.loads(line)
 
 
+def without_torn_line(path: Path) -> None:
+    """Cut off what a killed campaign left of a line."""
+    if path.exists():
+        whole = path.read_bytes()
+        path.write_bytes(whole[: whole.rfind(b"\n") + 1])
+
+
 def run(plants: int, seed: int, workers: int, path: Path, *, seconds: float | None = None) -> None:
     """Run what of a campaign is not in the record yet, and add it there, for at most so long."""
     path.parent.mkdir(parents=True, exist_ok=True)
+    without_torn_line(path)
     kept = done(path)
     missing = [chunk for chunk in chunks(plants, seed) if chunk.key not in kept]
     end = time.monotonic() + (float("inf") if seconds is None else seconds)
