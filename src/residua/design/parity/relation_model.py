@@ -14,6 +14,7 @@ from residua.linear import arrays
 from residua.linear.pencil_null_space import Pencil, pencil
 from residua.linear.polynomial_basis import PolynomialBasis, basis_on_poles
 from residua.plant import Plant
+from residua.plant.canonical_units import PlantUnits, canonical_units
 from residua.plant.input_output_model import InputOutputModel
 
 
@@ -45,6 +46,16 @@ class RelationModel:
     most: int
     notes: tuple[str, ...] = ()
     decouples: bool = True
+
+    def in_own_units(self) -> tuple[RelationModel, PlantUnits]:
+        """Return the equations in units that are the same whatever units the plant was written in, and these."""
+        units = canonical_units(self.plant)
+        plant = units.applied(self.plant)
+        basis = basis_for(plant, self.basis.count)
+        height = np.concatenate([units.equations, units.outputs])[:, None]
+        excluded = self.excluded * height
+        size = np.abs(excluded).max(axis=0, initial=0.0)
+        return replace(self, plant=plant, basis=basis, excluded=excluded / np.where(size > 0, size, 1.0)), units
 
     @property
     def faults(self) -> NDArray[np.float64]:

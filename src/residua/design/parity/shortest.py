@@ -110,15 +110,15 @@ def relation_space(model: RelationModel, ignored: Sequence[str | int], order: in
     """Return all relations of at most an order that ignore some faults and all disturbances."""
     if order >= model.basis.count:
         model = replace(model, basis=basis_for(model.plant, order + 1))
-    given, used = _reduced(model, ignored)
-    return _space(model, given, pencil_null_vectors(given, order, rtol=rtol), used)
+    search = _search(model, ignored)
+    return search.space(pencil_null_vectors(search.pencil, order, rtol=rtol))
 
 
 def shortest_relations(model: RelationModel, ignored: Sequence[str | int], rtol: float) -> RelationSpace | None:
     """Return the relations of the smallest order that ignore some faults and all disturbances, if there are any."""
-    given, used = _reduced(model, ignored)
-    found = shortest_pencil_null_vectors(given, most=model.most, rtol=rtol)
-    return None if found is None else _space(model, given, found, used)
+    search = _search(model, ignored)
+    found = shortest_pencil_null_vectors(search.pencil, most=model.most, rtol=rtol)
+    return None if found is None else search.space(found)
 
 
 def shortest_relation(
@@ -157,24 +157,44 @@ def shortest_relation(
     return space.best_combination(faults), space
 
 
-def _space(model: RelationModel, given: Pencil, found: PencilNullVectors, used: NDArray[np.intp]) -> RelationSpace:
-    """Return null vectors of some of the equations as relations, with their responses to the faults."""
-    vectors = np.zeros((len(found.vectors), found.degree + 1, len(model.faults)))
-    vectors[:, :, used] = found.vectors
-    level = np.sqrt(((found.units[:, :, None] * model.faults[used]) ** 2).sum(axis=1))
-    responses = vectors @ model.faults / np.where(level > 0, level, 1.0)
-    s = found.decision.singular_values
-    smallest = found.decision.smallest_kept / s[0] if len(s) and found.decision.rank else 1.0
-    floor = max(_SEEN, 100 * np.finfo(float).eps / smallest)
-    return RelationSpace(vectors, given.basis, found.decision, responses, floor)
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """What must be annihilated, in units of the plant's own: the equations that can take part.
+
+    Attributes
+    ----------
+    pencil : Pencil
+    used : ndarray of int
+        Which equations are left.
+    faults : ndarray, shape (equations, faults)
+    units : ndarray, shape (equations,)
+        What takes vectors to the units that the plant was written in.
+    """
+
+    pencil: Pencil
+    used: NDArray[np.intp]
+    faults: NDArray[np.float64]
+    units: NDArray[np.float64]
+
+    def space(self, found: PencilNullVectors) -> RelationSpace:
+        """Return null vectors as relations, in the units of the model, with their responses to the faults."""
+        vectors = np.zeros((len(found.vectors), found.degree + 1, len(self.faults)))
+        vectors[:, :, self.used] = found.vectors
+        level = np.sqrt(((found.units[:, :, None] * self.faults[self.used]) ** 2).sum(axis=1))
+        responses = vectors @ self.faults / np.where(level > 0, level, 1.0)
+        s = found.decision.singular_values
+        smallest = found.decision.smallest_kept / s[0] if len(s) and found.decision.rank else 1.0
+        floor = max(_SEEN, 100 * np.finfo(float).eps / smallest)
+        return RelationSpace(vectors * self.units, self.pencil.basis, found.decision, responses, floor)
 
 
-def _reduced(model: RelationModel, ignored: Sequence[str | int]) -> tuple[Pencil, NDArray[np.intp]]:
-    """Return what must be annihilated without the equations that cannot take part, and which are left.
+def _search(model: RelationModel, ignored: Sequence[str | int]) -> _Search:
+    """Return what must be annihilated without the equations that cannot take part.
 
     A column with one entry only, such as that of a sensor fault, rules out its equation exactly.
     """
-    whole = state_pencil(model.plant, model.ignored_columns(ignored), model.basis)
+    own, units = model.in_own_units()
+    whole = state_pencil(own.plant, own.ignored_columns(ignored), own.basis)
     present = (whole.P0 != 0) | (whole.P1 != 0)
     used = np.arange(len(present))
     while len(used):
@@ -183,4 +203,5 @@ def _reduced(model: RelationModel, ignored: Sequence[str | int]) -> tuple[Pencil
         if not alone.any():
             break
         used = used[~alone]
-    return pencil(whole.P0[used], whole.P1[used], model.basis), used
+    height = np.concatenate([units.equations, units.outputs])
+    return _Search(pencil(whole.P0[used], whole.P1[used], own.basis), used, own.faults, height)
