@@ -150,8 +150,8 @@ def diagnosability(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> Diagnosabilit
     any signals. Noise is not considered: what can be told in principle may take long in noise.
 
     The pencil is evaluated at a few fixed points; what the disturbances leave of each fault's column is its
-    projection on the left null space there. At ``s = 0`` (``z = 1``) a zero of the plant enlarges the null space at that
-    one point: of it the part counts that goes on around the point, which power series tell.
+    projection on the left null space there. At ``s = 0`` (``z = 1``) a zero of the plant enlarges the null space at
+    that one point: of it the part counts that goes on around the point, which power series tell.
 
     References
     ----------

@@ -86,6 +86,10 @@ class FaultSpace:
             taken.append(left.pop(best))
         return taken
 
+    def leaves(self, ignored: Iterable[str]) -> bool:
+        """Tell whether any residual is left that ignores some faults and the disturbances."""
+        return len(self.basis([self.faults.index(name) for name in ignored])) < self.dimension
+
     def closure(self, basis: Sequence[int]) -> NDArray[np.bool_]:
         """Return which faults a residual ignores that ignores these, which must be independent."""
         closed = self.distances(basis) <= 1

@@ -113,7 +113,7 @@ def _left_vectors(M: NDArray) -> tuple[NDArray, NDArray[np.float64]]:
 
 
 def _rounding(smallest: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return what rounding may have put into a projection; pessimistic where no fault shares what is nearly singular."""
+    """Return what rounding may have put into a projection; too much where the pencil is nearly singular for all."""
     return np.minimum(1e3 * np.finfo(float).eps / np.maximum(smallest, 1e-300), 1e-6)
 
 

@@ -17,6 +17,9 @@ from residua.plant import Plant
 from residua.plant.canonical_units import PlantUnits, canonical_units
 from residua.plant.input_output_model import InputOutputModel
 
+#: Poles below this fraction of the size of the plant's dynamics are zero.
+_ZERO = 1e-10
+
 
 @dataclass(frozen=True, eq=False)
 class RelationModel:
@@ -114,10 +117,11 @@ def basis_for(plant: Plant, count: int) -> PolynomialBasis:
         poles = plant.system(()).poles()
     except ModelError:  # the pencil of a singular plant need not be regular
         poles = np.zeros(0, dtype=np.complex128)
-    size = float(np.median(np.abs(poles[np.isfinite(poles)]))) if np.isfinite(poles).any() else 0.0
-    if not size:
-        E = np.eye(plant.n_states) if plant.E is None else plant.E
-        size = 1.0 if plant.is_discrete else _mean_size(plant.A) / _mean_size(E)
+    E = np.eye(plant.n_states) if plant.E is None else plant.E
+    level = 1.0 if plant.is_discrete else _mean_size(plant.A) / _mean_size(E)
+    poles = np.where(np.abs(poles) > _ZERO * level, poles, 0.0)  # a size that is rounding would take equations for zero
+    finite = np.abs(poles[np.isfinite(poles)])
+    size = (float(np.median(finite)) if finite.size else 0.0) or level
     return basis_on_poles(poles, count, size, outward=True)
 
 
