@@ -142,12 +142,13 @@ class ResidualGenerator(Transformable):
     def steady_directions(self) -> dict[str, NDArray[np.float64]]:
         """For each fault the residual that a constant fault of size one settles to; not normalised.
 
-        A zero vector means that a constant fault is not seen (it is not strongly detectable).
+        A zero vector means that a constant fault is not seen (it is not strongly detectable). Residuals that do not
+        answer to a fault at all stay exactly zero.
         """
         if self.steady is not None:
             return {name: vector.copy() for name, vector in self.steady.items()}
         gain = steady_responses(self.internal_form().select(inputs=range(len(self.faults))))
-        return {name: gain[:, i] for i, name in enumerate(self.faults)}
+        return {name: np.where(self.structure[:, i], gain[:, i], 0.0) for i, name in enumerate(self.faults)}
 
     @cached_property
     def residual_rank(self) -> int:

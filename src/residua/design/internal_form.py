@@ -113,7 +113,10 @@ def check_state_map(
     )
     floor = max(1e-6 * float(per_row.max(initial=0.0)), 1e-300)
     second = _largest(generator.C @ TE + Hy @ p.C + V @ p.A, scale) / max(_largest(terms, scale), floor)
-    third = _largest(VE, scale) / max(_largest(absolute_VE, scale), 1e-300) if np.any(V) and p.E is not None else 0.0
+    third = 0.0
+    if np.any(V) and p.E is not None:  # what V reads may stand where E is zero, and meet it by rounding only
+        beside = np.abs(V).max(axis=1, initial=0.0)[:, None] * np.abs(p.E).max(axis=0, initial=0.0)
+        third = _largest(VE, scale) / max(_largest(absolute_VE, scale), 1e-3 * _largest(beside, scale), 1e-300)
     return _accepted(max(first, second, third), limit)
 
 

@@ -15,6 +15,7 @@ from residua.design.banks.unknown_input_quotient import (
     quotient_filter,
     unknown_input_quotient,
 )
+from residua.design.canonical_design import designed_in_own_units
 from residua.design.evidence import Evidence
 from residua.design.generator import ResidualGenerator, make_generator
 from residua.design.internal_form import check_decoupling
@@ -95,6 +96,18 @@ def decoupled_residual(
     array([False,  True])
     """
     ignored = [plant.faults[i] for i in arrays.positions(insensitive_to, plant.faults, "fault")]
+    return designed_in_own_units(plant, lambda own: _designed(own, ignored, poles, margin, gain, rtol))
+
+
+def _designed(
+    plant: Plant,
+    ignored: list[str],
+    poles: Sequence[complex] | ArrayLike | None,
+    margin: float | None,
+    gain: str | None,
+    rtol: float,
+) -> ResidualGenerator:
+    """Return the residual of a plant in its own units."""
     parts = explicit_parts(plant.faults_as_disturbances(ignored))
     quotient = unknown_input_quotient(parts, rtol)
     if not quotient.read.shape[0]:

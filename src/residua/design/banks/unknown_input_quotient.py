@@ -58,7 +58,7 @@ def explicit_parts(plant: Plant) -> ExplicitParts:
     E = R * plant.E * S
     U, s, Vh = np.linalg.svd(E)
     k = decide_rank(E).rank
-    derivative, algebra = U[:, :k].T / s[:k, None], U[:, k:].T
+    derivative, algebra = U[:, :k].T / s[:k, None], _without_rounding(U[:, k:].T)
     V1, V2 = Vh[:k].T, Vh[k:].T
     size2 = np.maximum(np.linalg.norm(A @ V2, axis=0), np.linalg.norm(C @ V2, axis=0))
     V2 = V2 / np.where(size2 > 0, size2, 1.0)

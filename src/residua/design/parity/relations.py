@@ -11,6 +11,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
+from residua.design.canonical_design import in_units_of
 from residua.design.evidence import Evidence, format_pole
 from residua.design.generator import ResidualGenerator, make_generator
 from residua.design.internal_form import check_decoupling
@@ -24,6 +25,7 @@ from residua.linear import PolynomialMatrix, StateSpace, is_stable_mode
 from residua.linear.balancing import descriptor_units
 from residua.linear.polynomial_basis import PolynomialBasis
 from residua.plant import Plant
+from residua.plant.canonical_units import PlantUnits, canonical_units
 
 #: What the states may be missed by, relative to the terms that have to cancel.
 _REMAINDER = 1e-8
@@ -175,7 +177,21 @@ class ParityRelations:
         ----------
         Gertler (1991), section 3.5.
         """
-        chosen = self._poles(poles)
+        units = canonical_units(self.plant)
+        own = self._in_units(units)
+        return replace(in_units_of(self.plant, units, own._filtered(own._poles(poles), method, notes)), relations=self)
+
+    def _in_units(self, units: PlantUnits) -> ParityRelations:
+        """Return the relations between the signals of the scaled plant."""
+        height = np.concatenate([units.equations, units.outputs])[:, None]
+        rows = (
+            replace(row, p=row.p / units.equations, q=row.q / units.outputs, ignored=row.ignored * height)
+            for row in self.rows
+        )
+        return replace(self, plant=units.applied(self.plant), rows=tuple(rows))
+
+    def _filtered(self, chosen: list[NDArray[np.complex128]], method: str, notes: Sequence[str]) -> ResidualGenerator:
+        """Return the filter with checked poles, for a plant in its own units."""
         bases = [pole_basis(one) for one in chosen]
         plant = self.plant
         rows = self._changed_to(bases)
@@ -197,7 +213,6 @@ class ParityRelations:
             evidence,
             state_map=np.vstack([part.state_map for part in parts]),
             static_map=None if plant.E is None else np.vstack([part.static_map for part in parts]),
-            relations=self,
         )
         if self.directions is not None:
             off = check_directions(made, self.directions)
