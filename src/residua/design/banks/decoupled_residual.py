@@ -25,6 +25,7 @@ from residua.linear.placement import Placement
 from residua.linear.rank import DEFAULT_RTOL
 from residua.linear.riccati import filter_riccati
 from residua.plant import Plant
+from residua.plant.even_units import even_plant
 
 
 def decoupled_residual(
@@ -104,7 +105,7 @@ def decoupled_residual(
             "add a sensor or ignore less"
         )
     failure: AccuracyError | None = None
-    for attempt, note in _attempts(quotient, poles, margin, gain, plant, rtol):
+    for attempt, note in _attempts(quotient, poles, margin, gain, even_plant(plant).plant, rtol):
         try:
             return _assembled(plant, parts, quotient, attempt(), ignored, note)
         except AccuracyError as error:

@@ -160,7 +160,7 @@ def _estimate_off(o: PerfectObserver, system: StateSpace, limit: float = 1e-6) -
     late = (1 / points if p.dt else 1 / (points / o.bandwidth + 1)) ** o.derivatives
     wanted = late[:, None, None] * X
     missed = np.abs(found - wanted) / scale.columns[:, None]
-    size = (np.abs(wanted) / scale.columns[:, None]).max(axis=1, keepdims=True)
+    size = (np.abs(wanted) / scale.columns[:, None]).max(axis=1, keepdims=True, initial=0.0)
     worst = float(np.max(missed / np.where(size > 0, size, 1.0), initial=0.0))
     if not worst <= limit:
         raise AccuracyError(
