@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from residua.design import ResidualGenerator
-from residua.design.internal_form import leakage, response_terms
+from residua.design.internal_form import frequency_grid, leakage
+from residua.design.signatures import fault_responses, outside_subspaces
 from residua.errors import AccuracyError
 from residua.linear import simulate_descriptor
 from residua.linear.recursion import run_filter
@@ -36,7 +37,8 @@ def check_residual_generator(
         Length of the simulated data.
     seed : int
     tolerance : float
-        Relative to the terms that have to cancel (for the subspaces of faults: at least 1e-5).
+        Of leaks: relative to the terms that have to cancel. Of what of a fault's response lies outside its subspace:
+        a fraction of the response at the same frequency, beyond twice what the evidence says was left out.
 
     Raises
     ------
@@ -69,18 +71,15 @@ def check_residual_generator(
 
 def _check_subspaces(generator: ResidualGenerator, tolerance: float) -> None:
     form = generator.internal_form()
-    w = np.logspace(-3, 1, 40) / (generator.dt or 1.0)
-    response = form.frequency_response(w)
-    terms = response_terms(generator.system, generator.plant, form, generator.state_map, generator.static_map, w)
-    # each residual has its own units, and may ignore every fault; a basis leaves out 1e-6 of the terms
-    units = np.abs(response).max(axis=(0, 2), initial=0.0) + 1e-3 * terms.max(axis=(0, 2), initial=0.0)
-    units = np.where(units > 0, units, 1.0)
-    for i, name in enumerate(generator.faults):
-        basis = np.linalg.qr(generator.subspaces[name] / units[:, None])[0]
-        column = response[:, :, i] / units
-        outside = float(np.abs(column - column @ basis @ basis.T).max(initial=0.0))
-        if outside > max(tolerance, 5e-3):
-            raise AccuracyError(f"fault {name!r} leaves its subspace: {outside:.2g} of the gain")
+    dt = generator.dt
+    # other frequencies than those of the design
+    w = np.logspace(-3, 0, 40) * 3.05 / dt if dt else frequency_grid(form, generator.system, points=97)
+    maps = generator.state_map, generator.static_map
+    found = fault_responses(generator.system, generator.plant, form, *maps, w)
+    allowed = tolerance + 2 * generator.evidence.conditions.get("response off the signatures", 0.0)
+    for name, outside in outside_subspaces(found, dict(generator.subspaces), generator.faults).items():
+        if outside > allowed:
+            raise AccuracyError(f"fault {name!r} leaves its subspace by {outside:.2g} > {allowed:.2g} of its response")
 
 
 def _check_runs(

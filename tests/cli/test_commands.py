@@ -442,10 +442,11 @@ def test_fit_refuses_too_little_data(made: Path, tmp_path: Path, residua: Residu
 
 
 def test_a_pole_at_zero_is_a_zero(made: Path, tmp_path: Path, residua: Residua) -> None:
-    assert [format_pole(p) for p in (-1.221e-15, -0.0, 1e-13 + 1e-14j, -0.5, 0.1 + 0.2j)] == [
+    assert [format_pole(p) for p in (0.0, -0.0, -1.221e-15, -3e-13 + 4e-13j, -0.5 + 1e-12j, 0.1 + 0.2j)] == [
         "0",
         "0",
-        "0",
+        "-1.221e-15",
+        "-3e-13+4e-13i",
         "-0.5",
         "0.1+0.2i",
     ]

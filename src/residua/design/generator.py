@@ -17,11 +17,11 @@ from residua.design.internal_form import (
     frequency_grid,
     internal_form,
     leakage,
-    signature_bases,
     with_silent_inputs,
 )
 from residua.design.responses import covariance_of_sums, steady_responses
 from residua.design.signals import discretized_filter, sampled_filter, stack_signals
+from residua.design.signatures import signature_bases
 from residua.design.transformable import Transformable
 from residua.errors import AccuracyError
 from residua.linear import StateSpace, decide_rank
@@ -169,10 +169,8 @@ class ResidualGenerator(Transformable):
     @cached_property
     def structure(self) -> NDArray[np.bool_]:
         """Who fires when what fails: boolean, shape (residuals, faults)."""
-        reach = np.array([np.abs(self.subspaces[name]).max(axis=1, initial=0.0) for name in self.faults])
-        reach = reach.reshape(len(self.faults), self.n_residuals).T
-        largest = reach.max(axis=1, keepdims=True, initial=0.0)  # each residual has its own units
-        return (reach > 1e-7 * largest) & (reach > 0)
+        rows = [np.any(self.subspaces[name], axis=1) for name in self.faults]
+        return np.array(rows, dtype=bool).reshape(len(self.faults), self.n_residuals).T
 
     @cached_property
     def covariance(self) -> NDArray[np.float64] | None:

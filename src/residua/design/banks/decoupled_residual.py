@@ -26,6 +26,7 @@ from residua.linear.placement import Placement
 from residua.linear.rank import DEFAULT_RTOL
 from residua.linear.riccati import filter_riccati
 from residua.plant import Plant
+from residua.plant.even_units import even_plant
 
 
 def decoupled_residual(
@@ -117,7 +118,7 @@ def _designed(
             "add a sensor or ignore less"
         )
     failure: AccuracyError | None = None
-    for attempt, note in _attempts(quotient, poles, margin, gain, plant, rtol):
+    for attempt, note in _attempts(quotient, poles, margin, gain, even_plant(plant).plant, rtol):
         try:
             return _assembled(plant, parts, quotient, attempt(), ignored, note)
         except AccuracyError as error:

@@ -95,10 +95,12 @@ def robust_detection_filter(
             f"{plant.n_outputs} measurements are all used up to decouple {len(plant.disturbances)} disturbances: "
             "nothing is left to see faults with; add a sensor or decouple fewer disturbances"
         )
-    form, parts = output_free_form(plant, rtol=rtol), existence.decomposition
+    parts = existence.decomposition
     assert isinstance(parts, OrdinaryDecoupling)
-    H = parts.plant_H if H0 is None else decoupling_gain(form, H0)
-    T = decoupling_map(H, plant.C)
+    form, T, H = parts.form, parts.T, parts.H
+    if H0 is not None:
+        H = decoupling_gain(output_free_form(plant, rtol=rtol), H0) / parts.even.states[:, None] / parts.even.outputs
+        T = decoupling_map(H, parts.even.plant.C)
     p, q = len(form.W), form.E.shape[1]
     base = Evidence(
         method="robust detection filter",
@@ -109,6 +111,7 @@ def robust_detection_filter(
     )
     return directional_filters(
         plant,
+        parts.even,
         without_rounding(T, form.A),
         form.C,
         T=T,

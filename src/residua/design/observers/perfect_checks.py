@@ -162,7 +162,7 @@ def _estimate_off(o: PerfectObserver, system: StateSpace, limit: float = 1e-6) -
     late = (1 / points if p.dt else 1 / (points / o.bandwidth + 1)) ** o.derivatives
     wanted = late[:, None, None] * X
     missed, size = ((np.abs(M) * units).max(axis=0) for M in (found - wanted, wanted))
-    size = np.maximum(size, 1e-6 * size.max(axis=1, keepdims=True))
+    size = np.maximum(size, 1e-6 * size.max(axis=1, keepdims=True, initial=0.0))
     worst = float(np.max(missed / np.where(size > 0, size, 1.0), initial=0.0))
     if not worst <= limit:
         raise AccuracyError(
