@@ -52,7 +52,7 @@ from residua.monitor.running import Specification, State
 from residua.monitor.threshold_records import threshold_in, threshold_out
 from residua.number_kinds import ENTRY, FINITE, FLAG, POSITIVE, SHARE, WINDOW
 from residua.plant import Plant
-from residua.visible import echo
+from residua.visible import echo, shortened
 
 FORMAT = "residua-monitor"
 VERSION = 6
@@ -132,7 +132,7 @@ def load_monitor(path: str | Path) -> Monitor:
         with np.errstate(all="ignore"):  # what overflows is refused; that it did is no news
             monitor = _monitor_in(record(renewed(content), "", (*_ENTRIES, "bounds", CHECKSUM)))
     except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError, MemoryError, ResiduaError) as error:
-        raise FileFormatError(f"{path.name}: {error}") from error
+        raise FileFormatError(f"{path.name}: {shortened(str(error), 1000)}") from error
     if content["version"] == VERSION and not check_checksum(content, path.name) and EDITED not in monitor.notes:
         monitor.notes = (*monitor.notes, EDITED)
     return monitor
