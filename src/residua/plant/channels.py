@@ -52,8 +52,10 @@ def number(value: object, what: str) -> float:
         out = float(value)  # pyright: ignore[reportArgumentType]
     except (TypeError, ValueError, OverflowError) as error:
         raise ModelError(f"{what}: expected a number, got {echo(value)}") from error
-    if not abs(out) <= LARGEST:
-        raise ModelError(f"{what}: every number must be finite and at most {LARGEST:g} in size, got {out}")
+    if not np.isfinite(out):
+        raise ModelError(f"{what}: every number must be finite, got {out}")
+    if abs(out) > LARGEST:
+        raise ModelError(f"{what}: every number must be at most {LARGEST:g} in size, got {out:g}")
     return out
 
 

@@ -141,8 +141,10 @@ class Entry:
             out = float(value)
         except OverflowError:
             out = math.inf
-        if not abs(out) <= LARGEST:
-            raise self.error(where, f"every number must be finite and at most {LARGEST:g} in size, got {out}")
+        if not math.isfinite(out):
+            raise self.error(where, f"every number must be finite, got {out}")
+        if abs(out) > LARGEST:
+            raise self.error(where, f"every number must be at most {LARGEST:g} in size, got {out:g}")
         return out
 
 
