@@ -32,6 +32,6 @@ def unpacked_limit() -> int:
 def too_large(source: str, limit: int) -> FileFormatError:
     """Return the error about a file that unpacks to more."""
     return FileFormatError(
-        f"{source}: unpacked, its arrays are larger than {limit} bytes: it is damaged or made to fill the memory; if it "
-        f"is as large as that on purpose, set {VARIABLE} to a larger number of bytes"
+        f"{source}: unpacked, its arrays are larger than {limit} bytes: it is damaged or made to fill the memory; if "
+        f"it is as large as that on purpose, set {VARIABLE} to a larger number of bytes"
     )
