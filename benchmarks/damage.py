@@ -11,15 +11,16 @@ from typing import Any
 #: A text that no message may repeat as a whole, and one that a terminal would obey.
 LONG, ESCAPE = "Z" * 5000, "\x1b[2J\x1b]0;title\x07"
 
+_WORDS = r"""
+nan inf -inf NaN Infinity -Infinity 1e308 -1e308 1.8e308 1e309 1e400 1e300 1e154 5e-324 1e-300 -1 0 -0.0 1 2 0.5 1e9
+1e18 9223372036854775807 9223372036854775808 18446744073709551616 -9223372036854775809 1000000000 4294967296 null true
+false "nan" "inf" "text" "" [] {} [[]] [1,2] {"a":1} 0x7f 1_000 1. .5 +1 1e 2026-11-22 "\u0000" "\ud800" 'a' # , : "
+"""
 #: What stands in place of a number or another entry, as it is written in a file.
-WORDS = (
-    r"""
-nan inf -inf NaN Infinity -Infinity 1e308 -1e308 1.8e308 1e309 1e400 1e300 1e154 5e-324 1e-300 -1 0 -0.0 1 2 0.5 1e9 1e18
-9223372036854775807 9223372036854775808 18446744073709551616 -9223372036854775809 1000000000 4294967296 null true false
-"nan" "inf" "text" "" [] {} [[]] [1,2] {"a":1} 0x7f 1_000 1. .5 +1 1e 2026-11-22 "\u0000" "\ud800" 'a' # , : "
-""".split()
-    + ["9" * 400, "9" * 5000, f'"{LONG}"', f'"{ESCAPE}"', "[" * 3000, "[" * 200 + "]" * 200, '{"a":' * 500, LONG]
-)
+WORDS = [
+    *_WORDS.split(),
+    *("9" * 400, "9" * 5000, f'"{LONG}"', f'"{ESCAPE}"', "[" * 3000, "[" * 200 + "]" * 200, '{"a":' * 500, LONG),
+]
 
 #: The same as values of a table of JSON.
 VALUES: list[Any] = [
