@@ -65,7 +65,7 @@ measurement = {flow = 0.2}
 
 def plants() -> list[Plant]:
     special = example(units={"pump": "m³/s", "a": "m"}, name='a "quoted"\n\\name\x7f', description="ß → 1")
-    special = special.with_operating_point(inputs=[0.1 + 0.2, -0.0], outputs=[1e-300, 1e300])
+    special = special.with_operating_point(inputs=[0.1 + 0.2, -0.0], outputs=[1e-300, 1e99])
     special = special.with_faults({"odd name.": {"b": 1 / 3}, "by output": ([0, 0, 0], [0, np.pi])}, component="x y")
     special = special.with_faults({"drift": ([1, 0, 0], [1, 0])}, kind="sensor")
     special = special.with_disturbances([[1], [0], [0]]).with_disturbances({"again": [2, 0, 0]})

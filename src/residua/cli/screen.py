@@ -25,6 +25,7 @@ from residua.monitor.naming import fault_unit, ranked, tied_name
 from residua.monitor.preparing import codes_of
 from residua.report.text import sizes_text
 from residua.report.verdict import verdict
+from residua.visible import visible
 
 #: Alarms that are listed at most; ``--alarms`` writes all of them.
 MAX_ALARMS = 20
@@ -51,7 +52,7 @@ def console() -> Console:
 def say(*lines: str) -> None:
     """Print lines; a terminal wraps them, a pipe gets them whole."""
     out = console()
-    for line in lines:
+    for line in map(visible, lines):
         out.print(line, soft_wrap=not out.is_terminal)
 
 
@@ -60,13 +61,13 @@ def show_table(header: Sequence[str], rows: Iterable[Sequence[object]], *, title
     cells = [[_text(value) for value in row] for row in rows]
     out = console()
     if title:
-        out.print(title)
+        out.print(visible(title))
     if not out.is_terminal:
-        for line in _columns([list(header), *cells]):
+        for line in _columns([[visible(name) for name in header], *cells]):
             out.print(line, soft_wrap=True)
         return
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for k, name in enumerate(header):
+    for k, name in enumerate(map(visible, header)):
         numeric = bool(cells) and all(_is_number(row[k]) for row in cells)
         table.add_column(name, justify="right" if numeric else "left")
     for row in cells:
@@ -87,7 +88,7 @@ def _text(value: object) -> str:
         return "yes" if value else "no"
     if isinstance(value, (float, np.floating)):
         return "-" if not np.isfinite(value) else f"{value + 0.0:.6g}"  # no -0
-    return str(value) or "-"
+    return visible(str(value)) or "-"
 
 
 def _is_number(text: str) -> bool:
@@ -315,7 +316,7 @@ def reading(path: Path) -> Iterator[None]:
     """Say on a terminal that a large file is being read."""
     err = Console(stderr=True, markup=False, highlight=False)
     if err.is_terminal and path.stat().st_size > _LARGE_FILE:
-        with err.status(f"reading {path.name}"):
+        with err.status(f"reading {visible(path.name)}"):
             yield
     else:
         yield
@@ -325,14 +326,16 @@ def reading(path: Path) -> Iterator[None]:
 def patience(what: str) -> Iterator[None]:
     """Say on stderr what is being done, once two seconds have gone; a terminal shows how long it has taken."""
     err = Console(stderr=True, markup=False, highlight=False)
-    bar = Progress(SpinnerColumn(), TextColumn(what, markup=False), TimeElapsedColumn(), console=err, transient=True)
+    bar = Progress(
+        SpinnerColumn(), TextColumn(visible(what), markup=False), TimeElapsedColumn(), console=err, transient=True
+    )
 
     def show() -> None:
         if err.is_terminal:
             bar.add_task("", total=None)
             bar.start()
         else:
-            print(f"{what} ...", file=sys.stderr, flush=True)
+            print(f"{visible(what)} ...", file=sys.stderr, flush=True)
 
     clock = Timer(_PATIENCE, show)
     clock.daemon = True

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import DataError, FileFormatError
+from residua.visible import echo
 
 DELIMITERS = (",", ";", "\t")
 
@@ -51,7 +52,7 @@ class CsvTable:
         return row[place].strip() if place < len(row) else ""
 
     def _at(self, name: str) -> str:
-        return f"{self.source}: column {name!r}"
+        return f"{self.source}: column {echo(name)}"
 
     def _fast(self, places: list[int]) -> NDArray[np.float64] | None:
         """Let NumPy read the whole table; ``None`` where it is not plain numbers."""
@@ -111,7 +112,7 @@ def open_csv(content: bytes, source: str) -> CsvTable:
     delimiter = next(d for d in DELIMITERS if next(csv.reader(lines[:1], delimiter=d), []) == header)
     names = tuple(name.strip() for name in header)
     if not names or all(_is_number(name) for name in names):
-        raise DataError(f"{source}: the first line must name the columns, it holds {lines[0][:60]!r}")
+        raise DataError(f"{source}: the first line must name the columns, it holds {echo(lines[0], 60)}")
     while lines and not lines[-1].strip():
         lines.pop()
     if len(lines) < 2:
@@ -144,7 +145,7 @@ def _parsed(cells: list[str], rows: list[int], what: str, comma: bool) -> NDArra
             elif comma and _is_number(text.replace(",", ".")):
                 out[i] = float(text.replace(",", "."))
             else:
-                raise DataError(f"{what}, line {rows[i]}: expected a number, got {cell!r}") from None
+                raise DataError(f"{what}, line {rows[i]}: expected a number, got {echo(cell)}") from None
     return out
 
 

@@ -11,7 +11,10 @@ import numpy as np
 from residua.errors import DataError
 from residua.monitor.time_axis import find_time
 from residua.plant import Plant
+from residua.visible import MAX_ECHO, echo, listed
 
+#: Columns that a message names at most, and among which a name is looked for that may be meant.
+_LISTED, _COMPARED = 40, 1000
 #: Relative difference between the step of a recording and that of a sampled plant that is let pass.
 STEP_TOLERANCE = 1e-3
 
@@ -50,7 +53,7 @@ class ReadOptions:
         channels = (*self.inputs, *self.outputs)
         for channel in renamed:
             if self.plant and channel not in channels:
-                raise DataError(f"columns: the plant has no channel {channel!r}; it has {', '.join(channels)}")
+                raise DataError(f"columns: the plant has no channel {echo(channel)}; it has {listed(channels)}")
         chosen = {channel: renamed.get(channel, channel) for channel in channels or renamed}
         clock = self.time or find_time(names, chosen.values())
         if not chosen:
@@ -61,7 +64,7 @@ class ReadOptions:
             raise DataError(missing_columns(absent, names, source))
         twice = [name for name in dict.fromkeys(wanted) if list(names).count(name) > 1]
         if twice:
-            raise DataError(f"{source}: more than one column is called {twice[0]!r}")
+            raise DataError(f"{source}: more than one column is called {echo(twice[0])}")
         if not chosen:
             raise DataError(f"{source}: there is no column with data")
         return chosen, clock
@@ -69,20 +72,22 @@ class ReadOptions:
 
 def missing_columns(absent: list[str], names: Sequence[str], source: str) -> str:
     """Say which columns are missing, what may be meant, and what is there."""
-    lowered = {name.lower(): name for name in names}
+    lowered = {name.lower(): name for name in names[:_COMPARED] if len(name) <= MAX_ECHO}
     parts = []
     for name in absent:
-        near = difflib.get_close_matches(name.lower(), list(lowered), n=1)
-        parts.append(f"{name!r}" + (f" (did you mean {lowered[near[0]]!r}?)" if near else ""))
-    there = ", ".join(map(repr, names[:40])) + (", ..." if len(names) > 40 else "")
-    return f"{source}: missing column{'s' * (len(absent) > 1)} {', '.join(parts)}; there are: {there or 'none'}"
+        near = difflib.get_close_matches(name.lower(), lowered, n=1)
+        parts.append(echo(name) + (f" (did you mean {echo(lowered[near[0]])}?)" if near else ""))
+    return (
+        f"{source}: missing column{'s' * (len(absent) > 1)} {', '.join(parts)}; "
+        f"there are: {listed([echo(name) for name in names[:_LISTED]])}"
+    )
 
 
 def settled_step(found: float | None, options: ReadOptions, source: str) -> float:
     """Return the step that times, caller and plant agree on."""
     given, own = options.dt, options.plant.dt if options.plant else 0.0
     if given is not None and not (np.isfinite(given) and given > 0):
-        raise DataError(f"dt must be a positive step in seconds, got {given!r}")
+        raise DataError(f"dt must be a positive step in seconds, got {echo(given)}")
     known = [
         (value, what)
         for value, what in ((found, "its times are"), (given, "dt= says"), (own or None, "the plant is sampled at"))

@@ -12,12 +12,16 @@ from numpy.typing import NDArray
 
 from residua.errors import DataError, FileFormatError, missing_extra
 from residua.files import check_input, read_bytes
-from residua.monitor.array_files import read_mat, read_npz, table_from_arrays
+from residua.monitor.array_files import table_from_arrays
 from residua.monitor.csv_table import MISSING, CsvTable, open_csv
+from residua.monitor.mat_files import read_mat
 from residua.monitor.matching import ReadOptions, settled_step
+from residua.monitor.npz_files import read_npz
+from residua.monitor.parquet_files import read_parquet
 from residua.monitor.table_writer import write_table
 from residua.monitor.time_axis import regular_step, seconds_from_dates, seconds_from_text
 from residua.plant import Plant
+from residua.visible import echo
 
 __all__ = ["Recording", "read_recording", "recording_from_frame", "write_table"]
 
@@ -72,7 +76,9 @@ def read_recording(
 
     Columns are matched to the plant's inputs and outputs by name. A .mat or .npz file may hold one array per
     channel, the matrices ``u`` and ``y``, or one matrix with a column per channel, inputs first. Nothing in
-    a file is executed; Python objects in .npz are refused. Empty cells, ``nan`` and spreadsheet errors such
+    a file is executed; Python objects in .npz are refused. A .mat file is read in a process of its own, which a damaged
+    one may end without ending this one; of any packed file the arrays may have up to 2 GiB, or as many bytes as
+    ``RESIDUA_MAX_UNPACKED`` in the environment says. Empty cells, ``nan`` and spreadsheet errors such
     as ``#VALUE!`` become NaN and are counted.
 
     Parameters
@@ -112,7 +118,7 @@ def read_recording(
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in _READERS:
-        raise FileFormatError(f"{path.name}: unknown format {suffix!r}; known: {', '.join(sorted(_READERS))}")
+        raise FileFormatError(f"{path.name}: unknown format {echo(suffix)}; known: {', '.join(sorted(_READERS))}")
     check_input(path, "a recording")
     options = ReadOptions(plant, time, dt, columns, variable, tolerance)
     return _READERS[suffix](path, options)
@@ -180,7 +186,7 @@ def _from_csv(path: Path, options: ReadOptions) -> Recording:
     origin = ""
     if clock is not None and dates:
         cells, rows = table.texts(clock)
-        data[clock], origin = seconds_from_text(cells, rows, f"{path.name}: column {clock!r}")
+        data[clock], origin = seconds_from_text(cells, rows, f"{path.name}: column {echo(clock)}")
     return _assembled(data, chosen, clock, options, path.name, origin, first_row=2)
 
 
@@ -198,20 +204,12 @@ def _reads_as_number(table: CsvTable, name: str) -> bool:
 def _from_parquet(path: Path, options: ReadOptions) -> Recording:
     if options.matrix_names is not None:
         raise DataError("columns must be a mapping {channel: column} here: the file has named columns")
-    try:
-        import pyarrow
-        import pyarrow.parquet as parquet
-    except ImportError as error:
-        raise missing_extra("pyarrow", "parquet") from error
-    try:
-        names = parquet.read_schema(path).names
+
+    def wanted(names: list[str]) -> list[str]:
         chosen, clock = options.matched(names, path.name)
-        wanted = list(dict.fromkeys([*chosen.values(), *([clock] if clock else [])]))
-        content = parquet.read_table(path, columns=wanted)
-    except (pyarrow.ArrowException, OSError) as error:
-        raise FileFormatError(f"{path.name}: not a readable Parquet file: {error}") from error
-    table = {str(name): np.asarray(content[name].to_numpy()) for name in wanted}
-    return _from_arrays(table, options, path.name)
+        return list(dict.fromkeys([*chosen.values(), *([clock] if clock else [])]))
+
+    return _from_arrays(read_parquet(path, wanted), options, path.name)
 
 
 def _from_named_arrays(read: Callable[[Path], dict[str, NDArray]]) -> Callable[[Path, ReadOptions], Recording]:
@@ -246,7 +244,7 @@ def _from_arrays(table: dict[str, NDArray], options: ReadOptions, source: str) -
     data: dict[str, NDArray] = {}
     origin = ""
     for name in dict.fromkeys(chosen.values()):
-        data[name] = _as_numbers(table[name], f"{source}: column {name!r}")
+        data[name] = _as_numbers(table[name], f"{source}: column {echo(name)}")
     if clock is not None:
         values = table[clock]
         if values.dtype.kind == "M":
@@ -255,9 +253,9 @@ def _from_arrays(table: dict[str, NDArray], options: ReadOptions, source: str) -
             data[clock], origin = seconds_from_dates(values.astype("datetime64[ns]"))
         elif values.dtype.kind in "OUT" and len(values) and isinstance(values[0], str):
             cells = [str(value) for value in values]
-            data[clock], origin = seconds_from_text(cells, range(len(cells)), f"{source}: column {clock!r}")
+            data[clock], origin = seconds_from_text(cells, range(len(cells)), f"{source}: column {echo(clock)}")
         else:
-            data[clock] = _as_numbers(values, f"{source}: column {clock!r}")
+            data[clock] = _as_numbers(values, f"{source}: column {echo(clock)}")
     return _assembled(data, chosen, clock, options, source, origin, first_row=0)
 
 
@@ -269,9 +267,9 @@ def _as_numbers(values: NDArray, what: str) -> NDArray[np.float64]:
         for i, value in enumerate(values):
             try:
                 out[i] = np.nan if value is None else float(value)
-            except (TypeError, ValueError):
+            except (TypeError, ValueError, OverflowError):
                 if str(value).strip().lower() not in MISSING and str(value) != "<NA>":
-                    raise DataError(f"{what}, row {i}: expected a number, got {value!r}") from None
+                    raise DataError(f"{what}, row {i}: expected a number, got {echo(value)}") from None
                 out[i] = np.nan
         return out
     raise DataError(f"{what}: expected numbers, got values of type {values.dtype}")
@@ -289,7 +287,7 @@ def _assembled(
     lengths = {name: len(column) for name, column in data.items()}
     steps = max(lengths.values(), default=0)
     if min(lengths.values(), default=0) != steps:
-        raise DataError(f"{source}: the columns differ in length: {lengths}")
+        raise DataError(f"{source}: the columns differ in length: {echo(lengths)}")
     if steps == 0:
         raise DataError(f"{source}: there are no data rows")
     outputs = options.outputs or tuple(chosen)

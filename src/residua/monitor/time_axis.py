@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import DataError
+from residua.visible import echo
 
 #: Names that a time column goes by, in any case, with or without ``[s]``.
 TIME_NAME = re.compile(r"(time|t|timestamp|datetime)\s*([\[(]\s*(s|sec|seconds)\s*[\])])?", re.IGNORECASE)
@@ -38,7 +39,7 @@ def seconds_from_text(cells: Sequence[str], rows: Sequence[int], what: str) -> t
         try:
             moment = datetime.fromisoformat(cell)
         except ValueError:
-            raise DataError(f"{what}, line {rows[i]}: expected a time, got {cell!r}") from None
+            raise DataError(f"{what}, line {rows[i]}: expected a time, got {echo(cell)}") from None
         moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
         start = start or moment
         out[i] = (moment - start).total_seconds()

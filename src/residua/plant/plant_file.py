@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.errors import FileFormatError, ModelError
+from residua.errors import AccuracyError, FileFormatError, ModelError
 from residua.files import read_bytes
 from residua.linear.arrays import frozen
+from residua.number_kinds import kind_of
 from residua.plant.channels import OperatingPoint
 from residua.plant.plant import Plant
 from residua.plant.toml_entry import Entry, suggestion
+from residua.visible import echo, listed, shortened
 
 FORMAT = "residua-plant/1"
 
@@ -100,15 +102,15 @@ def loads_plant(text: str, *, source: str = "plant") -> Plant:
     """
     try:
         data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise FileFormatError(f"{source}: not valid TOML: {error}") from error
+    except ValueError as error:  # also whole numbers without end, and dates that are none
+        raise FileFormatError(f"{source}: not valid TOML: {shortened(str(error))}") from error
     except RecursionError as error:
         raise FileFormatError(f"{source}: not valid TOML: nested too deeply") from error
     if "format" not in data:
         raise FileFormatError(f'{source}: not a plant file: it must say format = "{FORMAT}"')
     root = Entry(data, source, "", FILE_KEYS)
     if root.data["format"] != FORMAT:
-        raise root.error("format", f"expected {FORMAT!r}, got {root.data['format']!r}")
+        raise root.error("format", f"expected {FORMAT!r}, got {kind_of(root.data['format'])}")
     try:
         plant = _core(root)
         for entry in root.tables("disturbances", ("name", "state", "output")):
@@ -117,7 +119,7 @@ def loads_plant(text: str, *, source: str = "plant") -> Plant:
             plant = _with_fault(plant, entry)
         plant = _sampled(plant, root)
         return _with_noise(plant, root.table("noise", ("process", "measurement", "state", "output")))
-    except ModelError as error:
+    except (ModelError, AccuracyError, np.linalg.LinAlgError, ArithmeticError, MemoryError) as error:
         raise FileFormatError(f"{source}: {error}") from error
 
 
@@ -233,7 +235,7 @@ def _sampled(plant: Plant, root: Entry) -> Plant:
         raise root.error("sample_time", f"the matrices are sampled already (dt = {plant.dt})")
     try:
         return plant.discretize(step)
-    except ModelError as error:
+    except (ModelError, AccuracyError, np.linalg.LinAlgError, ArithmeticError) as error:
         raise root.error("sample_time", str(error)) from error
 
 
@@ -273,21 +275,21 @@ def _covariance(entry: Entry, key: str, channels: tuple[str, ...], each: str) ->
 def _channel(entry: Entry, key: str, known: tuple[str, ...]) -> int:
     name = entry.text(key)
     if name not in known:
-        raise entry.error(key, f"unknown {key}{suggestion(name, known)}; known: {', '.join(known) or 'none'}")
+        raise entry.error(key, f"unknown {key}{suggestion(name, known)}; known: {listed(known)}")
     return known.index(name)
 
 
 def _only(entry: Entry, key: str, excluded: tuple[str, ...]) -> None:
     for other in excluded:
         if other in entry:
-            raise entry.error(other, f"not together with {key} = {entry.data[key]!r}, which says how it enters")
+            raise entry.error(other, f"not together with {key} = {echo(entry.data[key])}, which says how it enters")
 
 
 def _pointing(entry: Entry, make: Callable[[], Plant]) -> Plant:
     """Run ``make`` and let a model error point at the entry."""
     try:
         return make()
-    except ModelError as error:
+    except (ModelError, np.linalg.LinAlgError) as error:
         raise FileFormatError(f"{entry.source}: {entry.where()}: {error}") from error
 
 
