@@ -50,7 +50,8 @@ def test_other_ways_to_write_dates_are_said(tmp_path: Path) -> None:
     path = written(tmp_path / "data.csv", ["20-Nov-2026 08:00", "20-Nov-2026 08:01"])
     with pytest.raises(DataError, match=r"line 2: expected a time, got '20-Nov-2026 08:00'; known are .* time_format="):
         read_recording(path)
-    assert read_recording(path, time_format="%d-%b-%Y %H:%M").dt == 60.0
+    recording = read_recording(path, time_format="%d-%b-%Y %H:%M")
+    assert (recording.dt, recording.origin) == (60.0, "2026-11-20T08:00:00")
     with pytest.raises(DataError, match=r"line 2: expected a time as '%Y', got '20-Nov"):
         read_recording(path, time_format="%Y")
     with pytest.raises(DataError, match="expected a time as '%Q'"):
@@ -129,6 +130,19 @@ def test_blanks_between_the_cells(tmp_path: Path) -> None:
         read_recording(path)
     path.write_text("level of tank\n1\n2\n", encoding="utf-8")  # one column, whose name has blanks
     assert list(read_recording(path, dt=1).columns) == ["level of tank"]
+
+
+def test_a_line_that_says_what_separates(tmp_path: Path) -> None:
+    path = tmp_path / "data.csv"
+    path.write_text("sep=;\nDate Time;level, mean\n2026-11-20 08:00;1,5\n2026-11-20 08:01;2,5\n", encoding="utf-8")
+    recording = read_recording(path, decimal=",")
+    assert (recording.dt, list(recording.columns)) == (60.0, ["level, mean"])
+    path.write_text("Stamp;level\n2026-11-20 08:00;1.5\n2026-11-20 08:01;2.5\n", encoding="utf-8")
+    with pytest.raises(
+        DataError, match=r"column 'Stamp', line 2: .*; if these are the times, name the column by time="
+    ):
+        read_recording(path, dt=1)
+    assert read_recording(path, time="Stamp").dt == 60.0
 
 
 def test_text_without_a_header(tmp_path: Path) -> None:

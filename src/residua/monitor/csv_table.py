@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,6 +14,9 @@ from residua.errors import DataError, FileFormatError
 
 DELIMITERS = (",", ";", "\t")
 BLANKS = " "
+_DATE = re.compile(r"\d{1,4}([/.\-])\d{1,2}\1\d{1,4}(?!\d)")
+#: How spreadsheets say what stands between the cells, in a line of its own before all others.
+_SEPARATOR = re.compile(r"sep=([,;\t])", re.IGNORECASE)
 
 #: What spreadsheets and loggers write where a value is missing, in lower case.
 MISSING = frozenset(
@@ -134,11 +138,17 @@ def open_csv(content: bytes, source: str, *, decimal: str = ".") -> CsvTable:
         raise DataError(f"{source}: the file is empty")
     lines = text.split("\n")
     above = next(i for i, line in enumerate(lines) if line.strip())
+    said = _SEPARATOR.fullmatch(lines[above].strip(" "))
+    if said:
+        above = next((i for i, line in enumerate(lines) if i > above and line.strip()), above)
     while above + 1 < len(lines) and _is_comment(lines[above]) and _is_comment(lines[above + 1]):
         above += 1  # of several lines of comment the last one may name the columns
     head = lines[above].lstrip()[1:].strip() if _is_comment(lines[above]) else lines[above]
     following = next((line for line in lines[above + 1 :] if line.strip()), "")
-    delimiter, names = _separated(head, following, decimal)
+    if said:
+        delimiter, names = said[1], tuple(name.strip() for name in next(csv.reader([head], delimiter=said[1]), []))
+    else:
+        delimiter, names = _separated(head, following, decimal)
     if delimiter == BLANKS:
         lines, delimiter = [*lines[: above + 1], *("\t".join(line.split()) for line in lines[above + 1 :])], "\t"
     while lines and not lines[-1].strip():
@@ -200,14 +210,16 @@ def _parsed(cells: list[str], rows: list[int], what: str, decimal: str) -> NDArr
         except ValueError:
             if text.lower() not in MISSING:
                 raise DataError(
-                    f"{what}, line {rows[i]}: expected a number, got {cell!r}{_commas(text, decimal)}"
+                    f"{what}, line {rows[i]}: expected a number, got {cell!r}{_advice(text, decimal)}"
                 ) from None
             out[i] = np.nan
     return out
 
 
-def _commas(text: str, decimal: str) -> str:
-    """Ask about commas and points in what would be a number without them."""
+def _advice(text: str, decimal: str) -> str:
+    """Ask about commas and points in what would be a number without them, and about dates."""
+    if _DATE.match(text):
+        return "; if these are the times, name the column by time="
     if not ({",", "."} & set(text)) or not _is_number(text.replace(".", "").replace(",", "")):
         return ""
     if "," in text and "." in text:

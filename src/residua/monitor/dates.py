@@ -78,7 +78,7 @@ def _one_by_one(
 ) -> tuple[NDArray[np.float64], str]:
     """Read cell by cell; those without a time zone are taken as one clock."""
     out = np.empty(len(cells))
-    start = None
+    start, origin = None, ""
     for i, cell in enumerate(cells):
         try:
             moment = read(cell)
@@ -86,10 +86,11 @@ def _one_by_one(
             raise DataError(
                 f"{what}, line {rows[i]}: expected a time{how}, got {cell!r}{_advice(cell, how)}"
             ) from error
+        origin = origin or (moment.isoformat() if how else cell)
         moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
         start = start or moment
         out[i] = (moment - start).total_seconds()
-    return out, start.isoformat() if start and how else (cells[0] if cells else "")
+    return out, origin
 
 
 def _advice(cell: str, how: str) -> str:
@@ -116,18 +117,23 @@ def _numbers(cells: list[str], rows: Sequence[int], what: str, dayfirst: bool | 
     by_day = _day_first(first, second, rows, what, cells, dayfirst)
     days, months = (first, second) if by_day else (second, first)
 
-    def moment(i: int) -> np.datetime64:
-        date = f"{matches[i]['year']}-{months[i]:02d}-{days[i]:02d}"
-        return np.datetime64(f"{date}T{_time_of_day(matches[i])}", "ns")
+    def moment(i: int) -> str:
+        return f"{matches[i]['year']}-{months[i]:02d}-{days[i]:02d}T{_time_of_day(matches[i])}"
 
-    out = np.empty(len(cells), dtype="datetime64[ns]")
-    for i in range(len(cells)):
-        try:
-            out[i] = moment(i)
-        except ValueError as error:
-            order = "day/month/year" if by_day else "month/day/year"
-            raise DataError(f"{what}, line {rows[i]}: {cells[i]!r}, read as {order}, is no time") from error
-    return out
+    try:
+        return np.array([moment(i) for i in range(len(cells))], dtype="datetime64[ns]")
+    except ValueError:
+        k = next(i for i in range(len(cells)) if not _is_moment(lambda i=i: moment(i)))
+        order = "day/month/year" if by_day else "month/day/year"
+        raise DataError(f"{what}, line {rows[k]}: {cells[k]!r}, read as {order}, is no time") from None
+
+
+def _is_moment(text: Callable[[], str]) -> bool:
+    try:
+        np.datetime64(text(), "ns")
+    except ValueError:
+        return False
+    return True
 
 
 def _day_first(

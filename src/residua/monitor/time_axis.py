@@ -14,7 +14,7 @@ from residua.errors import DataError
 REGULAR = 0.01
 
 #: Names that a time column goes by, in any case, with or without ``[s]``.
-TIME_NAME = re.compile(r"(time|t|timestamp|datetime)\s*([\[(]\s*(s|sec|seconds)\s*[\])])?", re.IGNORECASE)
+TIME_NAME = re.compile(r"(time|t|time[ _]?stamp|date[ _/]?time)\s*([\[(]\s*(s|sec|seconds)\s*[\])])?", re.IGNORECASE)
 
 
 def find_time(names: Iterable[str], channels: Iterable[str]) -> str | None:
