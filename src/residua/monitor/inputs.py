@@ -37,6 +37,8 @@ class Signals:
     time : ndarray or None
     dt : float or None
     source : str
+    notes : tuple of str
+        What was done to the rows when they were read.
     """
 
     u: Any
@@ -44,6 +46,30 @@ class Signals:
     time: NDArray[np.float64] | None
     dt: float | None
     source: str
+    notes: tuple[str, ...] = ()
+
+
+def several_signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, plant: Plant) -> list[Signals]:
+    """Return the recordings that were handed over: one as :func:`signals` takes it, or a list of such.
+
+    In a list arrays come as pairs ``(u, y)``.
+    """
+    if y is not None or not isinstance(u, (list, tuple)):
+        return [signals(u, y, time, dt, "", plant)]
+    if time is not None:
+        raise DataError("time is for one recording: give several as data frames or recordings, which bring their times")
+    if not len(u):
+        raise DataError("the list of recordings is empty")
+    found = []
+    for number, one in enumerate(u, 1):
+        if isinstance(one, np.ndarray):
+            raise DataError(f"recording {number} of {len(u)} is an array: in a list give pairs, [(u, y), (u, y)]")
+        pair = one if isinstance(one, tuple) and len(one) == 2 else (one, None)
+        try:
+            found.append(signals(*pair, None, dt, "", plant))
+        except DataError as error:
+            raise DataError(f"recording {number} of {len(u)}: {error}") from error
+    return found
 
 
 def signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, source: str, plant: Plant) -> Signals:
@@ -56,8 +82,8 @@ def signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, source: st
         if not isinstance(u, Recording):
             if not hasattr(u, "columns"):
                 raise DataError("give u and y as arrays, or one data frame or recording with named columns")
-            u = recording_from_frame(u, plant, dt=dt or plant.dt or None, source=source or "data frame")
-        return Signals(u.u, u.y, u.time, u.dt, source or u.source)
+            u = recording_from_frame(u, plant, dt=dt, source=source or "data frame")
+        return Signals(u.u, u.y, u.time, u.dt, source or u.source, u.notes)
     if dt is not None and not (np.isfinite(dt) and dt > 0):
         raise DataError(f"dt must be a positive step in seconds, got {dt!r}")
     u, y = _by_name(u, plant.inputs, "u"), _by_name(y, plant.outputs, "y")

@@ -8,15 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from residua.errors import DataError
-from residua.monitor.time_axis import find_time
+from residua.errors import DataError, SettingError
+from residua.monitor.time_axis import REGULAR, find_time
+from residua.monitor.time_grid import NEAR, STEP_TOLERANCE
 from residua.plant import Plant
 from residua.visible import MAX_ECHO, echo, listed
 
 #: Columns that a message names at most, and among which a name is looked for that may be meant.
 _LISTED, _COMPARED = 40, 1000
-#: Relative difference between the step of a recording and that of a sampled plant that is let pass.
-STEP_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -28,7 +27,39 @@ class ReadOptions:
     dt: float | None
     columns: Mapping[str, str] | Sequence[str] | None
     variable: str | None
-    tolerance: float
+    tolerance: float | None = None
+    fill_gaps: bool = False
+    dayfirst: bool | None = None
+    time_format: str | None = None
+    decimal: str = "."
+    transpose: bool = False
+
+    def __post_init__(self) -> None:
+        """Check what was asked for."""
+        if self.decimal not in (".", ","):
+            raise SettingError(f"decimal must be '.' or ',', got {self.decimal!r}")
+        if self.dt is not None and not (np.isfinite(self.dt) and self.dt > 0):
+            raise DataError(f"dt must be a positive step in seconds, got {self.dt!r}")
+        if self.tolerance is not None and not 0 < self.tolerance < (0.5 if self.fill_gaps else np.inf):
+            least = "between 0 and 0.5" if self.fill_gaps else "over 0"
+            raise SettingError(f"tolerance is a fraction of the step {least}, got {self.tolerance!r}")
+
+    @property
+    def near(self) -> float:
+        """Largest irregularity of the times, as a fraction of the step."""
+        if self.tolerance is not None:
+            return self.tolerance
+        return NEAR if self.fill_gaps else REGULAR
+
+    @property
+    def step(self) -> float | None:
+        """The step that the caller or the plant asks for."""
+        return self.dt or (self.plant.dt if self.plant else 0.0) or None
+
+    @property
+    def gets_round_times(self) -> bool:
+        """Whether rows are simply ``dt`` apart where a time column that nobody named says otherwise, or nothing."""
+        return self.dt is not None and self.time is None and not self.fill_gaps
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -86,8 +117,6 @@ def missing_columns(absent: list[str], names: Sequence[str], source: str) -> str
 def settled_step(found: float | None, options: ReadOptions, source: str) -> float:
     """Return the step that times, caller and plant agree on."""
     given, own = options.dt, options.plant.dt if options.plant else 0.0
-    if given is not None and not (np.isfinite(given) and given > 0):
-        raise DataError(f"dt must be a positive step in seconds, got {echo(given)}")
     known = [
         (value, what)
         for value, what in ((found, "its times are"), (given, "dt= says"), (own or None, "the plant is sampled at"))

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, FileFormatError, ModelError
 from residua.files import read_bytes
-from residua.linear.arrays import frozen
 from residua.number_kinds import kind_of
 from residua.plant.channels import OperatingPoint
 from residua.plant.plant import Plant
@@ -118,7 +117,7 @@ def loads_plant(text: str, *, source: str = "plant") -> Plant:
         for entry in root.tables("faults", FAULT_KEYS):
             plant = _with_fault(plant, entry)
         plant = _sampled(plant, root)
-        return _with_noise(plant, root.table("noise", ("process", "measurement", "state", "output")))
+        return _with_noise(plant, root.table("noise", ("process", "measurement", "cross", "state", "output")))
     except (ModelError, AccuracyError, np.linalg.LinAlgError, ArithmeticError, MemoryError) as error:
         raise FileFormatError(f"{source}: {error}") from error
 
@@ -244,9 +243,9 @@ def _with_noise(plant: Plant, entry: Entry) -> Plant:
     if not entry.data:
         return plant
     if "state" in entry or "output" in entry:
-        for key in ("process", "measurement"):
+        for key in ("process", "measurement", "cross"):
             if key in entry:
-                raise entry.error(key, "give covariances (process, measurement) or directions (state, output)")
+                raise entry.error(key, "give covariances (process, measurement, cross) or directions (state, output)")
         Bw = entry.matrix("state", plant.n_states, None, "one per state")
         Dw = entry.matrix("output", plant.n_outputs, None, "one per output")
         if Dw is None:
@@ -255,10 +254,11 @@ def _with_noise(plant: Plant, entry: Entry) -> Plant:
             Bw = np.zeros((plant.n_states, Dw.shape[1]))
         if Bw.shape[1] != Dw.shape[1]:
             raise entry.error("output", f"expected {Bw.shape[1]} columns (as in state), got {Dw.shape[1]}")
-        return plant._with(Bw=frozen(Bw), Dw=frozen(Dw))
+        return plant.with_noise_input(Bw, Dw)
     W = _covariance(entry, "process", plant.states, "one per state")
     V = _covariance(entry, "measurement", plant.outputs, "one per output")
-    return _pointing(entry, lambda: plant.with_noise(process=W, measurement=V))
+    S = entry.matrix("cross", plant.n_states, plant.n_outputs, "one row per state, one column per output")
+    return _pointing(entry, lambda: plant.with_noise(process=W, measurement=V, cross=S))
 
 
 def _covariance(entry: Entry, key: str, channels: tuple[str, ...], each: str) -> NDArray | float | None:

@@ -236,8 +236,8 @@ def check_promise(generator: ResidualGenerator, one: Wanted) -> None:
     leaking = [name for name in one.ignored if seen[name]]
     if leaking:
         raise AccuracyError(
-            f"the residual answers to {', '.join(leaking)}, which it should ignore: the plant is too badly conditioned; "
-            "ask for another margin, or for fewer faults to be ignored"
+            f"the residual answers to {', '.join(leaking)}, which it should ignore: the plant is too badly "
+            "conditioned; ask for another margin, or for fewer faults to be ignored"
         )
     blind = [name for name in one.seen if not seen[name]]
     if blind:

@@ -205,7 +205,8 @@ def residual_generator_from_observer(
     Returns
     -------
     ResidualGenerator
-        Its ``evidence.conditions`` say how far each condition is missed.
+        Its ``evidence.conditions`` say how far each condition is missed. Of a sampled plant with noise it has a
+        ``covariance``, so that a monitor needs no data for a first threshold; of a continuous one once it is sampled.
 
     Raises
     ------
