@@ -16,6 +16,7 @@ from residua.design import ResidualGenerator
 from residua.design.matched_filters import not_settled
 from residua.design.robust_l1.certified_threshold import AFFINE_FORM
 from residua.monitor.alarm import Alarm
+from residua.monitor.beginning import with_beginnings
 from residua.monitor.cautions import MemberBounds, leakage_cautions, unit_cautions
 from residua.monitor.dedicated import named_faults, named_pattern, present_faults
 from residua.monitor.diagnosis import Diagnosis
@@ -69,6 +70,7 @@ def diagnosis_from(
         (lambda parts: _named_anew(parts, over, named)) if match is not None else None,
         (lambda parts: _named_over_all(parts, over, named)) if dedicated else None,
     )
+    alarms = with_beginnings(alarms, residuals, usable, time)
     statistic, statistics = joined("statistic"), joined("member_statistics")
     return Diagnosis(
         time=time,
