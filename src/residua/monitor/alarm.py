@@ -112,7 +112,7 @@ class PresentFault:
 
     def __str__(self) -> str:
         until = "" if self.until is None else f" until {self.until:.6g} s"
-        return f"{self.name} since {self.since:.6g} s{until}"
+        return f"{self.name}, its member fired from {self.since:.6g} s{until}"
 
 
 @dataclass(frozen=True)
@@ -246,8 +246,8 @@ class Alarm:
     def to_dict(self, *, window: int = 1) -> dict[str, Any]:
         """Return the alarm as plain values for JSON; ``short`` means shorter than the isolation window.
 
-        ``began`` is there where it is known, ``code`` for banks, ``present`` for dedicated ones, ``sizes`` for estimators and matched filters,
-        ``arrival`` and ``lead`` for the latter.
+        ``began`` is there where it is known, ``code`` for banks, ``present`` for dedicated ones, ``sizes`` for
+        estimators and matched filters, ``arrival`` and ``lead`` for the latter.
         """
         out: dict[str, Any] = {
             "onset": _clean(self.onset),

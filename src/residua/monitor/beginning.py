@@ -58,7 +58,7 @@ def _beginning(
 
 
 def _timed(found: ChangeTime, rows: NDArray[np.int64], time: NDArray[np.float64]) -> Beginning:
-    """Return an interval of samples as times: a change that a sample is the first to show began after the one before."""
+    """Return an interval of samples as times: what a sample is the first to show began after the one before."""
     earliest = None if found.earliest is None else float(time[rows[found.earliest - 1]])
     return Beginning(earliest, float(time[rows[found.estimate]]), float(time[rows[found.latest]]), CONFIDENCE)
 
