@@ -148,9 +148,10 @@ def _autoregression(noise: NDArray[np.float64]) -> NDArray[np.float64]:
     most = min(_MOST_LAGS, n // 20)
     rows = np.column_stack([noise[most - k : n - k] for k in range(1, most + 1)]) if most else np.zeros((n, 0))
     target = noise[most:]
-    best, chosen = np.inf, np.zeros(0)
+    best = np.inf
+    chosen: NDArray[np.float64] = np.zeros(0)
     for order in range(most + 1):
-        lags = np.linalg.lstsq(rows[:, :order], target, rcond=None)[0] if order else np.zeros(0)
+        lags = np.asarray(np.linalg.lstsq(rows[:, :order], target, rcond=None)[0], dtype=float)
         spread = float(np.mean((target - rows[:, :order] @ lags) ** 2))
         if spread <= 0:
             return lags
@@ -158,7 +159,8 @@ def _autoregression(noise: NDArray[np.float64]) -> NDArray[np.float64]:
         if value < best:
             best, chosen = value, lags
     if len(chosen) == 1:  # least squares underrates a slow noise (Kendall's correction)
-        chosen = np.minimum(chosen + (1 + 3 * chosen) / n, max(0.99, float(chosen[0])))
+        first = float(chosen[0])
+        chosen = np.array([min(first + (1 + 3 * first) / n, max(0.99, first))])
     return chosen
 
 

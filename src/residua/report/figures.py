@@ -38,7 +38,7 @@ def charts_html(diagnosis: Diagnosis, charts: dict[str, Any], number: int) -> st
         *figures["scores"],
     ]
     what = "Estimates and candidates" if bank else "Residuals and candidates"
-    second = f"<h3>{what}</h3>{_band_note(charts)}{''.join(judged)}" if any(judged) else ""
+    second = f"<h3>{what}</h3>{_notes(charts, diagnosis)}{''.join(judged)}" if any(judged) else ""
     return (
         f'<div class="charts" data-diagnosis="{number}"><h3>The test over time</h3>{_key(charts, diagnosis)}'
         f"{''.join(tests)}{_measured(diagnosis, figures)}{second}</div>"
@@ -112,17 +112,18 @@ def band_text(diagnosis: Diagnosis) -> str:
     )
 
 
-def _band_note(charts: dict[str, Any]) -> str:
-    """Return how many score lines are drawn, where not all are."""
+def _notes(charts: dict[str, Any], diagnosis: Diagnosis) -> str:
+    """Return what the bands mean, and how many score lines are not drawn."""
+    notes = [f"Band: {band_text(diagnosis)}."] if any(chart.get("band") for chart in charts["charts"]) else []
     hidden = sum(chart.get("hidden", 0) for chart in charts["charts"])
-    return f'<p class="muted">Of the candidates the ten with the best scores are drawn, {hidden} are not.</p>' * (
-        hidden > 0
-    )
+    if hidden:
+        notes.append(f"Of the candidates those with the best scores are drawn, {hidden} more are not.")
+    return f'<p class="muted">{escape(" ".join(notes))}</p>' if notes else ""
 
 
 def _key(charts: dict[str, Any], diagnosis: Diagnosis) -> str:
     """Return what the colours mean, for those that occur, and how the samples were binned."""
-    entries = [("band", f"band: {band_text(diagnosis)}")] if any(x.get("band") for x in charts["charts"]) else []
+    entries = [("band", "band of a residual on its own")] if any(x.get("band") for x in charts["charts"]) else []
     present = {"alarm": "alarm", "missing": "values missing", "undecided": "not judged (filter settles)"}
     entries += [(kind, text) for kind, text in present.items() if charts["spans"][kind]]
     if charts["spans"]["began"]:
