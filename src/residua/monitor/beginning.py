@@ -13,6 +13,8 @@ from residua.monitor.alarm import Alarm, Beginning
 
 #: Alarms of one recording that are dated at most, the longest first.
 MOST_DATED = 20
+#: Alarms less than this many samples apart are looked at together: what raised the last one may have begun before them.
+APART = 200
 #: Samples of an alarm from which the direction of the change is taken at most.
 _MOST_ALARM = 2000
 #: Least squared distance that the residual has moved, in units of what noise alone moves it, to know its direction.
@@ -38,18 +40,20 @@ def with_beginnings(
     judged = np.flatnonzero(usable & np.isfinite(residuals).all(axis=1))
     out = list(alarms)
     for k in longest:
-        before = alarms[k - 1].stop if k else 0
-        out[k] = replace(alarms[k], began=_beginning(alarms[k], before, residuals, judged, time))
+        first = k
+        while first and alarms[first].start - alarms[first - 1].stop < APART:
+            first -= 1
+        crossed = min(alarms[first].start, int(np.searchsorted(time, alarms[first].onset)))
+        rows = judged[(judged >= (alarms[first - 1].stop if first else 0)) & (judged < alarms[k].stop)]
+        out[k] = replace(alarms[k], began=_beginning(alarms[k].start, crossed, residuals, rows, time))
     return tuple(out)
 
 
 def _beginning(
-    alarm: Alarm, before: int, residuals: NDArray[np.float64], judged: NDArray[np.int64], time: NDArray[np.float64]
+    raised: int, crossed: int, residuals: NDArray[np.float64], rows: NDArray[np.int64], time: NDArray[np.float64]
 ) -> Beginning | None:
-    """Return when the change began that raised an alarm; the data start with the sample after the alarm before."""
-    rows = judged[(judged >= before) & (judged < alarm.stop)]
-    crossed = min(alarm.start, int(np.searchsorted(time, alarm.onset)))
-    quiet, last = int(np.searchsorted(rows, crossed)), int(np.searchsorted(rows, alarm.start))
+    """Return when the change began that raised an alarm, by some samples; nothing was over before ``crossed``."""
+    quiet, last = int(np.searchsorted(rows, crossed)), int(np.searchsorted(rows, raised))
     if quiet < LEAST_BEFORE or last >= len(rows):
         return None
     signal = _along_change(residuals[rows], quiet, last)

@@ -274,7 +274,7 @@ class Diagnosis:
                 odds = f"{np.exp((alarm.lead or 0.0) / 2):.3g}"
                 lines.append(f"  a close call: the first is {odds} times as likely as the second")
             elif alarm.doubt == "score":
-                lines.append(f"  a close call: the first two are {alarm.margin:.3f} apart")
+                lines.append(f"  a close call: the first two are {abs(alarm.margin or 0.0):.3f} apart")
             elif alarm.doubt == "fit":
                 lines.append(f"  {NO_FIT}")
             lines += self._candidate_lines(alarm)

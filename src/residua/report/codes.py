@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from residua.monitor.naming import column_read
 from residua.report.choosing import SHOWN_FAULTS, shown_groups
-from residua.report.tables import ALARM_TIMES, MAX_ROWS, alarm_times, html_table
+from residua.report.tables import ALARM_TIMES, MAX_ROWS, alarm_times, html_table, time_cell
 from residua.report.text import escape, percent
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ def code_alarm_table(diagnosis: Diagnosis) -> str:
         rows.append(
             [
                 f"{k}{mark}",
-                *(f'<td class="num">{cell}</td>' for cell in alarm_times(alarm, diagnosis.clock)),
+                *map(time_cell, alarm_times(alarm, diagnosis.clock)),
                 escape(", ".join(alarm.reading.fired) or "none") if alarm.reading else "–",
                 f'<td class="name">{escape(_read_as(alarm, diagnosis.clock))}</td>',
                 f'<td class="num">{"–" if alarm.present[1:] else read_share(alarm)}</td>',

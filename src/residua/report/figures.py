@@ -37,7 +37,8 @@ def charts_html(diagnosis: Diagnosis, charts: dict[str, Any], number: int) -> st
         _behind(residuals[shown:], f"{closer} residuals{'' if bank else ', which stayed closer to their bands'}"),
         *figures["scores"],
     ]
-    what = "Estimates and candidates" if bank else "Residuals and candidates"
+    first = "Residuals" if not bank else "Estimates" if figures["estimate"] else ""
+    what = " and ".join(filter(None, [first, "candidates" if figures["scores"] else ""])).capitalize() or "Residuals"
     second = f"<h3>{what}</h3>{_notes(charts, diagnosis)}{''.join(judged)}" if any(judged) else ""
     return (
         f'<div class="charts" data-diagnosis="{number}"><h3>The test over time</h3>{_key(charts, diagnosis)}'
@@ -105,10 +106,15 @@ def band_text(diagnosis: Diagnosis) -> str:
     if not diagnosis.band_share:
         return "fault-free mean ± the threshold: a residual outside it is enough for the statistic to be over"
     outside = round(1 / (1 - diagnosis.band_share))
+    together = "judges all residuals together"
+    if diagnosis.match is not None:
+        together = "adds up how well whole responses fit, over many samples and all residuals"
+    elif diagnosis.members:
+        together = "judges the residuals of a member together"
     return (
         f"of each residual on its own, fault-free mean ± 3.3 standard deviations (1 in {outside:,} of its fault-free "
-        f"{mean} is outside, if its noise is Gaussian); the test judges all residuals together, so an alarm can stand "
-        "while one is inside"
+        f"{mean} is outside, if its noise is Gaussian); the test {together}, so an alarm can stand while every residual "
+        "is inside"
     )
 
 

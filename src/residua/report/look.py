@@ -26,7 +26,8 @@ def look_table(diagnosis: Diagnosis) -> str:
     main, plant = diagnosis.main_alarm, diagnosis.generator.plant
     if main is None:
         return ""
-    faults = [name for group in diagnosis.named for name in group if name in plant.faults]
+    groups = [*diagnosis.named, *(c.faults for c in main.candidates[1:2] if main.doubt)]
+    faults = [name for group in groups for name in group if name in plant.faults]
     if not faults:
         return ""
     shown = [plant.fault_list[plant.faults.index(name)] for name in faults[:SHOWN_FAULTS]]
@@ -50,7 +51,7 @@ def look_table(diagnosis: Diagnosis) -> str:
     kept = [(name, cells) for name, cells in columns if any(cells)]
     rows = [[cell or "–" for cell in row] for row in zip(*(cells for _, cells in kept), strict=True)]
     more = len(faults) - len(shown)
-    note = f'<p class="muted">… and {more} more that this monitor cannot tell from these.</p>' if more else ""
+    note = f'<p class="muted">… and {more} more, which this monitor cannot tell from these.</p>' if more else ""
     return f"<h3>What to look at</h3>{html_table([name for name, _ in kept], rows)}{note}"
 
 
@@ -61,7 +62,7 @@ def steady_size(diagnosis: Diagnosis, main: Alarm, fault: str) -> float | None:
     to have settled (twice the window), and where the name is not by direction.
     """
     best = main.candidates[0] if main.candidates else None
-    if diagnosis.match is not None or diagnosis.codes is not None or best is None or fault not in best.faults:
+    if diagnosis.match is not None or diagnosis.codes is not None or best is None:
         return None
     if not best.score >= POOR_SCORE or main.samples < 2 * diagnosis.window:
         return None

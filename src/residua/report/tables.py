@@ -76,7 +76,7 @@ def alarm_table(diagnosis: Diagnosis) -> str:
         rows.append(
             [
                 f"{k}{mark}",
-                *map(_num, alarm_times(alarm, diagnosis.clock)),
+                *map(time_cell, alarm_times(alarm, diagnosis.clock)),
                 _name(best.name if best else "not isolated"),
                 _num(score(best.score)) if best else _num("–"),
                 _name(tied_name(tuple(named), 2) if following else "–"),
@@ -260,6 +260,11 @@ def _heat(value: float) -> str:
 
 def _num(text: str) -> str:
     return f'<td class="num">{text}</td>'
+
+
+def time_cell(text: str) -> str:
+    """Return the cell of a time, or of an interval in two lines; never broken within a time."""
+    return f'<td class="num time">{text.replace(" to ", " to<br>")}</td>'
 
 
 def _name(text: str) -> str:

@@ -49,7 +49,7 @@ def number(value: float | None, digits: int = 4) -> str:
 
 def score(value: float) -> str:
     """Return a correlation with three decimals; a dash when it was not judged."""
-    return f"{value:.3f}" if math.isfinite(value) else "–"
+    return f"{round(value, 3) + 0.0:.3f}" if math.isfinite(value) else "–"  # no -0
 
 
 def seconds(value: float | None) -> str:

@@ -51,7 +51,7 @@
     return splits.map((v) => {
       const date = day(new Date(v * 1000));
       const time = step >= 86400 ? "" : step >= 60 ? clockTime(v, 1).slice(0, 5) : clockTime(v, step);
-      const text = date === last ? time : time + (time ? "\n" : "") + date;
+      const text = date === last ? time : time + (time ? "\n" : "") + (last ? date.slice(5) : date);
       last = date;
       return text;
     });
