@@ -113,8 +113,8 @@ def band_text(diagnosis: Diagnosis) -> str:
         together = "judges the residuals of a member together"
     return (
         f"of each residual on its own, fault-free mean ± 3.3 standard deviations (1 in {outside:,} of its fault-free "
-        f"{mean} is outside, if its noise is Gaussian); the test {together}, so an alarm can stand while every residual "
-        "is inside"
+        f"{mean} is outside, if its noise is Gaussian); the test {together}, so an alarm can stand while every "
+        "residual is inside"
     )
 
 
