@@ -23,6 +23,7 @@ from residua.design import MatchedFilters, ResidualGenerator
 from residua.monitor.diagnosis import Alarm, Diagnosis
 from residua.monitor.naming import fault_unit, ranked, tied_name
 from residua.monitor.preparing import codes_of
+from residua.report.tables import alarm_times
 from residua.report.text import sizes_text
 from residua.report.verdict import verdict
 from residua.visible import visible
@@ -265,8 +266,8 @@ def show_diagnosis(diagnosis: Diagnosis) -> None:
     if diagnosis.alarms:
         shown = diagnosis.alarms[:MAX_ALARMS]
         show_table(
-            ["alarm", "onset [s]", "raised [s]", "ended [s]", "samples", "most likely", "score", "next", "score"],
-            [_alarm_row(k, alarm, window) for k, alarm in enumerate(shown, 1)],
+            ["alarm", "began", "raised", "ended", "samples", "most likely", "score", "next", "score"],
+            [_alarm_row(k, alarm, diagnosis) for k, alarm in enumerate(shown, 1)],
         )
         if any(alarm.candidates and alarm.samples < window for alarm in shown):
             say(f"(short): fewer samples than the {window} that a name is judged by: too short to be sure of the name")
@@ -288,13 +289,12 @@ def show_diagnosis(diagnosis: Diagnosis) -> None:
     say(*diagnosis.notes)
 
 
-def _alarm_row(k: int, alarm: Alarm, window: int) -> list[object]:
+def _alarm_row(k: int, alarm: Alarm, diagnosis: Diagnosis) -> list[object]:
+    window = diagnosis.window
     best, following = [*alarm.candidates, None, None][:2]
     return [
         k,
-        alarm.onset,
-        alarm.raised,
-        "end of recording" if alarm.ended is None else alarm.ended,
+        *alarm_times(alarm, diagnosis.clock),
         alarm.samples,
         best.name + (" (short)" if alarm.samples < window else "") if best else _unnamed(alarm),
         f"{best.score:.3f}" if best else None,

@@ -203,10 +203,16 @@ def _plant_out(plant: Plant) -> dict[str, Any]:
         **{name: list(getattr(plant, name)) for name in _PLANT_NAMES},
         "E": None if plant.E is None else array_out(plant.E),
         "dt": float_out(plant.dt),
-        "faults": [[fault.name, fault.kind, fault.component] for fault in plant.fault_list],
+        "faults": [_fault_out(fault) for fault in plant.fault_list],
         "operating_point": [list(map(float_out, point.inputs)), list(map(float_out, point.outputs))],
         "units": dict(plant.units),
     }
+
+
+def _fault_out(fault: Fault) -> list[str]:
+    """Return name, kind and component, and the notes where there are any: any other file stays as it was."""
+    notes = [fault.description, fault.check, fault.unit]
+    return [fault.name, fault.kind, fault.component, *(notes if any(notes) else [])]
 
 
 def _plant_in(value: Any, where: str) -> Plant:

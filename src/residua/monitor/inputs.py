@@ -39,6 +39,8 @@ class Signals:
     source : str
     notes : tuple of str
         What was done to the rows when they were read.
+    origin : str
+        The moment that ``time`` counts from, where the recording had dates.
     """
 
     u: Any
@@ -47,6 +49,7 @@ class Signals:
     dt: float | None
     source: str
     notes: tuple[str, ...] = ()
+    origin: str = ""
 
 
 def several_signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, plant: Plant) -> list[Signals]:
@@ -83,13 +86,13 @@ def signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, source: st
             if not hasattr(u, "columns"):
                 raise DataError("give u and y as arrays, or one data frame or recording with named columns")
             u = recording_from_frame(u, plant, dt=dt, source=source or "data frame")
-        return Signals(u.u, u.y, u.time, u.dt, source or u.source, u.notes)
+        return Signals(u.u, u.y, u.time, u.dt, source or u.source, u.notes, u.origin)
     if dt is not None and not (np.isfinite(dt) and dt > 0):
         raise DataError(f"dt must be a positive step in seconds, got {dt!r}")
     u, y = _by_name(u, plant.inputs, "u"), _by_name(y, plant.outputs, "y")
     if time is None:
         return Signals(u, y, None, dt, source)
-    clock = _seconds(time)
+    clock, origin = _seconds(time)
     samples = np.shape(y)[-2] if np.ndim(y) > 1 else np.size(y)
     if clock.shape != (samples,):
         raise DataError(f"time has shape {clock.shape}, y has {samples} samples")
@@ -98,7 +101,7 @@ def signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, source: st
     found = regular_step(clock, 0.01, 0, source or "recording")
     if dt is not None and abs(dt - found) > 1e-6 * found:
         raise DataError(f"dt={dt:g} s was given, the times are {found:g} s apart")
-    return Signals(u, y, clock, found, source)
+    return Signals(u, y, clock, found, source, origin)
 
 
 def _by_name(data: Any, channels: tuple[str, ...], what: str) -> Any:
@@ -114,15 +117,15 @@ def _by_name(data: Any, channels: tuple[str, ...], what: str) -> Any:
     return np.column_stack([np.asarray(data[name], dtype=float) for name in channels])
 
 
-def _seconds(time: ArrayLike) -> NDArray[np.float64]:
-    """Return times in seconds; dates and time differences are counted from the first."""
+def _seconds(time: ArrayLike) -> tuple[NDArray[np.float64], str]:
+    """Return times in seconds, and the moment that they count from; dates are counted from the first."""
     clock = np.asarray(time)
     if clock.dtype.kind == "M":
-        return seconds_from_dates(clock)[0]
+        return seconds_from_dates(clock)
     if clock.dtype.kind == "m":
-        return clock / np.timedelta64(1, "s")
+        return clock / np.timedelta64(1, "s"), ""
     try:
-        return np.asarray(clock, dtype=float)
+        return np.asarray(clock, dtype=float), ""
     except (TypeError, ValueError) as error:
         raise DataError(f"time must be seconds, or dates: {error}") from error
 

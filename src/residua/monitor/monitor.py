@@ -23,7 +23,7 @@ from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.estimating import with_estimator
 from residua.monitor.fitting import fitted_test
 from residua.monitor.inputs import settling_samples, several_signals, signals
-from residua.monitor.outcome import diagnosis_from
+from residua.monitor.outcome import Recorded, compared_outputs, diagnosis_from
 from residua.monitor.peak_preparing import Threshold, chosen_threshold, member_names, no_threshold
 from residua.monitor.preparing import (
     Isolation,
@@ -289,11 +289,10 @@ class Monitor:
             diagnosis_from(
                 parts,
                 p,
-                clock,
+                Recorded(clock, data[p], given.source, given.origin, compared_outputs(self.design)),
                 spec,
                 self.generator,
                 int(self._state.resets[p]),
-                given.source,
                 (*self.notes, *given.notes),
                 self._bounds,
             )

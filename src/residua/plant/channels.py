@@ -15,6 +15,9 @@ from residua.visible import echo
 #: The roles an input of a plant can have, with the letter of its matrices.
 ROLES = {"control": "u", "disturbance": "d", "fault": "f", "noise": "w"}
 
+#: What can be noted of a fault besides name, kind and component.
+FAULT_NOTES = ("description", "check", "unit")
+
 #: How a fault or disturbance enters: a state vector or ``(state, output)``; ``{name: value}`` for either.
 Direction = ArrayLike | tuple[ArrayLike, ArrayLike] | Mapping[str, ArrayLike]
 
@@ -37,11 +40,26 @@ class OperatingPoint:
 
 @dataclass(frozen=True)
 class Fault:
-    """What one fault is: its name, its kind and the component that it belongs to."""
+    """What one fault is: its name, its kind and the component that it belongs to; and notes for who has to act on it.
+
+    Attributes
+    ----------
+    name, kind, component : str
+    description : str
+        What it is, in a sentence.
+    check : str
+        What to check first when it is named.
+    unit : str
+        Of its size: that of the numbers in its direction. Empty for a sensor or actuator fault in the unit of its
+        output or input.
+    """
 
     name: str
     kind: str
     component: str
+    description: str = ""
+    check: str = ""
+    unit: str = ""
 
 
 def number(value: object, what: str) -> float:

@@ -17,6 +17,7 @@ from residua.linear.rank import DEFAULT_RTOL
 from residua.linear.state_space import square
 from residua.plant.algebraic_equations import without_algebraic_equations
 from residua.plant.channels import (
+    FAULT_NOTES,
     Direction,
     Fault,
     OperatingPoint,
@@ -264,6 +265,38 @@ class Plant(PlantFacts):
             b, d = direction(value, self.states, self.outputs, f"fault {name!r}")
             self = self._with_fault(Fault(name, kind, component or name), b, d)
         return self
+
+    def with_fault_notes(self, notes: Mapping[str, Mapping[str, str]]) -> Plant:
+        """Return the plant with notes on its faults, for reports: nothing that is computed depends on them.
+
+        Parameters
+        ----------
+        notes : mapping of str to mapping of str to str
+            Fault name to any of ``description`` (what it is), ``check`` (what to check first when it is named) and
+            ``unit`` (of its size). What is not given stays as it was.
+
+        Raises
+        ------
+        ModelError
+            If the plant has no such fault, or a note is none of these.
+
+        Examples
+        --------
+        >>> import residua as rs
+        >>> tank = rs.Plant([[-0.1]], [[1.0]], [[2.0]]).with_faults({"leak": [-1.0]})
+        >>> tank = tank.with_fault_notes({"leak": {"unit": "cm2", "check": "the bottom valve"}})
+        >>> tank.fault_list[0].check
+        'the bottom valve'
+        """
+        faults = {fault.name: fault for fault in self.fault_list}
+        for name, entries in notes.items():
+            i = arrays.index_of(name, self.faults, "fault notes: fault")
+            for key, text in entries.items():
+                if key not in FAULT_NOTES or not isinstance(text, str):
+                    known = ", ".join(FAULT_NOTES)
+                    raise ModelError(f"notes on fault {name!r}: {key} = {text!r}: expected texts for {known}")
+            faults[self.faults[i]] = replace(faults[self.faults[i]], **entries)
+        return self._with(fault_list=tuple(faults.values()))
 
     def without_faults(self, names: Iterable[str] | str | None = None) -> Plant:
         """Return the plant without the named faults (without any, when omitted)."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from residua.errors import AccuracyError, FileFormatError, ModelError
 from residua.files import read_bytes
 from residua.number_kinds import kind_of
-from residua.plant.channels import OperatingPoint
+from residua.plant.channels import FAULT_NOTES, OperatingPoint
 from residua.plant.plant import Plant
 from residua.plant.toml_entry import Entry, suggestion
 from residua.visible import echo, listed, shortened
@@ -34,7 +34,7 @@ FILE_KEYS = (
     "noise",
 )
 CHANNEL_KEYS = ("names", "units", "operating_point")
-FAULT_KEYS = ("name", "kind", "component", "input", "output", "state")
+FAULT_KEYS = ("name", "kind", "component", "input", "output", "state", *FAULT_NOTES)
 KINDS = ("actuator", "sensor", "component")
 
 
@@ -208,7 +208,14 @@ def _with_fault(plant: Plant, entry: Entry) -> Plant:
     component = entry.text("component", label or name)
     if not component.strip():
         raise entry.error("component", "must not be empty")
-    return _pointing(entry, lambda: plant.with_faults({name: (state, output)}, kind=kind, component=component))
+    notes = {key: entry.text(key) for key in FAULT_NOTES if key in entry}
+
+    def noted() -> Plant:
+        return plant.with_faults({name: (state, output)}, kind=kind, component=component).with_fault_notes(
+            {name: notes}
+        )
+
+    return _pointing(entry, noted)
 
 
 def _vectors(plant: Plant, entry: Entry) -> tuple[NDArray, NDArray]:
