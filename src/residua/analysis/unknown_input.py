@@ -204,7 +204,7 @@ class OrdinaryDecoupling:
         ``[P; W2]``.
     A21, A22, C2 : ndarray
     T, H : ndarray, shapes (n, n) and (n, outputs)
-        ``H C E = E`` with the smallest ``H`` in even units, ``T = I - H C``.
+        ``H C E = E`` with the smallest ``H``, outputs weighted evenly, ``T = I - H C``.
     """
 
     even: EvenPlant
@@ -234,9 +234,10 @@ class OrdinaryDecoupling:
 def _ordinary_decoupling(even: EvenPlant, form: OutputFreeForm, Q: NDArray) -> OrdinaryDecoupling:
     """Cut a plant along its disturbances; the rank condition must hold."""
     n, p, q = len(form.A), len(form.C), Q.shape[1]
-    CQ = without_rounding(form.C, Q)
+    weights = even.output_weights(form.A, form.E, form.C)
+    CQ = weights[:, None] * without_rounding(form.C, Q)
     U, s, Vh = np.linalg.svd(CQ) if CQ.size else (np.eye(p), np.zeros(0), np.eye(q))
-    P, W2 = without_rounding(Vh.T / s, U[:, :q].T), U[:, q:].T
+    P, W2 = without_rounding(Vh.T / s, U[:, :q].T) * weights, U[:, q:].T * weights
     L = left_null_basis(Q)[0].T
     inner = without_rounding(P, form.C)  # P C Q = I
     N = without_rounding(np.hstack([np.eye(n), -Q]), np.vstack([np.eye(n), inner]), L.T)

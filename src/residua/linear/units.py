@@ -67,10 +67,26 @@ def powers_of_two(logarithms: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def system_units(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> Units:
-    """Return the units in which the entries of an ordinary system are nearest to one level.
+    """Return the units, powers of two, in which the entries of an ordinary system are nearest to one level.
 
     That of the largest diagonal entry of ``A``, which no units of states change, or one where the diagonal is zero.
     """
+    v, n, q = _system_potentials(A, B, C, D)
+    T = powers_of_two(v)
+    return Units(T[:n], T[n : n + q], 1.0 / T[n + q :])
+
+
+def output_weights(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> NDArray[np.float64]:
+    """Return the units of the outputs as they come out of the least squares, not rounded.
+
+    For least squares over outputs, whose result is the same in all units then, be they powers of two or not.
+    """
+    v, n, q = _system_potentials(A, B, C, D)
+    return np.exp2(-v[n + q :])
+
+
+def _system_potentials(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> tuple[NDArray[np.float64], int, int]:
+    """Return the potentials of states, inputs and outputs, and the numbers of states and inputs."""
     n = len(A)
     W = np.abs(np.block([[A, B], [C, D]]).astype(float))
     diagonal = W[np.arange(n), np.arange(n)]
@@ -80,9 +96,7 @@ def system_units(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> Units:
     # Nodes: states, inputs, outputs; scaling multiplies the entry from column j to row i by 2^(v_j - v_i).
     row_node = np.r_[np.arange(n), n + q + np.arange(p)].astype(int)
     column_node = np.arange(n + q)
-    v = _potentials(W, row_node, column_node, n + q + p, diagonal, level)
-    T = powers_of_two(v)
-    return Units(T[:n], T[n : n + q], 1.0 / T[n + q :])
+    return _potentials(W, row_node, column_node, n + q + p, diagonal, level), n, q
 
 
 def matrix_units(M: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

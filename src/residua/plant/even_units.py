@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from residua.linear.arrays import frozen
 from residua.linear.balancing import descriptor_units, power_of_two
+from residua.linear.units import output_weights
 from residua.plant.plant import Plant
 
 
@@ -22,12 +23,25 @@ class EvenPlant:
         ``R E S``, ``R A S``, ``R B U``, ``Y C S``, ``Y D U``.
     equations, states, outputs : ndarray
         The diagonals of ``R``, ``S`` and ``Y``, powers of two: ``x = S x_even``, ``y_even = Y y``.
+    even : bool
+        Whether the units are even, and not those of the plant.
     """
 
     plant: Plant
     equations: NDArray[np.float64]
     states: NDArray[np.float64]
     outputs: NDArray[np.float64]
+    even: bool = True
+
+    def output_weights(self, A: NDArray, B: NDArray, C: NDArray) -> NDArray[np.float64]:
+        """Return what least squares over the outputs of a part of the plant weigh them by: ones in given units."""
+        return output_weights(A, B, C, np.zeros((len(C), B.shape[1]))) if self.even else np.ones(len(C))
+
+
+def given_units(plant: Plant) -> EvenPlant:
+    """Return a plant in its own units, for a design that is asked for as its equations say."""
+    n = plant.n_states
+    return EvenPlant(plant, np.ones(n), np.ones(n), np.ones(plant.n_outputs), even=False)
 
 
 def even_plant(plant: Plant, *, explicit: bool = False) -> EvenPlant:

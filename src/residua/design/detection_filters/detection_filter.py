@@ -159,7 +159,8 @@ def directional_filters(
     if not found.detectable:
         bad = ", ".join(f"{z:.4g}" for z in np.atleast_1d(found.unstable_modes))
         raise DesignError(f"no stable filter exists: no measurement sees the mode {bad}; add a sensor")
-    units = _Units.of(A, C, event_matrices(plant, T, chosen))
+    weights = even.output_weights(A, np.zeros((len(A), 0)), C)
+    units = _Units.of(A, C, event_matrices(plant, T, chosen), weights)
     events, unseen = fault_events(units.A, units.C, units.events, rtol=rtol)
     notes = [
         f"{', '.join(event.faults)} share one signature: this filter cannot tell them apart"
@@ -186,7 +187,7 @@ def directional_filters(
     for distance in _margins(A, plant.dt, poles, margin):
         try:
             if pole is not None:
-                gains = [scalar_gain(A, C, pole, asked=poles is not None)]
+                gains = [scalar_gain(A, C, pole, weights, asked=poles is not None)]
             else:
                 gains = [
                     units.plain(
@@ -244,8 +245,8 @@ class _Frame:
 class _Units:
     """The error pair in balanced units, so that directions do not depend on the units of the model.
 
-    Outputs keep their units when there are more of them than independent rows of ``C``: what the gain
-    ignores, and so the plane of a sensor fault, would change with them.
+    Outputs have weights that do not depend on their units when there are more of them than independent rows of ``C``:
+    what the gain ignores, and so the plane of a sensor fault, changes with them.
     """
 
     A: NDArray
@@ -255,12 +256,12 @@ class _Units:
     outputs: NDArray
 
     @staticmethod
-    def of(A: NDArray, C: NDArray, events: dict[str, NDArray]) -> _Units:
+    def of(A: NDArray, C: NDArray, events: dict[str, NDArray], weights: NDArray) -> _Units:
         B = np.hstack([np.zeros((len(A), 0)), *events.values()])
         found = balance_system(A, B, C, np.zeros((len(C), B.shape[1])))
         T = found.own_units
         scaled = found.outputs[:, None] * C * T
-        outputs = found.outputs if decide_rank(scaled).rank == len(C) else np.ones(len(C))
+        outputs = found.outputs if decide_rank(scaled).rank == len(C) else weights
         unit = {name: _unit_columns(L / T[:, None]) for name, L in events.items()}
         return _Units(A / T[:, None] * T, outputs[:, None] * C * T, unit, T, outputs)
 

@@ -22,6 +22,7 @@ from residua.errors import DesignError
 from residua.linear.balancing import without_rounding
 from residua.linear.rank import DEFAULT_RTOL
 from residua.plant import Plant
+from residua.plant.even_units import given_units
 
 
 def robust_detection_filter(
@@ -97,10 +98,11 @@ def robust_detection_filter(
         )
     parts = existence.decomposition
     assert isinstance(parts, OrdinaryDecoupling)
-    form, T, H = parts.form, parts.T, parts.H
-    if H0 is not None:
-        H = decoupling_gain(output_free_form(plant, rtol=rtol), H0) / parts.even.states[:, None] / parts.even.outputs
-        T = decoupling_map(H, parts.even.plant.C)
+    even, form, T, H = parts.even, parts.form, parts.T, parts.H
+    if H0 is not None:  # as the equations say, in the units of the plant
+        even, form = given_units(plant), output_free_form(plant, rtol=rtol)
+        H = decoupling_gain(form, H0)
+        T = decoupling_map(H, plant.C)
     p, q = len(form.W), form.E.shape[1]
     base = Evidence(
         method="robust detection filter",
@@ -111,7 +113,7 @@ def robust_detection_filter(
     )
     return directional_filters(
         plant,
-        parts.even,
+        even,
         without_rounding(T, form.A),
         form.C,
         T=T,
