@@ -16,8 +16,10 @@ from exact_campaign.answers import Record, Subject, plain
 _LEAK = 1e-6
 #: A leak above this multiple of the evidence contradicts it.
 _BEYOND_EVIDENCE = 100.0
-#: A response below this, relative to what the residual is made of, is silence; above the next, an answer.
-_SILENT, _ANSWER = 1e-9, 1e-6
+#: A response below this, relative to what the residual is made of, is silence; below the second, nearly.
+_SILENT, _NEARLY_SILENT = 1e-11, 1e-9
+#: A response above this, relative to its terms, is an answer; above the second, nearly.
+_ANSWER, _NEARLY_ANSWER = 1e-5, 1e-6
 #: A response off the claimed subspace by more than this fraction contradicts it; between the two it is close: what is
 #: below a millionth, in the units of the design, is no direction.
 _NEAR, _OFF = 1e-5, 1e-3
@@ -83,14 +85,14 @@ def _structure(record: Record, found: Paths, structure: NDArray[np.bool_], fault
     there = (heights > _NOTHING * heights.max(initial=0.0))[:, None]
     share = (total / np.where(reach > 0, reach, 1.0)).max(axis=0)
     ratio = np.where(total > 1e-7 * reach, total / np.where(terms > 0, terms, 1.0), 0.0).max(axis=0)
-    for i, j in np.argwhere(structure & there & (share < _SILENT)):
-        text = (
-            f"residual {i + 1} is marked for {faults[j]!r}, whose response is {share[i, j]:.1e} of what it is made of"
-        )
-        record.problem("wrong", "structure", f"{record.function}: {text}")
-    for i, j in np.argwhere(~structure & there & (ratio > _ANSWER)):
-        text = f"residual {i + 1} is not marked for {faults[j]!r}, whose response is {ratio[i, j]:.1e} of its terms"
-        record.problem("wrong", "structure", f"{record.function}: {text}")
+    for i, j in np.argwhere(structure & there & (share < _NEARLY_SILENT)):
+        told = f"residual {i + 1} is marked for {faults[j]!r}, which is {share[i, j]:.1e} of what it is made of"
+        outcome = "wrong" if share[i, j] < _SILENT else "close"
+        record.problem(outcome, "structure", f"{record.function}: {told}")
+    for i, j in np.argwhere(~structure & there & (ratio > _NEARLY_ANSWER)):
+        told = f"residual {i + 1} is not marked for {faults[j]!r}, which is {ratio[i, j]:.1e} of its terms"
+        outcome = "wrong" if ratio[i, j] > _ANSWER and share[i, j] > 0.1 * _ANSWER else "close"
+        record.problem(outcome, "structure", f"{record.function}: {told}")
 
 
 def _subspaces(record: Record, found: Paths, made: Any, faults: Sequence[str]) -> None:
