@@ -16,8 +16,10 @@ from exact_campaign.answers import Record, Subject, plain
 _LEAK = 1e-6
 #: A leak above this multiple of the evidence contradicts it.
 _BEYOND_EVIDENCE = 100.0
-#: A response below this, relative to what the residual is made of, is silence; above the next, an answer.
-_SILENT, _ANSWER = 1e-9, 1e-6
+#: A response below this, relative to what the residual is made of, is silence; below the second, nearly.
+_SILENT, _NEARLY_SILENT = 1e-11, 1e-9
+#: A response above this, relative to its terms, is an answer; above the second, nearly.
+_ANSWER, _NEARLY_ANSWER = 1e-5, 1e-6
 #: A response off the claimed subspace by more than this fraction contradicts it; between the two it is close: what is
 #: below a millionth, in the units of the design, is no direction.
 _NEAR, _OFF = 1e-5, 1e-3
@@ -32,13 +34,15 @@ def examine_generator(subject: Subject, record: Record, made: Any, plant: Any, p
     y = _output_units(subject, plant)
     found = paths(made.system, plant, y, _frequencies(subject, plant))
     decoupled = any(name in made.evidence.decoupling for name in ("disturbance", "everything ignored"))
-    _leak(record, found, made, decoupled)
     structure = np.asarray(made.structure)
-    _structure(record, found, structure, plant.faults)
-    _subspaces(record, found, made, plant.faults)
+    live = _live(found, structure)
+    _leak(record, found, made, decoupled, live)
+    _structure(record, found, structure, plant.faults, live)
+    _subspaces(record, found, made, plant.faults, live)
     if not made.system.is_stable():
         record.problem("wrong", "stability", f"not stable: {made.system.poles()}")
-    gain = made.evidence.conditions.get("norm of the gain", 0.0)
+    norms = [value for name, value in made.evidence.conditions.items() if name.startswith("norm of")]
+    gain = max(norms, default=0.0)
     if subject.by.name == "base" and gain > _GAIN * max(1.0, subject.rates):
         record.problem("wrong", "gain", f"{record.function}: a gain of norm {gain:.1e} for a plant of small fractions")
     record.facts |= {
@@ -62,10 +66,16 @@ def _frequencies(subject: Subject, plant: Any) -> list[float]:
     return own if plant.dt or subject.rates < 50 else [*own, *(x * subject.rates for x in (0.0371, 1.311))]
 
 
-def _leak(record: Record, found: Paths, made: Any, decoupled: bool) -> None:
+def _live(found: Paths, structure: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Tell which residuals are more than rounding: marked for some fault, or not small against all others."""
+    heights = found.reach.max(axis=(0, 2), initial=0.0)
+    return structure.any(axis=1) | (heights > _NOTHING * heights.max(initial=0.0))
+
+
+def _leak(record: Record, found: Paths, made: Any, decoupled: bool, live: NDArray[np.bool_]) -> None:
     groups = [("control", found.to_controls)] + ([("disturbance", found.to_disturbances)] if decoupled else [])
     for name, columns in groups:
-        ratio = found.leak(columns)
+        ratio = found.leak(columns)[:, live]
         if not ratio.size:
             continue
         worst = float(ratio.max())
@@ -77,24 +87,25 @@ def _leak(record: Record, found: Paths, made: Any, decoupled: bool) -> None:
             record.problem("evidence", "leak beyond evidence", text)
 
 
-def _structure(record: Record, found: Paths, structure: NDArray[np.bool_], faults: Sequence[str]) -> None:
+def _structure(
+    record: Record, found: Paths, structure: NDArray[np.bool_], faults: Sequence[str], live: NDArray[np.bool_]
+) -> None:
     total, terms, reach = (np.abs(M[:, :, found.to_faults]) for M in (found.total, found.terms, found.reach))
-    heights = reach.max(axis=(0, 2), initial=0.0)
-    there = (heights > _NOTHING * heights.max(initial=0.0))[:, None]
+    there = live[:, None]
     share = (total / np.where(reach > 0, reach, 1.0)).max(axis=0)
     ratio = np.where(total > 1e-7 * reach, total / np.where(terms > 0, terms, 1.0), 0.0).max(axis=0)
-    for i, j in np.argwhere(structure & there & (share < _SILENT)):
-        text = (
-            f"residual {i + 1} is marked for {faults[j]!r}, whose response is {share[i, j]:.1e} of what it is made of"
-        )
-        record.problem("wrong", "structure", f"{record.function}: {text}")
-    for i, j in np.argwhere(~structure & there & (ratio > _ANSWER)):
-        text = f"residual {i + 1} is not marked for {faults[j]!r}, whose response is {ratio[i, j]:.1e} of its terms"
-        record.problem("wrong", "structure", f"{record.function}: {text}")
+    for i, j in np.argwhere(structure & there & (share < _NEARLY_SILENT)):
+        told = f"residual {i + 1} is marked for {faults[j]!r}, which is {share[i, j]:.1e} of what it is made of"
+        outcome = "wrong" if share[i, j] < _SILENT else "close"
+        record.problem(outcome, "structure", f"{record.function}: {told}")
+    for i, j in np.argwhere(~structure & there & (ratio > _NEARLY_ANSWER)):
+        told = f"residual {i + 1} is not marked for {faults[j]!r}, which is {ratio[i, j]:.1e} of its terms"
+        outcome = "wrong" if ratio[i, j] > _ANSWER and share[i, j] > 0.1 * _ANSWER else "close"
+        record.problem(outcome, "structure", f"{record.function}: {told}")
 
 
-def _subspaces(record: Record, found: Paths, made: Any, faults: Sequence[str]) -> None:
-    total = found.total[:, :, found.to_faults]
+def _subspaces(record: Record, found: Paths, made: Any, faults: Sequence[str], live: NDArray[np.bool_]) -> None:
+    total = np.where(live[:, None], found.total[:, :, found.to_faults], 0.0)
     size = found.reach[:, :, found.to_faults].max(axis=(0, 2), initial=0.0)
     unit = np.where(size > 0, size, 1.0)
     for j, name in enumerate(faults):
