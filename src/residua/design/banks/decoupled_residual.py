@@ -22,6 +22,7 @@ from residua.design.internal_form import check_decoupling
 from residua.design.observers.observer_gain import margin_from, place, pole_evidence
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace, arrays
+from residua.linear.observable_part import UndetectableError
 from residua.linear.placement import Placement
 from residua.linear.rank import DEFAULT_RTOL
 from residua.linear.riccati import filter_riccati
@@ -122,6 +123,8 @@ def _designed(
             return _assembled(plant, parts, quotient, attempt(), ignored, note)
         except AccuracyError as error:
             failure = failure or error
+        except UndetectableError as error:
+            failure = failure or AccuracyError(f"what is left of the plant is seen by construction, but {error}")
     assert failure is not None  # there is at least one attempt
     raise failure
 
