@@ -184,7 +184,7 @@ def _grouped(bases: Mapping[str, NDArray]) -> list[tuple[list[str], NDArray]]:
 
 
 def _told_apart(faults: list[str], basis: NDArray, lines: Mapping[str, NDArray]) -> list[tuple[list[str], NDArray]]:
-    """Return faults that share a line or plane by their steady directions in it, where all have one and these differ."""
+    """Return faults that share a plane by their steady directions in it, where all have one and these differ."""
     if len(faults) == 1 or basis.shape[1] == 1 or any(fault not in lines for fault in faults):
         return [(faults, basis)]
     parts = _grouped({fault: lines[fault] for fault in faults})
