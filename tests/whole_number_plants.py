@@ -44,6 +44,8 @@ def whole_number_plant(seed: int) -> rs.Plant:
         A = A / 4.0 if kind not in ("integrators", "delays") else A + (kind == "integrators") * np.eye(n)
     C = _sensors(kind, p, n, rng)
     B = rng.choice(_FEW, (n, int(rng.integers(1, 3)))) * 1.0
+    if n:
+        B[0, ~B.any(axis=0)] = 1.0
     D = rng.choice(_FEW, (p, B.shape[1])) * 1.0 if kind in ("feedthrough", "no states") else None
     E = _descriptor(kind, A, rng)
     if kind == "zero at the limit" and n > 1:  # an input that passes a differentiator

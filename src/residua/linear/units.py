@@ -27,6 +27,11 @@ RESIDUE = 64 * np.finfo(float).eps
 #: simple models are made, are never halfway between two powers of two then.
 _OFF_TIES = 0.01371
 _ROUNDS = 3
+#: Where the largest entry is left this far above the one in the middle, the entries are no data of one model in other
+#: units: residue, which linearised models have in many places. What is residue in the units that the model was written
+#: in is left out of the fit then.
+_FAR = 2.0**26
+_WIDE = 1e-11
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +94,15 @@ def _system_potentials(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> tuple[
     """Return the potentials of states, inputs and outputs, and the numbers of states and inputs."""
     n = len(A)
     W = np.abs(np.block([[A, B], [C, D]]).astype(float))
+    found = _system_units(W, n)
+    if _is_far(W, np.r_[1 / found.states, found.outputs], np.r_[found.states, found.inputs]):
+        found = _system_units(_without_wide_residue(W), n)
+    return found
+
+
+def _system_units(W: NDArray[np.float64], n: int) -> Units:
+    """Return the units for the sizes of the entries of ``[A B; C D]`` with ``n`` states."""
+    W = W.copy()
     diagonal = W[np.arange(n), np.arange(n)]
     level = float(np.log2(diagonal.max())) if np.any(diagonal) else 0.0
     W[np.arange(n), np.arange(n)] = 0.0  # the units of the states do not change it
@@ -102,6 +116,11 @@ def _system_potentials(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> tuple[
 def matrix_units(M: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the factors of rows and of columns with which the entries of a matrix are nearest to one."""
     W = np.abs(np.asarray(M, dtype=float))
+    rows, columns = _matrix_units(W)
+    return _matrix_units(_without_wide_residue(W)) if _is_far(W, rows, columns) else (rows, columns)
+
+
+def _matrix_units(W: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     p, q = W.shape
     v = _potentials(W, np.arange(p), p + np.arange(q), p + q, np.zeros(0), 0.0)
     T = powers_of_two(v)
@@ -114,6 +133,14 @@ def pencil_units(A: NDArray, E: NDArray) -> PencilUnits:
     A bordered pencil has further rows and columns in ``A``; those of ``E`` are zero there.
     """
     a, e = np.abs(np.asarray(A, dtype=float)), np.abs(np.asarray(E, dtype=float))
+    found = _pencil_units(a, e)
+    if _is_far(np.maximum(a, found.unit * e), found.rows, found.columns):
+        found = _pencil_units(_without_wide_residue(a), _without_wide_residue(e))
+    return found
+
+
+def _pencil_units(a: NDArray[np.float64], e: NDArray[np.float64]) -> PencilUnits:
+    """Return the same for the sizes of the entries."""
     unit = 0.0
     p = len(a)
     for _ in range(_ROUNDS):
@@ -127,6 +154,21 @@ def pencil_units(A: NDArray, E: NDArray) -> PencilUnits:
         a, e = np.where(keep_a, a, 0.0), np.where(keep_e, e, 0.0)
     T = powers_of_two(v)
     return PencilUnits(1.0 / T[:p], T[p:], float(powers_of_two(np.array(unit))))
+
+
+def _is_far(W: NDArray[np.float64], rows: NDArray[np.float64], columns: NDArray[np.float64]) -> bool:
+    """Tell whether residue has drawn a fit off: the largest entry is left far above the one in the middle."""
+    scaled = rows[:, None] * W * columns
+    present = scaled[scaled > 0]
+    return bool(present.size and present.max() > _FAR * np.median(present))
+
+
+def _without_wide_residue(W: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return entries without those that linearisation or identification leaves of nothing, in the units at hand."""
+    if not W.size:
+        return W
+    floor = _WIDE * np.minimum(W.max(axis=1, keepdims=True), W.max(axis=0, keepdims=True))
+    return np.where(floor < W, W, 0.0)
 
 
 def without_residue(M: NDArray[np.float64], rows: NDArray | None = None, columns: NDArray | None = None) -> NDArray:

@@ -7,13 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.linear.units import PencilUnits, pencil_units, system_units, without_residue
+from residua.linear.units import PencilUnits, pencil_units, system_units
 from residua.plant.plant import Plant
 
 Factors = NDArray[np.float64]
-#: Where the largest entry is this far above the one in the middle, residue has drawn the fit off: entries that are
-#: residue in the units that the model was written in are left out of it then.
-_FAR = 2.0**26
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +58,6 @@ def canonical_units(plant: Plant, *, controls: bool = True) -> PlantUnits:
     B, D = (np.hstack([role[k] for role in roles]) for k in (0, 1))
     bordered = np.block([[plant.A, B], [plant.C, D]])
     found = _fitted(bordered, plant)
-    if _largest(found, bordered, plant) > _FAR:
-        found = _fitted(np.where(without_residue(bordered) > 0, bordered, 0.0), plant)
     d, f = plant.Bd.shape[1], plant.Bf.shape[1]
     n = plant.n_states
     rows, (states, signals) = found.rows, (found.columns[:n], found.columns[n:])
@@ -78,16 +73,6 @@ def _fitted(bordered: NDArray[np.float64], plant: Plant) -> PencilUnits:
     found = system_units(bordered[:n, :n], bordered[:n, n:], bordered[n:, :n], bordered[n:, n:])
     rows = np.concatenate([1 / found.states, found.outputs])
     return PencilUnits(rows, np.concatenate([found.states, found.inputs]), 1.0)
-
-
-def _largest(found: PencilUnits, bordered: NDArray[np.float64], plant: Plant) -> float:
-    """Return the largest entry in fitted units over the one in the middle."""
-    scaled = found.rows[:, None] * np.abs(bordered) * found.columns
-    if plant.E is not None:
-        dynamic = found.unit * _padded(np.abs(plant.E), bordered.shape)
-        scaled = np.maximum(scaled, found.rows[:, None] * dynamic * found.columns)
-    present = scaled[scaled > 0]
-    return float(present.max() / np.median(present)) if present.size else 1.0
 
 
 def _padded(E: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:

@@ -147,9 +147,10 @@ def quotient_filter(plant: Plant, parts: ExplicitParts, quotient: Quotient, gain
     K = quotient.inject + gain @ quotient.read
     n_y = plant.n_outputs
     T = _without_rounding(quotient.T1 - K[:, n_y:] @ parts.algebra) * parts.equations
-    V = quotient.read[:, n_y:] @ parts.algebra * parts.equations
-    used = _above_rounding(K[:, :n_y]) | _above_rounding(quotient.read[:, :n_y])
-    Ky, Hy = K[:, :n_y] * parts.outputs * used, quotient.read[:, :n_y] * parts.outputs * used
+    read = _without_rounding(quotient.read)
+    V = read[:, n_y:] @ parts.algebra * parts.equations
+    used = _above_rounding(K[:, :n_y]) | _above_rounding(read[:, :n_y])
+    Ky, Hy = K[:, :n_y] * parts.outputs * used, read[:, :n_y] * parts.outputs * used
     system = StateSpace(
         F,
         np.hstack([T @ plant.Bu - Ky @ plant.Du, Ky]),

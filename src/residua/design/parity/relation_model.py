@@ -102,13 +102,15 @@ def relation_model(source: Plant | InputOutputModel) -> RelationModel:
     return RelationModel(source, np.zeros((n + source.n_outputs, 0)), basis_for(source, n + 1), n, notes)
 
 
-def state_pencil(plant: Plant, columns: NDArray[np.float64], basis: PolynomialBasis) -> Pencil:
-    """Return ``[zE - A; -C]`` with further constant columns."""
+def state_pencil(
+    plant: Plant, columns: NDArray[np.float64], basis: PolynomialBasis, *, canonical: bool = False
+) -> Pencil:
+    """Return ``[zE - A; -C]`` with further constant columns; ``canonical``: of a plant in units of its own."""
     n, m = plant.n_states, plant.n_outputs
     E = np.eye(n) if plant.E is None else plant.E
     P0 = np.hstack([np.vstack([-plant.A, -plant.C]), columns])
     P1 = np.hstack([np.vstack([E, np.zeros((m, n))]), np.zeros((n + m, columns.shape[1]))])
-    return pencil(P0, P1, basis)
+    return pencil(P0, P1, basis, canonical=canonical)
 
 
 def basis_for(plant: Plant, count: int) -> PolynomialBasis:

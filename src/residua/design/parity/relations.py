@@ -32,6 +32,8 @@ _REMAINDER = 1e-8
 _LOST = "digits lost to cancellation"
 #: Measurements seldom have more digits than this.
 _MANY = 6.0
+#: A moving average in which more digits cancel is made only for those who ask for its poles, all zero.
+_TOO_MANY = 10.0
 #: Poles of the filters of parity relations: one list for all, or one for each residual by name.
 Poles = Sequence[complex] | ArrayLike | Mapping[str, Sequence[complex]]
 
@@ -171,7 +173,8 @@ class ParityRelations:
             If the number of poles does not fit, they are not closed under conjugation, or not stable; or if they differ
             between residuals that keep directions together, which would bend them.
         AccuracyError
-            If rounding in the coefficients shows in the residual.
+            If rounding in the coefficients shows in the residual, or, where no poles are given, more than ten digits
+            cancel in the moving average.
 
         References
         ----------
@@ -179,7 +182,10 @@ class ParityRelations:
         """
         units = canonical_units(self.plant)
         own = self._in_units(units)
-        return replace(in_units_of(self.plant, units, own._filtered(own._poles(poles), method, notes)), relations=self)
+        return replace(
+            in_units_of(self.plant, units, own._filtered(own._poles(poles), method, notes, asked=poles is not None)),
+            relations=self,
+        )
 
     def _in_units(self, units: PlantUnits) -> ParityRelations:
         """Return the relations between the signals of the scaled plant."""
@@ -190,7 +196,9 @@ class ParityRelations:
         )
         return replace(self, plant=units.applied(self.plant), rows=tuple(rows))
 
-    def _filtered(self, chosen: list[NDArray[np.complex128]], method: str, notes: Sequence[str]) -> ResidualGenerator:
+    def _filtered(
+        self, chosen: list[NDArray[np.complex128]], method: str, notes: Sequence[str], *, asked: bool
+    ) -> ResidualGenerator:
         """Return the filter with checked poles, for a plant in its own units."""
         bases = [pole_basis(one) for one in chosen]
         plant = self.plant
@@ -220,6 +228,11 @@ class ParityRelations:
         lost = digits_lost(rows, made)
         if lost is None:
             return made
+        if lost > _TOO_MANY and not asked and plant.is_discrete:
+            raise AccuracyError(
+                f"as a moving average of order {max(self.orders)}, {_cancelling(lost)}; or ask for it all the same, "
+                f"with poles of zero, {max(self.orders)} of them"
+            )
         told = (_cancelling(lost),) if lost > _MANY else ()
         return replace(made, evidence=made.evidence.extended(conditions={_LOST: lost}, notes=told))
 

@@ -247,4 +247,5 @@ def _search(model: RelationModel, ignored: Sequence[str | int]) -> _Search:
             break
         used = used[~alone]
     height = np.concatenate([units.equations, units.outputs])
-    return _Search(pencil(whole.P0[used], whole.P1[used], own.basis), used, own.faults, height)
+    part = pencil(whole.P0[used], whole.P1[used], own.basis, canonical=True)
+    return _Search(part, used, own.faults, height)
