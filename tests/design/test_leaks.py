@@ -246,7 +246,7 @@ def test_measurements_used_up_are_said_to_be_so(seed: int) -> None:
         C = rng.integers(-3, 4, (p, n)) * (rng.random((p, n)) < 0.5)
     T, Y = (2.0 ** rng.integers(-20, 21, k)[:, None] for k in (n, p))
     plant = rs.Plant(T * A / T.T, T * B, Y * C / T.T, dt=0.1).with_faults({"x1": T[:, 0] * np.eye(n)[0]})
-    with pytest.raises(rs.errors.DesignError, match="zero whatever fails|detectable|no measurement sees"):
+    with pytest.raises(rs.errors.DesignError, match=r"zero whatever fails|detectable|no measurement sees"):
         rs.design.reduced_order_observer(plant).residual_generator()
 
 
