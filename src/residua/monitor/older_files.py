@@ -21,8 +21,8 @@ def renewed(content: dict[str, Any]) -> dict[str, Any]:
 
     In a file of version 3 nothing was matched with responses; before version 5 every test was of the norm, and when a
     standing alarm began was not known: it stays so until it ends. ``bounds`` are an entry of version 5 only where there
-    are any. A file from before version 6 has no checksum, and its signatures have rounding in the rows of residuals that
-    a fault does not reach, where there are zeros now.
+    are any. A file from before version 6 has no checksum, and in its signatures rounding where there are zeros now: in
+    the rows of residuals that a fault does not reach.
     """
     content = {"bounds": {}} | content
     if content["version"] == 3:
