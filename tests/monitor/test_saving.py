@@ -17,6 +17,7 @@ from older_files import as_version
 from residua.decide import NormThreshold
 from residua.errors import FileFormatError
 from residua.library import three_tank
+from residua.monitor.encoding import array_out
 
 
 def continuous() -> rs.Plant:
@@ -382,3 +383,16 @@ def test_files_of_earlier_versions_are_read(version: int, tmp_path: Path) -> Non
     path.write_text(json.dumps(with_checksum))
     with pytest.raises(FileFormatError, match="'checksum' is unknown"):
         rs.Monitor.load(path)
+
+
+def test_rounding_in_the_signatures_of_an_older_file_is_no_answer_to_a_fault(tmp_path: Path) -> None:
+    plant = rs.Plant([[-1, 0], [0, -2]], [[1], [1]], np.eye(2)).with_faults({"a": [1, 0], "b": [1, 1]})
+    design = rs.design.detection_filter(plant)
+    path = tmp_path / "m.json"
+    rs.Monitor(design, dt=0.1, test=NormThreshold(threshold=1.0)).save(path)
+    content = json.loads(path.read_text())
+    for name in ("design", "sampled"):
+        content[name]["subspaces"]["a"] = array_out(np.array([[1.0], [1e-17]]))
+    path.write_text(json.dumps(as_version(5, content)))
+    read = rs.Monitor.load(path).generator
+    np.testing.assert_array_equal(read.structure, [[True, True], [False, True]])

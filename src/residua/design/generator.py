@@ -25,6 +25,7 @@ from residua.design.signatures import signature_bases
 from residua.design.transformable import Transformable
 from residua.errors import AccuracyError
 from residua.linear import StateSpace, decide_rank
+from residua.linear.response_terms import in_even_units
 from residua.plant import Plant
 
 if TYPE_CHECKING:
@@ -160,9 +161,11 @@ class ResidualGenerator(Transformable):
         form = self._internal_form
         skip = range(len(self.faults), len(self.faults) + len(self.plant.disturbances))
         columns = [i for i in range(form.n_inputs) if i not in skip]
-        response = form.frequency_response(frequency_grid(form))[:, :, columns]
-        units = np.abs(response).max(axis=(0, 2), initial=0.0)
-        scaled = response / np.where(units > 0, units, 1.0)[:, None]
+        even = in_even_units(form.select(inputs=columns)).system
+        scaled = even.frequency_response(frequency_grid(form))
+        for axes in ((0, 1), (0, 2)):  # each input, then each residual, has its own units
+            units = np.abs(scaled).max(axis=axes, keepdims=True, initial=0.0)
+            scaled = scaled / np.where(units > 0, units, 1.0)
         flat = scaled.transpose(1, 0, 2).reshape(self.n_residuals, -1)
         return decide_rank(np.hstack([flat.real, flat.imag]), rtol=1e-6).rank
 

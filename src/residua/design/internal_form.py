@@ -279,7 +279,7 @@ def _products(Q: NDArray, P: NDArray, n_u: int) -> NDArray[np.float64]:
 
 def _alive(sizes: NDArray, terms: NDArray) -> NDArray[np.bool_]:
     """Tell which responses are more than the rounding of their terms, at some frequency."""
-    return (sizes > _NOTHING * terms).any(axis=0)
+    return np.any(sizes > _NOTHING * terms, axis=0)
 
 
 def check_decoupling(generator: StateSpace, plant: Plant, *, decoupled: bool, limit: float = 1e-7) -> dict[str, float]:

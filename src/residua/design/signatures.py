@@ -89,7 +89,7 @@ def fault_responses(
     found = response_terms(scaled, points, B, D)
     Q = np.abs(generator.frequency_response(w)[:, :, n_u:]) * own.outputs[:, None] / p.outputs
     driven = _largest(Q, np.abs(p.system.frequency_response(w)))
-    reached = (np.abs(found.values) > _NOTHING * (found.terms + driven)).any(axis=0)
+    reached = np.any(np.abs(found.values) > _NOTHING * (found.terms + driven), axis=0)
     terms = found.terms + driven if T is None else found.terms
     return FaultResponses(scaled, np.where(reached, found.values, 0.0), terms, reached, own.outputs)
 

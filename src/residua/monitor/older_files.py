@@ -21,7 +21,8 @@ def renewed(content: dict[str, Any]) -> dict[str, Any]:
 
     In a file of version 3 nothing was matched with responses; before version 5 every test was of the norm, and when a
     standing alarm began was not known: it stays so until it ends. ``bounds`` are an entry of version 5 only where there
-    are any. A file from before version 6 has no checksum.
+    are any. A file from before version 6 has no checksum, and in its signatures rounding where there are zeros now: in
+    the rows of residuals that a fault does not reach.
     """
     content = {"bounds": {}} | content
     if content["version"] == 3:
@@ -32,7 +33,23 @@ def renewed(content: dict[str, Any]) -> dict[str, Any]:
         if CHECKSUM in content:
             raise FileFormatError(f"the entry {CHECKSUM!r} is unknown in version {content['version']}")
         content[CHECKSUM] = None
+        for name in ("design", "sampled"):
+            if content.get(name) is not None:
+                content[name] = _with_silent_rows(table_in(content[name], name), name)
     return content
+
+
+def _with_silent_rows(design: dict[str, Any], where: str) -> dict[str, Any]:
+    """Return a design with zeros for what was rounding beside the largest entry of its residual in any signature."""
+    if "subspaces" not in design:
+        return design
+    bases = {name: array_in(M, f"{where}.subspaces.{name}") for name, M in table_in(design["subspaces"], where).items()}
+    if not bases or any(M.ndim != 2 for M in bases.values()) or len({len(M) for M in bases.values()}) > 1:
+        return design  # what reads the signatures says what is wrong
+    reach = np.array([np.abs(M).max(axis=1, initial=0.0) for M in bases.values()])
+    seen = (reach > 1e-7 * reach.max(axis=0)) & (reach > 0)
+    kept = {name: array_out(np.where(row[:, None], M, 0.0)) for row, (name, M) in zip(seen, bases.items(), strict=True)}
+    return design | {"subspaces": kept}
 
 
 def _with_matched(content: dict[str, Any]) -> None:
