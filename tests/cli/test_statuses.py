@@ -41,8 +41,9 @@ def ways(made: Path) -> dict[str, tuple[object, ...]]:
 
 @full
 @posix
-@pytest.mark.parametrize("unbuffered", ["", "1"])
-@pytest.mark.parametrize("way", ways(Path()))
+@pytest.mark.parametrize(
+    ("way", "unbuffered"), [*((way, "") for way in ways(Path())), *((way, "1") for way in ("version", "json", "alarm"))]
+)
 def test_a_full_output_is_an_error(way: str, unbuffered: str, made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONUNBUFFERED", unbuffered)
     done = by_shell(">/dev/full", *ways(made)[way])
@@ -55,8 +56,13 @@ def test_a_full_output_is_an_error(way: str, unbuffered: str, made: Path, monkey
 
 @full
 @posix
-@pytest.mark.parametrize("where", ["2>/dev/full", "2>&-"])
-@pytest.mark.parametrize("way", ways(Path()))
+@pytest.mark.parametrize(
+    ("way", "where"),
+    [
+        *((way, "2>/dev/full") for way in ways(Path())),
+        *((way, "2>&-") for way in ("usage", "error", "alarm", "no alarm")),
+    ],
+)
 def test_errors_that_nobody_can_read_keep_their_status(way: str, where: str, made: Path) -> None:
     done = by_shell(where, *ways(made)[way])
     wrong = way in ("nothing", "usage", "unknown", "error")

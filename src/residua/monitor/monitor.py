@@ -370,7 +370,23 @@ class Monitor:
 
     @staticmethod
     def load(path: str | Path) -> Monitor:
-        """Read a monitor that :meth:`save` wrote; it goes on where it stopped, bit for bit."""
+        """Read a monitor that :meth:`save` wrote; it goes on where it stopped, bit for bit.
+
+        Parameters
+        ----------
+        path : str or Path
+
+        Returns
+        -------
+        Monitor
+
+        Raises
+        ------
+        FileFormatError
+            If the file is no monitor, an entry is missing, unknown or not what it may be (the message names it), or the
+            content is not what was saved, by its checksum. A file that was edited on purpose says so by
+            ``"checksum": null``; its monitor then says so in every diagnosis.
+        """
         from residua.monitor.saving import load_monitor
 
         return load_monitor(path)
