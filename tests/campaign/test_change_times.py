@@ -1,4 +1,4 @@
-"""How often the interval of the beginning of an alarm holds it: steps, ramps, white and slow noise, 1 to 52 residuals."""
+"""How often the interval of the beginning of an alarm holds it: steps, ramps, white, slow noise, 1 to 52 residuals."""
 
 from __future__ import annotations
 
