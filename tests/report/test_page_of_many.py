@@ -12,11 +12,10 @@ import pytest
 import residua as rs
 from page_reader import read, words
 from report_examples import diagnosis, generator
-from residua.monitor.alarm import Beginning
+from residua.monitor.alarm import Beginning, Size
 from residua.report.charts import chart_data
 from residua.report.choosing import SHOWN_FAULTS, look_alikes, shown_groups, signal_order
 from residua.report.contributions import averaged_residuals, inside_band, shares_of_statistic
-from residua.report.look import steady_size
 from residua.report.page import Section, render
 from residua.report.text import escape, some, visible
 
@@ -91,13 +90,11 @@ def test_what_to_look_at(many: rs.Diagnosis) -> None:
     text = words(render([Section("", many)], "t"))
     assert "What to look at Fault Component Kind" in text
     assert "fouling 7 fouling 7 component A tray is fouled. tray 7: pressure drop" in text
+    assert "Estimated size" not in text, "nothing estimates it"
     main = many.main_alarm
     assert main is not None
-    size = steady_size(many, main, "fouling 7")
-    assert size == pytest.approx(0.5, rel=0.15)
-    assert f"{size:.2g} K/min" in text
-    assert "Size, if constant by now" in text
-    assert steady_size(many, main, "fouling 20") is None, "its direction does not fit"
+    sized = replace(main, sizes=(Size("fouling 7", 0.52, 0.5, "K/min"),))
+    assert "0.52 K/min (last 0.5 K/min)" in words(render([Section("", replace(many, alarms=(sized,)))], "t"))
     assert "What to look at" not in words(render([Section("", diagnosis(fault=False))], "t"))
 
 
