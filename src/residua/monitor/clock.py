@@ -10,6 +10,8 @@ from functools import cached_property
 #: From here on a time since the start is told in hours as well, and a length in larger units than seconds.
 LONG_TIME, LONG = 7200.0, 600.0
 _MINUTE, _HOUR, _DAY = 60.0, 3600.0, 86400.0
+#: Beyond these seconds, 300 years, nobody counts days.
+_MOST = 1e10
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ class Clock:
             except OverflowError:
                 pass
         text = f"{_short(seconds, 7)} s"
-        return text if abs(seconds) < LONG_TIME else f"{length(seconds)} ({text})"
+        return text if not LONG_TIME <= abs(seconds) < _MOST else f"{length(seconds)} ({text})"
 
     def _clock_time(self, moment: datetime) -> str:
         digits = max(0, min(6, math.ceil(-math.log10(self.step) - 1e-9))) if 0 < self.step < 1 else 0
@@ -69,7 +71,7 @@ def length(seconds: float) -> str:
     if not math.isfinite(seconds):
         return "–"
     sign, size = ("−" if seconds < 0 else ""), abs(seconds)
-    if size < LONG:
+    if not LONG <= size < _MOST:
         return f"{sign}{_short(size, 4)} s"
     for large, name, small, part in ((_DAY, "d", _HOUR, "h"), (_HOUR, "h", _MINUTE, "min")):
         if size >= large * (2 if large == _DAY else 1):

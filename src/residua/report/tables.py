@@ -174,10 +174,10 @@ def _structure_in_short(faults: Sequence[str], names: Sequence[str], fires_for: 
         text = _pattern_text(fires_for[:, members[0]], names, what)
         rows.append([_name(some((faults[j] for j in members), SHOWN_FAULTS)), escape(text)])
     caption = f"Which {what} answer to which fault, {len(faults)} faults in {len(rows)} patterns"
-    table = html_table(["What fails", "What answers"], rows, caption=caption)
+    header = ["What fails", "What answers"]
     if len(rows) <= SHOWN_FAULTS:
-        return table
-    return f'<details class="more"><summary>{escape(caption)}</summary>{table}</details>'
+        return html_table(header, rows, caption=caption)
+    return f'<details class="more"><summary>{escape(caption)}</summary>{html_table(header, rows)}</details>'
 
 
 def _pattern_text(fires: NDArray[np.bool_], names: Sequence[str], what: str) -> str:
