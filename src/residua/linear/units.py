@@ -76,9 +76,8 @@ def system_units(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> Units:
 
     That of the largest diagonal entry of ``A``, which no units of states change, or one where the diagonal is zero.
     """
-    v, n, q = _system_potentials(A, B, C, D)
-    T = powers_of_two(v)
-    return Units(T[:n], T[n : n + q], 1.0 / T[n + q :])
+    n, q = len(A), np.shape(B)[1]
+    return _rounded(_system_potentials(A, B, C, D), n, q)
 
 
 def output_weights(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> NDArray[np.float64]:
@@ -86,22 +85,28 @@ def output_weights(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> NDArray[np
 
     For least squares over outputs, whose result is the same in all units then, be they powers of two or not.
     """
-    v, n, q = _system_potentials(A, B, C, D)
-    return np.exp2(-v[n + q :])
+    return np.exp2(-_system_potentials(A, B, C, D)[len(A) + np.shape(B)[1] :])
 
 
-def _system_potentials(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> tuple[NDArray[np.float64], int, int]:
-    """Return the potentials of states, inputs and outputs, and the numbers of states and inputs."""
+def _rounded(v: NDArray[np.float64], n: int, q: int) -> Units:
+    """Return potentials of ``n`` states, ``q`` inputs and the outputs as powers of two."""
+    T = powers_of_two(v)
+    return Units(T[:n], T[n : n + q], 1.0 / T[n + q :])
+
+
+def _system_potentials(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> NDArray[np.float64]:
+    """Return the potentials of states, inputs and outputs."""
     n = len(A)
     W = np.abs(np.block([[A, B], [C, D]]).astype(float))
-    found = _system_units(W, n)
-    if _is_far(W, np.r_[1 / found.states, found.outputs], np.r_[found.states, found.inputs]):
-        found = _system_units(_without_wide_residue(W), n)
-    return found
+    v = _potentials_of(W, n)
+    u = _rounded(v, n, W.shape[1] - n)
+    if _is_far(W, np.r_[1 / u.states, u.outputs], np.r_[u.states, u.inputs]):
+        v = _potentials_of(_without_wide_residue(W), n)
+    return v
 
 
-def _system_units(W: NDArray[np.float64], n: int) -> Units:
-    """Return the units for the sizes of the entries of ``[A B; C D]`` with ``n`` states."""
+def _potentials_of(W: NDArray[np.float64], n: int) -> NDArray[np.float64]:
+    """Return the potentials for the sizes of the entries of ``[A B; C D]`` with ``n`` states."""
     W = W.copy()
     diagonal = W[np.arange(n), np.arange(n)]
     level = float(np.log2(diagonal.max())) if np.any(diagonal) else 0.0
@@ -110,7 +115,7 @@ def _system_units(W: NDArray[np.float64], n: int) -> Units:
     # Nodes: states, inputs, outputs; scaling multiplies the entry from column j to row i by 2^(v_j - v_i).
     row_node = np.r_[np.arange(n), n + q + np.arange(p)].astype(int)
     column_node = np.arange(n + q)
-    return _potentials(W, row_node, column_node, n + q + p, diagonal, level), n, q
+    return _potentials(W, row_node, column_node, n + q + p, diagonal, level)
 
 
 def matrix_units(M: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
