@@ -130,6 +130,16 @@ def test_a_certified_threshold_names_the_recording_that_goes_over() -> None:
     assert told_sample(3, (3,)) == "sample 0 of recording 2"
 
 
+def test_dates_beside_arrays_are_no_notes() -> None:
+    u, y = flight(800, 0)
+    clock = np.datetime64("2026-11-20T08:00:00") + np.arange(800).astype("timedelta64[s]")
+    watch = monitor().fit(flight(1500, 1))
+    dated, plain = watch.run(u, y, time=clock), watch.run(u, y)
+    assert isinstance(dated, rs.Diagnosis)
+    assert isinstance(plain, rs.Diagnosis)
+    assert dated.notes == plain.notes
+
+
 def test_what_was_done_to_the_rows_is_in_the_diagnosis() -> None:
     table = frame(*flight(800, 0)).drop(index=[100, 101, 300])
     read = recording_from_frame(table, PLANT, fill_gaps=True)
