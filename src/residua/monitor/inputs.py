@@ -66,7 +66,9 @@ def several_signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, pl
     found = []
     for number, one in enumerate(u, 1):
         if isinstance(one, np.ndarray):
-            raise DataError(f"recording {number} of {len(u)} is an array: in a list give pairs, [(u, y), (u, y)]")
+            raise DataError(
+                f"recording {number} of {len(u)} is an array: give pairs, [(u, y), (u, y)], or one, fit(u, y)"
+            )
         pair = one if isinstance(one, tuple) and len(one) == 2 else (one, None)
         try:
             found.append(signals(*pair, None, dt, "", plant))
