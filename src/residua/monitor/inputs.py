@@ -101,7 +101,7 @@ def signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, source: st
     found = regular_step(clock, 0.01, 0, source or "recording")
     if dt is not None and abs(dt - found) > 1e-6 * found:
         raise DataError(f"dt={dt:g} s was given, the times are {found:g} s apart")
-    return Signals(u, y, clock, found, source, origin)
+    return Signals(u, y, clock, found, source, origin=origin)
 
 
 def _by_name(data: Any, channels: tuple[str, ...], what: str) -> Any:
