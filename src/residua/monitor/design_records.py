@@ -215,6 +215,12 @@ def _fault_out(fault: Fault) -> list[str]:
     return [fault.name, fault.kind, fault.component, *(notes if any(notes) else [])]
 
 
+def _fault_in(value: Any, where: str) -> Fault:
+    """Return a fault from name, kind and component, with or without the three notes."""
+    noted = isinstance(value, list) and len(value) == 6
+    return Fault(*texts_in(list_in(value, where, 6 if noted else 3), where))
+
+
 def _plant_in(value: Any, where: str) -> Plant:
     content = record(value, where, _PLANT_ENTRIES)
     a = {name: array_in(content[name], joined(where, name), ENTRY, 2) for name in _PLANT_ARRAYS}
