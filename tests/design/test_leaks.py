@@ -79,7 +79,7 @@ def check_evidence(name: str, seed: int) -> str:
     for role, gain in told.items():
         if role == "control" or role in made.evidence.decoupling:
             exact = exact_leak(made.system, plant, points, role)
-            assert gain <= made.evidence.decoupling[role] * (1 + 1e-9)
+            assert gain <= 2 * made.evidence.decoupling[role] + 1e-15, (name, seed, role)
             # the response of a disturbance that reaches no output is a ratio of roundings: nothing for `leakage`
             if gain:
                 assert exact <= 2 * gain + 1e-13, (name, seed, role)
