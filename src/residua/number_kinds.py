@@ -17,7 +17,7 @@ from residua.visible import echo
 #: Largest whole number: sums of a few of them are still 64-bit numbers.
 _MOST = 2**62
 #: Longest window: its samples are kept in memory for every plant.
-MAX_WINDOW = 10**7
+MAX_WINDOW = 10**6
 
 
 @dataclass(frozen=True)

@@ -238,7 +238,10 @@ def _plant_in(value: Any, where: str) -> Plant:
         **{name: text_in(content[name], joined(where, name)) for name in _PLANT_TEXTS},
     )
     at = joined(where, "faults")
-    faults = tuple(Fault(*texts_in(list_in(entry, at, 3), at)) for entry in list_in(content["faults"], at))
+    told = [texts_in(entry, at) for entry in list_in(content["faults"], at)]
+    if any(len(texts) not in (3, 6) for texts in told):  # with notes or without
+        raise FileFormatError(f"{at}: expected 3 or 6 texts for each fault")
+    faults = tuple(Fault(*texts) for texts in told)
     columns = {"d": len(names["disturbances"]), "f": len(faults), "w": a["Bw"].shape[1]}
     for letter, count in columns.items():
         if a["B" + letter].shape != (plant.n_states, count) or a["D" + letter].shape != (plant.n_outputs, count):
