@@ -293,7 +293,7 @@ def test_no_number_that_runs_may_be_missing_or_infinite(
         (("fitted", "threshold"), "inf", r"fitted\.threshold: expected a positive, finite number"),
         (("fitted", "threshold"), 0, r"fitted\.threshold: expected a positive, finite number, got 0"),
         (("fitted", "persistence"), 0, r"fitted\.persistence: expected a whole number, 1 or more, got 0"),
-        (("fitted", "window"), 10**9, r"fitted\.window: expected a whole number from 1 to"),
+        (("test", "window"), 10**9, r"test\.window: expected a whole number from 1 to"),
         (("fitted", "whitening", "float", 0), 1e308, r"fitted\.whitening\[0, 0\]: expected a finite number of at most"),
         (("test", "false_alarm_rate"), 1.5, r"test\.false_alarm_rate: expected a number between 0 and 1, got 1.5"),
         (("design", "system", "A", "float", 0), 1e308, r"design\.system\.A\[0, 0\]: expected a finite number of at"),
