@@ -386,3 +386,15 @@ def test_two_inputs_by_way_of_one_state_leave_one_without_output(size):
     found = smallest_gain(system)
     assert (found.bound, found.attained) == (0, 0)
     assert "zero" in found.note
+
+
+@pytest.mark.parametrize("exponent", [20, 30, 41])
+def test_a_gain_is_not_zero_where_poles_lie_near_one(exponent: int) -> None:
+    """A slow lag, 1 - 2^-k at full sampling rate: 1 - A is exact, and so is the gain of two."""
+    slow = 2.0**-exponent
+    lag = UncertainSystem(
+        [[1 - slow]], [[1.0]], [[2 * slow]], [[1.0]], [[1.0]], low=[-slow / 64], high=[slow / 64], dt=1.0
+    )
+    found = smallest_gain(lag)
+    assert found.attained == pytest.approx(2 / (1 + 1 / 64), rel=1e-9)
+    assert found.bound > 0.98 * found.attained
