@@ -125,7 +125,7 @@ class Exact:
         """Return the order of the shortest relation that ignores some faults and sees others; ``None`` without any."""
         for order in range(self.states + 1):
             found = self.responses(order, ignored, unread)
-            answers = np.asarray(found.reshape(len(found), order + 1, -1).any(axis=(0, 1)))
+            answers = np.asarray(found.reshape(-1, len(self.faults)).any(axis=0))
             if len(found) and answers[list(seen)].all():
                 return order
         return None
