@@ -4,8 +4,8 @@ Run it with::
 
     .venv/bin/python benchmarks/false_alarm_rates.py
 
-It writes ``docs/data/false_alarm_rates_all.csv``, a row for each cell of the grid: residuals, samples, window, persistence and
-noise; ``docs/make_tables.py`` sums it up. ``--quick`` prints a part of the grid and writes nothing.
+It writes ``docs/data/false_alarm_rates_all.csv``, a row for each cell of the grid: residuals, samples, window,
+persistence and noise; ``docs/make_tables.py`` sums it up. ``--quick`` prints a part of the grid and writes nothing.
 
 Residuals are Gaussian, mixed at random and with a mean: white, or each ``x(t+1) = phi x(t) + e(t)`` before mixing. A
 threshold is fitted to the samples of a cell, some times over with other numbers, each time by what
@@ -122,7 +122,8 @@ def row_of(cell: tuple[int, int, int, float, int], found: list[Outcome]) -> tupl
     rates = np.array([one.rate for one in found])
     k, n, window, phi, persistence = cell
     return (
-        k, n, window, phi, persistence, len(found), f"{np.median(rates):.4f}", f"{rates.min():.4f}", f"{rates.max():.4f}",
+        k, n, window, phi, persistence, len(found), f"{np.median(rates):.4f}", f"{rates.min():.4f}",
+        f"{rates.max():.4f}",
         f"{np.median([one.promised for one in found]):.4f}", sum(one.said for one in found),
         sum(one.kept for one in found),
     )  # fmt: skip
@@ -145,7 +146,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="print a part of the grid, and write nothing")
     quick = parser.parse_args().quick
-    grid = ((1, 52), (300, 1000), (1, 20), (1, 6), (0.0,)) if quick else (RESIDUALS, SAMPLES, WINDOWS, PERSISTENCES, NOISES)
+    grid = (
+        ((1, 52), (300, 1000), (1, 20), (1, 6), (0.0,))
+        if quick
+        else (RESIDUALS, SAMPLES, WINDOWS, PERSISTENCES, NOISES)
+    )
     begun, found = time.monotonic(), [HEADER]
     for row in rows(*grid):
         found.append(row)  # pyright: ignore

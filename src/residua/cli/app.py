@@ -14,7 +14,7 @@ from residua.cli.files import check_outputs
 from residua.cli.guard import FAULT, NO_FAULT, GuardedGroup, in_cli_words, warn
 from residua.cli.methods import MemberKind, Method, Scheme
 from residua.cli.plant_commands import PlantFile, Rows
-from residua.decide import Directional, Matched, NormTest, NormThreshold, Structured
+from residua.decide import Directional, GroupTest, Matched, NormTest, NormThreshold, Structured
 from residua.demos import Outcome
 from residua.design import MatchedFilters, ResidualGenerator
 from residua.errors import AccuracyError, DataError, ModelError, SettingError
@@ -205,7 +205,7 @@ def _thresholds(monitor: Monitor) -> str:
     test = monitor.norm_test
     if isinstance(test, NormTest):
         return f"threshold: {test.threshold:.6g}"
-    names = [member.name for member in monitor.generator.members]
+    names = test.names if isinstance(test, GroupTest) else [member.name for member in monitor.generator.members]
     return f"thresholds: {', '.join(f'{n} {t:.6g}' for n, t in zip(names, test.thresholds, strict=True))}"
 
 

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 def alarm_levels(statistic: NDArray[np.float64], persistence: int, release: int) -> NDArray[np.float64]:
     r"""Return for every sample the level :math:`a_t` with: the alarm is on if and only if the threshold is below it.
 
-    With :math:`m_t` the smallest of the last ``persistence`` values of the statistic, and :math:`M_t` the largest of the
-    last ``release``, an alarm of threshold :math:`h` is raised where :math:`m_t > h` and ends where :math:`M_t \le h`. So
+    With :math:`m_t` the smallest of the last ``persistence`` values of the statistic, and :math:`M_t` the largest of
+    the last ``release``, an alarm of threshold :math:`h` is raised where :math:`m_t > h` and ends where :math:`M_t \le
+    h`. So
 
     .. math:: a_t = \min(\max(a_{t-1}, m_t), M_t)
 

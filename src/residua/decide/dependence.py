@@ -18,8 +18,8 @@ def correlation_times(columns: NDArray[np.float64], parts: Sequence[slice], powe
 
     .. math:: \tau = 1 + 2 \sum_{l=1}^{L} \hat\varrho(l)^{power}, \qquad L \ge 5 \tau(L)
 
-    The mean of ``n`` samples has the variance of ``n / tau`` independent ones; with ``power`` 2 so has the covariance of
-    Gaussian samples.
+    The mean of ``n`` samples has the variance of ``n / tau`` independent ones; with ``power`` 2 so has the covariance
+    of Gaussian samples.
 
     Parameters
     ----------

@@ -20,13 +20,15 @@ class RunModel:
     r"""In alarm, by runs of the statistic over and under the threshold.
 
     Runs of ``p`` samples over the threshold begin at a rate :math:`\nu_1`, and a fraction :math:`B` of the samples is
-    the last of ``p`` over it; likewise :math:`\nu_0` and :math:`C` for ``q`` samples under it. Then the fraction in alarm is
+    the last of ``p`` over it; likewise :math:`\nu_0` and :math:`C` for ``q`` samples under it. Then the fraction in
+    alarm is
 
     .. math:: R = \frac{T_0}{T_0 + T_1}, \qquad T_1 = \frac{1 - B}{\nu_1}, \qquad T_0 = \frac{1 - C}{\nu_0}
 
     with the mean times until an alarm is raised and ended (exact where samples are independent, and for ``p = q = 1``
-    always). Runs that are too long to be seen often go on as often as shorter ones do. Over the highest level that enough
-    runs are seen over, the course of runs is kept, and their number falls with that of the samples over the threshold.
+    always). Runs that are too long to be seen often go on as often as shorter ones do. Over the highest level that
+    enough runs are seen over, the course of runs is kept, and their number falls with that of the samples over the
+    threshold.
 
     Attributes
     ----------
@@ -131,7 +133,9 @@ class RunModel:
         C, ended = _runs(down, samples, self.release)
         if level > at:
             seen = samples - up[:, 0]
-            factor = self._over(level, lambda values: left(np.bincount(groups, values, minlength=number)[:, None])[:, 0])
+            factor = self._over(
+                level, lambda values: left(np.bincount(groups, values, minlength=number)[:, None])[:, 0]
+            )
             factor = factor / np.maximum(seen, 1)
             B, raised = B * factor, raised * factor
         time_up = np.maximum(1 - B, 1e-300) / np.maximum(raised, 1e-300)

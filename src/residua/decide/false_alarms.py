@@ -60,7 +60,9 @@ class Promise:
         if self.promised >= 1:
             return f"{told}; {self.asked:g} was asked for, and these data promise no rate: give more"
         told += f", with 95 % confidence at most {self.promised:.2g} on other data"
-        return told if self.holds else f"{told}; {self.asked:g} was asked for, which these data cannot promise: give more"
+        return (
+            told if self.holds else f"{told}; {self.asked:g} was asked for, which these data cannot promise: give more"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,12 +156,12 @@ def observed(
 def promise_of(found: Observed, asked: float) -> Promise:
     """Return the threshold for a rate, and what can be promised of it.
 
-    Where thirty independent exceedances or more are seen at that rate, it is read off the levels. Elsewhere the fraction
-    of samples over the threshold is extended by its tail (:class:`residua.decide.exceedance_tail.Tail`), and where an
-    alarm needs several in a row, that of samples in alarm follows by a model of runs
+    Where thirty independent exceedances or more are seen at that rate, it is read off the levels. Elsewhere the
+    fraction of samples over the threshold is extended by its tail (:class:`residua.decide.exceedance_tail.Tail`), and
+    where an alarm needs several in a row, that of samples in alarm follows by a model of runs
     (:class:`residua.decide.exceedance_runs.RunModel`). How well the rate is known is seen by leaving out stretches of
-    time in turn. Where that allows for more than 1.5 times what was asked, the threshold is set for less, down to 0.6 of
-    it; where that does not suffice, the promise says so.
+    time in turn. Where that allows for more than 1.5 times what was asked, the threshold is set for less, down to 0.6
+    of it; where that does not suffice, the promise says so.
     """
     direct = tail_of(found.levels[found.counted], found.blocks[found.counted], found.scale, asked, highest=asked)
     if direct.worth >= ENOUGH:
@@ -209,8 +211,8 @@ def coincidence(found: Sequence[Observed], share: float) -> float:
     r"""Return how many members are in alarm at once, on average while any is, where each is so at a rate; at least 1.
 
     It is seen at the smallest rate, that one or higher, at which the data show thirty independent alarms of any member.
-    Towards smaller rates alarms coincide less often, if they do not always: the further it is extended, the less of it is
-    used. Where the data do not show it, it is 1, and the rates of the members are added up (the union bound).
+    Towards smaller rates alarms coincide less often, if they do not always: the further it is extended, the less of it
+    is used. Where the data do not show it, it is 1, and the rates of the members are added up (the union bound).
 
     Parameters
     ----------

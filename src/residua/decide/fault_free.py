@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.dependence import correlation_times
-from residua.decide.shrinkage import KNOWN, shrunk
+from residua.decide.shrinkage import KNOWN, oracle_approximating_intensity, shrunk
 from residua.decide.whitening import whitening_matrix
 from residua.decide.window import empty_window, moving_sum
 from residua.errors import DataError
@@ -61,7 +62,7 @@ class FaultFree:
     def parts(self) -> tuple[slice, ...]:
         """The recordings."""
         edges = sorted({0, len(self.usable), *(int(s) for s in self.seams if 0 < s < len(self.usable))})
-        return tuple(slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True))
+        return tuple(slice(a, b) for a, b in pairwise(edges))
 
     @cached_property
     def middle(self) -> NDArray[np.float64]:
@@ -144,7 +145,7 @@ class FaultFree:
 
     @cached_property
     def worth(self) -> tuple[float, float]:
-        """Samples that are worth one independent sample: for the covariance of residuals, and for that of their sums."""
+        """Samples that are worth one independent one: for the covariance of residuals, and for that of their sums."""
         single = correlation_times(self.deviations, self.parts, 2)
         if self.window == 1:
             return float(single.mean()), float(single.mean())
@@ -191,7 +192,7 @@ class FaultFree:
             if seams:
                 edges[i] = min(seams, key=lambda s: abs(s - edge))
         whole = sorted({0, *map(int, edges), len(self.usable)})
-        return list(zip(whole[:-1], whole[1:], strict=True))
+        return list(pairwise(whole))
 
     def statistic(self, moments: Moments, rows: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
         """Return the norms of the whitened sums, as a monitor computes them but for rounding."""
@@ -226,8 +227,6 @@ def shrunk_to_one(covariance: NDArray[np.float64], samples: float) -> tuple[NDAr
     scale = float(np.trace(covariance)) / k
     if k < 2 or samples >= KNOWN * k or not scale > 0:
         return covariance, 0.0
-    from residua.decide.shrinkage import oracle_approximating_intensity
-
     intensity = oracle_approximating_intensity(covariance / scale, samples)
     return (1 - intensity) * covariance + intensity * scale * np.eye(k), intensity
 

@@ -142,6 +142,10 @@ def fit_bank_test(
     return side_by_side(*fit_together(found, false_alarm_rate), members, residuals.shape[1])
 
 
+#: Members in alarm at once, on average, from which on that is made use of.
+_NOTABLE = 1.05
+
+
 def fit_together(found: Sequence[Fitted], rate: float) -> tuple[list[NormTest], float]:
     """Return the tests of members that keep a rate together, and how many of them are in alarm at once.
 
@@ -151,7 +155,7 @@ def fit_together(found: Sequence[Fitted], rate: float) -> tuple[list[NormTest], 
     """
     seen = [one.seen for one in found if one.seen is not None]
     at_once = coincidence(seen, rate / len(found)) if len(seen) == len(found) > 1 else 1.0
-    at_once = min(at_once, float(len(found)))
+    at_once = min(at_once, float(len(found))) if at_once > _NOTABLE else 1.0
     return [with_threshold(one, rate * at_once / len(found)) for one in found], at_once
 
 
@@ -203,8 +207,10 @@ def _basis(tests: Sequence[NormTest], at_once: float, promised: float | None) ->
     basis = f"each of {count} members: {' / '.join(told)}"
     if bases[0].startswith("threshold given"):
         return basis
-    if at_once > 1.01:
-        basis += f"; that is {at_once:.3g}/{count} of the rate of the whole bank, for {at_once:.3g} are in alarm at once"
+    if at_once > 1:
+        basis += (
+            f"; that is {at_once:.3g}/{count} of the rate of the whole bank, for {at_once:.3g} are in alarm at once"
+        )
     else:
         basis += f"; that is 1/{count} of the rate of the whole bank"
     if promised is not None:

@@ -71,9 +71,9 @@ def fit_peak_test(
 ) -> NormTest | BankTest:
     """Fit a threshold to the norm of fault-free residuals, or one to that of each member.
 
-    As :func:`residua.decide.norm_threshold.fit_norm_test`, of the norm as it is: the fraction of usable samples in alarm,
-    those of the window included, is to be ``false_alarm_rate``; each of ``M`` members gets ``1/M`` of it, or more where
-    their alarms coincide (:func:`residua.decide.member_thresholds.fit_together`).
+    As :func:`residua.decide.norm_threshold.fit_norm_test`, of the norm as it is: the fraction of usable samples in
+    alarm, those of the window included, is to be ``false_alarm_rate``; each of ``M`` members gets ``1/M`` of it, or
+    more where their alarms coincide (:func:`residua.decide.member_thresholds.fit_together`).
 
     Parameters
     ----------

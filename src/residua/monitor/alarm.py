@@ -157,6 +157,8 @@ class Alarm:
         By matched filters: the estimated arrival of the best candidate; ``None`` where it was before the window.
     present : tuple of PresentFault
         By the code of a dedicated bank: every fault that was read and when its own member fired, the first one first.
+    fired : tuple of str
+        Where groups of residuals are tested by themselves: those that were in alarm, the longest first.
     """
 
     onset: float
@@ -170,6 +172,7 @@ class Alarm:
     sizes: tuple[Size, ...] = field(default=())
     arrival: float | None = None
     present: tuple[PresentFault, ...] = ()
+    fired: tuple[str, ...] = ()
 
     @property
     def named(self) -> tuple[tuple[str, ...], ...]:
@@ -217,7 +220,7 @@ class Alarm:
         """Return the alarm as plain values for JSON; ``short`` means shorter than the isolation window.
 
         ``code`` is there for banks, ``present`` for dedicated ones, ``sizes`` for estimators and matched filters,
-        ``arrival`` and ``lead`` for the latter.
+        ``arrival`` and ``lead`` for the latter, ``fired`` for groups of residuals.
         """
         out: dict[str, Any] = {
             "onset": _clean(self.onset),
@@ -232,6 +235,8 @@ class Alarm:
             out |= {"arrival": self.arrival, "lead": self.lead}
         if self.reading is not None:
             out["code"] = _code(self.reading) | {"share": self.read_share}
+        if self.fired:
+            out["fired"] = list(self.fired)
         if self.present:
             out["present"] = [_present(fault) for fault in self.present]
         if self.sizes:

@@ -149,7 +149,7 @@ def array_in(value: Any, where: str) -> NDArray:
     return numbers.reshape(shape)
 
 
-_READERS = {"int": whole_in, "float": float_in, "str": text_in, "bool": flag_in}
+_READERS = {"int": whole_in, "float": float_in, "str": text_in, "bool": flag_in, "tuple[str, ...]": texts_in}
 _DTYPES = {"float64": "f", "int64": "i", "bool_": "b"}
 
 
@@ -164,6 +164,8 @@ def values_out(values: Any) -> dict[str, Any]:
             value = float_out(float(value))
         elif isinstance(value, np.integer):
             value = int(value)
+        elif isinstance(value, tuple):
+            value = list(value)
         out[name] = value
     return out
 

@@ -159,18 +159,18 @@ def _charts(diagnosis: Diagnosis, charts: dict[str, Any], number: int) -> str:
         figures["estimate" if chart.get("estimate") else chart["kind"]].append(_figure(k, chart, diagnosis))
     shown = 0 if bank else SHOWN_RESIDUALS  # of a bank, the statistics of its members tell the story
     residuals, members = figures["residual"], figures["member"]
-    closer = "" if bank else " more"
+    closer, parts_ = "" if bank else " more", "groups of residuals" if diagnosis.tested else "members"
     parts = [
         *figures["estimate"],
         *residuals[:shown],
         _behind(residuals[shown:], f"{closer} residuals{'' if bank else ', which stayed closer to their bands'}"),
         *figures["statistic"],
         *members[:SHOWN_MEMBERS],
-        _behind(members[SHOWN_MEMBERS:], " more members, which stayed further below their thresholds"),
+        _behind(members[SHOWN_MEMBERS:], f" more {parts_}, which stayed further below their thresholds"),
         *figures["scores"],
     ]
     if bank:
-        what = "Statistics of the members" + (", and candidates" if figures["scores"] else "")
+        what = f"Statistics of the {parts_}" + (", and candidates" if figures["scores"] else "")
     else:
         what = "Residuals, statistic and candidates"
     return (
@@ -182,16 +182,18 @@ def _charts(diagnosis: Diagnosis, charts: dict[str, Any], number: int) -> str:
 def _figure(k: int, chart: dict[str, Any], diagnosis: Diagnosis) -> str:
     """Return the place of one chart, with its title."""
     bank, what = bool(diagnosis.members), "norm" if diagnosis.horizon else "statistic"
+    part = "group" if diagnosis.tested else "member"
     if chart["kind"] == "residual":
         fault = chart.get("estimate")
         name = f"Estimated size of {fault}" if fault else f"Residual {chart['label']}"
     else:
         name = {
-            "statistic": f"Largest ratio of a member's {what} to its threshold"
+            "statistic": f"Largest ratio of a {part}'s {what} to its threshold"
             if bank
             else f"{what[0].upper()}{what[1:]} and its threshold",
-            "member": f"Member {chart['label']}: {what}{' of its residual' * (what == 'norm')} and its threshold",
-            "scores": f"Candidate scores{', members that agree' if bank else ''} (faded where no alarm stands)",
+            "member": f"{part.capitalize()} {chart['label']}: {what}{' of its residual' * (what == 'norm')} "
+            "and its threshold",
+            "scores": f"Candidate scores{', members that agree' * bool(diagnosis.codes)} (faded where no alarm stands)",
         }[chart["kind"]]
     title = with_unit(name, chart["unit"])
     log = (

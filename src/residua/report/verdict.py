@@ -122,6 +122,9 @@ def _fault(diagnosis: Diagnosis) -> Verdict:
     assert main is not None
     when = f"since t = {seconds(main.onset)}"
     sentences = [f"Onset at {seconds(main.onset)}, alarm raised at {seconds(main.raised)}, {_end(main.ended)}."]
+    if main.fired:
+        more = f" and {len(main.fired) - 10} more" if len(main.fired) > 10 else ""
+        sentences.append(f"Over their thresholds: {listing(main.fired[:10])}{more}.")
     candidates = [c for c in main.candidates if math.isfinite(c.score)]
     if main.reading is not None:
         headline, confidence, margin = _by_code(main, diagnosis.window, when, sentences)
