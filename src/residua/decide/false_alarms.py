@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -163,7 +164,7 @@ def promise_of(found: Observed, asked: float) -> Promise:
     time in turn. Where that allows for more than 1.5 times what was asked, the threshold is set for less, down to 0.6
     of it; where that does not suffice, the promise says so.
     """
-    direct = tail_of(found.levels[found.counted], found.blocks[found.counted], found.scale, asked, highest=asked)
+    direct = tail_of(found.levels[found.counted], _lasting(found, asked), found.scale, asked, highest=asked)
     if direct.worth >= ENOUGH:
         least = quantile(np.sort(found.own[found.counted]), asked)  # nor more than that on these data themselves
         return _promise(lambda rate: max(direct.level(rate), least), lambda rate: _known(direct, rate), asked, "")
@@ -175,6 +176,19 @@ def promise_of(found: Observed, asked: float) -> Promise:
                         found.persistence, found.release)  # fmt: skip
     told = f"extended from a rate of {model.seen(asked):.2g} by the tail of the data and a model of runs"
     return _promise(model.level, lambda rate: (model.spread(model.level(rate)), model.worth), asked, told)
+
+
+def _lasting(found: Observed, rate: float) -> NDArray[np.int64]:
+    """Return stretches of time of the samples that count in which alarms, which may last long, are independent too."""
+    level = quantile(np.sort(found.levels[found.counted]), rate)
+    over = np.where(found.counted, (found.levels > level) - rate, 0.0)[:, None]
+    edges = [*np.flatnonzero(found.begins).tolist(), len(over)]
+    parts = [slice(a, b) for a, b in pairwise(edges)]
+    length = int(np.ceil(2 * correlation_times(over, parts)[0]))
+    own = np.concatenate([np.arange(part.stop - part.start) // length for part in parts])
+    first = np.cumsum(found.begins | np.concatenate([[False], own[1:] != own[:-1]])) - 1
+    longer = length > np.bincount(found.blocks).mean()
+    return (first if longer else found.blocks)[found.counted]
 
 
 def _known(tail: Tail, rate: float) -> tuple[float, float]:
