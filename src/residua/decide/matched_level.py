@@ -164,7 +164,7 @@ def fit_matched_test(
     found = promise_of(seen, false_alarm_rate)
     basis = f"fitted to {count} fault-free samples, {found}"
     threshold = float(max(found.threshold, np.finfo(float).tiny))
-    return replace(base, threshold=threshold, basis=basis, promised=found.promised)
+    return replace(base, threshold=threshold, basis=basis, promised=float(found.promised))
 
 
 def _cross_fitted(

@@ -180,7 +180,7 @@ def side_by_side(
         at += len(rows)
     one = tests[0]
     promises = [test.promised for test in tests if test.promised is not None]
-    promised = min(1.0, sum(promises) / at_once) if len(promises) == len(tests) else None
+    promised = float(min(1.0, sum(promises) / at_once)) if len(promises) == len(tests) else None
     drawn = [test.shrinkage for test in tests if test.shrinkage is not None]
     return BankTest(
         center,
@@ -193,7 +193,7 @@ def side_by_side(
         _basis(tests, at_once, promised),
         one.kind,
         promised,
-        max(drawn) if drawn else None,
+        float(max(drawn)) if drawn else None,
     )
 
 

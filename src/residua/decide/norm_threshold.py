@@ -282,7 +282,7 @@ def fit_moments(
     release = settings.release or settings.persistence
     test = NormTest(whole.center, whole.whitening, np.inf, settings.persistence, release, settings.window, "")
     if known is None:
-        test = replace(test, shrinkage=whole.intensity)
+        test = replace(test, shrinkage=float(whole.intensity))
     if settings.threshold is not None:
         test = replace(test, threshold=settings.threshold, basis="threshold given, mean and covariance fitted")
         return Fitted(test, None, count, None)
@@ -303,7 +303,7 @@ def with_threshold(base: Fitted, rate: float) -> NormTest:
         basis += f"; covariance of too few samples, drawn by {base.test.shrinkage:.2g} towards a simpler one"
     if base.rounding is not None:
         threshold, basis = above_rounding(threshold, base.rounding, basis)
-    return replace(base.test, threshold=float(threshold), basis=basis, promised=found.promised)
+    return replace(base.test, threshold=float(threshold), basis=basis, promised=float(found.promised))
 
 
 def above_rounding(threshold: float, rounding: float, basis: str) -> tuple[float, str]:

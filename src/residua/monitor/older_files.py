@@ -42,7 +42,9 @@ def _with_matched(content: dict[str, Any]) -> None:
 def _with_promise(content: dict[str, Any]) -> None:
     """Fill in that nothing is promised by a test of a file of version 5 that was written before promises were."""
     if content.get("fitted") is not None:
-        content["fitted"] = {"promised": None, "shrinkage": None} | table_in(content["fitted"], "fitted")
+        fitted = table_in(content["fitted"], "fitted")
+        if "promised" not in fitted and "shrinkage" not in fitted:
+            content["fitted"] = fitted | {"promised": None, "shrinkage": None}
 
 
 def _with_kinds(content: dict[str, Any]) -> None:
