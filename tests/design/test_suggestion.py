@@ -291,3 +291,12 @@ def test_the_table_of_the_documentation_is_current() -> None:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     assert module.METHODS.read_text(encoding="utf-8") == module.methods()
+
+
+def test_groups_are_advised_where_residuals_are_many() -> None:
+    def notes(sensors: int) -> str:
+        plant = rs.Plant([[0.9]], [[0.1]], np.linspace(0.5, 1.5, sensors)[:, None], dt=1.0).with_faults({"leak": [1.0]})
+        return " ".join(rs.suggest(plant.with_noise(process=1e-4, measurement=1e-2)).notes)
+
+    assert "NormThreshold(groups='each')" in notes(12)
+    assert "groups" not in notes(3)

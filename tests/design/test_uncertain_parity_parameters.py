@@ -157,6 +157,23 @@ def test_a_drift_raises_no_alarm_and_a_fault_does() -> None:
     assert robust.run(again, y).fired[2000:, 0].mean() > 0.5
 
 
+@pytest.mark.parametrize("steps", [1000, 8000])
+@pytest.mark.parametrize("poles", [None, POLES])
+def test_fitted_thresholds_keep_their_rate_on_other_data(steps: int, poles: list[float] | None) -> None:
+    """Of six fits five at least: the rate on new data is at most 1.5 times what was asked, or what is promised."""
+    parity, rate, kept = insensitive_parity(motor, NOMINAL, insensitive_to="R", poles=poles), 0.01, 0
+    fresh = voltage(60_000, 100)
+    other = simulated(fresh, 0.01, 101)
+    for seed in range(6):
+        u = voltage(steps, seed)
+        fitted = parity.fit(u, simulated(u, 0.01, seed + 20), false_alarm_rate=rate)
+        assert fitted.promised is not None
+        assert "95 % confidence" in fitted.basis or fitted.promised[0] == 1
+        found = float(fitted.run(fresh, other).fired[1000:, 0].mean())
+        kept += found <= max(1.5 * rate, fitted.promised[0]) and (fitted.promised[0] > 1.5 * rate or found > rate / 5)
+    assert kept >= 5
+
+
 def fitted_bank() -> tuple[InsensitiveParity, np.ndarray]:
     u = voltage(6000, 2)
     bank = insensitive_parity(motor, NOMINAL, isolate=["R", "k"], poles=POLES)

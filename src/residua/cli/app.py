@@ -28,7 +28,7 @@ from residua.cli.recording_options import (
     Transpose,
     Variable,
 )
-from residua.decide import Directional, Matched, NormTest, NormThreshold, Structured
+from residua.decide import Directional, GroupTest, Matched, NormTest, NormThreshold, Structured
 from residua.demos import Outcome
 from residua.design import MatchedFilters, ResidualGenerator
 from residua.errors import AccuracyError, DataError, ModelError, SettingError
@@ -211,7 +211,7 @@ def _thresholds(monitor: Monitor) -> str:
     test = monitor.norm_test
     if isinstance(test, NormTest):
         return f"threshold: {test.threshold:.6g}"
-    names = [member.name for member in monitor.generator.members]
+    names = test.names if isinstance(test, GroupTest) else [member.name for member in monitor.generator.members]
     return f"thresholds: {', '.join(f'{n} {t:.6g}' for n, t in zip(names, test.thresholds, strict=True))}"
 
 

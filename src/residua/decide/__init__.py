@@ -7,6 +7,7 @@ from residua.decide.matched_hold import Match
 from residua.decide.member_thresholds import BankTest
 from residua.decide.norm_threshold import NormTest, NormThreshold
 from residua.decide.peak_threshold import PeakThreshold, peak_over_window
+from residua.decide.residual_groups import GroupTest
 from residua.decide.structured import CodeReading, CodeTest, Structured, read_code, read_codes
 from residua.decide.whitening import whitening_matrix
 
@@ -18,6 +19,7 @@ __all__ = [
     "DirectionTest",
     "Directional",
     "Explanation",
+    "GroupTest",
     "Match",
     "Matched",
     "MatchedTest",

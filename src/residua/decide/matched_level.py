@@ -8,15 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.false_alarms import observed, promise_of
+from residua.decide.fault_free import FaultFree, Moments
 from residua.decide.matched import MatchedTest, empty_match, match_block, summed
-from residua.decide.norm_threshold import (
-    NormTest,
-    NormThreshold,
-    fit_norm_test,
-    fitted_threshold,
-    norm_test_from_model,
-)
-from residua.decide.seams import parts_between
+from residua.decide.norm_threshold import NormTest, NormThreshold, check_rate, fit_moments, norm_test_from_model
 from residua.decide.window import empty_window, moving_sum
 from residua.errors import DataError, SettingError
 
@@ -133,19 +128,18 @@ def fit_matched_test(
 ) -> NormTest:
     """Fit mean, covariance and threshold to fault-free residuals, as :func:`fit_norm_test` does.
 
-    The threshold is the smallest for which the fraction of usable samples in alarm is at most ``false_alarm_rate``,
-    extended by the tail of the data where fewer than ten samples would be left in alarm.
+    The statistic of each stretch of time is that of the responses whitened by the covariance of the others.
     """
     _check_settings(settings)
-    base = fit_norm_test(
-        settings,
+    check_rate(false_alarm_rate)
+    base = fit_moments(
+        replace(settings, threshold=settings.threshold or 1.0),  # that of the norm is of no use here
         residuals,
         usable,
-        false_alarm_rate=false_alarm_rate,
         covariance=covariance,
         signal_size=signal_size,
         seams=seams,
-    )
+    ).test
     if np.sqrt(np.sum(np.var(residuals[usable], axis=0))) <= 1e-12 * signal_size:
         raise DataError("these data have no noise, and matched filters weigh a response against noise: add some")
     test = make(base.whitening)
@@ -157,19 +151,50 @@ def fit_matched_test(
         )
     if settings.threshold is not None:
         return base
-    parts = parts_between(len(usable), seams)
-    statistic = np.sqrt(np.concatenate([_largest(test, base, residuals[part], usable[part]) for part in parts]))
-    fitted, basis = fitted_threshold(statistic, usable, base, false_alarm_rate, seams=seams)
-    return replace(base, threshold=float(max(fitted, np.finfo(float).tiny)), basis=basis)
+    data = FaultFree(residuals, usable, 1, tuple(seams))
+    known = base.shrinkage is None
+    whole = Moments(base.center, base.whitening)
+    own = np.concatenate([_statistic(test, whole, data, part) for part in data.parts])
+    statistic = _cross_fitted(data, own, test, whole, make, whiten=not known)
+    behind = np.concatenate([np.cumsum(usable[part]) for part in data.parts])
+    seen = observed(
+        statistic, usable & (behind >= test.samples), usable, data.parts, 1,
+        persistence=base.persistence, release=base.release, window=test.samples, own=own,
+    )  # fmt: skip
+    found = promise_of(seen, false_alarm_rate)
+    basis = f"fitted to {count} fault-free samples, {found}"
+    threshold = float(max(found.threshold, np.finfo(float).tiny))
+    return replace(base, threshold=threshold, basis=basis, promised=float(found.promised))
 
 
-def _largest(test: MatchedTest, base: NormTest, residuals: NDArray, usable: NDArray[np.bool_]) -> NDArray:
-    """Return the largest likelihood ratio at every sample of one recording."""
-    centred = np.where(usable[:, None], residuals - base.center, 0.0)
-    q = (centred @ base.whitening)[None]
+def _cross_fitted(
+    data: FaultFree, own_statistic: NDArray, test: MatchedTest, whole: Moments, make: MakeTest, *, whiten: bool
+) -> NDArray:
+    """Return the statistic of every sample by moments of samples that are far from it."""
+    out = own_statistic.copy()
+    for held, kept, summed_ in data.held_out():
+        if whiten:
+            own = data.scaled(data.moments(kept, summed_), whole)
+        else:
+            own = data.moments(kept, summed_, whitening=whole.whitening)
+        own_test = make(own.whitening) if whiten else test
+        for part in data.parts:
+            inside = np.flatnonzero(held[part])
+            if len(inside):
+                first, last = part.start + int(inside[0]), part.start + int(inside[-1]) + 1
+                begin = max(part.start, first - test.samples)  # what came before is remembered that long
+                out[first:last] = _statistic(own_test, own, data, slice(begin, last))[first - begin :]
+    return out
+
+
+def _statistic(test: MatchedTest, moments: Moments, data: FaultFree, part: slice) -> NDArray[np.float64]:
+    """Return the root of the largest likelihood ratio at every sample of a stretch of time."""
+    usable = data.usable[part]
+    centred = np.where(usable[:, None], data.residuals[part] - moments.center, 0.0)
+    q = (centred @ moments.whitening)[None]
     sums, _ = moving_sum(summed(q, usable[None]), empty_window(1, test.samples, q.shape[2] + 2))
     found, _ = match_block(test, empty_match(test, 1), q, usable[None], sums)
-    return found["ratios"][0].max(axis=1)
+    return np.sqrt(found["ratios"][0].max(axis=1))
 
 
 def _check_settings(settings: NormThreshold) -> None:

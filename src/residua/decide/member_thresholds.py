@@ -8,7 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.norm_threshold import NormTest, NormThreshold, check_rate, fit_norm_test, norm_test_from_model
+from residua.decide.false_alarms import coincidence
+from residua.decide.norm_threshold import (
+    Fitted,
+    NormTest,
+    NormThreshold,
+    check_rate,
+    fit_moments,
+    norm_test_from_model,
+    with_threshold,
+)
 from residua.decide.persistence import alarm_logic
 from residua.errors import ModelError
 
@@ -34,6 +43,8 @@ class BankTest:
         Where thresholds and covariances come from, in words.
     kind : {"norm", "peak"}
         As of :class:`residua.decide.NormTest`.
+    promised, shrinkage : float or None
+        As of :class:`residua.decide.NormTest`; of the whole bank, and the largest of the members.
     """
 
     center: NDArray[np.float64]
@@ -45,6 +56,8 @@ class BankTest:
     window: int
     basis: str
     kind: str = "norm"
+    promised: float | None = None
+    shrinkage: float | None = None
 
     @property
     def threshold(self) -> float:
@@ -76,7 +89,7 @@ def bank_test_from_model(
     single = replace(settings, false_alarm_rate=settings.false_alarm_rate / max(1, len(members)))
     tests = [norm_test_from_model(single, _part(covariance, rows), len(rows)) for rows in members]
     found = [test for test in tests if test is not None]
-    return side_by_side(found, members, n_residuals) if found and len(found) == len(tests) else None
+    return side_by_side(found, 1.0, members, n_residuals) if found and len(found) == len(tests) else None
 
 
 def fit_bank_test(
@@ -92,9 +105,7 @@ def fit_bank_test(
 ) -> BankTest:
     """Fit mean, covariance and threshold of every member to fault-free residuals.
 
-    Each of ``M`` members gets a rate of ``false_alarm_rate / M``: the fraction of samples in which any of them is
-    in alarm is at most the sum of theirs, whatever the correlation between them (the union bound). Members whose
-    alarms coincide stay below what was asked for, by ``M`` times at most.
+    Every member gets the same share of the rate; see :func:`fit_together`.
 
     Parameters
     ----------
@@ -110,26 +121,42 @@ def fit_bank_test(
     signal_sizes : sequence of float
         For each member the size of the signals that its residuals are the difference of.
     seams : sequence of int
-        The first sample of each further recording, where there are several in a row.
+        The first sample of each further recording.
 
     Returns
     -------
     BankTest
     """
     check_rate(false_alarm_rate)
-    tests = [
-        fit_norm_test(
+    found = [
+        fit_moments(
             settings,
             residuals[:, list(rows)],
             usable,
-            false_alarm_rate=false_alarm_rate / len(members),
             covariance=_part(covariance, rows),
             signal_size=size,
             seams=seams,
         )
         for rows, size in zip(members, signal_sizes, strict=True)
     ]
-    return side_by_side(tests, members, residuals.shape[1])
+    return side_by_side(*fit_together(found, false_alarm_rate), members, residuals.shape[1])
+
+
+#: Members in alarm at once, on average, from which on that is made use of.
+_NOTABLE = 1.05
+
+
+def fit_together(found: Sequence[Fitted], rate: float) -> tuple[list[NormTest], float]:
+    """Return the tests of members that keep a rate together, and how many of them are in alarm at once.
+
+    The fraction of samples in which any of ``M`` members is in alarm is the sum of theirs, divided by how many are in
+    alarm at once on average, ``c``: each gets a rate of ``c / M`` of the whole. Where the data do not show ``c`` it is
+    taken as 1, which is right for any correlation between members (the union bound).
+    """
+    seen = [one.seen for one in found if one.seen is not None]
+    at_once = coincidence(seen, rate / len(found)) if len(seen) == len(found) > 1 else 1.0
+    at_once = min(at_once, float(len(found))) if at_once > _NOTABLE else 1.0
+    return [with_threshold(one, rate * at_once / len(found)) for one in found], at_once
 
 
 def _part(covariance: NDArray | None, rows: Sequence[int]) -> NDArray | None:
@@ -138,21 +165,62 @@ def _part(covariance: NDArray | None, rows: Sequence[int]) -> NDArray | None:
     return None if covariance is None else covariance[np.ix_(list(rows), list(rows))]
 
 
-def side_by_side(tests: Sequence[NormTest], members: Sequence[Sequence[int]], n_residuals: int) -> BankTest:
-    """Return the tests of the members as one; ``members`` are the residual numbers of each."""
+def side_by_side(
+    tests: Sequence[NormTest], at_once: float, members: Sequence[Sequence[int]], n_residuals: int
+) -> BankTest:
+    """Return the tests of the members as one.
+
+    ``members`` are the residual numbers of each, ``at_once`` is how many are in alarm at once.
+    """
     sizes = np.array([len(rows) for rows in members], dtype=np.int64)
     center, whitening, at = np.zeros(n_residuals), np.zeros((n_residuals, int(sizes.sum()))), 0
     for test, rows in zip(tests, members, strict=True):
         center[list(rows)] = test.center
         whitening[list(rows), at : at + len(rows)] = test.whitening
         at += len(rows)
-    bases = list(dict.fromkeys(test.basis for test in tests))
-    basis = " / ".join(bases) if len(tests) == 1 else f"each of {len(tests)} members: {' / '.join(bases)}"
-    if len(tests) > 1 and not bases[0].startswith("threshold given"):
-        basis += f"; that is 1/{len(tests)} of the rate of the whole bank"
     one = tests[0]
-    thresholds = np.array([test.threshold for test in tests])
-    return BankTest(center, whitening, sizes, thresholds, one.persistence, one.release, one.window, basis, one.kind)
+    promises = [test.promised for test in tests if test.promised is not None]
+    promised = float(min(1.0, sum(promises) / at_once)) if len(promises) == len(tests) else None
+    drawn = [test.shrinkage for test in tests if test.shrinkage is not None]
+    return BankTest(
+        center,
+        whitening,
+        sizes,
+        np.array([test.threshold for test in tests]),
+        one.persistence,
+        one.release,
+        one.window,
+        _basis(tests, at_once, promised),
+        one.kind,
+        promised,
+        float(max(drawn)) if drawn else None,
+    )
+
+
+def _basis(tests: Sequence[NormTest], at_once: float, promised: float | None) -> str:
+    """Return where the thresholds of the members come from, in words."""
+    bases = list(dict.fromkeys(test.basis for test in tests))
+    count = len(tests)
+    if count == 1:
+        return bases[0]
+    told = bases if len(bases) <= _TOLD else [*bases[:_TOLD], f"and {len(bases) - _TOLD} more"]
+    basis = f"each of {count} members: {' / '.join(told)}"
+    if bases[0].startswith("threshold given"):
+        return basis
+    if at_once > 1:
+        basis += (
+            f"; that is {at_once:.3g}/{count} of the rate of the whole bank, for {at_once:.3g} are in alarm at once"
+        )
+    else:
+        basis += f"; that is 1/{count} of the rate of the whole bank"
+    if promised is not None:
+        sure = f"at most {promised:.2g} with 95 % confidence" if promised < 1 else "which these data cannot promise"
+        basis += f", {sure}"
+    return basis
+
+
+#: Members whose bases are told one by one.
+_TOLD = 3
 
 
 def member_alarms(

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.persistence import alarm_logic
-from residua.decide.seams import parts_between
-from residua.decide.whitening import residual_moments, whitening_matrix
-from residua.decide.window import empty_window, moving_sum
-from residua.errors import DataError, SettingError
-from residua.visible import echo
+from residua.decide.false_alarms import Observed, observed, promise_of
+from residua.decide.fault_free import FaultFree, check_enough
+from residua.decide.whitening import whitening_matrix
+from residua.errors import SettingError
+
+#: Groups of residuals: ``"each"`` by itself, names with the residuals of each, or none.
+Groups = str | tuple[tuple[str, tuple[str, ...]], ...] | None
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,15 @@ class NormThreshold:
         Whose covariance :math:`\Sigma_N` is used: that of the fault-free data, that of the plant's noise
         model, or the identity. ``"auto"`` takes the data when fitted, else the model, else none.
     false_alarm_rate : float
-        Fraction of fault-free samples in alarm that is aimed at, unless ``fit`` is told otherwise.
+        Fraction of fault-free samples in alarm that is aimed at, unless ``fit`` is told otherwise. A sample is in alarm
+        from the one that raises it, the last of ``persistence`` over the threshold, to the one before that which ends
+        it: the rate counts samples, not alarms, on data other than those of the fit, once windows are full.
+    groups : "each", mapping of str to sequence of str, or sequence of sequence of str, optional
+        Groups of residuals that are tested by themselves, each with its own whitening, threshold, alarm and share of
+        the rate: every residual alone, or those that are named, each residual in one group. The monitor is in alarm
+        while any group is, and tells which. Of many residuals one norm hides a fault that few of them show: of 52, it
+        lies at 10 standard deviations where that of a single one lies at 5. Not for banks, whose members are groups
+        already.
 
     References
     ----------
@@ -56,17 +66,18 @@ class NormThreshold:
     window: int = 1
     whiten: str = "auto"
     false_alarm_rate: float = 1e-4
+    groups: Any = None
 
     def __post_init__(self) -> None:
         """Check the settings."""
         if self.threshold is not None and not (is_number(self.threshold) and self.threshold > 0):
-            raise SettingError(f"threshold must be a positive number, got {echo(self.threshold)}")
+            raise SettingError(f"threshold must be a positive number, got {self.threshold!r}")
         for name in ("persistence", "window"):
             check_samples(getattr(self, name), name)
         if self.release is not None:
             check_samples(self.release, "release")
         if self.whiten not in ("auto", "data", "model", "none"):
-            raise SettingError(f"whiten must be 'auto', 'data', 'model' or 'none', got {echo(self.whiten)}")
+            raise SettingError(f"whiten must be 'auto', 'data', 'model' or 'none', got {self.whiten!r}")
         check_rate(self.false_alarm_rate)
         for name in ("persistence", "release", "window"):  # plain numbers, whatever they came as
             value = getattr(self, name)
@@ -74,6 +85,38 @@ class NormThreshold:
         for name in ("threshold", "false_alarm_rate"):
             value = getattr(self, name)
             object.__setattr__(self, name, None if value is None else float(value))
+        object.__setattr__(self, "groups", _checked_groups(self.groups))
+
+
+def _checked_groups(given: object) -> Groups:
+    """Return groups of residuals as plain names; those without a name are called by their residuals."""
+    if given is None:
+        return None
+    if isinstance(given, str) and given == "each":
+        return "each"
+    wanted = "groups must be 'each', names of groups with the names of their residuals, or a list of lists of these"
+    if isinstance(given, Mapping):
+        pairs = list(given.items())
+    elif isinstance(given, Sequence) and not isinstance(given, str):
+        if all(isinstance(one, tuple) and len(one) == 2 and isinstance(one[0], str) and isinstance(one[1], tuple)
+               for one in given):  # what this function returns  # fmt: skip
+            pairs = list(given)
+        else:
+            pairs = [(None, one) for one in given]
+    else:
+        raise SettingError(f"{wanted}, got {given!r}")
+    out: dict[str, tuple[str, ...]] = {}
+    for name, members in pairs:
+        if isinstance(members, str) or not isinstance(members, Sequence) or not len(members):
+            raise SettingError(f"{wanted}, got {members!r} for one group")
+        names = tuple(str(one) for one in members)
+        label = ", ".join(names) if name is None else str(name)
+        if label in out:
+            raise SettingError(f"two groups are called {label!r}")
+        out[label] = names
+    if not out:
+        raise SettingError(f"{wanted}, got none")
+    return tuple(out.items())
 
 
 def is_number(value: object) -> bool:
@@ -84,13 +127,13 @@ def is_number(value: object) -> bool:
 def check_samples(value: object, name: str, *, least: int = 1) -> None:
     """Raise unless a setting is a whole number of samples."""
     if not is_number(value) or int(value) != value or value < least:  # pyright: ignore
-        raise SettingError(f"{name} must be a whole number of samples, at least {least}, got {echo(value)}")
+        raise SettingError(f"{name} must be a whole number of samples, at least {least}, got {value!r}")
 
 
 def check_rate(rate: float) -> None:
     """Raise unless ``rate`` is a usable false alarm rate."""
     if not is_number(rate) or not 0 < rate < 1:
-        raise SettingError(f"false_alarm_rate must lie between 0 and 1, got {echo(rate)}")
+        raise SettingError(f"false_alarm_rate must lie between 0 and 1, got {rate!r}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +152,12 @@ class NormTest:
     kind : {"norm", "peak"}
         What it was made of: :class:`NormThreshold`, or :class:`residua.decide.PeakThreshold`, whose window is
         ``release``.
+    promised : float or None
+        Fraction of fault-free samples in alarm that the data of the fit promise not to be exceeded on other data, with
+        95 % confidence: 1 where they are too few to say anything; ``None`` where the threshold is not from data.
+    shrinkage : float or None
+        How far the covariance was drawn towards a simpler one, between 0 and 1, because the data were too few for it;
+        ``None`` where it is not from data.
     """
 
     center: NDArray[np.float64]
@@ -119,6 +168,8 @@ class NormTest:
     window: int
     basis: str
     kind: str = "norm"
+    promised: float | None = None
+    shrinkage: float | None = None
 
     @property
     def band(self) -> NDArray[np.float64]:
@@ -156,9 +207,11 @@ def fit_norm_test(
 ) -> NormTest:
     """Fit mean, covariance and threshold to fault-free residuals.
 
-    The threshold is the smallest for which the fraction of usable samples in alarm, persistence and release
-    included, is at most ``false_alarm_rate``. Where fewer than ten samples would be left in alarm, the data
-    cannot tell: the threshold for ten is then extended by the exponential tail of the data.
+    Mean and covariance are those of all samples. The threshold comes from statistics that each stretch of time has by
+    the mean and covariance of the others (cross-fitting, :class:`residua.decide.fault_free.FaultFree`), so that it
+    holds on data that the covariance was not fitted to. It is that which the fraction of samples in alarm, persistence
+    and release included, is ``false_alarm_rate`` for; see :func:`residua.decide.false_alarms.promise_of` for what is
+    done where the data are too few to show that, and for what ``promised`` says.
 
     Parameters
     ----------
@@ -171,125 +224,89 @@ def fit_norm_test(
     signal_size : float
         Size of the signals that the residual is the difference of; residuals below 1e-12 of it are rounding.
     seams : sequence of int
-        The first sample of each further recording, where there are several in a row.
+        Where ``residuals`` are those of several recordings in a row: the first sample of each further one. No window,
+        run or correlation reaches across.
 
     Returns
     -------
     NormTest
     """
     check_rate(false_alarm_rate)
-    rows = residuals[usable]
-    k = residuals.shape[1]
-    check_enough(len(rows), k, settings.window)
-    mean, spread = residual_moments(rows)
-    if settings.window > 1:
-        _, spread = residual_moments(_sums(residuals - mean, usable, settings.window, seams)[usable])
-    source = covariance if settings.whiten == "model" and covariance is not None else spread
+    base = fit_moments(settings, residuals, usable, covariance=covariance, signal_size=signal_size, seams=seams)
+    return with_threshold(base, false_alarm_rate)
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A test with mean and covariance fitted, and what its threshold is to be fitted to.
+
+    Attributes
+    ----------
+    test : NormTest
+        Its threshold is infinite, or the one of the settings.
+    seen : Observed or None
+        Its cross-fitted statistic on fault-free data; ``None`` where the threshold is set.
+    count : int
+        Fault-free samples.
+    rounding : float or None
+        Where these data hold no noise: the level of rounding.
+    """
+
+    test: NormTest
+    seen: Observed | None
+    count: int
+    rounding: float | None
+
+
+def fit_moments(
+    settings: NormThreshold,
+    residuals: NDArray[np.float64],
+    usable: NDArray[np.bool_],
+    *,
+    covariance: NDArray | None,
+    signal_size: float,
+    seams: Sequence[int] = (),
+) -> Fitted:
+    """Fit mean and covariance, and return what the threshold is to be fitted to; see :func:`fit_norm_test`."""
+    data = FaultFree(residuals, usable, settings.window, tuple(seams))
+    k, count = residuals.shape[1], int(usable.sum())
+    check_enough(count, k, settings.window)
     rounding = 1e-12 * signal_size
-    noise_free = bool(np.sqrt(np.trace(spread)) <= rounding)
+    noise_free = data.spread <= rounding
+    known = None
     if settings.whiten == "none" or noise_free:
-        whitening = np.eye(k)
-    else:
-        whitening = whitening_matrix(source)
+        known = np.eye(k)
+    elif settings.whiten == "model" and covariance is not None:
+        known = whitening_matrix(covariance)
+    whole = data.moments(whitening=known)
     release = settings.release or settings.persistence
-    test = NormTest(mean, whitening, np.inf, settings.persistence, release, settings.window, "")
+    test = NormTest(whole.center, whole.whitening, np.inf, settings.persistence, release, settings.window, "")
+    if known is None:
+        test = replace(test, shrinkage=float(whole.intensity))
     if settings.threshold is not None:
-        return replace(test, threshold=settings.threshold, basis="threshold given, mean and covariance fitted")
-    statistic = np.linalg.norm(_sums((residuals - mean) @ whitening, usable, settings.window, seams), axis=1)
-    fitted, basis = fitted_threshold(statistic, usable, test, false_alarm_rate, seams=seams)
-    if noise_free:
-        fitted, basis = above_rounding(fitted, rounding, basis)
-    return replace(test, threshold=float(fitted), basis=basis)
+        test = replace(test, threshold=settings.threshold, basis="threshold given, mean and covariance fitted")
+        return Fitted(test, None, count, None)
+    seen = observed(
+        data.cross_fitted(whole, whiten=known is None), data.full, usable, data.parts, k,
+        persistence=settings.persistence, release=release, window=settings.window, own=data.statistic(whole),
+    )  # fmt: skip
+    return Fitted(test, seen, count, rounding if noise_free else None)
+
+
+def with_threshold(base: Fitted, rate: float) -> NormTest:
+    """Return a test with its threshold for a rate of false alarms."""
+    if base.seen is None:
+        return base.test
+    found = promise_of(base.seen, rate)
+    threshold, basis = found.threshold, f"fitted to {base.count} fault-free samples, {found}"
+    if base.test.shrinkage:
+        basis += f"; covariance of too few samples, drawn by {base.test.shrinkage:.2g} towards a simpler one"
+    if base.rounding is not None:
+        threshold, basis = above_rounding(threshold, base.rounding, basis)
+    return replace(base.test, threshold=float(threshold), basis=basis, promised=float(found.promised))
 
 
 def above_rounding(threshold: float, rounding: float, basis: str) -> tuple[float, str]:
     """Return a threshold fitted to data without noise, raised to the rounding of the signals, and its basis."""
     told = f"{basis}; no noise in these data: the threshold is at rounding level"
     return max(threshold, rounding, np.finfo(float).tiny), told
-
-
-def check_enough(samples: int, k: int, window: int) -> None:
-    """Raise unless there are enough usable samples to fit the threshold of ``k`` residuals."""
-    least = max(10 * k, 30, 10 * window)
-    if samples < least:
-        raise DataError(
-            f"{samples} usable samples are too few to fit {k} residuals with a window of {window}: give at "
-            f"least {least} fault-free samples after the filter has settled"
-        )
-
-
-def fitted_threshold(
-    statistic: NDArray,
-    usable: NDArray[np.bool_],
-    test: NormTest,
-    false_alarm_rate: float,
-    *,
-    least: int = 10,
-    seams: Sequence[int] = (),
-) -> tuple[float, str]:
-    """Return the smallest threshold with at most a rate of false alarms on fault-free samples, and its basis in words.
-
-    Where fewer than ``least`` samples would be left in alarm, that for so many is extended by the tail of the data.
-    """
-    count = int(usable.sum())
-    seen_rate = max(false_alarm_rate, min(0.2, least / count))
-    fitted = _smallest_threshold(statistic, usable, test, seen_rate, seams)
-    basis = f"fitted to {count} fault-free samples, at most {false_alarm_rate:g} of them in alarm"
-    if seen_rate > false_alarm_rate:
-        decay = _tail_decay(statistic, usable, test.persistence, seams)
-        extended = float(np.sqrt(fitted**2 + decay * np.log(seen_rate / false_alarm_rate)))
-        fitted = max(extended, _smallest_threshold(statistic, usable, test, false_alarm_rate, seams))
-        basis += f" (too few to see that: extended from a rate of {seen_rate:.2g} by the tail of the data)"
-    return fitted, basis
-
-
-def _sums(residuals: NDArray, usable: NDArray[np.bool_], window: int, seams: Sequence[int]) -> NDArray[np.float64]:
-    """Return the sums over the window, divided by its square root."""
-    counted = np.where(usable[:, None], residuals, 0.0)[None]
-    empty = empty_window(1, window, residuals.shape[1])
-    sums = [moving_sum(counted[:, part], empty)[0][0] for part in parts_between(len(usable), seams)]
-    return np.concatenate(sums) / np.sqrt(window)
-
-
-def _smallest_threshold(
-    statistic: NDArray, usable: NDArray, test: NormTest, rate: float, seams: Sequence[int]
-) -> float:
-    """Return the smallest threshold that keeps the fraction of samples in alarm at ``rate`` (bisection)."""
-    levels = np.unique(statistic[usable])
-    zero, off = np.zeros(1, dtype=np.int64), np.zeros(1, dtype=bool)
-    parts = parts_between(len(usable), seams)
-
-    def fraction(threshold: float) -> float:
-        over, count = (statistic > threshold)[None], 0
-        for part in parts:
-            there = usable[None, part]
-            alarm, _, _ = alarm_logic(over[:, part], there, zero, zero, off, test.persistence, test.release)
-            count += int((alarm & there).sum())
-        return float(count / usable.sum())
-
-    low, high = 0, len(levels) - 1  # no sample is over the highest level
-    while low < high:
-        middle = (low + high) // 2
-        if fraction(levels[middle]) <= rate:
-            high = middle
-        else:
-            low = middle + 1
-    above = levels[low + 1] if low + 1 < len(levels) else levels[low] * (1 + 1e-6)
-    return float(levels[low] + 0.5 * (above - levels[low]))
-
-
-def _tail_decay(statistic: NDArray, usable: NDArray, persistence: int, seams: Sequence[int]) -> float:
-    """Return the scale of the exponential tail of the squared statistic, persistence taken into account.
-
-    An alarm needs the statistic over the threshold ``persistence`` times in a row, so the tail of the smallest
-    of as many is what counts; that of a squared Gaussian norm is exponential.
-    """
-    pieces = [statistic[part][usable[part]] ** 2 for part in parts_between(len(usable), seams)]
-    view = np.lib.stride_tricks.sliding_window_view
-    lowest = [view(piece, persistence).min(axis=1) for piece in pieces if len(piece) >= persistence]
-    if not lowest:
-        return 0.0
-    lowest = np.concatenate(lowest)
-    level = float(np.quantile(lowest, 0.95))
-    above = lowest[lowest > level]
-    return float(np.mean(above - level)) if above.size else 0.0

@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.member_thresholds import BankTest, side_by_side
-from residua.decide.norm_threshold import NormTest, above_rounding, check_enough, check_rate, fitted_threshold
+from residua.decide.false_alarms import observed
+from residua.decide.fault_free import FaultFree
+from residua.decide.member_thresholds import BankTest, fit_together, side_by_side
+from residua.decide.norm_threshold import Fitted, NormTest, check_rate, with_threshold
 from residua.decide.peak_threshold import PeakThreshold
 from residua.decide.row_norms import row_norms
 from residua.decide.seams import told_sample
@@ -19,8 +21,6 @@ from residua.errors import DataError
 CERTIFIED = "certified by the design over its uncertainty set"
 GIVEN = "threshold given"
 
-#: Alarms that fault-free data must show before their rate is read from them and not extended by their tail.
-_SEEN = 10
 #: Members whose shares of their thresholds a basis tells one by one.
 _TOLD = 8
 
@@ -53,7 +53,7 @@ def peak_test(
     if members is None:
         return _blank(settings, n_residuals, thresholds[0], basis)
     tests = [_blank(settings, len(rows), J, basis) for rows, J in zip(members, thresholds, strict=True)]
-    return replace(side_by_side(tests, members, n_residuals), basis=basis)
+    return replace(side_by_side(tests, 1.0, members, n_residuals), basis=basis)
 
 
 def _blank(settings: PeakThreshold, k: int, threshold: float = np.inf, basis: str = "") -> NormTest:
@@ -72,10 +72,9 @@ def fit_peak_test(
 ) -> NormTest | BankTest:
     """Fit a threshold to the norm of fault-free residuals, or one to that of each member.
 
-    As :func:`residua.decide.norm_threshold.fit_norm_test`, of the norm as it is: the smallest threshold for which the
-    fraction of usable samples in alarm, those of the window included, is at most ``false_alarm_rate``; each of ``M``
-    members gets ``1/M`` of it. Where that would leave fewer than ten alarms, the threshold for ten is extended by the
-    exponential tail of the data.
+    As :func:`residua.decide.norm_threshold.fit_norm_test`, of the norm as it is: the fraction of usable samples in
+    alarm, those of the window included, is to be ``false_alarm_rate``; each of ``M`` members gets ``1/M`` of it, or
+    more where their alarms coincide (:func:`residua.decide.member_thresholds.fit_together`).
 
     Parameters
     ----------
@@ -87,7 +86,7 @@ def fit_peak_test(
         For each member, or for the whole, the size of the signals that its residuals are the difference of.
     members : sequence of sequence of int, optional
     seams : sequence of int
-        The first sample of each further recording, where there are several in a row.
+        The first sample of each further recording.
 
     Returns
     -------
@@ -99,30 +98,36 @@ def fit_peak_test(
         If there are fewer usable samples than ten windows.
     """
     check_rate(false_alarm_rate)
-    parts = [range(residuals.shape[1])] if members is None else members
-    tests = [
-        _fitted(settings, residuals[:, list(rows)], usable, false_alarm_rate / len(parts), size, seams)
-        for rows, size in zip(parts, signal_sizes, strict=True)
+    rows = [range(residuals.shape[1])] if members is None else members
+    found = [
+        _observed(settings, residuals[:, list(part)], usable, size, seams)
+        for part, size in zip(rows, signal_sizes, strict=True)
     ]
-    return tests[0] if members is None else side_by_side(tests, members, residuals.shape[1])
+    if members is None:
+        return with_threshold(found[0], false_alarm_rate)
+    return side_by_side(*fit_together(found, false_alarm_rate), members, residuals.shape[1])
 
 
-def _fitted(
+def _observed(
     settings: PeakThreshold,
     residuals: NDArray[np.float64],
     usable: NDArray[np.bool_],
-    rate: float,
     signal_size: float,
     seams: Sequence[int],
-) -> NormTest:
-    check_enough(int(usable.sum()), residuals.shape[1], settings.window)
-    test = _blank(settings, residuals.shape[1])
+) -> Fitted:
+    count, least = int(usable.sum()), max(30, 10 * settings.window)
+    if count < least:
+        raise DataError(
+            f"{count} usable samples are too few to fit {residuals.shape[1]} residuals with a window of "
+            f"{settings.window}: give at least {least} fault-free samples after the filter has settled"
+        )
     norms = np.where(usable, row_norms(residuals), 0.0)
-    threshold, basis = fitted_threshold(norms, usable, test, rate, least=_SEEN * settings.window, seams=seams)
+    data = FaultFree(residuals, usable, settings.window, tuple(seams))
+    seen = observed(
+        norms, data.full, usable, data.parts, np.inf, persistence=1, release=settings.window, window=settings.window
+    )
     rounding = 1e-12 * signal_size
-    if norms.max() <= rounding:
-        threshold, basis = above_rounding(threshold, rounding, basis)
-    return replace(test, threshold=float(threshold), basis=basis)
+    return Fitted(_blank(settings, residuals.shape[1]), seen, count, rounding if norms.max() <= rounding else None)
 
 
 def checked_peak_test(

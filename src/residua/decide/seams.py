@@ -3,13 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
-
-
-def parts_between(samples: int, seams: Sequence[int]) -> list[slice]:
-    """Return the recordings; ``seams`` are the first samples of all but the first."""
-    edges = [0, *(int(s) for s in seams), samples]
-    return [slice(a, b) for a, b in pairwise(edges)]
 
 
 def told_sample(sample: int, seams: Sequence[int]) -> str:

@@ -339,9 +339,24 @@ def _notes(plant: Plant, known: Diagnosability | None, entries: list[Entry]) -> 
     if plant.noises:
         yield "the plant has noise: a Kalman filter is the quietest observer; perfect observers are the loudest"
     yield from _about_sizes(plant, entries)
+    yield from _about_many_residuals(entries)
     banks = [entry.made for entry in entries if isinstance(entry.made, Bank)]
     if any(bank.strongly_isolating for bank in banks):
         yield "faults that come together: a dedicated bank or a fault_estimator; a generalized bank names one at a time"
+
+
+#: Residuals from which on groups of them are advised.
+_MANY = 10
+
+
+def _about_many_residuals(entries: list[Entry]) -> Iterator[str]:
+    single = [entry.made for entry in entries if isinstance(entry.made, ResidualGenerator)]
+    most = max((made.n_residuals for made in single), default=0)
+    if most >= _MANY:
+        yield (
+            f"one norm over {most} residuals hides a fault that few of them show: test them by themselves, with "
+            "rs.Monitor(..., test=rs.decide.NormThreshold(groups='each')), or in groups that belong together"
+        )
 
 
 def _about_sizes(plant: Plant, entries: list[Entry]) -> Iterator[str]:

@@ -186,6 +186,8 @@ class Alarm:
     began : Beginning or None
         When the change began that raised the alarm, as an interval; ``None`` where that cannot be told: it was before
         ``raised``. Of the twenty longest alarms of a recording.
+    fired : tuple of str
+        Where groups of residuals are tested by themselves: those that were in alarm, the longest first.
     """
 
     onset: float
@@ -200,6 +202,7 @@ class Alarm:
     arrival: float | None = None
     present: tuple[PresentFault, ...] = ()
     began: Beginning | None = None
+    fired: tuple[str, ...] = ()
 
     @property
     def named(self) -> tuple[tuple[str, ...], ...]:
@@ -247,7 +250,7 @@ class Alarm:
         """Return the alarm as plain values for JSON; ``short`` means shorter than the isolation window.
 
         ``began`` is there where it is known, ``code`` for banks, ``present`` for dedicated ones, ``sizes`` for
-        estimators and matched filters, ``arrival`` and ``lead`` for the latter.
+        estimators and matched filters, ``arrival`` and ``lead`` for the latter, ``fired`` for groups of residuals.
         """
         out: dict[str, Any] = {
             "onset": _clean(self.onset),
@@ -264,6 +267,8 @@ class Alarm:
             out |= {"arrival": self.arrival, "lead": self.lead}
         if self.reading is not None:
             out["code"] = _code(self.reading) | {"share": self.read_share}
+        if self.fired:
+            out["fired"] = list(self.fired)
         if self.present:
             out["present"] = [_present(fault) for fault in self.present]
         if self.sizes:

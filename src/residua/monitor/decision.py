@@ -35,7 +35,7 @@ class Decision:
     candidates : tuple of Candidate
         Best first while the alarm is on; empty otherwise, and by a code of several faults at once (``named``).
     fired : tuple of str
-        For a bank: the members that are in alarm.
+        For a bank: the members that are in alarm; for groups of residuals those.
     reading : CodeReading or None
         For a bank while the alarm is on: what the members that fired over the window say.
     estimates : mapping of str to float
@@ -80,8 +80,9 @@ def decision_from(found: Decisions, spec: Specification, generator: ResidualGene
     fired: tuple[str, ...] = ()
     present: tuple[PresentFault, ...] = ()
     reading = None
+    if spec.members:
+        fired = tuple(name for name, on in zip(spec.members, found.fired[0, 0], strict=True) if on)
     if spec.codes is not None:
-        fired = tuple(name for name, on in zip(spec.codes.members, found.fired[0, 0], strict=True) if on)
         if alarm:
             reading = spec.codes.read(found.code[0, 0])
             candidates = candidates_of_code(reading, spec.codes)

@@ -254,12 +254,6 @@ def _plant_in(value: Any, where: str) -> Plant:
     )
 
 
-def _fault_in(value: Any, where: str) -> Fault:
-    """Return a fault from name, kind and component, and the notes where there are any."""
-    noted = isinstance(value, list) and len(value) == 6
-    return Fault(*texts_in(list_in(value, where, 6 if noted else 3), where))
-
-
 def _observer_in(value: Any, where: str) -> Observer:
     content = record(value, where, (*_OBSERVER_ARRAYS, *_OBSERVER_OPTIONS, "plant", "method", "decouples", "evidence"))
     arrays: dict[str, Any] = {name: array_in(content[name], joined(where, name), ENTRY, 2) for name in _OBSERVER_ARRAYS}

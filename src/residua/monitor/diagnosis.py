@@ -88,6 +88,9 @@ class Diagnosis:
     notes : tuple of str
     codes : CodeTest or None
         Members, groups and codes of a bank whose members were tested one by one; ``None`` for anything else.
+    tested : mapping of str to tuple of int
+        Where groups of residuals are tested by themselves: the residual numbers of each; else empty. They are
+        ``members`` then.
     member_statistics : ndarray, shape (T, members)
         Statistic of each member of a bank; no columns without one.
     member_thresholds : ndarray, shape (members,)
@@ -139,6 +142,7 @@ class Diagnosis:
     source: str = ""
     notes: tuple[str, ...] = ()
     codes: CodeTest | None = field(default=None, repr=False)
+    tested: Mapping[str, tuple[int, ...]] = field(default_factory=dict, repr=False)
     member_statistics: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
     member_thresholds: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0), repr=False)
     fired: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), dtype=bool), repr=False)
@@ -218,8 +222,11 @@ class Diagnosis:
 
     @property
     def members(self) -> tuple[str, ...]:
-        """Names of the members of a bank, the columns of ``fired``, ``code`` and ``member_statistics``."""
-        return self.codes.members if self.codes else ()
+        """Names of the members of a bank, the columns of ``fired``, ``code`` and ``member_statistics``.
+
+        Or of the groups of residuals that are tested by themselves, which have no ``code``.
+        """
+        return self.codes.members if self.codes else tuple(self.tested)
 
     @property
     def group_names(self) -> tuple[str, ...]:
@@ -265,6 +272,9 @@ class Diagnosis:
             until = "to the end" if alarm.ended is None else f"until {self.clock.at(alarm.ended)}"
             lines.append(f"alarm {k}: raised {self.clock.at(alarm.raised)}, {until}")
             lines.append(f"  {began_text(alarm, self.clock)}")
+            if alarm.fired:
+                more = f" and {len(alarm.fired) - 8} more" if len(alarm.fired) > 8 else ""
+                lines.append(f"  over their thresholds: {', '.join(alarm.fired[:8])}{more}")
             if alarm.reading is not None:
                 lines.append(f"  {alarm.reading}")
                 lines += [f"  {fault}" for fault in alarm.present if alarm.reading.together]

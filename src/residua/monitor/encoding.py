@@ -134,6 +134,8 @@ def values_out(values: Any) -> dict[str, Any]:
             value = float_out(float(value))
         elif isinstance(value, np.integer):
             value = int(value)
+        elif isinstance(value, tuple):
+            value = list(value)
         out[name] = value
     return out
 
@@ -157,6 +159,8 @@ def values_in(value: Any, where: str, cls: type[Any]) -> Any:
             out[field.name] = array_in(entry, at, kinds.get(field.name, USUAL[dtype]))
         elif plain in _SCALARS:
             out[field.name] = number_in(entry, at, kinds.get(field.name, USUAL[_SCALARS[plain]]))
+        elif plain == "tuple[str, ...]":
+            out[field.name] = texts_in(entry, at)
         else:
             out[field.name] = text_in(entry, at)
     return cls(**out)

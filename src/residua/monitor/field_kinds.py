@@ -21,11 +21,21 @@ from residua.number_kinds import (
 )
 
 _RUNS = {"persistence": COUNT, "release": COUNT, "window": WINDOW}
+_PROMISE = {"promised": SHARE}
 
 FIELDS: Mapping[str, Mapping[str, NumberKind]] = {
     "NormThreshold": {**_RUNS, "threshold": POSITIVE, "false_alarm_rate": PROBABILITY},
-    "NormTest": {**_RUNS, "center": ENTRY, "whitening": ENTRY, "threshold": POSITIVE},
-    "BankTest": {**_RUNS, "center": ENTRY, "whitening": ENTRY, "sizes": COUNT, "thresholds": POSITIVE},
+    "NormTest": {**_RUNS, **_PROMISE, "center": ENTRY, "whitening": ENTRY, "threshold": POSITIVE},
+    "BankTest": {**_RUNS, **_PROMISE, "center": ENTRY, "whitening": ENTRY, "sizes": COUNT, "thresholds": POSITIVE},
+    "GroupTest": {
+        **_RUNS,
+        **_PROMISE,
+        "center": ENTRY,
+        "whitening": ENTRY,
+        "sizes": COUNT,
+        "thresholds": POSITIVE,
+        "whole": ENTRY,
+    },
     "Directional": {"window": WINDOW},
     "Structured": {"window": WINDOW, "share": SHARE},
     "Matched": {"window": WINDOW, "alike": SHARE},

@@ -13,6 +13,7 @@ from residua.decide.matched_level import fit_matched_test
 from residua.decide.member_thresholds import BankTest, fit_bank_test
 from residua.decide.norm_threshold import NormTest, fit_norm_test
 from residua.decide.peak_threshold import PeakThreshold
+from residua.decide.residual_groups import fit_group_test, rows_of_groups
 from residua.decide.structured import Structured
 from residua.design import ResidualGenerator
 from residua.errors import DataError
@@ -138,6 +139,17 @@ def _fitted(
             covariance=covariance,
             signal_size=signal_size(generator, deviations),
             seams=seams,
+        )
+    if settings.groups is not None:
+        groups = rows_of_groups(settings.groups, generator.residuals)
+        return fit_group_test(
+            settings,
+            residuals,
+            usable,
+            groups,
+            false_alarm_rate=rate,
+            covariance=covariance,
+            signal_sizes=[signal_size(generator, deviations, part) for part in groups.values()],
         )
     return fit_norm_test(
         settings,

@@ -13,6 +13,7 @@ from residua.decide.matched_hold import hold_block
 from residua.decide.member_thresholds import BankTest, member_alarms
 from residua.decide.norm_threshold import NormTest
 from residua.decide.persistence import alarm_logic
+from residua.decide.residual_groups import GroupTest
 from residua.decide.row_norms import row_norms
 from residua.decide.structured import CodeTest
 from residua.decide.window import WindowState, moving_sum
@@ -63,12 +64,8 @@ def judge_members(
     test: BankTest, codes: CodeTest, state: State, tested: NDArray, window: WindowState, usable: NDArray[np.bool_]
 ) -> _Judged:
     """Return alarms and run lengths of every member, window and decisions of a bank."""
-    statistics = np.full((*usable.shape, len(test.sizes)), np.nan)
-    for m, (start, stop) in enumerate(test.columns):
-        statistics[..., m] = np.where(usable, row_norms(tested[..., start:stop]) / np.sqrt(test.window), np.nan)
-    over = usable[..., None] & (np.where(usable[..., None], statistics, 0.0) > test.thresholds)
-    fired, up, down = member_alarms(test, over, usable, state.up, state.down, state.alarm)
-    alarm = fired.any(axis=2)
+    (fired, up, down), found = _one_by_one(test, state, tested, usable)
+    alarm = found["alarm"]
     counts, window = moving_sum((fired & usable[..., None]).astype(float), window)  # whole numbers: exact
     largest = counts.max(axis=2, initial=0.0)[..., None]
     code = np.asarray(alarm)[..., None] & (counts > 0) & (counts >= codes.share * largest)
@@ -78,17 +75,44 @@ def judge_members(
     for g in range(len(codes.groups)):
         agree[..., g] = np.count_nonzero(code == codes.codes[:, g], axis=2)
     read = usable & code.any(axis=2)
+    scores = np.where(read[..., None], agree / len(codes.members), np.nan)
+    return (fired, up, down), window, {**found, "scores": scores, "code": code}
+
+
+def judge_groups(
+    test: GroupTest,
+    direction: DirectionTest | None,
+    state: State,
+    q: NDArray,
+    tested: NDArray,
+    window: WindowState,
+    usable: NDArray[np.bool_],
+) -> _Judged:
+    """Return alarms and run lengths of every group of residuals, window and decisions; ``q`` is whitened as a whole."""
+    runs, found = _one_by_one(test, state, tested, usable)
+    sums, window = moving_sum(q, window)
+    nobody = np.zeros((*usable.shape, 0), dtype=bool)
+    return runs, window, {**found, "scores": _scores(direction, sums, usable), "code": nobody}
+
+
+def _one_by_one(
+    test: BankTest, state: State, tested: NDArray, usable: NDArray[np.bool_]
+) -> tuple[tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]], dict[str, Any]]:
+    """Return alarms and run lengths of what has a threshold of its own, and the decisions that follow from them."""
+    statistics = np.full((*usable.shape, len(test.sizes)), np.nan)
+    for m, (start, stop) in enumerate(test.columns):
+        statistics[..., m] = np.where(usable, row_norms(tested[..., start:stop]) / np.sqrt(test.window), np.nan)
+    over = usable[..., None] & (np.where(usable[..., None], statistics, 0.0) > test.thresholds)
+    fired, up, down = member_alarms(test, over, usable, state.up, state.down, state.alarm)
     found = {
         "statistic": np.max(statistics / test.thresholds, axis=2),
         "exceeded": over.any(axis=2),
-        "alarm": alarm,
+        "alarm": fired.any(axis=2),
         "up": np.where(fired, up, 0).max(axis=2, initial=0),
-        "scores": np.where(read[..., None], agree / len(codes.members), np.nan),
         "member_statistics": statistics,
         "fired": fired,
-        "code": code,
     }
-    return (fired, up, down), window, found
+    return (fired, up, down), found
 
 
 def judge_matched(

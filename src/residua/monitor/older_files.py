@@ -36,6 +36,7 @@ def renewed(content: dict[str, Any]) -> dict[str, Any]:
         for name in ("design", "sampled"):
             if content.get(name) is not None:
                 content[name] = _with_silent_rows(table_in(content[name], name), name)
+        _with_promise(content)
     return content
 
 
@@ -60,6 +61,14 @@ def _with_matched(content: dict[str, Any]) -> None:
         plants = len(array_in(state["resets"], "state.resets", INDEX, 1)) if "resets" in state else 0
         nothing = empty_fields(None, plants)
         content["state"] = state | {name: array_out(value) for name, value in nothing.items()}
+
+
+def _with_promise(content: dict[str, Any]) -> None:
+    """Fill in that nothing is promised by a test of a file of version 5 that was written before promises were."""
+    if content.get("fitted") is not None:
+        fitted = table_in(content["fitted"], "fitted")
+        if "promised" not in fitted and "shrinkage" not in fitted:
+            content["fitted"] = fitted | {"promised": None, "shrinkage": None}
 
 
 def _with_kinds(content: dict[str, Any]) -> None:

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from residua.decide.matched_hold import joined_matches
 from residua.decide.member_thresholds import BankTest
+from residua.decide.norm_threshold import NormTest
 from residua.decide.peak_tests import CERTIFIED
+from residua.decide.residual_groups import GroupTest
 from residua.design import ResidualGenerator
 from residua.design.matched_filters import not_settled
 from residua.design.robust_l1.certified_threshold import AFFINE_FORM
@@ -85,6 +87,8 @@ def diagnosis_from(
         sizes = sizes_over(generator, residuals, usable, first, last)
         if spec.codes is None:
             found = _by_direction(spec, scores, last)
+            if spec.members:
+                found["fired"] = _fired(spec.members, fired[start : max(stop, start + 1)])
         else:
             found = _by_code(spec, code, fired, usable, start, last)
             found["present"] = present_faults(spec.codes, found["reading"], fired, time, start, stop)
@@ -116,7 +120,7 @@ def diagnosis_from(
         band_share=share,
         averaged=spec.test.window,
         generator=generator,
-        whitening=spec.test.whitening,
+        whitening=spec.test.whole if isinstance(spec.test, GroupTest) else spec.test.whitening,
         settings=settings_of(spec, generator),
         source=recorded.source,
         origin=recorded.origin,
@@ -146,10 +150,25 @@ def _judge_fields(spec: Specification) -> dict[str, Any]:
         "unjudged": judge.unjudged if judge else (),
         "window": 1 if spec.matched or alone else spec.window,  # names are as sure after any time
         "codes": spec.codes,
+        "tested": rows_of_test(spec.test),
         "member_thresholds": spec.test.thresholds if isinstance(spec.test, BankTest) else np.zeros(0),
         "horizon": spec.test.release if spec.test.kind == "peak" else 0,
         "certified": spec.test.basis.startswith(CERTIFIED),
     }
+
+
+def rows_of_test(test: NormTest | BankTest) -> dict[str, tuple[int, ...]]:
+    """Return the residual numbers of each group that has a threshold of its own; empty for any other test."""
+    if not isinstance(test, GroupTest):
+        return {}
+    columns = zip(test.names, test.columns, strict=True)
+    return {n: tuple(np.flatnonzero(np.any(test.whitening[:, a:b] != 0, axis=1)).tolist()) for n, (a, b) in columns}
+
+
+def _fired(names: tuple[str, ...], fired: NDArray[np.bool_]) -> tuple[str, ...]:
+    """Return the groups of residuals that were in alarm, the longest first."""
+    share = fired.sum(axis=0)
+    return tuple(names[m] for m in np.argsort(-share, kind="stable") if share[m])
 
 
 def _by_direction(spec: Specification, scores: NDArray, last: int) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from residua.decide.member_thresholds import BankTest
 from residua.decide.norm_threshold import NormTest, NormThreshold
 from residua.decide.peak_tests import CERTIFIED, GIVEN, checked_peak_test, fit_peak_test, peak_test
 from residua.decide.peak_threshold import PeakThreshold
+from residua.decide.residual_groups import rows_of_groups
 from residua.decide.structured import Structured
 from residua.design import ResidualGenerator
 from residua.errors import ModelError, SettingError
@@ -33,6 +34,7 @@ def chosen_threshold(
     if test is not None and not isinstance(test, (NormThreshold, PeakThreshold)):
         raise SettingError(f"test must be NormThreshold(...) or PeakThreshold(...), got {test!r}")
     if isinstance(test, NormThreshold):
+        _check_groups(test, generator, isolate)
         return test, {}
     certified = brought_thresholds(design, generator)
     if test is None and not certified:
@@ -58,6 +60,21 @@ def chosen_threshold(
             "design for the sampled plant, plant.discretize(dt), or test=NormThreshold()"
         )
     return test, certified
+
+
+def _check_groups(test: NormThreshold, generator: ResidualGenerator, isolate: object) -> None:
+    """Raise where groups of residuals do not go with how faults are named, or with the residuals."""
+    if test.groups is None:
+        return
+    if isinstance(isolate, (Structured, Matched)):
+        kind = (
+            "by code, and its members are tested one by one already" if isinstance(isolate, Structured) else "matched"
+        )
+        raise SettingError(
+            f"groups are for residuals that are named by direction or not at all; here faults are {kind}: leave groups "
+            "out, or isolate=Directional() or None"
+        )
+    rows_of_groups(test.groups, generator.residuals)
 
 
 def brought_thresholds(design: Any, generator: ResidualGenerator) -> dict[str, float]:

@@ -14,6 +14,7 @@ from residua.decide.matched_level import matched_test_from_model
 from residua.decide.member_thresholds import BankTest, bank_test_from_model
 from residua.decide.norm_threshold import NormTest, norm_test_from_model
 from residua.decide.peak_threshold import PeakThreshold
+from residua.decide.residual_groups import GroupTest, group_test_from_model, rows_of_groups
 from residua.decide.structured import CodeTest, Structured, code_test
 from residua.design import ResidualGenerator
 from residua.design.matched_filters import MatchedFilters, step_responses
@@ -114,6 +115,9 @@ def first_test(
         return matched_test_from_model(
             settings, covariance, generator.n_residuals, lambda w: responses_of(generator, isolate, w)
         )
+    if settings.groups is not None:
+        groups = rows_of_groups(settings.groups, generator.residuals)
+        return group_test_from_model(settings, covariance, groups, generator.n_residuals)
     return norm_test_from_model(settings, covariance, generator.n_residuals)
 
 
@@ -159,8 +163,9 @@ def specification(
     elif isinstance(isolate, Matched):
         matched = responses_of(generator, isolate, test.whitening)
     elif isinstance(isolate, Directional):
+        whitening = test.whole if isinstance(test, GroupTest) else test.whitening
         direction = direction_test(
-            isolate, generator.subspaces, generator.steady_directions, test.whitening, generator.residual_rank
+            isolate, generator.subspaces, generator.steady_directions, whitening, generator.residual_rank
         )
     return Specification(
         system.A,

@@ -16,10 +16,11 @@ from residua.decide.matched import MatchedTest
 from residua.decide.matched_hold import Match
 from residua.decide.member_thresholds import BankTest
 from residua.decide.norm_threshold import NormTest
+from residua.decide.residual_groups import GroupTest
 from residua.decide.structured import CodeTest
 from residua.decide.window import WindowState, empty_window, moving_sum
 from residua.linear.recursion import ordered_product, run_filter
-from residua.monitor.judging import alarms_since, empty_fields, judge_matched, judge_members, judge_whole
+from residua.monitor.judging import alarms_since, empty_fields, judge_groups, judge_matched, judge_members, judge_whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +36,7 @@ class Specification:
     offset : ndarray, shape (channels,)
         Operating point.
     test : NormTest or BankTest
-        Of the residual as a whole, or of every member of a bank on its own.
+        Of the residual as a whole, or of every member of a bank, or group of residuals, on its own.
     direction : DirectionTest or None
     codes : CodeTest or None
         For a bank whose members are tested one by one.
@@ -83,8 +84,15 @@ class Specification:
 
     @property
     def alarms(self) -> tuple[int, ...]:
-        """Shape of the alarms of one plant: one number, or one per member of a bank."""
-        return (len(self.codes.members),) if self.codes else ()
+        """Shape of the alarms of one plant: one number, or one per member of a bank or group of residuals."""
+        return (len(self.test.sizes),) if isinstance(self.test, BankTest) else ()
+
+    @property
+    def members(self) -> tuple[str, ...]:
+        """Names of what has an alarm of its own: members of a bank, or groups of residuals."""
+        if self.codes:
+            return self.codes.members
+        return self.test.names if isinstance(self.test, GroupTest) else ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +147,8 @@ class Decisions:
         Correlation with the signature of each group, or the fraction of the members of a bank that agree with its
         code; NaN where nothing can be said.
     member_statistics : ndarray, shape (plants, time, members)
-        Statistic of each member of a bank; ``statistic`` is then the largest ratio of one to its threshold.
+        Statistic of each member of a bank, or group of residuals; ``statistic`` is then the largest ratio of one to its
+        threshold.
     fired : ndarray of bool, shape (plants, time, members)
         Which members are in alarm.
     code : ndarray of bool, shape (plants, time, members)
@@ -303,7 +312,10 @@ def _decide(
     tested, test_window = moving_sum(q, test_window)
     window = WindowState(state.ends, state.block, state.begun, state.filled)
     further: dict[str, NDArray] = {}
-    if isinstance(test, BankTest):
+    if isinstance(test, GroupTest):
+        all_of_it = ordered_product(np.where(usable[..., None], residuals - test.center, 0.0), test.whole)
+        decide = judge_groups(test, spec.direction, state, all_of_it, tested, window, usable)
+    elif isinstance(test, BankTest):
         assert spec.codes is not None
         decide = judge_members(test, spec.codes, state, tested, window, usable)
     elif spec.matched is not None:

@@ -20,6 +20,7 @@ from residua.decide.matched import Matched, MatchedTest
 from residua.decide.member_thresholds import BankTest
 from residua.decide.norm_threshold import NormTest, NormThreshold
 from residua.decide.peak_threshold import PeakThreshold
+from residua.decide.residual_groups import GroupTest, rows_of_groups
 from residua.decide.structured import CodeTest, Structured
 from residua.errors import FileFormatError, ResiduaError
 from residua.files import read_bytes, write_text
@@ -160,8 +161,7 @@ def _monitor_in(content: Mapping[str, Any]) -> Monitor:
         monitor._generator = sampled_in(design, content["sampled"], "sampled")
     monitor._norm_test = monitor._spec = monitor._state = None
     if content["fitted"] is not None:
-        by_code = isinstance(monitor.isolate, Structured)
-        monitor._norm_test = values_in(content["fitted"], "fitted", BankTest if by_code else NormTest)
+        monitor._norm_test = values_in(content["fitted"], "fitted", _kind_of_test(monitor))
         _check_fitted(monitor)
     if content["running"] is not None:
         monitor._spec = _running_in(monitor._specification(), content["running"], monitor.design.plant)
@@ -169,6 +169,13 @@ def _monitor_in(content: Mapping[str, Any]) -> Monitor:
         monitor._state = values_in(content["state"], "state", State)
         _check_state(monitor)
     return monitor
+
+
+def _kind_of_test(monitor: Monitor) -> type[NormTest] | type[BankTest]:
+    """Return what a threshold test is, with every number filled in."""
+    if isinstance(monitor.isolate, Structured):
+        return BankTest
+    return NormTest if getattr(monitor.test, "groups", None) is None else GroupTest
 
 
 def _isolation_out(isolate: Isolation) -> dict[str, Any] | None:
@@ -322,6 +329,12 @@ def _check_fitted(monitor: Monitor) -> None:
     columns = k
     if isinstance(test, BankTest):
         members = [len(member.residuals) for member in monitor.generator.members]
+        if isinstance(test, GroupTest):
+            assert isinstance(monitor.test, NormThreshold)
+            groups = rows_of_groups(monitor.test.groups, monitor.generator.residuals)
+            members = [len(part) for part in groups.values()]
+            if test.names != tuple(groups) or test.whole.shape != (k, k) or not np.isfinite(test.whole).all():
+                raise FileFormatError(f"fitted: names must be those of the groups, and whole be for {k} residuals")
         columns = sum(members)
         if test.sizes.tolist() != members or test.thresholds.shape != (len(members),):
             raise FileFormatError(f"fitted: sizes and thresholds must be for {len(members)} members")
@@ -347,7 +360,7 @@ def _check_windows(fitted: Any, running: Any, test: Any, isolate: Isolation) -> 
             judge = table_in(table_in(running, "running").get(name), where)
             if judge.get("window") != isolate.window:
                 raise FileFormatError(f"{where}.window must be that of isolate, {isolate.window}")
-            if name == "matched":
+            if isinstance(isolate, Matched):
                 shape = table_in(judge.get("responses"), f"{where}.responses").get("shape")
                 rows = shape[0] if isinstance(shape, list) and shape else None
                 if rows != (0 if isolate.steady else isolate.window + 1):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from residua.decide.member_thresholds import BankTest
 from residua.decide.norm_threshold import NormTest
 from residua.decide.peak_tests import CERTIFIED
+from residua.decide.residual_groups import GroupTest
 from residua.design import ResidualGenerator
 from residua.monitor.running import Specification
 
@@ -14,7 +15,7 @@ def settings_of(spec: Specification, generator: ResidualGenerator) -> dict[str, 
     test, step = spec.test, generator.dt
     out = {
         "sample step": f"{step:g} s",
-        "threshold": _threshold(test, spec.codes.members if spec.codes else ()),
+        "threshold": _threshold(test, spec.members),
         "test": _peak_test(test, step) if test.kind == "peak" else _norm_test(test),
         "alarm": _alarm(test),
         "settling": f"no decision in the first {spec.settle} samples after a start ({spec.settle * step:g} s)",
@@ -40,7 +41,8 @@ def _threshold(test: NormTest | BankTest, members: tuple[str, ...]) -> str:
 def _norm_test(test: NormTest | BankTest) -> str:
     summed = f", summed over {test.window} samples" if test.window > 1 else ""
     if isinstance(test, BankTest):
-        return f"norm of each member's whitened residual{summed}; the statistic is the largest ratio to its threshold"
+        whose = "group of residuals, whitened" if isinstance(test, GroupTest) else "member's whitened residual"
+        return f"norm of each {whose}{summed}; the statistic is the largest ratio to its threshold"
     return f"norm of the whitened residual{summed}"
 
 
@@ -59,9 +61,10 @@ def _peak_test(test: NormTest | BankTest, step: float) -> str:
 def _alarm(test: NormTest | BankTest) -> str:
     samples = "one sample" if test.kind == "peak" else f"{test.persistence} samples in a row"
     if isinstance(test, BankTest):
+        one, all_ = ("a group", "all") if isinstance(test, GroupTest) else ("a member", "the bank")
         return (
-            f"of a member: raised by {samples} over its threshold, ended by {test.release} below it; of the bank: "
-            "while any member is in alarm"
+            f"of {one}: raised by {samples} over its threshold, ended by {test.release} below it; of {all_}: "
+            f"while any {one[2:]} is in alarm"
         )
     return f"raised by {samples} over it, ended by {test.release} below it"
 

@@ -14,11 +14,12 @@ from residua.monitor.encoding import (
     record,
     table_in,
     text_in,
-    values_in,
+    texts_in,
     values_out,
     whole_in,
 )
-from residua.number_kinds import COUNT, POSITIVE, PROBABILITY
+from residua.monitor.field_kinds import FIELDS
+from residua.number_kinds import COUNT, POSITIVE, PROBABILITY, number_in
 from residua.visible import echo
 
 #: The tests, by the entry ``kind``.
@@ -28,7 +29,11 @@ KINDS: dict[str, type[Any]] = {"norm": NormThreshold, "peak": PeakThreshold}
 def threshold_out(settings: NormThreshold | PeakThreshold) -> dict[str, Any]:
     """Return the settings of a test as a record."""
     if isinstance(settings, NormThreshold):
-        return {"kind": "norm"} | values_out(settings)
+        content = {"kind": "norm"} | values_out(settings)
+        groups = content.pop("groups")
+        if groups is not None:  # an entry where there is something to tell: any other file stays as it was
+            content["groups"] = groups if isinstance(groups, str) else {name: list(part) for name, part in groups}
+        return content
     given = settings.thresholds
     thresholds = list(given) if isinstance(given, tuple) else dict(given) if isinstance(given, dict) else given
     return {"kind": "peak"} | values_out(settings) | {"thresholds": thresholds}
@@ -43,11 +48,30 @@ def threshold_in(value: Any) -> NormThreshold | PeakThreshold:
     if kind not in KINDS:
         raise FileFormatError(f"test.kind: expected one of {', '.join(KINDS)}, got {echo(kind)}")
     if kind == "norm":
-        return values_in(content, "test", NormThreshold)
+        return _norm_in(content)
     content = record(content, "test", field_names(PeakThreshold))
     rate = float_in(content["false_alarm_rate"], "test.false_alarm_rate", PROBABILITY)
     window = whole_in(content["window"], "test.window", COUNT)
     return PeakThreshold(_thresholds_in(content["thresholds"]), window, rate)
+
+
+def _norm_in(content: dict[str, Any]) -> NormThreshold:
+    groups = content.pop("groups", None)
+    values = record(content, "test", [name for name in field_names(NormThreshold) if name != "groups"])
+    if groups is not None and groups != "each":
+        parts = table_in(groups, "test.groups")
+        groups = {name: texts_in(part, joined("test.groups", name)) for name, part in parts.items()}
+    read: dict[str, Any] = {
+        name: (
+            text_in(value, joined("test", name))
+            if name == "whiten"
+            else None
+            if value is None and name in ("threshold", "release")
+            else number_in(value, joined("test", name), FIELDS["NormThreshold"][name])
+        )
+        for name, value in values.items()
+    }
+    return NormThreshold(**read, groups=groups)
 
 
 def _thresholds_in(value: Any) -> float | dict[str, float] | list[float] | None:

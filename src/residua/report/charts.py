@@ -233,7 +233,8 @@ def norm_unit(diagnosis: Diagnosis, member: int | None = None) -> str:
     """Return the unit of the norm of a member's residuals, or of all: theirs where they share one, else none."""
     names = diagnosis.residual_names
     if member is not None:
-        names = [names[i] for i in diagnosis.generator.members[member].residuals]
+        rows = diagnosis.tested.get(diagnosis.members[member]) or diagnosis.generator.members[member].residuals
+        names = [names[i] for i in rows]
     units = {residual_unit(diagnosis, name) for name in names}
     return units.pop() if len(units) == 1 else ""
 

@@ -25,11 +25,11 @@ def charts_html(diagnosis: Diagnosis, charts: dict[str, Any], number: int) -> st
         )
     shown = 0 if bank else SHOWN_RESIDUALS  # of a bank, the statistics of its members tell the story
     residuals, members = figures["residual"], figures["member"]
-    closer = "" if bank else " more"
+    closer, parts = "" if bank else " more", "groups of residuals" if diagnosis.tested else "members"
     tests = [
         *figures["statistic"],
         *members[:SHOWN_MEMBERS],
-        _behind(members[SHOWN_MEMBERS:], " more members, which stayed further below their thresholds"),
+        _behind(members[SHOWN_MEMBERS:], f" more {parts}, which stayed further below their thresholds"),
     ]
     judged = [
         *figures["estimate"],
@@ -62,6 +62,7 @@ def _measured(diagnosis: Diagnosis, figures: dict[str, list[str]]) -> str:
 def _figure(k: int, chart: dict[str, Any], diagnosis: Diagnosis) -> str:
     """Return the place of one chart, with its title."""
     bank, what = bool(diagnosis.members), "norm" if diagnosis.horizon else "statistic"
+    part = "group" if diagnosis.tested else "member"
     if chart["kind"] == "signal":
         name = chart["label"]
     elif chart["kind"] == "residual":
@@ -69,11 +70,12 @@ def _figure(k: int, chart: dict[str, Any], diagnosis: Diagnosis) -> str:
         name = f"Estimated size of {fault}" if fault else f"Residual {chart['label']}"
     else:
         name = {
-            "statistic": f"Largest ratio of a member's {what} to its threshold"
+            "statistic": f"Largest ratio of a {part}'s {what} to its threshold"
             if bank
             else f"{what[0].upper()}{what[1:]} and its threshold",
-            "member": f"Member {chart['label']}: {what}{' of its residual' * (what == 'norm')} and its threshold",
-            "scores": f"Candidate scores{', members that agree' if bank else ''} (faded where no alarm stands)",
+            "member": f"{part.capitalize()} {chart['label']}: {what}{' of its residual' * (what == 'norm')} "
+            "and its threshold",
+            "scores": f"Candidate scores{', members that agree' * bool(diagnosis.codes)} (faded where no alarm stands)",
         }[chart["kind"]]
     title = with_unit(name, chart["unit"])
     log = (

@@ -136,6 +136,9 @@ def _fault(diagnosis: Diagnosis) -> Verdict:
         f"The statistic first went over its threshold and stayed at {clock.at(_crossed(main, diagnosis))}; "
         f"{when}, {_end(main.ended, clock)}.",
     ]
+    if main.fired:
+        more = f" and {len(main.fired) - 10} more" if len(main.fired) > 10 else ""
+        sentences.append(f"Over their thresholds: {listing(main.fired[:10])}{more}.")
     candidates = [c for c in main.candidates if math.isfinite(c.score)]
     if main.reading is not None:
         headline, confidence, margin = _by_code(main, diagnosis.window, when, sentences, clock)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from residua.analysis.coding_sets import Structure
 from residua.design.banks.bank import Bank, build_bank, wanted_rows
 from residua.design.generator import ResidualGenerator
@@ -86,7 +88,8 @@ def structured_parity(
         relations = relations_of(model.plant, [space.relation(model, ignored, vector)], [name])
         own = poles[name] if isinstance(poles, Mapping) else poles
         made = relations.with_poles(own, method="structured parity relation", notes=model.notes)
-        answers = dict(zip(made.faults, made.structure.any(axis=0), strict=True))
+        seen = np.any(made.structure, axis=0).tolist()
+        answers = {fault: bool(seen[i]) for i, fault in enumerate(made.faults)}
         blind = [fault for fault in part.faults if not answers[fault]]
         if blind:
             raise AccuracyError(

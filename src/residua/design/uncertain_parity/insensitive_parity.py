@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.design.signals import stack_signals
+from residua.design.uncertain_parity.insensitive_fitting import fitted_running
 from residua.design.uncertain_parity.insensitive_running import (
     ParameterResiduals,
     ParameterRunning,
@@ -16,7 +17,6 @@ from residua.design.uncertain_parity.insensitive_running import (
     without_directions,
 )
 from residua.design.uncertain_parity.model_sensitivity import Equations, Model, checked_parameters, equations_of
-from residua.design.uncertain_parity.noise_units import fitted_scale, threshold_of
 from residua.design.uncertain_parity.window_filter import window_filter, window_poles
 from residua.errors import DataError, DesignError, SettingError
 from residua.linear import StateSpace, arrays
@@ -60,6 +60,9 @@ class InsensitiveParity:
         What the units of the residuals and the thresholds rest on.
     slope_errors : mapping of str to float
         How far derivatives by two steps are apart, relative to the largest.
+    promised : ndarray or None, shape (members,)
+        Fraction of fault-free samples over each threshold that the data of :meth:`fit` promise not to be exceeded on
+        other data, with 95 % confidence; 1 where they are too few to say anything.
     """
 
     plant: Plant = field(repr=False)
@@ -74,6 +77,7 @@ class InsensitiveParity:
     thresholds: NDArray[np.float64] | None
     basis: str
     slope_errors: Mapping[str, float] = field(repr=False)
+    promised: NDArray[np.float64] | None = None
 
     def initial_state(self, plants: int = 1) -> ParameterState:
         """Return the state before the first sample, of one plant or several."""
@@ -131,14 +135,16 @@ class InsensitiveParity:
         """Return the same with units and thresholds from fault-free data at the nominal parameters.
 
         The primary residuals are brought to unit covariance; then the threshold of each member is the level that its
-        statistic exceeds on the given fraction of samples, extended by the exponential tail of its square where the
-        data are too few to show it.
+        statistic exceeds on the given fraction of samples, on data other than these: the statistic of each stretch of
+        time is in units that the others give, and where the data are too few, its tail is extended and ``promised``
+        says which fraction is not exceeded.
 
         Parameters
         ----------
         u, y : array_like
             As for :meth:`run`.
         false_alarm_rate : float
+            Fraction of the samples over the threshold, of each member.
 
         Returns
         -------
@@ -151,21 +157,18 @@ class InsensitiveParity:
         """
         if not 0 < false_alarm_rate < 1:
             raise SettingError(f"false_alarm_rate must lie between 0 and 1, got {false_alarm_rate!r}")
-        m, settle = self.plant.n_outputs, self.running.settle
-        bare = replace(self, running=replace(self.running, scale=np.eye(m))).run(u, y).primary
-        e = bare.reshape(-1, bare.shape[-2], m)[:, settle:].reshape(-1, m)
-        if len(e) < max(10 * m, 30):
-            raise DataError(
-                f"{len(e)} settled samples are too few to fit {m} equations: give at least {max(10 * m, 30)}"
-            )
-        gains = self.running.largest_gains()
-        scale, noise_free = fitted_scale(e, gains, stack_signals(self.plant, u, y), self.running.scale)
-        running = self.running if noise_free else replace(self.running, scale=scale, rest=REST)
-        statistic = replace(self, running=running).run(u, y).statistic
-        levels = [threshold_of(statistic[..., j], false_alarm_rate, running.memory) for j in range(len(self.members))]
-        thresholds = np.array(levels)
-        basis = f"fitted to {len(e)} fault-free samples, at most {false_alarm_rate:g} of them over the threshold"
-        return replace(self, running=replace(running, thresholds=thresholds), thresholds=thresholds, basis=basis)
+        data = stack_signals(self.plant, u, y)
+        running, promises, count = fitted_running(
+            self.running, data if data.ndim == 3 else data[None], false_alarm_rate
+        )
+        told = "; ".join(f"{name}: {one}" for name, one in zip(self.members, promises, strict=True))
+        return replace(
+            self,
+            running=running,
+            thresholds=running.thresholds,
+            promised=np.array([one.promised for one in promises]),
+            basis=f"fitted to {count} fault-free samples, {promises[0] if len(promises) == 1 else told}",
+        )
 
     def __str__(self) -> str:
         m = self.plant.n_outputs
@@ -174,10 +177,6 @@ class InsensitiveParity:
             fires = ", ".join(cause for cause, on in zip(self.causes, code, strict=True) if on)
             lines.append(f"  {name}: dimension {m - len(chosen)}, answers to {fires}")
         return "\n".join(lines)
-
-
-#: What may be left of an expected change of a parameter, in units of the noise, is half of this.
-REST = 0.1
 
 
 def insensitive_parity(

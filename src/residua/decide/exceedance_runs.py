@@ -1,0 +1,185 @@
+"""The fraction of samples in alarm from runs over and under the threshold, where alarms are too rare to be counted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide.exceedance_tail import Tail, depths, slope_of
+
+#: Runs over a level from which on their course is known, and runs of a length from which on their number is.
+_KNOWN, _COUNTED = 20, 16
+
+
+@dataclass(frozen=True, eq=False)
+class RunModel:
+    r"""In alarm, by runs of the statistic over and under the threshold.
+
+    Runs of ``p`` samples over the threshold begin at a rate :math:`\nu_1`, and a fraction :math:`B` of the samples is
+    the last of ``p`` over it; likewise :math:`\nu_0` and :math:`C` for ``q`` samples under it. Then the fraction in
+    alarm is
+
+    .. math:: R = \frac{T_0}{T_0 + T_1}, \qquad T_1 = \frac{1 - B}{\nu_1}, \qquad T_0 = \frac{1 - C}{\nu_0}
+
+    with the mean times until an alarm is raised and ended (exact where samples are independent, and for ``p = q = 1``
+    always). Runs that are too long to be seen often go on as often as shorter ones do. Over the highest level that
+    enough runs are seen over, the course of runs is kept, and their number falls with that of the samples over the
+    threshold.
+
+    Attributes
+    ----------
+    statistic : ndarray, shape (n,)
+    counted, begins : ndarray of bool, shape (n,)
+    groups : ndarray of int, shape (n,)
+        Stretches of time that are left out in turn to see how well the fraction is known.
+    tail : Tail
+        Of the statistic.
+    persistence, release : int
+
+    References
+    ----------
+    Feller (1968), An introduction to probability theory, volume 1, section XIII.7 (mean times until runs).
+    """
+
+    statistic: NDArray[np.float64]
+    counted: NDArray[np.bool_]
+    begins: NDArray[np.bool_]
+    groups: NDArray[np.int64]
+    tail: Tail
+    persistence: int
+    release: int
+
+    @classmethod
+    def of(
+        cls,
+        statistic: NDArray[np.float64],
+        counted: NDArray[np.bool_],
+        begins: NDArray[np.bool_],
+        groups: NDArray[np.int64],
+        tail: Tail,
+        persistence: int,
+        release: int,
+    ) -> RunModel:
+        """Return the model of a statistic."""
+        return cls(statistic, counted, begins, groups, tail, persistence, release)
+
+    @property
+    def worth(self) -> float:
+        """Degrees of freedom of the spread, and one."""
+        return min(self.tail.worth, float(self.groups.max(initial=0)) + 1)
+
+    def level(self, rate: float) -> float:
+        """Return the threshold of a rate (bisection)."""
+        low, high = float(self.tail.values[0]), float(self.tail.level(rate / self.release / 2))
+        for _ in range(48):
+            middle = (low + high) / 2
+            low, high = (middle, high) if self.fraction(middle) > rate else (low, middle)
+        return high
+
+    def fraction(self, level: float) -> float:
+        """Return the fraction of samples in alarm with a threshold."""
+        return float(self._fractions(level, whole=True)[0])
+
+    def seen(self, rate: float) -> float:
+        """Return the fraction in alarm at the level from which the tail of the statistic is extended, or this rate."""
+        return max(rate, self.fraction(self.tail.start))
+
+    def spread(self, level: float) -> float:
+        """Return the standard deviation of the logarithm of that fraction, by leaving out stretches of time in turn.
+
+        With that of the fraction of samples over the threshold besides: a few stretches show too little of it.
+        """
+        found = np.log(self._fractions(level, whole=False))
+        count = len(found)
+        if count < 2:
+            return np.inf
+        by_turns = float(np.sqrt((count - 1) / count * np.sum((found - found.mean()) ** 2)))
+        return float(np.hypot(by_turns, self.tail.spread(max(self.tail.fraction(level), 1e-300))))
+
+    @cached_property
+    def limit(self) -> float:
+        """The highest level over which so many runs are seen that their course is known."""
+        before, now = self.statistic[:-1], self.statistic[1:]
+        rises = (before < now) & ~self.begins[1:] & self.counted[1:]
+        low, high = np.sort(before[rises]), np.sort(now[rises])
+        levels = high[::-1]
+        runs = np.searchsorted(low, levels, side="left") - np.searchsorted(high, levels, side="left")
+        enough = np.flatnonzero(runs >= _KNOWN)
+        return float(np.nextafter(levels[enough[0]], -np.inf)) if len(enough) else float(np.median(self.tail.values))
+
+    def _fractions(self, level: float, *, whole: bool) -> NDArray[np.float64]:
+        """Return the fraction from all data, or from all but each stretch of time."""
+        at = min(level, self.limit)
+        number = int(self.groups.max(initial=0)) + 1
+        over = self.statistic > at
+        groups = self.groups[self.counted]
+
+        def left(values: NDArray) -> NDArray[np.float64]:
+            total = values.sum(axis=0, keepdims=True).astype(float)
+            return total if whole else total - values
+
+        def counts(which: NDArray[np.bool_], longest: int) -> NDArray[np.float64]:
+            run = np.minimum(_run_lengths(which, self.begins)[self.counted], longest + 1)
+            table = np.bincount(groups * (longest + 2) + run, minlength=number * (longest + 2))
+            return left(table.reshape(number, longest + 2))
+
+        up, down = counts(over, self.persistence), counts(~over, self.release)
+        samples = up.sum(axis=1)
+        B, raised = _runs(up, samples, self.persistence)
+        C, ended = _runs(down, samples, self.release)
+        if level > at:
+            seen = samples - up[:, 0]
+            factor = self._over(
+                level, lambda values: left(np.bincount(groups, values, minlength=number)[:, None])[:, 0]
+            )
+            factor = factor / np.maximum(seen, 1)
+            B, raised = B * factor, raised * factor
+        time_up = np.maximum(1 - B, 1e-300) / np.maximum(raised, 1e-300)
+        time_down = np.maximum(1 - C, 1e-300) / np.maximum(ended, 1e-300)
+        return time_down / (time_down + time_up)
+
+    def _over(self, level: float, left: Callable[[NDArray], NDArray[np.float64]]) -> NDArray[np.float64]:
+        """Return how many samples are over a level: beyond the start of the tail, how many are to be expected."""
+        values = self.statistic[self.counted]
+        if level <= self.tail.start:
+            return left((values > level).astype(float))
+        over = values > self.tail.start
+        start = float(depths(self.tail.scale, self.tail.start))
+        excess = np.zeros(len(values))
+        excess[over] = depths(self.tail.scale, values[over]) - start
+        count = left(over.astype(float))
+        slope = slope_of(self.tail.worth, left(excess) / np.maximum(count, 1))
+        return count * np.exp(-slope * (float(depths(self.tail.scale, level)) - start))
+
+
+def _run_lengths(which: NDArray[np.bool_], begins: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return for each sample how many in a row up to it are meant, within one recording."""
+    index = np.arange(1, len(which) + 1)
+    last = np.maximum.accumulate(np.where(which & ~begins, 0, np.where(which, index - 1, index)))
+    return np.where(which, index - last, 0)
+
+
+def _runs(
+    counts: NDArray[np.float64], samples: NDArray[np.float64], length: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the fraction of samples that end a run of a length or more, and how often such runs begin.
+
+    ``counts``: how many samples have a run of 0, 1, ..., length, and more, up to them; a row for each set of data.
+    """
+    reached = counts[:, 1 : length + 1]  # how many runs reach a length
+    longer = np.cumsum(counts[:, :0:-1], axis=1)[:, ::-1][:, :length]  # samples that end a run of a length or more
+    enough = reached >= _COUNTED
+    last = np.where(enough.all(axis=1), length, np.maximum(np.argmin(enough, axis=1), 1)) - 1
+    rows = np.arange(len(counts))
+    begun, ends = reached[rows, last], longer[rows, last]
+    goes_on = (ends - begun + 0.5) / (ends + 1.0)  # never none and never all
+    begins = begun * goes_on ** (length - 1 - last) / samples
+    fraction = np.where(last == length - 1, ends / samples, begins / (1 - goes_on))
+    return fraction, begins
+
+
+__all__ = ["RunModel"]

@@ -1,0 +1,252 @@
+"""From fault-free statistics to the threshold of a rate of false alarms, and to what the data can promise of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide.alarm_level import alarm_levels
+from residua.decide.dependence import correlation_times, effective_exceedances
+from residua.decide.exceedance_runs import RunModel
+from residua.decide.exceedance_tail import HIGHEST, Scale, Tail, quantile, scale_of, tail_of
+
+#: How sure a promise is.
+CONFIDENCE = 0.95
+#: Over this multiple of the rate that was asked for, a promise is told as one.
+TOLERATED = 1.5
+#: Where the data cannot tell, the threshold is set for at least this share of the rate.
+_LEAST_AIM = 0.6
+#: Independent exceedances from which a rate is read off the data as it is.
+ENOUGH = 30.0
+#: Groups of stretches of time that are left out in turn to see how well a rate is known.
+_GROUPS = 20
+
+
+@dataclass(frozen=True)
+class Promise:
+    """A threshold, and what fault-free data say of the rate of alarms on other data.
+
+    Attributes
+    ----------
+    threshold : float
+    asked : float
+        Fraction of samples in alarm that was asked for.
+    aimed : float
+        That is expected with this threshold.
+    promised : float
+        That is not exceeded, with 95 % confidence; 1 where the data say nothing.
+    extended : str
+        By what the rate is extended where the data are too few to show it; empty where they do.
+    """
+
+    threshold: float
+    asked: float
+    aimed: float
+    promised: float
+    extended: str = ""
+
+    @property
+    def holds(self) -> bool:
+        """Whether the data promise what was asked for, within a factor of 1.5."""
+        return self.promised <= TOLERATED * self.asked * (1 + 1e-6)
+
+    def __str__(self) -> str:
+        told = f"about {self.aimed:.2g} of them in alarm"
+        if self.extended:
+            told += f" (too few to see that: {self.extended})"
+        if self.promised >= 1:
+            return f"{told}; {self.asked:g} was asked for, and these data promise no rate: give more"
+        told += f", with 95 % confidence at most {self.promised:.2g} on other data"
+        return (
+            told if self.holds else f"{told}; {self.asked:g} was asked for, which these data cannot promise: give more"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """A statistic on fault-free samples, as the alarm logic sees it.
+
+    Attributes
+    ----------
+    statistic : ndarray, shape (n,)
+        Of usable samples, one recording after the other.
+    levels : ndarray, shape (n,)
+        See :func:`residua.decide.alarm_level.alarm_levels`.
+    counted : ndarray of bool, shape (n,)
+        Samples that tell the rate: those of full windows, in which an alarm could have been raised.
+    blocks : ndarray of int, shape (n,)
+        Number of the stretch of time, long enough to be independent of others, that each lies in.
+    begins : ndarray of bool, shape (n,)
+        The first sample of each recording.
+    scale : Scale
+    persistence, release : int
+    own : ndarray, shape (n,)
+        The levels by the mean and covariance of all samples, where those are other ones.
+    """
+
+    statistic: NDArray[np.float64]
+    levels: NDArray[np.float64]
+    counted: NDArray[np.bool_]
+    blocks: NDArray[np.int64]
+    begins: NDArray[np.bool_]
+    scale: Scale
+    persistence: int
+    release: int
+    own: NDArray[np.float64]
+
+
+def observed(
+    statistic: NDArray[np.float64],
+    full: NDArray[np.bool_],
+    usable: NDArray[np.bool_],
+    parts: Sequence[slice],
+    degrees: float,
+    *,
+    persistence: int,
+    release: int,
+    window: int,
+    own: NDArray[np.float64] | None = None,
+) -> Observed:
+    """Return a statistic with its levels and independent stretches of time.
+
+    Parameters
+    ----------
+    statistic : ndarray, shape (time,)
+    full, usable : ndarray of bool, shape (time,)
+        Samples of full windows, and all those that the alarm logic sees.
+    parts : sequence of slice
+        The recordings.
+    degrees : float
+        Most degrees of freedom of its square.
+    persistence, release, window : int
+    own : ndarray, shape (time,), optional
+        The statistic by the mean and covariance of all samples, where ``statistic`` is cross-fitted.
+    """
+    counted = full.copy()
+    for part in parts:
+        counted[part] &= np.cumsum(usable[part]) >= persistence
+    seen = statistic[counted]
+    squares = np.where(counted, statistic**2 - np.mean(seen**2), 0.0)[:, None]
+    length = int(max(2 * correlation_times(squares, parts)[0], window + persistence - 1))
+    levels, levels_own, blocks, begins, first = [], [], [], [], 0
+    for part in parts:
+        mine = usable[part]
+        levels.append(alarm_levels(statistic[part][mine], persistence, release))
+        levels_own.append(levels[-1] if own is None else alarm_levels(own[part][mine], persistence, release))
+        number = np.cumsum(counted[part][mine]) // length
+        blocks.append(first + number)
+        begins.append(np.arange(len(number)) == 0)
+        first += int(number.max(initial=-1)) + 1
+    return Observed(
+        statistic[usable],
+        np.concatenate(levels),
+        counted[usable],
+        np.concatenate(blocks),
+        np.concatenate(begins),
+        scale_of(seen, degrees),
+        persistence,
+        release,
+        np.concatenate(levels_own),
+    )
+
+
+def promise_of(found: Observed, asked: float) -> Promise:
+    """Return the threshold for a rate, and what can be promised of it.
+
+    Where thirty independent exceedances or more are seen at that rate, it is read off the levels. Elsewhere the
+    fraction of samples over the threshold is extended by its tail (:class:`residua.decide.exceedance_tail.Tail`), and
+    where an alarm needs several in a row, that of samples in alarm follows by a model of runs
+    (:class:`residua.decide.exceedance_runs.RunModel`). How well the rate is known is seen by leaving out stretches of
+    time in turn. Where that allows for more than 1.5 times what was asked, the threshold is set for less, down to 0.6
+    of it; where that does not suffice, the promise says so.
+    """
+    direct = tail_of(found.levels[found.counted], _lasting(found, asked), found.scale, asked, highest=asked)
+    if direct.worth >= ENOUGH:
+        least = quantile(np.sort(found.own[found.counted]), asked)  # nor more than that on these data themselves
+        return _promise(lambda rate: max(direct.level(rate), least), lambda rate: _known(direct, rate), asked, "")
+    plain = tail_of(found.statistic[found.counted], found.blocks[found.counted], found.scale, asked)
+    if found.persistence == found.release == 1:
+        told = f"extended from a rate of {plain.rate:.2g} by the tail of the data" if plain.rate > asked else ""
+        return _promise(plain.level, lambda rate: _known(plain, rate), asked, told)
+    model = RunModel.of(found.statistic, found.counted, found.begins, _grouped(found.blocks), plain,
+                        found.persistence, found.release)  # fmt: skip
+    told = f"extended from a rate of {model.seen(asked):.2g} by the tail of the data and a model of runs"
+    return _promise(model.level, lambda rate: (model.spread(model.level(rate)), model.worth), asked, told)
+
+
+def _lasting(found: Observed, rate: float) -> NDArray[np.int64]:
+    """Return stretches of time of the samples that count in which alarms, which may last long, are independent too."""
+    level = quantile(np.sort(found.levels[found.counted]), rate)
+    over = np.where(found.counted, (found.levels > level) - rate, 0.0)[:, None]
+    edges = [*np.flatnonzero(found.begins).tolist(), len(over)]
+    parts = [slice(a, b) for a, b in pairwise(edges)]
+    length = int(np.ceil(2 * correlation_times(over, parts)[0]))
+    own = np.concatenate([np.arange(part.stop - part.start) // length for part in parts])
+    first = np.cumsum(found.begins | np.concatenate([[False], own[1:] != own[:-1]])) - 1
+    longer = length > np.bincount(found.blocks).mean()
+    return (first if longer else found.blocks)[found.counted]
+
+
+def _known(tail: Tail, rate: float) -> tuple[float, float]:
+    return tail.spread(rate), tail.worth
+
+
+def _promise(
+    level: Callable[[float], float], known: Callable[[float], tuple[float, float]], asked: float, extended: str
+) -> Promise:
+    """Return the threshold for a rate from that of any rate and from how well that is known: spread and degrees."""
+    from scipy.special import stdtrit
+
+    aim, beyond = asked, np.inf
+    for _ in range(30):  # a smaller aim is extended further
+        spread, degrees = known(aim)
+        beyond = float(stdtrit(max(degrees - 1, 1.0), CONFIDENCE)) * spread
+        wanted = max(asked * min(1.0, TOLERATED * np.exp(-min(beyond, 700.0))), _LEAST_AIM * asked)
+        if abs(wanted - aim) <= 1e-3 * asked:
+            break
+        aim = wanted
+    promised = min(1.0, aim * float(np.exp(min(beyond, 700.0))))
+    if aim > 1.01 * _LEAST_AIM * asked and promised > TOLERATED * asked:  # what the iteration left
+        aim, promised = aim * TOLERATED * asked / promised, TOLERATED * asked
+    return Promise(float(level(aim)), asked, float(aim), promised, extended)
+
+
+def _grouped(blocks: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return stretches of time as at most twenty groups of neighbours."""
+    number = int(blocks.max(initial=0)) + 1
+    return blocks * min(_GROUPS, number) // number
+
+
+def coincidence(found: Sequence[Observed], share: float) -> float:
+    r"""Return how many members are in alarm at once, on average while any is, where each is so at a rate; at least 1.
+
+    It is seen at the smallest rate, that one or higher, at which the data show thirty independent alarms of any member.
+    Towards smaller rates alarms coincide less often, if they do not always: the further it is extended, the less of it
+    is used. Where the data do not show it, it is 1, and the rates of the members are added up (the union bound).
+
+    Parameters
+    ----------
+    found : sequence of Observed
+        Of the same samples.
+    share : float
+        Rate of every member.
+    """
+    counted = np.logical_and.reduce([one.counted for one in found])
+    levels = np.array([one.levels[counted] for one in found])
+    ordered, longest = np.sort(levels, axis=1), max(found, key=lambda one: -int(one.blocks.max(initial=0)))
+    blocks, best = longest.blocks[counted], 1.0
+    for rate in np.geomspace(share, max(share, HIGHEST), 24):
+        over = levels > np.array([quantile(row, float(rate)) for row in ordered])[:, None]
+        union = over.any(axis=0)
+        if effective_exceedances(np.bincount(blocks[union]).astype(float)) >= ENOUGH:
+            at_once = float(over.sum() / union.sum())
+            best = at_once ** (1 / (1 + 0.25 * np.log(rate / share)))
+            break
+    return best
+
+
+__all__ = ["ENOUGH", "Observed", "Promise", "coincidence", "observed", "promise_of"]

@@ -1,0 +1,244 @@
+"""Fault-free residuals: their windowed sums, their moments, and the statistic of each on moments of the others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide.dependence import correlation_times
+from residua.decide.shrinkage import KNOWN, oracle_approximating_intensity, shrunk
+from residua.decide.whitening import whitening_matrix
+from residua.decide.window import empty_window, moving_sum
+from residua.errors import DataError
+
+#: Stretches of time that are held out in turn; fewer where moments are known well anyway.
+FOLDS, FEW_FOLDS = 16, 4
+#: Independent samples to a residual from which on few stretches do.
+_PLENTY = 20 * KNOWN
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Mean and covariance of residuals, as what is subtracted and what is multiplied with.
+
+    Attributes
+    ----------
+    center : ndarray, shape (k,)
+    whitening : ndarray, shape (k, k)
+    intensity : float
+        How far the covariance was drawn towards a simpler one; 0 where the data sufficed.
+    """
+
+    center: NDArray[np.float64]
+    whitening: NDArray[np.float64]
+    intensity: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class FaultFree:
+    """Fault-free residuals of one recording, or of several in a row.
+
+    Attributes
+    ----------
+    residuals : ndarray, shape (time, k)
+    usable : ndarray of bool, shape (time,)
+    window : int
+        Samples over which the test sums.
+    seams : tuple of int
+        The first sample of each further recording: nothing is summed, correlated or counted across it.
+    """
+
+    residuals: NDArray[np.float64]
+    usable: NDArray[np.bool_]
+    window: int = 1
+    seams: tuple[int, ...] = ()
+
+    @cached_property
+    def parts(self) -> tuple[slice, ...]:
+        """The recordings."""
+        edges = sorted({0, len(self.usable), *(int(s) for s in self.seams if 0 < s < len(self.usable))})
+        return tuple(slice(a, b) for a, b in pairwise(edges))
+
+    @cached_property
+    def middle(self) -> NDArray[np.float64]:
+        """The mean of all usable residuals."""
+        return self.residuals[self.usable].mean(axis=0)
+
+    @cached_property
+    def deviations(self) -> NDArray[np.float64]:
+        """Residuals less their mean, zero where not usable."""
+        return np.where(self.usable[:, None], self.residuals - self.middle, 0.0)
+
+    @property
+    def spread(self) -> float:
+        """The root of the trace of the covariance of sums over the window, divided by its length."""
+        rows = self.sums[self.full] / np.sqrt(self.window)
+        return float(np.sqrt(np.sum(rows**2) / max(1, len(rows))))
+
+    @cached_property
+    def sums(self) -> NDArray[np.float64]:
+        """Sums of the deviations over the window."""
+        return self._summed(self.deviations)
+
+    @cached_property
+    def weights(self) -> NDArray[np.float64]:
+        """How many usable samples each of these sums has, as a column."""
+        return self._summed(self.usable[:, None].astype(float))
+
+    @cached_property
+    def full(self) -> NDArray[np.bool_]:
+        """Usable samples of which as many as the window has lie behind, in the same recording."""
+        seen = np.concatenate([np.cumsum(self.usable[part]) for part in self.parts])
+        return self.usable & (seen >= self.window)
+
+    def _summed(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
+        if self.window == 1:
+            return columns
+        empty = empty_window(1, self.window, columns.shape[1])
+        return np.concatenate([moving_sum(columns[None, part], empty)[0][0] for part in self.parts])
+
+    # ------------------------------------------------------------------ moments
+
+    def moments(
+        self,
+        kept: NDArray[np.bool_] | None = None,
+        summed: NDArray[np.bool_] | None = None,
+        *,
+        whitening: NDArray[np.float64] | None = None,
+    ) -> Moments:
+        """Return the moments of the samples that are kept, with the covariance of sums over windows within them.
+
+        The covariance of sums is estimated in units in which single samples are white: where few windows fit into the
+        data it is drawn towards that of independent samples.
+
+        Parameters
+        ----------
+        kept, summed : ndarray of bool, shape (time,), optional
+            Single samples, and last samples of windows; all usable and full ones when omitted.
+        whitening : ndarray, shape (k, k), optional
+            Where this is known, only the mean is estimated.
+        """
+        kept = self.usable if kept is None else kept
+        summed = self.full if summed is None else summed
+        rows = self.deviations[kept]
+        center = rows.mean(axis=0)
+        if whitening is not None:
+            return Moments(self.middle + center, whitening)
+        centred = rows - center
+        covariance = centred.T @ centred / max(1, len(rows) - 1)
+        covariance, intensity = shrunk(covariance, len(rows) / self.worth[0])
+        first = whitening_matrix(covariance)
+        if self.window == 1:
+            return Moments(self.middle + center, first, intensity)
+        chosen = summed & (self.weights[:, 0] >= self.window / 2)
+        if not chosen.any():
+            return Moments(self.middle + center, first, 1.0)
+        weight = self.weights[chosen]
+        z = (self.sums[chosen] - weight * center) @ first / np.sqrt(weight)
+        second, later = shrunk_to_one(z.T @ z / len(z), len(z) / self.worth[1])
+        return Moments(self.middle + center, first @ whitening_matrix(second), max(intensity, later))
+
+    @cached_property
+    def worth(self) -> tuple[float, float]:
+        """Samples that are worth one independent one: for the covariance of residuals, and for that of their sums."""
+        single = correlation_times(self.deviations, self.parts, 2)
+        if self.window == 1:
+            return float(single.mean()), float(single.mean())
+        return float(single.mean()), float(correlation_times(self.sums, self.parts, 2).mean())
+
+    @cached_property
+    def memory(self) -> int:
+        """Samples after which residuals are independent, or nearly so."""
+        times = correlation_times(self.deviations, self.parts)
+        return int(np.ceil(times.mean())) if times.mean() > 1.5 else 0
+
+    # ------------------------------------------------------------------ holding out
+
+    def held_out(self) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]]:
+        """Yield stretches of time with the samples that are far enough from each: held, kept, summed.
+
+        Between what is held out and what is kept lies a gap of the correlation time, and of the window as well before
+        the sums that are kept.
+        """
+        k = self.residuals.shape[1]
+        plenty = self.usable.sum() / max(self.worth) >= _PLENTY * k
+        index = np.arange(len(self.usable))
+        for start, stop in self._stretches(FEW_FOLDS if plenty else FOLDS):
+            near = np.zeros(len(index), dtype=bool)
+            reach = np.zeros(len(index), dtype=bool)
+            for part in self.parts:
+                a, b = max(start, part.start), min(stop, part.stop)
+                if a < b:
+                    low, high = a - self.memory - (self.window - 1), min(part.stop, b + self.memory)
+                    low = max(part.start, low)  # the windows that are held out begin before
+                    near[low:high] = True
+                    reach[low : min(part.stop, high + self.window - 1)] = True
+            kept = self.usable & ~near
+            if kept.any():
+                yield (index >= start) & (index < stop), kept, self.full & ~reach
+
+    def _stretches(self, folds: int) -> list[tuple[int, int]]:
+        """Return where stretches of about as many usable samples begin and end; at a seam, where one is near."""
+        count = np.cumsum(self.usable)
+        edges = np.searchsorted(count, np.arange(1, folds) * count[-1] / folds)
+        near = len(self.usable) / folds / 3
+        for i, edge in enumerate(edges):
+            seams = [part.start for part in self.parts[1:] if abs(part.start - edge) <= near]
+            if seams:
+                edges[i] = min(seams, key=lambda s: abs(s - edge))
+        whole = sorted({0, *map(int, edges), len(self.usable)})
+        return list(pairwise(whole))
+
+    def statistic(self, moments: Moments, rows: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
+        """Return the norms of the whitened sums, as a monitor computes them but for rounding."""
+        chosen = slice(None) if rows is None else rows
+        sums = self.sums[chosen] - self.weights[chosen] * (moments.center - self.middle)
+        return np.linalg.norm(sums @ moments.whitening, axis=1) / np.sqrt(self.window)
+
+    def scaled(self, moments: Moments, whole: Moments) -> Moments:
+        """Return moments in the scale of those of all samples.
+
+        The scale is no part of what is held out: a threshold goes with it, whatever it is.
+        """
+        inverse = np.linalg.inv(moments.whitening)
+        size = np.sqrt(np.sum((inverse @ whole.whitening) ** 2) / len(inverse))
+        return Moments(moments.center, moments.whitening * size, moments.intensity)
+
+    def cross_fitted(self, whole: Moments, *, whiten: bool) -> NDArray[np.float64]:
+        """Return the statistic of every sample by moments of samples that are far from it."""
+        out = self.statistic(whole)
+        for held, kept, summed in self.held_out():
+            if whiten:
+                own = self.scaled(self.moments(kept, summed), whole)
+            else:
+                own = self.moments(kept, summed, whitening=whole.whitening)
+            out[held] = self.statistic(own, held)
+        return out
+
+
+def shrunk_to_one(covariance: NDArray[np.float64], samples: float) -> tuple[NDArray[np.float64], float]:
+    """Return a covariance drawn towards a multiple of the identity, variances as well; see :func:`shrunk`."""
+    k = len(covariance)
+    scale = float(np.trace(covariance)) / k
+    if k < 2 or samples >= KNOWN * k or not scale > 0:
+        return covariance, 0.0
+    intensity = oracle_approximating_intensity(covariance / scale, samples)
+    return (1 - intensity) * covariance + intensity * scale * np.eye(k), intensity
+
+
+def check_enough(samples: int, k: int, window: int) -> None:
+    """Raise unless there are samples enough to see anything at all."""
+    least = max(30, 2 * window)
+    if samples < least:
+        raise DataError(
+            f"{samples} usable samples are too few to fit {k} residuals with a window of {window}: give at "
+            f"least {least} fault-free samples after the filter has settled"
+        )
+
+
+__all__ = ["FaultFree", "Moments", "check_enough"]
