@@ -15,6 +15,7 @@ from residua.decide.peak_threshold import PeakThreshold
 from residua.decide.structured import Structured
 from residua.design import ResidualGenerator
 from residua.errors import DataError
+from residua.monitor.filtering import plausible_values
 from residua.monitor.inputs import settling_reason, settling_samples, signal_size
 from residua.monitor.peak_preparing import Threshold, first_peak_test, fitted_peak_test, member_rows
 from residua.monitor.preparing import Isolation, blank_test, responses_of, specification
@@ -31,6 +32,7 @@ def fitted_test(
     *,
     settle: int | None,
     max_hold: int,
+    plausible: NDArray[np.float64],
 ) -> NormTest | BankTest:
     """Return the test fitted to a fault-free recording, shape (1, time, channels), in plant units."""
     if len(data) != 1:
@@ -41,11 +43,12 @@ def fitted_test(
     if settle is None and isinstance(settings, PeakThreshold):  # known thresholds want a longer one
         known = first_peak_test(settings, certified, generator, by_code=isinstance(isolate, Structured))
         settle = settling_samples(generator, known)
-    blank = specification(generator, blank_test(generator), None, settle=settle, max_hold=max_hold)
+    blank = specification(generator, blank_test(generator), None, settle=settle, max_hold=max_hold, plausible=plausible)
+    deviations, _, _ = plausible_values(blank, data)
     _, found = run_block(blank, initial_state(blank, 1), data)
     try:
         return _fitted(
-            settings, certified, isolate, generator, found.residuals[0], found.usable[0], data[0] - blank.offset, rate
+            settings, certified, isolate, generator, found.residuals[0], found.usable[0], deviations[0], rate
         )
     except DataError as error:
         if 2 * blank.settle < len(outputs):

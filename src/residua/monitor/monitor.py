@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -25,9 +26,18 @@ from residua.monitor.fitting import fitted_test
 from residua.monitor.inputs import settling_samples, signals
 from residua.monitor.outcome import diagnosis_from
 from residua.monitor.peak_preparing import Threshold, chosen_threshold, member_names, no_threshold
+from residua.monitor.plausible import (
+    TIMES,
+    Plausible,
+    checked_plausible,
+    fitted_ranges,
+    guarded_ranges,
+    plausible_deviations,
+)
 from residua.monitor.preparing import (
     Isolation,
     as_generator,
+    blank_test,
     chosen_isolation,
     first_test,
     specification,
@@ -45,8 +55,9 @@ class Monitor:
     sampled at ``dt``. Missing values (NaN, infinity) never end a run: the last value of that channel is held
     for the filter, no residual is reported on that sample, and nothing is decided until the filter has settled
     again; after more than ``max_hold`` incomplete samples in a row the filter starts anew with the next
-    complete sample. A start assumes that the plant was at rest at the first sample: where a state integrates,
-    give ``settle`` enough samples.
+    complete sample. A value that cannot be one (``plausible``) is missing too, and is counted; and should the state of
+    the filter overflow all the same, it starts anew, which is counted. A start assumes that the plant was at rest at
+    the first sample: where a state integrates, give ``settle`` enough samples.
 
     Parameters
     ----------
@@ -77,6 +88,22 @@ class Monitor:
         held value leaves in the residual. Fewer samples decide earlier, at that price.
     max_hold : int
         Longest gap in samples that is bridged by holding values.
+    plausible : float, mapping of str to (float, float), or None
+        Values outside are missing: marks for "no value" such as ``1e300``, not faults. A number: each channel from the
+        middle of the recording that was fitted up to so many times its size there (its range, or its largest absolute
+        value where that is more). A mapping: the smallest and largest value of the
+        channels that it names, in plant units; the others as by default. ``None``, or without a recording: only what
+        would move the residual by more than 1e30 standard deviations (thresholds of
+        :class:`residua.decide.PeakThreshold`) is missing. A sensor that fails to an end of its scale must stay within:
+        what is missing raises no alarm.
+
+    Notes
+    -----
+    Threads: :meth:`run` works on a state of its own, so one monitor may run several recordings at once in several
+    threads; what :meth:`step` goes on from is then the end of the one that finished last. :meth:`update` and
+    :meth:`step` belong to one stream of data: calls from several threads are done one after the other, each complete,
+    but the order of samples is the caller's to keep. Give each stream a monitor of its own
+    (``copy.deepcopy(monitor)`` shares nothing that changes). Do not call :meth:`fit` while another thread runs.
 
     Examples
     --------
@@ -101,6 +128,7 @@ class Monitor:
         dt: float | None = None,
         settle: int | None = None,
         max_hold: int = 10,
+        plausible: Plausible = TIMES,
     ) -> None:
         design, generator = generator, as_generator(generator)
         if estimator is not None:
@@ -116,6 +144,9 @@ class Monitor:
             raise SettingError("an estimator runs beside a bank that is read by code: use a bank, and Structured()")
         self.settle = settle
         self.max_hold = int(max_hold)
+        self.plausible = checked_plausible(plausible, (*generator.plant.inputs, *generator.plant.outputs))
+        self._ranges: NDArray[np.float64] | None = None
+        self._lock = threading.RLock()
         self.notes: tuple[str, ...] = ()
         self._generator: ResidualGenerator | None = None
         self._norm_test: NormTest | BankTest | None = None
@@ -217,16 +248,21 @@ class Monitor:
         check_rate(rate)
         given = signals(u, y, time, dt, "", self.design.plant)
         self._learn_step(given.dt)
+        data = self._block(given.u, given.y)
+        guard = guarded_ranges(self.generator, blank_test(self.generator))
+        ranges = fitted_ranges(self.plausible, data.reshape(-1, data.shape[2]), guard)
         self._norm_test = fitted_test(
             self.test,
             self._certified,
             self.isolate,
             self.generator,
-            self._block(given.u, given.y),
+            data,
             rate,
             settle=self.settle,
             max_hold=self.max_hold,
+            plausible=self._limits(ranges, blank_test(self.generator)),
         )
+        self._ranges = ranges
         self._spec = self._state = None
         return self
 
@@ -267,28 +303,29 @@ class Monitor:
         Notes
         -----
         The state afterwards is that at the end of the recording: :meth:`step` and :meth:`update` go on
-        from there.
+        from there. Until then the state of the monitor is not touched, so that several threads may run at once.
         """
         given = signals(u, y, time, dt, source, self.design.plant)
         self._learn_step(given.dt)
         data = self._block(given.u, given.y)
-        spec = self._specification()
-        self._state = initial_state(spec, len(data))
+        generator, spec = self.generator, self._specification()
+        state = initial_state(spec, len(data))
         parts: list[Decisions] = []
         for start in range(0, max(1, data.shape[1]), PIECE):
-            self._state, part = run_block(spec, self._state, data[:, start : start + PIECE])
+            state, part = run_block(spec, state, data[:, start : start + PIECE])
             parts.append(part)
             if progress is not None:
                 progress(min(start + PIECE, data.shape[1]), data.shape[1])
-        clock = self.generator.dt * np.arange(data.shape[1]) if given.time is None else given.time
+        self._state = state
+        clock = generator.dt * np.arange(data.shape[1]) if given.time is None else given.time
         whole = [
             diagnosis_from(
                 parts,
                 p,
                 clock,
                 spec,
-                self.generator,
-                int(self._state.resets[p]),
+                generator,
+                (int(state.resets[p]), int(state.broken[p])),
                 given.source,
                 self.notes,
                 self._bounds,
@@ -316,16 +353,7 @@ class Monitor:
         DataError
             If the block does not fit the plant, or has another number of plants than the one before.
         """
-        data = self._block(u, y)
-        spec = self._specification()
-        if self._state is None:
-            self._state = initial_state(spec, len(data))
-        if len(self._state.x) != len(data):
-            raise DataError(
-                f"the monitor follows {len(self._state.x)} plants, the block has {len(data)}; reset() first"
-            )
-        self._state, found = run_block(spec, self._state, data)
-        return found
+        return self._go_on(u, y)[0]
 
     def step(self, u: ArrayLike | None, y: ArrayLike) -> Decision:
         """Go on with one sample of one plant; the same answers as :meth:`run`, to the last bit.
@@ -340,9 +368,8 @@ class Monitor:
         Decision
         """
         u_ = None if u is None else np.atleast_1d(np.asarray(u, dtype=float))[None]
-        found = self.update(u_, np.atleast_1d(np.asarray(y, dtype=float))[None])
-        assert self._state is not None
-        return decision_from(found, self._specification(), self.generator, self._state)
+        found, state = self._go_on(u_, np.atleast_1d(np.asarray(y, dtype=float))[None])
+        return decision_from(found, self._specification(), self.generator, state)
 
     def reset(self) -> None:
         """Forget all data seen so far; thresholds stay."""
@@ -374,6 +401,26 @@ class Monitor:
 
     # ------------------------------------------------------------------ helpers
 
+    def _go_on(self, u: ArrayLike | None, y: ArrayLike) -> tuple[Decisions, State]:
+        """Return what was decided on a block, and the state after it: one call at a time."""
+        data = self._block(u, y)
+        spec = self._specification()
+        with self._lock:
+            state = initial_state(spec, len(data)) if self._state is None else self._state
+            if len(state.x) != len(data):
+                raise DataError(f"the monitor follows {len(state.x)} plants, the block has {len(data)}; reset() first")
+            state, found = run_block(spec, state, data)
+            self._state = state
+        return found, state
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out the lock, which belongs to the object: a copy has one of its own."""
+        return {name: value for name, value in self.__dict__.items() if name != "_lock"}
+
+    def __setstate__(self, content: dict[str, Any]) -> None:
+        """Take over everything but the lock."""
+        self.__dict__.update(content, _lock=threading.RLock())
+
     def _use(self, sampled: ResidualGenerator) -> None:
         self._generator = sampled
         self._norm_test = first_test(self.test, self._certified, self.isolate, sampled)
@@ -382,9 +429,11 @@ class Monitor:
     def _learn_step(self, dt: float | None) -> None:
         if dt is None:
             return
-        if self._generator is None:
-            self._use(self.design.discretize(dt))
-        elif abs(dt - self._generator.dt) > 1e-3 * self._generator.dt:
+        with self._lock:
+            if self._generator is None:
+                self._use(self.design.discretize(dt))
+                return
+        if abs(dt - self._generator.dt) > 1e-3 * self._generator.dt:
             raise DataError(
                 f"the monitor runs at dt={self._generator.dt:g} s, the recording has {dt:g} s: resample it, "
                 "or design for this step"
@@ -395,11 +444,21 @@ class Monitor:
         return data if data.ndim == 3 else data[None]
 
     def _specification(self) -> Specification:
-        if self._spec is None:
-            self._spec = specification(
-                self.generator, self.norm_test, self.isolate, settle=self.settle, max_hold=self.max_hold
-            )
-        return self._spec
+        with self._lock:
+            if self._spec is None:
+                self._spec = specification(
+                    self.generator,
+                    self.norm_test,
+                    self.isolate,
+                    settle=self.settle,
+                    max_hold=self.max_hold,
+                    plausible=self._limits(self._ranges, self.norm_test),
+                )
+            return self._spec
+
+    def _limits(self, ranges: NDArray[np.float64] | None, test: NormTest | BankTest) -> NDArray[np.float64]:
+        plant = self.generator.plant
+        return plausible_deviations(self.plausible, (*plant.inputs, *plant.outputs), ranges, self.generator, test)
 
     def __repr__(self) -> str:
         state = f"threshold {self.threshold:.4g}" if self.is_fitted else "not fitted"

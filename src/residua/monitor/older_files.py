@@ -8,24 +8,41 @@ import numpy as np
 
 from residua.monitor.encoding import array_in, array_out, table_in
 from residua.monitor.judging import empty_fields
+from residua.monitor.plausible import TIMES
 
 #: Versions before today's that are read.
-OLDER = (3, 4)
+OLDER = (3, 4, 5)
 
 
 def renewed(content: dict[str, Any]) -> dict[str, Any]:
-    """Return the content of a file of version 3 or 4 as one of version 5.
+    """Return the content of a file of version 3 to 5 as one of version 6.
 
     In a file of version 3 nothing was matched with responses; before version 5 every test was of the norm, and when a
-    standing alarm began was not known: it stays so until it ends. ``bounds`` are an entry of version 5 only where there
-    are any.
+    standing alarm began was not known: it stays so until it ends. ``bounds`` are an entry of a file only where there
+    are any. Before version 6 every finite number was a measurement: without the recording that was fitted, only what
+    would overflow is missing.
     """
     content = {"bounds": {}} | content
     if content["version"] == 3:
         _with_matched(content)
-    if content["version"] in OLDER:
+    if content["version"] in (3, 4):
         _with_kinds(content)
+    if content["version"] in OLDER:
+        _with_plausible(content)
     return content
+
+
+def _with_plausible(content: dict[str, Any]) -> None:
+    content["plausible"] = TIMES
+    if content.get("running") is not None:
+        content["running"] = table_in(content["running"], "running") | {"plausible": None}
+    if content.get("state") is not None:
+        state = table_in(content["state"], "state")
+        content["state"] = state | {"broken": array_out(np.zeros(_plants(state), dtype=np.int64))}
+
+
+def _plants(state: dict[str, Any]) -> int:
+    return len(array_in(state["resets"], "state.resets")) if "resets" in state else 0
 
 
 def _with_matched(content: dict[str, Any]) -> None:
@@ -33,8 +50,7 @@ def _with_matched(content: dict[str, Any]) -> None:
         content["running"] = table_in(content["running"], "running") | {"matched": None}
     if content.get("state") is not None:
         state = table_in(content["state"], "state")
-        plants = len(array_in(state["resets"], "state.resets")) if "resets" in state else 0
-        nothing = empty_fields(None, plants)
+        nothing = empty_fields(None, _plants(state))
         content["state"] = state | {name: array_out(value) for name, value in nothing.items()}
 
 

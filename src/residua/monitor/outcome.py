@@ -32,12 +32,15 @@ def diagnosis_from(
     time: NDArray[np.float64],
     spec: Specification,
     generator: ResidualGenerator,
-    resets: int,
+    restarts: tuple[int, int],
     source: str,
     notes: tuple[str, ...],
     bounds: Mapping[str, MemberBounds],
 ) -> Diagnosis:
-    """Return the diagnosis of one plant from the decisions on all pieces of its recording."""
+    """Return the diagnosis of one plant from the decisions on all pieces of its recording.
+
+    ``restarts`` counts those after long gaps, and those of a filter whose state overflowed.
+    """
 
     def joined(name: str) -> NDArray:
         return np.concatenate([getattr(part, name)[plant] for part in parts], axis=0)
@@ -80,7 +83,7 @@ def diagnosis_from(
         missing=joined("missing"),
         scores=scores,
         alarms=alarms,
-        resets=resets,
+        resets=restarts[0],
         residual_names=generator.residuals,
         center=spec.test.center,
         band=spec.test.band,
@@ -91,6 +94,8 @@ def diagnosis_from(
         notes=(
             *notes,
             *_notes(spec, generator, usable, joined("missing")),
+            *_aside_notes(spec, generator, parts, plant),
+            *_broken_notes(restarts[1]),
             *unit_cautions(spec.test, usable, statistic, statistics),
             *leakage_cautions(bounds, spec.test, spec.codes, alarms, statistics),
         ),
@@ -173,6 +178,34 @@ def _settling_notes(
     if usable.any() or missing.all():
         return ()
     return (settling_reason(generator, spec.settle),)
+
+
+def _aside_notes(
+    spec: Specification, generator: ResidualGenerator, parts: Sequence[Decisions], plant: int
+) -> tuple[str, ...]:
+    """Return how many values of which channels were put aside."""
+    counts = np.sum([np.count_nonzero(part.aside[plant], axis=0) for part in parts], axis=0)
+    if not np.any(counts):
+        return ()
+    names, limits = (*generator.plant.inputs, *generator.plant.outputs), spec.plausible + spec.offset[:, None]
+    told = [
+        f"{name!r} {counts[j]} (plausible from {limits[j, 0]:.3g} to {limits[j, 1]:.3g})"
+        for j, name in enumerate(names)
+        if counts[j]
+    ]
+    several = np.sum(counts) > 1
+    return (
+        f"{np.sum(counts)} value{'s were' if several else ' was'} no plausible measurement, and taken as missing: "
+        f"{', '.join(told)}; Monitor(plausible=...) sets the limits",
+    )
+
+
+def _broken_notes(count: int) -> tuple[str, ...]:
+    """Return how often the filter overflowed."""
+    if not count:
+        return ()
+    times = "once" if count == 1 else f"{count} times"
+    return (f"the filter overflowed and was started anew {times}: is the recording in the units of the model?",)
 
 
 def _window_notes(spec: Specification) -> tuple[str, ...]:

@@ -150,8 +150,9 @@ def specification(
     *,
     settle: int | None,
     max_hold: int,
+    plausible: NDArray[np.float64],
 ) -> Specification:
-    """Return what runs."""
+    """Return what runs; ``plausible`` are the limits of every channel, as deviations."""
     system, point = generator.system, generator.plant.operating_point
     direction = codes = matched = None
     if isinstance(isolate, Structured) and generator.codes is not None:
@@ -175,4 +176,5 @@ def specification(
         matched,
         settling_samples(generator, test) if settle is None else int(settle),
         max_hold,
+        plausible,
     )

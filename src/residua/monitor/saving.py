@@ -13,6 +13,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from residua.decide.directional import Directional, DirectionTest
 from residua.decide.matched import Matched, MatchedTest
@@ -45,13 +46,14 @@ from residua.monitor.encoding import (
 from residua.monitor.judging import empty_fields
 from residua.monitor.monitor import Monitor
 from residua.monitor.older_files import OLDER, renewed
+from residua.monitor.plausible import Plausible
 from residua.monitor.preparing import Isolation
 from residua.monitor.running import Specification, State
 from residua.monitor.threshold_records import threshold_in, threshold_out
 from residua.plant import Plant
 
 FORMAT = "residua-monitor"
-VERSION = 5
+VERSION = 6
 
 #: How faults are named, by the entry ``kind`` of ``isolate``.
 _ISOLATION: dict[str, type[Any]] = {"direction": Directional, "code": Structured, "matched": Matched}
@@ -66,6 +68,7 @@ _ENTRIES = (
     "isolate",
     "settle",
     "max_hold",
+    "plausible",
     "notes",
     "fitted",
     "running",
@@ -87,6 +90,7 @@ def save_monitor(monitor: Monitor, path: str | Path) -> None:
         "isolate": _isolation_out(monitor.isolate),
         "settle": monitor.settle,
         "max_hold": monitor.max_hold,
+        "plausible": _plausible_out(monitor.plausible),
         "notes": list(monitor.notes),
         "fitted": None if test is None else values_out(test),
         "running": None if test is None or generator is None else _running_out(monitor._specification()),
@@ -129,6 +133,7 @@ def _monitor_in(content: Mapping[str, Any]) -> Monitor:
         isolate=None if isolate is None else _isolation_in(isolate),
         settle=None if settle is None else whole_in(settle, "settle"),
         max_hold=whole_in(content["max_hold"], "max_hold"),
+        plausible=_plausible_in(content["plausible"]),
     )
     monitor.notes = texts_in(content["notes"], "notes")
     monitor._bounds = bounds_in(content["bounds"], "bounds", [member.name for member in design.members])
@@ -145,6 +150,22 @@ def _monitor_in(content: Mapping[str, Any]) -> Monitor:
         monitor._state = values_in(content["state"], "state", State)
         _check_state(monitor)
     return monitor
+
+
+def _plausible_out(setting: Plausible) -> Any:
+    if isinstance(setting, Mapping):
+        return {name: [float_out(low), float_out(high)] for name, (low, high) in setting.items()}
+    return None if setting is None else float_out(setting)
+
+
+def _plausible_in(value: Any) -> Plausible:
+    if not isinstance(value, Mapping):
+        return None if value is None else float_in(value, "plausible")
+    out = {}
+    for name, limits in value.items():
+        low, high = (float_in(x, joined("plausible", name)) for x in list_in(limits, joined("plausible", name), 2))
+        out[name] = (low, high)
+    return out
 
 
 def _isolation_out(isolate: Isolation) -> dict[str, Any] | None:
@@ -173,6 +194,7 @@ def _running_out(spec: Specification) -> dict[str, Any]:
     return {
         "start": array_out(spec.start),
         "settle": int(spec.settle),
+        "plausible": array_out(spec.plausible),
         "direction": None
         if test is None
         else {
@@ -226,10 +248,11 @@ def _matched_in(value: Any, where: str, plant: Plant, residuals: int, steady: bo
 
 def _running_in(spec: Specification, value: Any, plant: Plant) -> Specification:
     """Return the specification with what was computed when it was saved in place of what is computed now."""
-    content = record(value, "running", ("start", "settle", "direction", "codes", "matched"))
+    content = record(value, "running", ("start", "settle", "plausible", "direction", "codes", "matched"))
     start = array_in(content["start"], "running.start")
     if start.shape != spec.start.shape:
         raise FileFormatError(f"running.start must have shape {spec.start.shape}, got {start.shape}")
+    plausible = spec.plausible if content["plausible"] is None else _limits_in(content["plausible"], spec)
     for name in ("direction", "codes", "matched"):
         if (content[name] is None) != (getattr(spec, name) is None):
             raise FileFormatError(f"running.{name} must be there if and only if isolate asks for it")
@@ -242,7 +265,17 @@ def _running_in(spec: Specification, value: Any, plant: Plant) -> Specification:
         steady = not len(spec.matched.responses)
         matched = _matched_in(content["matched"], "running.matched", plant, len(spec.C), steady)
     settle = whole_in(content["settle"], "running.settle")
-    return replace(spec, start=start, settle=settle, direction=direction, codes=codes, matched=matched)
+    running = {"start": start, "settle": settle, "plausible": plausible}
+    return replace(spec, **running, direction=direction, codes=codes, matched=matched)
+
+
+def _limits_in(value: Any, spec: Specification) -> NDArray[np.float64]:
+    limits, shape = array_in(value, "running.plausible"), spec.plausible.shape
+    if limits.dtype.kind != "f" or limits.shape != shape or not np.isfinite(limits).all():
+        raise FileFormatError(f"running.plausible must be finite numbers of shape {shape}")
+    if not (limits[:, 0] < limits[:, 1]).all():
+        raise FileFormatError("running.plausible: the smallest value of a channel must be below its largest")
+    return limits
 
 
 def _codes_in(value: Any, where: str, plant: Plant, count: int) -> CodeTest:
