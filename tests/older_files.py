@@ -5,7 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 #: What came with version 6, by table; the empty name is that of the file.
-_SIX = {"": ("plausible",), "running": ("plausible",), "state": ("broken",)}
+_SIX = {
+    "": ("plausible", "start"),
+    "running": ("plausible", "first", "partial"),
+    "state": ("broken", "starting", "start_sums", "moved", "apart", "spread", "bent", "match_extra"),
+}
 
 
 def as_version(version: int, content: dict[str, Any]) -> dict[str, Any]:
@@ -13,8 +17,9 @@ def as_version(version: int, content: dict[str, Any]) -> dict[str, Any]:
     content["version"] = version
     for table, names in _SIX.items():
         entries = content[table] if table else content
-        for name in names if entries is not None else ():
-            del entries[name]
+        if entries is not None:
+            for name in names:
+                del entries[name]
     if version == 5:
         return content
     del content["certified"], content["test"]["kind"]

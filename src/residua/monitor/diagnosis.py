@@ -102,6 +102,9 @@ class Diagnosis:
         Samples of the window of a finite-horizon test (:class:`residua.decide.PeakThreshold`); 0 for any other.
     certified : bool
         Whether its thresholds are certified by the design.
+    predicted : bool
+        Whether the filter, a Kalman filter, went on with those outputs of a sample that were there; else values were
+        held.
     """
 
     time: NDArray[np.float64] = field(repr=False)
@@ -134,6 +137,7 @@ class Diagnosis:
     match: Match | None = field(default=None, repr=False)
     horizon: int = 0
     certified: bool = False
+    predicted: bool = False
 
     # ------------------------------------------------------------------- facts
 
@@ -274,7 +278,8 @@ class Diagnosis:
         one = "" if self.n_missing == 1 else "s"
         waited = int(np.count_nonzero(~(self.decided | self.missing) & np.maximum.accumulate(self.missing)))
         after = f", nor at {waited} after them while the filter settled again" if waited else ""
-        return f"{self.n_missing} sample{one} with missing values: last values held, no decision there{after}{restarts}"
+        how = "the filter went on with the others" if self.predicted else "last values held"
+        return f"{self.n_missing} sample{one} with missing values: {how}, no decision there{after}{restarts}"
 
     def columns(self) -> dict[str, NDArray]:
         """Return time, residuals, statistic, alarm and scores as named columns.

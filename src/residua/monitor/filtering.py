@@ -1,4 +1,4 @@
-"""The generator on a block of samples: starts, gaps, values to put aside, and states that are no numbers any more.
+"""The generator on a block of samples of many plants: all of one kind at once, those with gaps one by one.
 
 Everything gives the same bits however the time axis is cut: what is decided here depends on the samples so far alone.
 """
@@ -12,14 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.linear.recursion import ordered_product, run_filter
+from residua.monitor.one_plant import FIELDS, LARGEST, SELDOM, OnePlant
 
 if TYPE_CHECKING:
     from residua.monitor.running import Specification, State
-
-#: A residual beyond is one of a filter that overflows.
-_LARGEST = 1e150
-#: What the filter changes of a running monitor's state.
-_FIELDS = ("x", "held", "gap", "running", "age", "resets", "broken")
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,39 +25,40 @@ class Filtered:
     Attributes
     ----------
     residuals : NaN where a value is missing; usable : whether a decision can be taken; missing : whether a value is
-    not there; aside : for each channel whether there was one that is not plausible.
+    not there; aside : for each channel whether there was one that is not plausible; bends : where faults have other
+    responses for a while, since outputs were missing: plant, sample, and the responses of whitened residuals by age,
+    (ages + 1, faults, residuals), the settled one last.
     """
 
     residuals: NDArray[np.float64]
     usable: NDArray[np.bool_]
     missing: NDArray[np.bool_]
     aside: NDArray[np.bool_]
+    bends: tuple[tuple[int, int, NDArray[np.float64]], ...] = ()
 
 
-def filter_block(spec: Specification, state: State, data: NDArray) -> tuple[dict[str, NDArray], Filtered]:
-    """Run the generator; samples with missing values advance it with held values and yield no residual.
-
-    Returns
-    -------
-    fields : dict
-        What changes of the state.
-    found : Filtered
-    """
+def filter_block(spec: Specification, state: State, data: NDArray[np.float64]) -> tuple[dict[str, NDArray], Filtered]:
+    """Run the generator over a block; return what changes of the state, and what was found."""
     v, missing, aside = plausible_values(spec, data)
     plants, time, _ = v.shape
-    residuals = np.full((plants, time, len(spec.C)), np.nan)
-    ages = np.zeros((plants, time), dtype=np.int64)
-    fields = {name: getattr(state, name).copy() for name in _FIELDS}
-    rest = np.ones(plants, dtype=bool)
-    if time:
-        rest = np.asarray(missing.any(axis=1))
-        rest[_filter_whole(spec, fields, ~rest, v, residuals, ages)] = True
-    for p in np.flatnonzero(rest):
-        for name in _FIELDS:
-            fields[name][p] = getattr(state, name)[p]
-        residuals[p], ages[p] = np.nan, 0
-        _filter_with_gaps(spec, fields, int(p), v[p], missing[p], residuals[p], ages[p])
-    return fields, Filtered(residuals, ~missing & (ages > spec.settle), missing, aside)
+    before = {name: getattr(state, name) for name in FIELDS}
+    if not time:
+        return {}, Filtered(np.zeros((plants, 0, len(spec.C))), missing, missing, aside)
+    calm = ~(np.asarray(missing.any(axis=1)) | state.apart)
+    every = bool(calm.all())
+    who = np.flatnonzero(calm)
+    fields, residuals, ages = _run_calm(spec, before if every else _of(before, who), v if every else v[who])
+    sound = _sound(fields["x"], residuals)
+    if every and sound.all():
+        return fields, Filtered(residuals, ages > spec.settle, missing, aside)
+    part, found = (_of(fields, sound), residuals[sound], ages[sound]), who[sound]
+    fields = {name: values.copy() for name, values in before.items()}
+    residuals, ages = np.full((plants, time, len(spec.C)), np.nan), np.zeros((plants, time), dtype=np.int64)
+    for name, values in part[0].items():
+        fields[name][found] = values
+    residuals[found], ages[found] = part[1:]
+    bends = _run_one_by_one(spec, state, fields, np.setdiff1d(np.arange(plants), found), v, residuals, ages)
+    return fields, Filtered(residuals, ~missing & (ages > spec.settle), missing, aside, bends)
 
 
 def plausible_values(
@@ -79,105 +76,89 @@ def plausible_values(
     return np.where(there, v, np.nan), ~np.asarray(there.all(axis=2)), np.asarray(np.isfinite(data) & ~there)
 
 
-def _filter_whole(
+def _of(fields: dict[str, NDArray], who: NDArray) -> dict[str, NDArray]:
+    return {name: values[who] for name, values in fields.items()}
+
+
+def _sound(x: NDArray, residuals: NDArray) -> NDArray[np.bool_]:
+    """Return for each plant whether its filter has not overflowed."""
+    if np.isfinite(x).all() and (not residuals.size or (residuals.min() >= -LARGEST and residuals.max() <= LARGEST)):
+        return np.ones(len(x), dtype=bool)
+    return np.asarray(np.isfinite(x).all(axis=1) & (np.abs(residuals) <= LARGEST).all(axis=(1, 2)))
+
+
+def _run_calm(
+    spec: Specification, before: dict[str, NDArray], v: NDArray
+) -> tuple[dict[str, NDArray], NDArray, NDArray[np.int64]]:
+    """Run plants of which no value is missing; return their fields, residuals, and samples since the start."""
+    fields = dict(before)
+    if not before["running"].all():
+        _start(spec, fields, v)
+    ages = fields["age"][:, None] + np.arange(1, v.shape[1] + 1)
+    fields["held"], fields["gap"] = v[:, -1].copy(), np.zeros_like(before["gap"])
+    if fields["starting"].any():
+        residuals = _run_starting(spec, fields, v)
+    else:
+        fields["x"], residuals = run_filter(spec.A, spec.B, spec.C, spec.D, fields["x"], v)
+    fields["age"] = ages[:, -1].copy()
+    return fields, residuals, ages
+
+
+def _start(spec: Specification, fields: dict[str, NDArray], v: NDArray) -> None:
+    """Start the filters that do not run with their first sample, as if they had settled to it."""
+    fresh = ~fields["running"]
+    x, sums, starting = (fields[name].copy() for name in ("x", "start_sums", "starting"))
+    x[fresh], sums[fresh] = ordered_product(v[fresh, 0], spec.start.T), 0.0
+    starting[fresh] = spec.first is not None
+    fields |= {"x": x, "start_sums": sums, "starting": starting}
+    fields |= {"age": np.where(fresh, 0, fields["age"]), "running": np.ones(len(x), dtype=bool)}
+
+
+def _run_starting(spec: Specification, fields: dict[str, NDArray], v: NDArray) -> NDArray[np.float64]:
+    """Run plants some of which have just started: in groups by age, each up to where its start is corrected."""
+    assert spec.first is not None
+    x, sums, starting, moved = (fields[name].copy() for name in ("x", "start_sums", "starting", "moved"))
+    groups = np.where(starting, fields["age"], -1)
+    residuals = np.empty((*v.shape[:2], len(spec.C)))
+    for age in np.unique(groups):
+        who = np.flatnonzero(groups == age)
+        cut = 0 if age < 0 else min(v.shape[1], spec.first.samples - int(age))
+        if age >= 0:
+            x[who], residuals[who, :cut] = run_filter(spec.A, spec.B, spec.C, spec.D, x[who], v[who, :cut])
+            sums[who] = spec.first.add(sums[who], residuals[who, :cut], int(age))
+            if cut == spec.first.samples - age:
+                x[who], far = spec.first.corrected(x[who], sums[who])
+                moved[who], sums[who], starting[who] = np.maximum(moved[who], far), 0.0, False
+        if cut < v.shape[1]:
+            x[who], residuals[who, cut:] = run_filter(spec.A, spec.B, spec.C, spec.D, x[who], v[who, cut:])
+    fields |= {"x": x, "start_sums": sums, "starting": starting, "moved": moved}
+    return residuals
+
+
+def _run_one_by_one(
     spec: Specification,
+    state: State,
     fields: dict[str, NDArray],
-    whole: NDArray[np.bool_],
+    who: NDArray[np.int64],
     v: NDArray,
     residuals: NDArray,
     ages: NDArray[np.int64],
-) -> NDArray[np.int64]:
-    """Run the plants of which no value is missing in a block; return those whose filter overflowed."""
-    fresh = whole & ~fields["running"]
-    if fresh.any():
-        _start(spec, fields, fresh, v[fresh, 0])
-    every = bool(whole.all())
-    which = slice(None) if every else np.flatnonzero(whole)
-    if not every and not whole.any():
-        return np.zeros(0, dtype=np.int64)
-    x, r = run_filter(spec.A, spec.B, spec.C, spec.D, fields["x"][which], v[which])
-    fields["x"][which], residuals[which] = x, r
-    fields["held"][which], fields["gap"][which] = v[which, -1], 0
-    ages[which] = fields["age"][which, None] + np.arange(1, v.shape[1] + 1)
-    fields["age"][which] += v.shape[1]
-    if np.isfinite(x).all() and (not r.size or (r.min() >= -_LARGEST and r.max() <= _LARGEST)):  # false for NaN
-        return np.zeros(0, dtype=np.int64)
-    sound = np.isfinite(x).all(axis=1) & (np.abs(r) <= _LARGEST).all(axis=(1, 2))
-    return np.flatnonzero(whole)[~sound]
-
-
-def _start(spec: Specification, fields: dict[str, NDArray], which: NDArray[np.bool_] | int, v: NDArray) -> None:
-    """Start filters with their first complete sample, as if they had settled to it."""
-    fields["x"][which] = ordered_product(v, spec.start.T)
-    fields["running"][which] = True
-    fields["age"][which] = fields["gap"][which] = 0
-
-
-def _filter_with_gaps(
-    spec: Specification,
-    fields: dict[str, NDArray],
-    p: int,
-    v: NDArray,
-    missing: NDArray[np.bool_],
-    residuals: NDArray,
-    ages: NDArray[np.int64],
-) -> None:
-    """Run one plant over a block with gaps, piece by piece; writes into ``fields`` and the outputs."""
-    time = len(v)
-    filled = _hold(v, fields["held"][p])
-    k = 0
-    while k < time:
-        fresh = not fields["running"][p]
-        if fresh:
-            complete = np.flatnonzero(~missing[k:])
-            if complete.size == 0:
-                fields["gap"][p] += time - k
-                break
-            k += int(complete[0])
-            _start(spec, fields, p, filled[k])
-        stop, gap = _end_of_piece(missing, k, int(fields["gap"][p]), spec.max_hold)
-        x, r = run_filter(spec.A, spec.B, spec.C, spec.D, fields["x"][p][None], filled[None, k:stop])
-        lost = np.flatnonzero(
-            ~(np.abs(r[0]) <= _LARGEST).all(axis=1)
-        )  # a state that is not finite shows in all residuals
-        if lost.size:
-            stop = k + int(lost[0])
-        residuals[k:stop] = np.where(missing[k:stop, None], np.nan, r[0, : stop - k])
-        if stop > k:
-            _count_ages(fields, p, missing[k:stop], ages[k:stop])
-        if lost.size or not np.isfinite(x).all():
-            fields["running"][p], fields["x"][p], fields["gap"][p] = False, 0.0, 0
-            fields["broken"][p] += 1
-            k = stop + int(fresh and stop == k)  # a sample that overflows by itself, from a start, is passed over
-            continue
-        fields["x"][p], fields["gap"][p] = x[0], gap
-        if stop < time:  # the gap became too long: stop the filter until a complete sample comes
-            fields["running"][p] = False
-            fields["resets"][p] += 1
-        k = stop
-    if time:
-        fields["held"][p] = filled[-1]
-
-
-def _count_ages(fields: dict[str, NDArray], p: int, missing: NDArray[np.bool_], ages: NDArray[np.int64]) -> None:
-    """Write the samples since the start, or since the last held value."""
-    count = np.arange(1, len(missing) + 1)
-    ages[:] = count - np.maximum.accumulate(np.where(missing, count, -fields["age"][p]))
-    fields["age"][p] = ages[-1]
-
-
-def _hold(v: NDArray, held: NDArray) -> NDArray:
-    """Return the samples with missing values replaced by the last value of their channel."""
-    rows = np.where(np.isfinite(v), np.arange(1, len(v) + 1)[:, None], 0)
-    return np.take_along_axis(np.vstack([held, v]), np.maximum.accumulate(rows, axis=0), axis=0)
-
-
-def _end_of_piece(missing: NDArray[np.bool_], k: int, gap: int, max_hold: int) -> tuple[int, int]:
-    """Return where the running filter has to stop (first sample of a gap that is too long) and the gap there."""
-    rest = missing[k:]
-    count = np.arange(1, len(rest) + 1)
-    run = count - np.maximum.accumulate(np.where(rest, -gap, count))
-    too_long = np.flatnonzero(run > max_hold)
-    if too_long.size:
-        return k + int(too_long[0]), int(run[too_long[0]]) - 1
-    return k + len(rest), int(run[-1]) if len(rest) else gap
+) -> tuple[tuple[int, int, NDArray[np.float64]], ...]:
+    """Run plants with gaps; writes into ``fields`` and the outputs, and returns the bends of all."""
+    bends, after = [], {}
+    for p in who.tolist():
+        one = OnePlant(**{name: getattr(state, name)[p] for name in (*FIELDS, *SELDOM)})
+        bends += [(p, k, R) for k, R in one.run(spec, v[p], residuals[p], ages[p])]
+        for name in FIELDS:
+            fields[name][p] = getattr(one, name)
+        after[p] = one
+    if fields["apart"].any() or state.apart.any():  # else these are zero, and stay so
+        for name in SELDOM:
+            values = getattr(state, name)
+            if not fields["apart"].any():
+                fields[name] = np.broadcast_to(0.0, values.shape)  # takes no memory
+                continue
+            fields[name] = values.copy()
+            for p, one in after.items():
+                fields[name][p] = getattr(one, name)
+    return tuple(bends)

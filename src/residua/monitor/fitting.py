@@ -33,6 +33,7 @@ def fitted_test(
     settle: int | None,
     max_hold: int,
     plausible: NDArray[np.float64],
+    start: str,
 ) -> NormTest | BankTest:
     """Return the test fitted to a fault-free recording, shape (1, time, channels), in plant units."""
     if len(data) != 1:
@@ -43,7 +44,8 @@ def fitted_test(
     if settle is None and isinstance(settings, PeakThreshold):  # known thresholds want a longer one
         known = first_peak_test(settings, certified, generator, by_code=isinstance(isolate, Structured))
         settle = settling_samples(generator, known)
-    blank = specification(generator, blank_test(generator), None, settle=settle, max_hold=max_hold, plausible=plausible)
+    given = {"settle": settle, "max_hold": max_hold, "plausible": plausible, "start": start}
+    blank = specification(generator, blank_test(generator), None, **given)
     deviations, _, _ = plausible_values(blank, data)
     _, found = run_block(blank, initial_state(blank, 1), data)
     try:

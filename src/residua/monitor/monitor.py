@@ -38,11 +38,13 @@ from residua.monitor.preparing import (
     Isolation,
     as_generator,
     blank_test,
+    check_windows,
     chosen_isolation,
     first_test,
     specification,
 )
 from residua.monitor.running import Decisions, Specification, State, initial_state, run_block
+from residua.monitor.starting import checked_start
 
 #: Samples per piece when a recording is run: bounds memory and lets progress be shown.
 PIECE = 100_000
@@ -55,9 +57,11 @@ class Monitor:
     sampled at ``dt``. Missing values (NaN, infinity) never end a run: the last value of that channel is held
     for the filter, no residual is reported on that sample, and nothing is decided until the filter has settled
     again; after more than ``max_hold`` incomplete samples in a row the filter starts anew with the next
-    complete sample. A value that cannot be one (``plausible``) is missing too, and is counted; and should the state of
-    the filter overflow all the same, it starts anew, which is counted. A start assumes that the plant was at rest at
-    the first sample: where a state integrates, give ``settle`` enough samples.
+    complete sample. A stationary Kalman filter goes on with the outputs that are there instead, by the exact gain for
+    them: nothing is decided on the incomplete sample itself, and everything on the next one. Samples without any
+    output, or with an input missing, count towards ``max_hold`` there. A value that cannot be one (``plausible``) is
+    missing too, and is counted; and should the state of the filter overflow all the same, it starts anew, which is
+    counted. The state at a start is estimated (``start``), so that the plant need not be at rest then.
 
     Parameters
     ----------
@@ -96,6 +100,13 @@ class Monitor:
         would move the residual by more than 1e30 standard deviations (thresholds of
         :class:`residua.decide.PeakThreshold`) is missing. A sensor that fails to an end of its scale must stay within:
         what is missing raises no alarm.
+    start : {"estimated", "rest"}
+        How the filter finds its state after a start, and after a gap longer than ``max_hold``. ``"rest"``: as if the
+        plant had been at rest at the first sample; what is wrong with that decays, and no more than 1 % of it is left
+        after ``settle`` samples. ``"estimated"``: besides, what the residuals of these samples (2,000 at most) show of
+        it by least squares is taken out of the state after them. A fault that is there from the first sample on is
+        partly taken out with it: as far as its residual looks like that of a wrong start. The notes of a diagnosis say
+        where this moved the residual by more than a tenth of its threshold.
 
     Notes
     -----
@@ -129,6 +140,7 @@ class Monitor:
         settle: int | None = None,
         max_hold: int = 10,
         plausible: Plausible = TIMES,
+        start: str = "estimated",
     ) -> None:
         design, generator = generator, as_generator(generator)
         if estimator is not None:
@@ -139,12 +151,14 @@ class Monitor:
         self.design: ResidualGenerator = generator
         self.isolate: Isolation = chosen_isolation(isolate, generator, design)
         self.test, self._certified = chosen_threshold(test, design, generator, self.isolate)
+        check_windows(self.test, self.isolate, generator)
         self._bounds = brought_bounds(design, member_names(generator))
         if estimator is not None and not isinstance(self.isolate, Structured):
             raise SettingError("an estimator runs beside a bank that is read by code: use a bank, and Structured()")
         self.settle = settle
         self.max_hold = int(max_hold)
         self.plausible = checked_plausible(plausible, (*generator.plant.inputs, *generator.plant.outputs))
+        self.start = checked_start(start)
         self._ranges: NDArray[np.float64] | None = None
         self._lock = threading.RLock()
         self.notes: tuple[str, ...] = ()
@@ -261,6 +275,7 @@ class Monitor:
             settle=self.settle,
             max_hold=self.max_hold,
             plausible=self._limits(ranges, blank_test(self.generator)),
+            start=self.start,
         )
         self._ranges = ranges
         self._spec = self._state = None
@@ -326,6 +341,7 @@ class Monitor:
                 spec,
                 generator,
                 (int(state.resets[p]), int(state.broken[p])),
+                float(state.moved[p]),
                 given.source,
                 self.notes,
                 self._bounds,
@@ -453,6 +469,7 @@ class Monitor:
                     settle=self.settle,
                     max_hold=self.max_hold,
                     plausible=self._limits(self._ranges, self.norm_test),
+                    start=self.start,
                 )
             return self._spec
 

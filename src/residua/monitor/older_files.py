@@ -8,6 +8,7 @@ import numpy as np
 
 from residua.monitor.encoding import array_in, array_out, table_in
 from residua.monitor.judging import empty_fields
+from residua.monitor.partial_update import empty_partial
 from residua.monitor.plausible import TIMES
 
 #: Versions before today's that are read.
@@ -19,8 +20,9 @@ def renewed(content: dict[str, Any]) -> dict[str, Any]:
 
     In a file of version 3 nothing was matched with responses; before version 5 every test was of the norm, and when a
     standing alarm began was not known: it stays so until it ends. ``bounds`` are an entry of a file only where there
-    are any. Before version 6 every finite number was a measurement: without the recording that was fitted, only what
-    would overflow is missing.
+    are any. Before version 6 every start was from rest, and Kalman filters held the values of missing outputs, which
+    both stay so; and every finite number was a measurement: without the recording that was fitted, only what would
+    overflow is missing.
     """
     content = {"bounds": {}} | content
     if content["version"] == 3:
@@ -33,12 +35,22 @@ def renewed(content: dict[str, Any]) -> dict[str, Any]:
 
 
 def _with_plausible(content: dict[str, Any]) -> None:
-    content["plausible"] = TIMES
+    content |= {"plausible": TIMES, "start": "rest"}
     if content.get("running") is not None:
-        content["running"] = table_in(content["running"], "running") | {"plausible": None}
+        content["running"] = table_in(content["running"], "running") | {
+            "plausible": None,
+            "first": None,
+            "partial": None,
+        }
     if content.get("state") is not None:
         state = table_in(content["state"], "state")
-        content["state"] = state | {"broken": array_out(np.zeros(_plants(state), dtype=np.int64))}
+        plants = _plants(state)
+        whole, flag = np.zeros(plants, dtype=np.int64), np.zeros(plants, dtype=bool)
+        nothing = empty_partial(None, plants) | {"match_extra": np.zeros((plants, 0, 0))}
+        if "match_sums" in state:  # of matched filters one column for each fault
+            nothing["match_extra"] = np.zeros((plants, 0, 2 * array_in(state["match_sums"], "state").shape[-1]))
+        new = {"broken": whole, "starting": flag, "start_sums": np.zeros((plants, 0)), "moved": np.zeros(plants)}
+        content["state"] = state | {name: array_out(x) for name, x in (new | {"apart": flag} | nothing).items()}
 
 
 def _plants(state: dict[str, Any]) -> int:
@@ -50,7 +62,7 @@ def _with_matched(content: dict[str, Any]) -> None:
         content["running"] = table_in(content["running"], "running") | {"matched": None}
     if content.get("state") is not None:
         state = table_in(content["state"], "state")
-        nothing = empty_fields(None, _plants(state))
+        nothing = empty_fields(None, _plants(state), False)
         content["state"] = state | {name: array_out(value) for name, value in nothing.items()}
 
 

@@ -25,6 +25,9 @@ from residua.monitor.naming import candidates_at, candidates_of_code, longest_co
 from residua.monitor.running import Decisions, Specification
 from residua.monitor.settings_text import settings_of
 
+#: Part of its threshold that the residual is moved by before it is said.
+_TOLD = 0.1
+
 
 def diagnosis_from(
     parts: Sequence[Decisions],
@@ -33,13 +36,15 @@ def diagnosis_from(
     spec: Specification,
     generator: ResidualGenerator,
     restarts: tuple[int, int],
+    moved: float,
     source: str,
     notes: tuple[str, ...],
     bounds: Mapping[str, MemberBounds],
 ) -> Diagnosis:
     """Return the diagnosis of one plant from the decisions on all pieces of its recording.
 
-    ``restarts`` counts those after long gaps, and those of a filter whose state overflowed.
+    ``restarts`` counts those after long gaps, and those of a filter whose state overflowed; ``moved`` is how many
+    thresholds the estimate of a start moved the residual by.
     """
 
     def joined(name: str) -> NDArray:
@@ -84,6 +89,7 @@ def diagnosis_from(
         scores=scores,
         alarms=alarms,
         resets=restarts[0],
+        predicted=spec.partial is not None,
         residual_names=generator.residuals,
         center=spec.test.center,
         band=spec.test.band,
@@ -96,6 +102,7 @@ def diagnosis_from(
             *_notes(spec, generator, usable, joined("missing")),
             *_aside_notes(spec, generator, parts, plant),
             *_broken_notes(restarts[1]),
+            *_start_notes(spec, moved),
             *unit_cautions(spec.test, usable, statistic, statistics),
             *leakage_cautions(bounds, spec.test, spec.codes, alarms, statistics),
         ),
@@ -206,6 +213,17 @@ def _broken_notes(count: int) -> tuple[str, ...]:
         return ()
     times = "once" if count == 1 else f"{count} times"
     return (f"the filter overflowed and was started anew {times}: is the recording in the units of the model?",)
+
+
+def _start_notes(spec: Specification, moved: float) -> tuple[str, ...]:
+    """Return that the plant was not at rest, where that matters, and what follows for faults."""
+    if spec.first is None or moved < _TOLD:
+        return ()
+    return (
+        f"the plant was not at rest when the filter started: its state was estimated from {spec.first.samples} "
+        f"samples, which moved the residual by {moved:.2g} times its threshold; a fault that was there from the first "
+        "sample is partly taken out with it (start='rest' does not)",
+    )
 
 
 def _window_notes(spec: Specification) -> tuple[str, ...]:

@@ -5,7 +5,8 @@ Everything here is vectorised over plants and gives the same bits however the ti
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from residua.decide.directional import DirectionTest
 from residua.decide.matched import MatchedTest
-from residua.decide.matched_hold import Match
+from residua.decide.matched_hold import Match, joined_blocks
 from residua.decide.member_thresholds import BankTest
 from residua.decide.norm_threshold import NormTest
 from residua.decide.structured import CodeTest
@@ -21,7 +22,11 @@ from residua.decide.window import WindowState, empty_window, moving_sum
 from residua.linear.recursion import ordered_product
 from residua.monitor.filtering import Filtered, filter_block
 from residua.monitor.judging import alarms_since, empty_fields, judge_matched, judge_members, judge_whole
+from residua.monitor.partial_update import PartialUpdate, empty_partial
+from residua.monitor.starting import StartFit
 
+#: Responses that are held at once, in numbers.
+_MOST_NUMBERS = 10**7
 #: Largest whitened residual that is judged: the square of a sum of many still is a number.
 _LARGEST = 1e120
 
@@ -52,6 +57,10 @@ class Specification:
     plausible : ndarray, shape (channels, 2)
         Smallest and largest deviation of each channel from its operating point that is taken for a value; any other is
         missing.
+    first : StartFit or None
+        What estimates a start from the first residuals; ``None`` where a start is from rest.
+    partial : PartialUpdate or None
+        What a Kalman filter needs to go on where outputs are missing; ``None`` for any other generator.
     """
 
     A: NDArray[np.float64]
@@ -67,6 +76,8 @@ class Specification:
     settle: int
     max_hold: int
     plausible: NDArray[np.float64]
+    first: StartFit | None
+    partial: PartialUpdate | None
 
     @property
     def judge(self) -> DirectionTest | CodeTest | MatchedTest | None:
@@ -108,8 +119,11 @@ class State:
     bank, whose ``since`` is when they first fired in the standing alarm of the bank); ends, block, begun, filled : of
     the moving sum for the direction, or of the members' alarms for the code
     (:class:`residua.decide.window.WindowState`), and the same with ``test_`` for the threshold test; count : samples
-    so far; resets : restarts after long gaps; broken : restarts of a filter whose state overflowed; match_sums,
-    match_weights, match_held : of the matched filters
+    so far; resets : restarts after long gaps; broken : restarts of a filter whose state overflowed;
+    starting : whether the start is still to be estimated; start_sums : what residuals say of it so far; moved : how
+    far that moved a residual, in units of the threshold, at most; apart : whether a Kalman filter is off its
+    stationary one, since outputs were missing; spread : its covariance then, zero for the stationary one; bent : how
+    far its errors by faults are off; match_sums, match_weights, match_held, match_extra : of the matched filters
     (:class:`residua.decide.matched.MatchState`).
     """
 
@@ -133,9 +147,16 @@ class State:
     count: int
     resets: NDArray[np.int64]
     broken: NDArray[np.int64]
+    starting: NDArray[np.bool_]
+    start_sums: NDArray[np.float64]
+    moved: NDArray[np.float64]
+    apart: NDArray[np.bool_]
+    spread: NDArray[np.float64]
+    bent: NDArray[np.float64]
     match_sums: NDArray[np.float64]
     match_weights: NDArray[np.float64]
     match_held: NDArray[np.float64]
+    match_extra: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +218,12 @@ def initial_state(spec: Specification, plants: int) -> State:
         count=0,
         resets=whole,
         broken=whole,
-        **empty_fields(spec.matched, plants),
+        starting=flag,
+        start_sums=np.zeros((plants, 0 if spec.first is None else n)),
+        moved=np.zeros(plants),
+        apart=flag,
+        **empty_partial(spec.partial, plants),
+        **empty_fields(spec.matched, plants, spec.partial is not None),
     )
 
 
@@ -217,8 +243,36 @@ def run_block(spec: Specification, state: State, data: NDArray[np.float64]) -> t
         To go on with.
     decisions : Decisions
     """
-    fields, filtered = filter_block(spec, state, data)
-    return _decide(spec, replace(state, **fields), filtered)
+    step = _longest_block(spec, state, data)
+    if step >= data.shape[1]:
+        return _run_at_once(spec, state, data)
+    parts: list[Decisions] = []
+    for start in range(0, data.shape[1], step):
+        state, part = _run_at_once(spec, state, data[:, start : start + step])
+        parts.append(part)
+    return state, joined_decisions(parts)
+
+
+def _run_at_once(spec: Specification, state: State, data: NDArray[np.float64]) -> tuple[State, Decisions]:
+    changed, filtered = filter_block(spec, state, data)
+    return _decide(spec, replace(state, **changed), filtered)
+
+
+def _longest_block(spec: Specification, state: State, data: NDArray[np.float64]) -> int:
+    """Return how many samples to run at once: matched filters hold the responses at each where outputs are missing."""
+    if spec.matched is None or spec.partial is None or data.shape[1] < 2:
+        return data.shape[1]
+    if not state.apart.any() and np.isfinite(data).all():
+        return data.shape[1]
+    return max(1, _MOST_NUMBERS // max(1, state.bent.size))
+
+
+def joined_decisions(parts: Sequence[Decisions]) -> Decisions:
+    """Return the decisions on consecutive blocks as those on one."""
+    names = [field.name for field in fields(Decisions) if field.name != "match"]
+    joined = {name: np.concatenate([getattr(part, name) for part in parts], axis=1) for name in names}
+    matches = [part.match for part in parts if part.match is not None]
+    return Decisions(**joined, match=joined_blocks(matches) if matches else None)
 
 
 # ------------------------------------------------------------------- decisions
@@ -236,7 +290,7 @@ def _decide(spec: Specification, state: State, filtered: Filtered) -> tuple[Stat
         assert spec.codes is not None
         decide = judge_members(test, spec.codes, state, tested, window, usable)
     elif spec.matched is not None:
-        decide, further = judge_matched(test, spec.matched, state, q, window, usable)
+        decide, further = judge_matched(test, spec.matched, state, q, window, usable, filtered.bends)
     else:
         decide = judge_whole(test, spec.direction, state, q, tested, window, usable)
     (alarm, up, down), window, found = decide

@@ -46,9 +46,11 @@ from residua.monitor.encoding import (
 from residua.monitor.judging import empty_fields
 from residua.monitor.monitor import Monitor
 from residua.monitor.older_files import OLDER, renewed
+from residua.monitor.partial_update import PartialUpdate, empty_partial
 from residua.monitor.plausible import Plausible
 from residua.monitor.preparing import Isolation
 from residua.monitor.running import Specification, State
+from residua.monitor.starting import StartFit, start_from
 from residua.monitor.threshold_records import threshold_in, threshold_out
 from residua.plant import Plant
 
@@ -69,6 +71,7 @@ _ENTRIES = (
     "settle",
     "max_hold",
     "plausible",
+    "start",
     "notes",
     "fitted",
     "running",
@@ -91,6 +94,7 @@ def save_monitor(monitor: Monitor, path: str | Path) -> None:
         "settle": monitor.settle,
         "max_hold": monitor.max_hold,
         "plausible": _plausible_out(monitor.plausible),
+        "start": monitor.start,
         "notes": list(monitor.notes),
         "fitted": None if test is None else values_out(test),
         "running": None if test is None or generator is None else _running_out(monitor._specification()),
@@ -134,6 +138,7 @@ def _monitor_in(content: Mapping[str, Any]) -> Monitor:
         settle=None if settle is None else whole_in(settle, "settle"),
         max_hold=whole_in(content["max_hold"], "max_hold"),
         plausible=_plausible_in(content["plausible"]),
+        start=text_in(content["start"], "start"),
     )
     monitor.notes = texts_in(content["notes"], "notes")
     monitor._bounds = bounds_in(content["bounds"], "bounds", [member.name for member in design.members])
@@ -195,6 +200,12 @@ def _running_out(spec: Specification) -> dict[str, Any]:
         "start": array_out(spec.start),
         "settle": int(spec.settle),
         "plausible": array_out(spec.plausible),
+        "first": None
+        if spec.first is None
+        else {"samples": int(spec.first.samples), "correction": array_out(spec.first.correction)},
+        "partial": None
+        if spec.partial is None
+        else {"covariance": array_out(spec.partial.covariance), "settled": array_out(spec.partial.settled)},
         "direction": None
         if test is None
         else {
@@ -246,9 +257,12 @@ def _matched_in(value: Any, where: str, plant: Plant, residuals: int, steady: bo
     return MatchedTest(window, faults, groups, responses, settled, unjudged)
 
 
+_RUNNING = ("start", "settle", "plausible", "first", "partial", "direction", "codes", "matched")
+
+
 def _running_in(spec: Specification, value: Any, plant: Plant) -> Specification:
     """Return the specification with what was computed when it was saved in place of what is computed now."""
-    content = record(value, "running", ("start", "settle", "plausible", "direction", "codes", "matched"))
+    content = record(value, "running", _RUNNING)
     start = array_in(content["start"], "running.start")
     if start.shape != spec.start.shape:
         raise FileFormatError(f"running.start must have shape {spec.start.shape}, got {start.shape}")
@@ -265,8 +279,44 @@ def _running_in(spec: Specification, value: Any, plant: Plant) -> Specification:
         steady = not len(spec.matched.responses)
         matched = _matched_in(content["matched"], "running.matched", plant, len(spec.C), steady)
     settle = whole_in(content["settle"], "running.settle")
-    running = {"start": start, "settle": settle, "plausible": plausible}
-    return replace(spec, **running, direction=direction, codes=codes, matched=matched)
+    spec = replace(spec, start=start, settle=settle, plausible=plausible)
+    first, partial = _first_in(content["first"], spec), _partial_in(content["partial"], spec)
+    return replace(spec, first=first, partial=partial, direction=direction, codes=codes, matched=matched)
+
+
+def _first_in(value: Any, spec: Specification) -> StartFit | None:
+    """Return what estimates a start, with the correction that was saved."""
+    if value is None:
+        return None
+    content = record(value, "running.first", ("samples", "correction"))
+    samples = whole_in(content["samples"], "running.first.samples")
+    correction = _square_in(content["correction"], "running.first.correction", len(spec.A))
+    if not 1 <= samples <= spec.settle:
+        raise FileFormatError("running.first.samples must be 1 or more, and no more than settle")
+    return start_from(spec.A, spec.C, spec.test, samples, correction)
+
+
+def _partial_in(value: Any, spec: Specification) -> PartialUpdate | None:
+    """Return what a Kalman filter without some outputs needs, with the covariance that was saved."""
+    if value is None:
+        return None
+    content = record(value, "running.partial", ("covariance", "settled"))
+    if spec.partial is None:
+        raise FileFormatError("running.partial is there, and the generator is no stationary Kalman filter")
+    covariance = _square_in(content["covariance"], "running.partial.covariance", len(spec.A))
+    settled, shape = array_in(content["settled"], "running.partial.settled"), spec.partial.settled.shape
+    if settled.dtype.kind != "f" or settled.shape != shape or not np.isfinite(settled).all():
+        raise FileFormatError(f"running.partial.settled must be finite numbers of shape {shape}")
+    if not (np.array_equal(covariance, covariance.T) and np.diag(covariance).min() >= 0):
+        raise FileFormatError("running.partial.covariance must be a covariance: symmetric, and not negative")
+    return replace(spec.partial, covariance=covariance, settled=settled)
+
+
+def _square_in(value: Any, where: str, n: int) -> NDArray[np.float64]:
+    found = array_in(value, where)
+    if found.dtype.kind != "f" or found.shape != (n, n) or not np.isfinite(found).all():
+        raise FileFormatError(f"{where} must be finite numbers of shape {(n, n)}")
+    return found
 
 
 def _limits_in(value: Any, spec: Specification) -> NDArray[np.float64]:
@@ -344,8 +394,10 @@ def _check_state(monitor: Monitor) -> None:
         "held": (plants, spec.B.shape[1]),
         **dict.fromkeys(("up", "down", "alarm", "since"), (plants, *spec.alarms)),
     }
-    for name, empty in empty_fields(spec.matched, plants).items():
+    partial = empty_partial(spec.partial, plants)
+    for name, empty in (empty_fields(spec.matched, plants, spec.partial is not None) | partial).items():
         wanted[name] = empty.shape
+    wanted["start_sums"] = (plants, 0 if spec.first is None else len(spec.A))
     for prefix, length, k in (("", spec.window, spec.judged), ("test_", spec.test.window, columns)):
         wanted |= {prefix + "ends": (plants, length, k), prefix + "block": (plants, length, k)}
         wanted[prefix + "begun"] = (plants, k)
