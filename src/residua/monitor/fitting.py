@@ -41,9 +41,10 @@ def fitted_test(
     outputs = data[0, :, len(generator.plant.inputs) :]
     if len(outputs) > 1 and not np.nanmax(np.ptp(np.where(np.isfinite(outputs), outputs, 0.0), axis=0)) > 0:
         raise DataError("no output ever changes in this recording: it cannot show what is normal")
-    if settle is None and isinstance(settings, PeakThreshold):  # known thresholds want a longer one
+    if isinstance(settings, PeakThreshold):  # known thresholds want a longer wait, and hold from rest
         known = first_peak_test(settings, certified, generator, by_code=isinstance(isolate, Structured))
-        settle = settling_samples(generator, known)
+        settle = settling_samples(generator, known) if settle is None else settle
+        start = start if known is None else "rest"
     given = {"settle": settle, "max_hold": max_hold, "plausible": plausible, "start": start}
     blank = specification(generator, blank_test(generator), None, **given)
     deviations, _, _ = plausible_values(blank, data)

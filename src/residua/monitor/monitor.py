@@ -105,8 +105,9 @@ class Monitor:
         plant had been at rest at the first sample; what is wrong with that decays, and no more than 1 % of it is left
         after ``settle`` samples. ``"estimated"``: besides, what the residuals of these samples (2,000 at most) show of
         it by least squares is taken out of the state after them. A fault that is there from the first sample on is
-        partly taken out with it: as far as its residual looks like that of a wrong start. The notes of a diagnosis say
-        where this moved the residual by more than a tenth of its threshold.
+        partly taken out with it: as far as its residual looks like that of a wrong start. Thresholds that are bounds,
+        certified or given, hold from rest, or once every start has died away: there a start is always from rest. The
+        notes of a diagnosis say where the estimate moved the residual by more than a tenth of its threshold.
 
     Notes
     -----

@@ -220,7 +220,7 @@ def _start_notes(spec: Specification, moved: float) -> tuple[str, ...]:
     if spec.first is None or moved < _TOLD:
         return ()
     return (
-        f"the plant was not at rest when the filter started: its state was estimated from {spec.first.samples} "
+        f"the plant was hardly at rest when the filter started: its state was estimated from {spec.first.samples} "
         f"samples, which moved the residual by {moved:.2g} times its threshold; a fault that was there from the first "
         "sample is partly taken out with it (start='rest' does not)",
     )

@@ -13,6 +13,7 @@ from residua.decide.matched import Matched, MatchedTest, matched_test
 from residua.decide.matched_level import matched_test_from_model
 from residua.decide.member_thresholds import BankTest, bank_test_from_model
 from residua.decide.norm_threshold import NormTest, NormThreshold, norm_test_from_model
+from residua.decide.peak_tests import is_bound
 from residua.decide.peak_threshold import PeakThreshold
 from residua.decide.structured import CodeTest, Structured, code_test
 from residua.design import ResidualGenerator
@@ -205,6 +206,6 @@ def specification(
         settled,
         max_hold,
         plausible,
-        start_fit(generator, test, settled) if start == "estimated" else None,
+        start_fit(generator, test, settled) if start == "estimated" and not is_bound(test) else None,
         partial_update(generator, matched, test.whitening),
     )

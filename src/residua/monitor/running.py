@@ -262,7 +262,8 @@ def _longest_block(spec: Specification, state: State, data: NDArray[np.float64])
     """Return how many samples to run at once: matched filters hold the responses at each where outputs are missing."""
     if spec.matched is None or spec.partial is None or data.shape[1] < 2:
         return data.shape[1]
-    if not state.apart.any() and np.isfinite(data).all():
+    low, high = (spec.plausible + spec.offset[:, None]).T
+    if not state.apart.any() and ((data >= low) & (data <= high)).all():
         return data.shape[1]
     return max(1, _MOST_NUMBERS // max(1, state.bent.size))
 

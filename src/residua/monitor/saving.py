@@ -50,7 +50,7 @@ from residua.monitor.partial_update import PartialUpdate, empty_partial
 from residua.monitor.plausible import Plausible
 from residua.monitor.preparing import Isolation
 from residua.monitor.running import Specification, State
-from residua.monitor.starting import StartFit, start_from
+from residua.monitor.starting import MOST_SAMPLES, StartFit, start_from
 from residua.monitor.threshold_records import threshold_in, threshold_out
 from residua.plant import Plant
 
@@ -291,8 +291,8 @@ def _first_in(value: Any, spec: Specification) -> StartFit | None:
     content = record(value, "running.first", ("samples", "correction"))
     samples = whole_in(content["samples"], "running.first.samples")
     correction = _square_in(content["correction"], "running.first.correction", len(spec.A))
-    if not 1 <= samples <= spec.settle:
-        raise FileFormatError("running.first.samples must be 1 or more, and no more than settle")
+    if not 1 <= samples <= MOST_SAMPLES:
+        raise FileFormatError(f"running.first.samples must be 1 to {MOST_SAMPLES}, got {samples}")
     return start_from(spec.A, spec.C, spec.test, samples, correction)
 
 

@@ -23,7 +23,7 @@ from residua.linear.recursion import ordered_product
 STARTS = ("estimated", "rest")
 
 #: Samples that a start is estimated from at most.
-_MOST_SAMPLES = 2000
+MOST_SAMPLES = 2000
 #: Numbers that such an estimate may cost once, in multiplications.
 _MOST_WORK = 10**9
 #: Part of the largest singular value below which nothing is known of a direction.
@@ -103,7 +103,7 @@ def start_fit(generator: ResidualGenerator, test: NormTest | BankTest, settle: i
     """Return what estimates a start from the samples in which the filter settles; ``None`` where nothing can."""
     system = generator.system
     n = system.n_states
-    samples = min(settle, _MOST_SAMPLES, max(n, _MOST_WORK // max(1, len(system.C) * n * n)))
+    samples = min(settle, MOST_SAMPLES, max(n, _MOST_WORK // max(1, len(system.C) * n * n)))
     if not n or not samples or not np.any(system.C):
         return None
     units = state_units(system.A, system.B, system.C, system.D)
