@@ -15,6 +15,7 @@ _SIX = {
 def as_version(version: int, content: dict[str, Any]) -> dict[str, Any]:
     """Take out of a file of today what came later than a version; it must hold nothing that only today has."""
     content["version"] = version
+    del content["checksum"]
     for table, names in _SIX.items():
         entries = content[table] if table else content
         if entries is not None:

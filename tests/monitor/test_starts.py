@@ -17,7 +17,9 @@ from residua.monitor.running import initial_state, run_block
 def tank() -> rs.Plant:
     """Return a level that integrates the flow, and a cart beside it that integrates twice; two sensors of each."""
     A = [[1, 0, 0], [0, 1, 0.1], [0, 0, 1]]
-    plant = rs.Plant(A, [[0.1, 0], [0, 0.005], [0, 0.1]], [[1, 0, 0], [1, 0, 0], [0, 1, 0], [0, 1, 0]], dt=0.1)
+    plant = rs.Plant(
+        A, [[0.1, 0.02], [0.001, 0.005], [0.02, 0.1]], [[1, 0, 0], [1, 0, 0], [0, 1, 0], [0, 1, 0]], dt=0.1
+    )
     return plant.with_sensor_faults().with_actuator_faults().with_noise(process=1e-6, measurement=1e-4)
 
 

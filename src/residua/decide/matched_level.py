@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from residua.decide.norm_threshold import (
     fitted_threshold,
     norm_test_from_model,
 )
+from residua.decide.seams import parts_between
 from residua.decide.window import empty_window, moving_sum
 from residua.errors import DataError, SettingError
 
@@ -128,6 +129,7 @@ def fit_matched_test(
     false_alarm_rate: float,
     covariance: NDArray | None,
     signal_size: float,
+    seams: Sequence[int] = (),
 ) -> NormTest:
     """Fit mean, covariance and threshold to fault-free residuals, as :func:`fit_norm_test` does.
 
@@ -142,6 +144,7 @@ def fit_matched_test(
         false_alarm_rate=false_alarm_rate,
         covariance=covariance,
         signal_size=signal_size,
+        seams=seams,
     )
     if np.sqrt(np.sum(np.var(residuals[usable], axis=0))) <= 1e-12 * signal_size:
         raise DataError("these data have no noise, and matched filters weigh a response against noise: add some")
@@ -154,8 +157,9 @@ def fit_matched_test(
         )
     if settings.threshold is not None:
         return base
-    statistic = np.sqrt(_largest(test, base, residuals, usable))
-    fitted, basis = fitted_threshold(statistic, usable, base, false_alarm_rate)
+    parts = parts_between(len(usable), seams)
+    statistic = np.sqrt(np.concatenate([_largest(test, base, residuals[part], usable[part]) for part in parts]))
+    fitted, basis = fitted_threshold(statistic, usable, base, false_alarm_rate, seams=seams)
     return replace(base, threshold=float(max(fitted, np.finfo(float).tiny)), basis=basis)
 
 

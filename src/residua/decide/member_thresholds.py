@@ -88,6 +88,7 @@ def fit_bank_test(
     false_alarm_rate: float,
     covariance: NDArray | None,
     signal_sizes: Sequence[float],
+    seams: Sequence[int] = (),
 ) -> BankTest:
     """Fit mean, covariance and threshold of every member to fault-free residuals.
 
@@ -108,6 +109,8 @@ def fit_bank_test(
         From the plant's noise model, of sums over the window.
     signal_sizes : sequence of float
         For each member the size of the signals that its residuals are the difference of.
+    seams : sequence of int
+        The first sample of each further recording, where there are several in a row.
 
     Returns
     -------
@@ -122,6 +125,7 @@ def fit_bank_test(
             false_alarm_rate=false_alarm_rate / len(members),
             covariance=_part(covariance, rows),
             signal_size=size,
+            seams=seams,
         )
         for rows, size in zip(members, signal_sizes, strict=True)
     ]

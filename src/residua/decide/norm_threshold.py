@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.persistence import alarm_logic
+from residua.decide.seams import parts_between
 from residua.decide.whitening import residual_moments, whitening_matrix
 from residua.decide.window import empty_window, moving_sum
 from residua.errors import DataError, SettingError
@@ -149,6 +151,7 @@ def fit_norm_test(
     false_alarm_rate: float,
     covariance: NDArray | None,
     signal_size: float,
+    seams: Sequence[int] = (),
 ) -> NormTest:
     """Fit mean, covariance and threshold to fault-free residuals.
 
@@ -166,6 +169,8 @@ def fit_norm_test(
         From the plant's noise model, of sums over the window.
     signal_size : float
         Size of the signals that the residual is the difference of; residuals below 1e-12 of it are rounding.
+    seams : sequence of int
+        The first sample of each further recording, where there are several in a row.
 
     Returns
     -------
@@ -177,7 +182,7 @@ def fit_norm_test(
     check_enough(len(rows), k, settings.window)
     mean, spread = residual_moments(rows)
     if settings.window > 1:
-        _, spread = residual_moments(_sums(residuals - mean, usable, settings.window)[usable])
+        _, spread = residual_moments(_sums(residuals - mean, usable, settings.window, seams)[usable])
     source = covariance if settings.whiten == "model" and covariance is not None else spread
     rounding = 1e-12 * signal_size
     noise_free = bool(np.sqrt(np.trace(spread)) <= rounding)
@@ -189,8 +194,8 @@ def fit_norm_test(
     test = NormTest(mean, whitening, np.inf, settings.persistence, release, settings.window, "")
     if settings.threshold is not None:
         return replace(test, threshold=settings.threshold, basis="threshold given, mean and covariance fitted")
-    statistic = np.linalg.norm(_sums((residuals - mean) @ whitening, usable, settings.window), axis=1)
-    fitted, basis = fitted_threshold(statistic, usable, test, false_alarm_rate)
+    statistic = np.linalg.norm(_sums((residuals - mean) @ whitening, usable, settings.window, seams), axis=1)
+    fitted, basis = fitted_threshold(statistic, usable, test, false_alarm_rate, seams=seams)
     if noise_free:
         fitted, basis = above_rounding(fitted, rounding, basis)
     return replace(test, threshold=float(fitted), basis=basis)
@@ -213,7 +218,13 @@ def check_enough(samples: int, k: int, window: int) -> None:
 
 
 def fitted_threshold(
-    statistic: NDArray, usable: NDArray[np.bool_], test: NormTest, false_alarm_rate: float, *, least: int = 10
+    statistic: NDArray,
+    usable: NDArray[np.bool_],
+    test: NormTest,
+    false_alarm_rate: float,
+    *,
+    least: int = 10,
+    seams: Sequence[int] = (),
 ) -> tuple[float, str]:
     """Return the smallest threshold with at most a rate of false alarms on fault-free samples, and its basis in words.
 
@@ -221,33 +232,39 @@ def fitted_threshold(
     """
     count = int(usable.sum())
     seen_rate = max(false_alarm_rate, min(0.2, least / count))
-    fitted = _smallest_threshold(statistic, usable, test, seen_rate)
+    fitted = _smallest_threshold(statistic, usable, test, seen_rate, seams)
     basis = f"fitted to {count} fault-free samples, at most {false_alarm_rate:g} of them in alarm"
     if seen_rate > false_alarm_rate:
-        decay = _tail_decay(statistic[usable], test.persistence)
+        decay = _tail_decay(statistic, usable, test.persistence, seams)
         extended = float(np.sqrt(fitted**2 + decay * np.log(seen_rate / false_alarm_rate)))
-        fitted = max(extended, _smallest_threshold(statistic, usable, test, false_alarm_rate))
+        fitted = max(extended, _smallest_threshold(statistic, usable, test, false_alarm_rate, seams))
         basis += f" (too few to see that: extended from a rate of {seen_rate:.2g} by the tail of the data)"
     return fitted, basis
 
 
-def _sums(residuals: NDArray, usable: NDArray[np.bool_], window: int) -> NDArray[np.float64]:
+def _sums(residuals: NDArray, usable: NDArray[np.bool_], window: int, seams: Sequence[int]) -> NDArray[np.float64]:
     """Return the sums over the window, divided by its square root."""
     counted = np.where(usable[:, None], residuals, 0.0)[None]
-    sums, _ = moving_sum(counted, empty_window(1, window, residuals.shape[1]))
-    return sums[0] / np.sqrt(window)
+    empty = empty_window(1, window, residuals.shape[1])
+    sums = [moving_sum(counted[:, part], empty)[0][0] for part in parts_between(len(usable), seams)]
+    return np.concatenate(sums) / np.sqrt(window)
 
 
-def _smallest_threshold(statistic: NDArray, usable: NDArray, test: NormTest, rate: float) -> float:
+def _smallest_threshold(
+    statistic: NDArray, usable: NDArray, test: NormTest, rate: float, seams: Sequence[int]
+) -> float:
     """Return the smallest threshold that keeps the fraction of samples in alarm at ``rate`` (bisection)."""
     levels = np.unique(statistic[usable])
     zero, off = np.zeros(1, dtype=np.int64), np.zeros(1, dtype=bool)
+    parts = parts_between(len(usable), seams)
 
     def fraction(threshold: float) -> float:
-        alarm, _, _ = alarm_logic(
-            (statistic > threshold)[None], usable[None], zero, zero, off, test.persistence, test.release
-        )
-        return float((alarm[0] & usable).sum() / usable.sum())
+        over, count = (statistic > threshold)[None], 0
+        for part in parts:
+            there = usable[None, part]
+            alarm, _, _ = alarm_logic(over[:, part], there, zero, zero, off, test.persistence, test.release)
+            count += int((alarm & there).sum())
+        return float(count / usable.sum())
 
     low, high = 0, len(levels) - 1  # no sample is over the highest level
     while low < high:
@@ -260,15 +277,18 @@ def _smallest_threshold(statistic: NDArray, usable: NDArray, test: NormTest, rat
     return float(levels[low] + 0.5 * (above - levels[low]))
 
 
-def _tail_decay(statistic: NDArray, persistence: int) -> float:
+def _tail_decay(statistic: NDArray, usable: NDArray, persistence: int, seams: Sequence[int]) -> float:
     """Return the scale of the exponential tail of the squared statistic, persistence taken into account.
 
     An alarm needs the statistic over the threshold ``persistence`` times in a row, so the tail of the smallest
     of as many is what counts; that of a squared Gaussian norm is exponential.
     """
-    if len(statistic) < persistence:
+    pieces = [statistic[part][usable[part]] ** 2 for part in parts_between(len(usable), seams)]
+    view = np.lib.stride_tricks.sliding_window_view
+    lowest = [view(piece, persistence).min(axis=1) for piece in pieces if len(piece) >= persistence]
+    if not lowest:
         return 0.0
-    lowest = np.lib.stride_tricks.sliding_window_view(statistic**2, persistence).min(axis=1)
+    lowest = np.concatenate(lowest)
     level = float(np.quantile(lowest, 0.95))
     above = lowest[lowest > level]
     return float(np.mean(above - level)) if above.size else 0.0

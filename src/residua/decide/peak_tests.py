@@ -12,6 +12,7 @@ from residua.decide.member_thresholds import BankTest, side_by_side
 from residua.decide.norm_threshold import NormTest, above_rounding, check_enough, check_rate, fitted_threshold
 from residua.decide.peak_threshold import PeakThreshold
 from residua.decide.row_norms import row_norms
+from residua.decide.seams import told_sample
 from residua.errors import DataError
 
 #: How the basis of a test begins whose thresholds the design has certified, or the user has given.
@@ -67,6 +68,7 @@ def fit_peak_test(
     false_alarm_rate: float,
     signal_sizes: Sequence[float],
     members: Sequence[Sequence[int]] | None = None,
+    seams: Sequence[int] = (),
 ) -> NormTest | BankTest:
     """Fit a threshold to the norm of fault-free residuals, or one to that of each member.
 
@@ -84,6 +86,8 @@ def fit_peak_test(
     signal_sizes : sequence of float
         For each member, or for the whole, the size of the signals that its residuals are the difference of.
     members : sequence of sequence of int, optional
+    seams : sequence of int
+        The first sample of each further recording, where there are several in a row.
 
     Returns
     -------
@@ -97,19 +101,24 @@ def fit_peak_test(
     check_rate(false_alarm_rate)
     parts = [range(residuals.shape[1])] if members is None else members
     tests = [
-        _fitted(settings, residuals[:, list(rows)], usable, false_alarm_rate / len(parts), size)
+        _fitted(settings, residuals[:, list(rows)], usable, false_alarm_rate / len(parts), size, seams)
         for rows, size in zip(parts, signal_sizes, strict=True)
     ]
     return tests[0] if members is None else side_by_side(tests, members, residuals.shape[1])
 
 
 def _fitted(
-    settings: PeakThreshold, residuals: NDArray[np.float64], usable: NDArray[np.bool_], rate: float, signal_size: float
+    settings: PeakThreshold,
+    residuals: NDArray[np.float64],
+    usable: NDArray[np.bool_],
+    rate: float,
+    signal_size: float,
+    seams: Sequence[int],
 ) -> NormTest:
     check_enough(int(usable.sum()), residuals.shape[1], settings.window)
     test = _blank(settings, residuals.shape[1])
     norms = np.where(usable, row_norms(residuals), 0.0)
-    threshold, basis = fitted_threshold(norms, usable, test, rate, least=_SEEN * settings.window)
+    threshold, basis = fitted_threshold(norms, usable, test, rate, least=_SEEN * settings.window, seams=seams)
     rounding = 1e-12 * signal_size
     if norms.max() <= rounding:
         threshold, basis = above_rounding(threshold, rounding, basis)
@@ -117,7 +126,11 @@ def _fitted(
 
 
 def checked_peak_test(
-    test: NormTest | BankTest, residuals: NDArray[np.float64], usable: NDArray[np.bool_], members: Sequence[str] = ()
+    test: NormTest | BankTest,
+    residuals: NDArray[np.float64],
+    usable: NDArray[np.bool_],
+    members: Sequence[str] = (),
+    seams: Sequence[int] = (),
 ) -> NormTest | BankTest:
     """Hold a test with known thresholds against a fault-free recording; its basis then tells how close that came.
 
@@ -130,6 +143,8 @@ def checked_peak_test(
     usable : ndarray of bool, shape (time,)
     members : sequence of str
         Names of the members of a bank.
+    seams : sequence of int
+        The first sample of each further recording, where there are several in a row.
 
     Returns
     -------
@@ -146,7 +161,8 @@ def checked_peak_test(
     parts = [rows @ test.whitening[:, a:b] for a, b in test.columns] if isinstance(test, BankTest) else [rows]
     norms = np.array([row_norms(part) for part in parts]).T
     limits = test.thresholds if isinstance(test, BankTest) else np.array([test.threshold])
-    _check_below(norms, limits, np.flatnonzero(usable), members, certified=test.basis.startswith(CERTIFIED))
+    samples, certified = np.flatnonzero(usable), test.basis.startswith(CERTIFIED)
+    _check_below(norms, limits, samples, members, certified=certified, seams=seams)
     share = 100 * norms.max(axis=0) / limits
     if len(share) == 1:
         told = f"{share[0]:.3g} % of it"
@@ -164,6 +180,7 @@ def _check_below(
     members: Sequence[str],
     *,
     certified: bool,
+    seams: Sequence[int],
 ) -> None:
     """Raise where a recording that is to be fault-free goes over a threshold; ``norms``: (usable samples, members)."""
     worst = int((norms.max(axis=0) / limits).argmax())
@@ -172,9 +189,9 @@ def _check_below(
         return
     at = int(norms[:, worst].argmax())
     whose = f" of {members[worst]!r}" if members else ""
-    count = int(over.sum())
+    count, where = int(over.sum()), told_sample(int(samples[at]), seams)
     told = (
-        f"this recording goes over the threshold{whose}: |r| = {norms[at, worst]:.4g} in sample {samples[at]}, "
+        f"this recording goes over the threshold{whose}: |r| = {norms[at, worst]:.4g} in {where}, "
         f"{norms[at, worst] / limits[worst]:.3g} times the threshold of {limits[worst]:.4g}, and over it in {count} of "
         f"{len(norms)} usable samples"
     )

@@ -1,4 +1,8 @@
-"""Scaling by powers of two, so that rank decisions do not depend on the units that a model was written in."""
+"""Scaling by powers of two, so that rank decisions do not depend on the units that a model was written in.
+
+Every scaling starts from the units of :mod:`residua.linear.units`, which are the same whatever units the caller chose,
+and is a function of the entries in those units only: other units, by powers of two, change no bit of a scaled matrix.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-#: Entries this far below both the largest of their row and of their column are rounding residue; scaling
-#: must not promote them to data.
-_RESIDUE = 64 * np.finfo(float).eps
+from residua.linear.units import RESIDUE, matrix_units, pencil_units, system_units, without_residue
+
 #: Couplings this far below the largest may have been scaled away.
 _VANISHED = 1e-5
 _SWEEPS = 60
@@ -33,6 +36,8 @@ class BalancedSystem:
         The scaled matrices.
     states, inputs, outputs : ndarray
         The diagonals of ``T``, ``U`` and ``Y``; all powers of two, so that scaling rounds nothing.
+    start : ndarray
+        The units of the states that the sweeps started from: those of :func:`residua.linear.units.system_units`.
     """
 
     A: NDArray[np.float64]
@@ -42,21 +47,23 @@ class BalancedSystem:
     states: NDArray[np.float64]
     inputs: NDArray[np.float64]
     outputs: NDArray[np.float64]
+    start: NDArray[np.float64]
+
+    @property
+    def has_units(self) -> bool:
+        """Whether the balanced units of the states mean something: a hidden part of a system has none of its own."""
+        return not self.states.size or bool(np.ptp(np.log2(self.states / self.start)) <= _WIDEST)
+
+    @property
+    def own_units(self) -> NDArray[np.float64]:
+        """The balanced units of the states, or those that the sweeps started from where the former mean nothing."""
+        return self.states if self.has_units else self.start
 
 
 def power_of_two(x: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the power of two nearest to each positive number; one where it is zero."""
     x = np.asarray(x, dtype=float)
     return np.exp2(np.round(np.log2(np.where(x > 0, x, 1.0))))
-
-
-def without_residue(M: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return ``abs(M)`` with the entries set to zero that can only be rounding residue."""
-    M = np.abs(M)
-    if not M.size:
-        return M
-    floor = _RESIDUE * np.minimum(M.max(axis=1, keepdims=True), M.max(axis=0, keepdims=True))
-    return np.where(floor < M, M, 0.0)
 
 
 def without_rounding(*factors: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -71,9 +78,19 @@ def without_rounding(*factors: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def evened(
-    W: NDArray[np.float64], rows: NDArray[np.float64], columns: NDArray[np.float64], *, sweeps: int
+    W: NDArray[np.float64],
+    rows: NDArray[np.float64] | None = None,
+    columns: NDArray[np.float64] | None = None,
+    *,
+    sweeps: int = 4,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Even out the norms of rows and columns in turn, by powers of two, from given factors on."""
+    """Even out the norms of rows and columns in turn, by powers of two, residue left out.
+
+    From factors on that the caller has, or else from those of :func:`residua.linear.units.matrix_units`.
+    """
+    if rows is None or columns is None:
+        rows, columns = matrix_units(W)
+    W = without_residue(W, rows, columns)
     for _ in range(sweeps):
         rows = rows / power_of_two(np.linalg.norm(rows[:, None] * W * columns, axis=1))
         columns = columns / power_of_two(np.linalg.norm(rows[:, None] * W * columns, axis=0))
@@ -119,8 +136,11 @@ def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> Ba
     ----------
     E. E. Osborne, On pre-conditioning of matrices, J. ACM 7 (1960) 338-345. SLICOT routine TB01ID.
     """
-    A, B, C, D = (np.asarray(M, dtype=float) for M in (A, B, C, D))
-    n = len(A)
+    A0, B0, C0, D0 = (np.asarray(M, dtype=float) for M in (A, B, C, D))
+    n = len(A0)
+    start = system_units(A0, B0, C0, D0)
+    T, U, Y = start.states, start.inputs, start.outputs
+    A, B, C, D = A0 / T[:, None] * T, B0 / T[:, None] * U, Y[:, None] * C0 * T, Y[:, None] * D0 * U
     W = without_residue(np.block([[A, B], [C, D]]))
     # Only couplings count in a sweep; the diagonal of A does not change with the units of the states.
     np.fill_diagonal(W[:n, :n], 0.0)
@@ -133,13 +153,14 @@ def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> Ba
     left, right, settled = _factors(scaled, n, level, _length)
     if not settled or _vanished(scaled):
         left, right, _ = _factors(W, n, level, _largest)
-    T, U, Y = right[:n], right[n:], left[n:]
+    T, U, Y = T * right[:n], U * right[n:], Y * left[n:]
     # The scaled matrices are the same for states and inputs in c times larger, outputs in c times smaller units:
     # of these units those nearest to the given ones are taken; the sweeps may have drifted far away from them.
     size = np.sum(np.log2(T)) - np.sum(np.log2(Y))
     c = 2.0 ** np.round(size / max(len(T) + len(Y), 1))
     T, U, Y = T / c, U / c, Y * c
-    return BalancedSystem(A / T[:, None] * T, B / T[:, None] * U, Y[:, None] * C * T, Y[:, None] * D * U, T, U, Y)
+    scaled = A0 / T[:, None] * T, B0 / T[:, None] * U, Y[:, None] * C0 * T, Y[:, None] * D0 * U
+    return BalancedSystem(*scaled, T, U, Y, start.states)
 
 
 def _vanished(W: NDArray[np.float64]) -> bool:
@@ -172,17 +193,23 @@ def _factors(
 
 @dataclass(frozen=True, eq=False)
 class DescriptorUnits:
-    """Units for ``E x' = A x + B v``, ``y = C x``: ``R E S``, ``R A S``, ``Y C S`` have entries of about one size.
+    """Units for ``E x' = A x + B v``, ``y = C x + D v``: ``R A S``, ``unit R E S``, ``R B V``, ``Y C S``, ``Y D V``.
+
+    Their entries are of about one size.
 
     Attributes
     ----------
-    equations, states, outputs : ndarray
-        The diagonals of ``R``, ``S`` and ``Y``, powers of two. Without ``E``, ``R`` is the inverse of ``S``.
+    equations, states, inputs, outputs : ndarray
+        The diagonals of ``R``, ``S``, ``V`` and ``Y``, powers of two. Without ``E``, ``R`` is the inverse of ``S``.
+    unit : float
+        The unit of ``s``, a power of two; one without ``E``.
     """
 
     equations: NDArray[np.float64]
     states: NDArray[np.float64]
+    inputs: NDArray[np.float64]
     outputs: NDArray[np.float64]
+    unit: float
 
 
 def descriptor_units(A: NDArray, E: NDArray | None, B: NDArray, C: NDArray, D: NDArray) -> DescriptorUnits:
@@ -190,29 +217,26 @@ def descriptor_units(A: NDArray, E: NDArray | None, B: NDArray, C: NDArray, D: N
 
     Time is scaled along with ``E``, so that its units do not matter.
     """
+    n = len(A)
     if E is None:
         found = balance_system(A, B, C, D)
-        if not has_units(found.states):
-            return DescriptorUnits(np.ones(len(A)), np.ones(len(A)), np.ones(len(C)))
-        return DescriptorUnits(1 / found.states, found.states, found.outputs)
-    n = len(A)
-    size_A, size_E = float(np.linalg.norm(A)), float(np.linalg.norm(E))
-    unit = size_A / size_E if size_A and size_E else 1.0
-    W = without_residue(np.block([[np.abs(A) + unit * np.abs(E), np.abs(B)], [np.abs(C), np.abs(D)]]))
-    rows, columns = evened(W, np.ones(W.shape[0]), np.ones(W.shape[1]), sweeps=4)
-    return DescriptorUnits(rows[:n], columns[:n], rows[n:])
-
-
-def has_units(states: NDArray[np.float64]) -> bool:
-    """Tell whether balanced units of states mean something: a hidden part of a system has no units of its own."""
-    return not states.size or bool(np.ptp(np.log2(states)) <= _WIDEST)
+        if not found.has_units:
+            u = system_units(A, B, C, D)
+            return DescriptorUnits(1 / u.states, u.states, u.inputs, u.outputs, 1.0)
+        return DescriptorUnits(1 / found.states, found.states, found.inputs, found.outputs, 1.0)
+    whole = np.block([[A, B], [C, D]]).astype(float)
+    dynamic = np.zeros_like(whole)
+    dynamic[:n, :n] = E
+    u = pencil_units(whole, dynamic)
+    W = np.abs(whole) + u.unit * np.abs(dynamic)
+    rows, columns = evened(W, u.rows, u.columns)
+    return DescriptorUnits(rows[:n], columns[:n], columns[n:], rows[n:], u.unit)
 
 
 def state_units(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike | None = None) -> NDArray[np.float64]:
-    """Return balanced units of the states, or ones where :func:`has_units` says that they mean nothing."""
+    """Return units of the states of a system: balanced, or only even where that means nothing."""
     D = np.zeros((np.shape(C)[0], np.shape(B)[1])) if D is None else D
-    T = balance_system(A, B, C, D).states
-    return T if has_units(T) else np.ones_like(T)
+    return balance_system(A, B, C, D).own_units
 
 
 def _sweep(
@@ -254,7 +278,7 @@ def _scale_channels(
         if not block.size:
             continue
         norms = block.max(axis=axis) if length is _largest else np.sqrt(np.sum(block * block, axis=axis))
-        real = norms > _RESIDUE * norms.max(initial=0.0)
+        real = norms > RESIDUE * norms.max(initial=0.0)
         f = np.where(real, power_of_two(level / np.where(real, norms, level)), 1.0)
         moved |= bool(np.any(f != 1.0))
         block *= f[:, None] if axis else f

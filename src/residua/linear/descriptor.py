@@ -10,8 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import AccuracyError, ModelError
 from residua.linear import arrays
-from residua.linear.balancing import evened, power_of_two, without_residue
+from residua.linear.balancing import evened, power_of_two
 from residua.linear.rank import DEFAULT_RTOL, RankDecision, null_basis, range_basis
+from residua.linear.units import pencil_units, pencil_without_residue
 
 Matrix = NDArray[np.float64]
 _SWEEPS, _ROUNDS = 6, 3
@@ -43,11 +44,11 @@ def scaled_pencil(A: NDArray, E: NDArray, *, unit: float | None = None) -> Scale
     units of the states. Then both are, in turn with the unit. Weak couplings stay weak, see `unit_free_pencil`.
     """
     A, E = np.asarray(A, dtype=float), np.asarray(E, dtype=float)
-    a, e = without_residue(A), without_residue(E)
+    a, e = pencil_without_residue(A, E, pencil_units(A, E))
     rows, columns = np.ones(A.shape[0]), np.ones(A.shape[1])
     if A.size:
         silent = np.logical_or.outer(~np.any(a, axis=1), ~np.any(a, axis=0))
-        rows, columns = evened(a + np.where(silent, e, 0.0), rows, columns, sweeps=_SWEEPS)
+        rows, columns = evened(a + np.where(silent, e, 0.0), sweeps=_SWEEPS)
     factor = 1.0 if unit is None else unit
     for _ in range(_ROUNDS if A.size and e.any() else 0):
         if unit is None:
@@ -69,29 +70,13 @@ def unit_free_pencil(A: NDArray, E: NDArray) -> ScaledPencil:
     Applics. 10 (1972) 118-124.
     """
     A, E = np.asarray(A, dtype=float), np.asarray(E, dtype=float)
-    a, e = without_residue(A), without_residue(E)
-    rows, columns, factor = _logarithms_evened(a, e)
+    u = pencil_units(A, E)
+    a, e = pencil_without_residue(A, E, u)
+    rows, columns, factor = u.rows, u.columns, u.unit
     for _ in range(_ROUNDS if A.size and e.any() else 0):
         factor = _unit_of_s(rows[:, None] * a * columns, rows[:, None] * e * columns)
         rows, columns = evened(a + factor * e, rows, columns, sweeps=_SWEEPS)
     return ScaledPencil(rows[:, None] * A * columns, factor * rows[:, None] * E * columns, rows, columns, factor)
-
-
-def _logarithms_evened(a: NDArray, e: NDArray) -> tuple[Matrix, Matrix, float]:
-    """Return factors of rows, columns and ``s`` that minimise the sum of squared logarithms of all entries."""
-    p, q = a.shape
-    places = [np.nonzero(M) for M in (a, e)]
-    sizes = [M[at] for M, at in zip((a, e), places, strict=True)]
-    i, j = (np.concatenate([at[k] for at in places]) for k in (0, 1))
-    in_e = np.arange(len(i)) >= len(sizes[0])
-    # Columns of a design matrix: one for each row, one for each column, one for the unit of s.
-    H = np.zeros((len(i), p + q + 1))
-    H[np.arange(len(i)), i], H[np.arange(len(i)), p + j] = 1.0, 1.0
-    H[in_e, -1] = 1.0
-    known = np.log2(np.concatenate(sizes))
-    x = np.linalg.lstsq(H, -known, rcond=None)[0] if len(i) else np.zeros(p + q + 1)
-    factors = np.exp2(np.round(x))
-    return factors[:p], factors[p : p + q], float(factors[-1])
 
 
 def _unit_of_s(A: NDArray, E: NDArray) -> float:

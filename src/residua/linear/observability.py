@@ -12,6 +12,7 @@ from residua.errors import AccuracyError
 from residua.linear import arrays
 from residua.linear.balancing import balance_system
 from residua.linear.rank import DEFAULT_RTOL, RankDecision
+from residua.linear.units import system_units
 
 _EPS = float(np.finfo(float).eps)
 #: How much of ``norm(A)`` the staircase may drop in the caller's coordinates before it is called a failure.
@@ -89,6 +90,7 @@ class Staircase:
     states: NDArray[np.float64]
     outputs: NDArray[np.float64]
     dropped: float
+    has_units: bool
 
     @property
     def rounding(self) -> float:
@@ -196,7 +198,7 @@ def _scales(A: NDArray[np.float64], C: NDArray[np.float64], rtol: float) -> tupl
 
 
 def staircase(
-    A: NDArray[np.float64], C: NDArray[np.float64], *, rtol: float = DEFAULT_RTOL, balance: bool = True
+    A: NDArray[np.float64], C: NDArray[np.float64], *, rtol: float = DEFAULT_RTOL, units: str = "balanced"
 ) -> Staircase:
     """Reduce a pair to the observability staircase in balanced units.
 
@@ -206,8 +208,9 @@ def staircase(
     C : ndarray, shape (p, n)
     rtol : float
         Relative to the norm of ``A`` (without its multiple of the identity) or of ``C``.
-    balance : bool
-        Scale states and outputs by powers of two first.
+    units : {"balanced", "even", "given"}
+        Even out the norms of rows and columns, or only their logarithms (where a part of the system is hidden, its
+        balanced units may mean nothing), or take the caller's units, which are comparable already.
 
     Returns
     -------
@@ -215,10 +218,15 @@ def staircase(
         ``Q' A Q = [[A11, 0], [A21, A22]]`` up to what was dropped, which is not set to zero here.
     """
     n, p = A.shape[0], C.shape[0]
-    T, Y = np.ones(n), np.ones(p)
-    if balance:
-        scaled = balance_system(A, np.zeros((n, 0)), C, np.zeros((p, 0)))
-        A, C, T, Y = scaled.A, scaled.C, scaled.states, scaled.outputs
+    T, Y, has_units = np.ones(n), np.ones(p), True
+    none = np.zeros((n, 0)), C, np.zeros((p, 0))
+    if units == "balanced":
+        scaled = balance_system(A, *none)
+        T, Y, has_units = scaled.states, scaled.outputs, scaled.has_units
+    elif units == "even":
+        u = system_units(A, *none)
+        T, Y = u.states, u.outputs
+    A, C = A / T[:, None] * T, Y[:, None] * C * T
     scale_A, scale_C = _scales(A, C, rtol)
     Q, seen, first = np.eye(n), 0, 0
     block, scale = C, scale_C
@@ -236,7 +244,7 @@ def staircase(
         first = first or rank
         before, seen = seen, seen + rank
         block, scale = Q[:, before:seen].T @ A @ Q[:, seen:], scale_A
-    return Staircase(A, C, Q, seen, first, tuple(decisions), T, Y, dropped * scale_A)
+    return Staircase(A, C, Q, seen, first, tuple(decisions), T, Y, dropped * scale_A, has_units)
 
 
 def _orthogonal(form: Staircase) -> NDArray[np.float64]:

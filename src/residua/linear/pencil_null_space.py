@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.linear.balancing import evened, without_residue
+from residua.linear.balancing import evened
 from residua.linear.degree_search import at_smallest_degree
 from residua.linear.polynomial_basis import PolynomialBasis
 from residua.linear.rank import RankDecision, decide_rank, left_null_basis
@@ -67,13 +67,15 @@ class PencilNullVectors:
         return self.vectors.shape[1] - 1
 
 
-def pencil(P0: NDArray[np.float64], P1: NDArray[np.float64], basis: PolynomialBasis) -> Pencil:
-    """Return a pencil with units in which its entries are of one size."""
+def pencil(
+    P0: NDArray[np.float64], P1: NDArray[np.float64], basis: PolynomialBasis, *, canonical: bool = False
+) -> Pencil:
+    """Return a pencil with units in which its entries are of one size; ``canonical``: they are nearly so already."""
     size = float(np.median(basis.sizes)) if basis.count else 1.0
     level = np.abs(P0) + (np.abs(basis.real).max(initial=0.0) + size) * np.abs(P1)
     spread = np.array([np.abs(P0 + a * P1) + rho * np.abs(P1) for a, rho in zip(basis.real, basis.sizes, strict=True)])
-    W = without_residue(np.sqrt((spread**2).mean(axis=0)) if len(spread) else level)
-    rows, columns = evened(W, np.ones(W.shape[0]), np.ones(W.shape[1]), sweeps=4)
+    W = np.sqrt((spread**2).mean(axis=0)) if len(spread) else level
+    rows, columns = evened(W, np.ones(W.shape[0]), np.ones(W.shape[1])) if canonical else evened(W)
     return Pencil(P0, P1, basis, rows, columns)
 
 
@@ -162,5 +164,5 @@ def _block_matrix(given: Pencil, degree: int) -> tuple[NDArray[np.float64], NDAr
         if links[j]:
             T[j, :, j - 1] = -links[j] * P1
     T = T.reshape((degree + 1) * rows, (degree + 2) * width)
-    left, right = evened(without_residue(T), np.ones(T.shape[0]), np.ones(T.shape[1]), sweeps=4)
+    left, right = evened(T, np.ones(T.shape[0]), np.ones(T.shape[1]))  # the blocks are in even units
     return left[:, None] * T * right, left.reshape(degree + 1, rows) * given.rows

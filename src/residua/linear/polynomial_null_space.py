@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.linear.balancing import evened, without_residue
+from residua.linear.balancing import evened
 from residua.linear.degree_search import at_smallest_degree
 from residua.linear.polynomial_matrix import PolynomialMatrix
 from residua.linear.rank import DEFAULT_RTOL, RankDecision, decide_rank, left_null_basis
@@ -122,8 +122,7 @@ def _null_vectors(
 def _balanced(P: PolynomialMatrix, variable: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the coefficients with rows and columns of one size, without zero columns, and the factors of the rows."""
     C = P.scaled(variable).coefficients
-    W = without_residue(np.sqrt((C**2).sum(axis=0)))
-    rows, columns = evened(W, np.ones(W.shape[0]), np.ones(W.shape[1]), sweeps=4)
+    rows, columns = evened(np.sqrt((C**2).sum(axis=0)))
     C = C * rows[:, None] * columns
     return C[:, :, np.any(C != 0, axis=(0, 1))], rows
 

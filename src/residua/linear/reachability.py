@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.linear.balancing import has_units
 from residua.linear.observability import staircase
 from residua.linear.rank import DEFAULT_RTOL, range_basis
 from residua.linear.state_space import StateSpace
@@ -37,8 +36,8 @@ def without_unobservable(system: StateSpace, *, rtol: float = DEFAULT_RTOL) -> S
     """
     system = system.explicit()
     form = staircase(system.A, system.C, rtol=rtol)
-    if not has_units(form.states):
-        form = staircase(system.A, system.C, rtol=rtol, balance=False)
+    if not form.has_units:
+        form = staircase(system.A, system.C, rtol=rtol, units="even")
     k = form.n_observable
     if k == system.n_states:
         return system

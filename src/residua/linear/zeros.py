@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import AccuracyError
 from residua.linear import arrays
-from residua.linear.balancing import balance_system, evened, power_of_two, without_residue
+from residua.linear.balancing import balance_system, descriptor_units, power_of_two
 from residua.linear.rank import DEFAULT_RTOL, RankDecision, decide_rank
 
 
@@ -55,15 +55,9 @@ def _checked(
 def _equilibrated(M: Matrices, E: NDArray[np.float64]) -> tuple[Matrices, NDArray[np.float64], float]:
     """Scale rows and columns of a descriptor pencil by powers of two; return the unit of ``s`` too."""
     A, B, C, D = M
-    n = A.shape[0]
-    size_A, size_E = float(np.linalg.norm(A)), float(np.linalg.norm(E))
-    unit = float(power_of_two(np.array(size_A / size_E))) if size_A and size_E else 1.0
-    E = E * unit
-    W = np.block([[np.abs(A) + np.abs(E), np.abs(B)], [np.abs(C), np.abs(D)]])
-    W = without_residue(W)
-    rows, columns = evened(W, np.ones(W.shape[0]), np.ones(W.shape[1]), sweeps=4)
-    r, q, c, v = rows[:n, None], rows[n:, None], columns[:n], columns[n:]
-    return (r * A * c, r * B * v, q * C * c, q * D * v), r * E * c, unit
+    u = descriptor_units(A, E, B, C, D)
+    r, q, c, v = u.equations[:, None], u.outputs[:, None], u.states, u.inputs
+    return (r * A * c, r * B * v, q * C * c, q * D * v), u.unit * r * E * c, u.unit
 
 
 def _standard(M: Matrices, E: NDArray[np.float64], rtol: float, decisions: list[RankDecision]) -> Matrices:

@@ -1,4 +1,4 @@
-"""Monitors as JSON: every float to its last bit, a schema version, nothing executed.
+"""Monitors as JSON: every float to its last bit, a schema version, a checksum, nothing executed.
 
 What runs is stored as it ran, the sampled filter, the threshold test and the signatures included, so that a
 monitor goes on with the same bits on a machine whose linear algebra rounds differently.
@@ -23,6 +23,7 @@ from residua.decide.peak_threshold import PeakThreshold
 from residua.decide.structured import CodeTest, Structured
 from residua.errors import FileFormatError, ResiduaError
 from residua.files import read_bytes, write_text
+from residua.json_files import CHECKSUM, check_checksum
 from residua.monitor.cautions import bounds_in, bounds_out
 from residua.monitor.design_records import generator_in, generator_out, sampled_in, sampled_out
 from residua.monitor.encoding import (
@@ -52,10 +53,21 @@ from residua.monitor.preparing import Isolation
 from residua.monitor.running import Specification, State
 from residua.monitor.starting import MOST_SAMPLES, StartFit, start_from
 from residua.monitor.threshold_records import threshold_in, threshold_out
+from residua.number_kinds import ANY, ENTRY, FINITE, FLAG, POSITIVE, SHARE, WINDOW
 from residua.plant import Plant
+from residua.visible import echo, shortened
 
 FORMAT = "residua-monitor"
 VERSION = 6
+
+#: What a monitor says in every diagnosis whose file was edited: nobody but its author can know whether it still holds.
+EDITED = "the file of this monitor was edited after it was saved: its numbers are not those of the design"
+
+#: Columns of a whitening matrix this near to being dependent, in units of their own rows, see some residuals no more;
+#: what is fitted stays above 1e-5.
+_DEPENDENT = 1e-10
+#: Bases are orthonormal to that, and what is computed from the design before the first sample is right to that.
+_EXACT = 1e-6
 
 #: How faults are named, by the entry ``kind`` of ``isolate``.
 _ISOLATION: dict[str, type[Any]] = {"direction": Directional, "code": Structured, "matched": Matched}
@@ -106,7 +118,12 @@ def save_monitor(monitor: Monitor, path: str | Path) -> None:
 
 
 def load_monitor(path: str | Path) -> Monitor:
-    """Read a monitor; raises :class:`FileFormatError` that says which entry is wrong."""
+    """Read a monitor; raises :class:`FileFormatError` that says which entry is wrong.
+
+    Every number must be what it may be (:mod:`residua.monitor.field_kinds`), the parts must fit together, and the
+    content must be what was saved, by its checksum. With ``"checksum": null`` in the file, which says that it was
+    edited, the monitor is as the file says, and its notes say that.
+    """
     path = Path(path)
     if path.suffix.lower() == ".toml":
         raise FileFormatError(f"{path.name} looks like a plant file: design a monitor from it first (residua design)")
@@ -115,20 +132,24 @@ def load_monitor(path: str | Path) -> Monitor:
         raise FileFormatError(f'{path.name} is not a monitor of residua (no "format": {FORMAT!r} in it)')
     if content.get("version") not in (*OLDER, VERSION):
         raise FileFormatError(
-            f"{path.name} has schema version {content.get('version')!r}, this residua reads version {VERSION} (and "
+            f"{path.name} has schema version {echo(content.get('version'))}, this residua reads version {VERSION} (and "
             f"{' and '.join(map(str, OLDER))}): make the monitor anew with this version"
         )
     try:
-        return _monitor_in(record(renewed(content), "", (*_ENTRIES, "bounds")))
-    except (TypeError, ValueError, AttributeError, IndexError, OverflowError, ResiduaError) as error:
-        raise FileFormatError(f"{path.name}: {error}") from error
+        with np.errstate(all="ignore"):  # what overflows is refused; that it did is no news
+            monitor = _monitor_in(record(renewed(content), "", (*_ENTRIES, "bounds", CHECKSUM)))
+    except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError, MemoryError, ResiduaError) as error:
+        raise FileFormatError(f"{path.name}: {shortened(str(error), 1000)}") from error
+    if content["version"] == VERSION and not check_checksum(content, path.name) and EDITED not in monitor.notes:
+        monitor.notes = (*monitor.notes, EDITED)
+    return monitor
 
 
 def _monitor_in(content: Mapping[str, Any]) -> Monitor:
     design = generator_in(content["design"], "design")
     settle, isolate = content["settle"], content["isolate"]
     certified = {
-        name: float_in(value, joined("certified", name))
+        name: float_in(value, joined("certified", name), POSITIVE)
         for name, value in table_in(content["certified"], "certified").items()
     }
     monitor = Monitor(
@@ -168,7 +189,7 @@ def _plausible_in(value: Any) -> Plausible:
         return None if value is None else float_in(value, "plausible")
     out = {}
     for name, limits in value.items():
-        low, high = (float_in(x, joined("plausible", name)) for x in list_in(limits, joined("plausible", name), 2))
+        low, high = (float_in(x, joined("plausible", name), ANY) for x in list_in(limits, joined("plausible", name), 2))
         out[name] = (low, high)
     return out
 
@@ -186,7 +207,7 @@ def _isolation_in(value: Any) -> Directional | Structured | Matched:
         raise FileFormatError("the entry 'isolate.kind' is missing")
     kind = text_in(content.pop("kind"), "isolate.kind")
     if kind not in _ISOLATION:
-        raise FileFormatError(f"isolate.kind: expected one of {', '.join(_ISOLATION)}, got {kind!r}")
+        raise FileFormatError(f"isolate.kind: expected one of {', '.join(_ISOLATION)}, got {echo(kind)}")
     return values_in(content, "isolate", _ISOLATION[kind])
 
 
@@ -245,15 +266,19 @@ def _matched_in(value: Any, where: str, plant: Plant, residuals: int, steady: bo
     content = record(value, where, field_names(MatchedTest))
     groups = tuple(texts_in(group, joined(where, "groups")) for group in list_in(content["groups"], where))
     unjudged, faults = (texts_in(content[name], joined(where, name)) for name in ("unjudged", "faults"))
-    window = whole_in(content["window"], joined(where, "window"))
-    responses, settled = (array_in(content[name], joined(where, name)) for name in ("responses", "settled"))
+    window = whole_in(content["window"], joined(where, "window"), WINDOW)
+    responses, settled = (array_in(content[name], joined(where, name), ENTRY) for name in ("responses", "settled"))
     _check_groups(groups, unjudged, where, plant)
-    if faults != plant.faults or window < 1:
-        raise FileFormatError(f"{where}: faults must be those of the plant, and the window 1 or more")
+    if faults != plant.faults:
+        raise FileFormatError(f"{where}: faults must be those of the plant")
     wanted = (0 if steady else window + 1, residuals, len(faults))
     for name, array, shape in (("responses", responses, wanted), ("settled", settled, wanted[1:])):
-        if array.dtype.kind != "f" or array.shape != shape or not np.isfinite(array).all():
+        if array.shape != shape:
             raise FileFormatError(f"{where}.{name} must be finite numbers of shape {shape}")
+    for group in groups:  # of what leaves no trace there is nothing to look for
+        columns = [faults.index(name) for name in group]
+        if not (responses[..., columns].any() or settled[:, columns].any()):
+            raise FileFormatError(f"{where}.responses: those of {echo(group[0])} must not all be zero")
     return MatchedTest(window, faults, groups, responses, settled, unjudged)
 
 
@@ -263,9 +288,10 @@ _RUNNING = ("start", "settle", "plausible", "first", "partial", "direction", "co
 def _running_in(spec: Specification, value: Any, plant: Plant) -> Specification:
     """Return the specification with what was computed when it was saved in place of what is computed now."""
     content = record(value, "running", _RUNNING)
-    start = array_in(content["start"], "running.start")
+    start = array_in(content["start"], "running.start", ENTRY)
     if start.shape != spec.start.shape:
         raise FileFormatError(f"running.start must have shape {spec.start.shape}, got {start.shape}")
+    _check_start(spec, start)
     plausible = spec.plausible if content["plausible"] is None else _limits_in(content["plausible"], spec)
     for name in ("direction", "codes", "matched"):
         if (content[name] is None) != (getattr(spec, name) is None):
@@ -304,24 +330,24 @@ def _partial_in(value: Any, spec: Specification) -> PartialUpdate | None:
     if spec.partial is None:
         raise FileFormatError("running.partial is there, and the generator is no stationary Kalman filter")
     covariance = _square_in(content["covariance"], "running.partial.covariance", len(spec.A))
-    settled, shape = array_in(content["settled"], "running.partial.settled"), spec.partial.settled.shape
-    if settled.dtype.kind != "f" or settled.shape != shape or not np.isfinite(settled).all():
+    settled, shape = array_in(content["settled"], "running.partial.settled", ENTRY), spec.partial.settled.shape
+    if settled.shape != shape:
         raise FileFormatError(f"running.partial.settled must be finite numbers of shape {shape}")
-    if not (np.array_equal(covariance, covariance.T) and np.diag(covariance).min() >= 0):
-        raise FileFormatError("running.partial.covariance must be a covariance: symmetric, and not negative")
+    if np.any(np.abs(covariance - spec.partial.covariance) > _EXACT * spec.partial.spread):
+        raise FileFormatError("running.partial.covariance must be the stationary one of the Kalman filter")
     return replace(spec.partial, covariance=covariance, settled=settled)
 
 
 def _square_in(value: Any, where: str, n: int) -> NDArray[np.float64]:
-    found = array_in(value, where)
-    if found.dtype.kind != "f" or found.shape != (n, n) or not np.isfinite(found).all():
+    found = array_in(value, where, ENTRY)
+    if found.shape != (n, n):
         raise FileFormatError(f"{where} must be finite numbers of shape {(n, n)}")
     return found
 
 
 def _limits_in(value: Any, spec: Specification) -> NDArray[np.float64]:
     limits, shape = array_in(value, "running.plausible"), spec.plausible.shape
-    if limits.dtype.kind != "f" or limits.shape != shape or not np.isfinite(limits).all():
+    if limits.shape != shape:
         raise FileFormatError(f"running.plausible must be finite numbers of shape {shape}")
     if not (limits[:, 0] < limits[:, 1]).all():
         raise FileFormatError("running.plausible: the smallest value of a channel must be below its largest")
@@ -333,17 +359,16 @@ def _codes_in(value: Any, where: str, plant: Plant, count: int) -> CodeTest:
     groups = tuple(texts_in(group, joined(where, "groups")) for group in list_in(content["groups"], where))
     members, unjudged = (texts_in(content[name], joined(where, name)) for name in ("members", "unjudged"))
     settled = tuple(texts_in(group, joined(where, "settled")) for group in list_in(content["settled"], where))
-    codes = array_in(content["codes"], joined(where, "codes"))
-    share = float_in(content["share"], joined(where, "share"))
-    window, distance = (whole_in(content[name], joined(where, name)) for name in ("window", "distance"))
+    codes = array_in(content["codes"], joined(where, "codes"), FLAG, 2)
+    share = float_in(content["share"], joined(where, "share"), SHARE)
+    window = whole_in(content["window"], joined(where, "window"), WINDOW)
+    distance = whole_in(content["distance"], joined(where, "distance"))
     if len(settled) != len(groups) or any(set(s) - set(g) for s, g in zip(settled, groups, strict=True)):
         raise FileFormatError(f"{where}: settled must name faults of each of the {len(groups)} groups")
     own = tuple(tuple(x for x in g if x not in s) for g, s in zip(groups, settled, strict=True))
     _check_groups(own, unjudged, where, plant)
-    if len(members) != count or codes.dtype.kind != "b" or codes.shape != (count, len(groups)):
+    if len(members) != count or codes.shape != (count, len(groups)):
         raise FileFormatError(f"{where}: codes must be true or false, {count} members x {len(groups)} groups")
-    if window < 1 or not 0 < share <= 1:
-        raise FileFormatError(f"{where}: the window must be 1 or more and the share between 0 and 1")
     return CodeTest(window, share, distance, members, groups, codes, unjudged, settled)
 
 
@@ -356,14 +381,17 @@ def _direction_in(value: Any, where: str, plant: Plant, residuals: int) -> Direc
     content = record(value, where, field_names(DirectionTest))
     groups = tuple(texts_in(group, joined(where, "groups")) for group in list_in(content["groups"], where))
     bases = tuple(
-        array_in(basis, joined(where, "bases"))
+        array_in(basis, joined(where, "bases"), FINITE, 2)
         for basis in list_in(content["bases"], joined(where, "bases"), len(groups))
     )
     unjudged = texts_in(content["unjudged"], joined(where, "unjudged"))
-    window = whole_in(content["window"], joined(where, "window"))
+    window = whole_in(content["window"], joined(where, "window"), WINDOW)
     _check_groups(groups, unjudged, where, plant)
-    if window < 1 or any(basis.ndim != 2 or len(basis) != residuals for basis in bases):
-        raise FileFormatError(f"{where}: the window must be 1 or more and every basis have {residuals} rows")
+    if any(len(basis) != residuals for basis in bases):
+        raise FileFormatError(f"{where}: every basis must have {residuals} rows")
+    for k, basis in enumerate(bases):
+        if not basis.size or not np.abs(basis.T @ basis - np.eye(basis.shape[1])).max() <= _EXACT:
+            raise FileFormatError(f"{where}.bases[{k}]: its columns must be orthonormal")
     return DirectionTest(window, groups, bases, unjudged)
 
 
@@ -371,18 +399,39 @@ def _check_fitted(monitor: Monitor) -> None:
     k, test = monitor.generator.n_residuals, monitor.norm_test
     if test.kind != ("peak" if isinstance(monitor.test, PeakThreshold) else "norm"):
         raise FileFormatError(f"fitted.kind must be that of the test, got {test.kind!r}")
-    columns, limits = k, np.array([test.threshold])
+    columns = k
     if isinstance(test, BankTest):
         members = [len(member.residuals) for member in monitor.generator.members]
-        columns, limits = sum(members), test.thresholds
-        if test.sizes.tolist() != members or limits.shape != (len(members),):
+        columns = sum(members)
+        if test.sizes.tolist() != members or test.thresholds.shape != (len(members),):
             raise FileFormatError(f"fitted: sizes and thresholds must be for {len(members)} members")
     if test.center.shape != (k,) or test.whitening.shape != (k, columns):
         raise FileFormatError(f"fitted: center and whitening must be for {k} residuals")
-    if min(test.persistence, test.release, test.window) < 1:
-        raise FileFormatError("fitted: persistence, release and window must be 1 or more")
-    if not (np.isfinite(test.center).all() and np.isfinite(test.whitening).all() and (limits > 0).all()):
-        raise FileFormatError("fitted: center and whitening must be finite, and the threshold positive")
+    _check_whitening(test)
+
+
+def _check_start(spec: Specification, start: NDArray[np.float64]) -> None:
+    """Raise unless the filter would stay where it starts: what was computed elsewhere differs by rounding alone."""
+    remains = np.eye(len(spec.A)) - spec.A
+    size = np.abs(remains) @ np.abs(start) + np.abs(spec.B)
+    if start.size and np.abs(remains @ start - spec.B).max() > _EXACT * size.max():
+        raise FileFormatError("running.start must be the state that the filter settles to, (I - A)^-1 B")
+
+
+def _check_whitening(test: NormTest | BankTest) -> None:
+    """Raise where a whitening matrix leaves out a residual, or a combination of them."""
+    parts = test.columns if isinstance(test, BankTest) else [(0, test.whitening.shape[1])]
+    for start, stop in parts:
+        part = test.whitening[:, start:stop]
+        rows = np.abs(part).max(axis=1, initial=0.0)
+        part = part[rows > 0] / rows[rows > 0, None]
+        columns = np.sqrt(np.sum(part**2, axis=0))
+        sizes = np.linalg.svd(part / np.where(columns > 0, columns, 1.0), compute_uv=False)
+        whole = len(part) >= stop - start if isinstance(test, BankTest) else len(part) == len(rows)
+        if stop > start and not (whole and sizes[-1] > _DEPENDENT):
+            raise FileFormatError(
+                "fitted.whitening must be invertible, for each member: some residuals count for nothing"
+            )
 
 
 def _check_state(monitor: Monitor) -> None:
@@ -403,6 +452,8 @@ def _check_state(monitor: Monitor) -> None:
         wanted[prefix + "begun"] = (plants, k)
         if not 0 <= getattr(state, prefix + "filled") < max(length, 2):
             raise FileFormatError(f"state.{prefix}filled must be below the window of {length}")
+    if (state.since > state.count).any():
+        raise FileFormatError("state.since must not be later than state.count")
     for name in field_names(State):
         value = getattr(state, name)
         shape = wanted.get(name, (plants,))

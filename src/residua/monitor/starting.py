@@ -16,7 +16,6 @@ from residua.decide.member_thresholds import BankTest
 from residua.decide.norm_threshold import NormTest
 from residua.design import ResidualGenerator
 from residua.errors import SettingError
-from residua.linear.balancing import state_units
 from residua.linear.recursion import ordered_product
 
 #: How a filter starts: from rest at the first sample, or with the state that its first residuals show.
@@ -106,22 +105,24 @@ def start_fit(generator: ResidualGenerator, test: NormTest | BankTest, settle: i
     samples = min(settle, MOST_SAMPLES, max(n, _MOST_WORK // max(1, len(system.C) * n * n)))
     if not n or not samples or not np.any(system.C):
         return None
-    units = state_units(system.A, system.B, system.C, system.D)
-    A, C = system.A / units[:, None] * units, system.C * units
-    weights = _weights(test, system.C, system.A, samples)
+    A, C = system.A, system.C
+    weights = _weights(test, C, A, samples)
     blocks, block = [], weights.T @ C
     for _ in range(samples):
         blocks.append(block)
         block = block @ A
+    seen = np.concatenate(blocks)
+    units = np.linalg.norm(seen, axis=0)  # states in units of what is seen of them
+    units = np.where(units > 0, 1 / np.where(units > 0, units, 1.0), 0.0)
     after = [block]  # what a state at the start does to a residual after them, at ever longer intervals
     power = A
     for _ in range(24):
         after.append(after[-1] @ power)
         power = power @ power
-    _, values, directions = np.linalg.svd(np.concatenate(blocks), full_matrices=False)
+    _, values, directions = np.linalg.svd(seen * units, full_matrices=False)
     rank = int(np.count_nonzero(values > _KNOWN * values[0])) if values[0] > 0 else 0
     while rank:
-        inverse = directions[:rank].T / values[:rank]
+        inverse = units[:, None] * directions[:rank].T / values[:rank]
         added = max(float(np.linalg.norm(later @ inverse, axis=1).max()) for later in after)
         if added**2 <= _ADDED:
             break
@@ -129,7 +130,7 @@ def start_fit(generator: ResidualGenerator, test: NormTest | BankTest, settle: i
     if not rank:
         return None
     carried = np.linalg.matrix_power(A, samples) @ inverse @ inverse.T
-    return start_from(system.A, system.C, test, samples, units[:, None] * carried * units)
+    return start_from(system.A, system.C, test, samples, carried)
 
 
 def start_from(

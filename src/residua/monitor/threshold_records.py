@@ -18,7 +18,10 @@ from residua.monitor.encoding import (
     values_out,
     whole_in,
 )
+from residua.number_kinds import COUNT, POSITIVE, PROBABILITY
+from residua.visible import echo
 
+#: The tests, by the entry ``kind``.
 KINDS: dict[str, type[Any]] = {"norm": NormThreshold, "peak": PeakThreshold}
 
 
@@ -38,12 +41,13 @@ def threshold_in(value: Any) -> NormThreshold | PeakThreshold:
         raise FileFormatError("the entry 'test.kind' is missing")
     kind = text_in(content.pop("kind"), "test.kind")
     if kind not in KINDS:
-        raise FileFormatError(f"test.kind: expected one of {', '.join(KINDS)}, got {kind!r}")
+        raise FileFormatError(f"test.kind: expected one of {', '.join(KINDS)}, got {echo(kind)}")
     if kind == "norm":
         return values_in(content, "test", NormThreshold)
     content = record(content, "test", field_names(PeakThreshold))
-    rate = float_in(content["false_alarm_rate"], "test.false_alarm_rate")
-    return PeakThreshold(_thresholds_in(content["thresholds"]), whole_in(content["window"], "test.window"), rate)
+    rate = float_in(content["false_alarm_rate"], "test.false_alarm_rate", PROBABILITY)
+    window = whole_in(content["window"], "test.window", COUNT)
+    return PeakThreshold(_thresholds_in(content["thresholds"]), window, rate)
 
 
 def _thresholds_in(value: Any) -> float | dict[str, float] | list[float] | None:
@@ -51,7 +55,7 @@ def _thresholds_in(value: Any) -> float | dict[str, float] | list[float] | None:
     if value is None:
         return None
     if isinstance(value, dict):
-        return {name: float_in(entry, joined(where, name)) for name, entry in value.items()}
+        return {name: float_in(entry, joined(where, name), POSITIVE) for name, entry in value.items()}
     if isinstance(value, list):
-        return [float_in(entry, joined(where, k)) for k, entry in enumerate(value)]
-    return float_in(value, where)
+        return [float_in(entry, joined(where, k), POSITIVE) for k, entry in enumerate(value)]
+    return float_in(value, where, POSITIVE)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, ModelError
-from residua.linear.balancing import has_units, power_of_two, state_units
+from residua.linear.balancing import power_of_two, state_units
 from residua.linear.descriptor import weierstrass_form
 from residua.linear.observability import modes_with_uncertainty, staircase
 from residua.linear.polynomial_matrix import PolynomialMatrix
@@ -153,11 +153,14 @@ def _without_infinite_part(
     E[:order, :order] = np.eye(order)
     form = weierstrass_form(np.block([[shift, -low_H], [last, -top_H]]), E, rtol=rtol)
     k = form.n_finite
-    B = form.P @ np.vstack([low_N, top_N])
+    right = np.vstack([low_N, top_N])
+    B = form.P @ right
     C = form.Q[order:]
     D, impulse = -C[:, k:] @ B[k:], B[k:]
+    size = np.abs(form.P[k:]) @ np.abs(right)  # an impulse that cancels is rounding of this
     for power in range(1, form.index):
-        terms = np.abs(C[:, k:]) @ np.abs(form.N) @ np.abs(impulse)
+        size = np.abs(form.N) @ size
+        terms = np.abs(C[:, k:]) @ size
         impulse = form.N @ impulse
         found = np.abs(C[:, k:] @ impulse)
         wrong = np.flatnonzero(np.any(found > _IMPULSE * max(float(terms.max(initial=0.0)), 1e-300), axis=1))
@@ -178,8 +181,8 @@ def reachable_part(system: StateSpace, rtol: float) -> ReachablePart:
     """Return the part of a system that its inputs reach, in balanced units; its transfer matrix is unchanged."""
     At, Bt = np.ascontiguousarray(system.A.T), np.ascontiguousarray(system.B.T)
     form = staircase(At, Bt, rtol=rtol)
-    if not has_units(form.states):
-        form = staircase(At, Bt, rtol=rtol, balance=False)
+    if not form.has_units:
+        form = staircase(At, Bt, rtol=rtol, units="even")
     k = form.n_observable
     removed, uncertainty = modes_with_uncertainty(form.Q[:, k:].T @ form.A @ form.Q[:, k:], form.rounding)
     if k < system.n_states:

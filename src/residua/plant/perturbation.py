@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua.errors import ModelError
 from residua.linear import arrays
 from residua.linear.arrays import matrix
-from residua.linear.balancing import evened, without_residue
+from residua.linear.balancing import evened
 from residua.linear.uncertain_system import bounds
 
 MATRICES = ("A", "B", "C", "D")
@@ -115,7 +115,7 @@ def factored(M: ArrayLike, rtol: float = 1e-12) -> tuple[NDArray[np.float64], ND
     M = matrix(M, "M", (None, None))
     if not np.any(M):
         return np.zeros((M.shape[0], 0)), np.zeros((0, M.shape[1]))
-    rows, columns = evened(without_residue(M), np.ones(M.shape[0]), np.ones(M.shape[1]), sweeps=4)
+    rows, columns = evened(M)
     U, s, Vh = np.linalg.svd(rows[:, None] * M * columns, full_matrices=False)
     rank = int(np.count_nonzero(s > rtol * s[0]))
     half = np.sqrt(s[:rank])

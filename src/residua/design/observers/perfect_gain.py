@@ -237,7 +237,7 @@ def full_rank_gain(R: Matrix, S: Matrix, n: int, *, rtol: float, bandwidth: floa
     """
     p = _problem(R, S, n, rtol, bandwidth)
     rng = np.random.default_rng(seed)
-    form = staircase(p.M, p.H, rtol=rtol, balance=False)
+    form = staircase(p.M, p.H, rtol=rtol, units="given")
     c = len(p.M)
     ends = c - int(np.count_nonzero(np.linalg.svd(p.S, compute_uv=False) > rtol))
     candidates: list[PerfectGain] = []

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.linear import StateSpace
-from residua.linear.balancing import balance_system, descriptor_units, has_units
+from residua.linear.balancing import balance_system, descriptor_units
 from residua.linear.polynomial_basis import PolynomialBasis
 from residua.plant import Plant
 
@@ -62,7 +62,7 @@ def realize_relation(
     # what the filter remembers of the plant has a size too: a state that its inputs reach by rounding only has no other
     known = p / _equation_units(plant)
     found = balance_system(M, np.hstack([B, known[:k]]), C, np.hstack([D, known[k:]]))
-    units = found.states / found.states[-1] if k and has_units(found.states) else np.ones(k)  # C stays one
+    units = found.own_units / found.own_units[-1] if k else np.ones(0)  # C stays one
     system = StateSpace(M / units[:, None] * units, B / units[:, None], C * units, D, dt=plant.dt)
     return Realization(system, -p[:k] / units[:, None], p[k:])
 

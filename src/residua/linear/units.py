@@ -1,0 +1,289 @@
+"""Units that are the same whatever units a model was written in, so that no answer depends on them.
+
+A model in other units has entries ``rho_i a_ij gamma_j``. The scaling that brings the logarithms of all entries
+nearest to one level, in least squares, takes these factors out again: the fitted logarithms are a projection, which
+does not depend on them. Rounded to powers of two from a fixed origin, the scaled entries of a model are the same *to
+the last bit* for all units that are powers of two, and so is everything that is computed from them.
+
+References
+----------
+A. R. Curtis and J. K. Reid, On the automatic scaling of matrices for Gaussian elimination, J. Inst. Maths. Applics. 10
+(1972) 118-124.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+#: Entries this far below both the largest of their row and of their column, in the units that this file finds, are
+#: rounding residue; scaling must not promote them to data.
+RESIDUE = 64 * np.finfo(float).eps
+#: Logarithms are rounded as if they were larger by this: averages of few whole numbers, of which the logarithms of
+#: simple models are made, are never halfway between two powers of two then.
+_OFF_TIES = 0.01371
+_ROUNDS = 3
+#: Where the largest entry is left this far above the one in the middle, the entries are no data of one model in other
+#: units: residue, which linearised models have in many places. What is residue in the units that the model was written
+#: in is left out of the fit then.
+_FAR = 2.0**26
+_WIDE = 1e-11
+
+
+@dataclass(frozen=True, eq=False)
+class Units:
+    """Factors, powers of two, for a system whose states are scaled on both sides: ``T^-1 A T, T^-1 B U, Y C T, Y D U``.
+
+    Attributes
+    ----------
+    states, inputs, outputs : ndarray
+        The diagonals of ``T``, ``U`` and ``Y``.
+    """
+
+    states: NDArray[np.float64]
+    inputs: NDArray[np.float64]
+    outputs: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PencilUnits:
+    """Factors, powers of two, for ``E x' = A x + B v``, ``y = C x + D v``: ``R A S``, ``unit R E S``, ``R B V``, ...
+
+    Attributes
+    ----------
+    rows, columns : ndarray
+        The diagonals of ``R`` and ``S``, further rows and columns of the bordered pencil along with them.
+    unit : float
+        The unit of ``s``: ``unit E`` is as large as ``A``.
+    """
+
+    rows: NDArray[np.float64]
+    columns: NDArray[np.float64]
+    unit: float
+
+
+def powers_of_two(logarithms: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the powers of two nearest to numbers with these binary logarithms, off the ties."""
+    return np.exp2(np.floor(logarithms + 0.5 + _OFF_TIES))
+
+
+def system_units(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> Units:
+    """Return the units, powers of two, in which the entries of an ordinary system are nearest to one level.
+
+    That of the largest diagonal entry of ``A``, which no units of states change, or one where the diagonal is zero.
+    """
+    n, q = len(A), np.shape(B)[1]
+    return _rounded(_system_potentials(A, B, C, D), n, q)
+
+
+def output_weights(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> NDArray[np.float64]:
+    """Return the units of the outputs as they come out of the least squares, not rounded.
+
+    For least squares over outputs, whose result is the same in all units then, be they powers of two or not.
+    """
+    return np.exp2(-_system_potentials(A, B, C, D)[len(A) + np.shape(B)[1] :])
+
+
+def _rounded(v: NDArray[np.float64], n: int, q: int) -> Units:
+    """Return potentials of ``n`` states, ``q`` inputs and the outputs as powers of two."""
+    T = powers_of_two(v)
+    return Units(T[:n], T[n : n + q], 1.0 / T[n + q :])
+
+
+def _system_potentials(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> NDArray[np.float64]:
+    """Return the potentials of states, inputs and outputs."""
+    n = len(A)
+    W = np.abs(np.block([[A, B], [C, D]]).astype(float))
+    v = _potentials_of(W, n)
+    u = _rounded(v, n, W.shape[1] - n)
+    if _is_far(W, np.r_[1 / u.states, u.outputs], np.r_[u.states, u.inputs]):
+        v = _potentials_of(_without_wide_residue(W), n)
+    return v
+
+
+def _potentials_of(W: NDArray[np.float64], n: int) -> NDArray[np.float64]:
+    """Return the potentials for the sizes of the entries of ``[A B; C D]`` with ``n`` states."""
+    W = W.copy()
+    diagonal = W[np.arange(n), np.arange(n)]
+    level = float(np.log2(diagonal.max())) if np.any(diagonal) else 0.0
+    W[np.arange(n), np.arange(n)] = 0.0  # the units of the states do not change it
+    q, p = W.shape[1] - n, W.shape[0] - n
+    # Nodes: states, inputs, outputs; scaling multiplies the entry from column j to row i by 2^(v_j - v_i).
+    row_node = np.r_[np.arange(n), n + q + np.arange(p)].astype(int)
+    column_node = np.arange(n + q)
+    return _potentials(W, row_node, column_node, n + q + p, diagonal, level)
+
+
+def matrix_units(M: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the factors of rows and of columns with which the entries of a matrix are nearest to one."""
+    W = np.abs(np.asarray(M, dtype=float))
+    rows, columns = _matrix_units(W)
+    return _matrix_units(_without_wide_residue(W)) if _is_far(W, rows, columns) else (rows, columns)
+
+
+def _matrix_units(W: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    p, q = W.shape
+    v = _potentials(W, np.arange(p), p + np.arange(q), p + q, np.zeros(0), 0.0)
+    T = powers_of_two(v)
+    return 1.0 / T[:p], T[p:]
+
+
+def pencil_units(A: NDArray, E: NDArray) -> PencilUnits:
+    """Return the factors of rows and columns, and the unit of ``s``, that bring the entries of a pencil nearest to one.
+
+    A bordered pencil has further rows and columns in ``A``; those of ``E`` are zero there.
+    """
+    a, e = np.abs(np.asarray(A, dtype=float)), np.abs(np.asarray(E, dtype=float))
+    found = _pencil_units(a, e)
+    if _is_far(np.maximum(a, found.unit * e), found.rows, found.columns):
+        found = _pencil_units(_without_wide_residue(a), _without_wide_residue(e))
+    return found
+
+
+def _pencil_units(a: NDArray[np.float64], e: NDArray[np.float64]) -> PencilUnits:
+    """Return the same for the sizes of the entries."""
+    unit = 0.0
+    p = len(a)
+    for _ in range(_ROUNDS):
+        v, unit = _pencil_potentials(a, e)
+        rows, columns = np.exp2(-v[:p]), np.exp2(v[p:])
+        scaled_a, scaled_e = rows[:, None] * a * columns, 2.0**unit * rows[:, None] * e * columns
+        largest = np.maximum(scaled_a, scaled_e)
+        keep_a, keep_e = _real(scaled_a, largest), _real(scaled_e, largest)
+        if np.array_equal(keep_a, a > 0) and np.array_equal(keep_e, e > 0):
+            break
+        a, e = np.where(keep_a, a, 0.0), np.where(keep_e, e, 0.0)
+    T = powers_of_two(v)
+    return PencilUnits(1.0 / T[:p], T[p:], float(powers_of_two(np.array(unit))))
+
+
+def _is_far(W: NDArray[np.float64], rows: NDArray[np.float64], columns: NDArray[np.float64]) -> bool:
+    """Tell whether residue has drawn a fit off: the largest entry is left far above the one in the middle."""
+    scaled = rows[:, None] * W * columns
+    present = scaled[scaled > 0]
+    return bool(present.size and present.max() > _FAR * np.median(present))
+
+
+def _without_wide_residue(W: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return entries without those that linearisation or identification leaves of nothing, in the units at hand."""
+    if not W.size:
+        return W
+    floor = _WIDE * np.minimum(W.max(axis=1, keepdims=True), W.max(axis=0, keepdims=True))
+    return np.where(floor < W, W, 0.0)
+
+
+def without_residue(M: NDArray[np.float64], rows: NDArray | None = None, columns: NDArray | None = None) -> NDArray:
+    """Return ``abs(M)`` with the entries set to zero that can only be residue, in units of rows and columns."""
+    M = np.abs(M)
+    if not M.size:
+        return M
+    scaled = M if rows is None or columns is None else rows[:, None] * M * columns
+    return np.where(_real(scaled, scaled), M, 0.0)
+
+
+def pencil_without_residue(A: NDArray, E: NDArray, units: PencilUnits) -> tuple[NDArray, NDArray]:
+    """Return ``abs(A)`` and ``abs(E)`` with the entries set to zero that can only be rounding residue."""
+    factors = units.rows[:, None] * units.columns
+    a, e = np.abs(A), np.abs(E)
+    largest = factors * np.maximum(a, units.unit * e)
+    return (
+        np.where(_real(factors * a, largest), a, 0.0),
+        np.where(_real(factors * units.unit * e, largest), e, 0.0),
+    )
+
+
+def _real(W: NDArray[np.float64], largest: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Tell which entries are more than residue against the largest of their row or of their column."""
+    if not W.size:
+        return W > 0
+    floor = RESIDUE * np.minimum(largest.max(axis=1, keepdims=True), largest.max(axis=0, keepdims=True))
+    return floor < W
+
+
+def _potentials(
+    W: NDArray[np.float64],
+    row_node: NDArray,
+    column_node: NDArray,
+    count: int,
+    diagonal: NDArray[np.float64],
+    level: float,
+) -> NDArray[np.float64]:
+    """Return ``v`` such that the logarithms of ``W_ij 2^(v_j - v_i)`` are nearest to a level, residue left out."""
+    W = W.copy()
+    v = np.zeros(count)
+    for _ in range(_ROUNDS):
+        i, j = np.nonzero(W)
+        v = _least_squares(row_node[i], column_node[j], np.log2(W[i, j]) - level, count)
+        scaled = W * np.exp2(v[column_node][None, :] - v[row_node][:, None])
+        largest = scaled.copy()
+        largest[np.arange(len(diagonal)), np.arange(len(diagonal))] = diagonal
+        keep = _real(scaled, largest)
+        if np.array_equal(keep, W > 0):
+            break
+        W = np.where(keep, W, 0.0)
+    return v
+
+
+def _least_squares(row: NDArray, column: NDArray, logarithms: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """Minimise the sum of squares of ``logarithms + v[column] - v[row]``, the first node of each part at zero.
+
+    Of each connected part only the differences of ``v`` matter; with the first at zero they are whole numbers apart
+    for units that are powers of two.
+    """
+    L, b = _normal_equations(row, column, logarithms, count)
+    fixed = _origins(row, column, count)
+    free = np.setdiff1d(np.arange(count), fixed)
+    v = np.zeros(count)
+    if free.size:
+        v[free] = np.linalg.solve(L[np.ix_(free, free)], b[free])
+    return v
+
+
+def _normal_equations(
+    row: NDArray, column: NDArray, logarithms: NDArray[np.float64], count: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the Laplacian of the graph and the right-hand side of its least squares problem."""
+    L, b = np.zeros((count, count)), np.zeros(count)
+    for k, sign in ((row, 1.0), (column, -1.0)):
+        np.add.at(L, (k, k), 1.0)
+        np.add.at(b, k, sign * logarithms)
+    np.add.at(L, (row, column), -1.0)
+    np.add.at(L, (column, row), -1.0)
+    return L, b
+
+
+def _origins(row: NDArray, column: NDArray, count: int) -> NDArray[np.int_]:
+    """Return the first node of each connected part."""
+    graph = coo_array((np.ones(len(row)), (row, column)), shape=(count, count))
+    _, part = connected_components(graph, directed=False)
+    return np.unique(part, return_index=True)[1]
+
+
+def _pencil_potentials(a: NDArray[np.float64], e: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Return the potentials of rows and columns of a pencil, and the logarithm of the unit of ``s``."""
+    p, q = a.shape
+    places = [np.nonzero(M) for M in (a, e)]
+    row = np.concatenate([at[0] for at in places])
+    column = p + np.concatenate([at[1] for at in places])
+    logarithms = np.log2(np.concatenate([M[at] for M, at in zip((a, e), places, strict=True)]))
+    dynamic = np.r_[np.zeros(len(places[0][0])), np.ones(len(places[1][0]))]
+    fixed = _origins(row, column, p + q)
+    free = np.setdiff1d(np.arange(p + q), fixed)
+    L, b = _normal_equations(row, column, logarithms, p + q)
+    # The unit of s is one more unknown, which all entries of E share; c is its column.
+    c = np.zeros(p + q)
+    np.add.at(c, row, -dynamic)
+    np.add.at(c, column, dynamic)
+    v, through = np.zeros(p + q), np.zeros(p + q)
+    if free.size:
+        v[free], through[free] = np.linalg.solve(L[np.ix_(free, free)], np.column_stack([b, c])[free]).T
+    # What of the unit no units of rows and columns can imitate; where there is nothing it stays one.
+    own = float(dynamic.sum() - c @ through)
+    if own <= 1e-9 * max(dynamic.sum(), 1.0):
+        return v, 0.0
+    unit = float(-(dynamic @ logarithms + c @ v) / own)
+    return v - unit * through, unit

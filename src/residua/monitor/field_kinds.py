@@ -1,0 +1,33 @@
+"""What each number of a saved monitor may be, where it is not any finite number or any whole number from 0 on.
+
+By the class whose fields are saved, and the name of the field. A field that is not named here is of the usual kind of
+its type (:data:`residua.number_kinds.USUAL`), so that a new one is checked without a word; name it here where it may
+be more, such as NaN for what is not known, or must be less, such as positive.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from residua.number_kinds import (
+    COUNT,
+    ENTRY,
+    KNOWN_OR_NOT,
+    POSITIVE,
+    PROBABILITY,
+    SHARE,
+    WINDOW,
+    NumberKind,
+)
+
+_RUNS = {"persistence": COUNT, "release": COUNT, "window": WINDOW}
+
+FIELDS: Mapping[str, Mapping[str, NumberKind]] = {
+    "NormThreshold": {**_RUNS, "threshold": POSITIVE, "false_alarm_rate": PROBABILITY},
+    "NormTest": {**_RUNS, "center": ENTRY, "whitening": ENTRY, "threshold": POSITIVE},
+    "BankTest": {**_RUNS, "center": ENTRY, "whitening": ENTRY, "sizes": COUNT, "thresholds": POSITIVE},
+    "Directional": {"window": WINDOW},
+    "Structured": {"window": WINDOW, "share": SHARE},
+    "Matched": {"window": WINDOW, "alike": SHARE},
+    "State": {"match_held": KNOWN_OR_NOT},
+}
