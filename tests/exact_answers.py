@@ -92,7 +92,7 @@ class Exact:
     def visible(self, ignored: Sequence[int] = ()) -> NDArray[np.bool_]:
         """Return which faults some residual sees that ignores the disturbances and some faults."""
         at = np.hstack([(self.P0 + _POINT * self.P1) % PRIME, self._columns(ignored)])
-        return product(left_null(at), self.F).any(axis=0)
+        return np.asarray(product(left_null(at), self.F).any(axis=0))
 
     def exists(self, ignored: Sequence[int] = ()) -> bool:
         """Tell whether there is a residual at all that ignores the disturbances and some faults."""
@@ -111,7 +111,7 @@ class Exact:
 
     def lasting(self, ignored: Sequence[int] = ()) -> NDArray[np.bool_]:
         """Return which constant faults some residual sees for good that ignores some faults, whatever these do."""
-        return self.traces(ignored).any(axis=0)
+        return np.asarray(self.traces(ignored).any(axis=0))
 
     def responses(self, order: int, ignored: Sequence[int], unread: Sequence[int] = ()) -> NDArray[np.int64]:
         """Return the responses of all relations of at most an order, shape (relations, (order + 1) faults)."""
@@ -125,7 +125,8 @@ class Exact:
         """Return the order of the shortest relation that ignores some faults and sees others; ``None`` without any."""
         for order in range(self.states + 1):
             found = self.responses(order, ignored, unread)
-            if len(found) and found.reshape(len(found), order + 1, -1).any(axis=(0, 1))[list(seen)].all():
+            answers = np.asarray(found.reshape(-1, len(self.faults)).any(axis=0))
+            if len(found) and answers[list(seen)].all():
                 return order
         return None
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -70,7 +68,7 @@ def _with_faults(plant: rs.Plant, rng: np.random.Generator) -> rs.Plant:
     return plant.without_faults([name for i, name in enumerate(plant.faults) if i not in kept])
 
 
-def _dynamics(kind: str, n: int, rng: np.random.Generator) -> NDArray[np.float64]:
+def _dynamics(kind: str, n: int, rng: np.random.Generator) -> NDArray:
     if kind == "sparse":
         return rng.choice(_FEW, (n, n)) * (rng.random((n, n)) < 2 / n) * 1.0
     if kind == "companion" and n:
@@ -86,7 +84,7 @@ def _dynamics(kind: str, n: int, rng: np.random.Generator) -> NDArray[np.float64
     return rng.choice(_FEW, (n, n)) * 1.0
 
 
-def _sensors(kind: str, p: int, n: int, rng: np.random.Generator) -> NDArray[np.float64]:
+def _sensors(kind: str, p: int, n: int, rng: np.random.Generator) -> NDArray:
     C = rng.choice(_FEW, (p, n)) * 1.0
     if n and rng.random() < 0.5:
         C = np.eye(n)[rng.integers(0, n, p)]
@@ -97,7 +95,7 @@ def _sensors(kind: str, p: int, n: int, rng: np.random.Generator) -> NDArray[np.
     return C
 
 
-def _descriptor(kind: str, A: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64] | None:
+def _descriptor(kind: str, A: NDArray, rng: np.random.Generator) -> NDArray | None:
     """Return an ``E`` with a regular pencil, of index one or any; ``None`` for an ordinary plant."""
     n = len(A)
     if kind not in ("index one", "singular"):
@@ -120,7 +118,7 @@ def in_other_units(plant: rs.Plant, seed: int, widest: int = 20) -> rs.Plant:
     """Return the plant with states, equations, inputs, outputs, disturbances and faults in units of powers of two."""
     rng = np.random.default_rng([32, seed])
 
-    def units(count: int) -> NDArray[np.float64]:
+    def units(count: int) -> NDArray:
         return 2.0 ** rng.integers(-widest, widest + 1, count)
 
     T, Y, U = units(plant.n_states), units(plant.n_outputs), units(len(plant.inputs))
@@ -137,7 +135,10 @@ def in_other_units(plant: rs.Plant, seed: int, widest: int = 20) -> rs.Plant:
         outputs=plant.outputs,
     )
     Vd, Vf = units(len(plant.disturbances)), units(len(plant.faults))
-    columns: Callable = lambda B, D, V, i: (R * B[:, i] * V[i], Y * D[:, i] * V[i])  # noqa: E731
+
+    def columns(B: NDArray, D: NDArray, V: NDArray, i: int) -> tuple[NDArray, NDArray]:
+        return R * B[:, i] * V[i], Y * D[:, i] * V[i]
+
     if plant.disturbances:
         out = out.with_disturbances(
             {name: columns(plant.Bd, plant.Dd, Vd, i) for i, name in enumerate(plant.disturbances)}

@@ -17,7 +17,7 @@ from residua.visible import echo
 #: Largest whole number: sums of a few of them are still 64-bit numbers.
 _MOST = 2**62
 #: Longest window: its samples are kept in memory for every plant.
-MAX_WINDOW = 10**7
+MAX_WINDOW = 10**6
 
 
 @dataclass(frozen=True)
@@ -75,8 +75,8 @@ COUNT = NumberKind("a whole number, 1 or more", "i", lambda n: n >= 1)
 WINDOW = NumberKind(f"a whole number from 1 to {MAX_WINDOW}", "i", lambda n: (n >= 1) & (n <= MAX_WINDOW))
 FLAG = NumberKind("true or false", "b", _all)
 
-#: What a number is where nothing else is said, by its type.
-USUAL = {"f": FINITE, "c": COMPLEX, "i": INDEX, "b": FLAG}
+#: What a number is where nothing else is said, by its type; products of what runs stay numbers.
+USUAL = {"f": ENTRY, "c": COMPLEX, "i": INDEX, "b": FLAG}
 
 #: Texts that stand for what JSON has no numbers for.
 SPECIAL = ("nan", "inf", "-inf")

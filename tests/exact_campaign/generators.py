@@ -20,8 +20,8 @@ _BEYOND_EVIDENCE = 100.0
 _SILENT, _NEARLY_SILENT = 1e-11, 1e-9
 #: A response above this, relative to its terms, is an answer; above the second, nearly.
 _ANSWER, _NEARLY_ANSWER = 1e-5, 1e-6
-#: A response off the claimed subspace by more than this fraction contradicts it; between the two it is close: what is
-#: below a millionth, in the units of the design, is no direction.
+#: A response off the claimed subspace by more than the second fraction, and by more than the evidence says, contradicts
+#: it; between the two it is close: what is below a millionth, in the units of the design, is no direction.
 _NEAR, _OFF = 1e-5, 1e-3
 #: A gain of a plant of small fractions above this comes of rounding that was taken for a coupling.
 _GAIN = 1e9
@@ -119,7 +119,8 @@ def _subspaces(record: Record, found: Paths, made: Any, faults: Sequence[str], l
         worst = float(np.max(np.where(height > 1e-7, off / np.where(height > 0, height, 1.0), 0.0)))
         if worst > _NEAR:
             text = f"{record.function}: {name!r} leaves its subspace of dimension {basis.shape[1]} by {worst:.1e}"
-            record.problem("wrong" if worst > _OFF else "close", "subspace", text)
+            told = made.evidence.conditions.get("response off the signatures", 0.0)
+            record.problem("wrong" if worst > max(_OFF, 10 * told) else "close", "subspace", text)
 
 
 def examine_estimate(subject: Subject, record: Record, system: Any, plant: Any, decoupled: bool) -> None:

@@ -293,7 +293,7 @@ def test_no_number_that_runs_may_be_missing_or_infinite(
         (("fitted", "threshold"), "inf", r"fitted\.threshold: expected a positive, finite number"),
         (("fitted", "threshold"), 0, r"fitted\.threshold: expected a positive, finite number, got 0"),
         (("fitted", "persistence"), 0, r"fitted\.persistence: expected a whole number, 1 or more, got 0"),
-        (("fitted", "window"), 10**9, r"fitted\.window: expected a whole number from 1 to"),
+        (("test", "window"), 10**9, r"test\.window: expected a whole number from 1 to"),
         (("fitted", "whitening", "float", 0), 1e308, r"fitted\.whitening\[0, 0\]: expected a finite number of at most"),
         (("test", "false_alarm_rate"), 1.5, r"test\.false_alarm_rate: expected a number between 0 and 1, got 1.5"),
         (("design", "system", "A", "float", 0), 1e308, r"design\.system\.A\[0, 0\]: expected a finite number of at"),
@@ -396,3 +396,26 @@ def test_rounding_in_the_signatures_of_an_older_file_is_no_answer_to_a_fault(tmp
     path.write_text(json.dumps(as_version(5, content)))
     read = rs.Monitor.load(path).generator
     np.testing.assert_array_equal(read.structure, [[True, True], [False, True]])
+
+
+@pytest.mark.parametrize("window", [5, 10**6])
+def test_windows_that_do_not_belong_together_are_refused_before_anything_is_made_of_them(
+    window: int, tmp_path: Path
+) -> None:
+    """A window of a million samples, in a file that has the responses of five, took a quarter of an hour to refuse."""
+    path = tmp_path / "m.json"
+    rs.Monitor(rs.design.matched_filters(three_tank(), window=4)).save(path)
+    whole = json.loads(path.read_text())
+    cases = {
+        (("isolate", "window"),): r"running\.matched\.window must be that of isolate",
+        (("isolate", "window"), ("running", "matched", "window")): r"running\.matched\.responses must be those of",
+        (("test", "window"),): r"fitted\.window must be that of the test",
+        (("running",),): r"running must be there if and only if fitted is",
+    }
+    for places, words in cases.items():
+        content = whole
+        for place in places:
+            content = changed(content, place, None if place == ("running",) else window)
+        path.write_text(json.dumps(content))
+        with pytest.raises(FileFormatError, match=words):
+            rs.Monitor.load(path)

@@ -105,7 +105,7 @@ def test_lists_that_cannot_be_fitted() -> None:
     good = flight(500, 0)
     for given, message in (
         ([], "the list of recordings is empty"),
-        ([good, good[1]], r"recording 2 of 2 is an array: in a list give pairs, \[\(u, y\)"),
+        ([good, good[1]], r"recording 2 of 2 is an array: give pairs, \[\(u, y\)"),
         ([good, (good[0][:3], good[1][:3])], "recording 2 of 2 has no usable sample: 3 samples, settling takes"),
         ([good, (good[0], 0 * good[1])], "no output ever changes in recording 2 of 2"),
         ([frame(*good), frame(*good).drop(columns="b")], "recording 2 of 2: data frame: missing column 'b'"),
@@ -128,6 +128,16 @@ def test_a_certified_threshold_names_the_recording_that_goes_over() -> None:
         watch.fit(flights)
     assert told_sample(3, ()) == "sample 3"
     assert told_sample(3, (3,)) == "sample 0 of recording 2"
+
+
+def test_dates_beside_arrays_are_no_notes() -> None:
+    u, y = flight(800, 0)
+    clock = np.datetime64("2026-11-20T08:00:00") + np.arange(800).astype("timedelta64[s]")
+    watch = monitor().fit(*flight(1500, 1))
+    dated, plain = watch.run(u, y, time=clock), watch.run(u, y)
+    assert isinstance(dated, rs.Diagnosis)
+    assert isinstance(plain, rs.Diagnosis)
+    assert dated.notes == plain.notes
 
 
 def test_what_was_done_to_the_rows_is_in_the_diagnosis() -> None:

@@ -104,7 +104,7 @@ class FaultSpace:
         """
         sines, limits = _outside(self.limit, basis)
         if not np.isfinite(limits[0, list(basis)]).all() or limits[0].min(initial=np.inf) > _WELL_APART:
-            ignored = self.model.faults_as_disturbances(list(basis))
+            ignored = self.model.faults_as_disturbances([self.faults[j] for j in basis])
             after = limit_columns(ignored, self.rtol, self.rank + len(basis))
             there, out = _directions(after, self.rtol), np.zeros(len(self.faults), dtype=bool)
             kept = [j for j in range(len(self.faults)) if j not in basis]

@@ -91,7 +91,8 @@ def limit_columns(plant: Plant, rtol: float, rank: int) -> Visible:
         smallest = (values[kept - 1] / values[0] if kept else 1.0) * float(sizes[:wanted].min(initial=1.0))
         if not np.any(sizes[wanted:] > _NOTHING):
             break
-    return Visible((first @ parts.faults)[None], rank, _rounding(np.array([smallest])))
+    columns = (first @ parts.faults)[None].astype(np.complex128)
+    return Visible(columns, rank, _rounding(np.array([smallest])))
 
 
 def _series_matrix(here: NDArray, along: NDArray, count: int) -> NDArray[np.float64]:

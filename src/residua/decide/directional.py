@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua.decide.norm_threshold import check_samples
 from residua.errors import DataError, SettingError
 from residua.linear.rank import range_basis
+from residua.visible import echo
 
 #: Signatures whose largest principal angle is below this (sine) are one and the same.
 SAME_SIGNATURE = 1e-3
@@ -43,7 +44,7 @@ class Directional:
         check_samples(self.window, "window")
         object.__setattr__(self, "window", int(self.window))
         if self.signature not in ("auto", "subspace", "steady"):
-            raise SettingError(f"signature must be 'auto', 'subspace' or 'steady', got {self.signature!r}")
+            raise SettingError(f"signature must be 'auto', 'subspace' or 'steady', got {echo(self.signature)}")
 
 
 @dataclass(frozen=True, eq=False)

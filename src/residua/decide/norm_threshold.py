@@ -14,6 +14,7 @@ from residua.decide.seams import parts_between
 from residua.decide.whitening import residual_moments, whitening_matrix
 from residua.decide.window import empty_window, moving_sum
 from residua.errors import DataError, SettingError
+from residua.visible import echo
 
 
 @dataclass(frozen=True)
@@ -59,13 +60,13 @@ class NormThreshold:
     def __post_init__(self) -> None:
         """Check the settings."""
         if self.threshold is not None and not (is_number(self.threshold) and self.threshold > 0):
-            raise SettingError(f"threshold must be a positive number, got {self.threshold!r}")
+            raise SettingError(f"threshold must be a positive number, got {echo(self.threshold)}")
         for name in ("persistence", "window"):
             check_samples(getattr(self, name), name)
         if self.release is not None:
             check_samples(self.release, "release")
         if self.whiten not in ("auto", "data", "model", "none"):
-            raise SettingError(f"whiten must be 'auto', 'data', 'model' or 'none', got {self.whiten!r}")
+            raise SettingError(f"whiten must be 'auto', 'data', 'model' or 'none', got {echo(self.whiten)}")
         check_rate(self.false_alarm_rate)
         for name in ("persistence", "release", "window"):  # plain numbers, whatever they came as
             value = getattr(self, name)
@@ -83,13 +84,13 @@ def is_number(value: object) -> bool:
 def check_samples(value: object, name: str, *, least: int = 1) -> None:
     """Raise unless a setting is a whole number of samples."""
     if not is_number(value) or int(value) != value or value < least:  # pyright: ignore
-        raise SettingError(f"{name} must be a whole number of samples, at least {least}, got {value!r}")
+        raise SettingError(f"{name} must be a whole number of samples, at least {least}, got {echo(value)}")
 
 
 def check_rate(rate: float) -> None:
     """Raise unless ``rate`` is a usable false alarm rate."""
     if not is_number(rate) or not 0 < rate < 1:
-        raise SettingError(f"false_alarm_rate must lie between 0 and 1, got {rate!r}")
+        raise SettingError(f"false_alarm_rate must lie between 0 and 1, got {echo(rate)}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -215,6 +215,12 @@ def _fault_out(fault: Fault) -> list[str]:
     return [fault.name, fault.kind, fault.component, *(notes if any(notes) else [])]
 
 
+def _fault_in(value: Any, where: str) -> Fault:
+    """Return a fault from name, kind and component, with or without the three notes."""
+    noted = isinstance(value, list) and len(value) == 6
+    return Fault(*texts_in(list_in(value, where, 6 if noted else 3), where))
+
+
 def _plant_in(value: Any, where: str) -> Plant:
     content = record(value, where, _PLANT_ENTRIES)
     a = {name: array_in(content[name], joined(where, name), ENTRY, 2) for name in _PLANT_ARRAYS}
@@ -238,7 +244,7 @@ def _plant_in(value: Any, where: str) -> Plant:
         **{name: text_in(content[name], joined(where, name)) for name in _PLANT_TEXTS},
     )
     at = joined(where, "faults")
-    faults = tuple(Fault(*texts_in(list_in(entry, at, 3), at)) for entry in list_in(content["faults"], at))
+    faults = tuple(_fault_in(entry, at) for entry in list_in(content["faults"], at))
     columns = {"d": len(names["disturbances"]), "f": len(faults), "w": a["Bw"].shape[1]}
     for letter, count in columns.items():
         if a["B" + letter].shape != (plant.n_states, count) or a["D" + letter].shape != (plant.n_outputs, count):
@@ -246,6 +252,12 @@ def _plant_in(value: Any, where: str) -> Plant:
     return plant._with(
         **{name: frozen(a[name]) for name in _PLANT_ARRAYS[4:]}, disturbances=names["disturbances"], fault_list=faults
     )
+
+
+def _fault_in(value: Any, where: str) -> Fault:
+    """Return a fault from name, kind and component, and the notes where there are any."""
+    noted = isinstance(value, list) and len(value) == 6
+    return Fault(*texts_in(list_in(value, where, 6 if noted else 3), where))
 
 
 def _observer_in(value: Any, where: str) -> Observer:

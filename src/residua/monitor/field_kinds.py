@@ -1,4 +1,4 @@
-"""What each number of a saved monitor may be, where it is not any finite number or any whole number from 0 on.
+"""What each number of a saved monitor may be, where it is not any number of at most 1e100 or any whole one from 0 on.
 
 By the class whose fields are saved, and the name of the field. A field that is not named here is of the usual kind of
 its type (:data:`residua.number_kinds.USUAL`), so that a new one is checked without a word; name it here where it may

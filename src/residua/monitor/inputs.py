@@ -66,7 +66,9 @@ def several_signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, pl
     found = []
     for number, one in enumerate(u, 1):
         if isinstance(one, np.ndarray):
-            raise DataError(f"recording {number} of {len(u)} is an array: in a list give pairs, [(u, y), (u, y)]")
+            raise DataError(
+                f"recording {number} of {len(u)} is an array: give pairs, [(u, y), (u, y)], or one, fit(u, y)"
+            )
         pair = one if isinstance(one, tuple) and len(one) == 2 else (one, None)
         try:
             found.append(signals(*pair, None, dt, "", plant))
@@ -101,7 +103,7 @@ def signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, source: st
     found = regular_step(clock, 0.01, 0, source or "recording")
     if dt is not None and abs(dt - found) > 1e-6 * found:
         raise DataError(f"dt={dt:g} s was given, the times are {found:g} s apart")
-    return Signals(u, y, clock, found, source, origin)
+    return Signals(u, y, clock, found, source, origin=origin)
 
 
 def _by_name(data: Any, channels: tuple[str, ...], what: str) -> Any:

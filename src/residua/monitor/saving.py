@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from residua.decide.directional import Directional, DirectionTest
 from residua.decide.matched import Matched, MatchedTest
 from residua.decide.member_thresholds import BankTest
-from residua.decide.norm_threshold import NormTest
+from residua.decide.norm_threshold import NormTest, NormThreshold
 from residua.decide.peak_threshold import PeakThreshold
 from residua.decide.structured import CodeTest, Structured
 from residua.errors import FileFormatError, ResiduaError
@@ -152,10 +152,12 @@ def _monitor_in(content: Mapping[str, Any]) -> Monitor:
         name: float_in(value, joined("certified", name), POSITIVE)
         for name, value in table_in(content["certified"], "certified").items()
     }
+    test, named = threshold_in(content["test"]), None if isolate is None else _isolation_in(isolate)
+    _check_windows(content["fitted"], content["running"], test, named)
     monitor = Monitor(
         SimpleNamespace(generator=design, thresholds=certified),
-        test=threshold_in(content["test"]),
-        isolate=None if isolate is None else _isolation_in(isolate),
+        test=test,
+        isolate=named,
         settle=None if settle is None else whole_in(settle, "settle"),
         max_hold=whole_in(content["max_hold"], "max_hold"),
         plausible=_plausible_in(content["plausible"]),
@@ -398,7 +400,7 @@ def _direction_in(value: Any, where: str, plant: Plant, residuals: int) -> Direc
 def _check_fitted(monitor: Monitor) -> None:
     k, test = monitor.generator.n_residuals, monitor.norm_test
     if test.kind != ("peak" if isinstance(monitor.test, PeakThreshold) else "norm"):
-        raise FileFormatError(f"fitted.kind must be that of the test, got {test.kind!r}")
+        raise FileFormatError(f"fitted.kind must be that of the test, got {echo(test.kind)}")
     columns = k
     if isinstance(test, BankTest):
         members = [len(member.residuals) for member in monitor.generator.members]
@@ -408,6 +410,30 @@ def _check_fitted(monitor: Monitor) -> None:
     if test.center.shape != (k,) or test.whitening.shape != (k, columns):
         raise FileFormatError(f"fitted: center and whitening must be for {k} residuals")
     _check_whitening(test)
+
+
+def _check_windows(fitted: Any, running: Any, test: Any, isolate: Isolation) -> None:
+    """Raise where the settings have other windows than what was made of them, before anything is made of them again.
+
+    What takes the time of a window is in the file then, as long as its window says.
+    """
+    if (fitted is None) != (running is None):
+        raise FileFormatError("running must be there if and only if fitted is")
+    if fitted is None or running is None:
+        return
+    if isinstance(test, NormThreshold) and table_in(fitted, "fitted").get("window") != test.window:
+        raise FileFormatError(f"fitted.window must be that of the test, {test.window}")
+    for name, cls in (("direction", Directional), ("codes", Structured), ("matched", Matched)):
+        if isinstance(isolate, cls):
+            where = f"running.{name}"
+            judge = table_in(table_in(running, "running").get(name), where)
+            if judge.get("window") != isolate.window:
+                raise FileFormatError(f"{where}.window must be that of isolate, {isolate.window}")
+            if name == "matched":
+                shape = table_in(judge.get("responses"), f"{where}.responses").get("shape")
+                rows = shape[0] if isinstance(shape, list) and shape else None
+                if rows != (0 if isolate.steady else isolate.window + 1):
+                    raise FileFormatError(f"{where}.responses must be those of {isolate.window + 1} samples")
 
 
 def _check_start(spec: Specification, start: NDArray[np.float64]) -> None:

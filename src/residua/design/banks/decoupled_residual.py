@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from residua.analysis.fault_space import fault_space
 from residua.design.banks.filter_rounding import rounding_share
 from residua.design.banks.unknown_input_quotient import (
     ExplicitParts,
@@ -125,8 +126,9 @@ def _designed(
             "add a sensor or ignore less"
         )
     failure: AccuracyError | None = None
-    best: tuple[float, ResidualGenerator] | None = None
+    best: tuple[int, float, ResidualGenerator] | None = None
     free = poles is None and margin is None
+    visible = _visible(plant, ignored, rtol)
     for attempt, note in _attempts(quotient, poles, margin, gain, even_plant(plant).plant, rtol):
         try:
             made = _assembled(plant, parts, quotient, attempt(), ignored, note)
@@ -138,14 +140,29 @@ def _designed(
             continue
         rounding = rounding_share(made)
         made = replace(made, evidence=made.evidence.extended(conditions={_ROUNDING: rounding}))
-        if rounding <= _LITTLE or not free:
+        unseen = sum(1 for name in visible if not made.structure[:, made.faults.index(name)].any())
+        if not free or (not unseen and rounding <= _LITTLE):
             return _told(made, rounding)
-        if best is None or rounding < best[0]:
-            best = rounding, made
+        if best is None or (unseen, rounding) < best[:2]:
+            best = unseen, rounding, made
+    if best is not None and not best[0]:
+        return _told(best[2], best[1])
     if best is not None:
-        return _told(best[1], best[0])
+        raise AccuracyError(
+            f"the response to {best[0]} of the faults {', '.join(visible)}, which a residual can see that ignores "
+            f"{', '.join((*plant.disturbances, *ignored)) or 'nothing'}, is lost in rounding: the plant is too badly "
+            "conditioned; reduce its order, or give a margin"
+        )
     assert failure is not None  # there is at least one attempt
     raise failure
+
+
+def _visible(plant: Plant, ignored: list[str], rtol: float) -> list[str]:
+    """Return the faults that a residual sees which ignores some, by the ranks of the pencil."""
+    left = plant.faults_as_disturbances(ignored)
+    if not left.faults:
+        return []
+    return [name for name, seen in zip(left.faults, fault_space(left, rtol=rtol).visible, strict=True) if seen]
 
 
 def _told(made: ResidualGenerator, rounding: float) -> ResidualGenerator:
