@@ -22,12 +22,13 @@ monitor = rs.Monitor(rs.design.kalman_filter(three_tank()), test=rs.decide.NormT
 monitor.fit(normal.u, normal.y)
 
 # %%
-# A hole of 0.08 cm² in tank 3 from 300 s on; the sensor of h2 drops out twice, first for 5 samples, then for 30.
+# A hole of 0.08 cm² in tank 3 from 300 s on; the sensor of h2 drops out for 5 samples, and
+# later all sensors for 30.
 leak = np.where(np.arange(700) >= 300, 0.08, 0.0)
 run = simulate_three_tank(700, faults={"leak 3": leak}, seed=2)
 y = run.y.copy()
 y[150:155, 1] = np.nan
-y[200:230, 1] = np.nan
+y[200:230] = np.nan
 recorded = monitor.run(run.u, y)
 print(recorded)
 
@@ -49,8 +50,8 @@ first = next(k for k, decision in enumerate(live) if decision.alarm)
 print(f"first alarm at {run.time[first]:g} s, named at the end: {live[-1].named}")
 
 # %%
-# The short gap was bridged by holding the last value. After the long one, more than ``max_hold`` samples, the filter
-# started anew and decided nothing until it had settled; both are grey below.
+# Through the short gap the filter went on with what was there. After the long one, more than ``max_hold`` samples without
+# any output, it started anew and decided nothing until it had settled; both are grey below.
 figure = plt.figure(figsize=(8, 7.5), layout="constrained")
 plot_diagnosis(recorded, figure=figure)
 plt.show()

@@ -85,6 +85,33 @@ def test_compiled_equals_numpy_bitwise(
         assert_same_bits(one, other)
 
 
+@pytest.mark.parametrize("path", [None, *(PATHS if compiled() else ())])
+@settings(max_examples=60, deadline=None)
+@given(n=st.integers(1, 12), nr=st.integers(1, 9), seed=st.integers(0, 2**32 - 1))
+def test_a_filter_at_rest_has_no_denormal_states(path: int | None, n: int, nr: int, seed: int) -> None:
+    """After silent samples no state is between zero and 2^-500; the same bits in C, in NumPy and for any cut."""
+    rng = np.random.default_rng(seed)
+    matrices = random_filter(rng, n, 3, nr)
+    v = rng.normal(size=(2, 40, 3)) * 2.0 ** rng.integers(-1060, 0, (2, 40, 1))
+    v[rng.random((2, 40)) < 0.5] = 0.0
+    v[:, -1] = rng.choice([0.0, -0.0], (2, 3))
+    x = rng.normal(size=(2, n)) * 2.0 ** rng.integers(-1074, 0, (2, n))
+
+    def run(x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if path is None:
+            return recursion._run_numpy(matrices, x, v)
+        return recursion._run_compiled(matrices, x, np.ascontiguousarray(v), path)
+
+    after, r = run(x, v)
+    assert not ((np.abs(after) < recursion.SMALLEST) & (after != 0)).any()
+    for one, other in zip((after, r), recursion._run_numpy(matrices, x, v), strict=True):
+        assert_same_bits(one, other)
+    middle, first = run(x, v[:, :17])
+    last, second = run(middle, v[:, 17:])
+    assert_same_bits(last, after)
+    assert_same_bits(np.concatenate([first, second], axis=1), r)
+
+
 @pytest.mark.parametrize("n", [*range(10), 17])
 @pytest.mark.parametrize("nr", [0, 1, 2, 3, 4, 5, 8, 9])
 def test_is_the_definition_bitwise(n: int, nr: int) -> None:

@@ -132,7 +132,8 @@ def test_faults_are_not_taken_for_other_units() -> None:
     one = recording(20.0, drifts={made.generator.faults[0]: (0.0, 50.0)})
     assert run(monitor, one).notes == (), "the other residuals are below their thresholds"
     fitted = rs.Monitor(made.generator).fit(None, recording(20.0))
-    assert run(fitted, 1000 * recording(20.0)).notes == (), "what is fitted has seen the data"
+    notes = run(fitted, 1000 * recording(20.0)).notes
+    assert not any("units" in note for note in notes), "what is fitted has seen the data"
 
 
 def test_thresholds_of_a_linearised_set_are_told_as_such_wherever_a_diagnosis_is_read(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -121,11 +122,20 @@ class MatchState:
     held : ndarray, shape (plants, 6)
         Of the alarm that stands: fault, arrival, the sample that they were found at, whether they are final, the
         sample of its raising and the largest likelihood ratio so far; NaN without one.
+    extra : ndarray, shape (plants, window + 1, 2 faults)
+        For each of the last samples what faults that arrived before the window add there to the products with their
+        settled responses, and to the squared size of these, where they have other responses.
     """
 
     sums: NDArray[np.float64]
     weights: NDArray[np.float64]
     held: NDArray[np.float64]
+    extra: NDArray[np.float64]
+
+
+#: Where faults have other responses than as a rule: plant, sample, and the whitened responses by age, shape
+#: (window + 1, faults, residuals), with one more row for those that arrived before the window.
+Bends = Sequence[tuple[int, int, NDArray[np.float64]]]
 
 
 def matched_test(
@@ -160,17 +170,23 @@ def matched_test(
     )
 
 
-def empty_match(test: MatchedTest, plants: int) -> MatchState:
-    """Return the state before the first sample."""
+def empty_match(test: MatchedTest, plants: int, *, bends: bool = False) -> MatchState:
+    """Return the state before the first sample; ``bends`` says whether responses may differ from what they are."""
     sums = np.zeros((plants, len(test.responses), len(test.faults)))
-    return MatchState(sums, sums, np.full((plants, 6), np.nan))
+    extra = np.broadcast_to(0.0, (plants, test.samples if bends else 0, 2 * len(test.faults)))
+    return MatchState(sums, sums, np.full((plants, 6), np.nan), extra)
 
 
 # ------------------------------------------------------------------ likelihood ratios
 
 
 def match_block(
-    test: MatchedTest, state: MatchState, q: NDArray[np.float64], usable: NDArray[np.bool_], sums: NDArray[np.float64]
+    test: MatchedTest,
+    state: MatchState,
+    q: NDArray[np.float64],
+    usable: NDArray[np.bool_],
+    sums: NDArray[np.float64],
+    bends: Bends = (),
 ) -> tuple[dict[str, NDArray], MatchState]:
     """Return the likelihood ratio, arrival and size of every fault at every sample of a block.
 
@@ -187,6 +203,9 @@ def match_block(
     usable : ndarray of bool, shape (plants, time)
     sums : ndarray, shape (plants, time, residuals + 2)
         Sums of :func:`summed` over the last ``window + 1`` samples.
+    bends : sequence of (int, int, ndarray)
+        Where faults have other responses than those of the test, as while a Kalman filter recovers from missing
+        outputs: plant, sample of the block, and the responses.
 
     Returns
     -------
@@ -199,7 +218,8 @@ def match_block(
     parts = []
     for start in range(0, max(time, 1), step):
         cut = slice(start, start + step)
-        part, state = _match_pass(test, state, q[:, cut], usable[:, cut], sums[:, cut])
+        bent = [(p, k - start, R) for p, k, R in bends if start <= k < start + step and usable[p, k]]
+        part, state = _match_pass(test, state, q[:, cut], usable[:, cut], sums[:, cut], bent)
         parts.append(part)
     return {name: np.concatenate([part[name] for part in parts], axis=1) for name in parts[0]}, state
 
@@ -210,22 +230,29 @@ def summed(q: NDArray[np.float64], usable: NDArray[np.bool_]) -> NDArray[np.floa
 
 
 def _match_pass(
-    test: MatchedTest, state: MatchState, q: NDArray, usable: NDArray[np.bool_], sums: NDArray
+    test: MatchedTest, state: MatchState, q: NDArray, usable: NDArray[np.bool_], sums: NDArray, bends: Bends
 ) -> tuple[dict[str, NDArray], MatchState]:
     m = q.shape[2]
     count = sums[..., -1:]
     products = ordered_product(sums[..., :m], test.settled)
     weights = count * _squares(test.settled.T)
+    if bends or (state.extra.size and state.extra.strides[0] and state.extra.any()):
+        products, weights, state = _with_extra(test, state, q, bends, products, weights)
     ratios, settled_sizes, deviations = _likelihood(products, weights)
     sizes, ages = settled_sizes, np.full(ratios.shape, -1, dtype=np.int64)
     if len(test.responses):
-        products, before = _along_arrivals(_products(test, q), state.sums)
-        full = usable.all() and bool(np.all(state.weights[:, :-1] == test.weights[:-1]))
+        steps = _products(test, q)
+        for p, k, R in bends:
+            steps[:, p, k] = _inner(R[:-1], q[p, k])
+        products, before = _along_arrivals(steps, state.sums)
+        full = not bends and usable.all() and bool(np.all(state.weights[:, :-1] == test.weights[:-1]))
         if full:  # no sample was ever missing: the same numbers, known beforehand
             weights = np.broadcast_to(test.weights[:, None, None], products.shape)
             known = np.broadcast_to(test.weights, state.weights.shape)
         else:
             steps = np.where(usable[None, :, :, None], test.energies[:, None, None], 0.0)
+            for p, k, R in bends:
+                steps[:, p, k] = _squares(R[:-1])
             weights, known = _along_arrivals(steps, state.weights)
         state = replace(state, sums=before, weights=known)
         found = _likelihood(products, weights)
@@ -250,6 +277,38 @@ def _products(test: MatchedTest, q: NDArray) -> NDArray[np.float64]:
     """Return the product of each sample with the response at each age: (ages, plants, time, faults)."""
     product = ordered_product(q, test.bank).reshape(*q.shape[:2], len(test.responses), len(test.faults))
     return np.ascontiguousarray(np.moveaxis(product, 2, 0))
+
+
+def _with_extra(
+    test: MatchedTest, state: MatchState, q: NDArray, bends: Bends, products: NDArray, weights: NDArray
+) -> tuple[NDArray, NDArray, MatchState]:
+    """Add to the products and weights of settled faults what they are off by at the samples of the window.
+
+    Sums over the window are formed anew at each sample, from the oldest on: nothing drifts.
+    """
+    extra, faults = state.extra.copy(), len(test.faults)
+    settled = test.settled.T
+    off = {(p, k): R[-1] for p, k, R in bends}
+    for p in sorted({p for p, _ in off} | set(np.flatnonzero(extra.any(axis=(1, 2))).tolist())):
+        for k in range(q.shape[1]):
+            now = np.zeros(2 * faults)
+            if (p, k) in off:
+                now[:faults] = _inner(off[p, k], q[p, k]) - _inner(settled, q[p, k])
+                now[faults:] = _squares(off[p, k]) - _squares(settled)
+            extra[p, :-1] = extra[p, 1:]
+            extra[p, -1] = now
+            total = np.cumsum(extra[p], axis=0)[-1]
+            products[p, k] += total[:faults]
+            weights[p, k] = np.maximum(weights[p, k] + total[faults:], 0.0)
+    return products, weights, replace(state, extra=extra if extra.any() else np.broadcast_to(0.0, extra.shape))
+
+
+def _inner(rows: NDArray, q: NDArray) -> NDArray[np.float64]:
+    """Return the product of each row with a residual, added in order."""
+    total = np.zeros(rows.shape[:-1])
+    for j in range(rows.shape[-1]):
+        total = total + rows[..., j] * q[j]
+    return total
 
 
 def _along_arrivals(steps: NDArray, before: NDArray) -> tuple[NDArray, NDArray]:

@@ -150,5 +150,10 @@ def joined_matches(parts: Sequence[Match], plant: int) -> Match:
     return Match(**{name: np.concatenate([getattr(part, name)[plant] for part in parts]) for name in _names()})
 
 
+def joined_blocks(parts: Sequence[Match]) -> Match:
+    """Return the match of all plants from those on consecutive blocks."""
+    return Match(**{name: np.concatenate([getattr(part, name) for part in parts], axis=1) for name in _names()})
+
+
 def _names() -> list[str]:
     return [field.name for field in fields(Match)]

@@ -53,6 +53,8 @@ def covariance_of_sums(form: StateSpace, window: int) -> NDArray[np.float64]:
     S = C @ X @ C.T + D @ D.T
     step = A @ X @ C.T + B @ D.T
     for k in range(1, window):
+        if not step.any():  # nothing is left: a long window costs no more than the memory of the system
+            break
         R = C @ step
         S = S + (1 - k / window) * (R + R.T)
         step = A @ step

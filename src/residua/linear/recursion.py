@@ -6,6 +6,7 @@ run over the whole recording to the last bit, on every machine with IEEE 754 ari
 
 from __future__ import annotations
 
+import math
 import os
 
 import numpy as np
@@ -22,6 +23,8 @@ except ImportError:  # built without a C compiler
     _kernel = None
 
 _BEST_PATH: int = _kernel.best_path() if _kernel is not None else 0
+#: A state below this size becomes zero after a sample of nothing but zeros: denormal numbers cost many times a product.
+SMALLEST = 2.0**-500
 #: Samples per pass of the NumPy fallback: bounds its memory, and does not change a bit of the result.
 _PASS = 65536
 #: Multiplications per sample below which Python floats beat NumPy calls in the recurrent part.
@@ -53,7 +56,8 @@ def run_filter(
     handed on as the next ``x``), any number of plants run together, and the compiled kernel or NumPy.
     Each sum starts at zero, takes the columns of ``v`` in order, then those of ``x``, and rounds every
     product before adding it. NaN and infinity flow as IEEE 754 says; that a value is NaN is kept, the
-    payload of the NaN is not.
+    payload of the NaN is not. After a sample of nothing but zeros, states below ``2**-500`` in size become zero, so
+    that a filter at rest does not slow down among the denormal numbers.
 
     Assumes nothing of the filter: an unstable one overflows to infinity without a word.
 
@@ -96,9 +100,12 @@ def run_filter(
     matrices = (_as_array("A", A), _as_array("B", B), _as_array("C", C), _as_array("D", D))
     state, data = _as_array("x", x), _as_array("v", v)
     _check_shapes(matrices, state, data)
-    if _kernel is None:
-        return _run_numpy(matrices, state, data)
-    return _run_compiled(matrices, state, data, _BEST_PATH)
+    return run_checked(matrices, state, data)
+
+
+def run_checked(matrices: Matrices, x: NDArray, v: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Run a filter over arrays that are known to fit, C-contiguous and of floats: the same bits, sooner."""
+    return _run_numpy(matrices, x, v) if _kernel is None else _run_compiled(matrices, x, v, _BEST_PATH)
 
 
 def ordered_product(X: ArrayLike, M: ArrayLike) -> NDArray[np.float64]:
@@ -134,11 +141,16 @@ def ordered_product(X: ArrayLike, M: ArrayLike) -> NDArray[np.float64]:
     data, matrix = _as_array("X", X), _as_array("M", M)
     if data.ndim < 1 or matrix.ndim != 2 or data.shape[-1] != matrix.shape[0]:
         raise DataError(f"X {data.shape} @ M {matrix.shape}: X must be (..., k) and M (k, q)")
+    return product_checked(data, matrix)
+
+
+def product_checked(data: NDArray, matrix: NDArray) -> NDArray[np.float64]:
+    """Multiply as :func:`ordered_product`, of arrays of floats that are known to fit: the same bits, sooner."""
     k, q = matrix.shape
-    rows = int(np.prod(data.shape[:-1], dtype=np.int64))
+    rows = math.prod(data.shape[:-1])
     nothing = (np.zeros((0, 0)), np.zeros((0, k)), np.zeros((q, 0)), np.ascontiguousarray(matrix.T))
     flat = np.ascontiguousarray(data).reshape(1, rows, k)
-    _, product = run_filter(*nothing, np.zeros((1, 0)), flat)
+    _, product = run_checked(nothing, np.zeros((1, 0)), flat)
     return product.reshape(*data.shape[:-1], q)
 
 
@@ -195,14 +207,17 @@ def _run_numpy(matrices: Matrices, x: NDArray, v: NDArray) -> tuple[NDArray[np.f
             out = r[:, start : start + step]
             forced = np.zeros((plants, block.shape[1], n))
             _accumulate(forced, block, B)
-            states, state = _recur(A, state, forced)
+            states, state = _recur(A, state, forced, np.asarray(~block.any(axis=2)))
             _accumulate(out, block, D)
             _accumulate(out, states, C)
     return state, r
 
 
-def _recur(A: NDArray, x: NDArray, forced: NDArray) -> tuple[NDArray, NDArray]:
-    """Return the state at every sample, and after the last; ``forced`` is ``B v`` at every sample."""
+def _recur(A: NDArray, x: NDArray, forced: NDArray, silent: NDArray[np.bool_]) -> tuple[NDArray, NDArray]:
+    """Return the state at every sample, and after the last.
+
+    ``forced`` is ``B v`` at every sample, and ``silent`` says where ``v`` is nothing but zeros.
+    """
     plants, time, n = forced.shape
     if plants * n * n > _SCALAR_WORK:
         states = np.empty_like(forced)
@@ -210,20 +225,21 @@ def _recur(A: NDArray, x: NDArray, forced: NDArray) -> tuple[NDArray, NDArray]:
             states[:, k] = x
             total = forced[:, k].copy()
             _accumulate(total, x, A)
+            total[silent[:, k, None] & (np.abs(total) < SMALLEST) & (total != 0)] = 0.0
             x = total
         return states, x
     # Python floats are the same IEEE doubles, and far quicker than calls on arrays of a few entries.
     rows = A.tolist()
     ends, histories = [], []
-    for start, inputs in zip(x.tolist(), forced.tolist(), strict=True):
+    for start, inputs, rests in zip(x.tolist(), forced.tolist(), silent.tolist(), strict=True):
         now, history = start, []
-        for push in inputs:
+        for push, rest in zip(inputs, rests, strict=True):
             history.append(now)
             following = []
             for total, row in zip(push, rows, strict=True):
                 for gain, value in zip(row, now, strict=True):
                     total += gain * value
-                following.append(total)
+                following.append(0.0 if rest and total and -SMALLEST < total < SMALLEST else total)
             now = following
         ends.append(now)
         histories.append(history)

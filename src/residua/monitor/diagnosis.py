@@ -105,6 +105,9 @@ class Diagnosis:
         Samples of the window of a finite-horizon test (:class:`residua.decide.PeakThreshold`); 0 for any other.
     certified : bool
         Whether its thresholds are certified by the design.
+    predicted : bool
+        Whether the filter, a Kalman filter, went on with those outputs of a sample that were there; else values were
+        held.
     averaged : int
         Samples over which a residual is averaged before it is tested, and its band holds: the window of the test.
     band_share : float
@@ -150,6 +153,7 @@ class Diagnosis:
     match: Match | None = field(default=None, repr=False)
     horizon: int = 0
     certified: bool = False
+    predicted: bool = False
     averaged: int = 1
     band_share: float = 0.0
     origin: str = ""
@@ -332,7 +336,8 @@ class Diagnosis:
         one = "" if self.n_missing == 1 else "s"
         waited = int(np.count_nonzero(~(self.decided | self.missing) & np.maximum.accumulate(self.missing)))
         after = f", nor at {waited} after them while the filter settled again" if waited else ""
-        return f"{self.n_missing} sample{one} with missing values: last values held, no decision there{after}{restarts}"
+        how = "the filter went on with the others" if self.predicted else "last values held"
+        return f"{self.n_missing} sample{one} with missing values: {how}, no decision there{after}{restarts}"
 
     def columns(self) -> dict[str, NDArray]:
         """Return time, residuals, statistic, alarm and scores as named columns.

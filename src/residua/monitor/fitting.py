@@ -17,6 +17,7 @@ from residua.decide.residual_groups import fit_group_test, rows_of_groups
 from residua.decide.structured import Structured
 from residua.design import ResidualGenerator
 from residua.errors import DataError
+from residua.monitor.filtering import plausible_values
 from residua.monitor.inputs import settling_reason, settling_samples, signal_size
 from residua.monitor.peak_preparing import Threshold, first_peak_test, fitted_peak_test, member_rows
 from residua.monitor.preparing import Isolation, blank_test, responses_of, specification
@@ -54,13 +55,17 @@ def fitted_test(
     *,
     settle: int | None,
     max_hold: int,
+    plausible: NDArray[np.float64],
+    start: str,
 ) -> NormTest | BankTest:
     """Return the test fitted to fault-free recordings, each of shape (1, time, channels), in plant units."""
     _check_recordings(recordings, len(generator.plant.inputs))
-    if settle is None and isinstance(settings, PeakThreshold):  # known thresholds want a longer one
+    if isinstance(settings, PeakThreshold):  # known thresholds want a longer wait, and hold from rest
         known = first_peak_test(settings, certified, generator, by_code=isinstance(isolate, Structured))
-        settle = settling_samples(generator, known)
-    blank = specification(generator, blank_test(generator), None, settle=settle, max_hold=max_hold)
+        settle = settling_samples(generator, known) if settle is None else settle
+        start = start if known is None else "rest"
+    given = {"settle": settle, "max_hold": max_hold, "plausible": plausible, "start": start}
+    blank = specification(generator, blank_test(generator), None, **given)
     found = _run(blank, recordings, settling_reason(generator, blank.settle))
     try:
         test = _fitted(settings, certified, isolate, generator, found, rate)
@@ -96,7 +101,7 @@ def _run(blank: Specification, recordings: Sequence[NDArray[np.float64]], reason
     return FaultFreeRun(
         np.concatenate([one.residuals[0] for one in found]),
         np.concatenate([one.usable[0] for one in found]),
-        np.concatenate([data[0] for data in recordings]) - blank.offset,
+        np.concatenate([plausible_values(blank, data)[0][0] for data in recordings]),
         tuple(int(k) for k in np.cumsum([data.shape[1] for data in recordings[:-1]])),
     )
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.directional import DirectionTest
-from residua.decide.matched import MatchedTest, MatchState, empty_match, match_block, match_scores, summed
+from residua.decide.matched import Bends, MatchedTest, MatchState, empty_match, match_block, match_scores, summed
 from residua.decide.matched_hold import hold_block
 from residua.decide.member_thresholds import BankTest, member_alarms
 from residua.decide.norm_threshold import NormTest
@@ -116,12 +116,18 @@ def _one_by_one(
 
 
 def judge_matched(
-    test: NormTest, matched: MatchedTest, state: State, q: NDArray, window: WindowState, usable: NDArray[np.bool_]
+    test: NormTest,
+    matched: MatchedTest,
+    state: State,
+    q: NDArray,
+    window: WindowState,
+    usable: NDArray[np.bool_],
+    bends: Bends = (),
 ) -> tuple[_Judged, dict[str, Any]]:
     """Return alarm, run lengths, window and decisions of matched filters, and their fields of the state."""
     sums, window = moving_sum(summed(q, usable), window)
-    before = MatchState(state.match_sums, state.match_weights, state.match_held)
-    found, after = match_block(matched, before, q, usable, sums)
+    before = MatchState(state.match_sums, state.match_weights, state.match_held, state.match_extra)
+    found, after = match_block(matched, before, q, usable, sums, bends)
     statistic = np.where(usable, np.sqrt(found["ratios"].max(axis=2)), np.nan)
     runs, decided = _against_threshold(test, state, statistic, usable)
     match, after = hold_block(matched, after, found, runs[0], state.alarm, decided["exceeded"], state.count)
@@ -152,16 +158,20 @@ def alarms_since(alarm: NDArray[np.bool_], state: State) -> NDArray[np.int64]:
     return np.where((last_off == -1)[:, None] & (stood | (before > 0)), before, first).reshape(state.since.shape)
 
 
-def empty_fields(matched: MatchedTest | None, plants: int) -> dict[str, Any]:
-    """Return the fields of a state that matched filters use, before the first sample; without any, empty ones."""
+def empty_fields(matched: MatchedTest | None, plants: int, partial: bool) -> dict[str, Any]:
+    """Return the fields of a state that matched filters use, before the first sample; without any, empty ones.
+
+    ``partial``: whether the filter goes on where outputs are missing.
+    """
+    if matched is not None:
+        return _match_fields(empty_match(matched, plants, bends=partial))
     nothing = np.zeros((plants, 0, 0))
-    return _match_fields(
-        MatchState(nothing, nothing, np.zeros((plants, 0))) if matched is None else empty_match(matched, plants)
-    )
+    return _match_fields(MatchState(nothing, nothing, np.zeros((plants, 0)), nothing))
 
 
 def _match_fields(state: MatchState) -> dict[str, Any]:
-    return {"match_sums": state.sums, "match_weights": state.weights, "match_held": state.held}
+    names = ("sums", "weights", "held", "extra")
+    return {f"match_{name}": getattr(state, name) for name in names}
 
 
 def _scores(test: DirectionTest | None, sums: NDArray, usable: NDArray[np.bool_]) -> NDArray[np.float64]:

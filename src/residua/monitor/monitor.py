@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -25,14 +26,25 @@ from residua.monitor.fitting import fitted_test
 from residua.monitor.inputs import settling_samples, several_signals, signals
 from residua.monitor.outcome import Recorded, compared_outputs, diagnosis_from
 from residua.monitor.peak_preparing import Threshold, chosen_threshold, member_names, no_threshold
+from residua.monitor.plausible import (
+    TIMES,
+    Plausible,
+    checked_plausible,
+    fitted_ranges,
+    guarded_ranges,
+    plausible_deviations,
+)
 from residua.monitor.preparing import (
     Isolation,
     as_generator,
+    blank_test,
+    check_windows,
     chosen_isolation,
     first_test,
     specification,
 )
 from residua.monitor.running import Decisions, Specification, State, initial_state, run_block
+from residua.monitor.starting import checked_start
 
 #: Samples per piece when a recording is run: bounds memory and lets progress be shown.
 PIECE = 100_000
@@ -45,8 +57,11 @@ class Monitor:
     sampled at ``dt``. Missing values (NaN, infinity) never end a run: the last value of that channel is held
     for the filter, no residual is reported on that sample, and nothing is decided until the filter has settled
     again; after more than ``max_hold`` incomplete samples in a row the filter starts anew with the next
-    complete sample. A start assumes that the plant was at rest at the first sample: where a state integrates,
-    give ``settle`` enough samples.
+    complete sample. A stationary Kalman filter goes on with the outputs that are there instead, by the exact gain for
+    them: nothing is decided on the incomplete sample itself, and everything on the next one. Samples without any
+    output, or with an input missing, count towards ``max_hold`` there. A value that cannot be one (``plausible``) is
+    missing too, and is counted; and should the state of the filter overflow all the same, it starts anew, which is
+    counted. The state at a start is estimated (``start``), so that the plant need not be at rest then.
 
     Parameters
     ----------
@@ -77,6 +92,30 @@ class Monitor:
         held value leaves in the residual. Fewer samples decide earlier, at that price.
     max_hold : int
         Longest gap in samples that is bridged by holding values.
+    plausible : float, mapping of str to (float, float), or None
+        Values outside are missing: marks for "no value" such as ``1e300``, not faults. A number: each channel from the
+        middle of the recording that was fitted up to so many times its size there (its range, or its largest absolute
+        value where that is more). A mapping: the smallest and largest value of the
+        channels that it names, in plant units; the others as by default. ``None``, or without a recording: only what
+        would move the residual by more than 1e30 standard deviations (thresholds of
+        :class:`residua.decide.PeakThreshold`) is missing. A sensor that fails to an end of its scale must stay within:
+        what is missing raises no alarm.
+    start : {"estimated", "rest"}
+        How the filter finds its state after a start, and after a gap longer than ``max_hold``. ``"rest"``: as if the
+        plant had been at rest at the first sample; what is wrong with that decays, and no more than 1 % of it is left
+        after ``settle`` samples. ``"estimated"``: besides, what the residuals of these samples (2,000 at most) show of
+        it by least squares is taken out of the state after them. A fault that is there from the first sample on is
+        partly taken out with it: as far as its residual looks like that of a wrong start. Thresholds that are bounds,
+        certified or given, hold from rest, or once every start has died away: there a start is always from rest. The
+        notes of a diagnosis say where the estimate moved the residual by more than a tenth of its threshold.
+
+    Notes
+    -----
+    Threads: :meth:`run` works on a state of its own, so one monitor may run several recordings at once in several
+    threads; what :meth:`step` goes on from is then the end of the one that finished last. :meth:`update` and
+    :meth:`step` belong to one stream of data: calls from several threads are done one after the other, each complete,
+    but the order of samples is the caller's to keep. Give each stream a monitor of its own
+    (``copy.deepcopy(monitor)`` shares nothing that changes). Do not call :meth:`fit` while another thread runs.
 
     Examples
     --------
@@ -101,6 +140,8 @@ class Monitor:
         dt: float | None = None,
         settle: int | None = None,
         max_hold: int = 10,
+        plausible: Plausible = TIMES,
+        start: str = "estimated",
     ) -> None:
         design, generator = generator, as_generator(generator)
         if estimator is not None:
@@ -111,11 +152,16 @@ class Monitor:
         self.design: ResidualGenerator = generator
         self.isolate: Isolation = chosen_isolation(isolate, generator, design)
         self.test, self._certified = chosen_threshold(test, design, generator, self.isolate)
+        check_windows(self.test, self.isolate, generator)
         self._bounds = brought_bounds(design, member_names(generator))
         if estimator is not None and not isinstance(self.isolate, Structured):
             raise SettingError("an estimator runs beside a bank that is read by code: use a bank, and Structured()")
         self.settle = settle
         self.max_hold = int(max_hold)
+        self.plausible = checked_plausible(plausible, (*generator.plant.inputs, *generator.plant.outputs))
+        self.start = checked_start(start)
+        self._ranges: NDArray[np.float64] | None = None
+        self._lock = threading.RLock()
         self.notes: tuple[str, ...] = ()
         self._generator: ResidualGenerator | None = None
         self._norm_test: NormTest | BankTest | None = None
@@ -221,16 +267,23 @@ class Monitor:
         given = several_signals(u, y, time, dt, self.design.plant)
         for one in given:
             self._learn_step(one.dt)
+        recordings = [self._block(one.u, one.y) for one in given]
+        guard = guarded_ranges(self.generator, blank_test(self.generator))
+        samples = np.concatenate([data.reshape(-1, data.shape[2]) for data in recordings])
+        ranges = fitted_ranges(self.plausible, samples, guard)
         self._norm_test = fitted_test(
             self.test,
             self._certified,
             self.isolate,
             self.generator,
-            [self._block(one.u, one.y) for one in given],
+            recordings,
             rate,
             settle=self.settle,
             max_hold=self.max_hold,
+            plausible=self._limits(ranges, blank_test(self.generator)),
+            start=self.start,
         )
+        self._ranges = ranges
         self._spec = self._state = None
         return self
 
@@ -271,28 +324,30 @@ class Monitor:
         Notes
         -----
         The state afterwards is that at the end of the recording: :meth:`step` and :meth:`update` go on
-        from there.
+        from there. Until then the state of the monitor is not touched, so that several threads may run at once.
         """
         given = signals(u, y, time, dt, source, self.design.plant)
         self._learn_step(given.dt)
         data = self._block(given.u, given.y)
-        spec = self._specification()
-        self._state = initial_state(spec, len(data))
+        generator, spec = self.generator, self._specification()
+        state = initial_state(spec, len(data))
         parts: list[Decisions] = []
         for start in range(0, max(1, data.shape[1]), PIECE):
-            self._state, part = run_block(spec, self._state, data[:, start : start + PIECE])
+            state, part = run_block(spec, state, data[:, start : start + PIECE])
             parts.append(part)
             if progress is not None:
                 progress(min(start + PIECE, data.shape[1]), data.shape[1])
-        clock = self.generator.dt * np.arange(data.shape[1]) if given.time is None else given.time
+        self._state = state
+        clock = generator.dt * np.arange(data.shape[1]) if given.time is None else given.time
         whole = [
             diagnosis_from(
                 parts,
                 p,
                 Recorded(clock, data[p], given.source, given.origin, compared_outputs(self.design)),
                 spec,
-                self.generator,
-                int(self._state.resets[p]),
+                generator,
+                (int(state.resets[p]), int(state.broken[p])),
+                float(state.moved[p]),
                 (*self.notes, *given.notes),
                 self._bounds,
             )
@@ -319,16 +374,7 @@ class Monitor:
         DataError
             If the block does not fit the plant, or has another number of plants than the one before.
         """
-        data = self._block(u, y)
-        spec = self._specification()
-        if self._state is None:
-            self._state = initial_state(spec, len(data))
-        if len(self._state.x) != len(data):
-            raise DataError(
-                f"the monitor follows {len(self._state.x)} plants, the block has {len(data)}; reset() first"
-            )
-        self._state, found = run_block(spec, self._state, data)
-        return found
+        return self._go_on(u, y)[0]
 
     def step(self, u: ArrayLike | None, y: ArrayLike) -> Decision:
         """Go on with one sample of one plant; the same answers as :meth:`run`, to the last bit.
@@ -343,9 +389,8 @@ class Monitor:
         Decision
         """
         u_ = None if u is None else np.atleast_1d(np.asarray(u, dtype=float))[None]
-        found = self.update(u_, np.atleast_1d(np.asarray(y, dtype=float))[None])
-        assert self._state is not None
-        return decision_from(found, self._specification(), self.generator, self._state)
+        found, state = self._go_on(u_, np.atleast_1d(np.asarray(y, dtype=float))[None])
+        return decision_from(found, self._specification(), self.generator, state)
 
     def reset(self) -> None:
         """Forget all data seen so far; thresholds stay."""
@@ -393,6 +438,26 @@ class Monitor:
 
     # ------------------------------------------------------------------ helpers
 
+    def _go_on(self, u: ArrayLike | None, y: ArrayLike) -> tuple[Decisions, State]:
+        """Return what was decided on a block, and the state after it: one call at a time."""
+        data = self._block(u, y)
+        spec = self._specification()
+        with self._lock:
+            state = initial_state(spec, len(data)) if self._state is None else self._state
+            if len(state.x) != len(data):
+                raise DataError(f"the monitor follows {len(state.x)} plants, the block has {len(data)}; reset() first")
+            state, found = run_block(spec, state, data)
+            self._state = state
+        return found, state
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out the lock, which belongs to the object: a copy has one of its own."""
+        return {name: value for name, value in self.__dict__.items() if name != "_lock"}
+
+    def __setstate__(self, content: dict[str, Any]) -> None:
+        """Take over everything but the lock."""
+        self.__dict__.update(content, _lock=threading.RLock())
+
     def _use(self, sampled: ResidualGenerator) -> None:
         self._generator = sampled
         self._norm_test = first_test(self.test, self._certified, self.isolate, sampled)
@@ -401,9 +466,11 @@ class Monitor:
     def _learn_step(self, dt: float | None) -> None:
         if dt is None:
             return
-        if self._generator is None:
-            self._use(self.design.discretize(dt))
-        elif abs(dt - self._generator.dt) > 1e-3 * self._generator.dt:
+        with self._lock:
+            if self._generator is None:
+                self._use(self.design.discretize(dt))
+                return
+        if abs(dt - self._generator.dt) > 1e-3 * self._generator.dt:
             raise DataError(
                 f"the monitor runs at dt={self._generator.dt:g} s, the recording has {dt:g} s: resample it, "
                 "or design for this step"
@@ -414,11 +481,22 @@ class Monitor:
         return data if data.ndim == 3 else data[None]
 
     def _specification(self) -> Specification:
-        if self._spec is None:
-            self._spec = specification(
-                self.generator, self.norm_test, self.isolate, settle=self.settle, max_hold=self.max_hold
-            )
-        return self._spec
+        with self._lock:
+            if self._spec is None:
+                self._spec = specification(
+                    self.generator,
+                    self.norm_test,
+                    self.isolate,
+                    settle=self.settle,
+                    max_hold=self.max_hold,
+                    plausible=self._limits(self._ranges, self.norm_test),
+                    start=self.start,
+                )
+            return self._spec
+
+    def _limits(self, ranges: NDArray[np.float64] | None, test: NormTest | BankTest) -> NDArray[np.float64]:
+        plant = self.generator.plant
+        return plausible_deviations(self.plausible, (*plant.inputs, *plant.outputs), ranges, self.generator, test)
 
     def __repr__(self) -> str:
         state = f"threshold {self.threshold:.4g}" if self.is_fitted else "not fitted"

@@ -10,6 +10,8 @@ from residua.errors import FileFormatError
 from residua.json_files import CHECKSUM
 from residua.monitor.encoding import array_in, array_out, table_in
 from residua.monitor.judging import empty_fields
+from residua.monitor.partial_update import empty_partial
+from residua.monitor.plausible import TIMES
 from residua.number_kinds import FLAG, INDEX
 
 #: Versions before today's that are read.
@@ -20,9 +22,11 @@ def renewed(content: dict[str, Any]) -> dict[str, Any]:
     """Return the content of a file of version 3 to 6 as one of version 6.
 
     In a file of version 3 nothing was matched with responses; before version 5 every test was of the norm, and when a
-    standing alarm began was not known: it stays so until it ends. ``bounds`` are an entry of version 5 only where there
+    standing alarm began was not known: it stays so until it ends. ``bounds`` are an entry of a file only where there
     are any. A file from before version 6 has no checksum, and in its signatures rounding where there are zeros now: in
-    the rows of residuals that a fault does not reach.
+    the rows of residuals that a fault does not reach. Its starts were from rest, and its Kalman filters held the values
+    of missing outputs, which both stay so; and every finite number was a measurement: without the recording that was
+    fitted, only what would overflow is missing.
     """
     content = {"bounds": {}} | content
     if content["version"] == 3:
@@ -37,6 +41,7 @@ def renewed(content: dict[str, Any]) -> dict[str, Any]:
             if content.get(name) is not None:
                 content[name] = _with_silent_rows(table_in(content[name], name), name)
         _with_promise(content)
+        _with_plausible(content)
     return content
 
 
@@ -53,13 +58,35 @@ def _with_silent_rows(design: dict[str, Any], where: str) -> dict[str, Any]:
     return design | {"subspaces": kept}
 
 
+def _with_plausible(content: dict[str, Any]) -> None:
+    content |= {"plausible": TIMES, "start": "rest"}
+    if content.get("running") is not None:
+        content["running"] = table_in(content["running"], "running") | {
+            "plausible": None,
+            "first": None,
+            "partial": None,
+        }
+    if content.get("state") is not None:
+        state = table_in(content["state"], "state")
+        plants = _plants(state)
+        whole, flag = np.zeros(plants, dtype=np.int64), np.zeros(plants, dtype=bool)
+        nothing = empty_partial(None, plants) | {"match_extra": np.zeros((plants, 0, 0))}
+        if "match_sums" in state:  # of matched filters one column for each fault
+            nothing["match_extra"] = np.zeros((plants, 0, 2 * array_in(state["match_sums"], "state").shape[-1]))
+        new = {"broken": whole, "starting": flag, "start_sums": np.zeros((plants, 0)), "moved": np.zeros(plants)}
+        content["state"] = state | {name: array_out(x) for name, x in (new | {"apart": flag} | nothing).items()}
+
+
+def _plants(state: dict[str, Any]) -> int:
+    return len(array_in(state["resets"], "state.resets", INDEX, 1)) if "resets" in state else 0
+
+
 def _with_matched(content: dict[str, Any]) -> None:
     if content.get("running") is not None:
         content["running"] = table_in(content["running"], "running") | {"matched": None}
     if content.get("state") is not None:
         state = table_in(content["state"], "state")
-        plants = len(array_in(state["resets"], "state.resets", INDEX, 1)) if "resets" in state else 0
-        nothing = empty_fields(None, plants)
+        nothing = empty_fields(None, _plants(state), False)
         content["state"] = state | {name: array_out(value) for name, value in nothing.items()}
 
 

@@ -29,6 +29,9 @@ from residua.monitor.naming import candidates_at, candidates_of_code, longest_co
 from residua.monitor.running import Decisions, Specification
 from residua.monitor.settings_text import settings_of
 
+#: Part of its threshold that the residual is moved by before it is said.
+_TOLD = 0.1
+
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
@@ -61,11 +64,16 @@ def diagnosis_from(
     recorded: Recorded,
     spec: Specification,
     generator: ResidualGenerator,
-    resets: int,
+    restarts: tuple[int, int],
+    moved: float,
     notes: tuple[str, ...],
     bounds: Mapping[str, MemberBounds],
 ) -> Diagnosis:
-    """Return the diagnosis of one plant from the decisions on all pieces of its recording."""
+    """Return the diagnosis of one plant from the decisions on all pieces of its recording.
+
+    ``restarts`` counts those after long gaps, and those of a filter whose state overflowed; ``moved`` is how many
+    thresholds the estimate of a start moved the residual by.
+    """
 
     def joined(name: str) -> NDArray:
         return np.concatenate([getattr(part, name)[plant] for part in parts], axis=0)
@@ -113,7 +121,8 @@ def diagnosis_from(
         missing=joined("missing"),
         scores=scores,
         alarms=alarms,
-        resets=resets,
+        resets=restarts[0],
+        predicted=spec.partial is not None,
         residual_names=generator.residuals,
         center=spec.test.center,
         band=band,
@@ -129,6 +138,9 @@ def diagnosis_from(
         notes=(
             *notes,
             *_notes(spec, generator, usable, joined("missing")),
+            *_aside_notes(spec, generator, parts, plant),
+            *_broken_notes(restarts[1]),
+            *_start_notes(spec, moved),
             *unit_cautions(spec.test, usable, statistic, statistics),
             *leakage_cautions(bounds, spec.test, spec.codes, alarms, statistics),
         ),
@@ -226,6 +238,45 @@ def _settling_notes(
     if usable.any() or missing.all():
         return ()
     return (settling_reason(generator, spec.settle),)
+
+
+def _aside_notes(
+    spec: Specification, generator: ResidualGenerator, parts: Sequence[Decisions], plant: int
+) -> tuple[str, ...]:
+    """Return how many values of which channels were put aside."""
+    counts = np.sum([np.count_nonzero(part.aside[plant], axis=0) for part in parts], axis=0)
+    if not np.any(counts):
+        return ()
+    names, limits = (*generator.plant.inputs, *generator.plant.outputs), spec.plausible + spec.offset[:, None]
+    told = [
+        f"{name!r} {counts[j]} (plausible from {limits[j, 0]:.3g} to {limits[j, 1]:.3g})"
+        for j, name in enumerate(names)
+        if counts[j]
+    ]
+    several = np.sum(counts) > 1
+    return (
+        f"{np.sum(counts)} value{'s were' if several else ' was'} no plausible measurement, and taken as missing: "
+        f"{', '.join(told)}; Monitor(plausible=...) sets the limits",
+    )
+
+
+def _broken_notes(count: int) -> tuple[str, ...]:
+    """Return how often the filter overflowed."""
+    if not count:
+        return ()
+    times = "once" if count == 1 else f"{count} times"
+    return (f"the filter overflowed and was started anew {times}: is the recording in the units of the model?",)
+
+
+def _start_notes(spec: Specification, moved: float) -> tuple[str, ...]:
+    """Return that the plant was not at rest, where that matters, and what follows for faults."""
+    if spec.first is None or moved < _TOLD:
+        return ()
+    return (
+        f"the plant was hardly at rest when the filter started: its state was estimated from {spec.first.samples} "
+        f"samples, which moved the residual by {moved:.2g} times its threshold; a fault that was there from the first "
+        "sample is partly taken out with it (start='rest' does not)",
+    )
 
 
 def _window_notes(spec: Specification) -> tuple[str, ...]:

@@ -12,7 +12,8 @@ from residua.decide.directional import Directional, direction_test
 from residua.decide.matched import Matched, MatchedTest, matched_test
 from residua.decide.matched_level import matched_test_from_model
 from residua.decide.member_thresholds import BankTest, bank_test_from_model
-from residua.decide.norm_threshold import NormTest, norm_test_from_model
+from residua.decide.norm_threshold import NormTest, NormThreshold, norm_test_from_model
+from residua.decide.peak_tests import is_bound
 from residua.decide.peak_threshold import PeakThreshold
 from residua.decide.residual_groups import GroupTest, group_test_from_model, rows_of_groups
 from residua.decide.structured import CodeTest, Structured, code_test
@@ -20,8 +21,10 @@ from residua.design import ResidualGenerator
 from residua.design.matched_filters import MatchedFilters, step_responses
 from residua.errors import ModelError, SettingError
 from residua.monitor.inputs import settling_samples
+from residua.monitor.partial_update import partial_update
 from residua.monitor.peak_preparing import Threshold, first_peak_test, member_names, member_rows
 from residua.monitor.running import Specification
+from residua.monitor.starting import start_fit
 
 #: How faults are named: by direction, by code, by matched responses, or not at all.
 Isolation = Directional | Structured | Matched | None
@@ -29,6 +32,8 @@ Isolation = Directional | Structured | Matched | None
 #: What is asked for where ``isolate`` is none of these.
 _KINDS = "isolate must be 'auto', Directional(...), Structured(...), Matched(...) or None"
 
+#: Numbers that the windows of a monitor may keep for each plant; more is a mistake in the window.
+_MOST_NUMBERS = 10**7
 #: Largest correlation between samples, relative, with which residuals still count as white.
 _WHITE = 1e-6
 
@@ -74,6 +79,28 @@ def chosen_isolation(isolate: Any, generator: ResidualGenerator, design: Any = N
         if generator.codes.shape != (len(generator.members), len(generator.faults)):
             raise ModelError(f"codes {generator.codes.shape} must have a row per member and a column per fault")
     return isolate
+
+
+def check_windows(settings: Threshold, isolate: Isolation, generator: ResidualGenerator) -> None:
+    """Raise where sums over so many samples are asked for that no machine could hold them."""
+    k, faults = generator.n_residuals, len(generator.faults)
+    asked = []
+    if isinstance(settings, NormThreshold):
+        columns = sum(map(len, member_rows(generator))) if isinstance(isolate, Structured) else k
+        asked.append((f"NormThreshold(window={settings.window})", settings.window, columns))
+    if isinstance(isolate, Directional):
+        asked.append((f"Directional(window={isolate.window})", isolate.window, k))
+    elif isinstance(isolate, Structured):
+        asked.append((f"Structured(window={isolate.window})", isolate.window, len(generator.members)))
+    elif isinstance(isolate, Matched):
+        each = k + 2 + (0 if isolate.steady else faults * (k + 2))
+        asked.append((f"Matched(window={isolate.window})", isolate.window + 1, each))
+    for told, window, each in asked:
+        if window * each > _MOST_NUMBERS:
+            raise SettingError(
+                f"{told} keeps {window * each:,} numbers for each plant, the most is {_MOST_NUMBERS:,}: "
+                f"a window of {max(1, _MOST_NUMBERS // each):,} samples at most, or sample more slowly"
+            )
 
 
 def _check_white(generator: ResidualGenerator) -> None:
@@ -154,8 +181,10 @@ def specification(
     *,
     settle: int | None,
     max_hold: int,
+    plausible: NDArray[np.float64],
+    start: str,
 ) -> Specification:
-    """Return what runs."""
+    """Return what runs; ``plausible`` are the limits of every channel, as deviations."""
     system, point = generator.system, generator.plant.operating_point
     direction = codes = matched = None
     if isinstance(isolate, Structured) and generator.codes is not None:
@@ -167,6 +196,7 @@ def specification(
         direction = direction_test(
             isolate, generator.subspaces, generator.steady_directions, whitening, generator.residual_rank
         )
+    settled = settling_samples(generator, test) if settle is None else int(settle)
     return Specification(
         system.A,
         system.B,
@@ -178,6 +208,9 @@ def specification(
         direction,
         codes,
         matched,
-        settling_samples(generator, test) if settle is None else int(settle),
+        settled,
         max_hold,
+        plausible,
+        start_fit(generator, test, settled) if start == "estimated" and not is_bound(test) else None,
+        partial_update(generator, matched, test.whitening),
     )

@@ -5,7 +5,8 @@ Everything here is vectorised over plants and gives the same bits however the ti
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -13,14 +14,22 @@ from numpy.typing import NDArray
 
 from residua.decide.directional import DirectionTest
 from residua.decide.matched import MatchedTest
-from residua.decide.matched_hold import Match
+from residua.decide.matched_hold import Match, joined_blocks
 from residua.decide.member_thresholds import BankTest
 from residua.decide.norm_threshold import NormTest
 from residua.decide.residual_groups import GroupTest
 from residua.decide.structured import CodeTest
 from residua.decide.window import WindowState, empty_window, moving_sum
-from residua.linear.recursion import ordered_product, run_filter
+from residua.linear.recursion import ordered_product
+from residua.monitor.filtering import Filtered, filter_block
 from residua.monitor.judging import alarms_since, empty_fields, judge_groups, judge_matched, judge_members, judge_whole
+from residua.monitor.partial_update import PartialUpdate, empty_partial
+from residua.monitor.starting import StartFit
+
+#: Responses that are held at once, in numbers.
+_MOST_NUMBERS = 10**7
+#: Largest whitened residual that is judged: the square of a sum of many still is a number.
+_LARGEST = 1e120
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +55,13 @@ class Specification:
         Samples after a start, or after a held value, in which nothing is decided.
     max_hold : int
         Longest gap over which missing values are held; after a longer one the filter starts anew.
+    plausible : ndarray, shape (channels, 2)
+        Smallest and largest deviation of each channel from its operating point that is taken for a value; any other is
+        missing.
+    first : StartFit or None
+        What estimates a start from the first residuals; ``None`` where a start is from rest.
+    partial : PartialUpdate or None
+        What a Kalman filter needs to go on where outputs are missing; ``None`` for any other generator.
     """
 
     A: NDArray[np.float64]
@@ -60,6 +76,9 @@ class Specification:
     matched: MatchedTest | None
     settle: int
     max_hold: int
+    plausible: NDArray[np.float64]
+    first: StartFit | None
+    partial: PartialUpdate | None
 
     @property
     def judge(self) -> DirectionTest | CodeTest | MatchedTest | None:
@@ -108,7 +127,11 @@ class State:
     bank, whose ``since`` is when they first fired in the standing alarm of the bank); ends, block, begun, filled : of
     the moving sum for the direction, or of the members' alarms for the code
     (:class:`residua.decide.window.WindowState`), and the same with ``test_`` for the threshold test; count : samples
-    so far; resets : restarts; match_sums, match_weights, match_held : of the matched filters
+    so far; resets : restarts after long gaps; broken : restarts of a filter whose state overflowed;
+    starting : whether the start is still to be estimated; start_sums : what residuals say of it so far; moved : how
+    far that moved a residual, in units of the threshold, at most; apart : whether a Kalman filter is off its
+    stationary one, since outputs were missing; spread : its covariance then, zero for the stationary one; bent : how
+    far its errors by faults are off; match_sums, match_weights, match_held, match_extra : of the matched filters
     (:class:`residua.decide.matched.MatchState`).
     """
 
@@ -131,9 +154,17 @@ class State:
     test_filled: int
     count: int
     resets: NDArray[np.int64]
+    broken: NDArray[np.int64]
+    starting: NDArray[np.bool_]
+    start_sums: NDArray[np.float64]
+    moved: NDArray[np.float64]
+    apart: NDArray[np.bool_]
+    spread: NDArray[np.float64]
+    bent: NDArray[np.float64]
     match_sums: NDArray[np.float64]
     match_weights: NDArray[np.float64]
     match_held: NDArray[np.float64]
+    match_extra: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +185,8 @@ class Decisions:
     code : ndarray of bool, shape (plants, time, members)
         Which members count as fired over the window: what :func:`residua.decide.read_codes` reads. Of a dedicated bank
         with :class:`residua.decide.PeakThreshold`, which has a window of its own, those in alarm.
+    aside : ndarray of bool, shape (plants, time, channels)
+        Which values are not plausible, and were taken as missing.
     match : Match or None
         Of matched filters: likelihood ratio, arrival and size of every fault.
     """
@@ -169,6 +202,7 @@ class Decisions:
     member_statistics: NDArray[np.float64]
     fired: NDArray[np.bool_]
     code: NDArray[np.bool_]
+    aside: NDArray[np.bool_]
     match: Match | None = None
 
 
@@ -192,7 +226,13 @@ def initial_state(spec: Specification, plants: int) -> State:
         **_window_fields(tested, "test_"),
         count=0,
         resets=whole,
-        **empty_fields(spec.matched, plants),
+        broken=whole,
+        starting=flag,
+        start_sums=np.zeros((plants, 0 if spec.first is None else n)),
+        moved=np.zeros(plants),
+        apart=flag,
+        **empty_partial(spec.partial, plants),
+        **empty_fields(spec.matched, plants, spec.partial is not None),
     )
 
 
@@ -212,114 +252,58 @@ def run_block(spec: Specification, state: State, data: NDArray[np.float64]) -> t
         To go on with.
     decisions : Decisions
     """
-    state, residuals, usable, missing = _filter(spec, state, data - spec.offset)
-    return _decide(spec, state, residuals, usable, missing)
+    step = _longest_block(spec, state, data)
+    if step >= data.shape[1]:
+        return _run_at_once(spec, state, data)
+    parts: list[Decisions] = []
+    for start in range(0, data.shape[1], step):
+        state, part = _run_at_once(spec, state, data[:, start : start + step])
+        parts.append(part)
+    return state, joined_decisions(parts)
 
 
-# --------------------------------------------------------------------- filter
+def _run_at_once(spec: Specification, state: State, data: NDArray[np.float64]) -> tuple[State, Decisions]:
+    changed, filtered = filter_block(spec, state, data)
+    return _decide(spec, replace(state, **changed), filtered)
 
 
-def _filter(
-    spec: Specification, state: State, v: NDArray
-) -> tuple[State, NDArray, NDArray[np.bool_], NDArray[np.bool_]]:
-    """Run the generator; samples with missing values advance it with held values and yield no residual."""
-    plants, time, _ = v.shape
-    missing = np.asarray(~np.isfinite(v).all(axis=2))
-    residuals = np.full((plants, time, len(spec.C)), np.nan)
-    ages = np.zeros((plants, time), dtype=np.int64)
-    fields = {name: getattr(state, name).copy() for name in ("x", "held", "gap", "running", "age", "resets")}
-    clean = state.running & ~missing.any(axis=1)
-    if time and clean.any():
-        fields["x"][clean], residuals[clean] = run_filter(spec.A, spec.B, spec.C, spec.D, state.x[clean], v[clean])
-        fields["held"][clean], fields["gap"][clean] = v[clean, -1], 0
-        ages[clean] = state.age[clean, None] + np.arange(1, time + 1)
-        fields["age"][clean] += time
-    for p in np.flatnonzero(~clean):
-        _filter_with_gaps(spec, fields, int(p), v[p], missing[p], residuals[p], ages[p])
-    usable = ~missing & (ages > spec.settle)
-    return replace(state, **fields), residuals, usable, missing
+def _longest_block(spec: Specification, state: State, data: NDArray[np.float64]) -> int:
+    """Return how many samples to run at once: matched filters hold the responses at each where outputs are missing."""
+    if spec.matched is None or spec.partial is None or data.shape[1] < 2:
+        return data.shape[1]
+    low, high = (spec.plausible + spec.offset[:, None]).T
+    if not state.apart.any() and ((data >= low) & (data <= high)).all():
+        return data.shape[1]
+    return max(1, _MOST_NUMBERS // max(1, state.bent.size))
 
 
-def _filter_with_gaps(
-    spec: Specification,
-    fields: dict[str, NDArray],
-    p: int,
-    v: NDArray,
-    missing: NDArray[np.bool_],
-    residuals: NDArray,
-    ages: NDArray[np.int64],
-) -> None:
-    """Run one plant over a block with gaps, piece by piece; writes into ``fields`` and the outputs."""
-    time = len(v)
-    filled = _hold(v, fields["held"][p])
-    k = 0
-    while k < time:
-        if not fields["running"][p]:
-            complete = np.flatnonzero(~missing[k:])
-            if complete.size == 0:
-                fields["gap"][p] += time - k
-                break
-            k += int(complete[0])
-            fields["x"][p] = ordered_product(filled[k][None], spec.start.T)[0]
-            fields["running"][p], fields["age"][p], fields["gap"][p] = True, 0, 0
-        stop, gap = _end_of_piece(missing, k, int(fields["gap"][p]), spec.max_hold)
-        x, r = run_filter(spec.A, spec.B, spec.C, spec.D, fields["x"][p][None], filled[None, k:stop])
-        fields["x"][p] = x[0]
-        residuals[k:stop] = np.where(missing[k:stop, None], np.nan, r[0])
-        count = np.arange(1, stop - k + 1)  # samples since the start, or since the last held value
-        ages[k:stop] = count - np.maximum.accumulate(np.where(missing[k:stop], count, -fields["age"][p]))
-        fields["age"][p] = ages[stop - 1]
-        fields["gap"][p] = gap
-        if stop < time:  # the gap became too long: stop the filter until a complete sample comes
-            fields["running"][p] = False
-            fields["resets"][p] += 1
-        k = stop
-    if time:
-        fields["held"][p] = filled[-1]
-
-
-def _hold(v: NDArray, held: NDArray) -> NDArray:
-    """Return the samples with missing values replaced by the last value of their channel."""
-    rows = np.where(np.isfinite(v), np.arange(1, len(v) + 1)[:, None], 0)
-    return np.take_along_axis(np.vstack([held, v]), np.maximum.accumulate(rows, axis=0), axis=0)
-
-
-def _end_of_piece(missing: NDArray[np.bool_], k: int, gap: int, max_hold: int) -> tuple[int, int]:
-    """Return where the running filter has to stop (first sample of a gap that is too long) and the gap there."""
-    rest = missing[k:]
-    count = np.arange(1, len(rest) + 1)
-    run = count - np.maximum.accumulate(np.where(rest, -gap, count))
-    too_long = np.flatnonzero(run > max_hold)
-    if too_long.size:
-        return k + int(too_long[0]), int(run[too_long[0]]) - 1
-    return k + len(rest), int(run[-1]) if len(rest) else gap
+def joined_decisions(parts: Sequence[Decisions]) -> Decisions:
+    """Return the decisions on consecutive blocks as those on one."""
+    names = [field.name for field in fields(Decisions) if field.name != "match"]
+    joined = {name: np.concatenate([getattr(part, name) for part in parts], axis=1) for name in names}
+    matches = [part.match for part in parts if part.match is not None]
+    return Decisions(**joined, match=joined_blocks(matches) if matches else None)
 
 
 # ------------------------------------------------------------------- decisions
 
 
-def _decide(
-    spec: Specification,
-    state: State,
-    residuals: NDArray,
-    usable: NDArray[np.bool_],
-    missing: NDArray[np.bool_],
-) -> tuple[State, Decisions]:
+def _decide(spec: Specification, state: State, filtered: Filtered) -> tuple[State, Decisions]:
     test = spec.test
-    time = residuals.shape[1]
-    q = ordered_product(np.where(usable[..., None], residuals - test.center, 0.0), test.whitening)
+    time = filtered.residuals.shape[1]
+    q, usable = _whitened(test, filtered)
     test_window = WindowState(state.test_ends, state.test_block, state.test_begun, state.test_filled)
     tested, test_window = moving_sum(q, test_window)
     window = WindowState(state.ends, state.block, state.begun, state.filled)
     further: dict[str, NDArray] = {}
     if isinstance(test, GroupTest):
-        all_of_it = ordered_product(np.where(usable[..., None], residuals - test.center, 0.0), test.whole)
+        all_of_it = ordered_product(np.where(usable[..., None], filtered.residuals - test.center, 0.0), test.whole)
         decide = judge_groups(test, spec.direction, state, all_of_it, tested, window, usable)
     elif isinstance(test, BankTest):
         assert spec.codes is not None
         decide = judge_members(test, spec.codes, state, tested, window, usable)
     elif spec.matched is not None:
-        decide, further = judge_matched(test, spec.matched, state, q, window, usable)
+        decide, further = judge_matched(test, spec.matched, state, q, window, usable, filtered.bends)
     else:
         decide = judge_whole(test, spec.direction, state, q, tested, window, usable)
     (alarm, up, down), window, found = decide
@@ -335,7 +319,21 @@ def _decide(
             **further,
             count=state.count + time,
         )
-    return state, Decisions(residuals=residuals, usable=usable, missing=missing, **found)
+    return state, Decisions(
+        residuals=filtered.residuals, usable=usable, missing=filtered.missing, aside=filtered.aside, **found
+    )
+
+
+def _whitened(test: NormTest | BankTest, filtered: Filtered) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return whitened residuals, zero where not usable, and what is usable: nothing that would overflow a sum."""
+    usable = filtered.usable
+    with np.errstate(over="ignore", invalid="ignore"):
+        centred = np.where(usable[..., None], filtered.residuals - test.center, 0.0)
+    q = ordered_product(centred, test.whitening)
+    if q.size and not (q.min() >= -_LARGEST and q.max() <= _LARGEST):
+        fits = np.asarray((np.abs(q) <= _LARGEST).all(axis=2))
+        q, usable = np.where(fits[..., None], q, 0.0), usable & fits
+    return q, usable
 
 
 def _window_fields(window: WindowState, prefix: str) -> dict[str, Any]:

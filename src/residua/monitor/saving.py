@@ -48,10 +48,13 @@ from residua.monitor.encoding import (
 from residua.monitor.judging import empty_fields
 from residua.monitor.monitor import Monitor
 from residua.monitor.older_files import OLDER, renewed
+from residua.monitor.partial_update import PartialUpdate, empty_partial
+from residua.monitor.plausible import Plausible
 from residua.monitor.preparing import Isolation
 from residua.monitor.running import Specification, State
+from residua.monitor.starting import MOST_SAMPLES, StartFit, start_from
 from residua.monitor.threshold_records import threshold_in, threshold_out
-from residua.number_kinds import ENTRY, FINITE, FLAG, POSITIVE, SHARE, WINDOW
+from residua.number_kinds import ANY, ENTRY, FINITE, FLAG, POSITIVE, SHARE, WINDOW
 from residua.plant import Plant
 from residua.visible import echo, shortened
 
@@ -80,6 +83,8 @@ _ENTRIES = (
     "isolate",
     "settle",
     "max_hold",
+    "plausible",
+    "start",
     "notes",
     "fitted",
     "running",
@@ -101,6 +106,8 @@ def save_monitor(monitor: Monitor, path: str | Path) -> None:
         "isolate": _isolation_out(monitor.isolate),
         "settle": monitor.settle,
         "max_hold": monitor.max_hold,
+        "plausible": _plausible_out(monitor.plausible),
+        "start": monitor.start,
         "notes": list(monitor.notes),
         "fitted": None if test is None else values_out(test),
         "running": None if test is None or generator is None else _running_out(monitor._specification()),
@@ -154,6 +161,8 @@ def _monitor_in(content: Mapping[str, Any]) -> Monitor:
         isolate=named,
         settle=None if settle is None else whole_in(settle, "settle"),
         max_hold=whole_in(content["max_hold"], "max_hold"),
+        plausible=_plausible_in(content["plausible"]),
+        start=text_in(content["start"], "start"),
     )
     monitor.notes = texts_in(content["notes"], "notes")
     monitor._bounds = bounds_in(content["bounds"], "bounds", [member.name for member in design.members])
@@ -176,6 +185,22 @@ def _kind_of_test(monitor: Monitor) -> type[NormTest] | type[BankTest]:
     if isinstance(monitor.isolate, Structured):
         return BankTest
     return NormTest if getattr(monitor.test, "groups", None) is None else GroupTest
+
+
+def _plausible_out(setting: Plausible) -> Any:
+    if isinstance(setting, Mapping):
+        return {name: [float_out(low), float_out(high)] for name, (low, high) in setting.items()}
+    return None if setting is None else float_out(setting)
+
+
+def _plausible_in(value: Any) -> Plausible:
+    if not isinstance(value, Mapping):
+        return None if value is None else float_in(value, "plausible")
+    out = {}
+    for name, limits in value.items():
+        low, high = (float_in(x, joined("plausible", name), ANY) for x in list_in(limits, joined("plausible", name), 2))
+        out[name] = (low, high)
+    return out
 
 
 def _isolation_out(isolate: Isolation) -> dict[str, Any] | None:
@@ -204,6 +229,13 @@ def _running_out(spec: Specification) -> dict[str, Any]:
     return {
         "start": array_out(spec.start),
         "settle": int(spec.settle),
+        "plausible": array_out(spec.plausible),
+        "first": None
+        if spec.first is None
+        else {"samples": int(spec.first.samples), "correction": array_out(spec.first.correction)},
+        "partial": None
+        if spec.partial is None
+        else {"covariance": array_out(spec.partial.covariance), "settled": array_out(spec.partial.settled)},
         "direction": None
         if test is None
         else {
@@ -259,13 +291,17 @@ def _matched_in(value: Any, where: str, plant: Plant, residuals: int, steady: bo
     return MatchedTest(window, faults, groups, responses, settled, unjudged)
 
 
+_RUNNING = ("start", "settle", "plausible", "first", "partial", "direction", "codes", "matched")
+
+
 def _running_in(spec: Specification, value: Any, plant: Plant) -> Specification:
     """Return the specification with what was computed when it was saved in place of what is computed now."""
-    content = record(value, "running", ("start", "settle", "direction", "codes", "matched"))
+    content = record(value, "running", _RUNNING)
     start = array_in(content["start"], "running.start", ENTRY)
     if start.shape != spec.start.shape:
         raise FileFormatError(f"running.start must have shape {spec.start.shape}, got {start.shape}")
     _check_start(spec, start)
+    plausible = spec.plausible if content["plausible"] is None else _limits_in(content["plausible"], spec)
     for name in ("direction", "codes", "matched"):
         if (content[name] is None) != (getattr(spec, name) is None):
             raise FileFormatError(f"running.{name} must be there if and only if isolate asks for it")
@@ -278,7 +314,53 @@ def _running_in(spec: Specification, value: Any, plant: Plant) -> Specification:
         steady = not len(spec.matched.responses)
         matched = _matched_in(content["matched"], "running.matched", plant, len(spec.C), steady)
     settle = whole_in(content["settle"], "running.settle")
-    return replace(spec, start=start, settle=settle, direction=direction, codes=codes, matched=matched)
+    spec = replace(spec, start=start, settle=settle, plausible=plausible)
+    first, partial = _first_in(content["first"], spec), _partial_in(content["partial"], spec)
+    return replace(spec, first=first, partial=partial, direction=direction, codes=codes, matched=matched)
+
+
+def _first_in(value: Any, spec: Specification) -> StartFit | None:
+    """Return what estimates a start, with the correction that was saved."""
+    if value is None:
+        return None
+    content = record(value, "running.first", ("samples", "correction"))
+    samples = whole_in(content["samples"], "running.first.samples")
+    correction = _square_in(content["correction"], "running.first.correction", len(spec.A))
+    if not 1 <= samples <= MOST_SAMPLES:
+        raise FileFormatError(f"running.first.samples must be 1 to {MOST_SAMPLES}, got {samples}")
+    return start_from(spec.A, spec.C, spec.test, samples, correction)
+
+
+def _partial_in(value: Any, spec: Specification) -> PartialUpdate | None:
+    """Return what a Kalman filter without some outputs needs, with the covariance that was saved."""
+    if value is None:
+        return None
+    content = record(value, "running.partial", ("covariance", "settled"))
+    if spec.partial is None:
+        raise FileFormatError("running.partial is there, and the generator is no stationary Kalman filter")
+    covariance = _square_in(content["covariance"], "running.partial.covariance", len(spec.A))
+    settled, shape = array_in(content["settled"], "running.partial.settled", ENTRY), spec.partial.settled.shape
+    if settled.shape != shape:
+        raise FileFormatError(f"running.partial.settled must be finite numbers of shape {shape}")
+    if np.any(np.abs(covariance - spec.partial.covariance) > _EXACT * spec.partial.spread):
+        raise FileFormatError("running.partial.covariance must be the stationary one of the Kalman filter")
+    return replace(spec.partial, covariance=covariance, settled=settled)
+
+
+def _square_in(value: Any, where: str, n: int) -> NDArray[np.float64]:
+    found = array_in(value, where, ENTRY)
+    if found.shape != (n, n):
+        raise FileFormatError(f"{where} must be finite numbers of shape {(n, n)}")
+    return found
+
+
+def _limits_in(value: Any, spec: Specification) -> NDArray[np.float64]:
+    limits, shape = array_in(value, "running.plausible"), spec.plausible.shape
+    if limits.shape != shape:
+        raise FileFormatError(f"running.plausible must be finite numbers of shape {shape}")
+    if not (limits[:, 0] < limits[:, 1]).all():
+        raise FileFormatError("running.plausible: the smallest value of a channel must be below its largest")
+    return limits
 
 
 def _codes_in(value: Any, where: str, plant: Plant, count: int) -> CodeTest:
@@ -400,8 +482,10 @@ def _check_state(monitor: Monitor) -> None:
         "held": (plants, spec.B.shape[1]),
         **dict.fromkeys(("up", "down", "alarm", "since"), (plants, *spec.alarms)),
     }
-    for name, empty in empty_fields(spec.matched, plants).items():
+    partial = empty_partial(spec.partial, plants)
+    for name, empty in (empty_fields(spec.matched, plants, spec.partial is not None) | partial).items():
         wanted[name] = empty.shape
+    wanted["start_sums"] = (plants, 0 if spec.first is None else len(spec.A))
     for prefix, length, k in (("", spec.window, spec.judged), ("test_", spec.test.window, columns)):
         wanted |= {prefix + "ends": (plants, length, k), prefix + "block": (plants, length, k)}
         wanted[prefix + "begun"] = (plants, k)

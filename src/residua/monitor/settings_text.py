@@ -19,7 +19,8 @@ def settings_of(spec: Specification, generator: ResidualGenerator) -> dict[str, 
         "test": _peak_test(test, step) if test.kind == "peak" else _norm_test(test),
         "alarm": _alarm(test),
         "settling": f"no decision in the first {spec.settle} samples after a start ({spec.settle * step:g} s)",
-        "missing values": f"held for up to {spec.max_hold} samples, then the filter starts anew",
+        "start": _start(spec),
+        "missing values": _missing(spec),
     }
     if spec.direction is not None:
         window = spec.direction.window
@@ -29,6 +30,21 @@ def settings_of(spec: Specification, generator: ResidualGenerator) -> dict[str, 
     if spec.codes is not None:
         out["isolation"] = _code(spec, step)
     return out
+
+
+def _start(spec: Specification) -> str:
+    if spec.first is None:
+        return "as if the plant had been at rest at the first sample"
+    return f"state estimated from the residuals of the first {spec.first.samples} samples"
+
+
+def _missing(spec: Specification) -> str:
+    if spec.partial is None:
+        return f"held for up to {spec.max_hold} samples, then the filter starts anew"
+    return (
+        "the filter goes on with the outputs that are there; after more than "
+        f"{spec.max_hold} samples in a row without any, or with an input missing, it starts anew"
+    )
 
 
 def _threshold(test: NormTest | BankTest, members: tuple[str, ...]) -> str:
@@ -96,6 +112,5 @@ def _matched_settings(spec: Specification, step: float) -> dict[str, str]:
         "test": f"largest standardised size of a step fault that arrived up to {window} samples ago, or before",
         "isolation": f"the fault and arrival, up to {window} samples ({window * step:g} s) ago, that explain the "
         "innovations best; held once that arrival has left the window",
-        "missing values": f"held for up to {spec.max_hold} samples, then the filter starts anew; samples without a "
-        "decision carry no information, and count for none",
+        "missing values": f"{_missing(spec)}; samples without a decision count for none",
     }

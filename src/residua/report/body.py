@@ -175,9 +175,10 @@ def _missing(diagnosis: Diagnosis) -> str:
     share = percent(diagnosis.n_missing, len(diagnosis.time))
     times = "once" if diagnosis.resets == 1 else f"{diagnosis.resets:,} times"
     restart = f"the filter was restarted {times} after longer gaps" if diagnosis.resets else "no restart was needed"
+    how = "went on with those that were there" if diagnosis.predicted else "was given the last values"
     return (
-        f"<b>{diagnosis.n_missing:,} samples ({share}) have missing values:</b> the last values were held for the "
-        f"filter, no residual is shown and no decision was taken there; {restart}."
+        f"<b>{diagnosis.n_missing:,} samples ({share}) have missing values:</b> the filter {how}, no residual is shown "
+        f"and no decision was taken there; {restart}."
     )
 
 

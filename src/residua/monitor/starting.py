@@ -1,0 +1,162 @@
+r"""The state that a filter should have started with, estimated from its first residuals by least squares.
+
+A filter that starts with an error :math:`e_0` has without faults the residual :math:`r_k = C A^k e_0` and noise. What
+the first ``N`` of them say of :math:`e_0` is taken out of the state after them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide.member_thresholds import BankTest
+from residua.decide.norm_threshold import NormTest
+from residua.design import ResidualGenerator
+from residua.errors import SettingError
+from residua.linear.recursion import ordered_product
+
+#: How a filter starts: from rest at the first sample, or with the state that its first residuals show.
+STARTS = ("estimated", "rest")
+
+#: Samples that a start is estimated from at most.
+MOST_SAMPLES = 2000
+#: Numbers that such an estimate may cost once, in multiplications.
+_MOST_WORK = 10**9
+#: Part of the largest singular value below which nothing is known of a direction.
+_KNOWN = 1e-7
+#: Variance, in units of that of one residual, that the estimate may add to any later one.
+_ADDED = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class StartFit:
+    """What estimates a start.
+
+    Attributes
+    ----------
+    samples : int
+        How many of the first residuals are looked at.
+    A, C : of the filter.
+    weights : ndarray, shape (residuals, k)
+        ``r @ weights`` are of comparable size.
+    ratios : ndarray, shape (residuals, k)
+        ``r @ ratios`` are in units of the threshold.
+    correction : ndarray, shape (n, n)
+        From the sum of products to what is to be subtracted from the state after these samples.
+    """
+
+    samples: int
+    A: NDArray[np.float64]
+    C: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    ratios: NDArray[np.float64]
+    correction: NDArray[np.float64]
+
+    @cached_property
+    def _rows(self) -> NDArray[np.float64]:
+        """Products of each residual, at each sample after the start, with its response to the error: (N, nr, n)."""
+        out = np.empty((self.samples, *self.C.shape))
+        response = self.C
+        for k in range(self.samples):
+            out[k] = ordered_product(self.weights, ordered_product(self.weights.T, response))
+            response = ordered_product(response, self.A)
+        return out
+
+    def add(self, sums: NDArray[np.float64], residuals: NDArray[np.float64], age: int) -> NDArray[np.float64]:
+        """Return the sums of products after further samples, in the order of time.
+
+        Parameters
+        ----------
+        sums : ndarray, shape (plants, n)
+        residuals : ndarray, shape (plants, time, residuals)
+        age : int
+            Samples since the start, before these.
+        """
+        rows = self._rows[age : age + residuals.shape[1]]
+        steps = np.zeros((*residuals.shape[:2], self.C.shape[1]))
+        for i in range(rows.shape[1]):
+            steps += residuals[:, :, i, None] * rows[:, i]
+        return np.cumsum(np.concatenate([sums[:, None], steps], axis=1), axis=1)[:, -1]
+
+    def corrected(self, x: NDArray[np.float64], sums: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
+        """Return states without what the start has left in them, and how far that moves the next residual.
+
+        In units of the threshold; both for every plant.
+        """
+        left = ordered_product(sums, self.correction.T)
+        moved = ordered_product(ordered_product(left, self.C.T), self.ratios)
+        return x - left, np.sqrt(np.sum(moved**2, axis=1))
+
+
+def checked_start(value: object) -> str:
+    """Return the setting ``start`` of a monitor."""
+    if value not in STARTS:
+        raise SettingError(f"start must be 'estimated' or 'rest', got {value!r}")
+    return str(value)
+
+
+def start_fit(generator: ResidualGenerator, test: NormTest | BankTest, settle: int) -> StartFit | None:
+    """Return what estimates a start from the samples in which the filter settles; ``None`` where nothing can."""
+    system = generator.system
+    n = system.n_states
+    samples = min(settle, MOST_SAMPLES, max(n, _MOST_WORK // max(1, len(system.C) * n * n)))
+    if not n or not samples or not np.any(system.C):
+        return None
+    A, C = system.A, system.C
+    weights = _weights(test, C, A, samples)
+    blocks, block = [], weights.T @ C
+    for _ in range(samples):
+        blocks.append(block)
+        block = block @ A
+    seen = np.concatenate(blocks)
+    units = np.linalg.norm(seen, axis=0)  # states in units of what is seen of them
+    units = np.where(units > 0, 1 / np.where(units > 0, units, 1.0), 0.0)
+    after = [block]  # what a state at the start does to a residual after them, at ever longer intervals
+    power = A
+    for _ in range(24):
+        after.append(after[-1] @ power)
+        power = power @ power
+    _, values, directions = np.linalg.svd(seen * units, full_matrices=False)
+    rank = int(np.count_nonzero(values > _KNOWN * values[0])) if values[0] > 0 else 0
+    while rank:
+        inverse = units[:, None] * directions[:rank].T / values[:rank]
+        added = max(float(np.linalg.norm(later @ inverse, axis=1).max()) for later in after)
+        if added**2 <= _ADDED:
+            break
+        rank -= 1
+    if not rank:
+        return None
+    carried = np.linalg.matrix_power(A, samples) @ inverse @ inverse.T
+    return start_from(system.A, system.C, test, samples, carried)
+
+
+def start_from(
+    A: NDArray[np.float64],
+    C: NDArray[np.float64],
+    test: NormTest | BankTest,
+    samples: int,
+    correction: NDArray[np.float64],
+) -> StartFit:
+    """Return what estimates a start, from what is known of the filter, its test and the correction."""
+    return StartFit(samples, A, C, _weights(test, C, A, samples), _ratios(test), correction)
+
+
+def _weights(test: NormTest | BankTest, C: NDArray, A: NDArray, samples: int) -> NDArray[np.float64]:
+    """Return weights that make residuals comparable: the whitening, or, where it is none, by how they see a start."""
+    k = len(C)
+    if test.kind == "norm" and not np.array_equal(test.whitening, np.eye(k)):
+        return test.whitening
+    size, block = np.zeros(k), C
+    for _ in range(samples):
+        size = size + np.sum(block**2, axis=1)
+        block = ordered_product(block, A)
+    return np.diag(1 / np.sqrt(np.where(size > 0, size, 1.0)))
+
+
+def _ratios(test: NormTest | BankTest) -> NDArray[np.float64]:
+    """Return the whitening in units of the threshold."""
+    limits = np.repeat(test.thresholds, test.sizes) if isinstance(test, BankTest) else test.threshold
+    return test.whitening / limits

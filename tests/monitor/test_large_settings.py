@@ -1,0 +1,54 @@
+"""Settings that no machine can serve are refused at once, with the largest that it can; long ones are cheap."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+import residua as rs
+from residua.decide import Directional, Matched, NormThreshold, PeakThreshold, Structured
+from residua.errors import SettingError
+from running_examples import plant, recording
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"test": NormThreshold(window=10_000_000)}, r"NormThreshold\(window=10000000\) keeps 20,000,000 numbers"),
+        (
+            {"isolate": Directional(window=10**9)},
+            r"Directional\(window=1000000000\) .* 5,000,000 samples at most",
+        ),
+        ({"isolate": Matched(window=10**9)}, r"Matched\(window=1000000000\)"),
+        ({"isolate": Matched(window=10**9, steady=True)}, r"Matched\(window=1000000000\)"),
+    ],
+)
+def test_windows_that_no_machine_can_hold_are_refused(settings: dict, words: str) -> None:
+    start = time.perf_counter()
+    with pytest.raises(SettingError, match=words):
+        rs.Monitor(rs.design.kalman_filter(plant()), **settings)
+    assert time.perf_counter() - start < 2, "at once"
+
+
+def test_windows_of_banks_too() -> None:
+    with pytest.raises(SettingError, match=r"Structured\(window=1000000000\)"):
+        rs.Monitor(rs.design.sensor_fault_bank(plant()), isolate=Structured(window=10**9))
+
+
+def test_counters_may_be_as_long_as_one_likes() -> None:
+    test = NormThreshold(persistence=10**9, release=10**9)
+    found = rs.Monitor(rs.design.kalman_filter(plant()), test=test, max_hold=10**12).run(*recording(fault="p1"))
+    assert isinstance(found, rs.Diagnosis)
+    assert not found.alarm.any()
+    peak = rs.Monitor(rs.design.sensor_fault_bank(plant()), test=PeakThreshold(3.0, window=10**9))
+    assert not peak.run(*recording()).alarm.any()  # type: ignore[union-attr]
+
+
+def test_the_covariance_of_sums_over_a_long_window_is_exact_and_cheap() -> None:
+    """Once nothing is left of the autocovariance, further terms are zeros: the same bits."""
+    generator = rs.design.detection_filter(plant())
+    assert np.isfinite(np.asarray(generator.covariance_of_sums(10**6))).all()
+    short, long = generator.covariance_of_sums(20_000), generator.covariance_of_sums(2_000_000)
+    np.testing.assert_allclose(np.asarray(short), np.asarray(long), rtol=1e-2)

@@ -1,0 +1,234 @@
+"""A Kalman filter goes on with the outputs that are there, by the exact gain; matched filters are not misled."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+
+import residua as rs
+from residua.decide import Matched, NormThreshold
+from residua.monitor.partial_update import PartialUpdate
+from residua.monitor.running import initial_state, run_block
+from running_examples import plant, recording
+
+
+def generated(seed: int) -> rs.Plant:
+    """Return a plant with two to three states and outputs, correlated noise of both kinds, and faults."""
+    rng = np.random.default_rng(seed)
+    n, p = int(rng.integers(2, 4)), int(rng.integers(2, 4))
+    A = rng.standard_normal((n, n))
+    A *= rng.uniform(0.5, 0.98) / np.abs(np.linalg.eigvals(A)).max()
+    made = rs.Plant(A, rng.standard_normal((n, 1)), rng.standard_normal((p, n)), rng.standard_normal((p, 1)), dt=1)
+    made = made.with_sensor_faults().with_actuator_faults()
+    process, measurement = rng.standard_normal((n, n)), rng.standard_normal((p, p)) + 2 * np.eye(p)
+    return made.with_noise(process=0.1 * process @ process.T, measurement=0.1 * measurement @ measurement.T)
+
+
+def simulated(made: rs.Plant, samples: int, seed: int, fault: int | None = None, start: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    u, f = rng.standard_normal((samples, 1)), np.zeros((samples, len(made.faults)))
+    if fault is not None:
+        f[start:, fault] = 1.0
+    w = rng.standard_normal((samples, len(made.noises)))
+    return np.hstack([u, made.system(("control", "fault", "noise")).simulate(np.hstack([u, f, w]))])
+
+
+def with_holes(data: np.ndarray, seed: int, share: float, inputs: int = 1) -> np.ndarray:
+    out = data.copy()
+    out[:, inputs:][np.random.default_rng(seed).random(out[:, inputs:].shape) < share] = np.nan
+    return out
+
+
+def textbook(made: rs.Plant, partial: PartialUpdate, data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return whitened innovations of whole samples by the Kalman filter as it is written in books."""
+    A, C, Q, R, S = made.A, made.C, made.process_noise, made.measurement_noise, made.cross_noise
+    x, P = np.zeros(len(A)), partial.covariance
+    out, m = np.full((len(data), len(C)), np.nan), len(made.inputs)
+    for k, row in enumerate(data):
+        u, y = row[:m], row[m:]
+        rows = np.flatnonzero(np.isfinite(y))
+        Ca, innovation = C[rows], C[rows] @ P @ C[rows].T + R[np.ix_(rows, rows)]
+        K = (A @ P @ Ca.T + S[:, rows]) @ np.linalg.inv(innovation)
+        r = y[rows] - Ca @ x - made.Du[rows] @ u
+        if len(rows) == len(C):
+            out[k] = np.linalg.solve(np.linalg.cholesky(innovation), r)
+        x = A @ x + made.Bu @ u + K @ r
+        P = A @ P @ A.T + Q - K @ innovation @ K.T
+    return out, x
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000), share=st.sampled_from([0.02, 0.2, 0.6]))
+def test_it_is_the_kalman_filter_of_the_book(seed: int, share: float) -> None:
+    """Also in the scale of the residual; 1e-6 is how near to stationary counts as stationary, relative."""
+    made = generated(seed)
+    monitor = rs.Monitor(rs.design.kalman_filter(made), test=NormThreshold(threshold=1.0), settle=0, max_hold=10**6)
+    spec = replace(monitor._specification(), first=None)
+    assert spec.partial is not None
+    data = with_holes(simulated(made, 120, seed), seed, share)
+    data[:2] = 0.0  # whole, and at rest: both start from zero
+    state, found = run_block(spec, initial_state(spec, 1), data[None])
+    expected, x = textbook(made, spec.partial, data)
+    root = np.linalg.cholesky(made.C @ spec.partial.covariance @ made.C.T + made.measurement_noise)
+    whole = np.isfinite(data).all(axis=1)
+    assert np.array_equal(found.usable[0], whole)
+    size = np.abs(expected[whole] @ root.T).max()
+    np.testing.assert_allclose(found.residuals[0, whole], expected[whole] @ root.T, atol=1e-4 * size)
+    np.testing.assert_allclose(state.x[0], x, atol=1e-4 * np.abs(x).max())
+
+
+def test_innovations_stay_white_with_covariance_one() -> None:
+    """Of 15,000 samples 0.05 are four deviations of a variance; held values make it many times that."""
+    made = generated(5)
+    monitor = rs.Monitor(rs.design.kalman_filter(made))
+    data = with_holes(simulated(made, 15_000, 1), 2, 0.1)
+    found = monitor.run(data[:, :1], data[:, 1:])
+    assert isinstance(found, rs.Diagnosis)
+    r = found.residuals[found.decided] @ monitor.norm_test.whitening
+    np.testing.assert_allclose(np.cov(r.T), np.eye(r.shape[1]), atol=0.05)
+    before = rs.Monitor(rs.design.kalman_filter(made))
+    before._spec = replace(before._specification(), partial=None)
+    assert found.decided.mean() > 2 * before.run(data[:, :1], data[:, 1:]).decided.mean()  # type: ignore[union-attr]
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000), matched=st.booleans(), steady=st.booleans(), average=st.sampled_from([1, 7]))
+def test_any_cutting_and_any_fleet_gives_the_same_bits(seed: int, matched: bool, steady: bool, average: int) -> None:
+    made, rng = generated(seed % 50), np.random.default_rng(seed)
+    isolate = Matched(window=12, steady=steady) if matched else "auto"
+    test = NormThreshold(window=1 if matched else average)
+    spec = rs.Monitor(rs.design.kalman_filter(made), test=test, isolate=isolate)._specification()
+    data = np.stack([simulated(made, 120, seed + k, k % 3, 60) for k in range(3)])
+    data[0] = with_holes(data[0], seed, rng.choice([0.02, 0.3, 0.9]), inputs=int(rng.integers(0, 2)))
+    data[1, rng.integers(120), rng.integers(data.shape[2])] = rng.choice([np.nan, np.inf, 1e300])
+    state, whole = run_block(spec, initial_state(spec, 3), data)
+    cuts = np.sort(rng.integers(0, 121, 15)) if rng.random() < 0.7 else np.arange(1, 120)
+    now, parts = initial_state(spec, 3), []
+    for part in np.split(data, cuts, axis=1):
+        now, found = run_block(spec, now, part)
+        parts.append(found)
+    alone = [run_block(spec, initial_state(spec, 1), one[None])[1] for one in data]
+    for name in ("residuals", "statistic", "alarm", "usable", "scores"):
+        expected = getattr(whole, name)
+        for other in (np.concatenate([getattr(part, name) for part in parts], axis=1),):
+            assert np.array_equal(other, expected, equal_nan=expected.dtype.kind == "f"), name
+        stacked = np.concatenate([getattr(one, name) for one in alone])
+        assert np.array_equal(stacked, expected, equal_nan=expected.dtype.kind == "f"), name
+    for name in ("x", "spread", "bent", "apart", "age", "resets", "match_extra", "match_weights", "start_sums"):
+        assert np.array_equal(getattr(now, name), getattr(state, name)), name
+
+
+def test_without_missing_outputs_nothing_changes_by_a_bit_and_after_them_nothing_for_long() -> None:
+    u, y = recording(800, fault="p1", start=500)
+    monitor = rs.Monitor(rs.design.matched_filters(plant(), window=20))
+    old = rs.Monitor(rs.design.matched_filters(plant(), window=20))
+    old._spec = replace(old._specification(), partial=None)
+    for one, other in ((monitor.run(u, y), old.run(u, y)),):
+        assert one.statistic.tobytes() == other.statistic.tobytes()  # type: ignore[union-attr]
+        assert one.scores.tobytes() == other.scores.tobytes()  # type: ignore[union-attr]
+    y2 = y.copy()
+    y2[100:103, 0] = np.nan
+    found, clean = monitor.run(u, y2), monitor.run(u, y)
+    assert isinstance(found, rs.Diagnosis)
+    assert isinstance(clean, rs.Diagnosis)
+    assert found.decided[103:].all()
+    np.testing.assert_allclose(found.statistic[300:], clean.statistic[300:], rtol=1e-9)
+    spec = monitor._specification()
+    state, _ = run_block(spec, initial_state(spec, 1), np.hstack([u, y2])[None])
+    assert not state.apart[0]
+    assert not state.match_extra.any()
+
+
+def test_matched_filters_expect_what_faults_do_while_outputs_are_missing() -> None:
+    """Without noise every likelihood is that of the true fault: the size is exact however many outputs are missing."""
+    made = generated(11)
+    monitor = rs.Monitor(rs.design.matched_filters(made, window=30))
+    spec = monitor._specification()
+    assert spec.partial is not None
+    for fault in range(len(made.faults)):
+        f = np.zeros((100, len(made.faults)))
+        f[60:, fault] = 50.0
+        y = made.system(("control", "fault")).simulate(np.hstack([np.zeros((100, 1)), f]))
+        data = with_holes(np.hstack([np.zeros((100, 1)), y]), fault, 0.3)
+        data[:45] = 0.0  # settled
+        _, found = run_block(spec, initial_state(spec, 1), data[None])
+        _, held = run_block(*(lambda s: (s, initial_state(s, 1)))(replace(spec, partial=None, settle=0)), data[None])
+        assert found.match is not None
+        assert held.match is not None
+        k = np.flatnonzero(found.usable[0, :88])[-1]
+        assert found.match.ages[0, k, fault] == k - 60
+        assert found.match.sizes[0, k, fault] == pytest.approx(50.0, rel=1e-6)
+        assert found.match.ratios[0, k].argmax() == fault
+
+
+def test_a_settled_fault_stays_named_while_outputs_are_missing() -> None:
+    u, y = recording(2000, fault="p2", start=300, seed=4)
+    holes = with_holes(np.hstack([u, y]), 5, 0.05)
+    for steady in (False, True):
+        monitor = rs.Monitor(rs.design.kalman_filter(plant()), isolate=Matched(window=20, steady=steady))
+        found = monitor.run(holes[:, :1], holes[:, 1:])
+        assert isinstance(found, rs.Diagnosis)
+        assert found.candidates[0].faults == ("p2",)
+        assert found.alarm[400:].mean() > 0.95
+        assert found.match is not None
+        k = np.flatnonzero(found.decided)[-1]
+        assert found.match.settled_sizes[k, 1] == pytest.approx(3.0, abs=4 * found.match.deviations[k, 1])
+
+
+def test_names_under_two_per_cent_of_missing_values_are_those_without() -> None:
+    """Held values date half of them, and name one in thirty wrongly that whole data name rightly."""
+    made = rs.library.gertler(sensor_faults=True).with_noise(process=0.01, measurement=0.1)
+    matched = rs.design.matched_filters(made, window=40)
+    size, monitor, rng = matched.deviation(), rs.Monitor(matched), np.random.default_rng(0)
+    wrong, dated = [0, 0], [0, 0]
+    for run in range(48):
+        f = np.zeros((300, 4))
+        f[150:, run % 4] = 12 * size[made.faults[run % 4]]
+        u, w = rng.standard_normal((300, 1)), rng.standard_normal((300, len(made.noises)))
+        y = made.system(("control", "fault", "noise")).simulate(np.hstack([u, f, w]))
+        for k, data in enumerate((y, with_holes(y, run, 0.02, inputs=0))):
+            found = monitor.run(u, data)
+            assert isinstance(found, rs.Diagnosis)
+            wrong[k] += found.candidates[0].faults != (made.faults[run % 4],)
+            dated[k] += abs((found.onset or 0.0) - 150) <= 5
+    assert wrong[1] <= wrong[0] + 1
+    assert dated[1] >= dated[0] - 3
+    assert dated[0] > 42
+
+
+def test_one_output_that_never_comes_back_leaves_the_others_at_work() -> None:
+    """The filter runs on, its covariance at that for the outputs which are there; with inputs missing it holds them."""
+    u, y = recording(600)
+    y[200:260, 0] = np.nan
+    found = rs.Monitor(rs.design.kalman_filter(plant())).run(u, y)
+    assert isinstance(found, rs.Diagnosis)
+    assert found.resets == 0
+    assert found.decided[260:].all()
+    assert not found.alarm.any()
+    u[400] = np.nan
+    held = rs.Monitor(rs.design.kalman_filter(plant())).run(u, y)
+    assert isinstance(held, rs.Diagnosis)
+    assert not held.decided[400:405].any()
+
+
+def test_a_filter_that_knows_too_little_starts_anew() -> None:
+    """A plant that runs away, and nothing that sees it."""
+    made = rs.Plant([[1.5, 0], [0, 0.5]], np.zeros((2, 0)), np.eye(2), dt=1).with_sensor_faults()
+    made = made.with_noise(process=1e-2, measurement=1e-2)
+    kalman = rs.design.kalman_filter(made)
+    y = np.zeros((300, 2))
+    y[100:200, 0] = np.nan
+    found = rs.Monitor(kalman).run(None, y)
+    assert isinstance(found, rs.Diagnosis)
+    assert found.resets == 1
+    assert found.decided[-50:].all()
+    assert not found.alarm.any()
+
+
+def test_other_generators_hold_values_as_before() -> None:
+    for generator in (rs.design.detection_filter(plant()), rs.design.sensor_fault_bank(plant()).generator):
+        assert rs.Monitor(generator, test=NormThreshold(threshold=1.0))._specification().partial is None
+    assert rs.Monitor(rs.design.kalman_filter(plant()))._specification().partial is not None

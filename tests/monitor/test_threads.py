@@ -1,0 +1,82 @@
+"""Threads: one monitor runs several recordings at once, a stream is followed by one call at a time."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+import residua as rs
+from residua.library import three_tank
+from running_examples import plant, recording
+
+
+@pytest.fixture(autouse=True)
+def _often() -> Iterator[None]:
+    """Let threads change places often."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    yield
+    sys.setswitchinterval(before)
+
+
+def test_runs_in_several_threads_do_not_disturb_each_other() -> None:
+    """With the state of a run in the monitor, false alarms appeared: each went on from the state of another."""
+    monitor = rs.Monitor(rs.design.kalman_filter(plant())).fit(*recording(2000, seed=9))
+    data = [recording(3000, seed=k, fault="p1" if k % 2 else "", start=1000) for k in range(6)]
+    expected = [monitor.run(u, y).statistic for u, y in data]  # type: ignore[union-attr]
+
+    def one(k: int) -> bool:
+        u, y = data[k % 6]
+        return np.array_equal(monitor.run(u, y).statistic, expected[k % 6], equal_nan=True)  # type: ignore[union-attr]
+
+    with ThreadPoolExecutor(6) as pool:
+        assert all(pool.map(one, range(60)))
+
+
+def test_the_first_runs_of_a_continuous_design_at_once() -> None:
+    """Sampling and the specification are made on first use, by one thread."""
+    found = rs.library.simulate_three_tank(400, seed=1)
+    design = rs.design.kalman_filter(three_tank())
+    expected = rs.Monitor(design).run(found.u, found.y).statistic  # type: ignore[union-attr]
+    continuous = rs.design.detection_filter(three_tank(dt=0).without_faults(["leak 3", "clog 32"]))
+    for _ in range(5):
+        many = rs.Monitor(design)
+        late = rs.Monitor(continuous, test=rs.decide.NormThreshold(threshold=1.0))
+        with ThreadPoolExecutor(6) as pool:
+            runs = [pool.submit(many.run, found.u, found.y) for _ in range(6)]
+            others = [pool.submit(late.run, found.u, found.y, dt=1.0) for _ in range(6)]
+            for run in runs:
+                assert np.array_equal(run.result().statistic, expected, equal_nan=True)  # type: ignore[union-attr]
+            first = others[0].result().statistic  # type: ignore[union-attr]
+            for run in others[1:]:
+                assert np.array_equal(run.result().statistic, first, equal_nan=True)  # type: ignore[union-attr]
+
+
+def test_samples_of_a_stream_are_taken_one_after_the_other() -> None:
+    """All samples are alike, so that their order cannot matter: each must be counted, and none twice."""
+    monitor = rs.Monitor(rs.design.kalman_filter(plant()))
+    u, y = np.full(1, 3.0), np.array([1.0, 2.0])
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda _: monitor.step(u, y), range(400)))
+    assert monitor._state is not None
+    assert monitor._state.count == 400
+    assert monitor._state.age[0] == 400
+
+
+def test_a_copy_has_a_state_of_its_own() -> None:
+    monitor = rs.Monitor(rs.design.kalman_filter(plant()))
+    u, y = recording(200)
+    monitor.update(u[:100], y[:100])
+    for other in (copy.deepcopy(monitor), pickle.loads(pickle.dumps(monitor))):
+        assert (
+            other.update(u[100:], y[100:]).statistic.tobytes()
+            == copy.deepcopy(monitor).update(u[100:], y[100:]).statistic.tobytes()
+        )
+    assert monitor._state is not None
+    assert monitor._state.count == 100
