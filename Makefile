@@ -5,7 +5,12 @@ BIN := $(VENV)/bin
 DEFINITION := pyproject.toml setup.py src/residua/linear/_recursion.c
 CODE := src tests benchmarks docs
 
-.PHONY: help demo test docs bench campaign clean
+# Of the exact campaign: plants, processes, and the folder of its record, from which it is resumed.
+PLANTS ?= 100000
+WORKERS ?= $(shell nproc)
+RECORD ?= campaign
+
+.PHONY: help demo test docs bench campaign exact-campaign clean
 
 help:
 	@echo "make demo      diagnose a simulated jet engine and leave a report page"
@@ -14,6 +19,7 @@ help:
 	@echo "make bench     measured speed, against other packages"
 	@echo "make campaign  the long runs that make test leaves out"
 	@echo "make clean     remove what was built (the environment $(VENV) stays)"
+	@echo "make exact-campaign PLANTS=100000   generated plants against exact arithmetic; resumed where it stopped"
 	@echo "Another Python: make demo PYTHON=python3.12"
 
 # One environment; a stamp per set of extras, renewed when the definition of the package changes.
@@ -50,6 +56,10 @@ bench: $(VENV)/.made-test
 
 campaign: $(VENV)/.made-test
 	$(BIN)/pytest -m campaign
+
+exact-campaign: $(VENV)/.made-test
+	OPENBLAS_NUM_THREADS=1 PYTHONPATH=src:tests $(BIN)/python -m exact_campaign \
+	  --plants $(PLANTS) --workers $(WORKERS) --out $(RECORD) --tables docs/data
 
 clean:
 	rm -rf build dist htmlcov .coverage .benchmarks .pytest_cache .hypothesis .ruff_cache residua-demo

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import doctest
 import importlib
+import importlib.metadata
+import os
 import re
+import subprocess
+import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -105,6 +110,51 @@ def test_what_pages_show_is_what_happens(page: Path, here: Path) -> None:
     failed, tried = doctest.testfile(str(page), module_relative=False, optionflags=FLAGS)
     assert tried
     assert not failed
+
+
+IMPORTS = """
+import doctest, sys
+import matplotlib
+matplotlib.use("Agg")
+failed, _ = doctest.testfile(sys.argv[1], module_relative=False, optionflags=int(sys.argv[2]))
+assert not failed
+names = {name.partition(".")[0] for name in sys.modules} - set(sys.stdlib_module_names)
+print("IMPORTED", *sorted(names))
+"""
+
+
+def test_the_extra_all_brings_what_getting_started_imports(here: Path) -> None:
+    page = DOCS / "getting-started.rst"
+    assert "pip install '.[all]'" in page.read_text(encoding="utf-8")
+    command = [sys.executable, "-c", IMPORTS, str(page), str(FLAGS)]
+    source = os.environ | {"PYTHONPATH": str(REPOSITORY / "src")}
+    printed = subprocess.run(command, check=True, capture_output=True, text=True, env=source).stdout
+    imported = printed.split("IMPORTED ")[1].split()
+    assert {"residua", "numpy", "matplotlib", "pandas"} <= set(imported)
+    brought = {"residua", *with_what_they_need({"residua[all]"})}
+    owners = importlib.metadata.packages_distributions()
+    for module in imported:
+        distributions = {name.lower().replace("_", "-") for name in owners.get(module, ())}
+        assert not distributions or distributions & brought, f"{module} of {distributions} does not come with [all]"
+
+
+def with_what_they_need(wanted: set[str]) -> set[str]:
+    """Return the distributions that requirements bring, those of residua by this repository's definition."""
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    found: set[str] = set()
+    left = [*wanted, *project["dependencies"]]
+    while left:
+        name, extras = re.match(r"([\w.-]+)(?:\[([\w,-]+)\])?", left.pop()).groups()  # pyright: ignore
+        if name == "residua":
+            left += [entry for extra in extras.split(",") for entry in project["optional-dependencies"][extra]]
+        elif (name := name.lower().replace("_", "-")) not in found:
+            found.add(name)
+            try:
+                needs = importlib.metadata.requires(name) or []
+            except importlib.metadata.PackageNotFoundError:  # for another system
+                continue
+            left += [entry for entry in needs if "extra ==" not in entry]
+    return found
 
 
 def test_the_reference_names_everything_that_is_public() -> None:

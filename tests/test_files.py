@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
+import subprocess
+import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -11,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import residua as rs
+from residua import partial_files
 from residua.errors import FileFormatError
 from residua.files import check_input, replacing, write_text
 from residua.library import gertler, three_tank
@@ -100,3 +104,77 @@ def test_threads_that_write_one_file_do_not_mix_nor_touch_the_mask(tmp_path: Pat
         assert os.umask(0o027) == 0o027
     finally:
         os.umask(mask)
+
+
+# ------------------------------------------------------------------ killed runs and full disks
+
+WRITES_FOR_EVER = """
+import sys, time
+from residua.files import replacing
+with replacing(sys.argv[1]) as temporary:
+    temporary.write_text("half")
+    print("writing", flush=True)
+    time.sleep(600)
+"""
+
+
+def write_in_another_process(path: Path) -> subprocess.Popen[str]:
+    """Begin to write a file, and return when half of it is there."""
+    run = subprocess.Popen([sys.executable, "-c", WRITES_FOR_EVER, str(path)], stdout=subprocess.PIPE, text=True)
+    assert run.stdout is not None
+    assert run.stdout.readline() == "writing\n"
+    return run
+
+
+def end(run: subprocess.Popen[str]) -> None:
+    run.kill()
+    run.communicate()
+
+
+def next_run(path: Path) -> None:
+    """Write a file as a new process would: it has looked through no folder yet."""
+    partial_files._swept.clear()
+    write_text(path, "new")
+
+
+@pytest.mark.skipif(partial_files.fcntl is None, reason="told by the age of the file where there are no locks")
+def test_partial_files_of_killed_runs_are_removed_and_those_of_others_stay(tmp_path: Path) -> None:
+    killed, living = (write_in_another_process(tmp_path / f"{name}.csv") for name in ("killed", "living"))
+    try:
+        end(killed)
+        assert len(list(tmp_path.iterdir())) == 2
+        next_run(tmp_path / "file.txt")
+        left = sorted(path.name for path in tmp_path.iterdir())
+        assert len(left) == 2
+        assert left[0].startswith(".residua-")
+        assert left[1] == "file.txt"
+    finally:
+        end(living)
+    next_run(tmp_path / "file.txt")
+    assert [path.name for path in tmp_path.iterdir()] == ["file.txt"]
+
+
+def test_a_file_is_on_the_disk_before_it_has_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    happened: list[str] = []
+    for name in ("fsync", "replace"):
+        real = getattr(os, name)
+        monkeypatch.setattr(os, name, lambda *a, _name=name, _real=real: (happened.append(_name), _real(*a))[1])
+    write_text(tmp_path / "file.txt", "content")
+    assert happened[:2] == ["fsync", "replace"]
+
+
+def test_a_full_disk_names_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_space(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", no_space)
+    for write in WRITERS.values():
+        with pytest.raises(FileFormatError, match=r"file(\.\w+)?: it cannot be written: No space left"):
+            write(tmp_path / "file")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_device_names_itself() -> None:
+    with pytest.raises(FileFormatError, match=r"^/dev/full: it cannot be written: No space left"):
+        write_text("/dev/full", "x" * 100_000)

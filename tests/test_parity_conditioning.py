@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import residua as rs
+from residua.errors import AccuracyError
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 TABLE = REPOSITORY / "docs" / "data" / "parity_conditioning_all.csv"
@@ -61,13 +62,17 @@ def test_leaks_are_those_of_the_table(benchmark_module: ModuleType, family: str,
         assert np.median(found["moving average"]) > 100 * np.median(found["poles at one rate"])
 
 
-def test_a_moving_average_that_loses_its_digits_says_so(benchmark_module: ModuleType) -> None:
-    plant = benchmark_module.near_one(8, 0)
+def test_a_moving_average_that_loses_more_than_ten_digits_is_refused_and_one_that_loses_fewer_says_so(
+    benchmark_module: ModuleType,
+) -> None:
+    with pytest.raises(AccuracyError, match=r"moving average of order 5, 11 digits of the data cancel"):
+        rs.design.structured_parity(benchmark_module.near_one(6, 0), ["01"])
+    plant = benchmark_module.near_one(5, 0)
     made = rs.design.structured_parity(plant, ["01"]).generator
     lost = made.evidence.conditions["digits lost to cancellation"]
     leak = benchmark_module.leaks(made.run, plant, 0)["slow"]
-    assert lost > 10
-    assert leak > 1e-7
+    assert 9 < lost < 10
+    assert leak > 1e-8
     assert 1e-3 < leak / 10 ** (lost - 16) < 1e4
     (note,) = [note for note in made.evidence.notes if "digits of the data cancel" in note]
     assert "with_poles" in note

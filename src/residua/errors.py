@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+from residua.visible import visible
+
 
 class ResiduaError(Exception):
-    """Base of every error that residua raises on purpose."""
+    """Base of every error that residua raises on purpose.
+
+    Names and cells of files are part of many messages: control characters in them are shown, not sent to a terminal.
+    """
+
+    def __str__(self) -> str:
+        return visible(super().__str__())
 
 
 class ModelError(ResiduaError, ValueError):

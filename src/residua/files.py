@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from residua.errors import FileFormatError
+from residua.partial_files import PartialFile
 
 
 def check_input(path: str | Path, what: str) -> None:
@@ -79,7 +80,8 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
     Links are followed; a device or pipe, which must not be replaced, is written to directly. The ending of
     the name is kept, since writers choose the format by it. A new file gets the permissions that any new
-    file gets, an old one keeps its own.
+    file gets, an old one keeps its own. What was written is on the disk before it is renamed, and partial files that
+    killed runs have left in the folder are removed.
 
     Parameters
     ----------
@@ -88,23 +90,40 @@ def replacing(path: str | Path) -> Iterator[Path]:
     Raises
     ------
     FileFormatError
-        If the folder does not exist, the path is a folder, or writing there is not allowed.
+        If the folder does not exist, the path is a folder, or writing there is not allowed or fails.
     """
     path = Path(path)
     check_output(path)
     if special(path):
-        yield path
+        with naming(path):
+            yield path
         return
     target = real(path)
-    temporary = target.with_name(f".residua-{os.urandom(6).hex()}.partial{target.suffix}")
-    os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))  # ours alone; the umask applies
+    with naming(path):
+        partial = PartialFile(target)
+        try:
+            yield partial.path
+            if target.exists():
+                shutil.copymode(target, partial.path)
+            partial.take_place_of(target)
+        finally:
+            partial.discard()
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Let an error of writing, such as a full disk, say which file it is about: the user's, not a partial one.
+
+    Raises
+    ------
+    FileFormatError
+    """
     try:
-        yield temporary
-        if target.exists():
-            shutil.copymode(target, temporary)
-        os.replace(temporary, target)
-    finally:
-        temporary.unlink(missing_ok=True)
+        yield
+    except BrokenPipeError:  # whoever reads the pipe has gone
+        raise
+    except OSError as error:
+        raise FileFormatError(f"{path}: it cannot be written: {error.strerror or error}") from error
 
 
 def write_text(path: str | Path, text: str) -> Path:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from residua.design import ResidualGenerator
-from residua.design.internal_form import leakage, response_terms
+from residua.design.internal_form import frequency_grid, leakage
+from residua.design.signatures import fault_responses, outside_subspaces
 from residua.errors import AccuracyError
 from residua.linear import simulate_descriptor
 from residua.linear.recursion import run_filter
@@ -36,7 +37,8 @@ def check_residual_generator(
         Length of the simulated data.
     seed : int
     tolerance : float
-        Relative to the terms that have to cancel (for the subspaces of faults: at least 1e-5).
+        Of leaks: relative to the terms that have to cancel. Of what of a fault's response lies outside its subspace:
+        a fraction of the response at the same frequency, beyond twice what the evidence says was left out.
 
     Raises
     ------
@@ -69,18 +71,15 @@ def check_residual_generator(
 
 def _check_subspaces(generator: ResidualGenerator, tolerance: float) -> None:
     form = generator.internal_form()
-    w = np.logspace(-3, 1, 40) / (generator.dt or 1.0)
-    response = form.frequency_response(w)
-    terms = response_terms(generator.system, generator.plant, form, generator.state_map, generator.static_map, w)
-    # each residual has its own units, and may ignore every fault; a basis leaves out 1e-6 of the terms
-    units = np.abs(response).max(axis=(0, 2), initial=0.0) + 1e-3 * terms.max(axis=(0, 2), initial=0.0)
-    units = np.where(units > 0, units, 1.0)
-    for i, name in enumerate(generator.faults):
-        basis = np.linalg.qr(generator.subspaces[name] / units[:, None])[0]
-        column = response[:, :, i] / units
-        outside = float(np.abs(column - column @ basis @ basis.T).max(initial=0.0))
-        if outside > max(tolerance, 5e-3):
-            raise AccuracyError(f"fault {name!r} leaves its subspace: {outside:.2g} of the gain")
+    dt = generator.dt
+    # other frequencies than those of the design
+    w = np.logspace(-3, 0, 40) * 3.05 / dt if dt else frequency_grid(form, generator.system, points=97)
+    maps = generator.state_map, generator.static_map
+    found = fault_responses(generator.system, generator.plant, form, *maps, w)
+    allowed = tolerance + 2 * generator.evidence.conditions.get("response off the signatures", 0.0)
+    for name, outside in outside_subspaces(found, dict(generator.subspaces), generator.faults).items():
+        if outside > allowed:
+            raise AccuracyError(f"fault {name!r} leaves its subspace by {outside:.2g} > {allowed:.2g} of its response")
 
 
 def _check_runs(
@@ -100,13 +99,21 @@ def _check_runs(
     kept = int(np.argmax(np.abs(y).max(axis=1) > 1e6)) or samples  # an unstable plant leaves the range of the check
     u, y = v[:kept, : len(plant.inputs)], y[:kept]
     r = generator.run(u, y)
-    size = max(1.0, float(np.abs(y).max(initial=0.0))) * max(1.0, float(np.abs(generator.system.D).max(initial=0.0)))
-    if np.abs(r).max(initial=0.0) > tolerance * size:
-        raise AccuracyError(f"residual {np.abs(r).max():.2g} on fault-free data of size {size:.2g}")
+    g, whole = generator.system, np.hstack([u, y])
+    apart = whole * np.eye(g.n_inputs)[:, None, :]  # each signal alone: the terms that cancel in the residual
+    _, terms = run_filter(g.A, g.B, g.C, g.D, np.zeros((g.n_inputs, g.n_states)), apart)
+    size = np.abs(terms).sum(axis=0).max(axis=0, initial=0.0)
+    left = np.abs(r).max(axis=0, initial=0.0)
+    if np.any(left > tolerance * size):
+        worst = int(np.argmax(left / np.where(size > 0, size, 1.0)))
+        raise AccuracyError(
+            f"residual {generator.residuals[worst]!r} is {left[worst]:.2g} on fault-free data, where terms of "
+            f"{size[worst]:.2g} should cancel"
+        )
     together = generator.run(np.stack([u, u[::-1]]), np.stack([y, y[::-1]]))
     if not np.array_equal(together[0], r):
         raise AccuracyError("two plants run together do not give what each gives alone")
-    g, data = generator.system, np.hstack([u, y])[None]
+    data = whole[None]
     x, cut = np.zeros((1, g.n_states)), kept // 3
     x, first = run_filter(g.A, g.B, g.C, g.D, x, data[:, :cut])
     _, second = run_filter(g.A, g.B, g.C, g.D, x, data[:, cut:])

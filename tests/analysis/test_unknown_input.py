@@ -65,3 +65,89 @@ def test_an_unseen_unstable_mode_is_told() -> None:
     found = rs.analysis.unknown_input_observer_existence(plant)
     assert not found
     assert "no measurement sees the mode 1" in found.reasons[0]
+
+
+# ------------------------------------------------- existence and design are one
+
+
+def plant_of(A: list, E: list, C: list | np.ndarray) -> rs.Plant:
+    A_ = np.array(A, dtype=float)
+    return rs.Plant(A_, np.zeros((len(A_), 0)), C).with_disturbances(np.array(E, dtype=float))
+
+
+@pytest.mark.parametrize(
+    ("A", "E", "C", "zero"),
+    [
+        ([[3, -1, 3], [-3, 2, -1], [-2, -2, 3]], [[-2, -3], [-1, -1], [-1, -1]], [[1, 0, 0], [1, 1, 0]], 4.0),
+        (
+            [[0.1, 0.2, 0.3], [0.4, 0.5, 0.6], [0.7, 0.8, 0.9]],
+            [[0.3, 0.1], [0.1, 0.7], [0.2, 0.1]],
+            np.eye(3)[:2],
+            0.675,
+        ),
+    ],
+)
+def test_an_unstable_zero_is_a_fixed_pole_that_no_observer_has(A: list, E: list, C: list, zero: float) -> None:
+    plant = plant_of(A, E, C)
+    found = rs.analysis.unknown_input_observer_existence(plant)
+    assert not found
+    np.testing.assert_allclose(found.fixed_poles, [zero], atol=1e-12)
+    with pytest.raises(DesignError, match="fixed pole outside"):
+        rs.design.unknown_input_observer(plant)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_as_many_disturbances_as_outputs_leave_all_other_poles_fixed(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    plant = plant_of(rng.standard_normal((4, 4)), rng.standard_normal((4, 2)), np.eye(2, 4))
+    found = rs.analysis.unknown_input_observer_existence(plant)
+    zeros = invariant_zeros(plant.A, plant.Bd, plant.C).zeros
+    assert len(found.fixed_poles) == len(zeros) == 2
+    assert found.exists == bool((zeros.real < 0).all())
+    if found:
+        observer = rs.design.unknown_input_observer(plant)
+        assert observer.evidence.conditions["norm of K1"] < 1e6
+    else:
+        with pytest.raises(DesignError):
+            rs.design.unknown_input_observer(plant)
+
+
+def transport_aircraft() -> rs.Plant:
+    A = [
+        [0, 0, 1.132, 0, -1],
+        [0, -0.0538, -0.1712, 0, 0.0705],
+        [0, 0, 0, 1, 0],
+        [0, 0.0485, 0, -0.8556, -1.013],
+        [0, -0.2909, 0, 1.0532, -0.6859],
+    ]
+    E = np.array([[0, 0.00989, -0.07548, 0, 0], [0.01672, 0, 0, 0.05635, 0.06743]]).T
+    return plant_of(A, E.tolist(), np.eye(3, 5))
+
+
+def test_the_transport_aircraft_has_an_observer() -> None:
+    plant = transport_aircraft()
+    assert rs.analysis.unknown_input_observer_existence(plant)
+    observer = rs.design.unknown_input_observer(plant, poles=[-1, -1.5, -2, -2.5, -3])
+    np.testing.assert_allclose(np.sort(observer.poles.real), [-3, -2.5, -2, -1.5, -1], atol=1e-9)
+    assert np.abs(observer.T @ plant.Bd).max() < 1e-12
+    assert observer.evidence.conditions["pole error"] < 1e-9
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_existence_and_observer_are_the_same_in_all_units(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n, p, q = int(rng.integers(2, 6)), int(rng.integers(2, 4)), int(rng.integers(1, 3))
+    A, E, C = (rng.integers(-3, 4, shape) * 1.0 for shape in ((n, n), (n, q), (p, n)))
+    T, Y, W = (2.0 ** rng.integers(-20, 21, k) for k in (n, p, q))
+    plant = plant_of(A, E, C)
+    other = plant_of(A / T[:, None] * T, E / T[:, None] * W, Y[:, None] * C * T)
+    one, two = (rs.analysis.unknown_input_observer_existence(x) for x in (plant, other))
+    assert one.exists == two.exists
+    assert one.reasons == two.reasons
+    assert np.array_equal(one.fixed_poles, two.fixed_poles)
+    if one:
+        first, second = (rs.design.unknown_input_observer(x) for x in (plant, other))
+        np.testing.assert_allclose(first.F, second.F * T[:, None] / T, rtol=1e-9, atol=1e-9 * np.abs(first.F).max())
+        np.testing.assert_allclose(
+            first.H, second.H * T[:, None] * Y, rtol=1e-9, atol=1e-9 * max(np.abs(first.H).max(), 1e-300)
+        )

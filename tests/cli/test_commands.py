@@ -289,7 +289,7 @@ def test_a_bank_names_by_code(made: Path, tmp_path: Path, residua: Residua) -> N
     files = ("--alarms", tmp_path / "a.jsonl", "--report", tmp_path / "r.html", "--residuals", tmp_path / "r.csv")
     status, out, _ = residua("run", tmp_path / "bank.json", made / "faulty.csv", *files)
     assert status == 1
-    assert "Fault found: level 1 sensor, since t = " in out
+    assert "Fault found: level 1 sensor, alarm raised at " in out
     assert "Fired: without level 2; code of 'level 1 sensor' (exact)." in out
     line = json.loads((tmp_path / "a.jsonl").read_text().splitlines()[-1])
     assert line["code"]["fired"] == ["without level 2"]
@@ -307,8 +307,8 @@ def test_two_faults_are_both_named(made: Path, tmp_path: Path, residua: Residua)
     status, out, _ = residua("run", tmp_path / "bank.json", both)
     assert status == 1
     assert "2 faults found: " in out
-    assert "level 2 sensor since t = " in out
-    assert "level 1 sensor since t = " in out
+    assert "level 2 sensor (fired from " in out
+    assert "level 1 sensor (fired from " in out
     assert "several, or not known" not in out
 
 
@@ -442,10 +442,11 @@ def test_fit_refuses_too_little_data(made: Path, tmp_path: Path, residua: Residu
 
 
 def test_a_pole_at_zero_is_a_zero(made: Path, tmp_path: Path, residua: Residua) -> None:
-    assert [format_pole(p) for p in (-1.221e-15, -0.0, 1e-13 + 1e-14j, -0.5, 0.1 + 0.2j)] == [
+    assert [format_pole(p) for p in (0.0, -0.0, -1.221e-15, -3e-13 + 4e-13j, -0.5 + 1e-12j, 0.1 + 0.2j)] == [
         "0",
         "0",
-        "0",
+        "-1.221e-15",
+        "-3e-13+4e-13i",
         "-0.5",
         "0.1+0.2i",
     ]

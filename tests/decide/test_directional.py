@@ -54,6 +54,24 @@ def test_signatures_are_grouped_and_missing_ones_listed() -> None:
     assert only.unjudged == ("c", "d")
 
 
+def test_faults_that_share_a_plane_are_told_apart_by_where_they_settle() -> None:
+    """Unless one of them settles to nothing, or both to one direction, of either sign."""
+    e = np.eye(3)
+    plane = e[:, :2]
+    turned = plane @ np.array([[0.6, -0.8], [0.8, 0.6]])
+    subspaces = {"a": plane, "b": turned, "c": e[:, 2:]}
+    steady = {"a": e[0], "b": -e[1], "c": e[2]}
+    apart = direction_test(rs.decide.Directional(), subspaces, steady, np.eye(3))
+    assert apart.groups == (("a",), ("b",), ("c",))
+    assert apart.dimensions == (1, 1, 1)
+    whole = direction_test(rs.decide.Directional(signature="subspace"), subspaces, steady, np.eye(3))
+    assert whole.groups == (("a", "b"), ("c",))
+    for other in (-3 * e[0], np.zeros(3)):
+        together = direction_test(rs.decide.Directional(), subspaces, {**steady, "b": other}, np.eye(3))
+        assert together.groups == (("a", "b"), ("c",))
+        assert together.dimensions == (2, 1)
+
+
 def test_correlation_and_distance_by_pseudoinverse() -> None:
     rng = np.random.default_rng(0)
     for _ in range(20):

@@ -12,7 +12,7 @@ import scipy.linalg
 import residua as rs
 from generated import nth, random_plant, singular_plant
 from residua.design import FaultEstimator, fault_estimator
-from residua.errors import DesignError
+from residua.errors import AccuracyError, DesignError
 from residua.linear import invariant_zeros
 
 SEEDS = range(200)
@@ -46,6 +46,9 @@ def attempt(seed: int) -> FaultEstimator | str:
     try:
         return fault_estimator(plant, faults=faults)
     except DesignError as error:
+        return str(error)
+    except AccuracyError as error:
+        assert plant.E is not None  # an ordinary plant of this size is never too badly conditioned
         return str(error)
 
 
@@ -122,10 +125,11 @@ def exists(plant: rs.Plant, faults: list[str]) -> bool:
 
 
 def test_every_estimator_that_exists_is_found_and_no_other() -> None:
-    found = wrong = 0
+    found = wrong = inaccurate = 0
     for seed in SEEDS:
         plant, faults = generated(seed)
         if plant.E is not None:
+            inaccurate += "badly" in str(attempt(seed))
             continue
         outcome = attempt(seed)
         answer = not isinstance(outcome, str)
@@ -133,6 +137,7 @@ def test_every_estimator_that_exists_is_found_and_no_other() -> None:
         found += answer
         wrong += answer != exists(plant, faults)
     assert wrong == 0
+    assert inaccurate <= 1
     assert 60 < found < 150  # both answers are among them
 
 

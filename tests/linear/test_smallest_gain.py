@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 
@@ -241,11 +243,12 @@ def test_defective_states_and_slow_poles():
     slow = UncertainSystem([[1 - 1e-6]], [[1]], [[1e-6]], [[1]], [[1]], low=-1e-7, high=1e-7, dt=1)
     for band in (0.0, 1e-6, 1.0):
         assert check(slow, band).ratio >= 0.98
-    # Nearer to the boundary than rounding can tell, nothing is promised.
+    # However near to the boundary, 1 - A is exact, and so is the gain of the numbers that were given.
     slower = UncertainSystem([[1 - 1e-12]], [[1]], [[1]], [[1]], [[1]], low=-1e-13, high=1e-13, dt=1)
     found = smallest_gain(slower)
-    assert found.bound == 0.0
-    assert "rounding" in found.note
+    exact = float(1 / (1 - Fraction(1 - 1e-12) + Fraction(1e-13)))
+    assert found.attained == pytest.approx(exact, rel=1e-9)
+    assert 0.99 * exact < found.bound <= exact
 
 
 def engine_sensor(column: int) -> UncertainSystem:
@@ -386,3 +389,15 @@ def test_two_inputs_by_way_of_one_state_leave_one_without_output(size):
     found = smallest_gain(system)
     assert (found.bound, found.attained) == (0, 0)
     assert "zero" in found.note
+
+
+@pytest.mark.parametrize("exponent", [20, 30, 41])
+def test_a_gain_is_not_zero_where_poles_lie_near_one(exponent: int) -> None:
+    """A slow lag, 1 - 2^-k at full sampling rate: 1 - A is exact, and so is the gain of two."""
+    slow = 2.0**-exponent
+    lag = UncertainSystem(
+        [[1 - slow]], [[1.0]], [[2 * slow]], [[1.0]], [[1.0]], low=[-slow / 64], high=[slow / 64], dt=1.0
+    )
+    found = smallest_gain(lag)
+    assert found.attained == pytest.approx(2 / (1 + 1 / 64), rel=1e-9)
+    assert found.bound > 0.98 * found.attained

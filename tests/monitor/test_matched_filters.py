@@ -167,7 +167,9 @@ def test_gertler_names_the_fault_dates_it_and_sizes_it(fault: int, tmp_path: Pat
     assert alarm.lead is not None
     assert alarm.lead > 20
     text = str(found)
-    assert f"onset {alarm.onset:g} s" in text
+    assert f"raised {alarm.raised:g} s" in text
+    assert alarm.began is not None
+    assert (alarm.began.earliest or 0.0) <= 100 <= alarm.began.latest
     assert f"arrived {alarm.onset:g} s" in text
     assert "±" in text
     content = alarm.to_dict(window=found.window)
@@ -417,7 +419,7 @@ def test_a_close_call_is_one_of_likelihood() -> None:
     assert "close call" not in str(found)
     said = verdict(found)
     assert said.confidence == "clear lead"
-    assert said.headline == "Fault found: f1, since t = 200 s."
+    assert said.headline == f"Fault found: f1, alarm raised at {alarm.raised:g} s."
     small = running.run(*recording(plant, 4, size=0.02, onset=200, steps=400))
     assert isinstance(small, rs.Diagnosis)
     (alarm,) = small.alarms

@@ -293,7 +293,7 @@ def test_three_drifts_are_three_faults_with_their_times(drifted: rs.Diagnosis) -
 def test_text_and_lines_tell_when_each_came(drifted: rs.Diagnosis, tmp_path: Path) -> None:
     lines = str(drifted).splitlines()
     times = [f"{p.since:.6g}" for p in drifted.present]
-    assert lines[-3:] == [f"  {name} since {t} s" for name, t in zip(THREE, times, strict=True)]
+    assert lines[-3:] == [f"  {name}, its member fired from {t} s" for name, t in zip(THREE, times, strict=True)]
     assert "several faults: 'XNH sensor', 'XNL sensor' and 'TMPC sensor'" in str(drifted)
     drifted.write_alarms(tmp_path / "alarms.jsonl")
     (line,) = map(json.loads, (tmp_path / "alarms.jsonl").read_text().splitlines())
@@ -315,7 +315,7 @@ def test_a_fault_that_goes_is_told_with_its_end() -> None:
     assert second.until == pytest.approx(41.0, abs=1.0)
     last = np.flatnonzero(found.fired[:, 2])[-1]
     assert second.until == found.time[last + 1]
-    assert f"TMPC sensor since {second.since:.6g} s until {second.until:.6g} s" in str(found)
+    assert f"TMPC sensor, its member fired from {second.since:.6g} s until {second.until:.6g} s" in str(found)
 
 
 def test_a_drift_that_flickers_is_one_alarm_with_what_comes_later() -> None:
@@ -355,7 +355,7 @@ def test_a_single_fault_has_its_time_too() -> None:
     assert found.main_alarm.reading is not None
     assert found.main_alarm.reading.answer == "exact"
     assert found.present == (PresentFault(("XNL sensor",), "only XNL", found.main_alarm.onset, None),)
-    assert "since" not in str(found)
+    assert "fired from" not in str(found)
 
 
 # ------------------------------------------------------------------- live, and files
@@ -510,7 +510,7 @@ def test_files_of_outputs_alone_are_read_and_run(tmp_path: Path, suffix: str, ca
     rs.Monitor(BANK).save(tmp_path / "m.json")
     page, lines = tmp_path / "page.html", tmp_path / "alarms.jsonl"
     assert main(["run", str(tmp_path / "m.json"), str(path), "--report", str(page), "--alarms", str(lines)]) == 1
-    assert "3 faults found: XNH sensor since t = 25.3 s, TMPC sensor since" in capsys.readouterr().out.replace(
+    assert "3 faults found: XNH sensor (fired from 25.3 s), TMPC sensor (fired" in capsys.readouterr().out.replace(
         "\n", " "
     )
     assert [p["faults"] for p in json.loads(lines.read_text())["present"]] == [[name] for name in THREE]

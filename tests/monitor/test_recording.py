@@ -48,7 +48,7 @@ def assert_read(recording: Recording, missing: int = 0) -> None:
 @pytest.mark.parametrize(("separator", "comma"), [(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ",")])
 def test_csv(tmp_path: Path, separator: str, comma: str) -> None:
     path = write_csv(tmp_path / "data.csv", separator, comma)
-    recording = read_recording(path, PLANT)
+    recording = read_recording(path, PLANT, decimal=comma)
     assert_read(recording)
     np.testing.assert_array_equal(recording.time, TIME)
     assert recording.source == "data.csv"

@@ -13,9 +13,11 @@ import numpy as np
 import pytest
 
 import residua as rs
+from older_files import as_version
 from residua.decide import NormThreshold
 from residua.errors import FileFormatError
 from residua.library import three_tank
+from residua.monitor.encoding import array_out
 
 
 def continuous() -> rs.Plant:
@@ -210,3 +212,210 @@ def test_odd_numbers_are_refused(number: object, tmp_path: Path) -> None:
     path.write_text(json.dumps(content).replace("Infinity", "1e999"))
     with pytest.raises(FileFormatError):
         rs.Monitor.load(path)
+
+
+# ------------------------------------------------------- what a number may be, and the checksum
+
+
+def fitted() -> rs.Monitor:
+    monitor = rs.Monitor(rs.design.kalman_filter(three_tank())).fit(*recording(3000, 1))
+    monitor.update(*recording(50, 2))
+    return monitor
+
+
+def fitted_bank() -> rs.Monitor:
+    monitor = sampled_bank()
+    monitor.update(*recording(50, 2))
+    return monitor
+
+
+def numbers(value: Any, path: tuple = ()) -> Any:
+    """Yield the place of one number of every list of numbers, and of every number that stands alone."""
+    if isinstance(value, dict):
+        for key, entry in value.items():
+            yield from numbers(entry, (*path, key))
+    elif isinstance(value, list):
+        plain = [k for k, entry in enumerate(value) if isinstance(entry, (int, float))]
+        if plain and "shape" not in path:
+            yield (*path, plain[len(plain) // 2])
+        for k, entry in enumerate(value):
+            if isinstance(entry, (list, dict)):
+                yield from numbers(entry, (*path, k))
+    elif isinstance(value, (int, float)):
+        yield path
+
+
+def changed(content: Any, place: tuple, value: object) -> Any:
+    """Return a content with one entry replaced."""
+    copy = json.loads(json.dumps(content))
+    table = copy
+    for key in place[:-1]:
+        table = table[key]
+    table[place[-1]] = value
+    return copy
+
+
+#: Entries of what a design reports about itself, which may be infinite or not known; nothing of it runs.
+REPORTS = {"decoupling", "conditions"}
+
+
+@pytest.mark.parametrize("make", [fitted, fitted_bank])
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
+def test_no_number_that_runs_may_be_missing_or_infinite(
+    make: Callable[[], rs.Monitor], value: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "m.json"
+    make().save(path)
+    content = json.loads(path.read_text())
+    assert content["checksum"]
+    content["checksum"] = None
+    places = [place for place in numbers(content) if not {*REPORTS, "match_held", "version"} & {*place}]
+    assert {place[0] for place in places} >= {"design", "test", "fitted", "running", "state"}
+    assert ("running", "start") in {place[:2] for place in places}
+    assert {("state", "x"), ("state", "held")} <= {place[:2] for place in places}
+    runs = [place for place in places if place[0] in ("fitted", "running", "state")]
+    rest = [place for place in places if place not in runs]
+    for place in [*runs, *rest[:: max(1, len(rest) // 40)]]:
+        path.write_text(json.dumps(changed(content, place, value)))
+        with pytest.raises(FileFormatError, match=r": expected .*, got "):
+            rs.Monitor.load(path)
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "words"),
+    [
+        (("running", "start", "float", 0), "nan", r"running\.start.*expected a finite number"),
+        (("running", "start", "float", 0), 7.0, r"running\.start must be the state that the filter settles to"),
+        (("state", "x", "float", 0), "inf", r"state\.x.*: expected a finite number"),
+        (("state", "held", "float", 1), "-inf", r"state\.held.*: expected a finite number"),
+        (("state", "age", "int", 0), -1, r"state\.age\[0\]: expected a whole number, 0 or more, got -1"),
+        (("state", "since", "int", 0), 10**6, r"state\.since must not be later"),
+        (("fitted", "threshold"), "inf", r"fitted\.threshold: expected a positive, finite number"),
+        (("fitted", "threshold"), 0, r"fitted\.threshold: expected a positive, finite number, got 0"),
+        (("fitted", "persistence"), 0, r"fitted\.persistence: expected a whole number, 1 or more, got 0"),
+        (("test", "window"), 10**9, r"test\.window: expected a whole number from 1 to"),
+        (("fitted", "whitening", "float", 0), 1e308, r"fitted\.whitening\[0, 0\]: expected a finite number of at most"),
+        (("test", "false_alarm_rate"), 1.5, r"test\.false_alarm_rate: expected a number between 0 and 1, got 1.5"),
+        (("design", "system", "A", "float", 0), 1e308, r"design\.system\.A\[0, 0\]: expected a finite number of at"),
+        (("design", "system", "dt"), -1.0, r"design\.system\.dt: expected 0, or a positive number"),
+        (("running", "direction", "bases", 0, "float", 0), 3.0, r"running\.direction\.bases\[0\]: .* orthonormal"),
+    ],
+)
+def test_the_message_names_the_entry_and_what_it_may_be(
+    place: tuple, value: object, words: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "m.json"
+    fitted().save(path)
+    path.write_text(json.dumps(changed(json.loads(path.read_text()), place, value)))
+    with pytest.raises(FileFormatError, match=rf"^m\.json: {words}"):
+        rs.Monitor.load(path)
+
+
+def test_whitening_that_leaves_a_residual_out_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "m.json"
+    fitted().save(path)
+    content = json.loads(path.read_text())
+    k = content["fitted"]["whitening"]["shape"][0]
+    content["fitted"]["whitening"]["float"][:k] = [0.0] * k
+    path.write_text(json.dumps(content))
+    with pytest.raises(FileFormatError, match="whitening must be invertible"):
+        rs.Monitor.load(path)
+
+
+def test_a_number_that_changed_without_a_word_is_refused(tmp_path: Path) -> None:
+    """A threshold of ten times its size is a threshold like any other, and blind."""
+    path = tmp_path / "m.json"
+    monitor = fitted()
+    monitor.save(path)
+    content = json.loads(path.read_text())
+    content["fitted"]["threshold"] *= 10
+    path.write_text(json.dumps(content))
+    with pytest.raises(FileFormatError, match="its content is not what was saved"):
+        rs.Monitor.load(path)
+    del content["checksum"]
+    path.write_text(json.dumps(content))
+    with pytest.raises(FileFormatError, match="'checksum' is missing"):
+        rs.Monitor.load(path)
+
+
+def test_an_edited_file_is_taken_when_it_says_so_and_every_diagnosis_repeats_it(tmp_path: Path) -> None:
+    path = tmp_path / "m.json"
+    fitted().save(path)
+    content = json.loads(path.read_text())
+    content["fitted"]["threshold"] *= 10
+    content["checksum"] = None
+    path.write_text(json.dumps(content, indent=2))
+    loaded = rs.Monitor.load(path)
+    assert loaded.threshold == content["fitted"]["threshold"]
+    assert any("was edited" in note for note in loaded.notes)
+    found = loaded.run(*recording(300, 4))
+    assert isinstance(found, rs.Diagnosis)
+    assert any("was edited" in note for note in found.notes)
+    loaded.save(path)
+    assert rs.Monitor.load(path).notes == loaded.notes
+
+
+def test_how_a_file_is_laid_out_does_not_count(tmp_path: Path) -> None:
+    path = tmp_path / "m.json"
+    fitted().save(path)
+    path.write_text(json.dumps(json.loads(path.read_text()), indent=1))
+    assert rs.Monitor.load(path).notes == ()
+
+
+def test_an_entry_that_is_there_twice_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "m.json"
+    fitted().save(path)
+    path.write_text(path.read_text().replace('"max_hold": 10', '"max_hold": 10, "max_hold": 10'))
+    with pytest.raises(FileFormatError, match="'max_hold' is there twice"):
+        rs.Monitor.load(path)
+
+
+@pytest.mark.parametrize("version", [3, 4, 5])
+def test_files_of_earlier_versions_are_read(version: int, tmp_path: Path) -> None:
+    path = tmp_path / "m.json"
+    monitor = fitted()
+    monitor.save(path)
+    path.write_text(json.dumps(as_version(version, json.loads(path.read_text()))))
+    loaded = rs.Monitor.load(path)
+    assert loaded.notes == ()
+    assert_same(monitor.update(*recording(50, 3)), loaded.update(*recording(50, 3)))
+    with_checksum = json.loads(path.read_text()) | {"checksum": None}
+    path.write_text(json.dumps(with_checksum))
+    with pytest.raises(FileFormatError, match="'checksum' is unknown"):
+        rs.Monitor.load(path)
+
+
+def test_rounding_in_the_signatures_of_an_older_file_is_no_answer_to_a_fault(tmp_path: Path) -> None:
+    plant = rs.Plant([[-1, 0], [0, -2]], [[1], [1]], np.eye(2)).with_faults({"a": [1, 0], "b": [1, 1]})
+    design = rs.design.detection_filter(plant)
+    path = tmp_path / "m.json"
+    rs.Monitor(design, dt=0.1, test=NormThreshold(threshold=1.0)).save(path)
+    content = json.loads(path.read_text())
+    for name in ("design", "sampled"):
+        content[name]["subspaces"]["a"] = array_out(np.array([[1.0], [1e-17]]))
+    path.write_text(json.dumps(as_version(5, content)))
+    read = rs.Monitor.load(path).generator
+    np.testing.assert_array_equal(read.structure, [[True, True], [False, True]])
+
+
+@pytest.mark.parametrize("window", [5, 10**6])
+def test_windows_that_do_not_belong_together_are_refused_before_anything_is_made_of_them(
+    window: int, tmp_path: Path
+) -> None:
+    """A window of a million samples, in a file that has the responses of five, took a quarter of an hour to refuse."""
+    path = tmp_path / "m.json"
+    rs.Monitor(rs.design.matched_filters(three_tank(), window=4)).save(path)
+    whole = json.loads(path.read_text())
+    cases = {
+        (("isolate", "window"),): r"running\.matched\.window must be that of isolate",
+        (("isolate", "window"), ("running", "matched", "window")): r"running\.matched\.responses must be those of",
+        (("test", "window"),): r"fitted\.window must be that of the test",
+        (("running",),): r"running must be there if and only if fitted is",
+    }
+    for places, words in cases.items():
+        content = whole
+        for place in places:
+            content = changed(content, place, None if place == ("running",) else window)
+        path.write_text(json.dumps(content))
+        with pytest.raises(FileFormatError, match=words):
+            rs.Monitor.load(path)

@@ -10,6 +10,7 @@ import pytest
 
 import residua as rs
 from dedicated_examples import D1, D2, DT, MEMBERS, A, K, dedicated_bank, recording
+from older_files import as_version
 from residua.decide import NormThreshold, PeakThreshold
 from residua.errors import DataError
 from residua.linear import StateSpace
@@ -103,6 +104,7 @@ def test_a_monitor_that_was_saved_with_a_shorter_wait_keeps_it(tmp_path: Path) -
     first.save(tmp_path / "m.json")
     content = json.loads((tmp_path / "m.json").read_text())
     assert content["settle"] is None
+    content = as_version(5, content)
     content["running"]["settle"] = samples_until(0.01)
     (tmp_path / "old.json").write_text(json.dumps(content))
     loaded = rs.Monitor.load(tmp_path / "old.json")

@@ -31,7 +31,7 @@ def engine(*, corrected: bool = True, E: object = E1_PRINTED) -> rs.Plant:
 
 def test_v1_matrices_of_the_robust_filter() -> None:
     plant = engine()
-    flt = rs.design.robust_detection_filter(plant, poles=[-3, -3, -3])
+    flt = rs.design.robust_detection_filter(plant, poles=[-3, -3, -3], H0=np.zeros((3, 6)))
     observer = flt.observer
     assert observer is not None
     np.testing.assert_allclose(observer.H, H_PRINTED, atol=6e-5)
@@ -44,7 +44,7 @@ def test_v1_matrices_of_the_robust_filter() -> None:
 
 
 def test_v1_the_observer_alone_gives_the_same() -> None:
-    observer = rs.design.unknown_input_observer(engine(), poles=[-3, -3, -3])
+    observer = rs.design.unknown_input_observer(engine(), poles=[-3, -3, -3], H0=np.zeros((3, 6)))
     np.testing.assert_allclose(observer.H, H_PRINTED, atol=6e-5)
     np.testing.assert_allclose(observer.K, K_PRINTED, atol=2.5e-4)
     np.testing.assert_allclose(observer.K, observer.K1 + observer.K2, atol=1e-13)
@@ -52,14 +52,14 @@ def test_v1_the_observer_alone_gives_the_same() -> None:
 
 
 def test_v1_with_the_misprinted_entry() -> None:
-    observer = rs.design.unknown_input_observer(engine(corrected=False), poles=[-3, -3, -3])
+    observer = rs.design.unknown_input_observer(engine(corrected=False), poles=[-3, -3, -3], H0=np.zeros((3, 6)))
     assert observer.K[2, 2] == pytest.approx(-4.51916, abs=1e-5)
     assert observer.T[0, 2] == pytest.approx(-0.12496, abs=1e-5)
 
 
 def test_v1_only_the_range_of_the_disturbance_matrix_matters() -> None:
-    first = rs.design.unknown_input_observer(engine(), poles=[-3, -3, -3])
-    second = rs.design.unknown_input_observer(engine(E=np.eye(3)[:, :2]), poles=[-3, -3, -3])
+    first = rs.design.unknown_input_observer(engine(), poles=[-3, -3, -3], H0=np.zeros((3, 6)))
+    second = rs.design.unknown_input_observer(engine(E=np.eye(3)[:, :2]), poles=[-3, -3, -3], H0=np.zeros((3, 6)))
     np.testing.assert_allclose(first.H, second.H, atol=1e-12)
 
 
@@ -88,7 +88,7 @@ def signature(flt: rs.design.ResidualGenerator, j: int, columns: int) -> np.ndar
     ],
 )
 def test_v2_ideal_projection_distances(columns: int, table: list[list[float]]) -> None:
-    flt = rs.design.robust_detection_filter(engine(), poles=[-3, -3, -3])
+    flt = rs.design.robust_detection_filter(engine(), poles=[-3, -3, -3], H0=np.zeros((3, 6)))
     for j, sensor in enumerate(SENSORS):
         r = flt.steady_directions[f"{sensor} sensor"]
         for i in range(3):
@@ -99,7 +99,7 @@ def test_v2_ideal_projection_distances(columns: int, table: list[list[float]]) -
 
 
 def test_signature_subspaces_lie_in_those_of_definition_6() -> None:
-    flt = rs.design.robust_detection_filter(engine(), poles=[-3, -3, -3])
+    flt = rs.design.robust_detection_filter(engine(), poles=[-3, -3, -3], H0=np.zeros((3, 6)))
     for j, sensor in enumerate(SENSORS):
         for column in flt.subspaces[f"{sensor} sensor"].T:
             assert projection_distance(column, signature(flt, j, 3)) < 1e-9

@@ -319,7 +319,10 @@ def test_fast_and_slow_modes_are_all_in_the_equations(k: int) -> None:
 
 @pytest.mark.parametrize(("n", "h"), [(4, 0.01), (6, 0.03)])
 def test_degrees_of_plants_that_are_sampled_fast(n: int, h: float) -> None:
-    """The degree is that of the plant also where coefficients of powers hold few digits of the response."""
+    """The degree is that of the plant also where coefficients of powers hold few digits of the response.
+
+    Four poles within a hundredth of one another leave their coefficients half of the digits.
+    """
     for k in range(5):
         rng = np.random.default_rng([n, k])
         A = rng.standard_normal((n, n))
@@ -328,7 +331,7 @@ def test_degrees_of_plants_that_are_sampled_fast(n: int, h: float) -> None:
         plant = rs.Plant(A, rng.standard_normal((n, 2)), rng.standard_normal((2, n))).discretize(h)
         io = input_output_from_plant(plant, tolerance=np.inf)
         assert io.H.row_degrees == (n, n)
-        np.testing.assert_allclose(entry(io.H, 0, 0), np.poly(np.linalg.eigvals(plant.A)), rtol=1e-9)
+        np.testing.assert_allclose(entry(io.H, 0, 0), np.poly(np.linalg.eigvals(plant.A)), rtol=1e-7)
 
 
 def test_plant_that_differentiates_is_refused() -> None:

@@ -191,6 +191,19 @@ BAD_PLANTS = {
         "symmetric",
     ),
     "noise indefinite": (lambda: example().with_noise(measurement=[1.0, -1.0]), "no negative eigenvalue"),
+    "noise indefinite beside a large one": (
+        lambda: example().with_noise(measurement=[1e12, -1.0]),
+        "no negative eigenvalue, and the variance of 'flow' is -1",
+    ),
+    "noise too correlated": (
+        lambda: example().with_noise(measurement=[[1e12, 2.0], [2.0, 1e-12]]),
+        "'level' and 'flow' cannot have the covariance 2",
+    ),
+    "noise correlated with nothing": (lambda: example().with_noise(measurement=[[1.0, 0.1], [0.1, 0.0]]), "at most 0"),
+    "noise of three that cannot be": (
+        lambda: example().with_noise(process=[[1, 0.9, 0.9], [0.9, 1, -0.9], [0.9, -0.9, 1]]),
+        "the smallest of its correlation matrix is -0.8",
+    ),
     "noise of wrong size": (lambda: example().with_noise(process=np.eye(2)), "must be 3 x 3"),
     "noise of an unknown channel": (lambda: example().with_noise(process={"z": 1.0}), "'z'"),
     "noise in words": (lambda: example().with_noise(process={"a": "much"}), "expected a number, got 'much'"),

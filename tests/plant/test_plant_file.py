@@ -65,7 +65,7 @@ measurement = {flow = 0.2}
 
 def plants() -> list[Plant]:
     special = example(units={"pump": "m³/s", "a": "m"}, name='a "quoted"\n\\name\x7f', description="ß → 1")
-    special = special.with_operating_point(inputs=[0.1 + 0.2, -0.0], outputs=[1e-300, 1e300])
+    special = special.with_operating_point(inputs=[0.1 + 0.2, -0.0], outputs=[1e-300, 1e99])
     special = special.with_faults({"odd name.": {"b": 1 / 3}, "by output": ([0, 0, 0], [0, np.pi])}, component="x y")
     special = special.with_faults({"drift": ([1, 0, 0], [1, 0])}, kind="sensor")
     special = special.with_disturbances([[1], [0], [0]]).with_disturbances({"again": [2, 0, 0]})
@@ -82,7 +82,22 @@ def plants() -> list[Plant]:
         Plant(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), [[1, 2], [3, 4]], dt=0.5).with_sensor_faults(),
         *(random_plant(seed) for seed in range(5)),
         *(random_plant(seed).discretize(0.1) for seed in range(5)),
+        *(correlated(random_plant(seed), seed) for seed in range(3)),
     ]
+
+
+def correlated(plant: Plant, seed: int) -> Plant:
+    """The plant with noise that states and outputs share."""
+    rng = np.random.default_rng(seed)
+    L = rng.standard_normal((plant.n_states + plant.n_outputs, 4))
+    W, S, V = ((L @ L.T)[a, b] for a, b in parts(plant.n_states))
+    return plant.with_noise(process=W, measurement=V, cross=S)
+
+
+def parts(n: int) -> list[tuple[slice, slice]]:
+    """Where process, cross and measurement noise stand in their joint covariance."""
+    states, outputs = slice(None, n), slice(n, None)
+    return [(states, states), (states, outputs), (outputs, outputs)]
 
 
 @pytest.mark.parametrize("k", range(len(plants())))
@@ -216,6 +231,20 @@ BAD_FILES = {
     "noise twice": (
         edited("process = 0.01", "process = 0.01\nstate = [[1], [0], [0]]"),
         "noise.process: give",
+    ),
+    "cross of wrong size": (
+        edited("process = 0.01", "process = 0.01\ncross = [[0.1, 0.0], [0, 0]]"),
+        r"noise.cross: expected 3 rows",
+    ),
+    "cross too large": (
+        edited("process = 0.01", "process = 0.01\ncross = [[0, 0], [0, 1], [0, 0]]"),
+        r"noise: cross: state 'b' and output 'flow' cannot have the covariance 1",
+    ),
+    "cross and directions": (
+        edited(
+            "process = 0.01\nmeasurement = {flow = 0.2}", "cross = [[0, 0], [0, 1], [0, 0]]\nstate = [[1], [0], [0]]"
+        ),
+        "noise.cross: give",
     ),
     "noise columns": (
         edited("process = 0.01\nmeasurement = {flow = 0.2}", "state = [[1], [0], [0]]\noutput = [[1, 2], [3, 4]]"),

@@ -88,8 +88,9 @@ def test_a_bank_with_an_estimator_is_drawn(tmp_path):
     assert isinstance(found, rs.Diagnosis)
     seen = facts(browse(found.to_html(tmp_path / "page.html"), tmp_path, "--dump-dom"))
     assert seen["error"] == ""
-    assert int(seen["charts"]) == len(found.residual_names) + 1 + 5 + 1
-    assert int(seen["drawn-charts"]) == 1 + 1 + 5 + 1  # the bank's own residuals wait behind a click
+    assert int(seen["charts"]) == len(found.residual_names) + 1 + 5 + 1 + 5 + 2
+    # The bank's own residuals, the fifth output and the inputs wait behind a click.
+    assert int(seen["drawn-charts"]) == 1 + 1 + 5 + 1 + 4
 
 
 def test_three_drifting_sensors_are_drawn(tmp_path):
@@ -99,8 +100,8 @@ def test_three_drifting_sensors_are_drawn(tmp_path):
     dom = browse(found.to_html(tmp_path / "page.html"), tmp_path, "--dump-dom")
     seen = facts(dom)
     assert seen["error"] == ""
-    assert int(seen["charts"]) == 3 + 1 + 3
-    assert int(seen["drawn-charts"]) == 1 + 3
+    assert int(seen["charts"]) == 3 + 1 + 3 + 3
+    assert int(seen["drawn-charts"]) == 1 + 3 + 3
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

@@ -12,6 +12,7 @@ from page_reader import NASTY, read, words
 from report_examples import diagnosis, generator
 from residua.errors import FileFormatError
 from residua.monitor.diagnosis import Candidate
+from residua.report.charts import chart_data
 from residua.report.page import Section, Table, render, write_demo_page, write_page
 from residua.report.text import safe_json
 
@@ -20,7 +21,7 @@ def test_page_states_verdict_margin_and_provenance(tmp_path):
     path = write_page(diagnosis(), tmp_path / "page.html")
     text = words(path.read_text(encoding="utf-8"))
     assert "tanks: fault diagnosis" in text
-    assert "Fault found: level 2 sensor, since t = 30 s." in text
+    assert "Fault found: level 2 sensor, alarm raised at 30.2 s." in text
     assert "Score 0.991, 7.7° off its signature; next is level 1 sensor with 0.780" in text
     assert "a clear lead, margin 0.211" in text
     assert "Recording tank08.csv : 600 samples from 0 s to 59.9 s, step 0.1 s" in text
@@ -47,7 +48,12 @@ def test_directions_of_a_monitor_that_does_not_isolate():
 
 
 def test_the_band_is_said_to_be_of_averaged_residuals():
-    assert "averaged over the test window, where there is one" in words(render([Section("", diagnosis())], "t"))
+    d = replace(diagnosis(), averaged=20, band_share=0.999)
+    text = words(render([Section("", d)], "t"))
+    assert "(1 in 1,000 of its fault-free average over 20 samples is outside, if its noise is Gaussian)" in text
+    assert "its average over 20 samples, which is what the test judges and its band is for" in text
+    charts = [c for c in chart_data(d)["charts"] if c["kind"] == "residual"]
+    assert all(c["names"][1:] == ["average of 20"] and len(c["y"]) == 2 for c in charts)
 
 
 def test_page_loads_nothing_and_allows_only_its_own_scripts():
@@ -86,7 +92,7 @@ def test_every_text_is_escaped():
     assert "img" not in [t for t, _ in reader.tags]
     assert not any(a.startswith("on") for _, attrs in reader.tags for a in attrs)
     labels = [c["label"] for c in json.loads(reader.data)["diagnoses"][0]["charts"] if c["kind"] == "residual"]
-    assert labels == [f"r {name}" for name in names]
+    assert labels == [f"r {name}".replace("\u2028", "\\u2028") for name in names]
 
 
 @settings(max_examples=40, deadline=None)

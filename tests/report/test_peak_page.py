@@ -38,8 +38,8 @@ def test_the_verdict_names_all_with_their_times(three: rs.Diagnosis) -> None:
     found = verdict(three)
     times = [f"{p.since:g}" for p in three.present]
     assert found.headline == (
-        f"3 faults found: XNH sensor since t = {times[0]} s, TMPC sensor since t = {times[1]} s and XNL sensor since "
-        f"t = {times[2]} s."
+        f"3 faults found: XNH sensor (fired from {times[0]} s), TMPC sensor (fired from {times[1]} s) and XNL sensor "
+        f"(fired from {times[2]} s)."
     )
     assert (found.confidence, found.margin) == ("exact codes", None)
     assert CERTAIN in found.sentences
@@ -52,10 +52,10 @@ def test_a_short_alarm_of_several_is_told_with_caution() -> None:
     """Not by a peak test, of which one sample over a threshold is enough."""
     normal, y = recording(30.0), recording(30.0)
     y[-12:] += 3.0
-    assert verdict(run(y)).headline.startswith("3 faults found: XNH sensor since t = 29.88 s, XNL sensor since")
+    assert verdict(run(y)).headline.startswith("3 faults found: XNH sensor (fired from 29.88 s), XNL sensor")
     found = verdict(run(y, rs.Monitor(BANK, test=NormThreshold()).fit(None, normal)))
     assert found.confidence == "short alarm"
-    assert re.search(r"too short to be sure of the names; read as \w+ sensor since t = 29.9 s, ", found.headline)
+    assert re.search(r"too short to be sure of the names; read as \w+ sensor \(fired from 29.9 s\), ", found.headline)
 
 
 def test_the_page_says_how_it_was_tested(three: rs.Diagnosis) -> None:
@@ -67,7 +67,7 @@ def test_the_page_says_how_it_was_tested(three: rs.Diagnosis) -> None:
     assert "raised by one sample over its threshold, ended by 60 below it" in text
     assert "Member only XNL: norm of its residual and its threshold" in text
     assert "Largest ratio of a member's norm to its threshold" in text
-    assert "Statistics of the members over time" in text
+    assert "The test over time" in text
     assert "Every fault fires a member of its own." in text
     for absent in ("whitened", "Fault-free mean", "fault-free mean", "The score is", "Candidate scores"):
         assert absent not in text
@@ -157,7 +157,7 @@ def test_plots_shade_the_alarms_of_each_member(three: rs.Diagnosis) -> None:
 def test_an_unknown_time_leaves_the_name(three: rs.Diagnosis) -> None:
     (alarm,) = three.alarms
     less = replace(three, alarms=(replace(alarm, present=alarm.present[:2]),))
-    assert verdict(less).headline.endswith("TMPC sensor since t = 40.18 s and XNL sensor.")
+    assert verdict(less).headline.endswith("TMPC sensor (fired from 40.18 s) and XNL sensor.")
 
 
 def test_a_dedicated_bank_of_the_package_names_three_drifting_sensors() -> None:

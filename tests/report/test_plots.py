@@ -32,7 +32,8 @@ def drawn(figure) -> str:
 def test_figure_has_names_units_threshold_and_alarm():
     figure = plot_diagnosis(diagnosis())
     text = drawn(figure)
-    for expected in ("r level 1 [m]", "time [s]", "statistic [–]", "threshold", "alarm", "onset", "level 2 sensor"):
+    named = ("r level 1 [m]", "time [s]", "statistic [–]", "threshold", "alarm", "first over", "level 2 sensor")
+    for expected in named:
         assert expected in text
     assert len(figure.axes) == 5
 

@@ -8,7 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.analysis.unknown_input import UnknownInputExistence, unknown_input_observer_existence
-from residua.analysis.visibility import Visible, check_regular, generic_points, in_balanced_units, visible_columns
+from residua.analysis.visibility import (
+    Visible,
+    check_regular,
+    generic_points,
+    in_canonical_units,
+    limit_columns,
+    visible_columns,
+)
 from residua.errors import ModelError
 from residua.linear.rank import DEFAULT_RTOL, check_rtol
 from residua.plant import Plant
@@ -86,8 +93,8 @@ class Diagnosability:
     def _why_undetectable(self, i: int) -> str:
         if len(self.plant.disturbances) == 0:
             return "no output sees it"
-        bare = self.plant.without_disturbances()
-        alone = visible_columns(in_balanced_units(bare), generic_points(bare), DEFAULT_RTOL)
+        bare = in_canonical_units(self.plant.without_disturbances())
+        alone = visible_columns(bare, generic_points(bare), DEFAULT_RTOL)
         if _decide(alone, DEFAULT_RTOL)[0][i]:
             return f"hidden by the disturbances {', '.join(self.plant.disturbances)}, which can imitate it"
         return "no output sees it"
@@ -143,8 +150,8 @@ def diagnosability(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> Diagnosabilit
     any signals. Noise is not considered: what can be told in principle may take long in noise.
 
     The pencil is evaluated at a few fixed points; what the disturbances leave of each fault's column is its
-    projection on the left null space there. At ``s = 0`` the limit is taken, since a zero of the plant there
-    enlarges the null space at that one point.
+    projection on the left null space there. At ``s = 0`` (``z = 1``) a zero of the plant enlarges the null space at
+    that one point: of it the part counts that goes on around the point, which power series tell.
 
     References
     ----------
@@ -164,11 +171,12 @@ def diagnosability(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> Diagnosabilit
         raise ModelError(
             "the plant has no faults: name what may fail with with_sensor_faults, with_actuator_faults or with_faults"
         )
-    check_regular(plant, generic_points(plant))
-    model = in_balanced_units(plant)
-    generic = visible_columns(model, generic_points(plant), rtol)
+    model = in_canonical_units(plant)
+    points = generic_points(model)
+    check_regular(model, points)
+    generic = visible_columns(model, points, rtol)
     detectable, isolable = _decide(generic, rtol)
-    strong, strongly_isolable = _decide_in_the_limit(model, generic, rtol)
+    strong, strongly_isolable = _decide(limit_columns(model, rtol, generic.rank), rtol)
     strong &= detectable
     strongly_isolable &= isolable
     existence = None
@@ -223,26 +231,6 @@ def _sines(columns: NDArray) -> NDArray[np.float64]:
         for j in range(U.shape[1]):
             out[k, :, j] = np.linalg.norm(U - np.outer(U[:, j], cosines[j]), axis=0)
     return out
-
-
-def _decide_in_the_limit(plant: Plant, generic: Visible, rtol: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return the same for constant signals.
-
-    Where the pencil loses no rank at the limit, that point is used. Where it does (a zero of the plant), two
-    points near it are compared: what shrinks with the distance is nothing in the limit.
-    """
-    limit = 1.0 if plant.is_discrete else 0.0
-    there = visible_columns(plant, np.array([limit + 0j]), rtol)
-    if there.rank == generic.rank:
-        return _decide(there, rtol)
-    size = np.abs(generic_points(plant)).max()
-    points = limit + size * np.exp(0.731j) * np.array([1e-3, 1e-4])
-    near = visible_columns(plant, points, rtol, generic.rank)
-    far, close = np.linalg.norm(near.columns, axis=1)
-    visible = (close > np.maximum(near.rounding[1], 10 * rtol)) & (close > 0.3 * far)
-    sines = _sines(near.columns)
-    apart = (sines[1] > 1e-7) & (sines[1] > 0.3 * sines[0])
-    return visible, visible[:, None] & (apart | ~visible[None, :]) & ~np.eye(len(visible), dtype=bool)
 
 
 def _yes(value: bool | np.bool_) -> str:

@@ -8,13 +8,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.analysis.visibility import Visible, check_regular, generic_points, in_balanced_units, visible_columns
+from residua.analysis.visibility import (
+    Visible,
+    check_regular,
+    generic_points,
+    in_canonical_units,
+    limit_columns,
+    visible_columns,
+)
 from residua.errors import DesignError
 from residua.linear.rank import check_rtol
 from residua.plant import Plant
 
 #: Two columns closer than this are the same, as for diagnosability.
 LEAST_SINE = 1e-7
+#: Columns whose smallest angle is known to better than this are projected off one another as they are.
+_WELL_APART = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +64,10 @@ class FaultSpace:
     visible: NDArray[np.bool_]
     dimension: int
     generic: _Directions
-    near: _Directions  # at two points near s = 0 (z = 1), the nearer one last
-    limit: _Directions | None  # at that point itself, unless it is a zero
+    limit: _Directions  # at s = 0 (z = 1), as a limit where the plant has a zero there
+    model: Plant  # in units of its own
+    rank: int  # of its pencil with the disturbances
+    rtol: float
 
     def distances(self, basis: Sequence[int]) -> NDArray[np.float64]:
         """Return how far each column is outside the span of independent ones: the sine of the angle over its limit."""
@@ -75,6 +86,10 @@ class FaultSpace:
             taken.append(left.pop(best))
         return taken
 
+    def leaves(self, ignored: Iterable[str]) -> bool:
+        """Tell whether any residual is left that ignores some faults and the disturbances."""
+        return len(self.basis([self.faults.index(name) for name in ignored])) < self.dimension
+
     def closure(self, basis: Sequence[int]) -> NDArray[np.bool_]:
         """Return which faults a residual ignores that ignores these, which must be independent."""
         closed = self.distances(basis) <= 1
@@ -84,16 +99,18 @@ class FaultSpace:
     def lasting(self, basis: Sequence[int]) -> NDArray[np.bool_]:
         """Return which faults leave a lasting trace while constant, in some residual that ignores the basis.
 
-        Decided at the limit itself, ``s = 0`` (``z = 1``), unless the pencil or the basis loses rank there. Then
-        two points near it are compared: what shrinks with the distance is nothing in the limit.
+        The limit of what the disturbances leave is projected off the basis; where the basis loses rank there, the limit
+        is taken with the basis among the disturbances.
         """
-        if self.limit is not None:
-            sines, limits = _outside(self.limit, basis)
-            if np.isfinite(limits[0, list(basis)]).all() and limits[0].min(initial=1.0) < 1e-4:
-                return self.visible & (sines[0] > limits[0])
-        sines, limits = _outside(self.near, basis)
-        traces = sines * self.near.size
-        return self.visible & (sines[1] > limits[1]) & (traces[1] > 0.3 * traces[0])
+        sines, limits = _outside(self.limit, basis)
+        if not np.isfinite(limits[0, list(basis)]).all() or limits[0].min(initial=np.inf) > _WELL_APART:
+            ignored = self.model.faults_as_disturbances([self.faults[j] for j in basis])
+            after = limit_columns(ignored, self.rtol, self.rank + len(basis))
+            there, out = _directions(after, self.rtol), np.zeros(len(self.faults), dtype=bool)
+            kept = [j for j in range(len(self.faults)) if j not in basis]
+            out[kept] = np.isfinite(there.doubt[0])
+            return self.visible & out & ~self.closure(basis)
+        return self.visible & (sines[0] > limits[0])
 
     def hiders(self, fault: int, basis: Sequence[int]) -> list[int]:
         """Return a smallest part of a basis that hides a fault of its closure; empty for one that is not visible."""
@@ -143,24 +160,14 @@ def fault_space(plant: Plant, *, rtol: float) -> FaultSpace:
     if not plant.faults:
         raise DesignError("the plant has no faults: add some with with_sensor_faults or with_faults")
     check_rtol(rtol)
-    points = generic_points(plant)
-    check_regular(plant, points)
-    model = in_balanced_units(plant)
+    model = in_canonical_units(plant)
+    points = generic_points(model)
+    check_regular(model, points)
     found = visible_columns(model, points, rtol)
     generic = _directions(found, rtol)
-    limit = 1.0 if plant.is_discrete else 0.0
-    close = limit + np.abs(points).max() * np.exp(0.731j) * np.array([1e-3, 1e-4])
-    near = _directions(visible_columns(model, close, rtol, found.rank), rtol)
-    there = visible_columns(model, np.array([limit + 0j]), rtol)
+    limit = _directions(limit_columns(model, rtol, found.rank), rtol)
     visible = np.asarray(np.isfinite(generic.doubt).any(axis=0))
-    return FaultSpace(
-        plant.faults,
-        visible,
-        found.columns.shape[1],
-        generic,
-        near,
-        _directions(there, rtol) if there.rank == found.rank else None,
-    )
+    return FaultSpace(plant.faults, visible, found.columns.shape[1], generic, limit, model, found.rank, rtol)
 
 
 def _directions(found: Visible, rtol: float) -> _Directions:

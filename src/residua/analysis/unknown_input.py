@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from residua.linear.arrays import frozen
-from residua.linear.balancing import descriptor_units, without_rounding
-from residua.linear.observability import detectability
-from residua.linear.rank import DEFAULT_RTOL, RankDecision, decide_rank, equilibrated, left_null_basis
+from residua.linear.balancing import descriptor_units, evened, without_rounding
+from residua.linear.observability import Detectability, detectability
+from residua.linear.rank import DEFAULT_RTOL, RankDecision, decide_rank, left_null_basis, null_basis, range_basis
+from residua.linear.spectrum import describe_modes
 from residua.plant import OperatingPoint, Plant
 from residua.plant.disturbances import factor_disturbance
+from residua.plant.even_units import EvenPlant, even_plant
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,14 +53,15 @@ def output_free_form(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> OutputFreeF
     Bd, Dd = plant.Bd * columns, rows[:, None] * plant.Dd * columns
     U, s, Vh = np.linalg.svd(Dd)
     r = int(np.count_nonzero(s > rtol * s[0]))
-    G = Bd @ Vh[:r].T / s[:r] @ U[:, :r].T * rows
+    G = without_rounding(Bd, Vh[:r].T / s[:r], U[:, :r].T) * rows
     W = np.linalg.qr((U[:, r:].T * rows).T)[0].T
-    rest = Bd @ Vh[r:].T
+    rest = without_rounding(Bd, Vh[r:].T)
     scale = float(np.linalg.norm(Bd, 2)) if Bd.size else 0.0
     E, decision = factor_disturbance(rest, rtol=rtol)
     if scale and decision.singular_values.size and decision.singular_values[0] <= rtol * scale:
         E, decision = rest[:, :0], RankDecision(0, decision.singular_values, rtol * scale)
-    return OutputFreeForm(plant.A - G @ plant.C, W @ plant.C, E, G, W, decision)
+    A = without_rounding(np.hstack([np.eye(n), -G]), np.vstack([plant.A, plant.C]))
+    return OutputFreeForm(A, without_rounding(W, plant.C), E, G, W, decision)
 
 
 def _units(F: NDArray, n_states: int) -> tuple[NDArray, NDArray]:
@@ -86,6 +89,8 @@ class UnknownInputExistence:
         Invariant zeros of ``(A, E, C)``, which are poles of every such observer; condition (ii): stable.
     useful : bool
         Whether measurements are left over to see faults with (more measurements than disturbances).
+    decomposition : OrdinaryDecoupling, SingularDecoupling or None
+        What the answer was read from, in even units, which the design goes on with.
 
     References
     ----------
@@ -98,6 +103,7 @@ class UnknownInputExistence:
     rank_E: RankDecision
     fixed_poles: NDArray[np.complex128]
     useful: bool
+    decomposition: OrdinaryDecoupling | SingularDecoupling | None = field(default=None, repr=False)
 
     def __bool__(self) -> bool:
         return self.exists
@@ -143,37 +149,111 @@ def unknown_input_observer_existence(plant: Plant, *, rtol: float = DEFAULT_RTOL
     """
     if is_singular(plant):
         return _singular_existence(plant, rtol)
-    plant = plant.explicit()
-    form = output_free_form(plant, rtol=rtol)
-    CE = form.C @ form.E
-    rank_CE = _product_rank(form.C, form.E, rtol)
+    even = even_plant(plant, explicit=True)
+    form = output_free_form(even.plant, rtol=rtol)
     q = form.E.shape[1]
-    reasons: list[str] = []
-    fixed = np.zeros(0, dtype=complex)
-    if rank_CE.rank < q:
-        reasons.append(
-            f"rank(CE)={rank_CE.rank} < rank(E)={q}: no exact unknown input observer; add a sensor that sees "
-            f"{_unseen(plant, form)}, or decouple fewer disturbances"
-        )
-    else:
-        A1 = _projected(form, CE) if q else form.A
-        found = detectability(A1, form.C, dt=plant.dt, rtol=rtol)
-        fixed = found.unobservable_modes
-        if not found.detectable:
-            bad = ", ".join(f"{z:.4g}" for z in np.atleast_1d(found.unstable_modes))
-            reasons.append(
-                f"(C, A1) is not detectable: the invariant zero {bad} of (A, E, C) is a fixed pole outside "
-                "the stability region; add a sensor, or decouple other disturbances"
-                if q
-                else f"(C, A) is not detectable: no measurement sees the mode {bad}; add a sensor"
-            )
+    basis, _ = range_basis(form.E / np.maximum(np.linalg.norm(form.E, axis=0), 1e-300), rtol=0)  # of full rank
+    rank_CE = _product_rank(form.C, basis, rtol)
     useful = len(form.W) > q
-    return UnknownInputExistence(not reasons, tuple(reasons), rank_CE, form.rank_E, fixed, useful)
+    if rank_CE.rank < q:
+        reason = (
+            f"rank(CE)={rank_CE.rank} < rank(E)={q}: no exact unknown input observer; add a sensor that sees "
+            f"{_unseen(even.plant, form)}, or decouple fewer disturbances"
+        )
+        none = np.zeros(0, dtype=complex)
+        return UnknownInputExistence(False, (reason,), rank_CE, form.rank_E, none, useful)
+    parts = _ordinary_decoupling(even, form, basis)
+    seen = detectability(parts.A22, parts.C2, dt=plant.dt, rtol=rtol)
+    reasons = () if seen.detectable else (_unstable_fixed_pole(seen, q),)
+    return UnknownInputExistence(
+        not reasons, reasons, rank_CE, form.rank_E, seen.unobservable_modes, useful, None if reasons else parts
+    )
 
 
-def _projected(form: OutputFreeForm, CE: NDArray) -> NDArray:
-    """Return ``A - E (CE)^+ C A``, exactly zero where only rounding is left."""
-    return without_rounding(decoupling_map(form.E @ np.linalg.pinv(CE), form.C), form.A)
+def _unstable_fixed_pole(seen: Detectability, q: int) -> str:
+    bad = describe_modes(seen.unstable_modes)
+    if not q:
+        return f"(C, A) is not detectable: no measurement sees the mode {bad}; add a sensor"
+    return (
+        f"(C, A1) is not detectable: the invariant zero {bad} of (A, E, C) is a fixed pole outside "
+        "the stability region; add a sensor, or decouple other disturbances"
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class OrdinaryDecoupling:
+    r"""A plant cut along its disturbances, :math:`x = Q a + N b` with a basis ``Q`` of the range of ``E``.
+
+    With :math:`P = (C Q)^+`, :math:`P C N = 0`, :math:`L Q = 0` and :math:`L N = I`, the decoupled error of an observer
+    has, before any gain,
+
+    .. math:: M^{-1} T A M = \begin{bmatrix} 0 & 0 \\ A_{21} & A_{22} \end{bmatrix}, \qquad
+              \begin{bmatrix} P \\ W_2 \end{bmatrix} C M = \begin{bmatrix} I & 0 \\ 0 & C_2 \end{bmatrix}
+
+    with exact zeros: what rounding leaves of ``T E = 0`` has no place to go. The unobservable modes of
+    :math:`(C_2, A_{22})` are those of :math:`(C, T A)`, and the invariant zeros of :math:`(A, E, C)`.
+
+    Attributes
+    ----------
+    even : EvenPlant
+        The units of all matrices here.
+    form : OutputFreeForm
+    basis, M : ndarray, shapes (n, q) and (n, n)
+        ``Q``, and ``[Q N]``.
+    outputs : ndarray, shape (outputs left, outputs left)
+        ``[P; W2]``.
+    A21, A22, C2 : ndarray
+    T, H : ndarray, shapes (n, n) and (n, outputs)
+        ``H C E = E`` with the smallest ``H``, outputs weighted evenly, ``T = I - H C``.
+    """
+
+    even: EvenPlant
+    form: OutputFreeForm
+    basis: NDArray[np.float64]
+    M: NDArray[np.float64]
+    outputs: NDArray[np.float64]
+    A21: NDArray[np.float64]
+    A22: NDArray[np.float64]
+    C2: NDArray[np.float64]
+    T: NDArray[np.float64]
+    H: NDArray[np.float64]
+
+    @property
+    def plant_H(self) -> NDArray[np.float64]:
+        """``H`` in the units of the plant."""
+        return self.even.states[:, None] * self.H * self.even.outputs
+
+    @property
+    def error_pair(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """``T A`` and ``C`` in the coordinates ``M`` and ``outputs``, to place poles with."""
+        q, k = self.A21.shape[1], len(self.A22)
+        A = np.block([[np.zeros((q, q + k))], [self.A21, self.A22]])
+        return A, np.block([[np.eye(q), np.zeros((q, k))], [np.zeros((len(self.C2), q)), self.C2]])
+
+
+def _ordinary_decoupling(even: EvenPlant, form: OutputFreeForm, Q: NDArray) -> OrdinaryDecoupling:
+    """Cut a plant along its disturbances; the rank condition must hold."""
+    n, p, q = len(form.A), len(form.C), Q.shape[1]
+    weights = even.output_weights(form.A, form.E, form.C)
+    CQ = weights[:, None] * without_rounding(form.C, Q)
+    U, s, Vh = np.linalg.svd(CQ) if CQ.size else (np.eye(p), np.zeros(0), np.eye(q))
+    P, W2 = without_rounding(Vh.T / s, U[:, :q].T) * weights, U[:, q:].T * weights
+    L = left_null_basis(Q)[0].T
+    inner = without_rounding(P, form.C)  # P C Q = I
+    N = without_rounding(np.hstack([np.eye(n), -Q]), np.vstack([np.eye(n), inner]), L.T)
+    H = without_rounding(Q, P)
+    return OrdinaryDecoupling(
+        even,
+        form,
+        Q,
+        np.hstack([Q, N]),
+        np.vstack([P, W2]),
+        without_rounding(L, form.A, Q),
+        without_rounding(L, form.A, N),
+        without_rounding(W2, form.C, L.T),
+        decoupling_map(H, form.C),
+        without_rounding(H, form.W),
+    )
 
 
 def decoupling_map(H: NDArray, C: NDArray) -> NDArray[np.float64]:
@@ -184,7 +264,10 @@ def decoupling_map(H: NDArray, C: NDArray) -> NDArray[np.float64]:
 
 def is_singular(plant: Plant) -> bool:
     """Tell whether ``E`` of a plant is singular."""
-    return plant.E is not None and decide_rank(equilibrated(plant.E), rtol=1e-12).rank < plant.n_states
+    if plant.E is None:
+        return False
+    rows, columns = evened(plant.E)
+    return decide_rank(rows[:, None] * plant.E * columns, rtol=1e-12).rank < plant.n_states
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,31 +381,56 @@ def _with_outputs(plant: Plant, chosen: list[int]) -> Plant:
     return plant._with(C=frozen(plant.C[chosen]), outputs=tuple(plant.outputs[i] for i in chosen), **rows)
 
 
+@dataclass(frozen=True, eq=False)
+class SingularDecoupling:
+    """A singular plant with all solutions of its decoupling.
+
+    Attributes
+    ----------
+    even : EvenPlant
+        The units of all matrices here.
+    measured : Plant
+        The plant in even units, its algebraic equations among the outputs where they are needed.
+    equations : ndarray
+        Those algebraic equations.
+    form : OutputFreeForm
+    decoupling : Decoupling
+    """
+
+    even: EvenPlant
+    measured: Plant
+    equations: NDArray[np.float64]
+    form: OutputFreeForm
+    decoupling: Decoupling
+
+
 def _singular_existence(plant: Plant, rtol: float) -> UnknownInputExistence:
-    plant, _ = with_needed_equations(plant, rtol=rtol)
-    form = output_free_form(plant, rtol=rtol)
-    found = singular_decoupling(plant, form, rtol=rtol)
-    n, q = plant.n_states, found.rank_D.rank
+    even = even_plant(plant)
+    measured, equations = with_needed_equations(even.plant, rtol=rtol)
+    form = output_free_form(measured, rtol=rtol)
+    decoupling = singular_decoupling(measured, form, rtol=rtol)
+    n, q = plant.n_states, decoupling.rank_D.rank
     reasons: list[str] = []
     fixed = np.zeros(0, dtype=complex)
-    if found.rank.rank < n + q:
+    if decoupling.rank.rank < n + q:
         reasons.append(
-            f"rank [E D; C 0] = {found.rank.rank} < n + rank D = {n + q}, algebraic equations counted as measurements: "
-            "no exact unknown input observer; add a sensor that sees the states without equations of their own"
-            + (f", or decouple fewer disturbances than {', '.join(plant.disturbances)}" if q else "")
+            f"rank [E D; C 0] = {decoupling.rank.rank} < n + rank D = {n + q}, algebraic equations counted as "
+            "measurements: no exact unknown input observer; add a sensor that sees the states without equations of "
+            "their own" + (f", or decouple fewer disturbances than {', '.join(plant.disturbances)}" if q else "")
         )
     else:
-        A1, C1 = error_pair(found, form)
+        A1, C1 = error_pair(decoupling, form)
         seen = detectability(A1, C1, dt=plant.dt, rtol=rtol)
         fixed = seen.unobservable_modes
         if not seen.detectable:
-            bad = ", ".join(f"{z:.4g}" for z in np.atleast_1d(seen.unstable_modes))
+            bad = describe_modes(seen.unstable_modes)
             reasons.append(
                 f"([C; N A], T A) is not detectable: the finite invariant zero {bad} of (E, A, D, C) is a fixed pole "
                 "outside the stability region; add a sensor, or decouple other disturbances"
             )
-    useful = len(found.N) > 0
-    return UnknownInputExistence(not reasons, tuple(reasons), found.rank, found.rank_D, fixed, useful)
+    parts = None if reasons else SingularDecoupling(even, measured, equations, form, decoupling)
+    useful = len(decoupling.N) > 0
+    return UnknownInputExistence(not reasons, tuple(reasons), decoupling.rank, decoupling.rank_D, fixed, useful, parts)
 
 
 def _product_rank(C: NDArray, E: NDArray, rtol: float) -> RankDecision:
@@ -338,8 +446,8 @@ def _product_rank(C: NDArray, E: NDArray, rtol: float) -> RankDecision:
 
 def _unseen(plant: Plant, form: OutputFreeForm) -> str:
     """Return the names of the disturbances that the outputs do not see at once."""
-    _, _, Vh = np.linalg.svd(form.C @ plant.Bd)
-    hidden = Vh[decide_rank(form.C @ plant.Bd).rank :]
-    weight = np.abs(hidden).max(axis=0, initial=0.0)
+    terms = np.abs(form.C) @ np.abs(plant.Bd)
+    hidden, _ = null_basis(without_rounding(form.C, plant.Bd), scale=float(np.linalg.norm(terms)))
+    weight = np.abs(hidden).max(axis=1, initial=0.0)
     names = [name for name, w in zip(plant.disturbances, weight, strict=True) if w > 1e-6]
     return " or ".join(f"'{name}'" for name in names) or "the disturbance"

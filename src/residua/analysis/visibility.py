@@ -8,9 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import ModelError
-from residua.linear.balancing import state_units
 from residua.linear.rank import decide_rank, equilibrated
 from residua.plant import Plant
+from residua.plant.canonical_units import canonical_units
+
+#: Vectors of unit length that begin with less than this begin with nothing.
+_NOTHING = 1e-6
 
 
 def generic_points(plant: Plant) -> NDArray[np.complex128]:
@@ -44,37 +47,111 @@ class Visible:
     rounding: NDArray[np.float64]
 
 
-def in_balanced_units(plant: Plant) -> Plant:
-    """Return the plant in units in which couplings and channels are comparable; what is visible stays so."""
-    if plant.E is not None or plant.n_states == 0:
-        return plant
-    B = np.hstack([plant.Bd, plant.Bf])
-    T = state_units(plant.A, B, plant.C)
-    return plant._with(A=plant.A / T[:, None] * T, C=plant.C * T, Bd=plant.Bd / T[:, None], Bf=plant.Bf / T[:, None])
+def in_canonical_units(plant: Plant) -> Plant:
+    """Return the plant in units that are the same whatever units it was written in; what is visible stays so."""
+    return canonical_units(plant, controls=False).applied(plant)
 
 
 def visible_columns(plant: Plant, points: NDArray, rtol: float, rank: int | None = None) -> Visible:
     """Return what the disturbances leave of each fault at each point; ``rank`` overrides the decision."""
-    n = plant.n_states
-    E = np.eye(n) if plant.E is None else plant.E
-    row = _row_units(plant, float(np.abs(generic_points(plant)).max()))
-    Fd, Ff = np.vstack([plant.Bd, plant.Dd]) * row[:, None], np.vstack([plant.Bf, plant.Df]) * row[:, None]
-    Fd = Fd / np.maximum(np.linalg.norm(Fd, axis=0), 1e-300)
-    norms = np.linalg.norm(Ff, axis=0)
+    parts = _parts(plant)
     spectra, left = [], []
     for s in points:
-        pencil = np.hstack([np.vstack([plant.A - s * E, plant.C]) * row[:, None], Fd])
-        scale = np.maximum(np.linalg.norm(pencil, axis=0), 1e-300)
-        U, values, _ = np.linalg.svd(pencil / scale)
+        U, values = _left_vectors(parts.at(s))
         spectra.append(values)
         left.append(U)
     if rank is None:
         rank = max((int(np.count_nonzero(v > rtol * v[0])) for v in spectra if v.size), default=0)
     smallest = np.array([v[rank - 1] / v[0] if rank else 1.0 for v in spectra])
-    # the bound is pessimistic where the pencil is nearly singular for reasons that no fault shares
-    rounding = np.minimum(1e3 * np.finfo(float).eps / np.maximum(smallest, 1e-300), 1e-6)
-    columns = np.stack([U[:, rank:].conj().T @ (Ff / norms) for U in left])
-    return Visible(columns, rank, rounding)
+    columns = np.stack([U[:, rank:].conj().T @ parts.faults for U in left])
+    return Visible(columns, rank, _rounding(smallest))
+
+
+def limit_columns(plant: Plant, rtol: float, rank: int) -> Visible:
+    """Return what the disturbances leave of each constant fault in the end, as at one point: at ``s = 0`` (``z = 1``).
+
+    A zero of the plant there makes the null space of the pencil larger at that point. Those of its vectors count that
+    annihilate the pencil around the point too: that begin a series ``x0 + x1 s + ...`` with ``x (P0 + s P1) = 0`` up to
+    any power of ``s``. Powers are added until as many are left as there are elsewhere, which ``rank`` tells.
+    """
+    parts = _parts(plant)
+    here = parts.at(1.0 if plant.is_discrete else 0.0)
+    along = np.zeros_like(here)
+    along[: plant.n_states, : plant.n_states] = -parts.size * parts.dynamic
+    scale = np.maximum(np.linalg.norm(here, axis=0), np.linalg.norm(along, axis=0))
+    here, along = (M / np.where(scale > 0, scale, 1.0) for M in (here, along))
+    wanted = len(here) - rank
+    first, smallest = np.zeros((wanted, len(here))), 1.0
+    for count in range(1, plant.n_states + 2):
+        T = _series_matrix(here, along, count)
+        U, values = _left_vectors(T)
+        kept = int(np.count_nonzero(values > rtol * values[0])) if values.size else 0
+        _, sizes, Vh = np.linalg.svd(U[:, kept:].T[:, : len(here)], full_matrices=False)
+        first = Vh[:wanted]
+        smallest = (values[kept - 1] / values[0] if kept else 1.0) * float(sizes[:wanted].min(initial=1.0))
+        if not np.any(sizes[wanted:] > _NOTHING):
+            break
+    columns = (first @ parts.faults)[None].astype(np.complex128)
+    return Visible(columns, rank, _rounding(np.array([smallest])))
+
+
+def _series_matrix(here: NDArray, along: NDArray, count: int) -> NDArray[np.float64]:
+    """Return the matrix of the first coefficients of ``(x0 + x1 s + ...) (here + s along)``."""
+    rows, columns = here.shape
+    T = np.zeros((count, rows, count, columns))
+    for k in range(count):
+        T[k, :, k] = here
+        if k + 1 < count:
+            T[k, :, k + 1] = along
+    return T.reshape(count * rows, count * columns)
+
+
+def _left_vectors(M: NDArray) -> tuple[NDArray, NDArray[np.float64]]:
+    """Return left singular vectors and singular values of a matrix with columns of one length."""
+    size = np.linalg.norm(M, axis=0)
+    U, values, _ = np.linalg.svd(M / np.where(size > 0, size, 1.0))
+    return U, values
+
+
+def _rounding(smallest: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return what rounding may have put into a projection; too much where the pencil is nearly singular for all."""
+    return np.minimum(1e3 * np.finfo(float).eps / np.maximum(smallest, 1e-300), 1e-6)
+
+
+@dataclass(frozen=True, eq=False)
+class _Parts:
+    """The pencil of a plant, its rows in units in which they are comparable, with columns of unit length.
+
+    Attributes
+    ----------
+    static, dynamic : ndarray
+        ``[A; C]`` and ``E``.
+    disturbances, faults : ndarray
+    size : float
+        Of ``s``, where the dynamics of the plant are.
+    """
+
+    static: NDArray[np.float64]
+    dynamic: NDArray[np.float64]
+    disturbances: NDArray[np.float64]
+    faults: NDArray[np.float64]
+    size: float
+
+    def at(self, s: complex) -> NDArray:
+        """Return the pencil with the columns of the disturbances at a point."""
+        states = self.static + 0 * s
+        states[: len(self.dynamic)] -= s * self.dynamic
+        return np.hstack([states, self.disturbances])
+
+
+def _parts(plant: Plant) -> _Parts:
+    n = plant.n_states
+    E = np.eye(n) if plant.E is None else plant.E
+    size = float(np.abs(generic_points(plant)).max())
+    row = _row_units(plant, size)[:, None]
+    Fd, Ff = (row * np.vstack([B, D]) for B, D in ((plant.Bd, plant.Dd), (plant.Bf, plant.Df)))
+    Fd, Ff = (F / np.maximum(np.linalg.norm(F, axis=0), 1e-300) for F in (Fd, Ff))
+    return _Parts(row * np.vstack([plant.A, plant.C]), row[:n] * E, Fd, Ff, size)
 
 
 def _row_units(plant: Plant, size: float) -> NDArray[np.float64]:

@@ -14,14 +14,28 @@ from residua.cli.files import check_outputs
 from residua.cli.guard import FAULT, NO_FAULT, GuardedGroup, in_cli_words, warn
 from residua.cli.methods import MemberKind, Method, Scheme
 from residua.cli.plant_commands import PlantFile, Rows
+from residua.cli.recording_options import (
+    Columns,
+    DayFirst,
+    Decimal,
+    DecimalMark,
+    FillGaps,
+    Reading,
+    Step,
+    TimeColumn,
+    TimeFormat,
+    Tolerance,
+    Transpose,
+    Variable,
+)
 from residua.decide import Directional, GroupTest, Matched, NormTest, NormThreshold, Structured
 from residua.demos import Outcome
 from residua.design import MatchedFilters, ResidualGenerator
 from residua.errors import AccuracyError, DataError, ModelError, SettingError
-from residua.files import check_input
+from residua.files import check_input, real
 from residua.monitor import Diagnosis, Monitor
 from residua.monitor.inputs import settling_reason
-from residua.monitor.recording import Recording, read_recording, write_table
+from residua.monitor.recording import Recording, write_table
 from residua.plant.plant_file import load_plant
 
 app = typer.Typer(
@@ -66,14 +80,6 @@ def _positive(value: float | None) -> float | None:
 
 
 MonitorFile = Annotated[Path, typer.Argument(metavar="MONITOR.json", help="What design or fit wrote.")]
-TimeColumn = Annotated[str | None, typer.Option("--time", metavar="NAME", help="Column with the times in seconds.")]
-Step = Annotated[
-    float | None,
-    typer.Option("--dt", metavar="S", callback=_positive, help="Step in seconds, for recordings without times."),
-]
-Variable = Annotated[
-    str | None, typer.Option("--variable", metavar="NAME", help="Which array of a .mat or .npz file to read.")
-]
 
 
 @app.callback()
@@ -212,7 +218,9 @@ def _thresholds(monitor: Monitor) -> str:
 @app.command()
 def fit(
     monitor: MonitorFile,
-    normal: Annotated[Path, typer.Argument(metavar="NORMAL.csv", help="A fault-free recording.")],
+    normal: Annotated[
+        list[Path], typer.Argument(metavar="NORMAL.csv...", help="Fault-free recordings; each has a start of its own.")
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", metavar="OUT.json", help="Monitor to write.")],
     false_alarm_rate: Annotated[
         float | None,
@@ -221,26 +229,39 @@ def fit(
     time: TimeColumn = None,
     dt: Step = None,
     variable: Variable = None,
+    fill_gaps: FillGaps = False,
+    tolerance: Tolerance = None,
+    day_first: DayFirst = None,
+    time_format: TimeFormat = None,
+    decimal: DecimalMark = Decimal.point,
+    columns: Columns = None,
+    transpose: Transpose = False,
 ) -> None:
     """Set the threshold from fault-free data."""
     check_input(monitor, "a monitor")
-    check_input(normal, "a recording")
-    check_outputs([output], [normal])
+    for path in normal:
+        check_input(path, "a recording")
+    check_outputs([output], normal)
+    twice = next((path for path in normal if [real(p) for p in normal].count(real(path)) > 1), None)
+    if twice is not None:
+        raise DataError(f"{twice} is given twice: data that are counted twice seem to tell more than they do")
     watch = Monitor.load(monitor)
-    data = _read(normal, watch, time, dt, variable)
+    reading = Reading(time, dt, variable, fill_gaps, tolerance, day_first, time_format, decimal, columns, transpose)
+    data = [reading.read(path, watch) for path in normal]
     rate = watch.test.false_alarm_rate if false_alarm_rate is None else false_alarm_rate
-    watch.fit(data.u, data.y, time=data.time, false_alarm_rate=rate)
-    found = _run(watch, data)
+    watch.fit(data if len(data) > 1 else data[0], false_alarm_rate=rate)
+    found = [_run(watch, one) for one in data]
     watch.reset()
     watch.save(output)
-    judged = int(found.decided.sum())
+    judged = sum(int(one.decided.sum()) for one in found)
+    alarmed = sum(float((one.alarm & one.decided).sum()) for one in found)
     screen.say(
         _thresholds(watch),
         f"basis: {watch.norm_test.basis}",
-        f"fault-free samples: {len(found.time)} over {_span(found):.6g} s, {judged} judged "
-        f"({found.n_missing} incomplete, the rest while the filter settles)",
-        f"fraction in alarm: {found.false_alarm_fraction:.3g} ({_asked(found, rate)})",
-        _expected_alarms(watch, rate, len(found.alarms)),
+        _fitted_samples(found, judged),
+        f"fraction in alarm: {alarmed / max(1, judged):.3g} ({_asked(found[0], rate)})",
+        _expected_alarms(watch, rate, sum(len(one.alarms) for one in found)),
+        *(f"{one.source}: {note}" for one in data for note in one.notes),
         f"written: {output}",
     )
     if judged * rate < 10:
@@ -248,6 +269,17 @@ def fit(
             f"{judged} samples are too few to see a false alarm rate of {rate:g}: give {int(10 / rate) + 1} or more, "
             "or ask for a higher rate with --false-alarm-rate"
         )
+
+
+def _fitted_samples(found: list[Diagnosis], judged: int) -> str:
+    """Say how many samples a fit has seen, and what became of them."""
+    number, span = sum(len(one.time) for one in found), sum(map(_span, found))
+    several = f" in {len(found)} recordings" if len(found) > 1 else ""
+    incomplete = sum(one.n_missing for one in found)
+    return (
+        f"fault-free samples: {number}{several} over {span:.6g} s, {judged} judged "
+        f"({incomplete} incomplete, the rest while the filter settles)"
+    )
 
 
 def _asked(found: Diagnosis, rate: float) -> str:
@@ -266,7 +298,7 @@ def _expected_alarms(watch: Monitor, rate: float, here: int) -> str:
 @app.command()
 def run(
     monitor: MonitorFile,
-    recording: Annotated[Path, typer.Argument(metavar="DATA.csv", help="CSV, Parquet, .mat or .npz.")],
+    recording: Annotated[Path, typer.Argument(metavar="DATA.csv", help="CSV or other text, Parquet, .mat or .npz.")],
     report: Annotated[
         Path | None, typer.Option("--report", metavar="OUT.html", help="Write a page with charts.")
     ] = None,
@@ -280,6 +312,13 @@ def run(
     time: TimeColumn = None,
     dt: Step = None,
     variable: Variable = None,
+    fill_gaps: FillGaps = False,
+    tolerance: Tolerance = None,
+    day_first: DayFirst = None,
+    time_format: TimeFormat = None,
+    decimal: DecimalMark = Decimal.point,
+    columns: Columns = None,
+    transpose: Transpose = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing; the exit status tells.")] = False,
 ) -> None:
     """Look for faults in a recording: exit status 0 no alarm, 1 an alarm, however short, 2 error."""
@@ -289,7 +328,8 @@ def run(
     _check_table(residuals)
     watch = Monitor.load(monitor)
     watch.norm_test  # noqa: B018 (a monitor without a threshold says so before a long file is read)
-    data = _read(recording, watch, time, dt, variable)
+    reading = Reading(time, dt, variable, fill_gaps, tolerance, day_first, time_format, decimal, columns, transpose)
+    data = reading.read(recording, watch)
     found = _run(watch, data)
     written = _write(found, report=report, alarms=alarms, residuals=residuals)
     if not quiet:
@@ -305,18 +345,9 @@ def run(
     raise typer.Exit(FAULT if found.fault_detected else NO_FAULT)
 
 
-def _read(path: Path, watch: Monitor, time: str | None, dt: float | None, variable: str | None) -> Recording:
-    try:
-        plant = watch.generator.plant  # sampled: knows the step of recordings without times
-    except ModelError:
-        plant = watch.design.plant
-    with screen.reading(path):
-        return read_recording(path, plant, time=time, dt=dt, variable=variable)
-
-
 def _run(watch: Monitor, data: Recording) -> Diagnosis:
     with screen.progress() as bar:
-        found = watch.run(data.u, data.y, time=data.time, source=data.source, progress=bar)
+        found = watch.run(data, progress=bar)
     assert isinstance(found, Diagnosis)
     return replace(found, notes=tuple(map(in_cli_words, found.notes)))
 

@@ -2,36 +2,56 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
-import sys
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any
 
 import typer
 from typer.core import TyperGroup
 
+from residua.cli import streams
+from residua.cli.streams import complain, unwritten
 from residua.errors import ResiduaError
+from residua.visible import visible
 
 #: Exit statuses of every command.
 NO_FAULT, FAULT, ERROR, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 130, 141
 
 # Typer brings its own copy of click from 0.20 or so on: take the class from where typer has it.
-_USAGE: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
+USAGE: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
+
+
+#: Errors of writing.
+_FULL = (errno.ENOSPC, errno.EIO, errno.EFBIG, errno.EBADF)
+
+#: The options of the command that runs: advice names those, and no other's.
+_OPTIONS: ContextVar[frozenset[str]] = ContextVar("options", default=frozenset())
 
 
 class GuardedGroup(TyperGroup):
     """A group of commands none of which ends in a traceback, nor with the status of a found fault by accident."""
 
+    def make_context(self, *args: Any, **kwargs: Any) -> Any:
+        """Read the arguments; options such as ``--version`` print at once."""
+        with guarded():
+            return super().make_context(*args, **kwargs)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the command that was asked for."""
+        found = super().resolve_command(ctx, args)
+        if found[1] is not None:
+            _OPTIONS.set(frozenset(name for parameter in found[1].params for name in parameter.opts))
+        return found
+
     def invoke(self, ctx: Any) -> Any:
         """Run the chosen command."""
         with guarded():
-            try:
-                return super().invoke(ctx)
-            finally:
-                sys.stdout.flush()
+            return super().invoke(ctx)
 
 
 @contextmanager
@@ -39,29 +59,47 @@ def guarded() -> Iterator[None]:
     """Turn every exception into a line on stderr and an exit status."""
     try:
         yield
-    except (typer.Exit, typer.Abort, _USAGE):
+    except (typer.Exit, USAGE):
         raise
-    except KeyboardInterrupt:
+    except (Exception, KeyboardInterrupt) as error:
+        raise typer.Exit(status_of(error)) from None
+
+
+def status_of(error: BaseException) -> int:
+    """Say what went wrong in one line on stderr, and return the exit status."""
+    if isinstance(error, (KeyboardInterrupt, typer.Abort)):
         complain("interrupted")
-        raise typer.Exit(INTERRUPTED) from None
-    except BrokenPipeError:
-        # Whoever read the output has gone; what is left in the buffer goes nowhere, without a second error.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise typer.Exit(BROKEN_PIPE) from None
-    except Exception as error:
-        if os.environ.get("RESIDUA_TRACEBACK", "") not in ("", "0"):
-            traceback.print_exc()
-        complain(f"error: {describe(error)}")
-        raise typer.Exit(ERROR) from None
+        return INTERRUPTED
+    if isinstance(error, OSError):
+        unwritten()
+    if isinstance(error, BrokenPipeError):  # whoever read the output has gone, and knows it
+        return BROKEN_PIPE
+    if os.environ.get("RESIDUA_TRACEBACK", "") not in ("", "0"):
+        complain(traceback.format_exc().rstrip())
+    complain(f"error: {describe(error)}")
+    return ERROR
+
+
+def end(status: int) -> int:
+    """Write out what is left of the output; return the status, or that of what hinders it."""
+    lost = unwritten()
+    if lost is None:
+        return status
+    if isinstance(lost, BrokenPipeError):
+        return BROKEN_PIPE
+    complain(f"error: {describe(lost)}")
+    return ERROR
 
 
 def describe(error: BaseException) -> str:
     """Return one line that says what went wrong."""
-    text = " ".join(str(error).split())
+    text = visible(" ".join(str(error).split()))
     if isinstance(error, ResiduaError):
         return in_cli_words(text)
     if isinstance(error, OSError) and error.strerror:
-        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+        # An error about a file has its name; what is left to write to is the output.
+        name = visible(str(error.filename)) if error.filename else "standard output" if error.errno in _FULL else ""
+        return f"{name}: {error.strerror}" if name else error.strerror
     if isinstance(error, MemoryError):
         return f"not enough memory{': ' + text if text else ''}"
     return f"unexpected {type(error).__name__}: {text} (a defect; RESIDUA_TRACEBACK=1 shows where)"
@@ -85,24 +123,42 @@ _WORDS = {
     r"NormThreshold\(window=(\d+|\.\.\.)\)": r"--average \1",
     r"NormThreshold\(persistence=(\d+|\.\.\.)\)": r"--persistence \1",
     r"\b(poles|margin|faults)=(?:\[\.\.\.\]|\.\.\.|(?=[,;. )]|$))": r"--\1",
-    r"\bdt=(?:\.\.\.|(?=[,;. )]|$))": "--sample-time",
     r"\bstructure=(?:\.\.\.|(?=[,;. )]|$))": "--rows",
     r"\b(observer|scheme)='([a-z-]+)'": r"--\1 \2",
 }
 
 
+#: Arguments in Python, and the options that may stand for them: the first that the command has.
+_ARGUMENTS = {"dt": ("--dt", "--sample-time"), "time": ("--time",), "variable": ("--variable",)}
+
+
 def in_cli_words(text: str) -> str:
-    """Return advice that is meant for Python as advice for the command line."""
+    """Return advice that is meant for Python as advice for the command line: for the command that runs."""
     for python, here in _WORDS.items():
         text = re.sub(python, here, text)
+    for name, options in _ARGUMENTS.items():
+        option = next((option for option in options if option in _OPTIONS.get()), None)
+        if option is not None:
+            text = re.sub(rf"\b{name}=(?:\.\.\.|(?=[,;. )]|$))", option, text)
     return text
 
 
-def complain(line: str) -> None:
-    """Write a line to stderr."""
-    print(line, file=sys.stderr, flush=True)
+def show_usage(error: Exception) -> int:
+    """Say how a command is used that was called in another way, and return the exit status."""
+    shown: Any = error
+    shown.message = visible(str(getattr(shown, "message", "")))
+    try:
+        try:
+            from typer.rich_utils import rich_format_error
+        except ImportError:
+            shown.show()
+        else:
+            rich_format_error(shown)
+    except OSError:  # the status tells
+        streams.silence_errors_that_cannot_be_written()
+    return end(ERROR)
 
 
 def warn(line: str) -> None:
     """Write a warning to stderr."""
-    complain(f"warning: {line}")
+    complain(f"warning: {visible(line)}")

@@ -23,8 +23,10 @@ from residua.design import MatchedFilters, ResidualGenerator
 from residua.monitor.diagnosis import Alarm, Diagnosis
 from residua.monitor.naming import fault_unit, ranked, tied_name
 from residua.monitor.preparing import codes_of
+from residua.report.tables import alarm_times
 from residua.report.text import sizes_text
 from residua.report.verdict import verdict
+from residua.visible import visible
 
 #: Alarms that are listed at most; ``--alarms`` writes all of them.
 MAX_ALARMS = 20
@@ -51,7 +53,7 @@ def console() -> Console:
 def say(*lines: str) -> None:
     """Print lines; a terminal wraps them, a pipe gets them whole."""
     out = console()
-    for line in lines:
+    for line in map(visible, lines):
         out.print(line, soft_wrap=not out.is_terminal)
 
 
@@ -60,13 +62,13 @@ def show_table(header: Sequence[str], rows: Iterable[Sequence[object]], *, title
     cells = [[_text(value) for value in row] for row in rows]
     out = console()
     if title:
-        out.print(title)
+        out.print(visible(title))
     if not out.is_terminal:
-        for line in _columns([list(header), *cells]):
+        for line in _columns([[visible(name) for name in header], *cells]):
             out.print(line, soft_wrap=True)
         return
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for k, name in enumerate(header):
+    for k, name in enumerate(map(visible, header)):
         numeric = bool(cells) and all(_is_number(row[k]) for row in cells)
         table.add_column(name, justify="right" if numeric else "left")
     for row in cells:
@@ -87,7 +89,7 @@ def _text(value: object) -> str:
         return "yes" if value else "no"
     if isinstance(value, (float, np.floating)):
         return "-" if not np.isfinite(value) else f"{value + 0.0:.6g}"  # no -0
-    return str(value) or "-"
+    return visible(str(value)) or "-"
 
 
 def _is_number(text: str) -> bool:
@@ -264,8 +266,8 @@ def show_diagnosis(diagnosis: Diagnosis) -> None:
     if diagnosis.alarms:
         shown = diagnosis.alarms[:MAX_ALARMS]
         show_table(
-            ["alarm", "onset [s]", "raised [s]", "ended [s]", "samples", "most likely", "score", "next", "score"],
-            [_alarm_row(k, alarm, window) for k, alarm in enumerate(shown, 1)],
+            ["alarm", "began", "raised", "ended", "samples", "most likely", "score", "next", "score"],
+            [_alarm_row(k, alarm, diagnosis) for k, alarm in enumerate(shown, 1)],
         )
         if any(alarm.candidates and alarm.samples < window for alarm in shown):
             say(f"(short): fewer samples than the {window} that a name is judged by: too short to be sure of the name")
@@ -287,13 +289,12 @@ def show_diagnosis(diagnosis: Diagnosis) -> None:
     say(*diagnosis.notes)
 
 
-def _alarm_row(k: int, alarm: Alarm, window: int) -> list[object]:
+def _alarm_row(k: int, alarm: Alarm, diagnosis: Diagnosis) -> list[object]:
+    window = diagnosis.window
     best, following = [*alarm.candidates, None, None][:2]
     return [
         k,
-        alarm.onset,
-        alarm.raised,
-        "end of recording" if alarm.ended is None else alarm.ended,
+        *alarm_times(alarm, diagnosis.clock),
         alarm.samples,
         best.name + (" (short)" if alarm.samples < window else "") if best else _unnamed(alarm),
         f"{best.score:.3f}" if best else None,
@@ -315,7 +316,7 @@ def reading(path: Path) -> Iterator[None]:
     """Say on a terminal that a large file is being read."""
     err = Console(stderr=True, markup=False, highlight=False)
     if err.is_terminal and path.stat().st_size > _LARGE_FILE:
-        with err.status(f"reading {path.name}"):
+        with err.status(f"reading {visible(path.name)}"):
             yield
     else:
         yield
@@ -325,14 +326,16 @@ def reading(path: Path) -> Iterator[None]:
 def patience(what: str) -> Iterator[None]:
     """Say on stderr what is being done, once two seconds have gone; a terminal shows how long it has taken."""
     err = Console(stderr=True, markup=False, highlight=False)
-    bar = Progress(SpinnerColumn(), TextColumn(what, markup=False), TimeElapsedColumn(), console=err, transient=True)
+    bar = Progress(
+        SpinnerColumn(), TextColumn(visible(what), markup=False), TimeElapsedColumn(), console=err, transient=True
+    )
 
     def show() -> None:
         if err.is_terminal:
             bar.add_task("", total=None)
             bar.start()
         else:
-            print(f"{what} ...", file=sys.stderr, flush=True)
+            print(f"{visible(what)} ...", file=sys.stderr, flush=True)
 
     clock = Timer(_PATIENCE, show)
     clock.daemon = True

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua.decide.norm_threshold import check_samples
 from residua.errors import DataError, SettingError
 from residua.linear.rank import range_basis
+from residua.visible import echo
 
 #: Signatures whose largest principal angle is below this (sine) are one and the same.
 SAME_SIGNATURE = 1e-3
@@ -28,7 +29,7 @@ class Directional:
         ``"subspace"``: the line or plane that the residual of a fault never leaves. ``"steady"``: the
         direction that it settles to when the fault is constant. ``"auto"`` takes the line or plane where
         the design has one that is smaller than the space that the residual can reach, and the steady direction
-        elsewhere.
+        elsewhere, also for faults that share a plane and settle to different directions in it.
 
     References
     ----------
@@ -43,7 +44,7 @@ class Directional:
         check_samples(self.window, "window")
         object.__setattr__(self, "window", int(self.window))
         if self.signature not in ("auto", "subspace", "steady"):
-            raise SettingError(f"signature must be 'auto', 'subspace' or 'steady', got {self.signature!r}")
+            raise SettingError(f"signature must be 'auto', 'subspace' or 'steady', got {echo(self.signature)}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,22 +150,46 @@ def direction_test(
     of that dimension holds every residual and tells nothing.
     """
     n = len(whitening) if rank is None else rank
-    names: list[list[str]] = []
-    bases: list[NDArray] = []
-    unjudged = []
-    for fault, subspace in subspaces.items():
-        basis = _signature(settings.signature, subspace, steady.get(fault), whitening, n)
-        if basis is None:
-            unjudged.append(fault)
-            continue
-        for k, other in enumerate(bases):
+    found = {
+        fault: _signature(settings.signature, subspace, steady.get(fault), whitening, n)
+        for fault, subspace in subspaces.items()
+    }
+    judged = {fault: basis for fault, basis in found.items() if basis is not None}
+    groups = _grouped(judged)
+    if settings.signature == "auto":
+        lines = {
+            fault: range_basis(whitening.T @ steady[fault][:, None], rtol=1e-9)[0]
+            for fault in judged
+            if fault in steady and np.any(steady[fault])
+        }
+        groups = [part for faults, basis in groups for part in _told_apart(faults, basis, lines)]
+    return DirectionTest(
+        settings.window,
+        tuple(tuple(faults) for faults, _ in groups),
+        tuple(basis for _, basis in groups),
+        tuple(fault for fault, basis in found.items() if basis is None),
+    )
+
+
+def _grouped(bases: Mapping[str, NDArray]) -> list[tuple[list[str], NDArray]]:
+    """Return faults with the same signature as groups, in their order, with that signature."""
+    groups: list[tuple[list[str], NDArray]] = []
+    for fault, basis in bases.items():
+        for faults, other in groups:
             if _same(other, basis):
-                names[k].append(fault)
+                faults.append(fault)
                 break
         else:
-            names.append([fault])
-            bases.append(basis)
-    return DirectionTest(settings.window, tuple(map(tuple, names)), tuple(bases), tuple(unjudged))
+            groups.append(([fault], basis))
+    return groups
+
+
+def _told_apart(faults: list[str], basis: NDArray, lines: Mapping[str, NDArray]) -> list[tuple[list[str], NDArray]]:
+    """Return faults that share a plane by their steady directions in it, where all have one and these differ."""
+    if len(faults) == 1 or basis.shape[1] == 1 or any(fault not in lines for fault in faults):
+        return [(faults, basis)]
+    parts = _grouped({fault: lines[fault] for fault in faults})
+    return parts if len(parts) > 1 else [(faults, basis)]
 
 
 def _signature(

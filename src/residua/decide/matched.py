@@ -12,6 +12,7 @@ from residua.decide.norm_threshold import check_samples, is_number
 from residua.design.matched_filters import alike_faults
 from residua.errors import SettingError
 from residua.linear.recursion import ordered_product
+from residua.visible import echo
 
 #: Numbers that one pass over a block works on at most; bounds memory and does not change a bit of the result.
 _PASS = 1_000_000
@@ -51,10 +52,10 @@ class Matched:
         check_samples(self.window, "window")
         object.__setattr__(self, "window", int(self.window))
         if not isinstance(self.steady, (bool, np.bool_)):
-            raise SettingError(f"steady must be True or False, got {self.steady!r}")
+            raise SettingError(f"steady must be True or False, got {echo(self.steady)}")
         object.__setattr__(self, "steady", bool(self.steady))
         if not is_number(self.alike) or not 0 < self.alike <= 1:
-            raise SettingError(f"alike must be a correlation, over 0 and up to 1, got {self.alike!r}")
+            raise SettingError(f"alike must be a correlation, over 0 and up to 1, got {echo(self.alike)}")
         object.__setattr__(self, "alike", float(self.alike))
 
 

@@ -14,6 +14,7 @@ from residua.decide.false_alarms import Observed, observed, promise_of
 from residua.decide.fault_free import FaultFree, check_enough
 from residua.decide.whitening import whitening_matrix
 from residua.errors import SettingError
+from residua.visible import echo
 
 #: Groups of residuals: ``"each"`` by itself, names with the residuals of each, or none.
 Groups = str | tuple[tuple[str, tuple[str, ...]], ...] | None
@@ -71,13 +72,13 @@ class NormThreshold:
     def __post_init__(self) -> None:
         """Check the settings."""
         if self.threshold is not None and not (is_number(self.threshold) and self.threshold > 0):
-            raise SettingError(f"threshold must be a positive number, got {self.threshold!r}")
+            raise SettingError(f"threshold must be a positive number, got {echo(self.threshold)}")
         for name in ("persistence", "window"):
             check_samples(getattr(self, name), name)
         if self.release is not None:
             check_samples(self.release, "release")
         if self.whiten not in ("auto", "data", "model", "none"):
-            raise SettingError(f"whiten must be 'auto', 'data', 'model' or 'none', got {self.whiten!r}")
+            raise SettingError(f"whiten must be 'auto', 'data', 'model' or 'none', got {echo(self.whiten)}")
         check_rate(self.false_alarm_rate)
         for name in ("persistence", "release", "window"):  # plain numbers, whatever they came as
             value = getattr(self, name)
@@ -104,11 +105,11 @@ def _checked_groups(given: object) -> Groups:
         else:
             pairs = [(None, one) for one in given]
     else:
-        raise SettingError(f"{wanted}, got {given!r}")
+        raise SettingError(f"{wanted}, got {echo(given)}")
     out: dict[str, tuple[str, ...]] = {}
     for name, members in pairs:
         if isinstance(members, str) or not isinstance(members, Sequence) or not len(members):
-            raise SettingError(f"{wanted}, got {members!r} for one group")
+            raise SettingError(f"{wanted}, got {echo(members)} for one group")
         names = tuple(str(one) for one in members)
         label = ", ".join(names) if name is None else str(name)
         if label in out:
@@ -127,13 +128,13 @@ def is_number(value: object) -> bool:
 def check_samples(value: object, name: str, *, least: int = 1) -> None:
     """Raise unless a setting is a whole number of samples."""
     if not is_number(value) or int(value) != value or value < least:  # pyright: ignore
-        raise SettingError(f"{name} must be a whole number of samples, at least {least}, got {value!r}")
+        raise SettingError(f"{name} must be a whole number of samples, at least {least}, got {echo(value)}")
 
 
 def check_rate(rate: float) -> None:
     """Raise unless ``rate`` is a usable false alarm rate."""
     if not is_number(rate) or not 0 < rate < 1:
-        raise SettingError(f"false_alarm_rate must lie between 0 and 1, got {rate!r}")
+        raise SettingError(f"false_alarm_rate must lie between 0 and 1, got {echo(rate)}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ from residua.decide.member_thresholds import BankTest, fit_together, side_by_sid
 from residua.decide.norm_threshold import Fitted, NormTest, check_rate, with_threshold
 from residua.decide.peak_threshold import PeakThreshold
 from residua.decide.row_norms import row_norms
+from residua.decide.seams import told_sample
 from residua.errors import DataError
 
 #: How the basis of a test begins whose thresholds the design has certified, or the user has given.
@@ -130,7 +131,11 @@ def _observed(
 
 
 def checked_peak_test(
-    test: NormTest | BankTest, residuals: NDArray[np.float64], usable: NDArray[np.bool_], members: Sequence[str] = ()
+    test: NormTest | BankTest,
+    residuals: NDArray[np.float64],
+    usable: NDArray[np.bool_],
+    members: Sequence[str] = (),
+    seams: Sequence[int] = (),
 ) -> NormTest | BankTest:
     """Hold a test with known thresholds against a fault-free recording; its basis then tells how close that came.
 
@@ -143,6 +148,8 @@ def checked_peak_test(
     usable : ndarray of bool, shape (time,)
     members : sequence of str
         Names of the members of a bank.
+    seams : sequence of int
+        The first sample of each further recording, where there are several in a row.
 
     Returns
     -------
@@ -159,7 +166,8 @@ def checked_peak_test(
     parts = [rows @ test.whitening[:, a:b] for a, b in test.columns] if isinstance(test, BankTest) else [rows]
     norms = np.array([row_norms(part) for part in parts]).T
     limits = test.thresholds if isinstance(test, BankTest) else np.array([test.threshold])
-    _check_below(norms, limits, np.flatnonzero(usable), members, certified=test.basis.startswith(CERTIFIED))
+    samples, certified = np.flatnonzero(usable), test.basis.startswith(CERTIFIED)
+    _check_below(norms, limits, samples, members, certified=certified, seams=seams)
     share = 100 * norms.max(axis=0) / limits
     if len(share) == 1:
         told = f"{share[0]:.3g} % of it"
@@ -177,6 +185,7 @@ def _check_below(
     members: Sequence[str],
     *,
     certified: bool,
+    seams: Sequence[int],
 ) -> None:
     """Raise where a recording that is to be fault-free goes over a threshold; ``norms``: (usable samples, members)."""
     worst = int((norms.max(axis=0) / limits).argmax())
@@ -185,9 +194,9 @@ def _check_below(
         return
     at = int(norms[:, worst].argmax())
     whose = f" of {members[worst]!r}" if members else ""
-    count = int(over.sum())
+    count, where = int(over.sum()), told_sample(int(samples[at]), seams)
     told = (
-        f"this recording goes over the threshold{whose}: |r| = {norms[at, worst]:.4g} in sample {samples[at]}, "
+        f"this recording goes over the threshold{whose}: |r| = {norms[at, worst]:.4g} in {where}, "
         f"{norms[at, worst] / limits[worst]:.3g} times the threshold of {limits[worst]:.4g}, and over it in {count} of "
         f"{len(norms)} usable samples"
     )

@@ -13,6 +13,7 @@ from residua.analysis.codes import equal_codes, strongly_isolating
 from residua.decide.code_reading import CodeReading
 from residua.decide.norm_threshold import check_samples, is_number
 from residua.errors import DataError, SettingError
+from residua.visible import echo
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class Structured:
         check_samples(self.window, "window")
         check_samples(self.distance, "distance", least=0)
         if not is_number(self.share) or not 0 < self.share <= 1:
-            raise SettingError(f"share must lie between 0 and 1, got {self.share!r}")
+            raise SettingError(f"share must lie between 0 and 1, got {echo(self.share)}")
         object.__setattr__(self, "window", int(self.window))
         object.__setattr__(self, "share", float(self.share))
         object.__setattr__(self, "distance", int(self.distance))

@@ -87,10 +87,10 @@ class Evidence:
 
 
 def format_pole(pole: complex) -> str:
-    """Return a pole as short text."""
+    """Return a pole as short text, in whatever unit of time: only a pole at zero is a zero."""
     pole = complex(pole)
-    if abs(pole) < 1e-12:  # what rounding leaves of a pole at zero
+    if pole == 0:
         return "0"
-    if abs(pole.imag) <= 1e-9 * max(1.0, abs(pole)):
+    if abs(pole.imag) <= 1e-9 * abs(pole):
         return f"{pole.real:.4g}"
     return f"{pole.real:.4g}{pole.imag:+.4g}i"

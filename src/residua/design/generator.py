@@ -17,14 +17,15 @@ from residua.design.internal_form import (
     frequency_grid,
     internal_form,
     leakage,
-    signature_bases,
     with_silent_inputs,
 )
 from residua.design.responses import covariance_of_sums, steady_responses
 from residua.design.signals import discretized_filter, sampled_filter, stack_signals
+from residua.design.signatures import signature_bases
 from residua.design.transformable import Transformable
 from residua.errors import AccuracyError
 from residua.linear import StateSpace, decide_rank
+from residua.linear.response_terms import in_even_units
 from residua.plant import Plant
 
 if TYPE_CHECKING:
@@ -142,12 +143,13 @@ class ResidualGenerator(Transformable):
     def steady_directions(self) -> dict[str, NDArray[np.float64]]:
         """For each fault the residual that a constant fault of size one settles to; not normalised.
 
-        A zero vector means that a constant fault is not seen (it is not strongly detectable).
+        A zero vector means that a constant fault is not seen (it is not strongly detectable). Residuals that do not
+        answer to a fault at all stay exactly zero.
         """
         if self.steady is not None:
             return {name: vector.copy() for name, vector in self.steady.items()}
         gain = steady_responses(self.internal_form().select(inputs=range(len(self.faults))))
-        return {name: gain[:, i] for i, name in enumerate(self.faults)}
+        return {name: np.where(self.structure[:, i], gain[:, i], 0.0) for i, name in enumerate(self.faults)}
 
     @cached_property
     def residual_rank(self) -> int:
@@ -159,19 +161,19 @@ class ResidualGenerator(Transformable):
         form = self._internal_form
         skip = range(len(self.faults), len(self.faults) + len(self.plant.disturbances))
         columns = [i for i in range(form.n_inputs) if i not in skip]
-        response = form.frequency_response(frequency_grid(form))[:, :, columns]
-        units = np.abs(response).max(axis=(0, 2), initial=0.0)
-        scaled = response / np.where(units > 0, units, 1.0)[:, None]
+        even = in_even_units(form.select(inputs=columns)).system
+        scaled = even.frequency_response(frequency_grid(form))
+        for axes in ((0, 1), (0, 2)):  # each input, then each residual, has its own units
+            units = np.abs(scaled).max(axis=axes, keepdims=True, initial=0.0)
+            scaled = scaled / np.where(units > 0, units, 1.0)
         flat = scaled.transpose(1, 0, 2).reshape(self.n_residuals, -1)
         return decide_rank(np.hstack([flat.real, flat.imag]), rtol=1e-6).rank
 
     @cached_property
     def structure(self) -> NDArray[np.bool_]:
         """Who fires when what fails: boolean, shape (residuals, faults)."""
-        reach = np.array([np.abs(self.subspaces[name]).max(axis=1, initial=0.0) for name in self.faults])
-        reach = reach.reshape(len(self.faults), self.n_residuals).T
-        largest = reach.max(axis=1, keepdims=True, initial=0.0)  # each residual has its own units
-        return (reach > 1e-7 * largest) & (reach > 0)
+        rows = [np.any(self.subspaces[name], axis=1) for name in self.faults]
+        return np.array(rows, dtype=bool).reshape(len(self.faults), self.n_residuals).T
 
     @cached_property
     def covariance(self) -> NDArray[np.float64] | None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from residua.errors import AccuracyError
 from residua.linear import StateSpace
-from residua.linear.balancing import state_units
+from residua.linear.response_terms import in_even_units
 
 
 def steady_responses(form: StateSpace) -> NDArray[np.float64]:
@@ -18,12 +18,14 @@ def steady_responses(form: StateSpace) -> NDArray[np.float64]:
 
     Rounding is judged by the terms of the same response: each residual and each fault has its own units.
     """
-    X = np.linalg.solve((np.eye(form.n_states) if form.is_discrete else 0.0) - form.A, form.B)
-    gain, terms = form.C @ X + form.D, np.abs(form.C) @ np.abs(X) + np.abs(form.D)
-    units = state_units(form.A, form.B, form.C, form.D)
-    heights = np.abs(form.C * units).max(axis=1, initial=0.0)
-    anywhere = heights[:, None] * np.abs(X / units[:, None]).max(axis=0, initial=0.0)  # a state may be mere rounding
-    return np.where(np.abs(gain) > 1e-10 * terms + 1e-13 * anywhere, gain, 0.0)
+    even = in_even_units(form)
+    A, B, C, D = even.system.A, even.system.B, even.system.C, even.system.D
+    X = np.linalg.solve((np.eye(len(A)) if form.is_discrete else 0.0) - A, B)
+    gain, terms = C @ X + D, np.abs(C) @ np.abs(X) + np.abs(D)
+    heights = np.abs(C).max(axis=1, initial=0.0)
+    anywhere = heights[:, None] * np.abs(X).max(axis=0, initial=0.0)  # a state may be mere rounding
+    gain = np.where(np.abs(gain) > 1e-10 * terms + 1e-13 * anywhere, gain, 0.0)
+    return gain / even.outputs[:, None] / even.inputs
 
 
 def state_covariance(A: NDArray, Q: NDArray) -> NDArray[np.float64]:

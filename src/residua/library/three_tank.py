@@ -93,6 +93,7 @@ def three_tank(dt: float = 1.0) -> Plant:
     directions = (q13 * np.array([1, 0, -1]), q20 * np.array([0, 1, 0]), q32 * np.array([0, -1, 1]))
     for name, direction in zip(CLOGS, directions, strict=True):
         plant = plant.with_faults({name: direction / AREA}, component=name.replace("clog", "pipe"))
+    plant = plant.with_fault_notes(_notes())
     if dt == 0:
         return plant.with_noise(process=PROCESS_NOISE, measurement=LEVEL_NOISE)
     return plant.discretize(dt).with_noise(process=PROCESS_NOISE * dt, measurement=LEVEL_NOISE)
@@ -202,3 +203,38 @@ def three_tank_fault(number: int, steps: int = 2001, *, dt: float = 1.0, onset: 
         raise ModelError(f"the benchmark has the faults 1 to 12, not {number!r}")
     name, slope = slopes[number]
     return {name: slope * tau}
+
+
+def _notes() -> dict[str, dict[str, str]]:
+    """Return what each fault is, what to check first, and its unit."""
+    notes = {
+        f"{pump} actuator": {
+            "description": f"Pump {pump} delivers another flow than it is told to.",
+            "check": "the pump's voltage and speed, its inlet filter, and the calibration of its flow",
+        }
+        for pump in ("Q1", "Q2")
+    }
+    notes |= {
+        f"{level} sensor": {
+            "description": f"The reading of level {level} is off.",
+            "check": "the reading against the scale on the tank; the sensor's connector and zero",
+        }
+        for level in ("h1", "h2", "h3")
+    }
+    notes |= {
+        leak: {
+            "description": f"A hole in the bottom of tank {leak[-1]}.",
+            "check": "whether the drain valve below the tank is shut; the floor below it for water",
+            "unit": "cm2",
+        }
+        for leak in LEAKS
+    }
+    notes |= {
+        clog: {
+            "description": "Part of the opening of a pipe is lost.",
+            "check": "the valve of the pipe for its position and for dirt",
+            "unit": "of the opening",
+        }
+        for clog in CLOGS
+    }
+    return notes

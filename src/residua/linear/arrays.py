@@ -8,6 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import ModelError
+from residua.visible import echo, listed
+
+#: Largest number of a model: a product of three of them is still a floating-point number.
+LARGEST = 1e100
 
 
 def frozen(M: NDArray) -> NDArray[np.float64]:
@@ -18,7 +22,9 @@ def frozen(M: NDArray) -> NDArray[np.float64]:
 
 
 def matrix(value: ArrayLike, name: str, shape: tuple[int | None, int | None], *, what: str = "") -> NDArray[np.float64]:
-    """Return ``value`` as a read-only finite matrix of the given shape, or say what is wrong with it.
+    """Return ``value`` as a read-only matrix of the given shape, or say what is wrong with it.
+
+    Every entry is finite and at most ``LARGEST`` in size.
 
     A one-dimensional value is taken as one column when the shape asks for ``shape[0]`` rows, as one row
     when it asks for exactly one row. ``None`` in ``shape`` leaves that side open.
@@ -29,7 +35,7 @@ def matrix(value: ArrayLike, name: str, shape: tuple[int | None, int | None], *,
         M = np.asarray(value, dtype=np.float64)
     except ModelError:
         raise
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ModelError(f"{name} must be a matrix of numbers: {error}") from error
     rows, columns = shape
     if M.ndim == 0:
@@ -46,6 +52,11 @@ def matrix(value: ArrayLike, name: str, shape: tuple[int | None, int | None], *,
     if not np.isfinite(M).all():
         i, j = np.argwhere(~np.isfinite(M))[0]
         raise ModelError(f"{name}[{i}, {j}] is {M[i, j]}: every entry of a model must be finite")
+    if np.abs(M).max(initial=0.0) > LARGEST:
+        i, j = np.argwhere(np.abs(M) > LARGEST)[0]
+        raise ModelError(
+            f"{name}[{i}, {j}] is {M[i, j]:.3g}: every entry of a model must be at most {LARGEST:g} in size"
+        )
     return frozen(M)
 
 
@@ -53,10 +64,10 @@ def sample_step(dt: float) -> float:
     """Return ``dt`` as a float: 0 for continuous time, positive for sampled."""
     try:
         step = float(dt)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         step = np.nan
-    if isinstance(dt, (bool, np.bool_, str, bytes)) or not np.isscalar(dt) or not np.isfinite(step) or step < 0:
-        raise ModelError(f"dt must be 0 (continuous) or a positive step in seconds, got {dt!r}")
+    if isinstance(dt, (bool, np.bool_, str, bytes)) or not np.isscalar(dt) or not 0 <= step <= LARGEST:
+        raise ModelError(f"dt must be 0 (continuous) or a positive step in seconds, got {echo(dt)}")
     return step
 
 
@@ -67,9 +78,9 @@ def names(given: Iterable[str] | str | None, count: int, prefix: str, what: str)
     out = (given,) if isinstance(given, str) else tuple(given)
     for name in out:
         if not isinstance(name, str) or not name.strip():
-            raise ModelError(f"{what}: every name must be a non-empty string, got {name!r}")
+            raise ModelError(f"{what}: every name must be a non-empty string, got {echo(name)}")
     if len(out) != count:
-        raise ModelError(f"{what}: expected {count} names, got {len(out)}: {', '.join(out) or 'none'}")
+        raise ModelError(f"{what}: expected {count} names, got {len(out)}: {listed(out)}")
     unique(out, what)
     return out
 
@@ -79,7 +90,7 @@ def unique(given: tuple[str, ...], what: str) -> None:
     seen: set[str] = set()
     for name in given:
         if name in seen:
-            raise ModelError(f"{what}: the name {name!r} occurs twice")
+            raise ModelError(f"{what}: the name {echo(name)} occurs twice")
         seen.add(name)
 
 
@@ -91,7 +102,7 @@ def index_of(name: str | int, known: tuple[str, ...], what: str) -> int:
         raise ModelError(f"{what} {name} does not exist: there are {len(known)}")
     if name in known:
         return known.index(name)  # pyright: ignore[reportArgumentType]
-    raise ModelError(f"unknown {what} {name!r}; known: {', '.join(known) or 'none'}")
+    raise ModelError(f"unknown {what} {echo(name)}; known: {listed(known)}")
 
 
 def positions(chosen: Iterable[str | int] | str | int | None, known: tuple[str, ...], what: str) -> list[int]:

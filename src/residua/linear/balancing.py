@@ -1,7 +1,7 @@
 """Scaling by powers of two, so that rank decisions do not depend on the units that a model was written in.
 
-Every scaling starts from the units of :mod:`residua.linear.units`, which are the same whatever units the caller chose, and
-is a function of the entries in those units only: other units, by powers of two, change no bit of a scaled matrix.
+Every scaling starts from the units of :mod:`residua.linear.units`, which are the same whatever units the caller chose,
+and is a function of the entries in those units only: other units, by powers of two, change no bit of a scaled matrix.
 """
 
 from __future__ import annotations

@@ -6,6 +6,8 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
+from residua.linear.units import system_units
+
 
 def explicit_poles(A: NDArray) -> NDArray[np.complex128]:
     r"""Return the eigenvalues of a matrix; those that may be nothing but rounding of zero are zero.
@@ -23,7 +25,8 @@ def explicit_poles(A: NDArray) -> NDArray[np.complex128]:
 def _poles_of_part(A: NDArray) -> NDArray[np.complex128]:
     if len(A) == 1:
         return A[0].astype(complex)
-    balanced = scipy.linalg.matrix_balance(A)[0]
+    T = system_units(A, np.zeros((len(A), 0)), np.zeros((0, len(A))), np.zeros((0, 0))).states
+    balanced = scipy.linalg.matrix_balance(A / T[:, None] * T)[0]
     poles, left, right = scipy.linalg.eig(balanced, left=True, right=True)
     overlap = np.abs(np.sum(left.conj() * right, axis=0))
     size, rounding = np.linalg.norm(balanced), 10 * len(A) * np.finfo(float).eps

@@ -16,6 +16,10 @@ Matrix = NDArray[np.float64]
 Poles = NDArray[np.complex128]
 
 
+class UndetectableError(DesignError):
+    """A mode that no output sees and that is not stable: no gain moves it."""
+
+
 @dataclass(frozen=True, eq=False)
 class ObservablePart:
     """The observable part in balanced staircase coordinates, where ``H`` has orthonormal rows.
@@ -114,7 +118,7 @@ def observable_part(A: ArrayLike, C: ArrayLike, dt: float, rtol: float) -> Obser
     fixed, uncertainty = modes_with_uncertainty(Q2.T @ form.A @ Q2, form.rounding)
     stable = dies_out(fixed, uncertainty, dt, form.size)
     if not stable.all():
-        raise DesignError(
+        raise UndetectableError(
             f"not detectable: mode {describe_modes(fixed[~stable])} is not seen by any output and is not stable "
             f"({k} of {A.shape[0]} states observable); add a sensor that sees it"
         )

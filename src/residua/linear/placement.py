@@ -14,7 +14,7 @@ from residua.linear import arrays
 from residua.linear.matrix_poles import explicit_poles
 from residua.linear.observability import is_stable_mode
 from residua.linear.observable_part import ObservablePart, observable_part
-from residua.linear.pole_assignment import real_block_diagonal, robust_assignment, schur_assignment
+from residua.linear.pole_assignment import polished, real_block_diagonal, robust_assignment, schur_assignment
 from residua.linear.rank import DEFAULT_RTOL
 from residua.linear.spectrum import describe_modes, match_poles, spectrum_error
 
@@ -108,7 +108,7 @@ def _candidates(problem: ObservablePart, poles: Poles) -> list[Matrix]:
         # Every state is seen: F - L H = Lambda is solved exactly.
         return [(F - real_block_diagonal(poles)) @ H.T]
     found = [robust_assignment(F, H, poles), schur_assignment(F, H, poles)]
-    return [L for L in found if L is not None and np.all(np.isfinite(L))]
+    return [polished(F, H, L, poles) for L in found if L is not None and np.all(np.isfinite(L))]
 
 
 def _direct_gain(problem: ObservablePart, poles: Poles) -> Matrix:

@@ -8,7 +8,11 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
+from residua.linear.spectrum import match_poles
+
 Matrix = NDArray[np.float64]
+#: Eigenvectors of a larger condition belong to poles that are multiple, or nearly so: no simple eigenvalues.
+_SIMPLE = 1e8
 
 
 def real_block_diagonal(poles: NDArray[np.complex128]) -> Matrix:
@@ -58,6 +62,36 @@ def robust_assignment(F: Matrix, H: Matrix, poles: NDArray[np.complex128]) -> Ma
     except (ValueError, np.linalg.LinAlgError):
         return None
     return np.real(L) if np.all(np.isfinite(L)) else None
+
+
+def polished(F: Matrix, H: Matrix, L: Matrix, poles: NDArray[np.complex128]) -> Matrix:
+    r"""Return the gain after one Newton step towards the poles, the smallest, where that brings them nearer.
+
+    To first order :math:`\delta\lambda_i = -w_i\, \delta L\, H v_i` for simple eigenvalues, with :math:`w_i v_i = 1`;
+    the iterations of `robust_assignment` end some digits short of it.
+
+    Parameters
+    ----------
+    F : ndarray, shape (k, k)
+    H : ndarray, shape (r, k)
+    L : ndarray, shape (k, r)
+    poles : ndarray of complex, shape (k,)
+
+    Returns
+    -------
+    ndarray, shape (k, r)
+    """
+    values, V = np.linalg.eig(F - L @ H)
+    if not np.linalg.cond(V) < _SIMPLE:
+        return L
+    W = np.linalg.inv(V)
+    missing = poles[match_poles(values, poles)] - values
+    rows = -np.einsum("ij,ki->ijk", W, H @ V).reshape(len(values), -1)
+    step = np.linalg.lstsq(np.vstack([rows.real, rows.imag]), np.r_[missing.real, missing.imag], rcond=None)[0]
+    better = L + step.reshape(L.shape)
+    now = np.linalg.eigvals(F - better @ H)
+    off = np.abs(poles[match_poles(now, poles)] - now).max(initial=0.0)
+    return better if off < np.abs(missing).max(initial=0.0) else L
 
 
 def _sweeps(order: int) -> int:

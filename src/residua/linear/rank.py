@@ -12,6 +12,8 @@ from residua.errors import SettingError
 #: Singular values below this fraction of the scale count as zero, unless the caller says otherwise. The
 #: staircase algorithms lose about three digits at order 30, so this stays well above rounding.
 DEFAULT_RTOL = 1e-10
+#: A singular vector is known to some roundings of its length; smaller entries would be couplings that there are not.
+_NOISE = 1e-14
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,13 +133,13 @@ def range_basis(
 ) -> tuple[NDArray, RankDecision]:
     """Return an orthonormal basis of the column space of ``M`` and the rank decision behind it."""
     U, _, _, decision = _svd_decision(M, rtol, scale, full=False)
-    return U[:, : decision.rank], decision
+    return _without_noise(U[:, : decision.rank]), decision
 
 
 def null_basis(M: ArrayLike, *, rtol: float = DEFAULT_RTOL, scale: float | None = None) -> tuple[NDArray, RankDecision]:
     """Return an orthonormal basis of ``{x : M x = 0}`` and the rank decision behind it."""
     _, _, Vh, decision = _svd_decision(M, rtol, scale, full=True)
-    return Vh[decision.rank :].conj().T, decision
+    return _without_noise(Vh[decision.rank :].conj().T), decision
 
 
 def left_null_basis(
@@ -145,4 +147,9 @@ def left_null_basis(
 ) -> tuple[NDArray, RankDecision]:
     """Return an orthonormal basis, as columns, of ``{w : w' M = 0}`` and the rank decision behind it."""
     U, _, _, decision = _svd_decision(M, rtol, scale, full=True)
-    return U[:, decision.rank :], decision
+    return _without_noise(U[:, decision.rank :]), decision
+
+
+def _without_noise(basis: NDArray) -> NDArray:
+    """Return an orthonormal basis with exact zeros where its vectors, known to rounding of their length, have none."""
+    return np.where(np.abs(basis) > _NOISE, basis, 0.0)

@@ -16,6 +16,7 @@ from residua.linear import arrays
 from residua.linear.arrays import frozen
 from residua.linear.descriptor import finite_poles
 from residua.linear.matrix_poles import explicit_poles
+from residua.linear.units import matrix_units
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -248,16 +249,19 @@ class StateSpace:
         )
 
     def explicit(self) -> StateSpace:
-        """Return the system with ``E`` divided out; raises when ``E`` is singular or nearly so."""
+        """Return the system with ``E`` divided out; raises when ``E`` is singular or nearly so, in whatever units."""
         if self.E is None:
             return self
-        condition = np.linalg.cond(self.E)
+        rows, columns = matrix_units(self.E)
+        E = rows[:, None] * self.E * columns
+        condition = np.linalg.cond(E) if self.n_states else 1.0
         if not condition < 1e12:
             raise ModelError(
                 f"E is singular to working precision (condition {condition:.2g}): "
                 "this step needs a plant without algebraic equations"
             )
-        return self.replaced(A=np.linalg.solve(self.E, self.A), B=np.linalg.solve(self.E, self.B), E=None)
+        whole = columns[:, None] * np.linalg.solve(E, rows[:, None] * np.hstack([self.A, self.B]))
+        return self.replaced(A=whole[:, : self.n_states], B=whole[:, self.n_states :], E=None)
 
     def discretize(self, dt: float, *, hold: str | Iterable[str] = "zero") -> StateSpace:
         """Sample the system; see :func:`residua.linear.sampling.sample` for what is exact."""

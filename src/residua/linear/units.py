@@ -1,9 +1,14 @@
 """Units that are the same whatever units a model was written in, so that no answer depends on them.
 
-A model in other units has entries ``rho_i a_ij gamma_j``. The scaling that brings the logarithms of all entries nearest
-to one level, in least squares, takes these factors out again: the fitted logarithms are a projection, which does not
-depend on them. Rounded to powers of two from a fixed origin, the scaled entries of a model are the same *to the last bit*
-for all units that are powers of two, and so is everything that is computed from them.
+A model in other units has entries ``rho_i a_ij gamma_j``. The scaling that brings the logarithms of all entries
+nearest to one level, in least squares, takes these factors out again: the fitted logarithms are a projection, which
+does not depend on them. Rounded to powers of two from a fixed origin, the scaled entries of a model are the same *to
+the last bit* for all units that are powers of two, and so is everything that is computed from them.
+
+References
+----------
+A. R. Curtis and J. K. Reid, On the automatic scaling of matrices for Gaussian elimination, J. Inst. Maths. Applics. 10
+(1972) 118-124.
 """
 
 from __future__ import annotations
@@ -22,6 +27,11 @@ RESIDUE = 64 * np.finfo(float).eps
 #: simple models are made, are never halfway between two powers of two then.
 _OFF_TIES = 0.01371
 _ROUNDS = 3
+#: Where the largest entry is left this far above the one in the middle, the entries are no data of one model in other
+#: units: residue, which linearised models have in many places. What is residue in the units that the model was written
+#: in is left out of the fit then.
+_FAR = 2.0**26
+_WIDE = 1e-11
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,12 +72,42 @@ def powers_of_two(logarithms: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def system_units(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> Units:
-    """Return the units in which the entries of an ordinary system are nearest to one level.
+    """Return the units, powers of two, in which the entries of an ordinary system are nearest to one level.
 
     That of the largest diagonal entry of ``A``, which no units of states change, or one where the diagonal is zero.
     """
+    n, q = len(A), np.shape(B)[1]
+    return _rounded(_system_potentials(A, B, C, D), n, q)
+
+
+def output_weights(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> NDArray[np.float64]:
+    """Return the units of the outputs as they come out of the least squares, not rounded.
+
+    For least squares over outputs, whose result is the same in all units then, be they powers of two or not.
+    """
+    return np.exp2(-_system_potentials(A, B, C, D)[len(A) + np.shape(B)[1] :])
+
+
+def _rounded(v: NDArray[np.float64], n: int, q: int) -> Units:
+    """Return potentials of ``n`` states, ``q`` inputs and the outputs as powers of two."""
+    T = powers_of_two(v)
+    return Units(T[:n], T[n : n + q], 1.0 / T[n + q :])
+
+
+def _system_potentials(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> NDArray[np.float64]:
+    """Return the potentials of states, inputs and outputs."""
     n = len(A)
     W = np.abs(np.block([[A, B], [C, D]]).astype(float))
+    v = _potentials_of(W, n)
+    u = _rounded(v, n, W.shape[1] - n)
+    if _is_far(W, np.r_[1 / u.states, u.outputs], np.r_[u.states, u.inputs]):
+        v = _potentials_of(_without_wide_residue(W), n)
+    return v
+
+
+def _potentials_of(W: NDArray[np.float64], n: int) -> NDArray[np.float64]:
+    """Return the potentials for the sizes of the entries of ``[A B; C D]`` with ``n`` states."""
+    W = W.copy()
     diagonal = W[np.arange(n), np.arange(n)]
     level = float(np.log2(diagonal.max())) if np.any(diagonal) else 0.0
     W[np.arange(n), np.arange(n)] = 0.0  # the units of the states do not change it
@@ -75,14 +115,17 @@ def system_units(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> Units:
     # Nodes: states, inputs, outputs; scaling multiplies the entry from column j to row i by 2^(v_j - v_i).
     row_node = np.r_[np.arange(n), n + q + np.arange(p)].astype(int)
     column_node = np.arange(n + q)
-    v = _potentials(W, row_node, column_node, n + q + p, diagonal, level)
-    T = powers_of_two(v)
-    return Units(T[:n], T[n : n + q], 1.0 / T[n + q :])
+    return _potentials(W, row_node, column_node, n + q + p, diagonal, level)
 
 
 def matrix_units(M: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the factors of rows and of columns with which the entries of a matrix are nearest to one."""
     W = np.abs(np.asarray(M, dtype=float))
+    rows, columns = _matrix_units(W)
+    return _matrix_units(_without_wide_residue(W)) if _is_far(W, rows, columns) else (rows, columns)
+
+
+def _matrix_units(W: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     p, q = W.shape
     v = _potentials(W, np.arange(p), p + np.arange(q), p + q, np.zeros(0), 0.0)
     T = powers_of_two(v)
@@ -90,13 +133,21 @@ def matrix_units(M: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def pencil_units(A: NDArray, E: NDArray) -> PencilUnits:
-    """Return the factors of rows and columns, and the unit of ``s``, with which the entries of a pencil are nearest to one.
+    """Return the factors of rows and columns, and the unit of ``s``, that bring the entries of a pencil nearest to one.
 
     A bordered pencil has further rows and columns in ``A``; those of ``E`` are zero there.
     """
     a, e = np.abs(np.asarray(A, dtype=float)), np.abs(np.asarray(E, dtype=float))
+    found = _pencil_units(a, e)
+    if _is_far(np.maximum(a, found.unit * e), found.rows, found.columns):
+        found = _pencil_units(_without_wide_residue(a), _without_wide_residue(e))
+    return found
+
+
+def _pencil_units(a: NDArray[np.float64], e: NDArray[np.float64]) -> PencilUnits:
+    """Return the same for the sizes of the entries."""
     unit = 0.0
-    p, q = a.shape
+    p = len(a)
     for _ in range(_ROUNDS):
         v, unit = _pencil_potentials(a, e)
         rows, columns = np.exp2(-v[:p]), np.exp2(v[p:])
@@ -110,8 +161,23 @@ def pencil_units(A: NDArray, E: NDArray) -> PencilUnits:
     return PencilUnits(1.0 / T[:p], T[p:], float(powers_of_two(np.array(unit))))
 
 
+def _is_far(W: NDArray[np.float64], rows: NDArray[np.float64], columns: NDArray[np.float64]) -> bool:
+    """Tell whether residue has drawn a fit off: the largest entry is left far above the one in the middle."""
+    scaled = rows[:, None] * W * columns
+    present = scaled[scaled > 0]
+    return bool(present.size and present.max() > _FAR * np.median(present))
+
+
+def _without_wide_residue(W: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return entries without those that linearisation or identification leaves of nothing, in the units at hand."""
+    if not W.size:
+        return W
+    floor = _WIDE * np.minimum(W.max(axis=1, keepdims=True), W.max(axis=0, keepdims=True))
+    return np.where(floor < W, W, 0.0)
+
+
 def without_residue(M: NDArray[np.float64], rows: NDArray | None = None, columns: NDArray | None = None) -> NDArray:
-    """Return ``abs(M)`` with the entries set to zero that can only be rounding residue, in units of rows and columns."""
+    """Return ``abs(M)`` with the entries set to zero that can only be residue, in units of rows and columns."""
     M = np.abs(M)
     if not M.size:
         return M

@@ -1,6 +1,6 @@
 """A generator with its decision logic, running on data."""
 
-from residua.monitor.alarm import Alarm, Candidate, PresentFault, Size
+from residua.monitor.alarm import Alarm, Beginning, Candidate, PresentFault, Size
 from residua.monitor.decision import Decision
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.monitor import Monitor
@@ -9,6 +9,7 @@ from residua.monitor.running import Decisions
 
 __all__ = [
     "Alarm",
+    "Beginning",
     "Candidate",
     "Decision",
     "Decisions",

@@ -1,52 +1,15 @@
-"""Reading recordings from files of named arrays: MATLAB .mat and NumPy .npz."""
+"""The columns of a recording in a file of named arrays: MATLAB .mat and NumPy .npz."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
-import numpy as np
 from numpy.typing import NDArray
 
-from residua.errors import DataError, FileFormatError
+from residua.errors import DataError
+from residua.visible import echo, listed
 
 Arrays = dict[str, NDArray]
-
-
-def read_mat(path: Path) -> Arrays:
-    """Return the arrays of a .mat file (versions 4 to 7)."""
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
-
-    try:
-        content = loadmat(str(path), appendmat=False)
-    except NotImplementedError as error:
-        raise FileFormatError(
-            f"{path.name}: this is a version 7.3 .mat file (HDF5); save it with -v7, or as CSV"
-        ) from error
-    except (MatReadError, ValueError, TypeError, OSError, EOFError, KeyError, IndexError) as error:
-        raise FileFormatError(f"{path.name}: not a readable .mat file: {error}") from error
-    return {name: np.asarray(value) for name, value in content.items() if not name.startswith("__")}
-
-
-def read_npz(path: Path) -> Arrays:
-    """Return the arrays of a .npz file; Python objects in it are refused."""
-    from zipfile import BadZipFile
-
-    try:
-        content = np.load(path, allow_pickle=False)
-        if isinstance(content, np.ndarray):
-            raise FileFormatError(f"{path.name}: this is a single array (.npy); save named arrays with numpy.savez")
-        with content:
-            return {name: content[name] for name in content.files}
-    except FileFormatError:
-        raise
-    except (ValueError, BadZipFile, EOFError, OSError, KeyError) as error:
-        if "pickle" in str(error).lower():
-            raise FileFormatError(
-                f"{path.name}: it holds Python objects, or is no .npz file; only arrays of numbers are read"
-            ) from error
-        raise FileFormatError(f"{path.name}: not a readable .npz file: {error}") from error
 
 
 def table_from_arrays(
@@ -66,7 +29,7 @@ def table_from_arrays(
     channels = (*inputs, *outputs)
     if variable is not None:
         if variable not in arrays:
-            raise DataError(f"{source}: no array {variable!r}; there are: {_listed(arrays)}")
+            raise DataError(f"{source}: no array {echo(variable)}; there are: {_listed(arrays)}")
         return _singles(arrays, skip=variable) | _columns(arrays[variable], variable, channels, names, source)
     if names is not None:
         chosen = _fitting(arrays, len(names))
@@ -96,7 +59,7 @@ def _columns(
     """Return the columns of a matrix under their names, or by the order of the channels."""
     M = M[:, None] if M.ndim == 1 else M
     if M.ndim != 2 or not _is_numeric(M):
-        raise DataError(f"{source}: {label!r} must be a matrix of numbers, (time, channels)")
+        raise DataError(f"{source}: {echo(label)} must be a matrix of numbers, (time, channels)")
     wanted = tuple(names if names is not None else channels)
     if not wanted:
         wanted = tuple(f"{label}{i + 1}" for i in range(M.shape[1]))
@@ -105,7 +68,7 @@ def _columns(
     if M.shape[1] != len(wanted):
         hint = "; time runs down the rows: transpose it" if M.shape[0] == len(wanted) else "; name them by columns="
         raise DataError(
-            f"{source}: {label!r} has {M.shape[1]} columns, expected {len(wanted)} ({', '.join(wanted)}){hint}"
+            f"{source}: {echo(label)} has {M.shape[1]} columns, expected {len(wanted)} ({listed(wanted)}){hint}"
         )
     return {name: M[:, i] for i, name in enumerate(wanted)}
 
@@ -128,5 +91,10 @@ def _is_numeric(M: NDArray) -> bool:
 
 
 def _listed(arrays: Arrays) -> str:
-    shapes = [f"{name} {' x '.join(map(str, M.shape))}" for name, M in arrays.items()]
-    return ", ".join(shapes[:30]) + (", ..." if len(shapes) > 30 else "") or "none"
+    """Name the arrays with their shapes; what has no numbers is a cell array or structure."""
+    return listed(
+        [
+            f"{name} {'(no numbers)' if M.dtype.kind == 'V' else ' x '.join(map(str, M.shape))}"
+            for name, M in arrays.items()
+        ]
+    )

@@ -16,6 +16,7 @@ from residua.decide.structured import CodeTest
 from residua.errors import FileFormatError
 from residua.monitor.alarm import Alarm
 from residua.monitor.encoding import float_in, float_out, joined, record, table_in
+from residua.number_kinds import BOUND, POSITIVE
 
 #: Pairs of faults that a caution tells at most.
 _TOLD = 4
@@ -76,13 +77,11 @@ def bounds_in(value: Any, where: str, members: Sequence[str]) -> dict[str, Membe
         at = joined(where, name)
         content = record(entry, at, ("disturbances", "response", "leakage"))
         leakage = table_in(content["leakage"], joined(at, "leakage"))
-        out[name] = one = MemberBounds(
-            float_in(content["disturbances"], joined(at, "disturbances")),
-            float_in(content["response"], joined(at, "response")),
-            {fault: float_in(bound, joined(joined(at, "leakage"), fault)) for fault, bound in leakage.items()},
+        out[name] = MemberBounds(
+            float_in(content["disturbances"], joined(at, "disturbances"), BOUND),
+            float_in(content["response"], joined(at, "response"), POSITIVE),
+            {fault: float_in(bound, joined(joined(at, "leakage"), fault), BOUND) for fault, bound in leakage.items()},
         )
-        if not (one.response > 0 and min((one.disturbances, *one.leakage.values())) >= 0):
-            raise FileFormatError(f"{at}: bounds must be 0 or more, and that of the response above 0")
     if out and set(out) != set(members):
         raise FileFormatError(f"{where} must have each member once: {', '.join(members)}")
     return out

@@ -1,8 +1,9 @@
-"""Reading tables of text: comma, semicolon or tab between the cells, one header line."""
+"""Reading tables of text: comma, semicolon, tab or blanks between the cells, with or without a header line."""
 
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,8 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import DataError, FileFormatError
+from residua.visible import echo
 
 DELIMITERS = (",", ";", "\t")
+BLANKS = " "
+_DATE = re.compile(r"\d{1,4}([/.\-])\d{1,2}\1\d{1,4}(?!\d)")
+#: How spreadsheets say what stands between the cells, in a line of its own before all others.
+_SEPARATOR = re.compile(r"sep=([,;\t])", re.IGNORECASE)
 
 #: What spreadsheets and loggers write where a value is missing, in lower case.
 MISSING = frozenset(
@@ -21,13 +27,32 @@ MISSING = frozenset(
 
 @dataclass(frozen=True)
 class CsvTable:
-    """The lines of a table, with its header read."""
+    """The lines of a table, with its header read.
+
+    Attributes
+    ----------
+    source : str
+    names : tuple of str
+        Of the columns; numbers from 1 on where there is no header.
+    delimiter : str
+    lines : list of str
+        Those with data.
+    quoted : bool
+    above : int
+        Lines of the file before them.
+    decimal : {".", ","}
+    headed : bool
+        Whether the file names its columns.
+    """
 
     source: str
     names: tuple[str, ...]
     delimiter: str
     lines: list[str]
     quoted: bool
+    above: int
+    decimal: str
+    headed: bool
 
     def numbers(self, wanted: Sequence[str]) -> dict[str, NDArray[np.float64]]:
         """Return columns of numbers; missing cells are NaN."""
@@ -36,8 +61,10 @@ class CsvTable:
         if block is not None:
             return {name: block[:, i] for i, name in enumerate(wanted)}
         cells, rows = self._cells(places)
-        comma = self.delimiter != ","
-        return {name: _parsed(column, rows, self._at(name), comma) for name, column in zip(wanted, cells, strict=True)}
+        return {
+            name: _parsed(column, rows, self._at(name), self.decimal)
+            for name, column in zip(wanted, cells, strict=True)
+        }
 
     def texts(self, name: str) -> tuple[list[str], list[int]]:
         """Return one column as text, with the line of the file that each cell is from."""
@@ -51,7 +78,7 @@ class CsvTable:
         return row[place].strip() if place < len(row) else ""
 
     def _at(self, name: str) -> str:
-        return f"{self.source}: column {name!r}"
+        return f"{self.source}: column {echo(name)}"
 
     def _fast(self, places: list[int]) -> NDArray[np.float64] | None:
         """Let NumPy read the whole table; ``None`` where it is not plain numbers."""
@@ -59,8 +86,10 @@ class CsvTable:
         lines = [line for line in self.lines if line]
         if not lines or any(line.count(self.delimiter) != separators for line in lines):
             return None
-        if self.delimiter != "," and any("," in line for line in lines[:100]):
-            lines = [line.replace(",", ".") for line in lines]  # decimal commas
+        if self.decimal == ",":
+            if self.delimiter == "," or any("." in line for line in lines):
+                return None
+            lines = [line.replace(",", ".") for line in lines]
         try:
             return np.loadtxt(lines, delimiter=self.delimiter, comments=None, usecols=places, ndmin=2)
         except ValueError:
@@ -74,20 +103,21 @@ class CsvTable:
             for row in reader:
                 if not any(cell.strip() for cell in row) and len(row) <= 1:
                     continue
-                line = reader.line_num + 1
+                line = reader.line_num + self.above
                 if len(row) != len(self.names):
                     raise DataError(
-                        f"{self.source}: line {line} has {len(row)} cells, the header has {len(self.names)}"
+                        f"{self.source}: line {line} has {len(row)} cells, the "
+                        f"{'header' if self.headed else 'first'} has {len(self.names)}"
                     )
                 numbers.append(line)
                 for column, place in zip(columns, places, strict=True):
                     column.append(row[place])
         except csv.Error as error:
-            raise FileFormatError(f"{self.source}: line {reader.line_num + 1}: {error}") from error
+            raise FileFormatError(f"{self.source}: line {reader.line_num + self.above}: {error}") from error
         return columns, numbers
 
 
-def open_csv(content: bytes, source: str) -> CsvTable:
+def open_csv(content: bytes, source: str, *, decimal: str = ".") -> CsvTable:
     """Find the separator and the header of a table of text.
 
     Parameters
@@ -95,11 +125,12 @@ def open_csv(content: bytes, source: str) -> CsvTable:
     content : bytes
     source : str
         What to call the file in messages.
+    decimal : {".", ","}
 
     Raises
     ------
     DataError
-        If there is nothing in it, or the first line is no header.
+        If there is nothing in it.
     FileFormatError
         If it is not text.
     """
@@ -107,16 +138,51 @@ def open_csv(content: bytes, source: str) -> CsvTable:
     if not text.strip():
         raise DataError(f"{source}: the file is empty")
     lines = text.split("\n")
-    header = max((next(csv.reader(lines[:1], delimiter=d), []) for d in DELIMITERS), key=len)
-    delimiter = next(d for d in DELIMITERS if next(csv.reader(lines[:1], delimiter=d), []) == header)
-    names = tuple(name.strip() for name in header)
-    if not names or all(_is_number(name) for name in names):
-        raise DataError(f"{source}: the first line must name the columns, it holds {lines[0][:60]!r}")
+    above = next(i for i, line in enumerate(lines) if line.strip())
+    said = _SEPARATOR.fullmatch(lines[above].strip(" "))
+    if said:
+        above = next((i for i, line in enumerate(lines) if i > above and line.strip()), above)
+    while above + 1 < len(lines) and _is_comment(lines[above]) and _is_comment(lines[above + 1]):
+        above += 1  # of several lines of comment the last one may name the columns
+    head = lines[above].lstrip()[1:].strip() if _is_comment(lines[above]) else lines[above]
+    following = next((line for line in lines[above + 1 :] if line.strip()), "")
+    if said:
+        delimiter, names = said[1], tuple(name.strip() for name in next(csv.reader([head], delimiter=said[1]), []))
+    else:
+        delimiter, names = _separated(head, following, decimal)
+    if delimiter == BLANKS:
+        lines, delimiter = [*lines[: above + 1], *("\t".join(line.split()) for line in lines[above + 1 :])], "\t"
     while lines and not lines[-1].strip():
         lines.pop()
-    if len(lines) < 2:
-        raise DataError(f"{source}: there is a header but no data")
-    return CsvTable(source, names, delimiter, lines[1:], '"' in text)
+    headed = not names or not all(_is_number(name.replace(",", ".")) for name in names)
+    if headed:
+        if len(lines) < above + 2:
+            raise DataError(f"{source}: there is a header but no data")
+        return CsvTable(source, names, delimiter, lines[above + 1 :], '"' in text, above + 1, decimal, True)
+    numbered = tuple(str(i + 1) for i in range(len(names)))
+    data = [delimiter.join(names), *lines[above + 1 :]]
+    return CsvTable(source, numbered, delimiter, data, '"' in text, above, decimal, False)
+
+
+def _is_comment(line: str) -> bool:
+    return line.lstrip()[:1] in ("#", "%")
+
+
+def _separated(head: str, following: str, decimal: str) -> tuple[str, tuple[str, ...]]:
+    """Return what stands between the cells, and those of the first line.
+
+    What makes the most of them; blanks only where nothing else separates any, and as many in the line that follows. A
+    decimal comma separates no numbers.
+    """
+    rows = {d: next(csv.reader([head], delimiter=d), []) for d in DELIMITERS if not (d == "," and decimal == ",")}
+    if decimal == "," and max(map(len, rows.values())) < 2:
+        quoted = next(csv.reader([head]), [])
+        if not all(_is_number(cell) for cell in quoted):
+            rows[","] = quoted
+    delimiter = max(rows, key=lambda d: len(rows[d]))
+    if len(rows[delimiter]) < 2 and 1 < len(head.split()) == len(following.split() or head.split()):
+        return BLANKS, tuple(head.split())
+    return delimiter, tuple(name.strip() for name in rows[delimiter])
 
 
 def _decoded(content: bytes, source: str) -> str:
@@ -132,20 +198,36 @@ def _decoded(content: bytes, source: str) -> str:
         return content.decode("latin-1")  # never fails; Windows programs write cm³ this way
 
 
-def _parsed(cells: list[str], rows: list[int], what: str, comma: bool) -> NDArray[np.float64]:
+def _parsed(cells: list[str], rows: list[int], what: str, decimal: str) -> NDArray[np.float64]:
     out = np.empty(len(cells))
     for i, cell in enumerate(cells):
+        text = cell.strip()
+        if decimal == ",":
+            number = "" if "." in text else text.replace(",", ".")
+        else:
+            number = text
         try:
-            out[i] = float(cell)
+            out[i] = float(number)
         except ValueError:
-            text = cell.strip().lower()
-            if text in MISSING:
-                out[i] = np.nan
-            elif comma and _is_number(text.replace(",", ".")):
-                out[i] = float(text.replace(",", "."))
-            else:
-                raise DataError(f"{what}, line {rows[i]}: expected a number, got {cell!r}") from None
+            if text.lower() not in MISSING:
+                raise DataError(
+                    f"{what}, line {rows[i]}: expected a number, got {echo(cell)}{_advice(text, decimal)}"
+                ) from None
+            out[i] = np.nan
     return out
+
+
+def _advice(text: str, decimal: str) -> str:
+    """Ask about commas and points in what would be a number without them, and about dates."""
+    if _DATE.match(text):
+        return "; if these are the times, name the column by time="
+    if not ({",", "."} & set(text)) or not _is_number(text.replace(".", "").replace(",", "")):
+        return ""
+    if "," in text and "." in text:
+        return "; of a comma and a point in one number the first separates thousands: write the numbers without it"
+    if decimal == ",":
+        return "; decimal=',' was asked for, and a point then is none"
+    return "; if its comma is a decimal comma, say decimal=','; if it separates thousands, write the numbers without it"
 
 
 def _is_number(text: str) -> bool:

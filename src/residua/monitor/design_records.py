@@ -27,6 +27,7 @@ from residua.monitor.encoding import (
     texts_in,
     whole_in,
 )
+from residua.number_kinds import ANY as REPORT, COMPLEX, ENTRY, NOT_NEGATIVE, STEP
 from residua.plant import Fault, OperatingPoint, Plant
 
 _SYSTEM_ENTRIES = ("A", "B", "C", "D", "dt", "inputs", "outputs", "states")
@@ -120,7 +121,7 @@ def _sampled_fields(content: Mapping[str, Any], where: str) -> dict[str, Any]:
         "subspaces": _arrays_in(content["subspaces"], subspaces),
         "steady": None if content["steady"] is None else _arrays_in(content["steady"], joined(where, "steady")),
         "known_form": None if known is None else _system_in(known, joined(where, "known_form")),
-        **{name: None if content[name] is None else array_in(content[name], joined(where, name)) for name in _MAPS},
+        **{name: _array_or_none_in(content[name], joined(where, name)) for name in _MAPS},
     }
 
 
@@ -128,15 +129,22 @@ def _array_or_none(M: NDArray | None) -> Any:
     return None if M is None else array_out(M)
 
 
+def _array_or_none_in(value: Any, where: str) -> NDArray | None:
+    return None if value is None else array_in(value, where, ENTRY, 2)
+
+
 def _codes_in(value: Any, where: str) -> NDArray[np.bool_] | None:
     """Return the codes of a bank."""
     if value is None:
         return None
-    return np.array([[flag_in(x, where) for x in list_in(row, where)] for row in list_in(value, where)], dtype=bool)
+    rows = [[flag_in(x, where) for x in list_in(row, where)] for row in list_in(value, where)]
+    if len({len(row) for row in rows}) > 1:
+        raise FileFormatError(f"{where}: every row must be of the same length")
+    return np.array(rows, dtype=bool)
 
 
 def _arrays_in(value: Any, where: str) -> dict[str, NDArray[np.float64]]:
-    return {name: array_in(entry, joined(where, name)) for name, entry in table_in(value, where).items()}
+    return {name: array_in(entry, joined(where, name), ENTRY) for name, entry in table_in(value, where).items()}
 
 
 def _checked(generator: ResidualGenerator, where: str) -> ResidualGenerator:
@@ -182,9 +190,9 @@ def _system_out(system: StateSpace) -> dict[str, Any]:
 
 def _system_in(value: Any, where: str) -> StateSpace:
     content = record(value, where, _SYSTEM_ENTRIES)
-    matrices = [array_in(content[name], joined(where, name)) for name in "ABCD"]
+    matrices = [array_in(content[name], joined(where, name), ENTRY, 2) for name in "ABCD"]
     names = {name: texts_in(content[name], joined(where, name)) for name in ("inputs", "outputs", "states")}
-    return StateSpace(*matrices, dt=float_in(content["dt"], joined(where, "dt")), **names)
+    return StateSpace(*matrices, dt=float_in(content["dt"], joined(where, "dt"), STEP), **names)
 
 
 def _plant_out(plant: Plant) -> dict[str, Any]:
@@ -195,25 +203,39 @@ def _plant_out(plant: Plant) -> dict[str, Any]:
         **{name: list(getattr(plant, name)) for name in _PLANT_NAMES},
         "E": None if plant.E is None else array_out(plant.E),
         "dt": float_out(plant.dt),
-        "faults": [[fault.name, fault.kind, fault.component] for fault in plant.fault_list],
+        "faults": [_fault_out(fault) for fault in plant.fault_list],
         "operating_point": [list(map(float_out, point.inputs)), list(map(float_out, point.outputs))],
         "units": dict(plant.units),
     }
 
 
+def _fault_out(fault: Fault) -> list[str]:
+    """Return name, kind and component, and the notes where there are any: any other file stays as it was."""
+    notes = [fault.description, fault.check, fault.unit]
+    return [fault.name, fault.kind, fault.component, *(notes if any(notes) else [])]
+
+
+def _fault_in(value: Any, where: str) -> Fault:
+    """Return a fault from name, kind and component, with or without the three notes."""
+    noted = isinstance(value, list) and len(value) == 6
+    return Fault(*texts_in(list_in(value, where, 6 if noted else 3), where))
+
+
 def _plant_in(value: Any, where: str) -> Plant:
     content = record(value, where, _PLANT_ENTRIES)
-    a = {name: array_in(content[name], joined(where, name)) for name in _PLANT_ARRAYS}
+    a = {name: array_in(content[name], joined(where, name), ENTRY, 2) for name in _PLANT_ARRAYS}
     names = {name: texts_in(content[name], joined(where, name)) for name in _PLANT_NAMES}
     at, units = joined(where, "operating_point"), joined(where, "units")
-    point = [tuple(float_in(x, at) for x in list_in(part, at)) for part in list_in(content["operating_point"], at, 2)]
+    point = [
+        tuple(float_in(x, at, ENTRY) for x in list_in(part, at)) for part in list_in(content["operating_point"], at, 2)
+    ]
     plant = Plant(
         a["A"],
         a["Bu"],
         a["C"],
         a["Du"],
-        E=None if content["E"] is None else array_in(content["E"], joined(where, "E")),
-        dt=float_in(content["dt"], joined(where, "dt")),
+        E=_array_or_none_in(content["E"], joined(where, "E")),
+        dt=float_in(content["dt"], joined(where, "dt"), STEP),
         inputs=names["inputs"],
         outputs=names["outputs"],
         states=names["states"],
@@ -221,8 +243,9 @@ def _plant_in(value: Any, where: str) -> Plant:
         units={key: text_in(unit, joined(units, key)) for key, unit in table_in(content["units"], units).items()},
         **{name: text_in(content[name], joined(where, name)) for name in _PLANT_TEXTS},
     )
-    faults = tuple(Fault(*texts_in(entry, joined(where, "faults"))) for entry in list_in(content["faults"], where))
-    columns = {"d": len(names["disturbances"]), "f": len(faults), "w": a["Bw"].shape[-1]}
+    at = joined(where, "faults")
+    faults = tuple(_fault_in(entry, at) for entry in list_in(content["faults"], at))
+    columns = {"d": len(names["disturbances"]), "f": len(faults), "w": a["Bw"].shape[1]}
     for letter, count in columns.items():
         if a["B" + letter].shape != (plant.n_states, count) or a["D" + letter].shape != (plant.n_outputs, count):
             raise FileFormatError(f"{where}: B{letter} and D{letter} must have {count} columns and fit the plant")
@@ -231,11 +254,17 @@ def _plant_in(value: Any, where: str) -> Plant:
     )
 
 
+def _fault_in(value: Any, where: str) -> Fault:
+    """Return a fault from name, kind and component, and the notes where there are any."""
+    noted = isinstance(value, list) and len(value) == 6
+    return Fault(*texts_in(list_in(value, where, 6 if noted else 3), where))
+
+
 def _observer_in(value: Any, where: str) -> Observer:
     content = record(value, where, (*_OBSERVER_ARRAYS, *_OBSERVER_OPTIONS, "plant", "method", "decouples", "evidence"))
-    arrays: dict[str, Any] = {name: array_in(content[name], joined(where, name)) for name in _OBSERVER_ARRAYS}
+    arrays: dict[str, Any] = {name: array_in(content[name], joined(where, name), ENTRY, 2) for name in _OBSERVER_ARRAYS}
     for name in _OBSERVER_OPTIONS:
-        arrays[name] = None if content[name] is None else array_in(content[name], joined(where, name))
+        arrays[name] = _array_or_none_in(content[name], joined(where, name))
     return Observer(
         plant=_plant_in(content["plant"], joined(where, "plant")),
         method=text_in(content["method"], joined(where, "method")),
@@ -267,18 +296,17 @@ def _evidence_in(value: Any, where: str) -> Evidence:
 
     def numbers(name: str) -> dict[str, float]:
         at = joined(where, name)
-        return {key: float_in(number, joined(at, key)) for key, number in table_in(content[name], at).items()}
+        return {key: float_in(number, joined(at, key), REPORT) for key, number in table_in(content[name], at).items()}
 
     ranks = {}
     for name, entry in table_in(content["ranks"], joined(where, "ranks")).items():
         at = joined(joined(where, "ranks"), name)
         rank, values, tolerance = list_in(entry, at, 3)
-        ranks[name] = RankDecision(whole_in(rank, at), array_in(values, at), float_in(tolerance, at))
+        sizes, least = array_in(values, at, NOT_NEGATIVE, 1), float_in(tolerance, at, NOT_NEGATIVE)
+        ranks[name] = RankDecision(whole_in(rank, at), sizes, least)
     return Evidence(
         method=text_in(content["method"], joined(where, "method")),
-        poles=array_in(content["poles"], joined(where, "poles")),
-        requested_poles=array_in(content["requested_poles"], joined(where, "requested_poles")),
-        fixed_poles=array_in(content["fixed_poles"], joined(where, "fixed_poles")),
+        **{name: array_in(content[name], joined(where, name), COMPLEX, 1) for name in _POLES},
         decoupling=numbers("decoupling"),
         conditions=numbers("conditions"),
         ranks=ranks,

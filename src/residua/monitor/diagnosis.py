@@ -15,8 +15,9 @@ from residua.decide.matched_hold import Match
 from residua.decide.structured import CodeTest
 from residua.errors import MissingExtraError
 from residua.files import write_text
-from residua.monitor.alarm import CLOSE_LEAD, CLOSE_MARGIN, Alarm, Candidate, PresentFault
-from residua.monitor.naming import alike, arrival_text, estimates_of, ranked, sizes_text, tied_name
+from residua.monitor.alarm import CLOSE_LEAD, CLOSE_MARGIN, Alarm, Beginning, Candidate, PresentFault
+from residua.monitor.clock import Clock
+from residua.monitor.naming import alike, arrival_text, began_text, estimates_of, ranked, sizes_text, tied_name
 
 if TYPE_CHECKING:
     from residua.design import ResidualGenerator
@@ -70,8 +71,7 @@ class Diagnosis:
         How often the filter was restarted after a long gap.
     residual_names : tuple of str
     center, band : ndarray, shape (residuals,)
-        Fault-free mean of each residual, and how far it alone (averaged over the window of the test, where there
-        is one) can be from it below threshold.
+        Fault-free mean of each residual, and half the width of a band around it: see ``band_share``.
     whitening : ndarray, shape (residuals, residuals)
         Applied as ``(r - center) @ whitening`` before norm and direction are judged; for a bank the members'
         matrices side by side.
@@ -105,6 +105,18 @@ class Diagnosis:
         Samples of the window of a finite-horizon test (:class:`residua.decide.PeakThreshold`); 0 for any other.
     certified : bool
         Whether its thresholds are certified by the design.
+    averaged : int
+        Samples over which a residual is averaged before it is tested, and its band holds: the window of the test.
+    band_share : float
+        Fraction of the fault-free samples of one residual, so averaged, that its band holds if its noise is Gaussian;
+        0 where its covariance is not known: the residual alone is then over the threshold where its band ends.
+    origin : str
+        The moment that ``time`` counts from (ISO 8601), where the recording had dates; else empty.
+    signals : ndarray, shape (T, inputs + outputs)
+        What was measured, in plant units; NaN where a value was missing. No rows where it was not kept.
+    compared : tuple of (int, int)
+        Residuals that are a measured output less its prediction from all that was measured before, as pairs (residual,
+        output); see ``predictions``.
     """
 
     time: NDArray[np.float64] = field(repr=False)
@@ -138,6 +150,11 @@ class Diagnosis:
     match: Match | None = field(default=None, repr=False)
     horizon: int = 0
     certified: bool = False
+    averaged: int = 1
+    band_share: float = 0.0
+    origin: str = ""
+    signals: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+    compared: tuple[tuple[int, int], ...] = field(default=(), repr=False)
 
     # ------------------------------------------------------------------- facts
 
@@ -153,8 +170,34 @@ class Diagnosis:
 
     @property
     def onset(self) -> float | None:
-        """Onset of the longest alarm in seconds, ``None`` without an alarm."""
+        """When the longest alarm first crossed its threshold, in seconds; ``None`` without an alarm.
+
+        What it is about began earlier, as a rule: ``began``.
+        """
         return self.main_alarm.onset if self.main_alarm else None
+
+    @property
+    def began(self) -> Beginning | None:
+        """When the longest alarm's change of the residual began, as an interval; ``None`` where that is not known."""
+        return self.main_alarm.began if self.main_alarm else None
+
+    @property
+    def clock(self) -> Clock:
+        """How times are told: by the clock of the recording where it has dates."""
+        return Clock(self.origin, self.generator.dt)
+
+    @property
+    def predictions(self) -> dict[str, NDArray[np.float64]]:
+        """What the model expected of each output that the filter predicts, in plant units: measured less residual.
+
+        An observer, a Kalman filter and a parity relation predict an output from everything that was measured before,
+        and what was measured beside it. Empty for other filters, and where signals were not kept.
+        """
+        if not len(self.signals):
+            return {}
+        plant = self.generator.plant
+        m = len(plant.inputs)
+        return {plant.outputs[j]: self.signals[:, m + j] - self.residuals[:, i] for i, j in self.compared}
 
     @property
     def candidates(self) -> tuple[Candidate, ...]:
@@ -226,8 +269,9 @@ class Diagnosis:
         if not self.alarms:
             lines.append("no fault found" if self.decided.any() else self._why_undecided())
         for k, alarm in enumerate(self.alarms[:20], 1):
-            until = "to the end" if alarm.ended is None else f"until {alarm.ended:.6g} s"
-            lines.append(f"alarm {k}: onset {alarm.onset:.6g} s, raised {alarm.raised:.6g} s, {until}")
+            until = "to the end" if alarm.ended is None else f"until {self.clock.at(alarm.ended)}"
+            lines.append(f"alarm {k}: raised {self.clock.at(alarm.raised)}, {until}")
+            lines.append(f"  {began_text(alarm, self.clock)}")
             if alarm.fired:
                 more = f" and {len(alarm.fired) - 8} more" if len(alarm.fired) > 8 else ""
                 lines.append(f"  over their thresholds: {', '.join(alarm.fired[:8])}{more}")
@@ -240,7 +284,7 @@ class Diagnosis:
                 odds = f"{np.exp((alarm.lead or 0.0) / 2):.3g}"
                 lines.append(f"  a close call: the first is {odds} times as likely as the second")
             elif alarm.doubt == "score":
-                lines.append(f"  a close call: the first two are {alarm.margin:.3f} apart")
+                lines.append(f"  a close call: the first two are {abs(alarm.margin or 0.0):.3f} apart")
             elif alarm.doubt == "fit":
                 lines.append(f"  {NO_FIT}")
             lines += self._candidate_lines(alarm)
@@ -274,7 +318,11 @@ class Diagnosis:
         return "no decision: the recording is too short, or has too many gaps, for the filter to settle"
 
     def _span(self) -> str:
-        return f"{self.time[0]:.6g} to {self.time[-1]:.6g} s" if len(self.time) else "empty"
+        if not len(self.time):
+            return "empty"
+        if self.clock.moment is not None:
+            return f"{self.clock.at(float(self.time[0]))} to {self.clock.at(float(self.time[-1]))}"
+        return f"{self.time[0]:.6g} to {self.time[-1]:.6g} s"
 
     @property
     def missing_text(self) -> str:

@@ -2,53 +2,37 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import fields
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import FileFormatError
+from residua.json_files import dumps, loads
+from residua.monitor.field_kinds import FIELDS
+from residua.number_kinds import FINITE, FLAG, INDEX, USUAL, NumberKind, kind_of, number_in, numbers_in
+from residua.visible import echo
 
 #: Largest extent of an array in a file; more is a damaged file, not a design.
 MAX_EXTENT = 10**8
 _KINDS = {"c": "complex", "f": "float", "b": "bool", "i": "int", "u": "int"}
-
-
-def dumps(content: Mapping[str, Any]) -> str:
-    """Return the text of a JSON file."""
-    return json.dumps(content, allow_nan=False) + "\n"
-
-
-def loads(content: bytes, source: str) -> dict[str, Any]:
-    """Return the object in a JSON file; NaN and infinity, which are no JSON, are refused."""
-
-    def refuse(constant: str) -> NoReturn:
-        raise ValueError(f"it holds {constant}, which JSON does not have")
-
-    try:
-        found = json.loads(content.decode("utf-8"), parse_constant=refuse)
-    except RecursionError as error:
-        raise FileFormatError(f"{source} is not JSON: nested too deeply") from error
-    except ValueError as error:  # also text that is not UTF-8, and integers without end
-        raise FileFormatError(f"{source} is not JSON: {error}") from error
-    return found if isinstance(found, dict) else {}
+_TYPES = {"complex": "c", "float": "f", "bool": "b", "int": "i"}
 
 
 def record(value: Any, where: str, names: Iterable[str]) -> dict[str, Any]:
     """Return a table that has just these entries, or say which one is missing or unknown."""
     if not isinstance(value, Mapping):
-        raise FileFormatError(f"{where or 'the file'}: expected a table, got {_kind(value)}")
+        raise FileFormatError(f"{where or 'the file'}: expected a table, got {kind_of(value)}")
     known = tuple(names)
     for name in known:
         if name not in value:
-            raise FileFormatError(f"the entry {joined(where, name)!r} is missing")
+            raise FileFormatError(f"the entry {echo(joined(where, name))} is missing")
     for name in value:
         if name not in known:
-            raise FileFormatError(f"the entry {joined(where, name)!r} is unknown")
+            raise FileFormatError(f"the entry {echo(joined(where, name))} is unknown")
     return dict(value)
 
 
@@ -60,7 +44,7 @@ def joined(where: str, name: str | int) -> str:
 def table_in(value: Any, where: str) -> dict[str, Any]:
     """Return a table with any entries."""
     if not isinstance(value, Mapping):
-        raise FileFormatError(f"{where}: expected a table, got {_kind(value)}")
+        raise FileFormatError(f"{where}: expected a table, got {kind_of(value)}")
     return dict(value)
 
 
@@ -68,7 +52,7 @@ def list_in(value: Any, where: str, count: int | None = None) -> list[Any]:
     """Return a list, of a certain length if asked."""
     if not isinstance(value, list) or (count is not None and len(value) != count):
         wanted = "a list" if count is None else f"a list of {count}"
-        raise FileFormatError(f"{where}: expected {wanted}, got {_kind(value)}")
+        raise FileFormatError(f"{where}: expected {wanted}, got {kind_of(value)}")
     return value
 
 
@@ -80,22 +64,20 @@ def texts_in(value: Any, where: str) -> tuple[str, ...]:
 def text_in(value: Any, where: str) -> str:
     """Return a text."""
     if not isinstance(value, str):
-        raise FileFormatError(f"{where}: expected text, got {_kind(value)}")
+        raise FileFormatError(f"{where}: expected text, got {kind_of(value)}")
+    if any("\ud800" <= letter <= "\udfff" for letter in value):  # halves of characters, which no file can hold
+        raise FileFormatError(f"{where}: expected text, got {kind_of(value)}, which is no Unicode")
     return value
 
 
-def whole_in(value: Any, where: str) -> int:
-    """Return a whole number that is not negative."""
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**62:
-        raise FileFormatError(f"{where}: expected a whole number, got {_kind(value)}")
-    return value
+def whole_in(value: Any, where: str, kind: NumberKind = INDEX) -> int:
+    """Return a whole number, which is not negative unless another kind is named."""
+    return number_in(value, where, kind)
 
 
 def flag_in(value: Any, where: str) -> bool:
     """Return true or false."""
-    if not isinstance(value, bool):
-        raise FileFormatError(f"{where}: expected true or false, got {_kind(value)}")
-    return value
+    return number_in(value, where, FLAG)
 
 
 def float_out(x: float) -> float | str:
@@ -103,16 +85,9 @@ def float_out(x: float) -> float | str:
     return float(x) if np.isfinite(x) else repr(float(x))
 
 
-def float_in(value: Any, where: str) -> float:
-    """Return a number that :func:`float_out` made."""
-    if value in ("nan", "inf", "-inf"):
-        return float(value)
-    try:
-        if not isinstance(value, bool) and isinstance(value, (int, float)) and math.isfinite(value):
-            return float(value)
-    except OverflowError:
-        pass
-    raise FileFormatError(f"{where}: expected a number, got {_kind(value)}")
+def float_in(value: Any, where: str, kind: NumberKind = FINITE) -> float:
+    """Return a number that :func:`float_out` made, finite unless another kind is named."""
+    return number_in(value, where, kind)
 
 
 def array_out(value: NDArray) -> dict[str, Any]:
@@ -127,30 +102,25 @@ def array_out(value: NDArray) -> dict[str, Any]:
     return {"shape": list(value.shape), kind: flat}
 
 
-def array_in(value: Any, where: str) -> NDArray:
-    """Return an array that :func:`array_out` made."""
+def array_in(value: Any, where: str, kind: NumberKind = FINITE, ndim: int | None = None) -> NDArray:
+    """Return an array that :func:`array_out` made, of numbers of a kind, with as many dimensions as are asked for."""
     content = table_in(value, where)
-    kind = next((kind for kind in content if kind in _KINDS.values()), "")
-    if set(content) != {"shape", kind}:
+    name = next((name for name in content if name in _TYPES), "")
+    if set(content) != {"shape", name}:
         raise FileFormatError(f"{where}: an array must be {{shape, float | complex | int | bool}}")
     shape = tuple(whole_in(n, joined(where, "shape")) for n in list_in(content["shape"], joined(where, "shape")))
-    flat = list_in(content[kind], joined(where, kind))
+    flat = list_in(content[name], joined(where, name))
     if len(shape) > 4 or max(shape, default=0) > MAX_EXTENT or math.prod(shape) != len(flat):
-        raise FileFormatError(f"{where}: an array of shape {shape} has {len(flat)} numbers")
-    if kind == "float":
-        numbers = np.array([float_in(x, where) for x in flat], dtype=float)
-    elif kind == "complex":
-        pairs = [list_in(pair, where, 2) for pair in flat]
-        numbers = np.array([complex(float_in(a, where), float_in(b, where)) for a, b in pairs], dtype=complex)
-    elif kind == "int":
-        numbers = np.array([whole_in(x, where) for x in flat], dtype=np.int64)
-    else:
-        numbers = np.array([flag_in(x, where) for x in flat], dtype=bool)
-    return numbers.reshape(shape)
+        raise FileFormatError(f"{where}: an array of shape {echo(shape)} has {len(flat)} numbers")
+    if _TYPES[name] != kind.dtype:
+        raise FileFormatError(f"{where}: expected an array of {_KINDS[kind.dtype]}, got one of {name}")
+    if ndim is not None and len(shape) != ndim:
+        raise FileFormatError(f"{where}: expected an array of {ndim} dimensions, got shape {shape}")
+    return numbers_in(flat, where, kind, shape)
 
 
-_READERS = {"int": whole_in, "float": float_in, "str": text_in, "bool": flag_in, "tuple[str, ...]": texts_in}
 _DTYPES = {"float64": "f", "int64": "i", "bool_": "b"}
+_SCALARS = {"int": "i", "float": "f", "bool": "b"}
 
 
 def values_out(values: Any) -> dict[str, Any]:
@@ -170,22 +140,32 @@ def values_out(values: Any) -> dict[str, Any]:
     return out
 
 
-def values_in(value: Any, where: str, cls: type[Any]) -> Any:
-    """Return the dataclass that a record describes, each entry of the type that its field declares."""
-    content = record(value, where, field_names(cls))
-    out = {}
+def values_in(value: Any, where: str, cls: type[Any], known: Mapping[str, Any] | None = None) -> Any:
+    """Return the dataclass that a record describes.
+
+    Each entry is of the type that its field declares, and its numbers are of the kind that the table
+    :data:`residua.monitor.field_kinds.FIELDS` names, else of the usual kind of that type. Fields that are ``known``
+    already are no entries of the record.
+    """
+    out = dict(known or {})
+    content = record(value, where, [name for name in field_names(cls) if name not in out])
+    kinds = FIELDS.get(cls.__name__, {})
     for field in fields(cls):
+        if field.name not in content:
+            continue
         entry, at, declared = content[field.name], joined(where, field.name), str(field.type)
-        kind = declared.removesuffix(" | None")
-        if entry is None and kind != declared:
+        plain = declared.removesuffix(" | None")
+        if entry is None and plain != declared:
             out[field.name] = None
-        elif kind.startswith("NDArray["):
-            array = array_in(entry, at)
-            if array.dtype.kind != _DTYPES[kind[len("NDArray[np.") : -1]]:
-                raise FileFormatError(f"{at}: expected an array of {kind[len('NDArray[np.') : -1]}")
-            out[field.name] = array
+        elif plain.startswith("NDArray["):
+            dtype = _DTYPES[plain[len("NDArray[np.") : -1]]
+            out[field.name] = array_in(entry, at, kinds.get(field.name, USUAL[dtype]))
+        elif plain in _SCALARS:
+            out[field.name] = number_in(entry, at, kinds.get(field.name, USUAL[_SCALARS[plain]]))
+        elif plain == "tuple[str, ...]":
+            out[field.name] = texts_in(entry, at)
         else:
-            out[field.name] = _READERS[kind](entry, at)
+            out[field.name] = text_in(entry, at)
     return cls(**out)
 
 
@@ -194,10 +174,22 @@ def field_names(cls: Any) -> list[str]:
     return [field.name for field in fields(cls)]
 
 
-def _kind(value: Any) -> str:
-    if isinstance(value, dict):
-        return "a table"
-    if isinstance(value, list):
-        return f"a list of {len(value)}"
-    text = repr(value)
-    return text if len(text) <= 40 else text[:37] + "..."
+__all__ = [
+    "array_in",
+    "array_out",
+    "dumps",
+    "field_names",
+    "flag_in",
+    "float_in",
+    "float_out",
+    "joined",
+    "list_in",
+    "loads",
+    "record",
+    "table_in",
+    "text_in",
+    "texts_in",
+    "values_in",
+    "values_out",
+    "whole_in",
+]

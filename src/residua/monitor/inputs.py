@@ -37,6 +37,10 @@ class Signals:
     time : ndarray or None
     dt : float or None
     source : str
+    notes : tuple of str
+        What was done to the rows when they were read.
+    origin : str
+        The moment that ``time`` counts from, where the recording had dates.
     """
 
     u: Any
@@ -44,6 +48,33 @@ class Signals:
     time: NDArray[np.float64] | None
     dt: float | None
     source: str
+    notes: tuple[str, ...] = ()
+    origin: str = ""
+
+
+def several_signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, plant: Plant) -> list[Signals]:
+    """Return the recordings that were handed over: one as :func:`signals` takes it, or a list of such.
+
+    In a list arrays come as pairs ``(u, y)``.
+    """
+    if y is not None or not isinstance(u, (list, tuple)):
+        return [signals(u, y, time, dt, "", plant)]
+    if time is not None:
+        raise DataError("time is for one recording: give several as data frames or recordings, which bring their times")
+    if not len(u):
+        raise DataError("the list of recordings is empty")
+    found = []
+    for number, one in enumerate(u, 1):
+        if isinstance(one, np.ndarray):
+            raise DataError(
+                f"recording {number} of {len(u)} is an array: give pairs, [(u, y), (u, y)], or one, fit(u, y)"
+            )
+        pair = one if isinstance(one, tuple) and len(one) == 2 else (one, None)
+        try:
+            found.append(signals(*pair, None, dt, "", plant))
+        except DataError as error:
+            raise DataError(f"recording {number} of {len(u)}: {error}") from error
+    return found
 
 
 def signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, source: str, plant: Plant) -> Signals:
@@ -56,14 +87,14 @@ def signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, source: st
         if not isinstance(u, Recording):
             if not hasattr(u, "columns"):
                 raise DataError("give u and y as arrays, or one data frame or recording with named columns")
-            u = recording_from_frame(u, plant, dt=dt or plant.dt or None, source=source or "data frame")
-        return Signals(u.u, u.y, u.time, u.dt, source or u.source)
+            u = recording_from_frame(u, plant, dt=dt, source=source or "data frame")
+        return Signals(u.u, u.y, u.time, u.dt, source or u.source, u.notes, u.origin)
     if dt is not None and not (np.isfinite(dt) and dt > 0):
         raise DataError(f"dt must be a positive step in seconds, got {dt!r}")
     u, y = _by_name(u, plant.inputs, "u"), _by_name(y, plant.outputs, "y")
     if time is None:
         return Signals(u, y, None, dt, source)
-    clock = _seconds(time)
+    clock, origin = _seconds(time)
     samples = np.shape(y)[-2] if np.ndim(y) > 1 else np.size(y)
     if clock.shape != (samples,):
         raise DataError(f"time has shape {clock.shape}, y has {samples} samples")
@@ -72,7 +103,7 @@ def signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, source: st
     found = regular_step(clock, 0.01, 0, source or "recording")
     if dt is not None and abs(dt - found) > 1e-6 * found:
         raise DataError(f"dt={dt:g} s was given, the times are {found:g} s apart")
-    return Signals(u, y, clock, found, source)
+    return Signals(u, y, clock, found, source, origin=origin)
 
 
 def _by_name(data: Any, channels: tuple[str, ...], what: str) -> Any:
@@ -88,15 +119,15 @@ def _by_name(data: Any, channels: tuple[str, ...], what: str) -> Any:
     return np.column_stack([np.asarray(data[name], dtype=float) for name in channels])
 
 
-def _seconds(time: ArrayLike) -> NDArray[np.float64]:
-    """Return times in seconds; dates and time differences are counted from the first."""
+def _seconds(time: ArrayLike) -> tuple[NDArray[np.float64], str]:
+    """Return times in seconds, and the moment that they count from; dates are counted from the first."""
     clock = np.asarray(time)
     if clock.dtype.kind == "M":
-        return seconds_from_dates(clock)[0]
+        return seconds_from_dates(clock)
     if clock.dtype.kind == "m":
-        return clock / np.timedelta64(1, "s")
+        return clock / np.timedelta64(1, "s"), ""
     try:
-        return np.asarray(clock, dtype=float)
+        return np.asarray(clock, dtype=float), ""
     except (TypeError, ValueError) as error:
         raise DataError(f"time must be seconds, or dates: {error}") from error
 

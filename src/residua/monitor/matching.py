@@ -8,12 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from residua.errors import DataError
-from residua.monitor.time_axis import find_time
+from residua.errors import DataError, SettingError
+from residua.monitor.time_axis import REGULAR, find_time
+from residua.monitor.time_grid import NEAR, STEP_TOLERANCE
 from residua.plant import Plant
+from residua.visible import MAX_ECHO, echo, listed
 
-#: Relative difference between the step of a recording and that of a sampled plant that is let pass.
-STEP_TOLERANCE = 1e-3
+#: Columns that a message names at most, and among which a name is looked for that may be meant.
+_LISTED, _COMPARED = 40, 1000
 
 
 @dataclass(frozen=True)
@@ -25,7 +27,39 @@ class ReadOptions:
     dt: float | None
     columns: Mapping[str, str] | Sequence[str] | None
     variable: str | None
-    tolerance: float
+    tolerance: float | None = None
+    fill_gaps: bool = False
+    dayfirst: bool | None = None
+    time_format: str | None = None
+    decimal: str = "."
+    transpose: bool = False
+
+    def __post_init__(self) -> None:
+        """Check what was asked for."""
+        if self.decimal not in (".", ","):
+            raise SettingError(f"decimal must be '.' or ',', got {self.decimal!r}")
+        if self.dt is not None and not (np.isfinite(self.dt) and self.dt > 0):
+            raise DataError(f"dt must be a positive step in seconds, got {self.dt!r}")
+        if self.tolerance is not None and not 0 < self.tolerance < (0.5 if self.fill_gaps else np.inf):
+            least = "between 0 and 0.5" if self.fill_gaps else "over 0"
+            raise SettingError(f"tolerance is a fraction of the step {least}, got {self.tolerance!r}")
+
+    @property
+    def near(self) -> float:
+        """Largest irregularity of the times, as a fraction of the step."""
+        if self.tolerance is not None:
+            return self.tolerance
+        return NEAR if self.fill_gaps else REGULAR
+
+    @property
+    def step(self) -> float | None:
+        """The step that the caller or the plant asks for."""
+        return self.dt or (self.plant.dt if self.plant else 0.0) or None
+
+    @property
+    def gets_round_times(self) -> bool:
+        """Whether rows are simply ``dt`` apart where a time column that nobody named says otherwise, or nothing."""
+        return self.dt is not None and self.time is None and not self.fill_gaps
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -50,7 +84,7 @@ class ReadOptions:
         channels = (*self.inputs, *self.outputs)
         for channel in renamed:
             if self.plant and channel not in channels:
-                raise DataError(f"columns: the plant has no channel {channel!r}; it has {', '.join(channels)}")
+                raise DataError(f"columns: the plant has no channel {echo(channel)}; it has {listed(channels)}")
         chosen = {channel: renamed.get(channel, channel) for channel in channels or renamed}
         clock = self.time or find_time(names, chosen.values())
         if not chosen:
@@ -61,7 +95,7 @@ class ReadOptions:
             raise DataError(missing_columns(absent, names, source))
         twice = [name for name in dict.fromkeys(wanted) if list(names).count(name) > 1]
         if twice:
-            raise DataError(f"{source}: more than one column is called {twice[0]!r}")
+            raise DataError(f"{source}: more than one column is called {echo(twice[0])}")
         if not chosen:
             raise DataError(f"{source}: there is no column with data")
         return chosen, clock
@@ -69,20 +103,20 @@ class ReadOptions:
 
 def missing_columns(absent: list[str], names: Sequence[str], source: str) -> str:
     """Say which columns are missing, what may be meant, and what is there."""
-    lowered = {name.lower(): name for name in names}
+    lowered = {name.lower(): name for name in names[:_COMPARED] if len(name) <= MAX_ECHO}
     parts = []
     for name in absent:
-        near = difflib.get_close_matches(name.lower(), list(lowered), n=1)
-        parts.append(f"{name!r}" + (f" (did you mean {lowered[near[0]]!r}?)" if near else ""))
-    there = ", ".join(map(repr, names[:40])) + (", ..." if len(names) > 40 else "")
-    return f"{source}: missing column{'s' * (len(absent) > 1)} {', '.join(parts)}; there are: {there or 'none'}"
+        near = difflib.get_close_matches(name.lower(), lowered, n=1)
+        parts.append(echo(name) + (f" (did you mean {echo(lowered[near[0]])}?)" if near else ""))
+    return (
+        f"{source}: missing column{'s' * (len(absent) > 1)} {', '.join(parts)}; "
+        f"there are: {listed([echo(name) for name in names[:_LISTED]])}"
+    )
 
 
 def settled_step(found: float | None, options: ReadOptions, source: str) -> float:
     """Return the step that times, caller and plant agree on."""
     given, own = options.dt, options.plant.dt if options.plant else 0.0
-    if given is not None and not (np.isfinite(given) and given > 0):
-        raise DataError(f"dt must be a positive step in seconds, got {given!r}")
     known = [
         (value, what)
         for value, what in ((found, "its times are"), (given, "dt= says"), (own or None, "the plant is sampled at"))

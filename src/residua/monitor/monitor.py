@@ -22,8 +22,8 @@ from residua.monitor.decision import Decision, decision_from
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.estimating import with_estimator
 from residua.monitor.fitting import fitted_test
-from residua.monitor.inputs import settling_samples, signals
-from residua.monitor.outcome import diagnosis_from
+from residua.monitor.inputs import settling_samples, several_signals, signals
+from residua.monitor.outcome import Recorded, compared_outputs, diagnosis_from
 from residua.monitor.peak_preparing import Threshold, chosen_threshold, member_names, no_threshold
 from residua.monitor.preparing import (
     Isolation,
@@ -185,15 +185,18 @@ class Monitor:
         dt: float | None = None,
         false_alarm_rate: float | None = None,
     ) -> Monitor:
-        """Fit mean, covariance and threshold to a fault-free recording.
+        """Fit mean, covariance and threshold to one or several fault-free recordings.
 
-        A finite-horizon test has thresholds alone, and those that are given or certified are not changed: the recording
-        is held against them, and ``norm_test.basis`` then tells how close it came.
+        Several (flights, days, batches) each have a start of their own, over which the filter settles, and nothing is
+        summed or counted from one to the next. A finite-horizon test has thresholds alone, and those that are given or
+        certified are not changed: the recording is held against them, and ``norm_test.basis`` then tells how close it
+        came.
 
         Parameters
         ----------
         u : array_like, shape (time, inputs), or None
-            Without ``y``: a data frame with named columns, or a :class:`residua.monitor.Recording`.
+            Without ``y``: a data frame with named columns, a :class:`residua.monitor.Recording`, or a list of
+            recordings: data frames, recordings, pairs ``(u, y)``.
         y : array_like, shape (time, outputs)
             In plant units.
         time : array_like, shape (time,), optional
@@ -211,18 +214,19 @@ class Monitor:
         Raises
         ------
         DataError
-            If the recording does not fit the plant, or is too short, or goes over a threshold of a finite-horizon test.
+            If a recording does not fit the plant, or is too short, or goes over a threshold of a finite-horizon test.
         """
         rate = self.test.false_alarm_rate if false_alarm_rate is None else float(false_alarm_rate)
         check_rate(rate)
-        given = signals(u, y, time, dt, "", self.design.plant)
-        self._learn_step(given.dt)
+        given = several_signals(u, y, time, dt, self.design.plant)
+        for one in given:
+            self._learn_step(one.dt)
         self._norm_test = fitted_test(
             self.test,
             self._certified,
             self.isolate,
             self.generator,
-            self._block(given.u, given.y),
+            [self._block(one.u, one.y) for one in given],
             rate,
             settle=self.settle,
             max_hold=self.max_hold,
@@ -285,12 +289,11 @@ class Monitor:
             diagnosis_from(
                 parts,
                 p,
-                clock,
+                Recorded(clock, data[p], given.source, given.origin, compared_outputs(self.design)),
                 spec,
                 self.generator,
                 int(self._state.resets[p]),
-                given.source,
-                self.notes,
+                (*self.notes, *given.notes),
                 self._bounds,
             )
             for p in range(len(data))
@@ -367,7 +370,23 @@ class Monitor:
 
     @staticmethod
     def load(path: str | Path) -> Monitor:
-        """Read a monitor that :meth:`save` wrote; it goes on where it stopped, bit for bit."""
+        """Read a monitor that :meth:`save` wrote; it goes on where it stopped, bit for bit.
+
+        Parameters
+        ----------
+        path : str or Path
+
+        Returns
+        -------
+        Monitor
+
+        Raises
+        ------
+        FileFormatError
+            If the file is no monitor, an entry is missing, unknown or not what it may be (the message names it), or the
+            content is not what was saved, by its checksum. A file that was edited on purpose says so by
+            ``"checksum": null``; its monitor then says so in every diagnosis.
+        """
         from residua.monitor.saving import load_monitor
 
         return load_monitor(path)

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from residua.decide.structured import CodeReading, CodeTest, distinct_rows
 from residua.design import ResidualGenerator
-from residua.monitor.alarm import Candidate, Size
+from residua.monitor.alarm import Alarm, Candidate, Size
+from residua.monitor.clock import Clock
 from residua.plant import Plant
 
 
@@ -93,6 +94,17 @@ def arrival_text(candidate: Candidate) -> str:
     return f"  arrived {when}  2 ln L {candidate.ratio:.1f}"
 
 
+def began_text(alarm: Alarm, clock: Clock) -> str:
+    """Return when what an alarm is about began, as an interval; never its first crossing of the threshold as a fact."""
+    found = alarm.began
+    if found is None:
+        return f"when it began cannot be told: at or before {clock.at(alarm.raised)}"
+    if found.earliest is None:
+        return f"began at or before {clock.at(found.latest)}: what was recorded before does not tell from when on"
+    between = f"began between {clock.at(found.earliest)} and {clock.at(found.latest)}"
+    return f"{between} ({100 * found.confidence:g} % confidence), most likely at {clock.at(found.estimate)}"
+
+
 def alike(groups: tuple[tuple[str, ...], ...], codes: CodeTest | None) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
     """Return the groups of several faults, each with its names as shown: with *once constant* where that is meant."""
     groups, settled = (codes.groups, codes.settled) if codes else (groups, ((),) * len(groups))
@@ -155,10 +167,12 @@ def with_sizes(candidates: tuple[Candidate, ...], sizes: tuple[Size, ...]) -> tu
 
 
 def fault_unit(plant: Plant, fault: str) -> str:
-    """Return the unit that a fault is measured in: that of its output or input, where the plant knows it."""
+    """Return the unit that a fault is measured in: its own, or that of its channel, where the plant knows it."""
     if fault not in plant.faults:
         return ""
     i = plant.faults.index(fault)
+    if plant.fault_list[i].unit:
+        return plant.fault_list[i].unit
     if plant.fault_kinds[i] not in ("sensor", "actuator"):
         return ""  # the size of a process fault is in whatever its direction was given in
     return str(plant.units.get(plant.fault_components[i], ""))

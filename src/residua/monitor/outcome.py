@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,8 @@ from residua.design import ResidualGenerator
 from residua.design.matched_filters import not_settled
 from residua.design.robust_l1.certified_threshold import AFFINE_FORM
 from residua.monitor.alarm import Alarm
+from residua.monitor.bands import residual_bands
+from residua.monitor.beginning import with_beginnings
 from residua.monitor.cautions import MemberBounds, leakage_cautions, unit_cautions
 from residua.monitor.dedicated import named_faults, named_pattern, present_faults
 from residua.monitor.diagnosis import Diagnosis
@@ -28,14 +30,38 @@ from residua.monitor.running import Decisions, Specification
 from residua.monitor.settings_text import settings_of
 
 
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """The recording of one plant: times, inputs and outputs, where from, since when, and what the filter predicts."""
+
+    time: NDArray[np.float64]
+    signals: NDArray[np.float64]
+    source: str
+    origin: str
+    compared: tuple[tuple[int, int], ...]
+
+
+def compared_outputs(design: ResidualGenerator) -> tuple[tuple[int, int], ...]:
+    """Return the residuals that are an output less its prediction, as pairs (residual, output), each output once.
+
+    Those are the residuals that take just one output as it is measured now: all else is made of what was before. A
+    continuous design that was sampled is judged by what it was.
+    """
+    now = design.system.D[:, len(design.plant.inputs) :]
+    found: dict[int, int] = {}
+    for i, row in enumerate(now):
+        if np.count_nonzero(row) == 1 and row.max() == 1.0 and not (design.estimated and design.estimated[i]):
+            found.setdefault(int(row.argmax()), i)
+    return tuple((i, j) for j, i in sorted(found.items()))
+
+
 def diagnosis_from(
     parts: Sequence[Decisions],
     plant: int,
-    time: NDArray[np.float64],
+    recorded: Recorded,
     spec: Specification,
     generator: ResidualGenerator,
     resets: int,
-    source: str,
     notes: tuple[str, ...],
     bounds: Mapping[str, MemberBounds],
 ) -> Diagnosis:
@@ -44,6 +70,7 @@ def diagnosis_from(
     def joined(name: str) -> NDArray:
         return np.concatenate([getattr(part, name)[plant] for part in parts], axis=0)
 
+    time = recorded.time
     alarm, usable = joined("alarm"), joined("usable")
     residuals, scores, code, fired = joined("residuals"), joined("scores"), joined("code"), joined("fired")
     dedicated = spec.codes is not None and spec.codes.dedicated
@@ -73,6 +100,8 @@ def diagnosis_from(
         (lambda parts: _named_anew(parts, over, named)) if match is not None else None,
         (lambda parts: _named_over_all(parts, over, named)) if dedicated else None,
     )
+    band, share = residual_bands(spec.test)
+    alarms = with_beginnings(alarms, residuals, usable, time)
     statistic, statistics = joined("statistic"), joined("member_statistics")
     return Diagnosis(
         time=time,
@@ -87,11 +116,16 @@ def diagnosis_from(
         resets=resets,
         residual_names=generator.residuals,
         center=spec.test.center,
-        band=spec.test.band,
+        band=band,
+        band_share=share,
+        averaged=spec.test.window,
         generator=generator,
         whitening=spec.test.whole if isinstance(spec.test, GroupTest) else spec.test.whitening,
         settings=settings_of(spec, generator),
-        source=source,
+        source=recorded.source,
+        origin=recorded.origin,
+        signals=recorded.signals,
+        compared=recorded.compared,
         notes=(
             *notes,
             *_notes(spec, generator, usable, joined("missing")),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -120,14 +120,17 @@ def fitted_peak_test(
     rate: float,
     *,
     by_code: bool,
+    seams: Sequence[int] = (),
 ) -> NormTest | BankTest:
     """Return the test fitted to fault-free residuals; thresholds that are known stay, and are held against them."""
     known = first_peak_test(settings, certified, generator, by_code=by_code)
     if known is not None:
-        return checked_peak_test(known, residuals, usable, member_names(generator) if by_code else ())
+        return checked_peak_test(known, residuals, usable, member_names(generator) if by_code else (), seams)
     rows = member_rows(generator) if by_code else None
     sizes = [signal_size(generator, deviations, part) for part in rows or [None]]
-    return fit_peak_test(settings, residuals, usable, false_alarm_rate=rate, signal_sizes=sizes, members=rows)
+    return fit_peak_test(
+        settings, residuals, usable, false_alarm_rate=rate, signal_sizes=sizes, members=rows, seams=seams
+    )
 
 
 def tested_members(generator: ResidualGenerator, *, by_code: bool) -> list[str]:

@@ -1,4 +1,4 @@
-"""Monitors as JSON: every float to its last bit, a schema version, nothing executed.
+"""Monitors as JSON: every float to its last bit, a schema version, a checksum, nothing executed.
 
 What runs is stored as it ran, the sampled filter, the threshold test and the signatures included, so that a
 monitor goes on with the same bits on a machine whose linear algebra rounds differently.
@@ -13,6 +13,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from residua.decide.directional import Directional, DirectionTest
 from residua.decide.matched import Matched, MatchedTest
@@ -23,6 +24,7 @@ from residua.decide.residual_groups import GroupTest, rows_of_groups
 from residua.decide.structured import CodeTest, Structured
 from residua.errors import FileFormatError, ResiduaError
 from residua.files import read_bytes, write_text
+from residua.json_files import CHECKSUM, check_checksum
 from residua.monitor.cautions import bounds_in, bounds_out
 from residua.monitor.design_records import generator_in, generator_out, sampled_in, sampled_out
 from residua.monitor.encoding import (
@@ -49,10 +51,21 @@ from residua.monitor.older_files import OLDER, renewed
 from residua.monitor.preparing import Isolation
 from residua.monitor.running import Specification, State
 from residua.monitor.threshold_records import threshold_in, threshold_out
+from residua.number_kinds import ENTRY, FINITE, FLAG, POSITIVE, SHARE, WINDOW
 from residua.plant import Plant
+from residua.visible import echo, shortened
 
 FORMAT = "residua-monitor"
-VERSION = 5
+VERSION = 6
+
+#: What a monitor says in every diagnosis whose file was edited: nobody but its author can know whether it still holds.
+EDITED = "the file of this monitor was edited after it was saved: its numbers are not those of the design"
+
+#: Columns of a whitening matrix this near to being dependent, in units of their own rows, see some residuals no more;
+#: what is fitted stays above 1e-5.
+_DEPENDENT = 1e-10
+#: Bases are orthonormal to that, and what is computed from the design before the first sample is right to that.
+_EXACT = 1e-6
 
 #: How faults are named, by the entry ``kind`` of ``isolate``.
 _ISOLATION: dict[str, type[Any]] = {"direction": Directional, "code": Structured, "matched": Matched}
@@ -99,7 +112,12 @@ def save_monitor(monitor: Monitor, path: str | Path) -> None:
 
 
 def load_monitor(path: str | Path) -> Monitor:
-    """Read a monitor; raises :class:`FileFormatError` that says which entry is wrong."""
+    """Read a monitor; raises :class:`FileFormatError` that says which entry is wrong.
+
+    Every number must be what it may be (:mod:`residua.monitor.field_kinds`), the parts must fit together, and the
+    content must be what was saved, by its checksum. With ``"checksum": null`` in the file, which says that it was
+    edited, the monitor is as the file says, and its notes say that.
+    """
     path = Path(path)
     if path.suffix.lower() == ".toml":
         raise FileFormatError(f"{path.name} looks like a plant file: design a monitor from it first (residua design)")
@@ -108,26 +126,32 @@ def load_monitor(path: str | Path) -> Monitor:
         raise FileFormatError(f'{path.name} is not a monitor of residua (no "format": {FORMAT!r} in it)')
     if content.get("version") not in (*OLDER, VERSION):
         raise FileFormatError(
-            f"{path.name} has schema version {content.get('version')!r}, this residua reads version {VERSION} (and "
+            f"{path.name} has schema version {echo(content.get('version'))}, this residua reads version {VERSION} (and "
             f"{' and '.join(map(str, OLDER))}): make the monitor anew with this version"
         )
     try:
-        return _monitor_in(record(renewed(content), "", (*_ENTRIES, "bounds")))
-    except (TypeError, ValueError, AttributeError, IndexError, OverflowError, ResiduaError) as error:
-        raise FileFormatError(f"{path.name}: {error}") from error
+        with np.errstate(all="ignore"):  # what overflows is refused; that it did is no news
+            monitor = _monitor_in(record(renewed(content), "", (*_ENTRIES, "bounds", CHECKSUM)))
+    except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError, MemoryError, ResiduaError) as error:
+        raise FileFormatError(f"{path.name}: {shortened(str(error), 1000)}") from error
+    if content["version"] == VERSION and not check_checksum(content, path.name) and EDITED not in monitor.notes:
+        monitor.notes = (*monitor.notes, EDITED)
+    return monitor
 
 
 def _monitor_in(content: Mapping[str, Any]) -> Monitor:
     design = generator_in(content["design"], "design")
     settle, isolate = content["settle"], content["isolate"]
     certified = {
-        name: float_in(value, joined("certified", name))
+        name: float_in(value, joined("certified", name), POSITIVE)
         for name, value in table_in(content["certified"], "certified").items()
     }
+    test, named = threshold_in(content["test"]), None if isolate is None else _isolation_in(isolate)
+    _check_windows(content["fitted"], content["running"], test, named)
     monitor = Monitor(
         SimpleNamespace(generator=design, thresholds=certified),
-        test=threshold_in(content["test"]),
-        isolate=None if isolate is None else _isolation_in(isolate),
+        test=test,
+        isolate=named,
         settle=None if settle is None else whole_in(settle, "settle"),
         max_hold=whole_in(content["max_hold"], "max_hold"),
     )
@@ -167,7 +191,7 @@ def _isolation_in(value: Any) -> Directional | Structured | Matched:
         raise FileFormatError("the entry 'isolate.kind' is missing")
     kind = text_in(content.pop("kind"), "isolate.kind")
     if kind not in _ISOLATION:
-        raise FileFormatError(f"isolate.kind: expected one of {', '.join(_ISOLATION)}, got {kind!r}")
+        raise FileFormatError(f"isolate.kind: expected one of {', '.join(_ISOLATION)}, got {echo(kind)}")
     return values_in(content, "isolate", _ISOLATION[kind])
 
 
@@ -219,24 +243,29 @@ def _matched_in(value: Any, where: str, plant: Plant, residuals: int, steady: bo
     content = record(value, where, field_names(MatchedTest))
     groups = tuple(texts_in(group, joined(where, "groups")) for group in list_in(content["groups"], where))
     unjudged, faults = (texts_in(content[name], joined(where, name)) for name in ("unjudged", "faults"))
-    window = whole_in(content["window"], joined(where, "window"))
-    responses, settled = (array_in(content[name], joined(where, name)) for name in ("responses", "settled"))
+    window = whole_in(content["window"], joined(where, "window"), WINDOW)
+    responses, settled = (array_in(content[name], joined(where, name), ENTRY) for name in ("responses", "settled"))
     _check_groups(groups, unjudged, where, plant)
-    if faults != plant.faults or window < 1:
-        raise FileFormatError(f"{where}: faults must be those of the plant, and the window 1 or more")
+    if faults != plant.faults:
+        raise FileFormatError(f"{where}: faults must be those of the plant")
     wanted = (0 if steady else window + 1, residuals, len(faults))
     for name, array, shape in (("responses", responses, wanted), ("settled", settled, wanted[1:])):
-        if array.dtype.kind != "f" or array.shape != shape or not np.isfinite(array).all():
+        if array.shape != shape:
             raise FileFormatError(f"{where}.{name} must be finite numbers of shape {shape}")
+    for group in groups:  # of what leaves no trace there is nothing to look for
+        columns = [faults.index(name) for name in group]
+        if not (responses[..., columns].any() or settled[:, columns].any()):
+            raise FileFormatError(f"{where}.responses: those of {echo(group[0])} must not all be zero")
     return MatchedTest(window, faults, groups, responses, settled, unjudged)
 
 
 def _running_in(spec: Specification, value: Any, plant: Plant) -> Specification:
     """Return the specification with what was computed when it was saved in place of what is computed now."""
     content = record(value, "running", ("start", "settle", "direction", "codes", "matched"))
-    start = array_in(content["start"], "running.start")
+    start = array_in(content["start"], "running.start", ENTRY)
     if start.shape != spec.start.shape:
         raise FileFormatError(f"running.start must have shape {spec.start.shape}, got {start.shape}")
+    _check_start(spec, start)
     for name in ("direction", "codes", "matched"):
         if (content[name] is None) != (getattr(spec, name) is None):
             raise FileFormatError(f"running.{name} must be there if and only if isolate asks for it")
@@ -257,17 +286,16 @@ def _codes_in(value: Any, where: str, plant: Plant, count: int) -> CodeTest:
     groups = tuple(texts_in(group, joined(where, "groups")) for group in list_in(content["groups"], where))
     members, unjudged = (texts_in(content[name], joined(where, name)) for name in ("members", "unjudged"))
     settled = tuple(texts_in(group, joined(where, "settled")) for group in list_in(content["settled"], where))
-    codes = array_in(content["codes"], joined(where, "codes"))
-    share = float_in(content["share"], joined(where, "share"))
-    window, distance = (whole_in(content[name], joined(where, name)) for name in ("window", "distance"))
+    codes = array_in(content["codes"], joined(where, "codes"), FLAG, 2)
+    share = float_in(content["share"], joined(where, "share"), SHARE)
+    window = whole_in(content["window"], joined(where, "window"), WINDOW)
+    distance = whole_in(content["distance"], joined(where, "distance"))
     if len(settled) != len(groups) or any(set(s) - set(g) for s, g in zip(settled, groups, strict=True)):
         raise FileFormatError(f"{where}: settled must name faults of each of the {len(groups)} groups")
     own = tuple(tuple(x for x in g if x not in s) for g, s in zip(groups, settled, strict=True))
     _check_groups(own, unjudged, where, plant)
-    if len(members) != count or codes.dtype.kind != "b" or codes.shape != (count, len(groups)):
+    if len(members) != count or codes.shape != (count, len(groups)):
         raise FileFormatError(f"{where}: codes must be true or false, {count} members x {len(groups)} groups")
-    if window < 1 or not 0 < share <= 1:
-        raise FileFormatError(f"{where}: the window must be 1 or more and the share between 0 and 1")
     return CodeTest(window, share, distance, members, groups, codes, unjudged, settled)
 
 
@@ -280,39 +308,87 @@ def _direction_in(value: Any, where: str, plant: Plant, residuals: int) -> Direc
     content = record(value, where, field_names(DirectionTest))
     groups = tuple(texts_in(group, joined(where, "groups")) for group in list_in(content["groups"], where))
     bases = tuple(
-        array_in(basis, joined(where, "bases"))
+        array_in(basis, joined(where, "bases"), FINITE, 2)
         for basis in list_in(content["bases"], joined(where, "bases"), len(groups))
     )
     unjudged = texts_in(content["unjudged"], joined(where, "unjudged"))
-    window = whole_in(content["window"], joined(where, "window"))
+    window = whole_in(content["window"], joined(where, "window"), WINDOW)
     _check_groups(groups, unjudged, where, plant)
-    if window < 1 or any(basis.ndim != 2 or len(basis) != residuals for basis in bases):
-        raise FileFormatError(f"{where}: the window must be 1 or more and every basis have {residuals} rows")
+    if any(len(basis) != residuals for basis in bases):
+        raise FileFormatError(f"{where}: every basis must have {residuals} rows")
+    for k, basis in enumerate(bases):
+        if not basis.size or not np.abs(basis.T @ basis - np.eye(basis.shape[1])).max() <= _EXACT:
+            raise FileFormatError(f"{where}.bases[{k}]: its columns must be orthonormal")
     return DirectionTest(window, groups, bases, unjudged)
 
 
 def _check_fitted(monitor: Monitor) -> None:
     k, test = monitor.generator.n_residuals, monitor.norm_test
     if test.kind != ("peak" if isinstance(monitor.test, PeakThreshold) else "norm"):
-        raise FileFormatError(f"fitted.kind must be that of the test, got {test.kind!r}")
-    columns, limits = k, np.array([test.threshold])
+        raise FileFormatError(f"fitted.kind must be that of the test, got {echo(test.kind)}")
+    columns = k
     if isinstance(test, BankTest):
         members = [len(member.residuals) for member in monitor.generator.members]
         if isinstance(test, GroupTest):
             assert isinstance(monitor.test, NormThreshold)
             groups = rows_of_groups(monitor.test.groups, monitor.generator.residuals)
             members = [len(part) for part in groups.values()]
-            if test.names != tuple(groups) or test.whole.shape != (k, k) or not np.isfinite(test.whole).all():
+            if test.names != tuple(groups) or test.whole.shape != (k, k):
                 raise FileFormatError(f"fitted: names must be those of the groups, and whole be for {k} residuals")
-        columns, limits = sum(members), test.thresholds
-        if test.sizes.tolist() != members or limits.shape != (len(members),):
+        columns = sum(members)
+        if test.sizes.tolist() != members or test.thresholds.shape != (len(members),):
             raise FileFormatError(f"fitted: sizes and thresholds must be for {len(members)} members")
     if test.center.shape != (k,) or test.whitening.shape != (k, columns):
         raise FileFormatError(f"fitted: center and whitening must be for {k} residuals")
-    if min(test.persistence, test.release, test.window) < 1:
-        raise FileFormatError("fitted: persistence, release and window must be 1 or more")
-    if not (np.isfinite(test.center).all() and np.isfinite(test.whitening).all() and (limits > 0).all()):
-        raise FileFormatError("fitted: center and whitening must be finite, and the threshold positive")
+    _check_whitening(test)
+
+
+def _check_windows(fitted: Any, running: Any, test: Any, isolate: Isolation) -> None:
+    """Raise where the settings have other windows than what was made of them, before anything is made of them again.
+
+    What takes the time of a window is in the file then, as long as its window says.
+    """
+    if (fitted is None) != (running is None):
+        raise FileFormatError("running must be there if and only if fitted is")
+    if fitted is None or running is None:
+        return
+    if isinstance(test, NormThreshold) and table_in(fitted, "fitted").get("window") != test.window:
+        raise FileFormatError(f"fitted.window must be that of the test, {test.window}")
+    for name, cls in (("direction", Directional), ("codes", Structured), ("matched", Matched)):
+        if isinstance(isolate, cls):
+            where = f"running.{name}"
+            judge = table_in(table_in(running, "running").get(name), where)
+            if judge.get("window") != isolate.window:
+                raise FileFormatError(f"{where}.window must be that of isolate, {isolate.window}")
+            if name == "matched":
+                shape = table_in(judge.get("responses"), f"{where}.responses").get("shape")
+                rows = shape[0] if isinstance(shape, list) and shape else None
+                if rows != (0 if isolate.steady else isolate.window + 1):
+                    raise FileFormatError(f"{where}.responses must be those of {isolate.window + 1} samples")
+
+
+def _check_start(spec: Specification, start: NDArray[np.float64]) -> None:
+    """Raise unless the filter would stay where it starts: what was computed elsewhere differs by rounding alone."""
+    remains = np.eye(len(spec.A)) - spec.A
+    size = np.abs(remains) @ np.abs(start) + np.abs(spec.B)
+    if start.size and np.abs(remains @ start - spec.B).max() > _EXACT * size.max():
+        raise FileFormatError("running.start must be the state that the filter settles to, (I - A)^-1 B")
+
+
+def _check_whitening(test: NormTest | BankTest) -> None:
+    """Raise where a whitening matrix leaves out a residual, or a combination of them."""
+    parts = test.columns if isinstance(test, BankTest) else [(0, test.whitening.shape[1])]
+    for start, stop in parts:
+        part = test.whitening[:, start:stop]
+        rows = np.abs(part).max(axis=1, initial=0.0)
+        part = part[rows > 0] / rows[rows > 0, None]
+        columns = np.sqrt(np.sum(part**2, axis=0))
+        sizes = np.linalg.svd(part / np.where(columns > 0, columns, 1.0), compute_uv=False)
+        whole = len(part) >= stop - start if isinstance(test, BankTest) else len(part) == len(rows)
+        if stop > start and not (whole and sizes[-1] > _DEPENDENT):
+            raise FileFormatError(
+                "fitted.whitening must be invertible, for each member: some residuals count for nothing"
+            )
 
 
 def _check_state(monitor: Monitor) -> None:
@@ -331,6 +407,8 @@ def _check_state(monitor: Monitor) -> None:
         wanted[prefix + "begun"] = (plants, k)
         if not 0 <= getattr(state, prefix + "filled") < max(length, 2):
             raise FileFormatError(f"state.{prefix}filled must be below the window of {length}")
+    if (state.since > state.count).any():
+        raise FileFormatError("state.since must not be later than state.count")
     for name in field_names(State):
         value = getattr(state, name)
         shape = wanted.get(name, (plants,))

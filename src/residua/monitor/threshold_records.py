@@ -15,10 +15,14 @@ from residua.monitor.encoding import (
     table_in,
     text_in,
     texts_in,
+    values_in,
     values_out,
     whole_in,
 )
+from residua.number_kinds import COUNT, POSITIVE, PROBABILITY
+from residua.visible import echo
 
+#: The tests, by the entry ``kind``.
 KINDS: dict[str, type[Any]] = {"norm": NormThreshold, "peak": PeakThreshold}
 
 
@@ -42,27 +46,21 @@ def threshold_in(value: Any) -> NormThreshold | PeakThreshold:
         raise FileFormatError("the entry 'test.kind' is missing")
     kind = text_in(content.pop("kind"), "test.kind")
     if kind not in KINDS:
-        raise FileFormatError(f"test.kind: expected one of {', '.join(KINDS)}, got {kind!r}")
+        raise FileFormatError(f"test.kind: expected one of {', '.join(KINDS)}, got {echo(kind)}")
     if kind == "norm":
         return _norm_in(content)
     content = record(content, "test", field_names(PeakThreshold))
-    rate = float_in(content["false_alarm_rate"], "test.false_alarm_rate")
-    return PeakThreshold(_thresholds_in(content["thresholds"]), whole_in(content["window"], "test.window"), rate)
+    rate = float_in(content["false_alarm_rate"], "test.false_alarm_rate", PROBABILITY)
+    window = whole_in(content["window"], "test.window", COUNT)
+    return PeakThreshold(_thresholds_in(content["thresholds"]), window, rate)
 
 
 def _norm_in(content: dict[str, Any]) -> NormThreshold:
     groups = content.pop("groups", None)
-    values = record(content, "test", [name for name in field_names(NormThreshold) if name != "groups"])
     if groups is not None and groups != "each":
         parts = table_in(groups, "test.groups")
         groups = {name: texts_in(part, joined("test.groups", name)) for name, part in parts.items()}
-    optional = {"threshold": float_in, "release": whole_in}
-    readers = {"persistence": whole_in, "window": whole_in, "whiten": text_in, "false_alarm_rate": float_in} | optional
-    read: dict[str, Any] = {
-        name: None if value is None and name in optional else readers[name](value, joined("test", name))
-        for name, value in values.items()
-    }
-    return NormThreshold(**read, groups=groups)
+    return values_in(content, "test", NormThreshold, {"groups": groups})
 
 
 def _thresholds_in(value: Any) -> float | dict[str, float] | list[float] | None:
@@ -70,7 +68,7 @@ def _thresholds_in(value: Any) -> float | dict[str, float] | list[float] | None:
     if value is None:
         return None
     if isinstance(value, dict):
-        return {name: float_in(entry, joined(where, name)) for name, entry in value.items()}
+        return {name: float_in(entry, joined(where, name), POSITIVE) for name, entry in value.items()}
     if isinstance(value, list):
-        return [float_in(entry, joined(where, k)) for k, entry in enumerate(value)]
-    return float_in(value, where)
+        return [float_in(entry, joined(where, k), POSITIVE) for k, entry in enumerate(value)]
+    return float_in(value, where, POSITIVE)

@@ -1,19 +1,20 @@
-"""The time column of a recording: finding it, reading it, and checking that its steps are equal."""
+"""The time column of a recording: finding it, and checking that its steps are equal."""
 
 from __future__ import annotations
 
 import re
-import warnings
-from collections.abc import Iterable, Sequence
-from datetime import UTC, datetime
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import DataError
 
+#: Largest difference of one step from the usual one, as a fraction of it, of times that count as regular.
+REGULAR = 0.01
+
 #: Names that a time column goes by, in any case, with or without ``[s]``.
-TIME_NAME = re.compile(r"(time|t|timestamp|datetime)\s*([\[(]\s*(s|sec|seconds)\s*[\])])?", re.IGNORECASE)
+TIME_NAME = re.compile(r"(time|t|time[ _]?stamp|date[ _/]?time)\s*([\[(]\s*(s|sec|seconds)\s*[\])])?", re.IGNORECASE)
 
 
 def find_time(names: Iterable[str], channels: Iterable[str]) -> str | None:
@@ -22,35 +23,12 @@ def find_time(names: Iterable[str], channels: Iterable[str]) -> str | None:
     return next((name for name in names if name not in taken and TIME_NAME.fullmatch(name)), None)
 
 
-def seconds_from_text(cells: Sequence[str], rows: Sequence[int], what: str) -> tuple[NDArray[np.float64], str]:
-    """Return ISO 8601 times as seconds since the first one, and that one as text."""
-    stripped = [cell.strip() for cell in cells]
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            if all(cell[:1].isdigit() for cell in stripped):  # NumPy also takes "now", and "" for no time
-                return seconds_from_dates(np.array(stripped, dtype="datetime64[ns]"))
-    except (ValueError, UserWarning, DeprecationWarning):
-        pass  # a time zone, or a cell that is no time: the slow way tells which
-    out = np.empty(len(cells))
-    start = None
-    for i, cell in enumerate(stripped):
-        try:
-            moment = datetime.fromisoformat(cell)
-        except ValueError:
-            raise DataError(f"{what}, line {rows[i]}: expected a time, got {cell!r}") from None
-        moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
-        start = start or moment
-        out[i] = (moment - start).total_seconds()
-    return out, stripped[0] if stripped else ""
-
-
 def seconds_from_dates(dates: NDArray) -> tuple[NDArray[np.float64], str]:
     """Return ``datetime64`` values as seconds since the first one, and that one as text."""
     if len(dates) == 0:
         return np.zeros(0), ""
     since = (dates - dates[0]) / np.timedelta64(1, "ns")
-    return np.asarray(since, dtype=float) * 1e-9, str(np.datetime_as_string(dates[0], unit="auto"))
+    return np.asarray(since, dtype=float) / 1e9, str(np.datetime_as_string(dates[0], unit="auto"))
 
 
 def regular_step(time: NDArray[np.float64], tolerance: float, first_row: int, source: str) -> float:
@@ -86,6 +64,6 @@ def regular_step(time: NDArray[np.float64], tolerance: float, first_row: int, so
         raise DataError(
             f"{source}: time is irregular: the step to row {first_row + k + 1} is {steps[k]:.6g} s, the usual one "
             f"{usual:.6g} s ({len(wrong)} of {len(steps)} steps differ by more than {tolerance:.2g} of it); "
-            "resample the recording first"
+            "fill_gaps=True of read_recording and recording_from_frame puts the rows on a grid and leaves gaps in it"
         )
     return float((time[-1] - time[0]) / len(steps))

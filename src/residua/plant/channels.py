@@ -9,10 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import ModelError
-from residua.linear.arrays import index_of, matrix
+from residua.linear.arrays import LARGEST, index_of, matrix
+from residua.visible import echo
 
 #: The roles an input of a plant can have, with the letter of its matrices.
 ROLES = {"control": "u", "disturbance": "d", "fault": "f", "noise": "w"}
+
+#: What can be noted of a fault besides name, kind and component.
+FAULT_NOTES = ("description", "check", "unit")
 
 #: How a fault or disturbance enters: a state vector or ``(state, output)``; ``{name: value}`` for either.
 Direction = ArrayLike | tuple[ArrayLike, ArrayLike] | Mapping[str, ArrayLike]
@@ -36,11 +40,26 @@ class OperatingPoint:
 
 @dataclass(frozen=True)
 class Fault:
-    """What one fault is: its name, its kind and the component that it belongs to."""
+    """What one fault is: its name, its kind and the component that it belongs to; and notes for who has to act on it.
+
+    Attributes
+    ----------
+    name, kind, component : str
+    description : str
+        What it is, in a sentence.
+    check : str
+        What to check first when it is named.
+    unit : str
+        Of its size: that of the numbers in its direction. Empty for a sensor or actuator fault in the unit of its
+        output or input.
+    """
 
     name: str
     kind: str
     component: str
+    description: str = ""
+    check: str = ""
+    unit: str = ""
 
 
 def number(value: object, what: str) -> float:
@@ -49,10 +68,12 @@ def number(value: object, what: str) -> float:
         if isinstance(value, (str, bytes)):
             raise TypeError
         out = float(value)  # pyright: ignore[reportArgumentType]
-    except (TypeError, ValueError) as error:
-        raise ModelError(f"{what}: expected a number, got {value!r}") from error
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ModelError(f"{what}: expected a number, got {echo(value)}") from error
     if not np.isfinite(out):
         raise ModelError(f"{what}: every number must be finite, got {out}")
+    if abs(out) > LARGEST:
+        raise ModelError(f"{what}: every number must be at most {LARGEST:g} in size, got {out:g}")
     return out
 
 
@@ -63,7 +84,7 @@ def channel_values(value: object, known: tuple[str, ...], default: tuple[float, 
     if isinstance(value, Mapping):
         out = list(default)
         for key, entry in value.items():
-            out[index_of(key, known, f"{what}: channel")] = number(entry, f"{what}[{key!r}]")
+            out[index_of(key, known, f"{what}: channel")] = number(entry, f"{what}[{echo(key)}]")
         return tuple(out)
     column = matrix(value, what, (len(known), 1), what="one number per channel")  # pyright: ignore[reportArgumentType]
     return tuple(float(x) for x in column.ravel())
@@ -85,10 +106,10 @@ def direction_matrices(
     directions: Mapping[str, Direction], states: tuple[str, ...], outputs: tuple[str, ...], what: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the state and the output directions of several faults or disturbances, one column each."""
-    pairs = [direction(value, states, outputs, f"{what} {key!r}") for key, value in directions.items()]
+    pairs = [direction(value, states, outputs, f"{what} {echo(key)}") for key, value in directions.items()]
     for key, (b, d) in zip(directions, pairs, strict=True):
         if not (np.any(b) or np.any(d)):
-            raise ModelError(f"{what} {key!r} has no effect: its direction is zero everywhere")
+            raise ModelError(f"{what} {echo(key)} has no effect: its direction is zero everywhere")
     if not pairs:
         return np.zeros((len(states), 0)), np.zeros((len(outputs), 0))
     return np.column_stack([b for b, _ in pairs]), np.column_stack([d for _, d in pairs])
@@ -112,7 +133,7 @@ def channel_units(units: Mapping[str, str] | None, known: set[str]) -> dict[str,
     """Return a checked copy of the units by channel name."""
     for key in units or {}:
         if key not in known:
-            raise ModelError(f"units: {key!r} is no input, output or state of this plant")
+            raise ModelError(f"units: {echo(key)} is no input, output or state of this plant")
     return dict(units or {})
 
 

@@ -272,7 +272,7 @@ class InputOutputModel(InputOutputFacts):
         """Say what to do where a plant was meant: only names that this class does not have come here."""
         from residua.plant.plant import Plant
 
-        if name.startswith("_") or not hasattr(Plant, name):
+        if name.startswith("_") or not (hasattr(Plant, name) or name in Plant.__dataclass_fields__):
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         raise AttributeError(f"an InputOutputModel has no {name!r}: where a plant is needed, give model.to_plant()")
 

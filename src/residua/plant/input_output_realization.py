@@ -33,7 +33,7 @@ _COPY = 1e-4
 #: A coupling that many times above the tolerance is one, and needs no second look.
 _CLEAR = 1e4
 #: A weaker coupling than that, in tolerances, may be rounding of the coefficients.
-_CLEAR_ENOUGH = 1e2
+_CLEAR_ENOUGH = 1e3
 #: What the tolerance is multiplied by where it is not clear.
 _FACTORS = (1.0, 1e1, 1e2, 1e3, 1e4)
 _CONDITIONED = (

@@ -33,16 +33,90 @@ def covariance(
         W = np.asarray(matrix(value, what, (n, n)))
     if not np.isfinite(W).all():
         raise ModelError(f"{what}: every entry must be finite")
-    scale = np.abs(W).max(initial=0.0)
-    if not np.allclose(W, W.T, rtol=0, atol=1e-8 * scale):
+    _check_covariance(W, channels, what)
+    return (W + W.T) / 2
+
+
+def _check_covariance(W: NDArray[np.float64], channels: tuple[str, ...], what: str) -> None:
+    """Raise unless a matrix is symmetric and positive semidefinite, judged by its correlations: in no units."""
+    variances = np.diag(W)
+    if (variances < 0).any():
+        i = int(variances.argmin())
+        raise ModelError(
+            f"{what}: a covariance has no negative eigenvalue, and the variance of {channels[i]!r} is "
+            f"{variances[i]:.3g}"
+        )
+    spread = np.sqrt(variances)
+    bound = np.outer(spread, spread)
+    if (np.abs(W - W.T) > 1e-8 * bound).any():
         raise ModelError(
             f"{what}: a covariance must be symmetric; the largest difference is {np.abs(W - W.T).max():.3g}"
         )
-    W = (W + W.T) / 2
-    smallest = float(np.linalg.eigvalsh(W)[0]) if n else 0.0
-    if smallest < -1e-8 * scale:
-        raise ModelError(f"{what}: a covariance has no negative eigenvalue; the smallest here is {smallest:.3g}")
-    return W
+    over = np.abs(W) > (1 + 1e-8) * bound
+    if over.any():
+        i, j = np.argwhere(over)[0]
+        raise ModelError(
+            f"{what}: {channels[i]!r} and {channels[j]!r} cannot have the covariance {W[i, j]:.4g}: with the variances "
+            f"{W[i, i]:.4g} and {W[j, j]:.4g} it is at most {bound[i, j]:.4g}, or the matrix has a negative eigenvalue"
+        )
+    smallest = _smallest_correlation(W, spread)
+    if smallest < -1e-8:
+        raise ModelError(
+            f"{what}: a covariance has no negative eigenvalue; the smallest of its correlation matrix is {smallest:.3g}"
+        )
+
+
+def _smallest_correlation(W: NDArray[np.float64], spread: NDArray[np.float64]) -> float:
+    """Return the smallest eigenvalue of the correlation matrix."""
+    units = np.where(spread > 0, spread, 1.0)
+    return float(np.linalg.eigvalsh(W / np.outer(units, units))[0]) if len(W) else 0.0
+
+
+def cross_covariance(
+    value: ArrayLike | Mapping[tuple[str, str], float] | None, states: tuple[str, ...], outputs: tuple[str, ...]
+) -> NDArray[np.float64]:
+    """Return the covariance between state and output noise from a matrix, or ``{(state, output): covariance}``."""
+    if value is None:
+        return np.zeros((len(states), len(outputs)))
+    if isinstance(value, Mapping):
+        S = np.zeros((len(states), len(outputs)))
+        for key, entry in value.items():
+            if not isinstance(key, tuple) or len(key) != 2:
+                raise ModelError(f"cross: expected pairs (state, output) as keys, got {key!r}")
+            i = index_of(key[0], states, "cross: state")
+            S[i, index_of(key[1], outputs, "cross: output")] = number(entry, f"cross[{key!r}]")
+        return S
+    return matrix(value, "cross", (len(states), len(outputs)), what="states x outputs")
+
+
+def joint_factors(
+    W: NDArray, V: NDArray, S: NDArray, states: tuple[str, ...], outputs: tuple[str, ...]
+) -> tuple[NDArray, NDArray]:
+    """Return ``Bw, Dw`` with ``Bw Bw' = W``, ``Dw Dw' = V`` and ``Bw Dw' = S``, or say why there are none.
+
+    Whether ``[[W, S], [S', V]]`` is a covariance is judged by correlations, in no units.
+    """
+    if not S.any():
+        return noise_factors(W, V)
+    spread = np.sqrt(np.maximum(np.diag(W), 0.0)), np.sqrt(np.maximum(np.diag(V), 0.0))
+    bound = np.outer(*spread)
+    i, j = np.unravel_index(
+        int(np.argmax(np.where(S == 0, 0.0, np.abs(S) / np.where(bound > 0, bound, 1e-300)))), S.shape
+    )
+    if abs(S[i, j]) > (1 + 1e-8) * bound[i, j]:
+        raise ModelError(
+            f"cross: state {states[i]!r} and output {outputs[j]!r} cannot have the covariance {S[i, j]:.4g}: with the "
+            f"variances {W[i, i]:.4g} and {V[j, j]:.4g} it is at most {bound[i, j]:.4g}"
+        )
+    joint = np.block([[W, S], [S.T, V]])
+    smallest = _smallest_correlation(joint, np.concatenate(spread))
+    if smallest < -1e-8:
+        raise ModelError(
+            "cross: process, measurement and cross together are no covariance: the correlation matrix of "
+            f"[[process, cross], [cross', measurement]] has the eigenvalue {smallest:.3g}"
+        )
+    L = factor(joint)
+    return L[: len(W)], L[len(W) :]
 
 
 def factor(W: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -153,11 +153,14 @@ def _without_infinite_part(
     E[:order, :order] = np.eye(order)
     form = weierstrass_form(np.block([[shift, -low_H], [last, -top_H]]), E, rtol=rtol)
     k = form.n_finite
-    B = form.P @ np.vstack([low_N, top_N])
+    right = np.vstack([low_N, top_N])
+    B = form.P @ right
     C = form.Q[order:]
     D, impulse = -C[:, k:] @ B[k:], B[k:]
+    size = np.abs(form.P[k:]) @ np.abs(right)  # an impulse that cancels is rounding of this
     for power in range(1, form.index):
-        terms = np.abs(C[:, k:]) @ np.abs(form.N) @ np.abs(impulse)
+        size = np.abs(form.N) @ size
+        terms = np.abs(C[:, k:]) @ size
         impulse = form.N @ impulse
         found = np.abs(C[:, k:] @ impulse)
         wrong = np.flatnonzero(np.any(found > _IMPULSE * max(float(terms.max(initial=0.0)), 1e-300), axis=1))

@@ -17,6 +17,7 @@ from residua.linear.rank import DEFAULT_RTOL
 from residua.linear.state_space import square
 from residua.plant.algebraic_equations import without_algebraic_equations
 from residua.plant.channels import (
+    FAULT_NOTES,
     Direction,
     Fault,
     OperatingPoint,
@@ -28,7 +29,7 @@ from residua.plant.channels import (
 )
 from residua.plant.disturbances import factor_disturbance
 from residua.plant.facts import PlantFacts
-from residua.plant.noise import covariance, noise_factors, sampled_noise
+from residua.plant.noise import covariance, cross_covariance, joint_factors, sampled_noise
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -265,6 +266,38 @@ class Plant(PlantFacts):
             self = self._with_fault(Fault(name, kind, component or name), b, d)
         return self
 
+    def with_fault_notes(self, notes: Mapping[str, Mapping[str, str]]) -> Plant:
+        """Return the plant with notes on its faults, for reports: nothing that is computed depends on them.
+
+        Parameters
+        ----------
+        notes : mapping of str to mapping of str to str
+            Fault name to any of ``description`` (what it is), ``check`` (what to check first when it is named) and
+            ``unit`` (of its size). What is not given stays as it was.
+
+        Raises
+        ------
+        ModelError
+            If the plant has no such fault, or a note is none of these.
+
+        Examples
+        --------
+        >>> import residua as rs
+        >>> tank = rs.Plant([[-0.1]], [[1.0]], [[2.0]]).with_faults({"leak": [-1.0]})
+        >>> tank = tank.with_fault_notes({"leak": {"unit": "cm2", "check": "the bottom valve"}})
+        >>> tank.fault_list[0].check
+        'the bottom valve'
+        """
+        faults = {fault.name: fault for fault in self.fault_list}
+        for name, entries in notes.items():
+            i = arrays.index_of(name, self.faults, "fault notes: fault")
+            for key, text in entries.items():
+                if key not in FAULT_NOTES or not isinstance(text, str):
+                    known = ", ".join(FAULT_NOTES)
+                    raise ModelError(f"notes on fault {name!r}: {key} = {text!r}: expected texts for {known}")
+            faults[self.faults[i]] = replace(faults[self.faults[i]], **entries)
+        return self._with(fault_list=tuple(faults.values()))
+
     def without_faults(self, names: Iterable[str] | str | None = None) -> Plant:
         """Return the plant without the named faults (without any, when omitted)."""
         drop = set(arrays.positions(names, self.faults, "fault"))
@@ -280,8 +313,16 @@ class Plant(PlantFacts):
         *,
         process: ArrayLike | Mapping[str, float] | None = None,
         measurement: ArrayLike | Mapping[str, float] | None = None,
+        cross: ArrayLike | Mapping[tuple[str, str], float] | None = None,
     ) -> Plant:
-        """Return the plant with white noise, replacing what noise it had.
+        r"""Return the plant with white noise, replacing what noise it had.
+
+        .. math::
+
+           \mathrm{cov} \begin{bmatrix} B_w w \\ D_w w \end{bmatrix} =
+           \begin{bmatrix} W & S \\ S^T & V \end{bmatrix}
+
+        with ``process`` :math:`W`, ``measurement`` :math:`V` and ``cross`` :math:`S`.
 
         Parameters
         ----------
@@ -291,16 +332,67 @@ class Plant(PlantFacts):
         measurement : array_like or mapping, optional
             Covariance of the measurement noise, likewise. For a continuous plant: intensity,
             covariance times seconds; a sample averaged over ``h`` seconds has ``measurement / h``.
+        cross : array_like or mapping, optional
+            Covariance between state and measurement noise: a matrix (n, outputs), or
+            ``{(state, output): covariance}``; zero when omitted. For a sampled plant that of the noise that moves
+            :math:`x_k` to :math:`x_{k+1}` and that in :math:`y_k`; for a continuous plant the intensity, covariance
+            as it is.
 
         Raises
         ------
         ModelError
-            If a covariance is not symmetric positive semidefinite.
+            If a covariance is not symmetric positive semidefinite, or all together are not.
+
+        Examples
+        --------
+        >>> import residua as rs
+        >>> plant = rs.Plant([[0.9]], [[1.0]], [[1.0]], dt=1)
+        >>> plant.with_noise(process=0.04, measurement=0.01, cross=[[0.015]]).cross_noise.round(9)
+        array([[0.015]])
         """
         W = covariance(process, self.states, "process noise")
         V = covariance(measurement, self.outputs, "measurement noise")
-        Bw, Dw = noise_factors(W, V)
+        S = cross_covariance(cross, self.states, self.outputs)
+        Bw, Dw = joint_factors(W, V, S, self.states, self.outputs)
         return self._with(Bw=frozen(Bw), Dw=frozen(Dw))
+
+    def with_noise_input(self, Bw: ArrayLike | None = None, Dw: ArrayLike | None = None) -> Plant:
+        """Return the plant driven by white noise of unit covariance, replacing what noise it had.
+
+        The same as :meth:`with_noise` by the factors of its covariances: ``process = Bw Bw'``,
+        ``measurement = Dw Dw'``, ``cross = Bw Dw'``. For a continuous plant the noise has unit intensity.
+
+        Parameters
+        ----------
+        Bw : array_like, shape (n, q), optional
+            How each noise enters the state equation; zero when omitted.
+        Dw : array_like, shape (outputs, q), optional
+            How each noise enters the outputs; zero when omitted.
+
+        Raises
+        ------
+        ModelError
+            If a shape does not fit, an entry is not finite, or neither is there.
+
+        Examples
+        --------
+        One noise in the state and, half as large, in the output; another in the output alone:
+
+        >>> import residua as rs
+        >>> plant = rs.Plant([[0.9]], [[1.0]], [[1.0]], dt=1).with_noise_input([[0.2, 0.0]], [[0.1, 0.05]])
+        >>> plant.cross_noise.round(9), plant.measurement_noise.round(9)
+        (array([[0.02]]), array([[0.0125]]))
+        """
+        if Bw is None and Dw is None:
+            raise ModelError("with_noise_input needs Bw, Dw or both: how unit white noise enters states and outputs")
+        B = None if Bw is None else matrix(Bw, "Bw", (self.n_states, None), what="one row per state")
+        D = None if Dw is None else matrix(Dw, "Dw", (self.n_outputs, None), what="one row per output")
+        count = (D if B is None else B).shape[1]  # pyright: ignore[reportOptionalMemberAccess]
+        B = np.zeros((self.n_states, count)) if B is None else B
+        D = np.zeros((self.n_outputs, count)) if D is None else D
+        if B.shape[1] != D.shape[1]:
+            raise ModelError(f"Bw has {B.shape[1]} columns and Dw has {D.shape[1]}: one for each noise, in both")
+        return self._with(Bw=frozen(B), Dw=frozen(D))
 
     def with_operating_point(
         self,

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.errors import FileFormatError, ModelError
+from residua.errors import AccuracyError, FileFormatError, ModelError
 from residua.files import read_bytes
-from residua.linear.arrays import frozen
-from residua.plant.channels import OperatingPoint
+from residua.number_kinds import kind_of
+from residua.plant.channels import FAULT_NOTES, OperatingPoint
 from residua.plant.plant import Plant
 from residua.plant.toml_entry import Entry, suggestion
+from residua.visible import echo, listed, shortened
 
 FORMAT = "residua-plant/1"
 
@@ -33,7 +34,7 @@ FILE_KEYS = (
     "noise",
 )
 CHANNEL_KEYS = ("names", "units", "operating_point")
-FAULT_KEYS = ("name", "kind", "component", "input", "output", "state")
+FAULT_KEYS = ("name", "kind", "component", "input", "output", "state", *FAULT_NOTES)
 KINDS = ("actuator", "sensor", "component")
 
 
@@ -100,15 +101,15 @@ def loads_plant(text: str, *, source: str = "plant") -> Plant:
     """
     try:
         data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise FileFormatError(f"{source}: not valid TOML: {error}") from error
+    except ValueError as error:  # also whole numbers without end, and dates that are none
+        raise FileFormatError(f"{source}: not valid TOML: {shortened(str(error))}") from error
     except RecursionError as error:
         raise FileFormatError(f"{source}: not valid TOML: nested too deeply") from error
     if "format" not in data:
         raise FileFormatError(f'{source}: not a plant file: it must say format = "{FORMAT}"')
     root = Entry(data, source, "", FILE_KEYS)
     if root.data["format"] != FORMAT:
-        raise root.error("format", f"expected {FORMAT!r}, got {root.data['format']!r}")
+        raise root.error("format", f"expected {FORMAT!r}, got {kind_of(root.data['format'])}")
     try:
         plant = _core(root)
         for entry in root.tables("disturbances", ("name", "state", "output")):
@@ -116,8 +117,8 @@ def loads_plant(text: str, *, source: str = "plant") -> Plant:
         for entry in root.tables("faults", FAULT_KEYS):
             plant = _with_fault(plant, entry)
         plant = _sampled(plant, root)
-        return _with_noise(plant, root.table("noise", ("process", "measurement", "state", "output")))
-    except ModelError as error:
+        return _with_noise(plant, root.table("noise", ("process", "measurement", "cross", "state", "output")))
+    except (ModelError, AccuracyError, np.linalg.LinAlgError, ArithmeticError, MemoryError) as error:
         raise FileFormatError(f"{source}: {error}") from error
 
 
@@ -207,7 +208,14 @@ def _with_fault(plant: Plant, entry: Entry) -> Plant:
     component = entry.text("component", label or name)
     if not component.strip():
         raise entry.error("component", "must not be empty")
-    return _pointing(entry, lambda: plant.with_faults({name: (state, output)}, kind=kind, component=component))
+    notes = {key: entry.text(key) for key in FAULT_NOTES if key in entry}
+
+    def noted() -> Plant:
+        return plant.with_faults({name: (state, output)}, kind=kind, component=component).with_fault_notes(
+            {name: notes}
+        )
+
+    return _pointing(entry, noted)
 
 
 def _vectors(plant: Plant, entry: Entry) -> tuple[NDArray, NDArray]:
@@ -233,7 +241,7 @@ def _sampled(plant: Plant, root: Entry) -> Plant:
         raise root.error("sample_time", f"the matrices are sampled already (dt = {plant.dt})")
     try:
         return plant.discretize(step)
-    except ModelError as error:
+    except (ModelError, AccuracyError, np.linalg.LinAlgError, ArithmeticError) as error:
         raise root.error("sample_time", str(error)) from error
 
 
@@ -242,9 +250,9 @@ def _with_noise(plant: Plant, entry: Entry) -> Plant:
     if not entry.data:
         return plant
     if "state" in entry or "output" in entry:
-        for key in ("process", "measurement"):
+        for key in ("process", "measurement", "cross"):
             if key in entry:
-                raise entry.error(key, "give covariances (process, measurement) or directions (state, output)")
+                raise entry.error(key, "give covariances (process, measurement, cross) or directions (state, output)")
         Bw = entry.matrix("state", plant.n_states, None, "one per state")
         Dw = entry.matrix("output", plant.n_outputs, None, "one per output")
         if Dw is None:
@@ -253,10 +261,11 @@ def _with_noise(plant: Plant, entry: Entry) -> Plant:
             Bw = np.zeros((plant.n_states, Dw.shape[1]))
         if Bw.shape[1] != Dw.shape[1]:
             raise entry.error("output", f"expected {Bw.shape[1]} columns (as in state), got {Dw.shape[1]}")
-        return plant._with(Bw=frozen(Bw), Dw=frozen(Dw))
+        return plant.with_noise_input(Bw, Dw)
     W = _covariance(entry, "process", plant.states, "one per state")
     V = _covariance(entry, "measurement", plant.outputs, "one per output")
-    return _pointing(entry, lambda: plant.with_noise(process=W, measurement=V))
+    S = entry.matrix("cross", plant.n_states, plant.n_outputs, "one row per state, one column per output")
+    return _pointing(entry, lambda: plant.with_noise(process=W, measurement=V, cross=S))
 
 
 def _covariance(entry: Entry, key: str, channels: tuple[str, ...], each: str) -> NDArray | float | None:
@@ -273,21 +282,21 @@ def _covariance(entry: Entry, key: str, channels: tuple[str, ...], each: str) ->
 def _channel(entry: Entry, key: str, known: tuple[str, ...]) -> int:
     name = entry.text(key)
     if name not in known:
-        raise entry.error(key, f"unknown {key}{suggestion(name, known)}; known: {', '.join(known) or 'none'}")
+        raise entry.error(key, f"unknown {key}{suggestion(name, known)}; known: {listed(known)}")
     return known.index(name)
 
 
 def _only(entry: Entry, key: str, excluded: tuple[str, ...]) -> None:
     for other in excluded:
         if other in entry:
-            raise entry.error(other, f"not together with {key} = {entry.data[key]!r}, which says how it enters")
+            raise entry.error(other, f"not together with {key} = {echo(entry.data[key])}, which says how it enters")
 
 
 def _pointing(entry: Entry, make: Callable[[], Plant]) -> Plant:
     """Run ``make`` and let a model error point at the entry."""
     try:
         return make()
-    except ModelError as error:
+    except (ModelError, np.linalg.LinAlgError) as error:
         raise FileFormatError(f"{entry.source}: {entry.where()}: {error}") from error
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, ModelError
 from residua.files import write_text
+from residua.plant.channels import FAULT_NOTES
 from residua.plant.noise import noise_factors
 from residua.plant.plant import Plant
 from residua.plant.plant_file import FORMAT, loads_plant
@@ -173,6 +174,7 @@ def _fault(plant: Plant, i: int) -> list[str]:
         f"name = {_text(fault.name)}",
         f"kind = {_text(fault.kind)}",
         f"component = {_text(fault.component)}",
+        *(f"{key} = {_text(getattr(fault, key))}" for key in FAULT_NOTES if getattr(fault, key)),
     ]
     if fault.kind == "actuator":
         for j, name in enumerate(plant.inputs):

@@ -11,6 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import FileFormatError
+from residua.linear.arrays import LARGEST
+from residua.number_kinds import kind_of
+from residua.visible import MAX_ECHO, echo, listed, shortened
 
 
 class Entry:
@@ -34,7 +37,7 @@ class Entry:
             raise FileFormatError(f"{source}: {path}: expected a table, got {kind_of(data)}")
         for key in data:
             if key not in keys:
-                raise self.error(key, f"unknown entry{suggestion(key, keys)}; known here: {', '.join(keys)}")
+                raise self.error(key, f"unknown entry{suggestion(key, keys)}; known here: {listed(keys)}")
 
     def where(self, key: str = "") -> str:
         """Return the full name of an entry."""
@@ -43,8 +46,8 @@ class Entry:
     def error(self, key: str, message: str) -> FileFormatError:
         """Return the error that points at an entry of this table."""
         name = self.data.get("name")
-        named = f" (in {name!r})" if self.path and isinstance(name, str) and key != "name" else ""
-        return FileFormatError(f"{self.source}: {self.where(key)}: {message}{named}")
+        named = f" (in {echo(name)})" if self.path and isinstance(name, str) and key != "name" else ""
+        return FileFormatError(f"{self.source}: {shortened(self.where(key))}: {message}{named}")
 
     def __contains__(self, key: str) -> bool:
         return key in self.data
@@ -71,11 +74,11 @@ class Entry:
         """Return one of some words."""
         value = self.text(key, default)
         if value not in known:
-            raise self.error(key, f"expected one of {', '.join(map(repr, known))}; got {value!r}")
+            raise self.error(key, f"expected one of {', '.join(map(repr, known))}; got {echo(value)}")
         return value
 
     def number(self, key: str, default: float | None = None) -> float:
-        """Return a finite number."""
+        """Return a finite number of at most ``LARGEST`` in size."""
         return self._number(self._get(key, default), key)
 
     def texts(self, key: str, count: int, each: str) -> tuple[str, ...] | None:
@@ -99,8 +102,7 @@ class Entry:
             for name, entry in value.items():
                 where = f"{key}.{name}"
                 if name not in channels:
-                    known = ", ".join(channels) or "none"
-                    raise self.error(where, f"unknown name{suggestion(name, channels)}; known: {known}")
+                    raise self.error(where, f"unknown name{suggestion(name, channels)}; known: {listed(channels)}")
                 out[channels.index(name)] = self._number(entry, where)
             return out
         if not isinstance(value, list):
@@ -141,21 +143,13 @@ class Entry:
             out = math.inf
         if not math.isfinite(out):
             raise self.error(where, f"every number must be finite, got {out}")
+        if abs(out) > LARGEST:
+            raise self.error(where, f"every number must be at most {LARGEST:g} in size, got {out:g}")
         return out
-
-
-def kind_of(value: Any) -> str:
-    """Say what a TOML value is, briefly."""
-    if isinstance(value, dict):
-        return "a table"
-    if isinstance(value, list):
-        return "a list" if value else "an empty list"
-    text = repr(value)
-    return text if len(text) <= 40 else text[:37] + "..."
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
     """Return ``" 'x' (did you mean 'y'?)"``, or the name alone when nothing is near."""
     lowered = {k.lower(): k for k in known}
-    near = difflib.get_close_matches(name.lower(), list(lowered), n=1)
-    return f" {name!r} (did you mean {lowered[near[0]]!r}?)" if near else f" {name!r}"
+    near = difflib.get_close_matches(name.lower(), lowered, n=1) if len(name) <= MAX_ECHO else []
+    return f" {echo(name)} (did you mean {echo(lowered[near[0]])}?)" if near else f" {echo(name)}"

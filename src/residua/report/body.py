@@ -8,25 +8,35 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.report.charts import SHOWN_MEMBERS, SHOWN_RESIDUALS, by_interest, residual_unit
+from residua.monitor.clock import length
+from residua.report.charts import by_interest, residual_unit
+from residua.report.choosing import SHOWN_FAULTS, look_alikes, shown_groups
 from residua.report.codes import CODE_RULES, DEDICATED_RULES, SCORE_RULE, code_alarm_table, code_table, present_table
+from residua.report.contributions import contribution_html, inside_band
+from residua.report.figures import band_text, charts_html
+from residua.report.look import look_table
 from residua.report.pictures import direction_picture
 from residua.report.signatures import Signatures, judged_signatures
 from residua.report.tables import (
+    ALARM_TIMES,
     alarm_table,
+    alarm_times,
     candidate_table,
     evidence_html,
     html_table,
     similarity_table,
     structure_table,
 )
-from residua.report.text import escape, listing, number, percent, score, seconds, with_unit
-from residua.report.verdict import MATCH_RULES, RULES, verdict
+from residua.report.text import escape, listing, number, percent, score, some
+from residua.report.verdict import BEGAN_RULE, MATCH_RULES, RULES, verdict
 
 if TYPE_CHECKING:
     from residua.design.generator import ResidualGenerator
     from residua.monitor.diagnosis import Diagnosis
 
+#: Cosine from which on signatures are said to look alike, and clusters of them that are listed.
+ALIKE = 0.98
+_CLUSTERS = 6
 _MARKS = {"fault": "⚠", "none": "✓", "undecided": "?"}
 
 
@@ -55,16 +65,25 @@ def summary_html(entries: Sequence[tuple[int, str, Diagnosis, tuple[str, ...] | 
         if actual and v.present:  # right if each is named, and nothing else
             faults = actual if _just_these(actual, v.present) else ("",)
         row.append(f"{escape(named)}{_agreement(actual, faults, v.kind == 'fault')}")
+        times = alarm_times(diagnosis.main_alarm, diagnosis.clock)[:2] if diagnosis.main_alarm else ["–", "–"]
         row += [
             f'<td class="num">{cell}</td>'
             for cell in (
-                seconds(diagnosis.onset),
+                *times,
                 score(best.score) if best else "–",
                 score(v.margin) if v.margin is not None else "–",
             )
         ]
         rows.append([*row, escape(v.confidence) or "–"])
-    header = ["Case", *(["Really failed"] if told else []), "Diagnosis", "Onset", "Score", "Margin", "How sure"]
+    header = [
+        "Case",
+        *(["Really failed"] if told else []),
+        "Diagnosis",
+        *ALARM_TIMES[:2],
+        "Score",
+        "Margin",
+        "How sure",
+    ]
     return f'<section class="summary"><h2>Summary</h2>{html_table(header, rows)}</section>'
 
 
@@ -109,13 +128,16 @@ def diagnosis_html(diagnosis: Diagnosis, charts: dict[str, Any], *, number: int,
         [
             f'<div class="verdict {v.kind}"><p class="headline"><span class="mark" aria-hidden="true">{_MARKS[v.kind]}'
             f"</span> {escape(v.headline)}{tag}</p><ul>{sentences}</ul></div>",
+            look_table(diagnosis),
             _recording(diagnosis),
-            _charts(diagnosis, charts, number),
+            charts_html(diagnosis, charts, number),
+            contribution_html(diagnosis),
             "<h3>Alarms</h3>",
             code_alarm_table(diagnosis) if by_code and diagnosis.alarms else alarm_table(diagnosis),
             present_table(diagnosis),
             candidate_table(diagnosis),
             f'<p class="muted">{escape(rules)}</p>' if rules else "",
+            f'<p class="muted">{escape(BEGAN_RULE)}</p>' if any(a.began for a in diagnosis.alarms) else "",
             code_table(diagnosis) if by_code else _directions(diagnosis),
             _residual_table(diagnosis),
             link if filter_number else "",
@@ -127,15 +149,24 @@ def _recording(diagnosis: Diagnosis) -> str:
     n = len(diagnosis.time)
     if n == 0:
         return '<p class="recording">The recording is empty.</p>'
-    decided = int(diagnosis.decided.sum())
+    decided, clock = int(diagnosis.decided.sum()), diagnosis.clock
     where = f"Recording <b>{escape(diagnosis.source)}</b>" if diagnosis.source else "Recording"
     parts = [
-        f"{where}: {n:,} samples from {seconds(float(diagnosis.time[0]))} to {seconds(float(diagnosis.time[-1]))}, "
-        f"step {seconds(diagnosis.generator.dt)}; {decided:,} judged ({percent(decided, n)}).",
+        f"{where}: {n:,} samples from {clock.at(float(diagnosis.time[0]))} to {clock.at(float(diagnosis.time[-1]))}"
+        f"{_local(diagnosis)}, step {length(diagnosis.generator.dt)}, {length(float(np.ptp(diagnosis.time)))} in all; "
+        f"{decided:,} judged ({percent(decided, n)}).",
         _missing(diagnosis),
         *(escape(note) for note in diagnosis.notes),
     ]
     return '<p class="recording">' + "<br>".join(parts) + "</p>"
+
+
+def _local(diagnosis: Diagnosis) -> str:
+    """Say which clock times are told by."""
+    clock = diagnosis.clock
+    if clock.moment is None:
+        return ""
+    return f" (local times of the recording, UTC{clock.zone})" if clock.zone else " (clock of the recording)"
 
 
 def _missing(diagnosis: Diagnosis) -> str:
@@ -150,105 +181,6 @@ def _missing(diagnosis: Diagnosis) -> str:
     )
 
 
-def _charts(diagnosis: Diagnosis, charts: dict[str, Any], number: int) -> str:
-    if not len(diagnosis.time):
-        return ""
-    bank = bool(diagnosis.members)
-    figures: dict[str, list[str]] = {"estimate": [], "residual": [], "statistic": [], "member": [], "scores": []}
-    for k, chart in enumerate(charts["charts"]):
-        figures["estimate" if chart.get("estimate") else chart["kind"]].append(_figure(k, chart, diagnosis))
-    shown = 0 if bank else SHOWN_RESIDUALS  # of a bank, the statistics of its members tell the story
-    residuals, members = figures["residual"], figures["member"]
-    closer, parts_ = "" if bank else " more", "groups of residuals" if diagnosis.tested else "members"
-    parts = [
-        *figures["estimate"],
-        *residuals[:shown],
-        _behind(residuals[shown:], f"{closer} residuals{'' if bank else ', which stayed closer to their bands'}"),
-        *figures["statistic"],
-        *members[:SHOWN_MEMBERS],
-        _behind(members[SHOWN_MEMBERS:], f" more {parts_}, which stayed further below their thresholds"),
-        *figures["scores"],
-    ]
-    if bank:
-        what = f"Statistics of the {parts_}" + (", and candidates" if figures["scores"] else "")
-    else:
-        what = "Residuals, statistic and candidates"
-    return (
-        f'<h3>{what} over time</h3><div class="charts" data-diagnosis="{number}">{_key(charts, diagnosis)}'
-        f"{''.join(parts)}</div>"
-    )
-
-
-def _figure(k: int, chart: dict[str, Any], diagnosis: Diagnosis) -> str:
-    """Return the place of one chart, with its title."""
-    bank, what = bool(diagnosis.members), "norm" if diagnosis.horizon else "statistic"
-    part = "group" if diagnosis.tested else "member"
-    if chart["kind"] == "residual":
-        fault = chart.get("estimate")
-        name = f"Estimated size of {fault}" if fault else f"Residual {chart['label']}"
-    else:
-        name = {
-            "statistic": f"Largest ratio of a {part}'s {what} to its threshold"
-            if bank
-            else f"{what[0].upper()}{what[1:]} and its threshold",
-            "member": f"{part.capitalize()} {chart['label']}: {what}{' of its residual' * (what == 'norm')} "
-            "and its threshold",
-            "scores": f"Candidate scores{', members that agree' * bool(diagnosis.codes)} (faded where no alarm stands)",
-        }[chart["kind"]]
-    title = with_unit(name, chart["unit"])
-    log = (
-        '<label class="screen"><input type="checkbox" class="log"> logarithmic</label>'
-        if chart["kind"] in ("statistic", "member")
-        else ""
-    )
-    empty = all(v is None for series in chart["y"] for v in series)
-    nothing = '<p class="muted">No value to draw: all are missing.</p>' if empty else ""
-    readout = "" if chart["kind"] == "scores" else '<span class="readout"></span>'
-    return (
-        f'<figure class="chart {chart["kind"]}" data-chart="{k}">'
-        f"<figcaption>{escape(title)}{readout}{log}</figcaption>"
-        f'<div class="plot" role="img" aria-label="{escape(title)} over time"></div>{nothing}</figure>'
-    )
-
-
-def _behind(figures: list[str], what: str) -> str:
-    """Return charts behind a click."""
-    if not figures:
-        return ""
-    return f'<details class="more"><summary>{len(figures)}{what}</summary>{"".join(figures)}</details>'
-
-
-def _key(charts: dict[str, Any], diagnosis: Diagnosis) -> str:
-    """Return what the colours mean, for those that occur, and how the samples were binned."""
-    band = (
-        "how far from zero a residual can be below the threshold"
-        if diagnosis.horizon
-        else (
-            "fault-free mean ± how far a residual (averaged over the test window, where there is one) can be off below "
-            "the threshold"
-        )
-    )
-    entries = [("band", band)]
-    present = {"alarm": "alarm", "missing": "values missing", "undecided": "not judged (filter settles)"}
-    entries += [(kind, text) for kind, text in present.items() if charts["spans"][kind]]
-    if charts["onsets"]:
-        entries.append(("onset", "onset, of each fault" if any(a.present[1:] for a in diagnosis.alarms) else "onset"))
-    items = "".join(f'<li><span class="swatch {kind}"></span>{escape(text)}</li>' for kind, text in entries)
-    remarks = []
-    if charts["binned"] > 1:
-        remarks.append(
-            f"Drawn from bins of {charts['binned']} samples: the smallest and the largest value of each bin, so no "
-            "extreme is lost; times in the charts are exact to one bin. Verdict and tables rest on every sample."
-        )
-    if charts["spans"]["undecided"]:
-        remarks.append("The residuals' axes fit the judged samples; what a settling filter does may leave them.")
-    remark = f'<p class="muted">{" ".join(remarks)}</p>' if remarks else ""
-    return (
-        f'<ul class="legend key">{items}</ul>{remark}<p class="muted screen">Drag over a chart to zoom, double-click '
-        'to see all; the cursors of all charts move together. <button type="button" class="all">Show all</button></p>'
-    )
-
-
 def _directions(diagnosis: Diagnosis) -> str:
     generator = diagnosis.generator
     known = judged_signatures(diagnosis)
@@ -257,6 +189,12 @@ def _directions(diagnosis: Diagnosis) -> str:
     if generator.n_residuals < 2:
         return '<h3>Directions</h3><p class="muted">One residual has no direction: it detects but cannot isolate.</p>'
     observed = observed_residual(diagnosis, known)
+    total = len(known.labels)
+    if total > SHOWN_FAULTS:
+        alike = look_alikes(known.labels, known.similarity(), ALIKE)
+        if observed is None or not diagnosis.groups:
+            return f"<h3>Directions</h3>{_alike_text(alike, total)}"
+        known = known.only(shown_groups(diagnosis))
     correlation = None if observed is None else known.correlation(observed)
     picture = direction_picture(generator.residuals, known.bases, observed)
     text = (
@@ -274,10 +212,26 @@ def _directions(diagnosis: Diagnosis) -> str:
         )
     if observed is not None:
         text += " The last row is the mean residual over the whole main alarm against each signature."
+    few = ""
+    if total > SHOWN_FAULTS:
+        few = _alike_text(alike, total)
+        text = f"Of {total} groups the {len(known.labels)} with the best scores in the main alarm. {text}"
     return (
         f'<h3>Directions</h3><p>{text}</p><div class="pair">{picture}'
-        f"{similarity_table(known.labels, known.similarity(), correlation)}</div>"
+        f"{similarity_table(known.labels, known.similarity(), correlation)}</div>{few}"
     )
+
+
+def _alike_text(alike: list[list[str]], total: int) -> str:
+    """Return which of many signatures look alike, in words."""
+    least = f"cosine {ALIKE:g} or more"
+    if not alike:
+        return f"<p>No two of the {total} groups have signatures that look alike ({least}).</p>"
+    items = "".join(f"<li>{escape(some(cluster, 8))}</li>" for cluster in alike[:_CLUSTERS])
+    more = len(alike) - _CLUSTERS
+    rest = f"<li>and {more} more clusters</li>" if more > 0 else ""
+    lead = f"Of {total} groups these have signatures that look alike ({least}, one to the next)"
+    return f"<p>{lead}:</p><ul>{items}{rest}</ul>"
 
 
 def observed_residual(diagnosis: Diagnosis, known: Signatures) -> NDArray[np.float64] | None:
@@ -295,6 +249,8 @@ def observed_residual(diagnosis: Diagnosis, known: Signatures) -> NDArray[np.flo
 
 def _residual_table(diagnosis: Diagnosis) -> str:
     rows = []
+    first = diagnosis.alarms[0].start if diagnosis.alarms else len(diagnosis.time)
+    outside = 1 - inside_band(diagnosis, 0, first)
     for i in by_interest(diagnosis):
         name = diagnosis.residual_names[i]
         column = diagnosis.residuals[:, i]
@@ -303,6 +259,7 @@ def _residual_table(diagnosis: Diagnosis) -> str:
         rows.append(
             [escape(name), escape(residual_unit(diagnosis, name)) or "–"]
             + [f'<td class="num">{number(float(c))}</td>' for c in cells]
+            + [f'<td class="num">{"–" if np.isnan(outside[i]) else percent(round(1e4 * outside[i]), 10_000)}</td>']
         )
     header = [
         "Residual",
@@ -311,10 +268,14 @@ def _residual_table(diagnosis: Diagnosis) -> str:
         "Band (±)",
         "Smallest seen",
         "Largest seen",
+        "Outside its band before any alarm",
     ]
     settings = [[escape(key), escape(value)] for key, value in diagnosis.settings.items()]
     how = html_table(["Setting", ""], settings) if settings else ""
-    return f"<details><summary>Settings, and residuals in numbers</summary>{how}{html_table(header, rows)}</details>"
+    band = f'<p class="muted">Band: {escape(band_text(diagnosis))}.</p>'
+    return (
+        f"<details><summary>Settings, and residuals in numbers</summary>{how}{html_table(header, rows)}{band}</details>"
+    )
 
 
 def filter_html(generator: ResidualGenerator, *, number: int, several: bool, used_by: str) -> str:
@@ -326,11 +287,11 @@ def filter_html(generator: ResidualGenerator, *, number: int, several: bool, use
     facts = [
         ("Method", generator.method),
         ("Filter", f"{bank}{generator.system.n_states} states, {generator.n_residuals} residuals"),
-        ("Sample step", seconds(generator.dt) if generator.dt else "continuous"),
+        ("Sample step", length(generator.dt) if generator.dt else "continuous"),
         ("Plant", f"{plant.name}, {plant.n_states} states"),
-        ("Inputs", listing(plant.inputs) or "none"),
-        ("Outputs", listing(plant.outputs)),
-        ("Disturbances in the model", listing(plant.disturbances) or "none"),
+        ("Inputs", some(plant.inputs, 20) or "none"),
+        ("Outputs", some(plant.outputs, 20)),
+        ("Disturbances in the model", some(plant.disturbances, 20) or "none"),
     ]
     table = html_table(["Property", ""], [[escape(key), escape(value)] for key, value in facts])
     return (

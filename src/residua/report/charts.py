@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from residua.monitor.naming import fault_unit
+from residua.report.choosing import SHOWN_FAULTS, shown_groups
 from residua.report.codes import member_order
+from residua.report.contributions import averaged_residuals
 from residua.report.decimate import Bins, choose_bins, runs, spans
-from residua.report.text import rounded, with_unit
+from residua.report.signals import signal_charts
+from residua.report.text import rounded, visible, with_unit
 
 if TYPE_CHECKING:
     from residua.monitor.diagnosis import Diagnosis
@@ -24,6 +28,8 @@ SHOWN_RESIDUALS = 6
 SHOWN_MEMBERS = 8
 #: A logarithmic axis of a norm begins at this fraction of its threshold: a norm of one residual passes through zero.
 PEAK_FLOOR = 0.02
+#: Units of a time axis without dates: name, seconds, and the length of a recording from which on it is used.
+_UNITS = (("d", 86400.0, 4 * 86400.0), ("h", 3600.0, 2 * 3600.0))
 #: The statistic starts on a logarithmic axis when it goes this far over its threshold.
 LOG_FROM = 20.0
 
@@ -49,7 +55,8 @@ def estimated_fault(diagnosis: Diagnosis, name: str) -> str:
 
 def points_per_series(diagnosis: Diagnosis) -> int:
     """Return how many points a series of this diagnosis may have."""
-    n_series = len(diagnosis.residual_names) + 1 + len(diagnosis.groups) + len(diagnosis.members)
+    n_series = len(diagnosis.residual_names) * (1 + (diagnosis.averaged > 1)) + 1 + len(diagnosis.members)
+    n_series += min(len(diagnosis.groups), SHOWN_FAULTS) + diagnosis.signals.shape[1] + len(diagnosis.compared)
     return int(np.clip(MAX_POINTS_TOTAL // n_series, 1000, MAX_POINTS))
 
 
@@ -63,7 +70,8 @@ def chart_data(diagnosis: Diagnosis) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``x`` (times), ``spans`` (alarm, missing, undecided), ``onsets``, ``charts`` and ``binned`` (samples per bin).
+        ``x`` (times in seconds), ``clock`` (what they are called), ``spans`` (alarm, missing, undecided, began),
+        ``onsets``, ``charts`` and ``binned`` (samples per bin).
     """
     bins = choose_bins(len(diagnosis.time), points_per_series(diagnosis))
     undecided = ~diagnosis.decided & ~diagnosis.missing
@@ -71,12 +79,14 @@ def chart_data(diagnosis: Diagnosis) -> dict[str, Any]:
     ends = [float(diagnosis.time[0]), float(diagnosis.time[-1])] if len(diagnosis.time) else [0.0, 1.0]
     return {
         "x": _axis(bins.times(diagnosis.time)),
+        "clock": _clock_of(diagnosis),
         "ends": ends,
         "binned": bins.width,
         "spans": {
             "alarm": spans(diagnosis.time, alarms),
             "missing": spans(diagnosis.time, runs(diagnosis.missing)),
             "undecided": spans(diagnosis.time, runs(undecided)),
+            "began": began_spans(diagnosis),
         },
         "onsets": onsets(diagnosis),
         "charts": [
@@ -84,6 +94,7 @@ def chart_data(diagnosis: Diagnosis) -> dict[str, Any]:
             _statistic_chart(diagnosis.statistic, diagnosis.threshold, bins) | _peak_axis(diagnosis),
             *_member_charts(diagnosis, bins),
             *_score_charts(diagnosis, bins),
+            *signal_charts(diagnosis, bins),
         ],
     }
 
@@ -114,6 +125,7 @@ def judged_range(diagnosis: Diagnosis, i: int) -> list[float] | None:
 
 def _residual_charts(diagnosis: Diagnosis, bins: Bins) -> list[dict[str, Any]]:
     charts = []
+    means = averaged_residuals(diagnosis) if diagnosis.averaged > 1 and not diagnosis.members else None
     for i in by_interest(diagnosis):
         center, band = float(diagnosis.center[i]), float(diagnosis.band[i])
         known = np.isfinite(center) and np.isfinite(band)
@@ -121,17 +133,20 @@ def _residual_charts(diagnosis: Diagnosis, bins: Bins) -> list[dict[str, Any]]:
         charts.append(
             {
                 "kind": "residual",
-                "label": name,
-                "unit": residual_unit(diagnosis, name),
+                "label": visible(name),
+                "unit": visible(residual_unit(diagnosis, name)),
                 "band": [center - band, center + band] if known else None,
                 "limits": judged_range(diagnosis, i),
                 "y": [rounded(bins.extremes(diagnosis.residuals[:, i]))],
-                "names": [name],
+                "names": [visible(name)],
             }
         )
+        if means is not None:
+            charts[-1]["y"].append(rounded(bins.extremes(means[:, i])))
+            charts[-1]["names"].append(f"average of {diagnosis.averaged}")
         fault = estimated_fault(diagnosis, name)
         if fault:
-            charts[-1]["estimate"] = fault
+            charts[-1]["estimate"] = visible(fault)
     return charts
 
 
@@ -144,12 +159,12 @@ def _statistic_chart(
     seen = values[np.isfinite(values)]
     return {
         "kind": kind,
-        "label": name,
+        "label": visible(name),
         "unit": "",
         "threshold": threshold if np.isfinite(threshold) else None,
         "log": bool(usable and seen.size and seen.max() > LOG_FROM * threshold),
         "y": [rounded(values, relative=True)],
-        "names": [name],
+        "names": [visible(name)],
     }
 
 
@@ -189,10 +204,29 @@ def _own_alarms(diagnosis: Diagnosis, m: int) -> dict[str, Any]:
 
 
 def onsets(diagnosis: Diagnosis) -> list[float]:
-    """Return the onsets of the alarms and, where several faults are there, those of each."""
+    """Return when the alarms first crossed their thresholds and, where several faults are there, those of each."""
     alarms = diagnosis.alarms[:50]
     found = [a.onset for a in alarms] + [p.since for a in alarms for p in a.present[1:]]
     return sorted(float(t) for t in dict.fromkeys(found) if np.isfinite(t))
+
+
+def began_spans(diagnosis: Diagnosis) -> list[list[float]]:
+    """Return the intervals in which the alarms began, where both ends are known."""
+    found = [a.began for a in diagnosis.alarms[:50] if a.began is not None]
+    return [[b.earliest, b.latest] for b in found if b.earliest is not None]
+
+
+def _clock_of(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return what the seconds of the charts are called: the clock of the recording, or a unit that fits their length.
+
+    ``base``: the moment that they count from as seconds of a clock without time zones.
+    """
+    moment = diagnosis.clock.moment
+    if moment is not None:
+        return {"base": (moment - datetime(1970, 1, 1)).total_seconds(), "unit": "", "factor": 1.0}
+    span = float(np.ptp(diagnosis.time)) if len(diagnosis.time) else 0.0
+    unit, factor = next(((u, f) for u, f, least in _UNITS if span >= least), ("s", 1.0))
+    return {"base": None, "unit": unit, "factor": factor}
 
 
 def norm_unit(diagnosis: Diagnosis, member: int | None = None) -> str:
@@ -226,14 +260,16 @@ def shows_scores(diagnosis: Diagnosis) -> bool:
 def _score_charts(diagnosis: Diagnosis, bins: Bins) -> list[dict[str, Any]]:
     if not shows_scores(diagnosis):
         return []
-    columns: list[NDArray[np.float64]] = [bins.extremes(column) for column in diagnosis.scores.T]
+    shown = shown_groups(diagnosis)
+    columns: list[NDArray[np.float64]] = [bins.extremes(diagnosis.scores[:, g]) for g in shown]
     return [
         {
             "kind": "scores",
             "label": "score",
             "unit": "",
             "y": [[None if v is None else round(v, 4) for v in rounded(c)] for c in columns],
-            "names": [*diagnosis.group_names],
+            "names": [visible(diagnosis.group_names[g]) for g in shown],
+            "hidden": len(diagnosis.groups) - len(shown),
         }
     ]
 

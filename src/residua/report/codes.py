@@ -8,13 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.monitor.naming import column_read
-from residua.report.tables import MAX_ROWS, html_table
-from residua.report.text import escape, percent, seconds
+from residua.report.choosing import SHOWN_FAULTS, shown_groups
+from residua.report.tables import ALARM_TIMES, MAX_ROWS, alarm_times, html_table, time_cell
+from residua.report.text import escape, percent
 
 if TYPE_CHECKING:
     from residua.decide.structured import CodeReading, CodeTest
     from residua.monitor.alarm import Alarm
+    from residua.monitor.clock import Clock
     from residua.monitor.diagnosis import Diagnosis
+
+#: Members of a bank whose part in the codes is shown at once.
+MOST_MEMBERS = 16
 
 CODE_RULES = (
     "A pattern of fired members is read in this order: exact, the code of one fault; degraded, the code of one fault "
@@ -41,26 +46,54 @@ def code_table(diagnosis: Diagnosis) -> str:
     reading = main.reading if main else None
     fired = None if reading is None else np.array(reading.pattern)
     rows = []
+    columns = _shown_members(diagnosis, fired)
     entries = [*zip(codes.labels, codes.codes.T, strict=True)]
     entries += [(fault, np.zeros(len(codes.members), dtype=bool)) for fault in codes.unjudged]
     which = _columns_read(reading, codes)
+    total, numbers = len(entries), _shown_codes(diagnosis, which, len(entries))
     compared = None if reading is None or reading.together else fired  # several codes make the pattern together
-    for g, (label, code) in enumerate(entries):
+    for g, (label, code) in ((g, entries[g]) for g in numbers):
         name = f'<b>{escape(label)}</b> <span class="tag">read</span>' if g in which else escape(label)
-        cells = [_cell(bool(on), compared is not None and bool(on) != bool(compared[m])) for m, on in enumerate(code)]
+        cells = [_cell(bool(code[m]), compared is not None and bool(code[m]) != bool(compared[m])) for m in columns]
         agree = "" if compared is None else f'<td class="num">{int(np.sum(code == compared))} of {len(code)}</td>'
         rows.append([f'<th scope="row">{name}</th>', *cells, *([agree] if agree else [])])
     if fired is not None:
-        seen = [_cell(bool(on), False) for on in fired]
+        seen = [_cell(bool(fired[m]), False) for m in columns]
         dash = [] if compared is None else ['<td class="num">–</td>']
         rows.append(['<th scope="row"><i>fired, main alarm</i></th>', *seen, *dash])
-    header = ["What fails", *(f"<span>{escape(name)}</span>" for name in codes.members)]
+    header = ["What fails", *(f"<span>{escape(codes.members[m])}</span>" for m in columns)]
     header += ["Agree"] if compared is not None else []
-    kind = "matrix codes upright" if len(codes.members) > 8 else "matrix codes"
+    kind = "matrix codes upright" if len(columns) > 8 else "matrix codes"
     differ = "; marked where a code differs from what fired" if compared is not None else ""
     later = "; <i>settled</i>: what a fault still fires once it is constant" if any(codes.settled) else ""
     caption = f"Which members each fault fires (● fires, · stays silent{differ}{later})"
-    return f"<h3>Codes</h3>{html_table(header, rows, caption=caption, kind=kind)}"
+    few = [f"{len(numbers)} of {total} codes"] * (len(numbers) < total)
+    few += [f"{len(columns)} of {len(codes.members)} members"] * (len(columns) < len(codes.members))
+    note = f'<p class="muted">Shown: {" and ".join(few)}, those that matter for the main alarm.</p>' if few else ""
+    if not numbers or not columns:
+        told = f"{total} codes of {len(codes.members)} members; nothing fired, so none is shown."
+        return f'<h3>Codes</h3><p class="muted">{told}</p>'
+    return f"<h3>Codes</h3>{html_table(header, rows, caption=caption, kind=kind)}{note}"
+
+
+def _shown_codes(diagnosis: Diagnosis, read: set[int], total: int) -> list[int]:
+    """Return the numbers of the codes that are shown: all of few; of many those read and those that agree best."""
+    if total <= SHOWN_FAULTS:
+        return list(range(total))
+    if not diagnosis.alarms:
+        return []
+    return list(dict.fromkeys([*sorted(read), *shown_groups(diagnosis)]))[:SHOWN_FAULTS]
+
+
+def _shown_members(diagnosis: Diagnosis, fired: NDArray[np.bool_] | None) -> list[int]:
+    """Return the numbers of the members that are shown: all of few; of many those that fired, and who nearly did."""
+    n = len(diagnosis.members)
+    if n <= MOST_MEMBERS:
+        return list(range(n))
+    if fired is None:
+        return []
+    on = np.flatnonzero(fired).tolist()
+    return sorted(dict.fromkeys([*on, *member_order(diagnosis, 0)]), key=lambda m: m not in on)[:MOST_MEMBERS]
 
 
 def _columns_read(reading: CodeReading | None, codes: CodeTest) -> set[int]:
@@ -75,12 +108,13 @@ def present_table(diagnosis: Diagnosis) -> str:
     """Return the faults of the main alarm where there are several, and when their members fired; else empty."""
     if len(diagnosis.present) < 2:
         return ""
+    clock = diagnosis.clock
     rows = [
         [
             f'<td class="name">{escape(fault.name)}</td>',
             escape(fault.member),
-            f'<td class="num">{seconds(fault.since)}</td>',
-            f'<td class="num">{"end of recording" if fault.until is None else seconds(fault.until)}</td>',
+            f'<td class="num">{clock.at(fault.since)}</td>',
+            f'<td class="num">{"end of recording" if fault.until is None else clock.at(fault.until)}</td>',
         ]
         for fault in diagnosis.present
     ]
@@ -102,25 +136,24 @@ def code_alarm_table(diagnosis: Diagnosis) -> str:
         rows.append(
             [
                 f"{k}{mark}",
-                *(f'<td class="num">{seconds(t)}</td>' for t in (alarm.onset, alarm.raised)),
-                f'<td class="num">{"end of recording" if alarm.ended is None else seconds(alarm.ended)}</td>',
+                *map(time_cell, alarm_times(alarm, diagnosis.clock)),
                 escape(", ".join(alarm.reading.fired) or "none") if alarm.reading else "–",
-                f'<td class="name">{escape(_read_as(alarm))}</td>',
+                f'<td class="name">{escape(_read_as(alarm, diagnosis.clock))}</td>',
                 f'<td class="num">{"–" if alarm.present[1:] else read_share(alarm)}</td>',
             ]
         )
-    header = ["Alarm", "Onset", "Raised", "Ended", "Fired", "Read as", "Of its samples"]
+    header = ["Alarm", *ALARM_TIMES, "Fired", "Read as", "Of its samples"]
     more = len(diagnosis.alarms) - MAX_ROWS
     note = f'<p class="muted">… and {more:,} more alarms.</p>' if more > 0 else ""
     return html_table(header, rows) + note
 
 
-def _read_as(alarm: Alarm) -> str:
+def _read_as(alarm: Alarm, clock: Clock) -> str:
     if alarm.reading is None:
         return "–"
     if not alarm.reading.together:
         return alarm.reading.meaning
-    return f"several faults: {', '.join(f'{p.name} since {seconds(p.since)}' for p in alarm.present)}"
+    return f"several faults: {', '.join(f'{p.name} (fired from {clock.at(p.since)})' for p in alarm.present)}"
 
 
 def read_share(alarm: Alarm) -> str:

@@ -11,6 +11,7 @@ from residua.errors import missing_extra
 from residua.report.charts import (
     LOG_FROM,
     PEAK_FLOOR,
+    began_spans,
     by_interest,
     estimated_fault,
     judged_range,
@@ -20,6 +21,7 @@ from residua.report.charts import (
     residual_unit,
     shows_scores,
 )
+from residua.report.choosing import shown_groups
 from residua.report.codes import member_order
 from residua.report.decimate import choose_bins, runs
 from residua.report.signatures import Signatures, generator_signatures
@@ -34,7 +36,7 @@ if TYPE_CHECKING:
 
 _COLOURS = ("#0b5cad", "#c4501b", "#00785a", "#8b3fa0", "#946200", "#007a94", "#b0235f", "#4b5560")
 _STYLES = ("-", "--", ":", "-.")
-_ALARM, _MISSING, _BAND = "#c8281e", "#5a6473", "#00805f"
+_ALARM, _MISSING, _BAND, _BEGAN = "#c8281e", "#5a6473", "#00805f", "#d68c00"
 #: Residuals that are plotted at most (those furthest out of their band), and points per line.
 _MAX_RESIDUALS = 8
 _MAX_POINTS = 4000
@@ -206,8 +208,10 @@ def _shade(diagnosis: Diagnosis, ax: Axes, member: int | None = None) -> None:
         for k, (start, stop) in enumerate(pairs[:500]):
             left, right = diagnosis.time[min(start, last)], diagnosis.time[min(stop, last)]
             ax.axvspan(left, right, color=colour, alpha=0.16, lw=0, label=name if k == 0 else None)
+    for k, (left, right) in enumerate(began_spans(diagnosis) if member is None or own is None else []):
+        ax.axvspan(left, right, color=_BEGAN, alpha=0.28, lw=0, label="began (95 %)" if k == 0 else None)
     for k, onset in enumerate(begun):
-        ax.axvline(onset, color=_ALARM, lw=1, ls=":", label="onset" if k == 0 else None)
+        ax.axvline(onset, color=_ALARM, lw=1, ls=":", label="first over" if k == 0 else None)
 
 
 def _residual(diagnosis: Diagnosis, i: int, ax: Axes) -> None:
@@ -278,11 +282,11 @@ def _scale(diagnosis: Diagnosis, ax: Axes, values: np.ndarray, limits: np.ndarra
 def _scores(diagnosis: Diagnosis, ax: Axes) -> None:
     _shade(diagnosis, ax)
     handles = []
-    for g, name in enumerate(diagnosis.group_names):
+    for k, g in enumerate(shown_groups(diagnosis)):
         before = len(ax.lines)
-        style = _STYLES[g // len(_COLOURS) % len(_STYLES)]
-        label = _plain(name)
-        _line(diagnosis, diagnosis.scores[:, g], ax, color=_COLOURS[g % len(_COLOURS)], ls=style, lw=1.2, label=label)
+        style = _STYLES[k // len(_COLOURS) % len(_STYLES)]
+        label = _plain(diagnosis.group_names[g])
+        _line(diagnosis, diagnosis.scores[:, g], ax, color=_COLOURS[k % len(_COLOURS)], ls=style, lw=1.2, label=label)
         handles += ax.lines[before:]
     ax.set_ylim(0, 1.02)
     ax.set_ylabel("score [–]")

@@ -55,6 +55,11 @@ class Signatures:
                     out[i, j] = out[j, i] = min(1.0, float(product))
         return out
 
+    def only(self, numbers: Sequence[int]) -> Signatures:
+        """Return some of the signatures, in the order of their numbers as handed over."""
+        labels, bases, steady = zip(*((self.labels[g], self.bases[g], self.steady[g]) for g in numbers), strict=True)
+        return Signatures(labels, bases, steady, self.whitening, self.whitened)
+
     def correlation(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return ``CORR`` of a (whitened) residual vector with every signature; NaN where there is none."""
         values = [correlation(residual, B) if B.shape[1] else np.nan for B in self.bases]

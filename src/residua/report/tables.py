@@ -11,15 +11,19 @@ from numpy.typing import NDArray
 
 from residua.design.evidence import Evidence, format_pole
 from residua.monitor.naming import ranked, tied_name
-from residua.report.text import escape, lead_text, number, score, seconds, sizes_text
+from residua.report.choosing import SHOWN_FAULTS
+from residua.report.text import escape, lead_text, number, score, sizes_text, some
 from residua.report.verdict import angle
 
 if TYPE_CHECKING:
     from residua.design.generator import ResidualGenerator
     from residua.linear.rank import RankDecision
     from residua.monitor.alarm import Alarm
+    from residua.monitor.clock import Clock
     from residua.monitor.diagnosis import Diagnosis
 
+#: Headers of the cells of :func:`alarm_times`.
+ALARM_TIMES = ("Began", "Raised", "Ended")
 #: Rows of a table of alarms, entries of a list of poles or singular values, that are shown at most.
 MAX_ROWS = 200
 MAX_ENTRIES = 24
@@ -72,8 +76,7 @@ def alarm_table(diagnosis: Diagnosis) -> str:
         rows.append(
             [
                 f"{k}{mark}",
-                *(_num(seconds(t)) for t in (alarm.onset, alarm.raised)),
-                _num("end of recording" if alarm.ended is None else seconds(alarm.ended)),
+                *map(time_cell, alarm_times(alarm, diagnosis.clock)),
                 _name(best.name if best else "not isolated"),
                 _num(score(best.score)) if best else _num("–"),
                 _name(tied_name(tuple(named), 2) if following else "–"),
@@ -82,10 +85,22 @@ def alarm_table(diagnosis: Diagnosis) -> str:
             ]
         )
     ahead = "Margin" if diagnosis.match is None else "Lead in 2 ln L"
-    header = ["Alarm", "Onset", "Raised", "Ended", "Most likely", "Score", "Next", "Score", ahead]
+    header = ["Alarm", *ALARM_TIMES, "Most likely", "Score", "Next", "Score", ahead]
     more = len(diagnosis.alarms) - MAX_ROWS
     note = f'<p class="muted">… and {more:,} more alarms.</p>' if more > 0 else ""
     return html_table(header, rows) + note
+
+
+def alarm_times(alarm: Alarm, clock: Clock) -> list[str]:
+    """Return the cells of when an alarm began, was raised and ended."""
+    began = alarm.began
+    if began is None:
+        start = "at or before it was raised"
+    elif began.earliest is None:
+        start = f"at or before {clock.at(began.latest)}"
+    else:
+        start = f"{clock.at(began.earliest)} to {clock.at(began.latest)}"
+    return [start, clock.at(alarm.raised), "end of recording" if alarm.ended is None else clock.at(alarm.ended)]
 
 
 def _ahead(alarm: Alarm) -> str:
@@ -107,7 +122,7 @@ def candidate_table(diagnosis: Diagnosis) -> str:
         bar = f'<td class="bar"><span style="--w:{width}%"></span></td>'
         numbers = [score(c.score)] if by_code or matched else [score(c.score), angle(c.score), score(c.distance)]
         if matched:
-            numbers += [number(c.ratio), "before the window" if c.arrival is None else seconds(c.arrival)]
+            numbers += [number(c.ratio), "before the window" if c.arrival is None else diagnosis.clock.at(c.arrival)]
         sizes = [escape(sizes_text(c.sizes) or "–")] if sized else []
         rows.append([str(k), _name(c.name), bar, *map(_num, [*numbers, *sizes])])
     header = ["Rank", "Fault", "", "Score"]
@@ -115,7 +130,14 @@ def candidate_table(diagnosis: Diagnosis) -> str:
     header += [] if by_code or matched else ["Angle off signature", "Distance"]
     header += ["Estimated size"] if sized else []
     title = "Candidates of the main alarm" if len(diagnosis.alarms) > 1 else "Candidates"
-    return html_table(header, rows, caption=title)
+    more = len(rows) - SHOWN_FAULTS
+    if more < 2:
+        return html_table(header, rows, caption=title)
+    rest = html_table(header, rows[SHOWN_FAULTS:])
+    return (
+        f"{html_table(header, rows[:SHOWN_FAULTS], caption=f'{title}: the first {SHOWN_FAULTS}')}"
+        f'<details class="more"><summary>{more} more candidates, with lower scores</summary>{rest}</details>'
+    )
 
 
 def structure_table(generator: ResidualGenerator) -> str:
@@ -125,6 +147,8 @@ def structure_table(generator: ResidualGenerator) -> str:
     names, fires_for, what = generator.residuals, generator.structure, "residuals"
     if generator.codes is not None:
         names, fires_for, what = tuple(m.name for m in generator.members), generator.codes, "members"
+    if len(generator.faults) > SHOWN_FAULTS:
+        return _structure_in_short(generator.faults, names, fires_for, what)
     rows = []
     for j, fault in enumerate(generator.faults):
         cells = [
@@ -135,6 +159,35 @@ def structure_table(generator: ResidualGenerator) -> str:
     header = ["What fails", *(f"<span>{escape(name)}</span>" for name in names)]
     kind = "matrix upright" if len(names) > 8 else "matrix"
     return html_table(header, rows, caption=f"Which {what} answer to which fault (● fires, · stays zero)", kind=kind)
+
+
+def _structure_in_short(faults: Sequence[str], names: Sequence[str], fires_for: NDArray[np.bool_], what: str) -> str:
+    """Return the structure of many faults, those with the same pattern in one row, in words."""
+    patterns: dict[bytes, list[int]] = {}
+    for j in range(len(faults)):
+        patterns.setdefault(fires_for[:, j].tobytes(), []).append(j)
+    if len(patterns) == 1:
+        which = _pattern_text(fires_for[:, 0], names, what)
+        return f"<p>All {len(faults)} faults move the same {what}: {escape(which)}. They differ in how.</p>"
+    rows = []
+    for members in sorted(patterns.values(), key=len, reverse=True):
+        text = _pattern_text(fires_for[:, members[0]], names, what)
+        rows.append([_name(some((faults[j] for j in members), SHOWN_FAULTS)), escape(text)])
+    caption = f"Which {what} answer to which fault, {len(faults)} faults in {len(rows)} patterns"
+    header = ["What fails", "What answers"]
+    if len(rows) <= SHOWN_FAULTS:
+        return html_table(header, rows, caption=caption)
+    return f'<details class="more"><summary>{escape(caption)}</summary>{html_table(header, rows)}</details>'
+
+
+def _pattern_text(fires: NDArray[np.bool_], names: Sequence[str], what: str) -> str:
+    """Return a pattern in words, by what fires or by what stays silent, whichever is shorter."""
+    on, off = ([name for name, one in zip(names, fires, strict=True) if bool(one) == kind] for kind in (True, False))
+    if not on:
+        return "none"
+    if not off:
+        return f"all {len(names)} {what}"
+    return some(on) if len(on) <= len(off) else f"all {what} but {some(off)}"
 
 
 def similarity_table(labels: Sequence[str], values: NDArray[np.float64], observed: NDArray[np.float64] | None) -> str:
@@ -207,6 +260,11 @@ def _heat(value: float) -> str:
 
 def _num(text: str) -> str:
     return f'<td class="num">{text}</td>'
+
+
+def time_cell(text: str) -> str:
+    """Return the cell of a time, or of an interval in two lines; never broken within a time."""
+    return f'<td class="num time">{text.replace(" to ", " to<br>")}</td>'
 
 
 def _name(text: str) -> str:

@@ -17,9 +17,25 @@ if TYPE_CHECKING:
     from residua.monitor.alarm import Size
 
 
+#: Characters that a screen acts on instead of showing them: controls, escapes, and those that turn text around.
+_ACTING = {
+    **{code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))},
+    **{
+        code: f"\\u{code:04x}"
+        for code in (0x061C, 0x200E, 0x200F, *range(0x2028, 0x202F), *range(0x2066, 0x206A), 0xFEFF)
+    },
+    **{code: f"\\u{code:04x}" for code in range(0xD800, 0xE000)},
+}
+
+
+def visible(value: object) -> str:
+    """Return any value as text in which control characters and escapes are shown, not sent."""
+    return str(value).translate(_ACTING)
+
+
 def escape(value: object) -> str:
-    """Return any value as text with every character that means something in HTML replaced."""
-    return html.escape(str(value), quote=True)
+    """Return any value as text with every character that means something in HTML, or to a terminal, replaced."""
+    return html.escape(visible(value), quote=True)
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -33,7 +49,7 @@ def number(value: float | None, digits: int = 4) -> str:
 
 def score(value: float) -> str:
     """Return a correlation with three decimals; a dash when it was not judged."""
-    return f"{value:.3f}" if math.isfinite(value) else "–"
+    return f"{round(value, 3) + 0.0:.3f}" if math.isfinite(value) else "–"  # no -0
 
 
 def seconds(value: float | None) -> str:
@@ -72,6 +88,13 @@ def percent(part: int, whole: int) -> str:
 def with_unit(name: str, unit: str) -> str:
     """Return a name followed by its unit in brackets, where it has one."""
     return f"{name} [{unit}]" if unit else name
+
+
+def some(names: Iterable[str], most: int = 10) -> str:
+    """Return names as a phrase, the first ones and how many there are besides."""
+    items = list(names)
+    more = len(items) - most
+    return listing(items if more < 2 else [*items[:most], f"{more} more"])
 
 
 def listing(names: Iterable[str], last: str = "and") -> str:

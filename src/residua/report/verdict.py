@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from residua.monitor.clock import Clock
 from residua.monitor.diagnosis import CLOSE_LEAD, CLOSE_MARGIN, NO_DIRECTION, NO_FIT
-from residua.monitor.naming import alike
-from residua.report.text import lead_text, listing, number, percent, score, seconds, size_text, sizes_text
+from residua.monitor.naming import alike, began_text
+from residua.report.text import lead_text, listing, number, percent, score, size_text, sizes_text, some
 
 if TYPE_CHECKING:
     from residua.monitor.alarm import Alarm, Candidate
@@ -23,8 +24,16 @@ CLEAR_LEAD = 20.0
 #: Below this score no listed fault explains the residual well (it points more than 45 degrees away).
 POOR_SCORE = 0.70
 
+#: Groups of faults that are not told apart, besides the one that is named, that a sentence lists.
+_TOLD = 5
+
 #: A code that stood in less than this fraction of an alarm's samples is called unsteady.
 STEADY_SHARE = 0.5
+
+BEGAN_RULE = (
+    "The interval in which it began holds for a change of the residual that begins as a step, a ramp or the square of "
+    "time, in noise that goes on as before. A fault that no residual answers to at first began by that much earlier."
+)
 
 RULES = (
     "The score is the cosine of the angle between the residual and a signature, judged over the monitor's window. "
@@ -113,21 +122,26 @@ def verdict(diagnosis: Diagnosis) -> Verdict:
         )
     if diagnosis.unjudged:
         want = "code" if diagnosis.codes else "signature"
-        sentences.append(f"This monitor may not see {listing(diagnosis.unjudged)}: without a {want} in it.")
+        sentences.append(f"This monitor may not see {some(diagnosis.unjudged)}: without a {want} in it.")
     return Verdict("none", "No fault found.", tuple(sentences))
 
 
 def _fault(diagnosis: Diagnosis) -> Verdict:
-    main = diagnosis.main_alarm
+    main, clock = diagnosis.main_alarm, diagnosis.clock
     assert main is not None
-    when = f"since t = {seconds(main.onset)}"
-    sentences = [f"Onset at {seconds(main.onset)}, alarm raised at {seconds(main.raised)}, {_end(main.ended)}."]
+    when = f"alarm raised at {clock.at(main.raised)}"
+    began = began_text(main, clock)
+    sentences = [
+        f"{began[0].upper()}{began[1:]}.",
+        f"The statistic first went over its threshold and stayed at {clock.at(_crossed(main, diagnosis))}; "
+        f"{when}, {_end(main.ended, clock)}.",
+    ]
     if main.fired:
         more = f" and {len(main.fired) - 10} more" if len(main.fired) > 10 else ""
         sentences.append(f"Over their thresholds: {listing(main.fired[:10])}{more}.")
     candidates = [c for c in main.candidates if math.isfinite(c.score)]
     if main.reading is not None:
-        headline, confidence, margin = _by_code(main, diagnosis.window, when, sentences)
+        headline, confidence, margin = _by_code(main, diagnosis.window, when, sentences, clock)
     elif not candidates:
         headline = f"A fault was found, {when}; it was not isolated."
         sentences.append("This monitor names no candidates for it.")
@@ -137,7 +151,7 @@ def _fault(diagnosis: Diagnosis) -> Verdict:
         confidence, margin = _confidence(candidates, main)
         if main.samples < diagnosis.window:
             confidence = "short alarm"
-            headline = f"Alarm {when}, too short to be sure of the name; nearest: {best.name}."
+            headline = f"{when[0].upper()}{when[1:]}, too short to be sure of the name; nearest: {best.name}."
         elif confidence == "no good match":
             headline = f"A fault was found, {when}; no listed fault explains it well. Nearest: {best.name}."
         elif confidence == "close call":
@@ -147,13 +161,13 @@ def _fault(diagnosis: Diagnosis) -> Verdict:
         else:
             headline = f"Fault found: {best.name}, {when}."
         if diagnosis.unjudged and (main.ended is not None or best.score < 0.9):
-            headline = f"{headline[:-1]}; or {listing(diagnosis.unjudged)}, which this monitor never names."
+            headline = f"{headline[:-1]}; or {some(diagnosis.unjudged)}, which this monitor never names."
         if diagnosis.match is None:
             sentences.append(_how_sure(candidates, confidence, margin))
         else:
-            sentences += [_how_likely(main, confidence), _arrived(main)]
+            sentences += [_how_likely(main, confidence), _arrived(main, clock)]
         if len(best.faults) > 1:
-            sentences.append(f"This monitor cannot tell {listing(best.faults)} apart.")
+            sentences.append(f"This monitor cannot tell {some(best.faults)} apart.")
         if diagnosis.no_direction:
             sentences.append(f"{NO_DIRECTION[0].upper()}{NO_DIRECTION[1:]}, and the size is that of what it estimates.")
     if diagnosis.certified:
@@ -162,24 +176,26 @@ def _fault(diagnosis: Diagnosis) -> Verdict:
     told = main.reading.named if main.reading else (_first(candidates),)
     others = [names for group, names in alike(diagnosis.groups, diagnosis.codes) if group not in told]
     if others:
-        sentences.append(f"Not told apart here either: {'; '.join(map(listing, others))}.")
+        more = f"; and {len(others) - _TOLD} more groups" if len(others) > _TOLD + 1 else ""
+        shown = others[: _TOLD if more else None]
+        sentences.append(f"Not told apart here either: {'; '.join(map(some, shown))}{more}.")
     if diagnosis.unjudged:
         want = "code" if diagnosis.codes else "signature"
-        sentences.append(f"Without a {want} in this monitor, so never named: {listing(diagnosis.unjudged)}.")
+        sentences.append(f"Without a {want} in this monitor, so never named: {some(diagnosis.unjudged)}.")
     if len(diagnosis.alarms) > 1:
         sentences.append(f"This is the longest of {len(diagnosis.alarms):,} alarms.")
     present = main.reading.together if main.reading else ()
     return Verdict("fault", headline, tuple(sentences), confidence, margin, present)
 
 
-def _by_code(main: Alarm, window: int, when: str, sentences: list[str]) -> tuple[str, str, float | None]:
+def _by_code(main: Alarm, window: int, when: str, sentences: list[str], clock: Clock) -> tuple[str, str, float | None]:
     """Return headline, confidence and margin of a reading, and say what it rests on."""
     reading = main.reading
     assert reading is not None
     name = " or ".join(reading.faults)
     sentences.append(f"Fired: {listing(reading.fired) or 'none'}; {reading.meaning}.")
     if reading.together:
-        return _several(main, window, when, sentences)
+        return _several(main, window, sentences, clock)
     if main.read_share is not None:
         share = percent(round(1000 * main.read_share), 1000)
         sentences.append(f"In {share} of the alarm's samples these were the members that fired.")
@@ -194,13 +210,17 @@ def _by_code(main: Alarm, window: int, when: str, sentences: list[str]) -> tuple
         headline = f"{near}{several}"
         return headline, "no code", None
     if main.samples < window:
-        return f"Alarm {when}, too short to be sure of the name; read as {name}.", "short alarm", main.margin
+        return (
+            f"{when[0].upper()}{when[1:]}, too short to be sure of the name; read as {name}.",
+            "short alarm",
+            main.margin,
+        )
     off = "" if reading.answer == "exact" else f" ({reading.answer} code)"
     steady = main.read_share is None or main.read_share >= STEADY_SHARE
     return f"Fault found: {name}{off}, {when}.", f"{reading.answer if steady else 'unsteady'} code", main.margin
 
 
-def _several(main: Alarm, window: int, when: str, sentences: list[str]) -> tuple[str, str, None]:
+def _several(main: Alarm, window: int, sentences: list[str], clock: Clock) -> tuple[str, str, None]:
     """Return headline and confidence where a dedicated bank names several faults, each with its own time."""
     reading = main.reading
     assert reading is not None
@@ -208,7 +228,7 @@ def _several(main: Alarm, window: int, when: str, sentences: list[str]) -> tuple
         share = percent(round(1000 * main.read_share), 1000)
         sentences.append(f"In {share} of the alarm's samples all of these members had fired.")
     sentences += [
-        f"{p.name}: its member fell silent at {seconds(p.until)}." for p in main.present if p.until is not None
+        f"{p.name}: its member fell silent at {clock.at(p.until)}." for p in main.present if p.until is not None
     ]
     sentences += [f"This monitor cannot tell {listing(group)} apart." for group in reading.together if len(group) > 1]
     sentences.append(
@@ -216,11 +236,12 @@ def _several(main: Alarm, window: int, when: str, sentences: list[str]) -> tuple
     )
     timed = [p.faults for p in main.present]
     names = listing(
-        [f"{p.name} since t = {seconds(p.since)}" for p in main.present]
+        [f"{p.name} (fired from {clock.at(p.since)})" for p in main.present]
         + [" or ".join(group) for group in reading.together if group not in timed]
     )
     if main.samples < window:
-        return f"Alarm {when}, too short to be sure of the names; read as {names}.", "short alarm", None
+        start = f"Alarm raised at {clock.at(main.raised)}"
+        return f"{start}, too short to be sure of the names; read as {names}.", "short alarm", None
     return f"{len(reading.together)} faults found: {names}.", "exact codes", None
 
 
@@ -236,15 +257,20 @@ def _sized(alarm: Alarm) -> list[str]:
     return [f"Estimated size of {size.fault}: {size_text(size)}." for size in best or alarm.sizes]
 
 
-def _arrived(alarm: Alarm) -> str:
+def _arrived(alarm: Alarm, clock: Clock) -> str:
     """Say when the fault arrived by matched filters."""
     if alarm.arrival is None:
         return "It arrived before the window of the matched filters, or grew slowly."
-    return f"Estimated arrival {seconds(alarm.arrival)}."
+    return f"Estimated arrival {clock.at(alarm.arrival)}, as a step."
 
 
-def _end(ended: float | None) -> str:
-    return "lasting to the end of the recording" if ended is None else f"ended at {seconds(ended)}"
+def _crossed(alarm: Alarm, diagnosis: Diagnosis) -> float:
+    """Return when the statistic first went over its threshold for an alarm; matched filters have the arrival there."""
+    return alarm.onset if diagnosis.match is None else alarm.raised
+
+
+def _end(ended: float | None, clock: Clock) -> str:
+    return "lasting to the end of the recording" if ended is None else f"ended at {clock.at(ended)}"
 
 
 def _confidence(candidates: list[Candidate], alarm: Alarm) -> tuple[str, float | None]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from residua.analysis.codes import equal_codes, strongly_isolating
 from residua.analysis.coding_sets import Structure, structure_rows
+from residua.design.canonical_design import in_own_units, in_units_of
 from residua.design.detection_filters.detection_filter import stack_systems
 from residua.design.evidence import Evidence
 from residua.design.generator import Member, ResidualGenerator, make_generator
@@ -19,6 +20,7 @@ from residua.design.observers.observer import Observer
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
 from residua.plant import Plant
+from residua.plant.canonical_units import canonical_units
 
 #: Designs one member: takes its name, and the plant in which what the member ignores are disturbances.
 MemberDesign = Callable[[str, Plant], ResidualGenerator]
@@ -201,16 +203,20 @@ def for_whole_plant(part: ResidualGenerator, plant: Plant) -> ResidualGenerator:
     known = part.known_form
     if known is not None:
         known = known.select(inputs=_columns(part.plant, plant))
-    return make_generator(
-        part.system,
-        plant,
+    units = canonical_units(plant)
+    own = units.applied(plant)
+    scaled = in_own_units(replace(part, plant=plant, known_form=known), units, own)
+    made = make_generator(
+        scaled.system,
+        own,
         part.method,
         part.evidence,
-        state_map=part.state_map,
-        static_map=part.static_map,
-        known_form=known,
-        relations=None if part.relations is None else replace(part.relations, plant=plant),
+        state_map=scaled.state_map,
+        static_map=scaled.static_map,
+        known_form=scaled.known_form,
     )
+    relations = None if part.relations is None else replace(part.relations, plant=plant)
+    return replace(in_units_of(plant, units, made), relations=relations)
 
 
 def _columns(part: Plant, plant: Plant) -> list[int]:
@@ -230,8 +236,8 @@ def check_promise(generator: ResidualGenerator, one: Wanted) -> None:
     leaking = [name for name in one.ignored if seen[name]]
     if leaking:
         raise AccuracyError(
-            f"the residual answers to {', '.join(leaking)}, which it should ignore: the plant is too badly scaled or "
-            "conditioned; rescale its states and channels"
+            f"the residual answers to {', '.join(leaking)}, which it should ignore: the plant is too badly "
+            "conditioned; ask for another margin, or for fewer faults to be ignored"
         )
     blind = [name for name in one.seen if not seen[name]]
     if blind:
@@ -244,6 +250,19 @@ def stacked_members(
     parts: dict[str, ResidualGenerator], method: str, reference: str, *, decoupled: bool = True
 ) -> ResidualGenerator:
     """Return the members as one generator, with their codes; ``decoupled``: from the disturbances of the plant."""
+    plant = next(iter(parts.values())).plant
+    units = canonical_units(plant)
+    own = units.applied(plant)
+    scaled = {name: in_own_units(part, units, own) for name, part in parts.items()}
+    made = in_units_of(plant, units, _stacked(scaled, method, reference, decoupled))
+    relations = [part.relations for part in parts.values() if part.relations is not None]
+    if len(relations) < len(parts):
+        return made
+    return replace(made, relations=relations[0].stacked_with(relations[1:], tuple(parts)))
+
+
+def _stacked(parts: dict[str, ResidualGenerator], method: str, reference: str, decoupled: bool) -> ResidualGenerator:
+    """Return members for one plant in its own units as one generator."""
     generators = list(parts.values())
     plant = generators[0].plant
     system = _named(stack_systems([g.system for g in generators]), parts)
@@ -268,9 +287,6 @@ def stacked_members(
         "members": tuple(members),
         "codes": np.array(codes, dtype=bool).reshape(len(codes), len(plant.faults)),
     }
-    relations = [g.relations for g in generators if g.relations is not None]
-    if len(relations) == len(generators):
-        told["relations"] = relations[0].stacked_with(relations[1:], tuple(parts))
     maps = [g.state_map for g in generators if g.state_map is not None]
     if len(maps) < len(generators):
         form = _named(stack_systems([g.internal_form() for g in generators]), parts)

@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from residua.analysis.fault_space import fault_space
+from residua.design.banks.filter_rounding import rounding_share
 from residua.design.banks.unknown_input_quotient import (
     ExplicitParts,
     Quotient,
@@ -15,16 +17,23 @@ from residua.design.banks.unknown_input_quotient import (
     quotient_filter,
     unknown_input_quotient,
 )
+from residua.design.canonical_design import designed_in_own_units
 from residua.design.evidence import Evidence
 from residua.design.generator import ResidualGenerator, make_generator
 from residua.design.internal_form import check_decoupling
 from residua.design.observers.observer_gain import margin_from, place, pole_evidence
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace, arrays
+from residua.linear.observable_part import UndetectableError
 from residua.linear.placement import Placement
 from residua.linear.rank import DEFAULT_RTOL
 from residua.linear.riccati import filter_riccati
 from residua.plant import Plant
+from residua.plant.even_units import even_plant
+
+_ROUNDING = "rounding over a fault"
+#: A default margin that lets rounding grow to more than this of what a fault leaves is lowered.
+_LITTLE = 1e-8
 
 
 def decoupled_residual(
@@ -58,7 +67,8 @@ def decoupled_residual(
         One for each state of the filter, closed under conjugation; their number is in the message when it
         does not fit.
     margin : float, optional
-        Stability margin in 1/s when no poles are given.
+        Stability margin in 1/s when no poles are given. When omitted: the rate of what is left of the plant, or a
+        fraction of it where that leaves rounding smaller beside a fault (the evidence says which).
     gain : {"kalman", "placement"}, optional
         ``"kalman"`` takes the gain of the Kalman filter of what is left of the plant, so that the residual of a sampled
         plant is white; ``"placement"`` the poles or the margin. When omitted: ``"kalman"`` for a plant with noise, if
@@ -95,6 +105,18 @@ def decoupled_residual(
     array([False,  True])
     """
     ignored = [plant.faults[i] for i in arrays.positions(insensitive_to, plant.faults, "fault")]
+    return designed_in_own_units(plant, lambda own: _designed(own, ignored, poles, margin, gain, rtol))
+
+
+def _designed(
+    plant: Plant,
+    ignored: list[str],
+    poles: Sequence[complex] | ArrayLike | None,
+    margin: float | None,
+    gain: str | None,
+    rtol: float,
+) -> ResidualGenerator:
+    """Return the residual of a plant in its own units."""
     parts = explicit_parts(plant.faults_as_disturbances(ignored))
     quotient = unknown_input_quotient(parts, rtol)
     if not quotient.read.shape[0]:
@@ -104,13 +126,54 @@ def decoupled_residual(
             "add a sensor or ignore less"
         )
     failure: AccuracyError | None = None
-    for attempt, note in _attempts(quotient, poles, margin, gain, plant, rtol):
+    best: tuple[int, float, ResidualGenerator] | None = None
+    free = poles is None and margin is None
+    visible = _visible(plant, ignored, rtol)
+    for attempt, note in _attempts(quotient, poles, margin, gain, even_plant(plant).plant, rtol):
         try:
-            return _assembled(plant, parts, quotient, attempt(), ignored, note)
+            made = _assembled(plant, parts, quotient, attempt(), ignored, note)
         except AccuracyError as error:
             failure = failure or error
+            continue
+        except UndetectableError as error:
+            failure = failure or AccuracyError(f"what is left of the plant is seen by construction, but {error}")
+            continue
+        rounding = rounding_share(made)
+        made = replace(made, evidence=made.evidence.extended(conditions={_ROUNDING: rounding}))
+        unseen = sum(1 for name in visible if not made.structure[:, made.faults.index(name)].any())
+        if not free or (not unseen and rounding <= _LITTLE):
+            return _told(made, rounding)
+        if best is None or (unseen, rounding) < best[:2]:
+            best = unseen, rounding, made
+    if best is not None and not best[0]:
+        return _told(best[2], best[1])
+    if best is not None:
+        raise AccuracyError(
+            f"the response to {best[0]} of the faults {', '.join(visible)}, which a residual can see that ignores "
+            f"{', '.join((*plant.disturbances, *ignored)) or 'nothing'}, is lost in rounding: the plant is too badly "
+            "conditioned; reduce its order, or give a margin"
+        )
     assert failure is not None  # there is at least one attempt
     raise failure
+
+
+def _visible(plant: Plant, ignored: list[str], rtol: float) -> list[str]:
+    """Return the faults that a residual sees which ignores some, by the ranks of the pencil."""
+    left = plant.faults_as_disturbances(ignored)
+    if not left.faults:
+        return []
+    return [name for name, seen in zip(left.faults, fault_space(left, rtol=rtol).visible, strict=True) if seen]
+
+
+def _told(made: ResidualGenerator, rounding: float) -> ResidualGenerator:
+    """Return a residual with a note where rounding is more than a little."""
+    if rounding <= _LITTLE:
+        return made
+    note = (
+        f"rounding of numbers of 16 digits makes the residual {rounding:.0e} of what a fault leaves, that of "
+        "measurements more; a smaller margin leaves less"
+    )
+    return replace(made, evidence=made.evidence.extended(notes=(note,)))
 
 
 def _assembled(
@@ -164,7 +227,9 @@ def _attempts(
     placed = [
         (
             lambda part=part: place(quotient.A, quotient.C, None, default / part, plant.dt, rtol),
-            "" if part == 1 else f"the default margin was lowered to {default / part:.3g} per second, to be exact",
+            ""
+            if part == 1
+            else f"the default margin was lowered to {default / part:.3g} per second, for less rounding",
         )
         for part in (1, 4, 16, 64)
     ]

@@ -58,7 +58,7 @@ def explicit_parts(plant: Plant) -> ExplicitParts:
     E = R * plant.E * S
     U, s, Vh = np.linalg.svd(E)
     k = decide_rank(E).rank
-    derivative, algebra = U[:, :k].T / s[:k, None], U[:, k:].T
+    derivative, algebra = U[:, :k].T / s[:k, None], _without_rounding(U[:, k:].T)
     V1, V2 = Vh[:k].T, Vh[k:].T
     size2 = np.maximum(np.linalg.norm(A @ V2, axis=0), np.linalg.norm(C @ V2, axis=0))
     V2 = V2 / np.where(size2 > 0, size2, 1.0)
@@ -92,7 +92,6 @@ class Quotient:
 
 def unknown_input_quotient(parts: ExplicitParts, rtol: float) -> Quotient:
     """Divide out the smallest unobservability subspace that holds the unknown inputs."""
-    n = len(parts.A)
     U, s, Vh = np.linalg.svd(parts.D)
     direct = decide_rank(parts.D, rtol=rtol, scale=1.0)
     k = direct.rank
@@ -107,8 +106,9 @@ def unknown_input_quotient(parts: ExplicitParts, rtol: float) -> Quotient:
         H = left_null_basis(C @ S, rtol=rtol, scale=scale)[0].T
         P = left_null_basis(S)[0]
     else:
-        inject, H, P = np.zeros((n, len(C))), np.eye(len(C)), np.eye(n)
-    F = without_rounding(P.T, A - inject @ C, P)
+        inject, H, P = np.zeros((len(A), len(C))), np.eye(len(C)), np.eye(len(A))
+    n = len(A)
+    F = without_rounding(P.T, np.hstack([np.eye(n), -G, -inject @ W]), np.vstack([parts.A, parts.C, parts.C]), P)
     inject, read = P.T @ (G + inject @ W), H @ W
     return Quotient(
         F,
@@ -147,9 +147,10 @@ def quotient_filter(plant: Plant, parts: ExplicitParts, quotient: Quotient, gain
     K = quotient.inject + gain @ quotient.read
     n_y = plant.n_outputs
     T = _without_rounding(quotient.T1 - K[:, n_y:] @ parts.algebra) * parts.equations
-    V = quotient.read[:, n_y:] @ parts.algebra * parts.equations
-    used = _above_rounding(K[:, :n_y]) | _above_rounding(quotient.read[:, :n_y])
-    Ky, Hy = K[:, :n_y] * parts.outputs * used, quotient.read[:, :n_y] * parts.outputs * used
+    read = _without_rounding(quotient.read)
+    V = read[:, n_y:] @ parts.algebra * parts.equations
+    used = _above_rounding(K[:, :n_y]) | _above_rounding(read[:, :n_y])
+    Ky, Hy = K[:, :n_y] * parts.outputs * used, read[:, :n_y] * parts.outputs * used
     system = StateSpace(
         F,
         np.hstack([T @ plant.Bu - Ky @ plant.Du, Ky]),

@@ -24,15 +24,17 @@ from residua.design.detection_filters.directional_gain import (
 from residua.design.evidence import Evidence
 from residua.design.generator import Member, ResidualGenerator, make_generator
 from residua.design.internal_form import check_decoupling
-from residua.design.observers.observer import Observer
+from residua.design.observers.observer import Observer, in_units_of_the_plant
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
 from residua.linear.arrays import index_of
 from residua.linear.balancing import balance_system
+from residua.linear.matrix_poles import explicit_poles
 from residua.linear.observability import detectability
 from residua.linear.placement import default_margin
 from residua.linear.rank import DEFAULT_RTOL, decide_rank
 from residua.plant import Plant
+from residua.plant.even_units import EvenPlant, even_plant
 
 REFERENCES = (
     "Chen, Patton and Zhang (1996), Int. J. Control 63(1), eqs. (14) to (18), Definitions 2 to 4",
@@ -106,11 +108,12 @@ def detection_filter(
            [ 0.1 ,  0.05],
            [-0.2 ,  0.4 ]])
     """
-    plant = plant.explicit()
+    plant, even = plant.explicit(), even_plant(plant, explicit=True)
     return directional_filters(
         plant,
-        plant.A,
-        plant.C,
+        even,
+        even.plant.A,
+        even.plant.C,
         T=np.eye(plant.n_states),
         H=np.zeros((plant.n_states, plant.n_outputs)),
         W=np.eye(plant.n_outputs),
@@ -126,6 +129,7 @@ def detection_filter(
 
 def directional_filters(
     plant: Plant,
+    even: EvenPlant,
     A: NDArray,
     C: NDArray,
     *,
@@ -143,8 +147,9 @@ def directional_filters(
     """Design directional filters for the error pair ``(C, A)``: ``F = A - K C``, ``K1 = K W + offset``.
 
     Shared by the plain filter (``T = I``, ``H = 0``) and the robust one, whose pair is that of the unknown
-    input observer.
+    input observer. All matrices are those of the plant in even units, so that the filter does not depend on its own.
     """
+    given, plant = plant, even.plant
     poles, margin = checked_options(poles, margin)
     wanted = plant.faults if faults is None else (faults,) if isinstance(faults, str) else tuple(faults)
     chosen = tuple(plant.faults[index_of(name, plant.faults, "fault")] for name in wanted)
@@ -154,7 +159,8 @@ def directional_filters(
     if not found.detectable:
         bad = ", ".join(f"{z:.4g}" for z in np.atleast_1d(found.unstable_modes))
         raise DesignError(f"no stable filter exists: no measurement sees the mode {bad}; add a sensor")
-    units = _Units.of(A, C, event_matrices(plant, T, chosen))
+    weights = even.output_weights(A, np.zeros((len(A), 0)), C)
+    units = _Units.of(A, C, event_matrices(plant, T, chosen), weights)
     events, unseen = fault_events(units.A, units.C, units.events, rtol=rtol)
     notes = [
         f"{', '.join(event.faults)} share one signature: this filter cannot tell them apart"
@@ -176,12 +182,12 @@ def directional_filters(
     if isinstance(poles, Mapping):
         _check_names(poles, events)
     notes += [f"{len(groups)} filters: one cannot keep all faults apart"] if len(groups) > 1 else []
-    frame = _Frame(plant, T, H, W, offset, base, decouples)
+    frame = _Frame(given, even, T, H, W, offset, base, decouples)
     failure, lowered = AccuracyError("no design was tried"), ()
     for distance in _margins(A, plant.dt, poles, margin):
         try:
             if pole is not None:
-                gains = [scalar_gain(A, C, pole, asked=poles is not None)]
+                gains = [scalar_gain(A, C, pole, weights, asked=poles is not None)]
             else:
                 gains = [
                     units.plain(
@@ -190,7 +196,7 @@ def directional_filters(
                     for group in groups
                 ]
             observers = [frame.observer(gain, (*notes, *lowered)) for gain in gains]
-            return _stacked(plant, observers, groups, pole is not None)
+            return _stacked(given, observers, groups, pole is not None)
         except AccuracyError as error:
             failure = error
             lowered = (f"the default margin was lowered: {str(error).split(':')[0]}",)
@@ -207,9 +213,10 @@ def _margins(A: NDArray, dt: float, poles: Poles, margin: float | None) -> list[
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """What the filters of one design share: the decoupling and the plant."""
+    """What the filters of one design share: the decoupling, in even units, and the plant."""
 
     plant: Plant
+    even: EvenPlant
     T: NDArray
     H: NDArray
     W: NDArray
@@ -220,24 +227,26 @@ class _Frame:
     def observer(self, design: DirectionalGain, notes: tuple[str, ...]) -> Observer:
         """Return the observer of a directional gain."""
         K1 = design.gain @ self.W + self.offset
-        F = self.T @ self.plant.A - K1 @ self.plant.C
+        plant = self.even.plant
+        F = self.T @ plant.A - K1 @ plant.C
         evidence = self.base.extended(
-            poles=np.linalg.eigvals(F).astype(complex),
+            poles=explicit_poles(F),
             requested_poles=design.requested,
             fixed_poles=design.fixed,
             conditions={"pole error": design.error, "norm of K1": float(np.linalg.norm(K1))},
             notes=(*notes, design.note) if design.note else notes,
         )
         K, M = K1 + F @ self.H, np.eye(len(F))
-        return Observer(self.plant, F, self.T, K, M, self.H, self.W, self.base.method, self.decouples, evidence)
+        made = Observer(plant, F, self.T, K, M, self.H, self.W, self.base.method, self.decouples, evidence)
+        return in_units_of_the_plant(made, self.plant, self.even)
 
 
 @dataclass(frozen=True, eq=False)
 class _Units:
     """The error pair in balanced units, so that directions do not depend on the units of the model.
 
-    Outputs keep their units when there are more of them than independent rows of ``C``: what the gain
-    ignores, and so the plane of a sensor fault, would change with them.
+    Outputs have weights that do not depend on their units when there are more of them than independent rows of ``C``:
+    what the gain ignores, and so the plane of a sensor fault, changes with them.
     """
 
     A: NDArray
@@ -247,12 +256,12 @@ class _Units:
     outputs: NDArray
 
     @staticmethod
-    def of(A: NDArray, C: NDArray, events: dict[str, NDArray]) -> _Units:
+    def of(A: NDArray, C: NDArray, events: dict[str, NDArray], weights: NDArray) -> _Units:
         B = np.hstack([np.zeros((len(A), 0)), *events.values()])
         found = balance_system(A, B, C, np.zeros((len(C), B.shape[1])))
         T = found.own_units
         scaled = found.outputs[:, None] * C * T
-        outputs = found.outputs if decide_rank(scaled).rank == len(C) else np.ones(len(C))
+        outputs = found.outputs if decide_rank(scaled).rank == len(C) else weights
         unit = {name: _unit_columns(L / T[:, None]) for name, L in events.items()}
         return _Units(A / T[:, None] * T, outputs[:, None] * C * T, unit, T, outputs)
 

@@ -114,9 +114,12 @@ def checked_options(poles: Poles, margin: float | None) -> tuple[Any, float | No
         raise DesignError(f"poles must be numbers, or a mapping of fault name to numbers: {error}") from error
 
 
-def scalar_gain(A: NDArray, C: NDArray, pole: float, *, asked: bool) -> DirectionalGain:
-    r"""Return :math:`K = (A - \lambda I) C^+`, which makes :math:`A - KC = \lambda I` when rank C = n (eq. 25)."""
-    K = (A - pole * np.eye(len(A))) @ np.linalg.pinv(C)
+def scalar_gain(A: NDArray, C: NDArray, pole: float, weights: NDArray, *, asked: bool) -> DirectionalGain:
+    r"""Return :math:`K = (A - \lambda I) C^+`, which makes :math:`A - KC = \lambda I` when rank C = n (eq. 25).
+
+    The inverse is that of least squares over the weighted outputs.
+    """
+    K = (A - pole * np.eye(len(A))) @ np.linalg.pinv(weights[:, None] * C) * weights
     achieved = np.linalg.eigvals(A - K @ C)
     error = float(np.abs(achieved - pole).max(initial=0.0))
     note = "as many independent measurements as states: every fault keeps its direction or plane"

@@ -32,6 +32,7 @@ from residua.design.signals import signal_names
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import StateSpace
 from residua.linear.balancing import without_rounding
+from residua.linear.matrix_poles import explicit_poles
 from residua.linear.norms import hinf_norm
 from residua.linear.observability import is_stable_mode
 from residua.linear.placement import default_margin
@@ -257,7 +258,7 @@ def _generator(
     )
     if exact:
         _require(_seen_error(parts, T, own, F, whole[:k, :k]), "vectors, with K in the units of the plant,")
-    poles = np.linalg.eigvals(whole).astype(complex)
+    poles = explicit_poles(whole)
     if not is_stable_mode(poles, plant.dt).all():
         raise AccuracyError(f"the observer is not stable: poles {describe_modes(poles)}")
     evidence = Evidence(

@@ -12,7 +12,7 @@ from residua.design.generator import ResidualGenerator
 from residua.design.internal_form import leakage
 from residua.errors import AccuracyError, DesignError
 from residua.linear import arrays
-from residua.linear.balancing import DescriptorUnits, descriptor_units, power_of_two, without_rounding
+from residua.linear.balancing import descriptor_units, without_rounding
 from residua.linear.observability import detectability
 from residua.linear.rank import RankDecision, decide_rank, range_basis
 from residua.plant import Plant
@@ -117,7 +117,7 @@ def ignored_columns(plant: Plant, insensitive_to: Iterable[str | int] | str, *, 
     watched = plant.faults_as_disturbances(named)
     n = plant.n_states
     B_all = np.hstack([plant.Bu, plant.Bd, plant.Bf])
-    units = _units(plant.A, B_all, plant.C, np.hstack([plant.Du, plant.Dd, plant.Df]))
+    units = descriptor_units(plant.A, None, B_all, plant.C, np.hstack([plant.Du, plant.Dd, plant.Df]))
     R, Y = units.equations[:, None], units.outputs[:, None]
     A, C = R * plant.A * units.states, Y * plant.C * units.states
     unknown = np.vstack([R * watched.Bd, Y * watched.Dd])
@@ -138,24 +138,17 @@ def ignored_columns(plant: Plant, insensitive_to: Iterable[str | int] | str, *, 
             f"no residual ignores {', '.join(watched.disturbances)}: they enter all {plant.n_outputs} outputs directly"
         )
     return IgnoredColumns(
-        plant, watched, A - G @ C, without_rounding(W, C), columns, G, W, units.states, units.outputs, direct
+        plant,
+        watched,
+        without_rounding(np.hstack([np.eye(n), -G]), np.vstack([A, C])),
+        without_rounding(W, C),
+        columns,
+        G,
+        W,
+        units.states,
+        units.outputs,
+        direct,
     )
-
-
-def _units(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> DescriptorUnits:
-    """Return the units of the plant where its states are comparable in them, balanced units otherwise.
-
-    Parts of a plant that act one way only, or not at all, on one another have no balanced units in common; a gain that
-    was found in any such would be rounding in those of the plant.
-    """
-    sizes = np.concatenate(
-        [np.abs(M).max(axis=axis, initial=0.0) for M, axis in ((A, 0), (np.hstack([A, B]), 1), (np.vstack([A, C]), 0))]
-    )
-    sizes = sizes[sizes > 0]
-    if sizes.max(initial=0.0) > _COMPARABLE * sizes.min(initial=np.inf):
-        return descriptor_units(A, None, B, C, D)
-    heights = np.abs(np.hstack([C, D])).max(axis=1, initial=0.0)
-    return DescriptorUnits(np.ones(len(A)), np.ones(len(A)), 1 / power_of_two(heights))
 
 
 def _columns(left: NDArray, direct: NDArray, names: tuple[str, ...], rtol: float) -> dict[str, NDArray[np.float64]]:

@@ -7,7 +7,12 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from residua.analysis.unknown_input import decoupling_map, output_free_form, unknown_input_observer_existence
+from residua.analysis.unknown_input import (
+    OrdinaryDecoupling,
+    decoupling_map,
+    output_free_form,
+    unknown_input_observer_existence,
+)
 from residua.design.detection_filters.detection_filter import REFERENCES, directional_filters
 from residua.design.detection_filters.directional_gain import Poles
 from residua.design.evidence import Evidence
@@ -17,6 +22,7 @@ from residua.errors import DesignError
 from residua.linear.balancing import without_rounding
 from residua.linear.rank import DEFAULT_RTOL
 from residua.plant import Plant
+from residua.plant.even_units import given_units
 
 
 def robust_detection_filter(
@@ -90,9 +96,13 @@ def robust_detection_filter(
             f"{plant.n_outputs} measurements are all used up to decouple {len(plant.disturbances)} disturbances: "
             "nothing is left to see faults with; add a sensor or decouple fewer disturbances"
         )
-    form = output_free_form(plant, rtol=rtol)
-    H = decoupling_gain(form, H0)
-    T = decoupling_map(H, plant.C)
+    parts = existence.decomposition
+    assert isinstance(parts, OrdinaryDecoupling)
+    even, form, T, H = parts.even, parts.form, parts.T, parts.H
+    if H0 is not None:  # as the equations say, in the units of the plant
+        even, form = given_units(plant), output_free_form(plant, rtol=rtol)
+        H = decoupling_gain(form, H0)
+        T = decoupling_map(H, plant.C)
     p, q = len(form.W), form.E.shape[1]
     base = Evidence(
         method="robust detection filter",
@@ -103,6 +113,7 @@ def robust_detection_filter(
     )
     return directional_filters(
         plant,
+        even,
         without_rounding(T, form.A),
         form.C,
         T=T,

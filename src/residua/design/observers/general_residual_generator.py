@@ -26,6 +26,7 @@ from residua.design.signals import signal_names
 from residua.errors import DesignError, SettingError
 from residua.linear import StateSpace
 from residua.linear.arrays import matrix
+from residua.linear.matrix_poles import explicit_poles
 from residua.linear.observability import is_stable_mode
 from residua.linear.rank import RankDecision, decide_rank, equilibrated
 from residua.linear.spectrum import describe_modes
@@ -204,7 +205,8 @@ def residual_generator_from_observer(
     Returns
     -------
     ResidualGenerator
-        Its ``evidence.conditions`` say how far each condition is missed.
+        Its ``evidence.conditions`` say how far each condition is missed. Of a sampled plant with noise it has a
+        ``covariance``, so that a monitor needs no data for a first threshold; of a continuous one once it is sampled.
 
     Raises
     ------
@@ -268,9 +270,7 @@ def _of_gain(plant: Plant, gain: ArrayLike, weight: ArrayLike | None) -> Residua
         raise DesignError("weight is zero: the residual would be zero whatever fails; leave it out for all outputs")
     F = plant.A - K @ plant.C
     _require_stable(F, plant.dt, "A - K C")
-    evidence = Evidence(
-        method="observer with a given gain", poles=np.linalg.eigvals(F).astype(complex), references=(REFERENCE,)
-    )
+    evidence = Evidence(method="observer with a given gain", poles=explicit_poles(F), references=(REFERENCE,))
     made = Observer(plant, F, np.eye(n), K, np.eye(n), np.zeros((n, p)), S, evidence.method, False, evidence)
     return made.residual_generator()
 
@@ -311,7 +311,7 @@ def _of_matrices(plant: Plant, given: dict[str, Any], decouples: bool) -> Residu
     method = "residual generator in the general form"
     evidence = Evidence(
         method=method,
-        poles=np.linalg.eigvals(M).astype(complex),
+        poles=explicit_poles(M),
         decoupling=check_decoupling(system, plant, decoupled=decouples),
         conditions=errors,
         references=(REFERENCE,),

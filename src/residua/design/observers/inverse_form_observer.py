@@ -10,6 +10,8 @@ from math import comb
 import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import maximum_bipartite_matching, shortest_path
 
 from residua.analysis.unknown_input import unknown_input_observer_existence
 from residua.design.evidence import Evidence, format_pole
@@ -137,7 +139,7 @@ def inverse_form_observer(
     A, C, F = plant.A, plant.C, plant.Bd
     AF = np.linalg.solve(A, F)
     rows = _first_rows(C @ F, C @ AF, plant, first, rtol)
-    Pi, N_BO = _without_inputs(np.linalg.inv(A), AF, C[rows])
+    Pi, N_BO = _without_inputs(_inverse(A), AF, C[rows])
     asked = np.zeros(0, dtype=complex)
     if K is not None:
         gain = matrix(K, "K", (plant.n_states, plant.n_outputs), what="states x outputs")
@@ -220,6 +222,22 @@ def _without_inputs(inverse: NDArray, AF: NDArray, C1: NDArray) -> tuple[NDArray
     whole = np.eye(len(AF))
     rest = _rounded(whole - Pi @ C1, whole + np.abs(Pi) @ np.abs(C1))
     return Pi, _rounded(rest @ inverse, np.abs(rest) @ np.abs(inverse))
+
+
+def _inverse(A: NDArray) -> NDArray:
+    """Return the inverse, exactly zero where the pattern of ``A`` makes it so, whatever the values.
+
+    A state that is matched to an equation follows from the right-hand sides of those that it is reached from alone.
+    """
+    found = np.linalg.inv(A)
+    equation = maximum_bipartite_matching(csr_array(A.T != 0), perm_type="column")
+    if np.any(equation < 0):
+        return found
+    depends = A[equation] != 0  # row i: what the state i is computed from
+    distance = shortest_path(csr_array(depends.astype(float)), unweighted=True)
+    mask = np.zeros(A.shape, dtype=bool)
+    mask[:, equation] = np.isfinite(distance)
+    return np.where(mask, found, 0.0)
 
 
 def _rounded(M: NDArray, terms: NDArray) -> NDArray:

@@ -26,8 +26,8 @@ def kalman_filter(plant: Plant) -> ResidualGenerator:
     Parameters
     ----------
     plant : Plant
-        With process and measurement noise (:meth:`residua.Plant.with_noise`). Disturbances are not
-        decoupled: give those that should not raise alarms as process noise.
+        With process and measurement noise (:meth:`residua.Plant.with_noise`), and what they share, :math:`S`
+        (``cross``). Disturbances are not decoupled: give those that should not raise alarms as process noise.
 
     Returns
     -------

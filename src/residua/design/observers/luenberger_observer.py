@@ -11,12 +11,13 @@ from numpy.typing import ArrayLike
 from residua.analysis.unknown_input import is_singular
 from residua.design.evidence import Evidence
 from residua.design.observers.estimate_check import check_estimate
-from residua.design.observers.observer import Observer
+from residua.design.observers.observer import Observer, in_units_of_the_plant
 from residua.design.observers.observer_gain import place, pole_evidence
 from residua.errors import DesignError
 from residua.linear import arrays
 from residua.linear.rank import DEFAULT_RTOL
 from residua.plant import Plant
+from residua.plant.even_units import even_plant
 
 
 def luenberger_observer(
@@ -80,7 +81,8 @@ def luenberger_observer(
             "Luenberger's observer needs state equations, and E is singular: use descriptor_observer, or "
             "unknown_input_observer, which also serves singular plants without disturbances"
         )
-    plant = plant.explicit()
+    given, even = plant.explicit(), even_plant(plant, explicit=True)
+    plant = even.plant
     used = arrays.positions(outputs, plant.outputs, "output")
     placed = place(plant.A, plant.C[used], poles, margin, plant.dt, rtol)
     n, W = plant.n_states, np.eye(plant.n_outputs)[used]
@@ -95,4 +97,5 @@ def luenberger_observer(
         references=("Twardy and Kaczorek, part I, Theorem 2",),
     )
     made = Observer(plant, F, np.eye(n), K, np.eye(n), np.zeros(K.shape), W, evidence.method, False, evidence)
-    return replace(made, evidence=evidence.extended(conditions={"estimate off the state": check_estimate(made)}))
+    evidence = evidence.extended(conditions={"estimate off the state": check_estimate(made)})
+    return in_units_of_the_plant(replace(made, evidence=evidence), given, even)

@@ -14,7 +14,10 @@ from residua.design.internal_form import check_decoupling
 from residua.design.signals import sampled_filter, signal_names, stack_signals
 from residua.errors import DesignError
 from residua.linear import StateSpace
+from residua.linear.balancing import power_of_two
+from residua.linear.matrix_poles import explicit_poles
 from residua.plant import Plant
+from residua.plant.even_units import EvenPlant, even_plant
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -109,7 +112,7 @@ class Observer:
     @property
     def poles(self) -> NDArray[np.complex128]:
         """Poles of the estimation error."""
-        return np.linalg.eigvals(self.F).astype(complex)
+        return explicit_poles(self.F)
 
     @property
     def system(self) -> StateSpace:
@@ -156,9 +159,13 @@ class Observer:
         V = np.zeros((len(self.W), p.n_states)) if self.V is None else self.V
         read = self.W @ p.C + V @ p.A
         static = V - read @ J
-        through, states = self.W - read @ self.H, -read @ self.M
+        even = even_plant(p)  # what is rounding does not depend on the units of the plant
+        R, S, Y = even.equations, even.states, even.outputs
+        z = S if self.order == p.n_states else np.ones(self.order)
+        through = _without_rounding(self.W / Y, -read * S, self.H / S[:, None] / Y) * Y
+        states = _without_rounding(np.zeros((len(self.W), self.order)), -read * S, self.M / S[:, None] * z) / z
         terms = np.abs(self.W) + np.abs(read) @ np.abs(self.H)
-        alive = _more_than(through, terms) | _path(static, read, J)
+        alive = _more_than(through / Y, terms / Y) | _path(static / R, read * S, J / S[:, None] / R)
         if not alive.any():
             raise DesignError(self._why_blind())
         keep = alive if self.V is not None else np.ones(len(alive), dtype=bool)
@@ -206,6 +213,29 @@ class Observer:
         )
 
 
+def in_units_of_the_plant(observer: Observer, plant: Plant, even: EvenPlant) -> Observer:
+    """Return an observer that was designed for a plant in even units, for the plant itself.
+
+    The states of a full-order observer take the units of the plant's; a residual that is the error of one output that
+    of this output, and any other stays as large as it is.
+    """
+    S, R, Y = even.states, even.equations, even.outputs
+    own = S if observer.order == plant.n_states else np.ones(observer.order)
+    rows = 1 / power_of_two(np.abs(observer.W * Y).max(axis=1, initial=0.0))
+    return replace(
+        observer,
+        plant=plant,
+        F=own[:, None] * observer.F / own,
+        T=own[:, None] * observer.T * R,
+        K=own[:, None] * observer.K * Y,
+        M=S[:, None] * observer.M / own,
+        H=S[:, None] * observer.H * Y,
+        W=rows[:, None] * observer.W * Y,
+        J=None if observer.J is None else S[:, None] * observer.J * R,
+        V=None if observer.V is None else rows[:, None] * observer.V * R,
+    )
+
+
 def without_measured_equations(observer: Observer, plant: Plant, N: NDArray) -> Observer:
     """Return an observer that was designed with the algebraic equations ``N`` as last outputs, for the plant itself.
 
@@ -229,6 +259,18 @@ def without_measured_equations(observer: Observer, plant: Plant, N: NDArray) -> 
         J=H[:, p:] @ N,
         V=V,
     )
+
+
+def _without_rounding(direct: NDArray, read: NDArray, factor: NDArray) -> NDArray[np.float64]:
+    """Return ``direct + read factor``, exactly zero where it is nothing beside the largest term of its row.
+
+    An estimate is known to the rounding of its largest part: what is left of a measurement that the estimate
+    reproduces is no residual, however small its own terms are.
+    """
+    largest = np.abs(read).max(axis=1, initial=0.0)[:, None] * np.abs(factor).max(axis=0, initial=0.0)
+    terms = (np.abs(direct) + largest).max(axis=1, keepdims=True, initial=0.0)
+    found = direct + read @ factor
+    return np.where(np.abs(found) > 1e-13 * (1 + read.shape[1]) * terms, found, 0.0)
 
 
 def _more_than(found: NDArray, terms: NDArray) -> NDArray[np.bool_]:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.design.detection_filters.directional_gain import checked_options
 from residua.errors import AccuracyError, DesignError, ModelError
+from residua.linear.matrix_poles import explicit_poles
 from residua.linear.placement import Placement, default_margin, place_observer_margin, place_observer_poles
 from residua.linear.pole_assignment import real_block_diagonal
 from residua.plant import Plant
@@ -62,7 +63,7 @@ def own_rate(plant: Plant) -> float:
 def pole_evidence(placed: Placement, F: NDArray) -> dict[str, Any]:
     """Return the poles of an observer with state matrix ``F`` as fields of its evidence."""
     return {
-        "poles": np.linalg.eigvals(F).astype(complex),
+        "poles": explicit_poles(F),
         "requested_poles": np.asarray(placed.requested, dtype=complex),
         "fixed_poles": np.asarray(placed.fixed, dtype=complex),
     }

@@ -11,6 +11,7 @@ from residua.design.evidence import Evidence
 from residua.design.observers.perfect_gain import PerfectGain
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace, decide_rank, invariant_zeros
+from residua.linear.balancing import descriptor_units
 from residua.linear.descriptor import scaled_pencil
 from residua.linear.norms import h2_norm, hinf_norm
 from residua.linear.rank import left_null_basis
@@ -144,14 +145,15 @@ def perfect_evidence(o: PerfectObserver, R: NDArray, rtol: float) -> Evidence:
 def _estimate_off(o: PerfectObserver, system: StateSpace, limit: float = 1e-6) -> float:
     """Return how far the filter driven by the plant is from the filtered state, over frequency, or raise.
 
-    Relative to the response of the whole state to each control input and disturbance, in scaled units.
+    State by state, relative to its response to each control input and disturbance; where one hardly reaches a state, to
+    what others do to it, in even units.
     """
     p = o.plant
     driven = p.system(("control", "disturbance"))
     n, m, n_u = p.n_states, driven.n_inputs, len(p.inputs)
     if not m:
         return 0.0
-    scale = scaled_pencil(p.A, np.eye(n) if p.E is None else p.E)
+    units = descriptor_units(driven.A, driven.E, driven.B, driven.C, driven.D).inputs
     points = np.exp(1j * np.array([0.2, 0.9, 2.3])) if p.dt else 1j * o.bandwidth * np.array([0.043, 0.21, 0.93])
     X = driven.replaced(C=np.eye(n), D=np.zeros((n, m)), outputs=None).evaluate(points)
     Q, P = system.evaluate(points), driven.evaluate(points)
@@ -159,8 +161,8 @@ def _estimate_off(o: PerfectObserver, system: StateSpace, limit: float = 1e-6) -
     found[..., :n_u] += Q[..., :n_u]
     late = (1 / points if p.dt else 1 / (points / o.bandwidth + 1)) ** o.derivatives
     wanted = late[:, None, None] * X
-    missed = np.abs(found - wanted) / scale.columns[:, None]
-    size = (np.abs(wanted) / scale.columns[:, None]).max(axis=1, keepdims=True)
+    missed, size = ((np.abs(M) * units).max(axis=0) for M in (found - wanted, wanted))
+    size = np.maximum(size, 1e-6 * size.max(axis=1, keepdims=True, initial=0.0))
     worst = float(np.max(missed / np.where(size > 0, size, 1.0), initial=0.0))
     if not worst <= limit:
         raise AccuracyError(

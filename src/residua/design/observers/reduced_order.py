@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua.analysis.unknown_input import with_needed_equations
 from residua.design.evidence import Evidence
 from residua.design.observers.estimate_check import check_estimate
-from residua.design.observers.observer import Observer, without_measured_equations
+from residua.design.observers.observer import Observer, in_units_of_the_plant, without_measured_equations
 from residua.design.observers.observer_gain import margin_from, place, pole_evidence
 from residua.errors import AccuracyError, DesignError
 from residua.linear import arrays
@@ -20,6 +20,7 @@ from residua.linear.balancing import descriptor_units, without_rounding
 from residua.linear.placement import Placement
 from residua.linear.rank import RankDecision, decide_rank, left_null_basis
 from residua.plant import Plant
+from residua.plant.even_units import even_plant
 
 
 def reduced_observer(
@@ -39,14 +40,16 @@ def reduced_observer(
     :math:`X = X_0 - L N`, where the rows of ``N`` annihilate :math:`[E Q, E_d]`, so that ``F`` is that of an
     ordinary observer for the pair :math:`(N A Q, X_0 A Q)`.
     """
+    even = even_plant(plant)
+    chosen = arrays.positions(outputs, plant.outputs, "output")
     if plant.E is not None:
-        chosen = arrays.positions(outputs, plant.outputs, "output")
-        measured, N = with_needed_equations(plant, used=chosen, rtol=rtol)
+        measured, N = with_needed_equations(even.plant, used=chosen, rtol=rtol)
         chosen += range(plant.n_outputs, measured.n_outputs)
         made = _reduced(measured, method, reference, chosen, poles, margin, rtol)
-        return without_measured_equations(made, plant, N)
-    used = arrays.positions(outputs, plant.outputs, "output")
-    return _reduced(plant, method, reference, used, poles, margin, rtol)
+        made = without_measured_equations(made, even.plant, N)
+    else:
+        made = _reduced(even.plant, method, reference, chosen, poles, margin, rtol)
+    return in_units_of_the_plant(made, plant, even)
 
 
 def _reduced(
@@ -76,7 +79,7 @@ def _reduced(
     unknown = _full_rank_columns(Ds, R * (np.abs(plant.Bd) + np.abs(G) @ np.abs(plant.Dd)), rtol)
     X0, N = _particular(Es @ Q, unknown, n - k, plant, rtol)
     placed = _placed(without_rounding(N, As, Q), without_rounding(X0, As, Q), poles, margin, plant, rtol)
-    Xs = X0 - placed.gain @ N
+    Xs = _without_noise(X0 - placed.gain @ N)
     F = Xs @ As @ Q
     # back to the units of the plant: x = S xs, equations R
     T = Xs * u.equations
@@ -92,7 +95,7 @@ def _reduced(
         ranks={"independent measurements": RankDecision(k, s, rtol * float(s[0]) if s.size else 0.0)},
         conditions={
             "pole error": placed.error,
-            "condition of [T E; C]": float(np.linalg.cond(np.vstack([Xs @ Es, Vh[:k]]))),
+            "condition of [T E; C]": float(np.linalg.cond(np.vstack([Xs @ Es, Vh[:k]]))) if n else 1.0,
         },
         notes=(f"uses {', '.join(plant.outputs[i] for i in used)}",) if len(used) < p else (),
         references=(reference,),
@@ -118,6 +121,11 @@ def _particular(EQ: NDArray, D: NDArray, order: int, plant: Plant, rtol: float) 
         )
     X = np.linalg.pinv(whole)[:order] / (level or 1.0)
     return X, left_null_basis(whole)[0].T
+
+
+def _without_noise(M: NDArray) -> NDArray[np.float64]:
+    """Return a matrix without the entries that are the rounding of the largest of their row."""
+    return np.where(np.abs(M) > 1e-14 * np.abs(M).max(axis=1, keepdims=True, initial=0.0), M, 0.0)
 
 
 def _placed(C: NDArray, A: NDArray, poles: object, margin: float | None, plant: Plant, rtol: float) -> Placement:
@@ -173,17 +181,21 @@ def _unused(plant: Plant, used: list[int]) -> NDArray:
 def _check(
     plant: Plant, T: NDArray, F: NDArray, K: NDArray, M: NDArray, H: NDArray, units: NDArray, rtol: float
 ) -> None:
-    """Raise when ``M T E + H C = I`` or ``T E_d = K D_d`` is missed, in balanced units."""
+    """Raise when ``M T E + H C = I`` or ``T E_d = K D_d`` is missed, relative to the largest terms of its row."""
     TE = T if plant.E is None else T @ plant.E
     missed = (M @ TE + H @ plant.C - np.eye(plant.n_states)) * units / units[:, None]
     terms = (np.abs(M) @ np.abs(TE) + np.abs(H) @ np.abs(plant.C)) * units / units[:, None]
     first = np.abs(missed).max(initial=0.0) / max(np.abs(terms).max(initial=0.0), 1e-300)
-    unknown = np.abs(T @ plant.Bd - K @ plant.Dd).max(initial=0.0)
-    terms = np.abs(T) @ np.abs(plant.Bd) + np.abs(K) @ np.abs(plant.Dd)
-    floor = 1e-6 * np.abs(K).max(initial=0.0) * np.abs(plant.Dd).max(initial=0.0)  # of outputs that are not used
-    second = unknown / max(terms.max(initial=0.0), floor, 1e-300)
+    unknown = np.abs(T @ plant.Bd - K @ plant.Dd)
+    terms = _outer(T, plant.Bd) + _outer(K, plant.Dd)
+    second = float(np.max(unknown / np.where(terms > 0, terms, 1.0), initial=0.0))
     if not max(first, second) < 1e-8:
         raise AccuracyError(
             f"M T E + H C = I is missed by {first:.2g} and T E_d = K D_d by {second:.2g} (relative): the plant is too "
-            "badly scaled or conditioned for an observer of reduced order; rescale its states and channels"
+            "badly conditioned for an observer of reduced order; use unknown_input_observer"
         )
+
+
+def _outer(rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
+    """Return the largest entry of each row times the largest of each column."""
+    return np.abs(rows).max(axis=1, initial=0.0)[:, None] * np.abs(columns).max(axis=0, initial=0.0)

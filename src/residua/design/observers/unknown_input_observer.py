@@ -9,24 +9,23 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.analysis.unknown_input import (
+    OrdinaryDecoupling,
     OutputFreeForm,
+    SingularDecoupling,
     UnknownInputExistence,
     decoupling_map,
     error_pair,
-    is_singular,
     output_free_form,
-    singular_decoupling,
     unknown_input_observer_existence,
-    with_needed_equations,
 )
 from residua.design.evidence import Evidence
 from residua.design.observers.estimate_check import check_estimate
-from residua.design.observers.observer import Observer, without_measured_equations
+from residua.design.observers.observer import Observer, in_units_of_the_plant, without_measured_equations
 from residua.design.observers.observer_gain import margin_from, place, pole_evidence
 from residua.errors import AccuracyError, DesignError
 from residua.linear.arrays import matrix
 from residua.linear.balancing import without_rounding
-from residua.linear.observability import observability_form
+from residua.linear.observability import staircase
 from residua.linear.placement import Placement
 from residua.linear.rank import DEFAULT_RTOL, RankDecision
 from residua.plant import Plant
@@ -48,7 +47,8 @@ def unknown_input_observer(
 
        \dot z = F z + T B u + K y, \qquad \hat x = z + H y
 
-    with :math:`H = E(CE)^+ + H_0 [I - CE(CE)^+]`, :math:`T = I - HC`, :math:`A_1 = T A`,
+    with :math:`H = E(CE)^+` (in even units, so that the observer does not depend on those of the plant; with ``H0``
+    it is :math:`E(CE)^+ + H_0 [I - CE(CE)^+]` in those of the plant), :math:`T = I - HC`, :math:`A_1 = T A`,
     :math:`F = A_1 - K_1 C` stable and :math:`K = K_1 + F H`. For a singular plant :math:`E_s \dot x = A x + \dots`,
     :math:`T E_s + H C = I` and :math:`T E = 0` take the place of the first two; the observer itself is an ordinary
     system. Guaranteed: the error obeys :math:`\dot e = F e` for any control input and any disturbance.
@@ -64,8 +64,9 @@ def unknown_input_observer(
         Stability margin in 1/s when no poles are given; when omitted, the geometric mean of the sizes of the
         poles of ``T A``.
     H0 : array_like, shape (n, outputs), optional
-        The free matrix of the general solution; zero when omitted. Of ``H0 [I - CE(CE)^+]`` only what acts
-        on the outputs left over by the decoupling matters.
+        The free matrix of the general solution, in the units of the plant: zeros give the smallest ``H`` in these
+        units, as in the paper. Of ``H0 [I - CE(CE)^+]`` only what acts on the outputs left over by the decoupling
+        matters.
     rtol : float
         Relative tolerance of every rank decision.
 
@@ -102,15 +103,35 @@ def unknown_input_observer(
            [0., 0.],
            [0., 0.]])
     """
-    singular = is_singular(plant)
-    plant = plant if singular else plant.explicit()
     existence = unknown_input_observer_existence(plant, rtol=rtol)
     if not existence:
         raise DesignError("; ".join(existence.reasons))
-    if singular:
+    parts = existence.decomposition
+    if isinstance(parts, SingularDecoupling):
         if H0 is not None:
             raise DesignError("H0 is the free matrix of an ordinary plant; for a singular one leave it out")
-        return _of_singular_plant(plant, poles, margin, existence, rtol)
+        return _of_singular_plant(plant, parts, poles, margin, existence, rtol)
+    assert isinstance(parts, OrdinaryDecoupling)
+    if H0 is not None:
+        return _with_free_matrix(plant.explicit(), H0, poles, margin, existence, rtol)
+    even = parts.even.plant
+    if poles is None and margin is None:
+        margin = margin_from(parts.A22, even)
+    placed = place(*parts.error_pair, poles, margin, plant.dt, rtol)
+    placed = replace(placed, gain=without_rounding(parts.M, placed.gain, parts.outputs))
+    made = assemble(even, parts.form, parts.T, parts.H, placed, existence)
+    return in_units_of_the_plant(made, plant.explicit(), parts.even)
+
+
+def _with_free_matrix(
+    plant: Plant,
+    H0: ArrayLike,
+    poles: Sequence[complex] | ArrayLike | None,
+    margin: float | None,
+    existence: UnknownInputExistence,
+    rtol: float,
+) -> Observer:
+    """Return the observer of a given free matrix: as the equations say, in the units of the plant."""
     form = output_free_form(plant, rtol=rtol)
     H = decoupling_gain(form, H0)
     T = decoupling_map(H, plant.C)
@@ -123,26 +144,25 @@ def unknown_input_observer(
 
 def _of_singular_plant(
     plant: Plant,
+    parts: SingularDecoupling,
     poles: Sequence[complex] | ArrayLike | None,
     margin: float | None,
     existence: UnknownInputExistence,
     rtol: float,
 ) -> Observer:
     """Return the observer of a singular plant: the free part of the decoupling is placed along with the gain."""
-    measured, N = with_needed_equations(plant, rtol=rtol)
-    form = output_free_form(measured, rtol=rtol)
-    found = singular_decoupling(measured, form, rtol=rtol)
-    A1, C1 = error_pair(found, form)
+    even, form, free = parts.even.plant, parts.form, parts.decoupling
+    A1, C1 = error_pair(free, form)
     if poles is None and margin is None:
-        margin = margin_from(A1, plant)
+        margin = margin_from(A1, even)
     p = len(form.C)
-    seen = observability_form(A1, form.C, rtol=rtol).n_observable
-    needed = seen < observability_form(A1, C1, rtol=rtol).n_observable  # or else the smallest T is the best
+    seen = staircase(A1, form.C, rtol=rtol).n_observable
+    needed = seen < staircase(A1, C1, rtol=rtol).n_observable  # or else the smallest T is the best
     placed = place(A1, C1 if needed else form.C, poles, margin, plant.dt, rtol)
-    K1, Z = placed.gain[:, :p], placed.gain[:, p:] if needed else np.zeros((len(A1), len(found.N)))
-    T, H = found.T - Z @ found.N, (found.H - Z @ found.M) @ form.W
-    made = assemble(measured, form, T, H, replace(placed, gain=K1), existence)
-    return without_measured_equations(made, plant, N)
+    K1, Z = placed.gain[:, :p], placed.gain[:, p:] if needed else np.zeros((len(A1), len(free.N)))
+    T, H = free.T - Z @ free.N, (free.H - Z @ free.M) @ form.W
+    made = assemble(parts.measured, form, T, H, replace(placed, gain=K1), existence)
+    return in_units_of_the_plant(without_measured_equations(made, even, parts.equations), plant, parts.even)
 
 
 def decoupling_gain(form: OutputFreeForm, H0: ArrayLike | None = None) -> NDArray[np.float64]:
@@ -172,22 +192,24 @@ def assemble(
 ) -> Observer:
     """Return the observer of a decoupling and a placed gain, with its identities checked."""
     K1 = placed.gain @ form.W + T @ form.G
-    F = T @ plant.A - K1 @ plant.C
-    size_E = float(np.linalg.norm(plant.Bd)) or 1.0
+    F = without_rounding(np.hstack([T, -K1]), np.vstack([plant.A, plant.C]))
     K = K1 + F @ H
-    identity = float(np.linalg.norm(T @ plant.Bd - K @ plant.Dd)) / (
-        size_E * max(1.0, float(np.linalg.norm(T))) + float(np.linalg.norm(K) * np.linalg.norm(plant.Dd))
-    )
+    # where nothing is left of T, or of a column, what counts is what it is the rounding of
+    sizes = max(1.0, float(np.linalg.norm(T))), float(np.linalg.norm(K))
+    terms = sizes[0] * np.linalg.norm(plant.Bd, axis=0) + sizes[1] * np.linalg.norm(plant.Dd, axis=0)
+    identity = _relative(T @ plant.Bd - K @ plant.Dd, terms[None, :], by_column=True)
     if not identity < 1e-8:
         raise AccuracyError(
-            f"the disturbances are not decoupled: |T E| / |E| = {identity:.2g}; the outputs see them too "
-            "weakly for this scaling; rescale the channels"
+            f"the disturbances are not decoupled: |T E| / |E| = {identity:.2g}; the outputs see them too weakly "
+            "beside one another; add a sensor, or decouple fewer disturbances"
         )
     TE = T if plant.E is None else T @ plant.E
-    terms = float(np.abs(TE).max(initial=0.0) + (np.abs(H) @ np.abs(plant.C)).max(initial=0.0))
-    whole = float(np.abs(TE + H @ plant.C - np.eye(plant.n_states)).max(initial=0.0)) / max(terms, 1e-300)
+    whole = _relative(TE + H @ plant.C - np.eye(plant.n_states), np.abs(TE) + np.abs(H) @ np.abs(plant.C))
     if not whole < 1e-8:
-        raise AccuracyError(f"T E + H C = I is missed by {whole:.2g} (relative): rescale the states and channels")
+        raise AccuracyError(
+            f"T E + H C = I is missed by {whole:.2g} (relative): the outputs see the disturbances too weakly beside "
+            "one another; add a sensor, or decouple fewer disturbances"
+        )
     q, p = form.E.shape[1], len(form.W)
     method, notes = "unknown input observer", ()
     if q and p > q and plant.E is None:
@@ -210,6 +232,12 @@ def assemble(
     )
     made = Observer(plant, F, T, K, np.eye(plant.n_states), H, form.W, method, True, evidence)
     return replace(made, evidence=evidence.extended(conditions={"estimate off the state": check_estimate(made)}))
+
+
+def _relative(missed: NDArray, terms: NDArray, *, by_column: bool = False) -> float:
+    """Return what an identity is missed by, relative to the largest of its terms, or of those of each column."""
+    size = terms.max(axis=0 if by_column else None, keepdims=True, initial=0.0)
+    return float(np.max(np.abs(missed) / np.maximum(size, 1e-300), initial=0.0))
 
 
 def _ranks(plant: Plant, existence: UnknownInputExistence) -> dict[str, RankDecision]:

@@ -57,15 +57,16 @@ class Relation:
         x = self.basis.changed_to(basis, np.hstack([self.p, self.q]))
         size = np.abs(np.hstack([self.p, self.q])).max(axis=0, initial=0.0)
         used = size > 0
-        given = state_pencil(plant, self.ignored, basis)
-        part = pencil(given.P0[used], given.P1[used], basis)
+        given = state_pencil(plant, self.ignored, basis, canonical=True)
+        part = pencil(given.P0[used], given.P1[used], basis, canonical=True)
         x[:, used] = refined(part, x[:, used])
         x[-1, :n] = _algebraic(x, plant)
         return replace(self, p=x[:, :n], q=x[:, n:], basis=basis)
 
     def missed(self, plant: Plant) -> float:
         """Return how far the states are from dropping out, relative to the terms that have to cancel."""
-        given = state_pencil(plant, np.zeros((plant.n_states + plant.n_outputs, 0)), self.basis)
+        none = np.zeros((plant.n_states + plant.n_outputs, 0))
+        given = state_pencil(plant, none, self.basis, canonical=True)
         x = np.hstack([self.p, self.q])
         left = given.products(x)
         terms = replace(given, P0=np.abs(given.P0), P1=np.abs(given.P1)).products(np.abs(x))

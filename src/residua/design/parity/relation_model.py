@@ -14,7 +14,11 @@ from residua.linear import arrays
 from residua.linear.pencil_null_space import Pencil, pencil
 from residua.linear.polynomial_basis import PolynomialBasis, basis_on_poles
 from residua.plant import Plant
+from residua.plant.canonical_units import PlantUnits, canonical_units
 from residua.plant.input_output_model import InputOutputModel
+
+#: Poles below this fraction of the size of the plant's dynamics are zero.
+_ZERO = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +49,16 @@ class RelationModel:
     most: int
     notes: tuple[str, ...] = ()
     decouples: bool = True
+
+    def in_own_units(self) -> tuple[RelationModel, PlantUnits]:
+        """Return the equations in units that are the same whatever units the plant was written in, and these."""
+        units = canonical_units(self.plant)
+        plant = units.applied(self.plant)
+        basis = basis_for(plant, self.basis.count)
+        height = np.concatenate([units.equations, units.outputs])[:, None]
+        excluded = self.excluded * height
+        size = np.abs(excluded).max(axis=0, initial=0.0)
+        return replace(self, plant=plant, basis=basis, excluded=excluded / np.where(size > 0, size, 1.0)), units
 
     @property
     def faults(self) -> NDArray[np.float64]:
@@ -88,13 +102,15 @@ def relation_model(source: Plant | InputOutputModel) -> RelationModel:
     return RelationModel(source, np.zeros((n + source.n_outputs, 0)), basis_for(source, n + 1), n, notes)
 
 
-def state_pencil(plant: Plant, columns: NDArray[np.float64], basis: PolynomialBasis) -> Pencil:
-    """Return ``[zE - A; -C]`` with further constant columns."""
+def state_pencil(
+    plant: Plant, columns: NDArray[np.float64], basis: PolynomialBasis, *, canonical: bool = False
+) -> Pencil:
+    """Return ``[zE - A; -C]`` with further constant columns; ``canonical``: of a plant in units of its own."""
     n, m = plant.n_states, plant.n_outputs
     E = np.eye(n) if plant.E is None else plant.E
     P0 = np.hstack([np.vstack([-plant.A, -plant.C]), columns])
     P1 = np.hstack([np.vstack([E, np.zeros((m, n))]), np.zeros((n + m, columns.shape[1]))])
-    return pencil(P0, P1, basis)
+    return pencil(P0, P1, basis, canonical=canonical)
 
 
 def basis_for(plant: Plant, count: int) -> PolynomialBasis:
@@ -103,10 +119,11 @@ def basis_for(plant: Plant, count: int) -> PolynomialBasis:
         poles = plant.system(()).poles()
     except ModelError:  # the pencil of a singular plant need not be regular
         poles = np.zeros(0, dtype=np.complex128)
-    size = float(np.median(np.abs(poles[np.isfinite(poles)]))) if np.isfinite(poles).any() else 0.0
-    if not size:
-        E = np.eye(plant.n_states) if plant.E is None else plant.E
-        size = 1.0 if plant.is_discrete else _mean_size(plant.A) / _mean_size(E)
+    E = np.eye(plant.n_states) if plant.E is None else plant.E
+    level = 1.0 if plant.is_discrete else _mean_size(plant.A) / _mean_size(E)
+    poles = np.where(np.abs(poles) > _ZERO * level, poles, 0.0)  # a size that is rounding would take equations for zero
+    finite = np.abs(poles[np.isfinite(poles)])
+    size = (float(np.median(finite)) if finite.size else 0.0) or level
     return basis_on_poles(poles, count, size, outward=True)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
+from residua.design.canonical_design import in_units_of
 from residua.design.evidence import Evidence, format_pole
 from residua.design.generator import ResidualGenerator, make_generator
 from residua.design.internal_form import check_decoupling
@@ -24,12 +25,17 @@ from residua.linear import PolynomialMatrix, StateSpace, is_stable_mode
 from residua.linear.balancing import descriptor_units
 from residua.linear.polynomial_basis import PolynomialBasis
 from residua.plant import Plant
+from residua.plant.canonical_units import PlantUnits, canonical_units
 
 #: What the states may be missed by, relative to the terms that have to cancel.
 _REMAINDER = 1e-8
 _LOST = "digits lost to cancellation"
+#: In a filter of polynomials up to ten digits of sixteen may cancel, and the evidence says how many do.
+_LEAK = 1e-6
 #: Measurements seldom have more digits than this.
 _MANY = 6.0
+#: A moving average in which more digits cancel is made only for those who ask for its poles, all zero.
+_TOO_MANY = 10.0
 #: Poles of the filters of parity relations: one list for all, or one for each residual by name.
 Poles = Sequence[complex] | ArrayLike | Mapping[str, Sequence[complex]]
 
@@ -169,13 +175,33 @@ class ParityRelations:
             If the number of poles does not fit, they are not closed under conjugation, or not stable; or if they differ
             between residuals that keep directions together, which would bend them.
         AccuracyError
-            If rounding in the coefficients shows in the residual.
+            If rounding in the coefficients shows in the residual, or, where no poles are given, more than ten digits
+            cancel in the moving average.
 
         References
         ----------
         Gertler (1991), section 3.5.
         """
-        chosen = self._poles(poles)
+        units = canonical_units(self.plant)
+        own = self._in_units(units)
+        return replace(
+            in_units_of(self.plant, units, own._filtered(own._poles(poles), method, notes, asked=poles is not None)),
+            relations=self,
+        )
+
+    def _in_units(self, units: PlantUnits) -> ParityRelations:
+        """Return the relations between the signals of the scaled plant."""
+        height = np.concatenate([units.equations, units.outputs])[:, None]
+        rows = (
+            replace(row, p=row.p / units.equations, q=row.q / units.outputs, ignored=row.ignored * height)
+            for row in self.rows
+        )
+        return replace(self, plant=units.applied(self.plant), rows=tuple(rows))
+
+    def _filtered(
+        self, chosen: list[NDArray[np.complex128]], method: str, notes: Sequence[str], *, asked: bool
+    ) -> ResidualGenerator:
+        """Return the filter with checked poles, for a plant in its own units."""
         bases = [pole_basis(one) for one in chosen]
         plant = self.plant
         rows = self._changed_to(bases)
@@ -185,7 +211,7 @@ class ParityRelations:
             method=method,
             poles=system.poles(),
             requested_poles=np.concatenate([np.zeros(0, dtype=np.complex128), *chosen]),
-            decoupling=check_decoupling(system, plant, decoupled=not self._disturbed(rows)),
+            decoupling=check_decoupling(system, plant, decoupled=not self._disturbed(rows), limit=_LEAK),
             conditions={"states left": _accepted(rows, plant)},
             notes=(*self._told(), *notes),
             references=("Gertler (1991), sections 3.1, 3.2 and 3.5",),
@@ -197,7 +223,6 @@ class ParityRelations:
             evidence,
             state_map=np.vstack([part.state_map for part in parts]),
             static_map=None if plant.E is None else np.vstack([part.static_map for part in parts]),
-            relations=self,
         )
         if self.directions is not None:
             off = check_directions(made, self.directions)
@@ -205,6 +230,11 @@ class ParityRelations:
         lost = digits_lost(rows, made)
         if lost is None:
             return made
+        if lost > _TOO_MANY and not asked and plant.is_discrete:
+            raise AccuracyError(
+                f"as a moving average of order {max(self.orders)}, {_cancelling(lost)}; or ask for it all the same, "
+                f"with poles of zero, {max(self.orders)} of them"
+            )
         told = (_cancelling(lost),) if lost > _MANY else ()
         return replace(made, evidence=made.evidence.extended(conditions={_LOST: lost}, notes=told))
 

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.analysis.fault_space import fault_space
 from residua.design.parity.relation import Relation
 from residua.design.parity.relation_model import RelationModel, basis_for, state_pencil
-from residua.errors import DesignError
+from residua.errors import AccuracyError, DesignError
 from residua.linear.degree_search import at_smallest_degree
 from residua.linear.pencil_null_space import (
     Pencil,
@@ -24,6 +25,13 @@ from residua.linear.rank import RankDecision
 
 #: A fault is seen by a relation when more than this of the largest response that its size allows is left.
 _SEEN = 1e-9
+#: What rounding in the numbers of a model may make of a singular value that would be zero: relations that hold to this,
+#: and answer to their faults far more strongly, hold for the plant. In exact numbers, what is zero is so to 1e-16.
+_OF_DATA = 1e-10
+#: Those that count as zero must be this far below the others then, ...
+_GAP = 1e3
+#: ... and what they leave of anything this far below the response to a fault.
+_LEAK = 1e-6
 #: Combinations of equally short relations that are tried for the best view of the faults.
 _TRIES = 30
 
@@ -61,6 +69,11 @@ class RelationSpace:
     def order(self) -> int:
         """The highest order."""
         return self.vectors.shape[1] - 1
+
+    @property
+    def clear(self) -> bool:
+        """Whether nothing lies between the singular values that count as zero and those that do not."""
+        return self.decision.smallest_kept > _GAP * self.decision.largest_dropped
 
     @property
     def sizes(self) -> NDArray[np.float64]:
@@ -110,15 +123,15 @@ def relation_space(model: RelationModel, ignored: Sequence[str | int], order: in
     """Return all relations of at most an order that ignore some faults and all disturbances."""
     if order >= model.basis.count:
         model = replace(model, basis=basis_for(model.plant, order + 1))
-    given, used = _reduced(model, ignored)
-    return _space(model, given, pencil_null_vectors(given, order, rtol=rtol), used)
+    search = _search(model, ignored)
+    return search.space(pencil_null_vectors(search.pencil, order, rtol=rtol))
 
 
 def shortest_relations(model: RelationModel, ignored: Sequence[str | int], rtol: float) -> RelationSpace | None:
     """Return the relations of the smallest order that ignore some faults and all disturbances, if there are any."""
-    given, used = _reduced(model, ignored)
-    found = shortest_pencil_null_vectors(given, most=model.most, rtol=rtol)
-    return None if found is None else _space(model, given, found, used)
+    search = _search(model, ignored)
+    found = shortest_pencil_null_vectors(search.pencil, most=model.most, rtol=rtol)
+    return None if found is None else search.space(found)
 
 
 def shortest_relation(
@@ -130,51 +143,101 @@ def shortest_relation(
     ------
     DesignError
         If there is none: which of the faults no relation sees, or that there is no relation at all.
+    AccuracyError
+        If there is one by the ranks of the pencil, and none is found.
     """
     faults = [model.plant.faults.index(name) for name in seen]
-    first = shortest_relations(model, ignored, rtol)
+    search = _search(model, ignored)
+    exact = _shortest_seeing(search, faults, model.most, rtol)
+    most = model.most if exact is None else exact.order - 1
+    near = _shortest_seeing(search, faults, most, max(rtol, _OF_DATA)) if most >= 0 else None
+    found = exact if near is None or not near.clear else near
+    if found is not None:
+        return found.best_combination(faults), found
+    raise _refusal(model, search, ignored, seen, rtol)
+
+
+def _shortest_seeing(search: _Search, faults: Sequence[int], most: int, rtol: float) -> RelationSpace | None:
+    """Return the relations of the smallest order that answer to some faults; ``None`` when there are none."""
+    found = shortest_pencil_null_vectors(search.pencil, most=most, rtol=rtol)
+    if found is None:
+        return None
+    first = search.space(found)
+    if first.seen[faults].all():
+        return first
+
+    def seeing_all(order: int) -> RelationSpace | None:
+        tried = search.space(pencil_null_vectors(search.pencil, order, rtol=rtol))
+        return tried if tried.seen[faults].all() else None
+
+    longest = seeing_all(most)
+    return None if longest is None else at_smallest_degree(seeing_all, first.order + 1, most, longest)
+
+
+def _refusal(
+    model: RelationModel, search: _Search, ignored: Sequence[str], seen: Sequence[str], rtol: float
+) -> DesignError | AccuracyError:
+    """Return what to raise where no relation was found: why there is none, or that rounding hides it."""
     what = ", ".join(f"'{name}'" for name in (*model.plant.disturbances, *ignored)) or "nothing"
-    if first is None:
-        raise DesignError(
+    longest = search.space(pencil_null_vectors(search.pencil, model.most, rtol=rtol))
+    space = fault_space(model.plant, rtol=max(rtol, _OF_DATA))
+    hidden = space.closure(space.basis([model.plant.faults.index(name) for name in ignored]))
+    if longest.count == 0 and not space.leaves(ignored):
+        return DesignError(
             f"no parity relation ignores {what}: the {model.plant.n_outputs} measurements are all used up; "
             "add a sensor or ignore less"
         )
-    if first.seen[faults].all():
-        return first.best_combination(faults), first
-    longest = relation_space(model, ignored, model.most, rtol)
-    blind = [name for name, j in zip(seen, faults, strict=True) if not longest.seen[j]]
+    blind = [name for name in seen if hidden[model.plant.faults.index(name)]]
     if blind:
-        raise DesignError(
+        return DesignError(
             f"a parity relation that ignores {what} cannot see {', '.join(blind)}: of up to order {model.most}, "
             "there is none that answers"
         )
-
-    def seeing_all(order: int) -> RelationSpace | None:
-        tried = relation_space(model, ignored, order, rtol)
-        return tried if tried.seen[faults].all() else None
-
-    space = at_smallest_degree(seeing_all, first.order + 1, model.most, longest)
-    return space.best_combination(faults), space
+    return AccuracyError(
+        f"a parity relation that ignores {what} and answers to {', '.join(seen)} exists, but none of an order up to "
+        f"{model.most} is found to working precision: structured_bank needs no polynomials"
+    )
 
 
-def _space(model: RelationModel, given: Pencil, found: PencilNullVectors, used: NDArray[np.intp]) -> RelationSpace:
-    """Return null vectors of some of the equations as relations, with their responses to the faults."""
-    vectors = np.zeros((len(found.vectors), found.degree + 1, len(model.faults)))
-    vectors[:, :, used] = found.vectors
-    level = np.sqrt(((found.units[:, :, None] * model.faults[used]) ** 2).sum(axis=1))
-    responses = vectors @ model.faults / np.where(level > 0, level, 1.0)
-    s = found.decision.singular_values
-    smallest = found.decision.smallest_kept / s[0] if len(s) and found.decision.rank else 1.0
-    floor = max(_SEEN, 100 * np.finfo(float).eps / smallest)
-    return RelationSpace(vectors, given.basis, found.decision, responses, floor)
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """What must be annihilated, in units of the plant's own: the equations that can take part.
+
+    Attributes
+    ----------
+    pencil : Pencil
+    used : ndarray of int
+        Which equations are left.
+    faults : ndarray, shape (equations, faults)
+    units : ndarray, shape (equations,)
+        What takes vectors to the units that the plant was written in.
+    """
+
+    pencil: Pencil
+    used: NDArray[np.intp]
+    faults: NDArray[np.float64]
+    units: NDArray[np.float64]
+
+    def space(self, found: PencilNullVectors) -> RelationSpace:
+        """Return null vectors as relations, in the units of the model, with their responses to the faults."""
+        vectors = np.zeros((len(found.vectors), found.degree + 1, len(self.faults)))
+        vectors[:, :, self.used] = found.vectors
+        level = np.sqrt(((found.units[:, :, None] * self.faults[self.used]) ** 2).sum(axis=1))
+        responses = vectors @ self.faults / np.where(level > 0, level, 1.0)
+        s = found.decision.singular_values
+        smallest = found.decision.smallest_kept / s[0] if len(s) and found.decision.rank else 1.0
+        dropped = found.decision.largest_dropped / s[0] if len(s) and s[0] else 0.0
+        floor = max(_SEEN, 100 * np.finfo(float).eps / smallest, dropped / _LEAK)
+        return RelationSpace(vectors * self.units, self.pencil.basis, found.decision, responses, floor)
 
 
-def _reduced(model: RelationModel, ignored: Sequence[str | int]) -> tuple[Pencil, NDArray[np.intp]]:
-    """Return what must be annihilated without the equations that cannot take part, and which are left.
+def _search(model: RelationModel, ignored: Sequence[str | int]) -> _Search:
+    """Return what must be annihilated without the equations that cannot take part.
 
     A column with one entry only, such as that of a sensor fault, rules out its equation exactly.
     """
-    whole = state_pencil(model.plant, model.ignored_columns(ignored), model.basis)
+    own, units = model.in_own_units()
+    whole = state_pencil(own.plant, own.ignored_columns(ignored), own.basis)
     present = (whole.P0 != 0) | (whole.P1 != 0)
     used = np.arange(len(present))
     while len(used):
@@ -183,4 +246,6 @@ def _reduced(model: RelationModel, ignored: Sequence[str | int]) -> tuple[Pencil
         if not alone.any():
             break
         used = used[~alone]
-    return pencil(whole.P0[used], whole.P1[used], model.basis), used
+    height = np.concatenate([units.equations, units.outputs])
+    part = pencil(whole.P0[used], whole.P1[used], own.basis, canonical=True)
+    return _Search(part, used, own.faults, height)

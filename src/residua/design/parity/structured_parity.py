@@ -11,7 +11,7 @@ from residua.design.parity.parity_relations import with_rank
 from residua.design.parity.relation_model import relation_model
 from residua.design.parity.relations import Poles, relations_of
 from residua.design.parity.shortest import shortest_relation
-from residua.errors import SettingError
+from residua.errors import AccuracyError, SettingError
 from residua.linear.pencil_null_space import DEFAULT_RTOL
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
@@ -86,6 +86,14 @@ def structured_parity(
         relations = relations_of(model.plant, [space.relation(model, ignored, vector)], [name])
         own = poles[name] if isinstance(poles, Mapping) else poles
         made = relations.with_poles(own, method="structured parity relation", notes=model.notes)
+        answers = dict(zip(made.faults, made.structure.any(axis=0), strict=True))
+        blind = [fault for fault in part.faults if not answers[fault]]
+        if blind:
+            raise AccuracyError(
+                f"a relation of order {relations.orders[0]} answers to {', '.join(blind)}, but as a filter with these "
+                "poles its response is lost in the rounding of its terms: choose poles near those of the plant, or "
+                "use structured_bank"
+            )
         return with_rank(made, space)
 
     return build_bank(

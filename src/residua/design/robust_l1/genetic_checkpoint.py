@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,12 +13,19 @@ from numpy.typing import NDArray
 from residua.design.robust_l1.search_box import BoxedCost, Matrix
 from residua.errors import FileFormatError, SettingError
 from residua.files import read_bytes, write_text
+from residua.json_files import check_checksum, dumps, loads
+from residua.number_kinds import FINITE, INDEX, NumberKind, number_in
+from residua.visible import shortened
 
 if TYPE_CHECKING:
     from residua.design.robust_l1.genetic_search import GeneticSearch
 
 _FORMAT = "residua-genetic-search"
-_VERSION = 1
+_VERSION = 2
+#: Before it there was no checksum.
+_OLDER = (1,)
+#: Of a point that cannot be used it is infinite.
+_COST = NumberKind("a number, or inf", "f", lambda x: x > -np.inf)
 #: Settings that may differ: they say when a search ends, not how it goes.
 _ENDS = ("generations", "patience", "polish")
 #: How far the cost of a point may differ, relatively, from what it was: libraries round differently.
@@ -46,7 +53,7 @@ def save_checkpoint(path: str | Path, now: Progressed, whose: dict[str, Any]) ->
         "history": [float(x).hex() for x in now.history],
         "evaluations": now.evaluations,
     }
-    write_text(Path(path), json.dumps(content) + "\n")
+    write_text(Path(path), dumps(content))
 
 
 def load_checkpoint(path: str | Path, own: dict[str, Any], box: BoxedCost) -> Progressed | None:
@@ -55,19 +62,22 @@ def load_checkpoint(path: str | Path, own: dict[str, Any], box: BoxedCost) -> Pr
     if not path.exists():
         return None
     try:
-        content = json.loads(read_bytes(path, "a checkpoint").decode("utf-8"))
-        if content.get("format") != _FORMAT or content.get("version") != _VERSION:
+        content = loads(read_bytes(path, "a checkpoint"), path.name)
+        if content.get("format") != _FORMAT or content.get("version") not in (*_OLDER, _VERSION):
             raise ValueError(f'no "format": {_FORMAT!r} of version {_VERSION} in it')
         found = Progressed(
-            np.array([[float.fromhex(x) for x in row] for row in content["points"]]),
-            np.array([float.fromhex(x) for x in content["costs"]]),
-            [float.fromhex(x) for x in content["history"]],
-            int(content["evaluations"]),
+            np.array([_numbers(row, "points", FINITE) for row in content["points"]]),
+            np.array(_numbers(content["costs"], "costs", _COST)),
+            _numbers(content["history"], "history", _COST),
+            number_in(content["evaluations"], "evaluations", INDEX),
         )
         whose = dict(content["search"])
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        if content["version"] == _VERSION and not check_checksum(content, path.name):
+            raise ValueError("it was edited")
+    except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, FileFormatError) as error:
+        told = shortened(str(error))
         raise FileFormatError(
-            f"{path.name} is no checkpoint of a genetic search ({error}): delete it to begin anew"
+            f"{path.name} is no checkpoint of a genetic search ({told}): delete it to begin anew"
         ) from error
     for name, value in own.items():
         if whose.get(name) != value:
@@ -75,7 +85,16 @@ def load_checkpoint(path: str | Path, own: dict[str, Any], box: BoxedCost) -> Pr
                 f"{path.name} belongs to another search: its {name} is not the same; delete it to begin anew, or give "
                 "another checkpoint"
             )
-    if found.points.shape != (len(found.costs), box.dimension) or not found.history:
+    if (
+        found.points.shape != (len(found.costs), box.dimension)
+        or not len(found.points)
+        or not found.history
+        or np.any(found.points < box.lower)
+        or np.any(found.points > box.upper)
+        or np.any(np.diff(found.costs) < 0)
+        or found.history[-1] != found.costs[0]
+        or any(later > earlier for earlier, later in pairwise(found.history))
+    ):
         raise FileFormatError(f"{path.name} is damaged: delete it to begin anew")
     # the probes may all be penalised, and then tell nothing of the cost of what is feasible
     if not np.allclose(box.values(box.inside(found.points)), found.costs, rtol=_SAME, atol=0.0):
@@ -85,6 +104,11 @@ def load_checkpoint(path: str | Path, own: dict[str, Any], box: BoxedCost) -> Pr
         )
     box.evaluations = found.evaluations
     return found
+
+
+def _numbers(values: Any, where: str, kind: NumberKind) -> list[float]:
+    """Return numbers that were written to the last bit, each of a kind."""
+    return kind.check(np.array([float.fromhex(value) for value in values], dtype=float), where).tolist()
 
 
 def settings_of(search: Any) -> dict[str, Any]:

@@ -95,7 +95,8 @@ def check_stable(response: MemberResponse, values: Points) -> None:
     if not A.shape[1]:
         return
     consequence = f"its output does not settle, so that it has no gain: {REMEDY}"
-    check_modes(np.linalg.eigvals(A), values, response.parameters, response.dt, consequence)
+    modes = np.linalg.eigvals(A + response.origin * np.eye(A.shape[1]))
+    check_modes(modes, values, response.parameters, response.dt, consequence)
 
 
 def _at_frequencies(points: Points, first: float, last: float) -> Points:

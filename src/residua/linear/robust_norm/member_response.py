@@ -24,6 +24,7 @@ class MemberResponse:
     """An uncertain system in units of states of its own, evaluated at points ``(parameters, theta)``.
 
     ``theta`` is rad/s for continuous systems and rad/sample for sampled ones, the last coordinate of every point.
+    Sampled systems are held as ``A - I``, seen from ``z - 1``: these cancel where poles lie near one, exactly.
 
     Attributes
     ----------
@@ -48,14 +49,19 @@ class MemberResponse:
     dt: float
     constant: bool
 
+    @property
+    def origin(self) -> float:
+        """What ``z`` is seen from: one for sampled systems, zero for ``s``."""
+        return 1.0 if self.dt else 0.0
+
     def variable(self, theta: NDArray[np.float64]) -> Array:
-        """Return ``s`` or ``z`` at frequencies."""
+        """Return ``s`` or ``z - 1`` at frequencies."""
         if self.constant:
-            return np.full(theta.shape, 1.0 if self.dt else 0.0)
-        return np.exp(1j * theta) if self.dt else 1j * theta
+            return np.zeros(theta.shape)
+        return np.expm1(1j * theta) if self.dt else 1j * theta
 
     def members(self, values: NDArray[np.float64]) -> tuple[Array, Array]:
-        """Return ``A`` and ``C`` of members, shapes (count, n, n) and (count, p, n)."""
+        """Return ``A``, less one where sampled, and ``C`` of members, shapes (count, n, n) and (count, p, n)."""
         F = values[:, self.owners][:, :, None] * self.Cq
         return self.A + self.Bp @ F, self.Cz + self.Dzp @ F
 
@@ -92,7 +98,7 @@ class MemberResponse:
         slopes = np.zeros((len(T), len(point)), dtype=complex)
         np.add.at(slopes.T, self.owners, (to_output * (self.Cq @ x)).T)
         if not self.constant:
-            slopes[:, -1] = -(1j * z if self.dt else 1j) * (C @ (R @ x))
+            slopes[:, -1] = -(1j * (z + self.origin) if self.dt else 1j) * (C @ (R @ x))
         # of every input alone: the weakest combination of them is where they cancel
         size, states = np.abs(v), np.abs(R @ B) @ np.abs(v)
         terms = np.abs(C @ R) @ ((abs(z) + np.abs(A)) @ states + np.abs(B) @ size) + np.abs(C) @ states
@@ -103,7 +109,7 @@ def member_response(system: UncertainSystem, *, constant: bool) -> MemberRespons
     """Return a system in units of states that do not depend on those it is given in."""
     T = reached_units(system)
     return MemberResponse(
-        system.A / T[:, None] * T,
+        (system.A - float(system.dt > 0) * np.eye(len(T))) / T[:, None] * T,
         system.Bp / T[:, None],
         system.Bw / T[:, None],
         system.Cq * T,

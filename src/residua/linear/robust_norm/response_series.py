@@ -72,7 +72,9 @@ def centre(response: MemberResponse, low: Real, high: Real) -> Centre:
     select = np.eye(low.shape[1])[response.owners]
     M12, M21, M22 = left @ response.Bp + U @ response.Dzp, response.Cq @ right, response.Cq @ R @ response.Bp
     if not response.constant and n:
-        M12, M22, M21, condition = _with_frequency(response, (A, z, R), (M12, M22, M21), (left, right))
+        M12, M22, M21, condition = _with_frequency(
+            response, (A, z + response.origin, R), (M12, M22, M21), (left, right)
+        )
         select = np.vstack([select, np.repeat(np.eye(low.shape[1])[-1:], n, axis=0)])
         relative = relative + condition
         if response.dt:

@@ -123,7 +123,8 @@ def smallest_gain(
         of the band wherever the bound is positive; poles are computed of the members inside, of up to 128 corners and
         of those where that proof fails at first.
 
-    Sizes that cancel are taken to be off by 1e-12: a gain below that is zero.
+    Sizes that cancel are taken to be off by 1e-12: a gain below that is zero. Of sampled systems, ``A - I`` and
+    ``z - 1`` are such sizes, so that slow poles cancel nothing.
 
     What it takes grows fast with the number of parameters of a large set: a dozen are settled in tens of milliseconds,
     dozens only where together they change the gain by less than about a half; else the bound may stay at 0.

@@ -2,7 +2,7 @@
   "use strict";
   const root = document.documentElement;
   const page = JSON.parse(document.getElementById("residua-data").textContent);
-  const HEIGHT = { residual: 160, statistic: 220, member: 160, scores: 240 };
+  const HEIGHT = { residual: 160, statistic: 220, member: 160, scores: 240, signal: 160 };
   const everything = [];
   let colours = {};
   let drawn = 0;
@@ -10,7 +10,7 @@
   function readColours() {
     const style = getComputedStyle(root);
     colours = {};
-    for (const name of ["paper", "text", "muted", "grid", "alarm", "missing", "undecided", "band", "threshold", "onset", "fade"])
+    for (const name of ["paper", "text", "muted", "grid", "alarm", "missing", "undecided", "band", "threshold", "onset", "fade", "began"])
       colours[name] = style.getPropertyValue("--" + name).trim();
     colours.series = [0, 1, 2, 3, 4, 5, 6, 7].map((k) => style.getPropertyValue("--c" + k).trim());
   }
@@ -18,6 +18,49 @@
   function times(x) {
     if (x.list) return x.list;
     return Float64Array.from({ length: x.n }, (_, k) => x.start + k * x.step);
+  }
+
+  // Seconds become clock times (of a clock without zones, taken for UTC by the chart), or hours or days.
+  function called(data) {
+    const { base, factor } = data.clock;
+    const shift = (t) => (base == null ? t / factor : base + t);
+    data.times = Float64Array.from(times(data.x), shift);
+    data.ends = data.ends.map(shift);
+    data.onsets = data.onsets.map(shift);
+    for (const kind in data.spans) data.spans[kind] = data.spans[kind].map((pair) => pair.map(shift));
+    for (const chart of data.charts) {
+      if (chart.alarms) chart.alarms = chart.alarms.map((pair) => pair.map(shift));
+      if (chart.onsets) chart.onsets = chart.onsets.map(shift);
+    }
+  }
+
+  const two = (v) => String(v).padStart(2, "0");
+  const day = (d) => d.getUTCFullYear() + "-" + two(d.getUTCMonth() + 1) + "-" + two(d.getUTCDate());
+
+  function clockTime(seconds, step) {
+    const digits = step >= 1 ? 0 : Math.min(3, Math.ceil(-Math.log10(step) - 1e-9));
+    const d = new Date(Math.round(seconds * 10 ** digits) / 10 ** digits * 1000);
+    const rest = digits ? "." + String(d.getUTCMilliseconds()).padStart(3, "0").slice(0, digits) : "";
+    return two(d.getUTCHours()) + ":" + two(d.getUTCMinutes()) + ":" + two(d.getUTCSeconds()) + rest;
+  }
+
+  // The time of day at each tick, without seconds where all are whole minutes; the date below the first of each day.
+  function clockTicks(u, splits) {
+    const step = splits.length > 1 ? splits[1] - splits[0] : 60;
+    let last = "";
+    return splits.map((v) => {
+      const date = day(new Date(v * 1000));
+      const time = step >= 86400 ? "" : step >= 60 ? clockTime(v, 1).slice(0, 5) : clockTime(v, step);
+      const text = date === last ? time : time + (time ? "\n" : "") + (last ? date.slice(5) : date);
+      last = date;
+      return text;
+    });
+  }
+
+  function told(data, v) {
+    if (v == null) return "";
+    if (data.clock.base != null) return day(new Date(v * 1000)) + " " + clockTime(v, data.x.step || 1);
+    return "t = " + Number(v.toPrecision(8)) + " " + data.clock.unit;
   }
 
   function short(value) {
@@ -57,6 +100,11 @@
           if (right < box.left || left > box.left + box.width) continue;
           ctx.fillRect(left, box.top, Math.max(right - left, devicePixelRatio), box.height);
         }
+      }
+      ctx.fillStyle = colours.began;
+      for (const [a, b] of chart.kind === "member" && chart.alarms ? [] : data.spans.began) {
+        const left = u.valToPos(a, "x", true), right = u.valToPos(b, "x", true);
+        ctx.fillRect(left, box.top, Math.max(right - left, 2 * devicePixelRatio), box.height);
       }
       if (chart.band) {
         const low = u.valToPos(chart.band[0], "y", true), high = u.valToPos(chart.band[1], "y", true);
@@ -161,23 +209,26 @@
     const axis = { stroke: () => colours.muted, grid: { stroke: () => colours.grid, width: 1 },
       ticks: { stroke: () => colours.grid, width: 1 }, font: "12px system-ui, sans-serif",
       labelFont: "12px system-ui, sans-serif", labelSize: 18 };
-    const names = { residual: chart.estimate ? "estimate" : "residual", statistic: "statistic [–]", member: "statistic [–]", scores: "score [–]" };
+    const clock = data.clock.base != null, time = clock ? "time" : "time [" + data.clock.unit + "]";
+    const names = { signal: "value", residual: chart.estimate ? "estimate" : "residual", statistic: "statistic [–]", member: "statistic [–]", scores: "score [–]" };
+    const several = chart.names.length > 1;
     const label = chart.axis || (chart.unit ? names[chart.kind] + " [" + chart.unit + "]" : names[chart.kind]);
     return {
       width, height: HEIGHT[chart.kind], padding: [8, 14, 0, 0],
-      scales: { x: { time: false, range: (u, min, max) => (min == null ? data.ends : [min, max]) }, y: yScale(chart, data) },
+      scales: { x: { time: clock, range: (u, min, max) => (min == null ? data.ends : [min, max]) }, y: yScale(chart, data) },
       axes: [
-        { ...axis, label: "time [s]", size: 30, values: ticks },
+        { ...axis, label: clock ? "" : time, labelSize: clock ? 0 : 18, size: clock ? 44 : 30, values: clock ? clockTicks : ticks },
         { ...axis, label, size: 62, values: chart.log ? undefined : ticks, space: 24 },
       ],
       series: [
-        { label: "time [s]", value: (u, v) => (v == null ? "" : String(Number(v.toPrecision(8)))) },
+        { label: time, value: (u, v) => told(data, v) },
         ...chart.names.map((name, k) => ({
-          label: name, scale: "y", width: chart.kind === "scores" ? 1.75 : 1.25, value: (u, v) => short(v),
+          label: name, scale: "y", width: chart.kind === "scores" || (several && k) ? 1.75 : 1.25, value: (u, v) => short(v),
           stroke: () => colours.series[k % 8], dash: k >= 8 ? [6, 3 + 3 * Math.floor(k / 8)] : undefined,
         })),
       ],
-      legend: { show: chart.kind === "scores" },
+      tzDate: (ts) => uPlot.tzDate(new Date(ts * 1000), "Etc/UTC"),
+      legend: { show: chart.kind === "scores" || several },
       cursor: { y: false, drag: { x: true, y: false, dist: 4 }, bind: { dblclick: () => () => zoom(data, ...data.ends) },
         sync: { key: "residua" + data.id, setSeries: false, scales: ["x", null],
           filters: { pub: (type) => type === "mousemove" || type === "mouseleave" } } },
@@ -191,7 +242,7 @@
   function read(entry, u) {
     if (!entry.readout) return;
     const k = u.cursor.idx, value = k == null ? null : u.data[1][k];
-    const at = k == null ? "" : "t = " + Number(u.data[0][k].toPrecision(8)) + " s: ";
+    const at = k == null ? "" : told(entry.data, u.data[0][k]) + ": ";
     entry.readout.textContent = at && at + (value == null ? "no value" : short(value) + (entry.chart.unit ? " " + entry.chart.unit : ""));
   }
 
@@ -228,7 +279,7 @@
     document.querySelectorAll(".charts").forEach((block) => {
       const data = page.diagnoses[Number(block.dataset.diagnosis)];
       data.id = block.dataset.diagnosis;
-      data.times = times(data.x);
+      called(data);
       data.view = data.ends;
       data.entries = [];
       block.querySelectorAll("figure.chart").forEach((figure) => {

@@ -1,0 +1,183 @@
+"""The options that say how a recording is to be read, and reading it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from residua.cli import screen
+from residua.errors import ModelError, ResiduaError
+from residua.monitor import Monitor
+from residua.monitor.recording import Recording, read_recording
+
+
+class Decimal(StrEnum):
+    """What stands before the decimals."""
+
+    point = "point"
+    comma = "comma"
+
+    @property
+    def mark(self) -> str:
+        """The mark itself."""
+        return "." if self is Decimal.point else ","
+
+
+def _positive(value: float | None) -> float | None:
+    if value is not None and not 0 < value < float("inf"):
+        raise typer.BadParameter(f"must be positive, got {value:g}")
+    return value
+
+
+def _columns(text: str | None) -> str | None:
+    if text is not None:
+        try:
+            parse_columns(text)
+        except ValueError as error:
+            raise typer.BadParameter(str(error)) from None
+    return text
+
+
+TimeColumn = Annotated[
+    str | None, typer.Option("--time", metavar="NAME", help="Column with the times, in seconds or dates.")
+]
+Step = Annotated[
+    float | None,
+    typer.Option(
+        "--dt",
+        metavar="S",
+        callback=_positive,
+        help="Step in seconds, for recordings without times or whose times are not to be used; with --fill-gaps that "
+        "of the grid.",
+    ),
+]
+Variable = Annotated[
+    str | None, typer.Option("--variable", metavar="NAME", help="Which array of a .mat or .npz file to read.")
+]
+FillGaps = Annotated[
+    bool, typer.Option("--fill-gaps", help="Put the rows on a grid of equal steps; missing rows become gaps.")
+]
+Tolerance = Annotated[
+    float | None,
+    typer.Option(
+        "--tolerance",
+        metavar="PART",
+        callback=_positive,
+        help="Largest irregularity of the times as a part of the step: 0.01, with --fill-gaps 0.1.",
+    ),
+]
+DayFirst = Annotated[
+    bool | None, typer.Option("--day-first/--month-first", help="How dates such as 3/4/2026 are to be read.")
+]
+TimeFormat = Annotated[
+    str | None, typer.Option("--time-format", metavar="FORMAT", help="How dates are written, as %d-%b-%Y %H:%M:%S.")
+]
+DecimalMark = Annotated[Decimal, typer.Option("--decimal", help="What stands before the decimals in text.")]
+Columns = Annotated[
+    str | None,
+    typer.Option(
+        "--columns",
+        metavar="LIST",
+        callback=_columns,
+        help="CHANNEL=COLUMN,... where names differ; or the names of all columns in order, where the file has none.",
+    ),
+]
+Transpose = Annotated[
+    bool, typer.Option("--transpose", help="Time runs along the rows of a matrix, or of text without a header.")
+]
+
+
+def parse_columns(text: str) -> dict[str, str] | list[str]:
+    """Return ``channel=column`` pairs as a mapping, names alone as a list."""
+    parts = [part.strip() for part in text.split(",")]
+    if not all(parts):
+        raise ValueError("a name is empty")
+    pairs = [[half.strip() for half in part.split("=", 1)] for part in parts]
+    if all(len(pair) == 1 for pair in pairs):
+        return parts
+    if not all(len(pair) == 2 and all(pair) for pair in pairs):
+        raise ValueError("give either CHANNEL=COLUMN for each, or the names of all columns")
+    names = [pair[0] for pair in pairs]
+    if len(set(names)) < len(names):
+        raise ValueError("a channel is named twice")
+    return {pair[0]: pair[1] for pair in pairs}
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What was said about how recordings are to be read."""
+
+    time: str | None
+    dt: float | None
+    variable: str | None
+    fill_gaps: bool
+    tolerance: float | None
+    dayfirst: bool | None
+    time_format: str | None
+    decimal: Decimal
+    columns: str | None
+    transpose: bool
+
+    def read(self, path: Path, watch: Monitor) -> Recording:
+        """Read a recording for a monitor."""
+        try:
+            plant = watch.generator.plant  # sampled: knows the step of recordings without times
+        except ModelError:
+            plant = watch.design.plant
+        columns: Mapping[str, str] | Sequence[str] | None = (
+            None if self.columns is None else parse_columns(self.columns)
+        )
+        with screen.reading(path), _in_words_of_options():
+            found = read_recording(
+                path,
+                plant,
+                time=self.time,
+                dt=self.dt,
+                columns=columns,
+                variable=self.variable,
+                tolerance=self.tolerance,
+                fill_gaps=self.fill_gaps,
+                dayfirst=self.dayfirst,
+                time_format=self.time_format,
+                decimal=self.decimal.mark,
+                transpose=self.transpose,
+            )
+        return replace(found, notes=tuple(map(reading_words, found.notes)))
+
+
+#: What is said in Python about reading, as a pattern, and the same for the command line.
+_WORDS = {
+    r"fill_gaps=True of read_recording and recording_from_frame": "--fill-gaps",
+    r"\bfill_gaps(=True)?\b": "--fill-gaps",
+    r"dayfirst=True\b": "--day-first",
+    r"dayfirst=False\b": "--month-first",
+    r"time_format=(?=[,; ])": "--time-format",
+    r"decimal=','": "--decimal comma",
+    r"columns=\[\.\.\.\]": '--columns "NAME,NAME,..."',
+    r"columns must be a mapping \{channel: column\} here": "--columns takes CHANNEL=COLUMN here",
+    r"\b(time|dt|variable|tolerance)=(?=[,;. )]|$)": r"--\1",
+    r"\bdt=(?= says)": "--dt",
+    r"\btranspose is for": "--transpose is for",
+}
+
+
+def reading_words(text: str) -> str:
+    """Return what is said about reading a recording in the words of the command line."""
+    for python, here in _WORDS.items():
+        text = re.sub(python, here, text)
+    return text
+
+
+@contextmanager
+def _in_words_of_options() -> Iterator[None]:
+    try:
+        yield
+    except ResiduaError as error:
+        raise type(error)(reading_words(str(error))) from error

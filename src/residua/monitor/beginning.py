@@ -1,0 +1,102 @@
+"""When what an alarm is about began: the change of the residual that raised it, dated with an interval."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide.change_time import CONFIDENCE, LEAST_BEFORE, ChangeTime, change_time
+from residua.monitor.alarm import Alarm, Beginning
+
+#: Alarms of one recording that are dated at most, the longest first.
+MOST_DATED = 20
+#: Alarms less than this many samples apart are looked at together: what raised the last one may have begun before them.
+APART = 200
+#: Samples of an alarm from which the direction of the change is taken at most.
+_MOST_ALARM = 2000
+#: Least squared distance that the residual has moved, in units of what noise alone moves it, to know its direction.
+CLEAR_DIRECTION = 10.0
+#: What is below this fraction of the largest value of a residual is rounding.
+_ROUNDING = 1e-9
+
+
+def with_beginnings(
+    alarms: Sequence[Alarm], residuals: NDArray[np.float64], usable: NDArray[np.bool_], time: NDArray[np.float64]
+) -> tuple[Alarm, ...]:
+    """Return the alarms, the longest of them with the interval in which they began, where that can be told.
+
+    Parameters
+    ----------
+    alarms : sequence of Alarm
+        In order.
+    residuals : ndarray, shape (time, residuals)
+    usable : ndarray of bool, shape (time,)
+    time : ndarray, shape (time,)
+    """
+    longest = sorted(range(len(alarms)), key=lambda k: -alarms[k].samples)[:MOST_DATED]
+    judged = np.flatnonzero(usable & np.isfinite(residuals).all(axis=1))
+    out = list(alarms)
+    for k in longest:
+        first = k
+        while first and alarms[first].start - alarms[first - 1].stop < APART:
+            first -= 1
+        crossed = min(alarms[first].start, int(np.searchsorted(time, alarms[first].onset)))
+        rows = judged[(judged >= (alarms[first - 1].stop if first else 0)) & (judged < alarms[k].stop)]
+        out[k] = replace(alarms[k], began=_beginning(alarms[k].start, crossed, residuals, rows, time))
+    return tuple(out)
+
+
+def _beginning(
+    raised: int, crossed: int, residuals: NDArray[np.float64], rows: NDArray[np.int64], time: NDArray[np.float64]
+) -> Beginning | None:
+    """Return when the change began that raised an alarm, by some samples; nothing was over before ``crossed``."""
+    quiet, last = int(np.searchsorted(rows, crossed)), int(np.searchsorted(rows, raised))
+    if quiet < LEAST_BEFORE or last >= len(rows):
+        return None
+    signal = _along_change(residuals[rows], quiet, last)
+    found = None if signal is None else change_time(signal, quiet, last)
+    return None if found is None else _timed(found, rows, time)
+
+
+def _timed(found: ChangeTime, rows: NDArray[np.int64], time: NDArray[np.float64]) -> Beginning:
+    """Return an interval of samples as times: what a sample is the first to show began after the one before."""
+    earliest = None if found.earliest is None else float(time[rows[found.earliest - 1]])
+    return Beginning(earliest, float(time[rows[found.estimate]]), float(time[rows[found.latest]]), CONFIDENCE)
+
+
+def _along_change(residuals: NDArray[np.float64], quiet: int, last: int) -> NDArray[np.float64] | None:
+    """Return the residual along the direction in which it has moved, up to the samples that told the direction.
+
+    That is taken from the second half of the alarm, as noise would otherwise point along itself where the alarm begins;
+    from all of it where it is clear beyond that. ``None`` where it is not known well.
+    """
+    before = residuals[:quiet]
+    level = before.mean(axis=0)
+    scale = np.maximum(before.std(axis=0), _ROUNDING * np.abs(residuals).max(axis=0))
+    z = (residuals - level) / np.where(scale > 0, scale, 1.0)
+    k = z.shape[1]
+    shrunk = min(1.0, k / quiet)  # few samples know a covariance badly
+    steps = np.diff(z[:quiet], axis=0)  # in which the beginning of a drift does not count
+    size = np.mean(steps**2) / 2
+    noise = (1 - shrunk) * (steps.T @ steps) / (2 * len(steps)) + (shrunk * size + _ROUNDING) * np.eye(k)
+    noise /= size if size > 0 else 1.0
+    slow = float(np.clip(np.mean(z[1:quiet] * z[: quiet - 1]), 0.0, 0.99))  # noise that lasts counts for less
+    half = last + (len(z) - last) // 2
+    for start, stop, enough in ((half, half, CLEAR_DIRECTION * k), (last, len(z), CLEAR_DIRECTION * k * max(1, k / 3))):
+        weights, moved = _direction(z[start : start + _MOST_ALARM], noise)
+        if k == 1 or moved * (1 - slow) / (1 + slow) >= enough:
+            return z[:stop] @ weights if k > 1 else z[:, 0] * np.sign(weights[0])
+    return None
+
+
+def _direction(after: NDArray[np.float64], noise: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Return the weights that show best that a residual has moved, over its first samples, as many as show it best."""
+    counts = np.arange(1, len(after) + 1)
+    means = np.cumsum(after, axis=0) / counts[:, None]
+    weights = np.linalg.solve(noise, means.T).T
+    moved = counts * np.einsum("ij,ij->i", means, weights)
+    best = int(np.argmax(moved))
+    return weights[best], float(moved[best])

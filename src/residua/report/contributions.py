@@ -1,0 +1,101 @@
+"""Which residuals carry the statistic of an alarm, and whether they left their own bands."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.report.tables import html_table
+from residua.report.text import escape, percent
+
+if TYPE_CHECKING:
+    from residua.monitor.diagnosis import Diagnosis
+
+#: Residuals whose shares are listed at once.
+SHOWN_SHARES = 10
+
+
+def averaged_residuals(diagnosis: Diagnosis) -> NDArray[np.float64]:
+    """Return the residuals averaged over the window of the test, as it judges them; NaN where nothing is judged."""
+    out = np.where(diagnosis.decided[:, None], diagnosis.residuals, np.nan)
+    n, window = len(out), diagnosis.averaged
+    if window <= 1 or not n:
+        return out
+    rows = np.flatnonzero(np.isfinite(out).all(axis=1))
+    total = np.vstack([np.zeros(out.shape[1]), np.cumsum(out[rows] - diagnosis.center, axis=0)])
+    start = np.maximum(np.arange(len(rows)) + 1 - window, 0)
+    out[rows] = diagnosis.center + (total[1:] - total[start]) / window
+    return out
+
+
+def shares_of_statistic(diagnosis: Diagnosis) -> NDArray[np.float64] | None:
+    """Return which fraction of the squared statistic each residual carries over the main alarm; they add to one.
+
+    Whitened residuals are turned to lie as near as can be to the axes of the residuals (the symmetric square root of
+    the inverse covariance), so that each of them belongs to one. ``None`` without an alarm, and where the statistic is
+    not a norm of all residuals: of a bank by code, and of matched filters.
+    """
+    main = diagnosis.main_alarm
+    if main is None or diagnosis.codes is not None or diagnosis.match is not None:
+        return None
+    rows = averaged_residuals(diagnosis)[main.start : main.stop]
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    if not len(rows):
+        return None
+    U, s, _ = np.linalg.svd(diagnosis.whitening)
+    root = (U * s) @ U.T
+    center = np.zeros(rows.shape[1]) if diagnosis.horizon else diagnosis.center
+    squares = np.mean(((rows - center) @ root) ** 2, axis=0)
+    total = float(squares.sum())
+    return squares / total if total > 0 else None
+
+
+def inside_band(diagnosis: Diagnosis, start: int, stop: int) -> NDArray[np.float64]:
+    """Return in which fraction of the judged samples of a stretch each residual was inside its band; NaN for none."""
+    rows = averaged_residuals(diagnosis)[start:stop]
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    if not len(rows):
+        return np.full(diagnosis.residuals.shape[1], np.nan)
+    return np.mean(np.abs(rows - diagnosis.center) <= diagnosis.band, axis=0)
+
+
+def contribution_html(diagnosis: Diagnosis) -> str:
+    """Return the residuals that carry the statistic of the main alarm, with what to make of one inside its band."""
+    shares = shares_of_statistic(diagnosis)
+    main = diagnosis.main_alarm
+    if shares is None or main is None or len(shares) < 2:
+        return ""
+    inside = inside_band(diagnosis, main.start, main.stop)
+    order = np.argsort(-shares, kind="stable").tolist()
+    rows = []
+    for i in order[:SHOWN_SHARES]:
+        bar = f'<td class="bar"><span style="--w:{100 * shares[i]:.1f}%"></span></td>'
+        told = "–" if np.isnan(inside[i]) else percent(round(1000 * (1 - float(inside[i]))), 1000)
+        name = f'<td class="name">{escape(diagnosis.residual_names[i])}</td>'
+        rows.append([name, bar, f'<td class="num">{100 * shares[i]:.1f} %</td>', f'<td class="num">{told}</td>'])
+    rest = order[SHOWN_SHARES:]
+    if rest:
+        total = 100 * float(shares[rest].sum())
+        rows.append([f"{len(rest)} more residuals", "", f'<td class="num">{total:.1f} %</td>', ""])
+    header = ["Residual", "", "Share of the squared statistic", "Alarm's samples outside its band"]
+    return (
+        "<h3>What carries the alarm</h3>"
+        f"{html_table(header, rows, caption='Share of the statistic by residual, mean over the main alarm')}"
+        f"{_inside_text(diagnosis, order[0], float(shares[order[0]]), float(inside[order[0]]))}"
+    )
+
+
+def _inside_text(diagnosis: Diagnosis, i: int, share: float, inside: float) -> str:
+    """Explain how a residual can carry an alarm from inside its band, where that is so."""
+    if not inside >= 0.5:
+        return ""
+    how = "the whole" if inside == 1 else f"{percent(round(1000 * inside), 1000)} of the"
+    name = escape(diagnosis.residual_names[i])
+    return (
+        f"<p><b>{name} carries {100 * share:.0f} % of the statistic although it stayed inside its own band for {how} "
+        "alarm.</b> The band is that of this residual alone. The test judges all residuals together, against how they "
+        "move together while nothing fails: small deviations at the same time, or one that the others do not follow, "
+        "can be as unlikely as a large one.</p>"
+    )

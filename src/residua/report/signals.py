@@ -1,0 +1,78 @@
+"""Charts of what was measured, and of what the model made of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from residua.report.choosing import signal_order
+from residua.report.decimate import Bins
+from residua.report.text import listing, rounded, some, visible
+
+if TYPE_CHECKING:
+    from residua.monitor.diagnosis import Diagnosis
+
+#: Measured outputs that are shown at once; the others, and the inputs, are behind a click.
+SHOWN_SIGNALS = 4
+
+
+def signal_charts(diagnosis: Diagnosis, bins: Bins) -> list[dict[str, Any]]:
+    """Return the charts of the outputs, with their predictions where there are any, and then of the inputs."""
+    if not len(diagnosis.signals):
+        return []
+    plant = diagnosis.generator.plant
+    m, predicted = len(plant.inputs), diagnosis.predictions
+    charts = []
+    for j in signal_order(diagnosis):
+        name = plant.outputs[j]
+        chart = _chart(diagnosis, name, "output", m + j, bins)
+        if name in predicted:
+            chart["y"].append(rounded(bins.extremes(predicted[name])))
+            chart["names"].append("model")
+            seen = predicted[name][diagnosis.decided]
+            seen = np.concatenate([seen, diagnosis.signals[:, m + j]])
+            seen = seen[np.isfinite(seen)]
+            chart["limits"] = [float(seen.min()), float(seen.max())] if seen.size else None
+        charts.append(chart)
+    return charts + [_chart(diagnosis, name, "input", k, bins) for k, name in enumerate(plant.inputs)]
+
+
+def _chart(diagnosis: Diagnosis, name: str, role: str, column: int, bins: Bins) -> dict[str, Any]:
+    return {
+        "kind": "signal",
+        "role": role,
+        "label": visible(name),
+        "unit": visible(diagnosis.generator.plant.units.get(name, "")),
+        "y": [rounded(bins.extremes(diagnosis.signals[:, column]))],
+        "names": ["measured"],
+    }
+
+
+def signal_text(diagnosis: Diagnosis) -> str:
+    """Say what the prediction of the model is, and for which outputs there is none."""
+    if not len(diagnosis.signals):
+        return ""
+    plant = diagnosis.generator.plant
+    predicted = diagnosis.predictions
+    if not predicted:
+        return (
+            "The filter of this monitor makes residuals without predicting an output, so what was measured stands here "
+            "alone; the residuals tell how it differs from the model."
+        )
+    text = (
+        "Model: what the filter expected of an output from everything measured up to the sample before (and the inputs "
+        "of the sample itself). It follows the measurements, so a small lasting gap between the lines is what counts: "
+        "the residual below is that gap, enlarged."
+    )
+    without = [name for name in plant.outputs if name not in predicted]
+    return text + (f" No prediction is made of {some(without)}." if without else "")
+
+
+def shown_text(diagnosis: Diagnosis) -> str:
+    """Say which outputs are drawn first, where not all are."""
+    order = signal_order(diagnosis)
+    if len(order) <= SHOWN_SIGNALS or diagnosis.main_alarm is None:
+        return ""
+    names = listing(diagnosis.generator.plant.outputs[j] for j in order[:SHOWN_SIGNALS])
+    return f" Drawn first: {names}, which moved the most in the main alarm."

@@ -1,0 +1,194 @@
+"""Every pair of public answers about the same question agrees: with exact ranks, whatever the units."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import residua as rs
+from agreement import Disagreements, compare
+from exact_answers import Exact
+from residua.design.parity.relation_model import relation_model
+from residua.design.parity.shortest import shortest_relation
+from residua.errors import AccuracyError
+from residua.linear.pencil_null_space import DEFAULT_RTOL
+from residua.plant.algebraic_equations import without_algebraic_equations
+from whole_number_plants import KINDS, in_other_units, whole_number_plant
+
+#: Plants of eighteen kinds; in the campaign many more.
+FEW, MANY = range(36), range(36, 2000)
+
+
+def asked(seeds: range) -> Disagreements:
+    """Ask about plants as they are, and in units over 2^-20 to 2^20."""
+    out = Disagreements()
+    for seed in seeds:
+        plant = whole_number_plant(seed)
+        exact = Exact(plant)
+        compare(plant, exact, f"plant {seed}, {KINDS[seed % len(KINDS)]}", out, seed)
+        compare(in_other_units(plant, seed), exact, f"plant {seed} in other units", out, seed)
+    return out
+
+
+def test_answers_are_the_exact_ones_in_any_units() -> None:
+    out = asked(FEW)
+    assert out.wrong == []
+    assert out.refused == []
+    assert out.counts["isolable"] == 2 * len(FEW)
+    assert out.counts["attainable, constant"] >= 200
+
+
+@pytest.mark.campaign
+def test_answers_of_many_plants_are_the_exact_ones_in_any_units() -> None:
+    out = asked(MANY)
+    print(dict(out.counts), *out.refused, sep="\n")
+    assert out.wrong == []
+    assert len(out.refused) < 1e-3 * sum(out.counts.values())
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_designs_are_the_same_to_the_last_bit_in_units_of_powers_of_two(seed: int) -> None:
+    plant = whole_number_plant(17 + 18 * seed)
+    other = in_other_units(plant, seed)
+    mine, scaled = rs.diagnosability(plant), rs.diagnosability(other)
+    assert np.array_equal(mine.visibility, scaled.visibility)
+    ignored = plant.faults[:1]
+    if not Exact(plant).exists([0]):
+        return
+    a, b = (rs.design.decoupled_residual(p, insensitive_to=ignored) for p in (plant, other))
+    assert np.array_equal(a.system.A, b.system.A)
+    assert np.array_equal(a.system.C, b.system.C)
+    assert np.array_equal(a.structure, b.structure)
+    assert a.evidence.decoupling == b.evidence.decoupling
+    assert all(np.array_equal(a.subspaces[name], b.subspaces[name]) for name in plant.faults)
+
+
+def test_a_chain_of_five_integrators_with_a_dead_output() -> None:
+    """A constant fault at the end of the chain moves nothing for good that a residual may keep: exactly."""
+    n = 5
+    for C in (np.vstack([np.eye(n)[[4]], np.zeros((1, n))]), np.vstack([np.eye(n)[[0, 4]], np.zeros((1, n))])):
+        plant = rs.Plant(np.eye(n, k=-1), np.eye(n)[:, :1], C).with_actuator_faults().with_sensor_faults()
+        plant = plant.with_faults({f"leak {i}": np.eye(n)[i] for i in range(n)})
+        exact = Exact(plant)
+        assert np.array_equal(rs.diagnosability(plant).strongly_detectable, exact.lasting())
+        told = set(rs.coding.attainable(plant, constant=True).digits)
+        for code in rs.coding.attainable(plant).digits:
+            ignored = [i for i, c in enumerate(code) if c == "0"]
+            ones = [i for i, c in enumerate(code) if c == "1"]
+            assert (code in told) == bool(exact.lasting(ignored)[ones].all()), code
+
+
+def test_constant_faults_at_a_plant_zero_at_the_limit() -> None:
+    """Two integrators in series: what only the second fault leaves in the limit shrinks nowhere near it."""
+    for seed in (274, 16, 34, 52, 70):
+        plant = whole_number_plant(seed)
+        out = Disagreements()
+        compare(plant, Exact(plant), f"plant {seed}", out, seed)
+        assert out.wrong == []
+
+
+def test_one_plant_in_two_forms_has_the_same_answers() -> None:
+    """Algebraic equations of index one, written out and solved."""
+    solved = 0
+    for seed in range(14, 14 + 18 * 40, 18):
+        plant = whole_number_plant(seed)
+        assert KINDS[seed % 18] == "index one"
+        if plant.E is None or np.linalg.matrix_rank(plant.E) == plant.n_states:
+            continue
+        exact, found = Exact(plant), rs.diagnosability(plant)
+        n = len(plant.faults)
+        isolable = np.array([exact.visible([j]) for j in range(n)]).T & ~np.eye(n, dtype=bool)
+        other = rs.diagnosability(without_algebraic_equations(plant).explicit())
+        for form in (found, other):
+            assert np.array_equal(form.isolable, isolable), seed
+            assert np.array_equal(form.strongly_isolable, found.strongly_isolable), seed
+            assert np.array_equal(form.strongly_detectable, exact.lasting()), seed
+        solved += 1
+    assert solved >= 20
+
+
+def test_a_benchmark_plant_of_which_the_rates_lie_far_apart(shared_data: Path) -> None:
+    """SLICOT's BD01_2_01, rates from 0.4 to 1e6: what diagnosability separates a residual does, and no more."""
+    from scipy.io import loadmat
+
+    data = loadmat(shared_data / "slicot_benchmarks" / "BD01_2_01.mat")
+    for row in range(2):
+        plant = rs.Plant(data["A"], data["B"], data["C"][[row]]).with_actuator_faults().with_sensor_faults()
+        exact, found = Exact(plant), rs.diagnosability(plant)
+        assert np.array_equal(found.detectable, exact.visible())
+        made = rs.design.decoupled_residual(plant)
+        assert np.array_equal(made.structure.any(axis=0), found.detectable)
+        for j, name in enumerate(plant.faults):
+            assert exact.exists([j]) is False
+            with pytest.raises(rs.errors.DesignError, match="all used up"):
+                rs.design.decoupled_residual(plant, insensitive_to=name)
+
+
+def aircraft(folder: Path) -> rs.Plant:
+    """Return the civil aircraft with its actuators: 32 states, 3 gusts, 8 primary actuators that may fail."""
+    data = np.load(folder / "varga_case_studies" / "cs1data.npz")
+    A, B, C, D = (data[name][6] for name in "ABCD")
+    Aa, Ba, Ca, Da = (data[f"ACT_{name}"] for name in "ABCD")
+    whole = np.block([[A, B[:, :22] @ Ca], [np.zeros((22, 10)), Aa]])
+    Bu, Du = np.vstack([B[:, :22] @ Da, Ba]), D[:, :22] @ Da
+    plant = rs.Plant(whole, Bu, np.hstack([C, D[:, :22] @ Ca]), Du)
+    gusts = {f"gust {i + 1}": (np.concatenate([B[:, 22 + i], np.zeros(22)]), D[:, 22 + i]) for i in range(3)}
+    primary = (0, 1, 14, 15, 16, 18, 17, 19)
+    return plant.with_disturbances(gusts).with_faults({f"actuator {j + 1}": (Bu[:, j], Du[:, j]) for j in primary})
+
+
+def test_the_shortest_relation_of_an_aircraft_whose_model_holds_residue(shared_data: Path) -> None:
+    """Zeros of a model that was linearised numerically are 1e-13: what holds to them is of order 5, and no less."""
+    plant = aircraft(shared_data)
+    assert plant.n_states == 32
+    assert rs.coding.attainable(plant, ["11110000"])
+    ignored, seen = plant.faults[4:], plant.faults[:4]
+    _, space = shortest_relation(relation_model(plant), ignored, seen, DEFAULT_RTOL)
+    assert space.order == 5
+    with pytest.raises(AccuracyError, match="should cancel"):  # as a filter it loses ten digits; it is not denied
+        rs.design.structured_parity(plant, ["11110000"])
+    assert rs.design.structured_bank(plant, ["11110000"]).structure.tolist() == [[True] * 4 + [False] * 4]
+
+
+def test_a_relation_that_exists_and_is_lost_to_rounding_is_no_missing_one(shared_data: Path) -> None:
+    """With the feedback of the wrong sign: attainable, and refused for accuracy instead of denied."""
+    plant = aircraft(shared_data)
+    K = np.load(shared_data / "varga_case_studies" / "cs1data.npz")["K"]
+    M = np.linalg.inv(np.eye(10) + plant.Du @ K)
+    left = -plant.Bu @ K @ M
+    closed = rs.Plant(plant.A + left @ plant.C, plant.Bu + left @ plant.Du, M @ plant.C, M @ plant.Du)
+    for role in ("disturbances", "faults"):
+        B, D = (plant.Bd, plant.Dd) if role == "disturbances" else (plant.Bf, plant.Df)
+        columns = {name: ((B + left @ D)[:, i], (M @ D)[:, i]) for i, name in enumerate(getattr(plant, role))}
+        closed = getattr(closed, f"with_{role}")(columns)
+    assert rs.coding.attainable(closed, ["11110000"])
+    with pytest.raises(AccuracyError, match="lost in the rounding of its terms"):
+        rs.design.structured_parity(closed, ["11110000"])
+
+
+@pytest.mark.parametrize(("n", "seed"), [(10, 0), (12, 1), (20, 1), (30, 0)])
+def test_the_default_margin_leaves_little_rounding_on_slow_plants(
+    n: int, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the evidence says of rounding is what a silent residual shows, to a factor of 30; it was up to 0.3."""
+    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[2] / "benchmarks"))
+    benchmark = importlib.import_module("parity_conditioning")
+    plant = benchmark.near_one(n, seed)
+    made = rs.design.structured_bank(plant, [benchmark.ROW]).generator
+    told = made.evidence.conditions["rounding over a fault"]
+    assert told < 1e-8
+    assert max(benchmark.leaks(made.run, plant, seed).values()) < 30 * told + 1e-14
+    assert any("margin was lowered" in note for note in made.evidence.notes)
+
+
+def test_a_margin_that_was_asked_for_stays_and_says_what_rounding_it_leaves(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[2] / "benchmarks"))
+    benchmark = importlib.import_module("parity_conditioning")
+    plant = benchmark.near_one(10, 0)
+    rate = rs.linear.default_margin(plant.A, plant.dt)
+    made = rs.design.structured_bank(plant, [benchmark.ROW], margin=rate).generator
+    assert made.evidence.conditions["rounding over a fault"] > 1e-8
+    assert any("a smaller margin leaves less" in note for note in made.evidence.notes)

@@ -1,0 +1,267 @@
+"""What gets through to a residual, against the terms that cancel there, and which residual answers to which fault.
+
+The oracles are exact (``exact_arithmetic``); plants are of small whole numbers, in units from 2^-20 to 2^20.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import residua as rs
+from exact_arithmetic import exact_leak, normal_rank, reaches
+from residua.design.internal_form import frequency_grid, leakage
+from residua.errors import AccuracyError, ResiduaError
+from residua.testing import check_residual_generator
+from scaled_plants import KINDS, numbers
+
+Design = Callable[[rs.Plant], rs.design.ResidualGenerator]
+
+DESIGNS: dict[str, Design] = {
+    "decoupled": rs.design.decoupled_residual,
+    "decoupled from a fault": lambda p: rs.design.decoupled_residual(p, insensitive_to=p.faults[:1]),
+    "detection": rs.design.detection_filter,
+    "eigenstructure": lambda p: rs.design.eigenstructure_assignment(p, insensitive_to=p.faults[:1]),
+    "luenberger": lambda p: rs.design.luenberger_observer(p).residual_generator(),
+    "reduced order": lambda p: rs.design.reduced_order_observer(p).residual_generator(),
+    "reduced order, half": lambda p: rs.design.reduced_order_observer(
+        p, outputs=range((p.n_outputs + 1) // 2)
+    ).residual_generator(),
+    "robust detection": rs.design.robust_detection_filter,
+    "structured bank": lambda p: rs.design.structured_bank(p, ["1" * len(p.faults)]).generator,
+    "unknown input": lambda p: rs.design.unknown_input_observer(p).residual_generator(),
+}
+#: Points at which ranks are taken modulo a prime; a wrong one has a chance of 1e-17.
+POINT = 1_234_567_891_011
+
+
+def outcome(design: Design, plant: rs.Plant) -> tuple[str, Any]:
+    """Return what became of a design: the generator, or the kind and the words of the refusal."""
+    try:
+        return "made", design(plant)
+    except ResiduaError as error:
+        return type(error).__name__, str(error)
+
+
+def agree(name: str, seed: int) -> str:
+    """Compare a design for a plant with that for the same plant in other units; return what became of both."""
+    plain = numbers(seed)
+    plant, other = plain.plant(), plain.in_other_units(10_000 + seed).plant()
+    if not plant.faults:
+        return "without faults"
+    (kind, first), (again, second) = (outcome(DESIGNS[name], p) for p in (plant, other))
+    assert kind == again, (name, seed, first, second)
+    if kind != "made":
+        assert first == second, (name, seed)
+        return kind
+    np.testing.assert_array_equal(first.structure, second.structure, err_msg=f"{name} {seed}")
+    assert {k: b.shape for k, b in first.subspaces.items()} == {k: b.shape for k, b in second.subspaces.items()}
+    for key, gain in first.evidence.decoupling.items():
+        assert second.evidence.decoupling[key] <= 10 * gain + 1e-15, (name, seed, key)
+        assert gain <= 10 * second.evidence.decoupling[key] + 1e-15, (name, seed, key)
+    return kind
+
+
+def check_evidence(name: str, seed: int) -> str:
+    """Compare the leak that a design states, in mixed units, with the exact one."""
+    plant = numbers(seed).in_other_units(20_000 + seed).plant()
+    kind, made = outcome(DESIGNS[name], plant) if plant.faults else ("without faults", None)
+    if kind != "made":
+        return kind
+    w = frequency_grid(made.system, plant.system(()))[::9]
+    points = np.exp(1j * w * plant.dt) if plant.dt else 1j * w
+    told = leakage(made.system, plant, w)
+    for role, gain in told.items():
+        if role == "control" or role in made.evidence.decoupling:
+            exact = exact_leak(made.system, plant, points, role)
+            assert gain <= 2 * made.evidence.decoupling[role] + 1e-15, (name, seed, role)
+            # the response of a disturbance that reaches no output is a ratio of roundings: nothing for `leakage`
+            if gain:
+                assert exact <= 2 * gain + 1e-13, (name, seed, role)
+    return kind
+
+
+@pytest.mark.parametrize("seed", range(27))
+@pytest.mark.parametrize("name", DESIGNS)
+def test_units_change_nothing(name: str, seed: int) -> None:
+    agree(name, seed)
+
+
+@pytest.mark.parametrize("seed", range(9))
+@pytest.mark.parametrize("name", DESIGNS)
+def test_the_evidence_is_the_exact_leak(name: str, seed: int) -> None:
+    check_evidence(name, seed)
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("name", DESIGNS)
+def test_units_change_nothing_on_many_plants(name: str) -> None:
+    count = Counter(agree(name, seed) for seed in range(27, 500))
+    print(name, dict(count))
+    assert count["made"] > 100
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("name", DESIGNS)
+def test_the_evidence_is_the_exact_leak_on_many_plants(name: str) -> None:
+    count = Counter(check_evidence(name, seed) for seed in range(9, 200))
+    print(name, dict(count))
+    assert count["made"] > 40
+
+
+def hidden_leak() -> tuple[rs.design.ResidualGenerator, rs.StateSpace]:
+    """Return a decoupled generator whose outputs differ by 2^30 in unit, and its filter with one number changed.
+
+    The change lets some hundredths of the terms of a disturbance through, in the residual of small unit.
+    """
+    A = np.array([[-1.0, 1, 0], [0, -2, 1], [1, 0, -3]])
+    Y = 2.0 ** np.array([30, 0, -10])[:, None]
+    plant = (
+        rs.Plant(A, [[0], [0], [1]], Y * np.eye(3)).with_disturbances({"d": [1, 1, 0]}).with_faults({"f": [0, 0, 1]})
+    )
+    made = rs.design.unknown_input_observer(plant).residual_generator()
+    D = made.system.D.copy()
+    D[1, 1] *= 1.08  # what y1 adds to the residual of y2, in which the disturbance cancels
+    return made, made.system.replaced(D=D)
+
+
+def test_a_leak_in_a_small_unit_is_not_hidden_by_outputs_in_large_ones() -> None:
+    made, changed = hidden_leak()
+    assert made.evidence.decoupling["disturbance"] < 1e-12
+    found = leakage(changed, made.plant)["disturbance"]
+    assert 0.01 < found < 0.2
+    w = frequency_grid(changed, made.plant.system(()))
+    assert found == pytest.approx(exact_leak(changed, made.plant, 1j * w[::5], "disturbance"), rel=0.1)
+    with pytest.raises(AccuracyError, match="relative gain"):
+        check_residual_generator(replace(made, system=changed), decoupled=True)
+
+
+def test_a_leak_at_one_frequency_is_not_hidden_by_larger_terms_at_another() -> None:
+    """Terms are 1e6 at the lowest frequencies; what gets through above 1 rad/s is 2e-2 of those that are there."""
+    plant = rs.Plant([[-1e-6]], [[1]], [[1], [1]]).with_disturbances({"d": [1]}).with_sensor_faults()
+    made = rs.design.decoupled_residual(plant)
+    system = rs.StateSpace(
+        [[-1.0]], [[0, 1, 0]], [[-0.04]], [[0, 1.04, -1]], inputs=made.system.inputs, outputs=made.system.outputs
+    )  # y1 - y2 + 0.04 s / (s + 1) y1
+    assert made.evidence.decoupling["disturbance"] < 1e-15
+    assert leakage(system, plant)["disturbance"] == pytest.approx(0.04 / 2.04, rel=1e-2)
+
+
+def test_rows_that_nothing_reaches_are_not_marked() -> None:
+    plant = rs.Plant([[-1]], [[1]], [[0], [2]]).with_faults({"f": [3]})
+    np.testing.assert_array_equal(rs.design.decoupled_residual(plant).structure, [[False], [True]])
+    np.testing.assert_array_equal(rs.design.detection_filter(plant).structure, [[False], [True]])
+
+
+@pytest.mark.parametrize("unit", [1e-7, 1.0, 1e7, 2.0**40])
+def test_rows_of_small_units_are_marked(unit: float) -> None:
+    plant = rs.Plant([[-1, 0], [0, -2]], [[1], [1]], [[1, 0], [0, unit]]).with_faults({"a": [1, 0], "b": [1, 1]})
+    flt = rs.design.detection_filter(plant)
+    np.testing.assert_array_equal(flt.structure, [[True, True], [False, True]])
+
+
+def structure_is_exact(seed: int) -> bool:
+    """Compare the structure of an observer with a gain of eighths with exact zeros; tell whether there was one."""
+    plain = numbers(seed)
+    rng = np.random.default_rng(30_000 + seed)
+    n, p = len(plain.A), len(plain.C)
+    K = rng.integers(-1, 2, (n, p)) / 8 * (rng.random((n, p)) < 0.5)
+    F, alive = plain.A - K @ plain.C, plain.Bf.any(axis=0) | plain.Df.any(axis=0)
+    poles = np.linalg.eigvals(F)
+    stable = np.all(np.abs(poles) < 0.99) if plain.dt else np.all(poles.real < -0.01)
+    if not stable or not alive.any() or seed % len(KINDS) == KINDS.index("real"):
+        return False
+    expected = reaches(F, (plain.Bf - K @ plain.Df)[:, alive], plain.C, plain.Df[:, alive], POINT)
+    u = plain.units(rng)
+    for made, gain in ((plain, K), (plain.in_units(u), u.states[:, None] * K / u.outputs)):
+        generator = rs.design.residual_generator_from_observer(made.plant(), gain=gain)
+        np.testing.assert_array_equal(generator.structure, expected, err_msg=str(seed))
+    return True
+
+
+def seen_is_exact(seed: int) -> str:
+    """Compare the faults that ``decoupled_residual`` sees with ranks over the rational functions."""
+    plain = numbers(seed)
+    plant = plain.in_other_units(40_000 + seed).plant()
+    kind, made = outcome(DESIGNS["decoupled"], plant) if plant.faults else ("without faults", None)
+    if seed % len(KINDS) == KINDS.index("real") or kind not in ("made", "DesignError"):
+        return kind
+    alive = plain.Bf.any(axis=0) | plain.Df.any(axis=0)
+    Bf, Df = plain.Bf[:, alive], plain.Df[:, alive]
+    hidden = normal_rank(plain.A, plain.Bd, plain.C, plain.Dd, POINT)
+    if kind == "DesignError":
+        assert hidden == len(plain.C), seed  # all measurements are used up
+        return kind
+    expected = [
+        normal_rank(plain.A, np.hstack([plain.Bd, Bf[:, [i]]]), plain.C, np.hstack([plain.Dd, Df[:, [i]]]), POINT)
+        > hidden
+        for i in range(Bf.shape[1])
+    ]
+    np.testing.assert_array_equal(made.structure.any(axis=0), expected, err_msg=str(seed))
+    return kind
+
+
+@pytest.mark.parametrize("seed", range(45))
+def test_the_structure_is_that_of_exact_zeros(seed: int) -> None:
+    structure_is_exact(seed)
+    seen_is_exact(seed)
+
+
+@pytest.mark.campaign
+def test_the_structure_is_that_of_exact_zeros_on_many_plants() -> None:
+    made = sum(structure_is_exact(seed) for seed in range(45, 1500))
+    count = Counter(seen_is_exact(seed) for seed in range(45, 1500))
+    print(made, dict(count))
+    assert made > 300
+    assert count["made"] > 800
+
+
+REDUNDANT = rs.Plant([[-1, 2, 0], [0, -2, 1], [1, 0, -3]], [[0], [0], [1]], [[1, 1, 0], [1, 1, 0]])
+
+
+@pytest.mark.parametrize("units", [1.0, 2.0**-20, 2.0**20])
+@pytest.mark.parametrize("sensors", [False, True])
+def test_a_difference_of_two_alike_measurements_sees_no_state_fault(sensors: bool, units: float) -> None:
+    plant = REDUNDANT._with(C=np.array([[units], [1]]) * REDUNDANT.C)
+    plant = plant.with_faults({f"x{i + 1}": np.eye(3)[i] for i in range(3)})
+    plant = plant.with_sensor_faults() if sensors else plant
+    generator = rs.design.reduced_order_observer(plant).residual_generator()
+    assert list(generator.structure.any(axis=0)) == [False, False, False] + 2 * [True] * sensors
+    assert not generator.system.C.any()
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_measurements_used_up_are_said_to_be_so(seed: int) -> None:
+    """As many measurements as independent ones, all of them in the estimate: nothing is left, in whatever units."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 6))
+    p = int(rng.integers(1, n + 1))
+    A, B, C = rng.integers(-3, 4, (n, n)) / 4, rng.integers(-3, 4, (n, 1)), np.zeros((p, n))
+    while np.linalg.matrix_rank(C) < p:
+        C = rng.integers(-3, 4, (p, n)) * (rng.random((p, n)) < 0.5)
+    T, Y = (2.0 ** rng.integers(-20, 21, k)[:, None] for k in (n, p))
+    plant = rs.Plant(T * A / T.T, T * B, Y * C / T.T, dt=0.1).with_faults({"x1": T[:, 0] * np.eye(n)[0]})
+    with pytest.raises(rs.errors.DesignError, match=r"zero whatever fails|detectable|no measurement sees"):
+        rs.design.reduced_order_observer(plant).residual_generator()
+
+
+def test_a_fault_outside_its_subspace_is_seen_at_the_tolerance_of_the_caller() -> None:
+    made = rs.design.detection_filter(rs.library.gertler())
+    first = made.subspaces["p1"]
+    turned = first + 1e-4 * made.subspaces["p2"]  # 1e-4: below the 5e-3 that were once allowed whatever was asked
+    wrong = replace(made, subspaces={**made.subspaces, "p1": turned / np.linalg.norm(turned)})
+    with pytest.raises(AccuracyError, match="leaves its subspace"):
+        check_residual_generator(wrong)
+    check_residual_generator(wrong, tolerance=1e-3)
+
+
+def test_the_grid_of_frequencies_is_that_of_the_poles_in_any_units_of_the_states() -> None:
+    T = 2.0 ** np.array([20, 0, -20])[:, None]
+    A = np.array([[-1.0, 2, 1], [3, -5, 1], [1, 1, -9]])
+    plain, scaled = (rs.StateSpace(M, np.ones((3, 1)), np.ones((1, 3))) for M in (A, T * A / T.T))
+    np.testing.assert_array_equal(frequency_grid(plain), frequency_grid(scaled))

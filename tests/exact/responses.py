@@ -1,0 +1,107 @@
+"""What a filter of floats does to a plant of floats, evaluated with 200 bits: totals, and the terms that cancel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from flint import acb, acb_mat, arb, ctx
+from numpy.typing import NDArray
+
+_BITS = 200
+
+
+def _matrix(M: NDArray) -> acb_mat:
+    rows, columns = M.shape
+    return acb_mat(rows, columns, [acb(float(x)) for x in M.ravel()])
+
+
+def _response(E: NDArray | None, A: NDArray, B: NDArray, C: NDArray, D: NDArray, s: acb) -> acb_mat:
+    n = len(A)
+    if not n or not B.shape[1] or not len(C):
+        return _matrix(D)
+    E = np.eye(n) if E is None else E
+    return _matrix(C) * (_matrix(E) * s - _matrix(A)).solve(_matrix(B)) + _matrix(D)
+
+
+def _floats(M: acb_mat) -> NDArray[np.complex128]:
+    """Return the middles of the balls as floats; a ball that holds zero, with a radius that no float sees, is zero."""
+    entries = [0.0 if z.contains(0) else complex(z) for z in M.entries()]
+    return np.array(entries, dtype=complex).reshape(M.nrows(), M.ncols())
+
+
+@dataclass(frozen=True, eq=False)
+class Paths:
+    """Responses of residuals to controls, disturbances and faults, at some frequencies.
+
+    ``total`` is the response, ``terms`` the sum of the sizes of what it is the sum of, ``reach`` the largest gain from
+    any output to the residual times the largest response of any output, in base units. All of shape
+    (frequencies, residuals, inputs).
+    """
+
+    total: NDArray[np.complex128]
+    terms: NDArray[np.float64]
+    reach: NDArray[np.float64]
+    controls: int
+    disturbances: int
+
+    def leak(self, columns: slice) -> NDArray[np.float64]:
+        """Return the response relative to the terms that cancel, zero where it is rounding of what stands elsewhere."""
+        total, terms, reach = (np.abs(M[:, :, columns]) for M in (self.total, self.terms, self.reach))
+        ratio = total / np.where(terms > 0, terms, 1.0)
+        return np.where(total > 1e-10 * reach, ratio, 0.0)
+
+    @property
+    def to_controls(self) -> slice:
+        """Columns of the controls."""
+        return slice(0, self.controls)
+
+    @property
+    def to_disturbances(self) -> slice:
+        """Columns of the disturbances."""
+        return slice(self.controls, self.controls + self.disturbances)
+
+    @property
+    def to_faults(self) -> slice:
+        """Columns of the faults."""
+        return slice(self.controls + self.disturbances, self.total.shape[2])
+
+
+def frequencies(dt: float, rates: float = 1.0) -> list[float]:
+    """Return frequencies at which no plant of small fractions has a pole."""
+    if dt:
+        return [x / dt for x in (0.00231, 0.1713, 1.0371, 2.7131)]
+    return [x * rates for x in (0.0137, 0.2113, 1.7311, 13.371)]
+
+
+def paths(filter: Any, plant: Any, y: NDArray[np.float64], w: list[float]) -> Paths:
+    """Return the responses of a filter from controls and outputs of a plant, whose outputs have units ``y``."""
+    before, ctx.prec = ctx.prec, _BITS
+    try:
+        m = len(plant.inputs)
+        B = np.hstack([plant.Bu, plant.Bd, plant.Bf])
+        D = np.hstack([plant.Du, plant.Dd, plant.Df])
+        total, terms, reach = [], [], []
+        for x in w:
+            angle = arb(x) * arb(float(plant.dt) if plant.dt else 1.0)
+            s = acb(angle.cos(), angle.sin()) if plant.dt else acb(0, arb(x))
+            Q = _response(None, filter.A, filter.B, filter.C, filter.D, s)
+            P = _response(plant.E, plant.A, B, plant.C, D, s)
+            rows, p = Q.nrows(), P.nrows()
+            Qy = acb_mat(rows, p, [Q[i, m + k] for i in range(rows) for k in range(p)])
+            through = Qy * P
+            whole = acb_mat(
+                rows,
+                B.shape[1],
+                [through[i, j] + (Q[i, j] if j < m else 0) for i in range(rows) for j in range(B.shape[1])],
+            )
+            q, r = np.abs(_floats(Q)), np.abs(_floats(P))
+            direct = np.hstack([q[:, :m], np.zeros((rows, B.shape[1] - m))])
+            total.append(_floats(whole))
+            terms.append(direct + q[:, m:] @ r)
+            largest = (q[:, m:] / y).max(axis=1, initial=0.0)
+            reach.append(direct + np.outer(largest, (r * y[:, None]).max(axis=0, initial=0.0)))
+        return Paths(np.array(total), np.array(terms), np.array(reach), m, len(plant.disturbances))
+    finally:
+        ctx.prec = before

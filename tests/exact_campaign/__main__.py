@@ -1,0 +1,33 @@
+"""Run the campaign: ``PYTHONPATH=src:tests python -m exact_campaign --plants 100000 --workers 2 --out campaign``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from exact_campaign.results import write_results
+from exact_campaign.runs import run
+
+
+def main() -> None:
+    """Run, then write the counts and the failures."""
+    parser = argparse.ArgumentParser(prog="exact_campaign", description=__doc__)
+    parser.add_argument("--plants", type=int, default=360, help="over all kinds")
+    parser.add_argument("--seed", type=int, default=0, help="the first seed of each kind")
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--seconds", type=float, default=None, help="stop taking up plants after so long")
+    parser.add_argument(
+        "--out", type=Path, default=Path("campaign"), help="folder of the record; resumed when it is there"
+    )
+    parser.add_argument("--tables", type=Path, default=None, help="folder for the tables of the documentation too")
+    options = parser.parse_args()
+    record = options.out / "record.jsonl"
+    run(options.plants, options.seed, options.workers, record, seconds=options.seconds)
+    write_results(record, options.out)
+    if options.tables is not None:
+        for table in sorted(options.out.glob("campaign_*.csv")):
+            (options.tables / table.name).write_text(table.read_text(encoding="utf-8"), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,155 @@
+"""One question to the package about one plant: what it says, and what is to be said of that."""
+
+from __future__ import annotations
+
+import re
+import traceback
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import residua as rs
+from exact.pencils import normal_rank
+from exact.plants import ExactPlant, exact_plant
+from exact_campaign.cases import Case, Units, plant_of
+from residua.errors import AccuracyError, ResiduaError
+
+#: Outcomes from best to worst; the last ones fail the campaign.
+OUTCOMES = ("holds", "refused", "accuracy", "close", "units", "evidence", "contradiction", "wrong", "crash")
+FAILURES = ("units", "evidence", "contradiction", "wrong", "crash")
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a function returned, or why it refused, or how it crashed."""
+
+    made: Any = None
+    refused: str = ""
+    accuracy: bool = False
+    crash: str = ""
+
+
+@dataclass
+class Record:
+    """An answer with the facts that may not depend on units, and what is wrong with it."""
+
+    function: str
+    answer: Answer
+    facts: dict[str, Any] = field(default_factory=dict)
+    evidence: dict[str, float] = field(default_factory=dict)
+    problems: list[tuple[str, str, str]] = field(default_factory=list)  # outcome, topic, text
+
+    def problem(self, outcome: str, topic: str, text: str) -> None:
+        """Note what is wrong."""
+        self.problems.append((outcome, topic, text))
+
+    @property
+    def outcome(self) -> str:
+        """The worst of what is to be said."""
+        own = "refused" if self.answer.refused else "holds"
+        own = "accuracy" if self.answer.accuracy else own
+        found = [own, *(outcome for outcome, _, _ in self.problems)]
+        return max(found, key=OUTCOMES.index)
+
+
+@dataclass
+class Subject:
+    """A plant in some units, with its exact twin and the records about it."""
+
+    case: Case
+    by: Units
+    of_floats: bool = True  # whether the exact twin is that of the floats, or the case itself
+    records: dict[str, Record] = field(default_factory=dict)
+    known: dict[str, Answer] = field(default_factory=dict)
+
+    @cached_property
+    def plant(self) -> rs.Plant:
+        """The plant of floats."""
+        return plant_of(self.case, self.by)
+
+    @cached_property
+    def noisy(self) -> rs.Plant:
+        """The plant with noise."""
+        return plant_of(self.case, self.by, noise=True)
+
+    @cached_property
+    def exact(self) -> ExactPlant:
+        """The plant as fractions: those of the floats themselves, or of the case."""
+        return exact_plant(self.plant if self.of_floats else plant_of(self.case))
+
+    @cached_property
+    def rates(self) -> float:
+        """The size of the dynamics."""
+        A = plant_of(self.case).A
+        return float(np.abs(A).max(initial=0.0)) or 1.0
+
+    def ask(self, function: str, call: Callable[[], Any]) -> Record:
+        """Ask, and keep the record."""
+        if function not in self.known:
+            self.known[function] = answered(call)
+        record = Record(function, self.known[function])
+        if record.answer.crash:
+            record.problem("crash", "crash", record.answer.crash)
+        self.records[function] = record
+        return record
+
+
+def answered(call: Callable[[], Any]) -> Answer:
+    """Return what a call says; an error outside the package's own is a crash, and so is a warning of NumPy."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        try:
+            return Answer(made=call())
+        except ResiduaError as error:
+            return Answer(refused=str(error), accuracy=isinstance(error, AccuracyError))
+        except Exception as error:
+            last = traceback.extract_tb(error.__traceback__)[-4:]
+            where = " < ".join(f"{frame.filename.rsplit('/', 1)[-1]}:{frame.lineno}" for frame in reversed(last))
+            return Answer(crash=f"{type(error).__name__}: {str(error)[:160]} ({where})")
+
+
+_NUMBER = re.compile(r"(?<![A-Za-z_0-9.])[-+]?(?:\d+\.?\d*(?:e[-+]?\d+)?|inf|nan)(?:[-+]\d+\.?\d*(?:e[-+]?\d+)?[ij])?")
+
+
+def without_numbers(text: str) -> str:
+    """Return a text with its numbers masked; names such as ``y1`` stay."""
+    return _NUMBER.sub("#", text)
+
+
+def plain(value: Any) -> Any:
+    """Return a fact that can be compared and printed."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(v) for v in value]
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def nearness(P: tuple[Any, Any], points: tuple[complex, ...]) -> float:
+    """Return how near a pencil is to a lower normal rank: its smallest kept singular value, in balanced units."""
+    r = normal_rank(P)
+    if r == 0:
+        return 1.0
+    M0, M1 = (np.array([[float(x.p) / float(x.q) for x in row] for row in M.tolist()]) for M in P)
+    best = 0.0
+    for s in points:
+        M = M0 + s * M1
+        best = max(best, _smallest_kept(M, r))
+    return best
+
+
+def _smallest_kept(M: NDArray, r: int) -> float:
+    M = np.array(M)
+    for _ in range(20):
+        for axis in (1, 0):
+            size = np.sqrt(np.abs(M).max(axis=axis, keepdims=True, initial=0.0))
+            M = M / np.where(size > 0, size, 1.0)
+    values = np.linalg.svd(M, compute_uv=False)
+    return float(values[r - 1] / values[0])
