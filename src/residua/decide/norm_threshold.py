@@ -14,6 +14,7 @@ from residua.decide.false_alarms import Observed, observed, promise_of
 from residua.decide.fault_free import FaultFree, check_enough
 from residua.decide.whitening import whitening_matrix
 from residua.errors import SettingError
+from residua.visible import echo
 
 #: Groups of residuals: ``"each"`` by itself, names with the residuals of each, or none.
 Groups = str | tuple[tuple[str, tuple[str, ...]], ...] | None
@@ -104,11 +105,11 @@ def _checked_groups(given: object) -> Groups:
         else:
             pairs = [(None, one) for one in given]
     else:
-        raise SettingError(f"{wanted}, got {given!r}")
+        raise SettingError(f"{wanted}, got {echo(given)}")
     out: dict[str, tuple[str, ...]] = {}
     for name, members in pairs:
         if isinstance(members, str) or not isinstance(members, Sequence) or not len(members):
-            raise SettingError(f"{wanted}, got {members!r} for one group")
+            raise SettingError(f"{wanted}, got {echo(members)} for one group")
         names = tuple(str(one) for one in members)
         label = ", ".join(names) if name is None else str(name)
         if label in out:

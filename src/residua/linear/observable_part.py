@@ -13,6 +13,8 @@ from residua.linear.observability import Staircase, dies_out, modes_with_uncerta
 from residua.linear.spectrum import describe_modes
 
 Matrix = NDArray[np.float64]
+#: Gains this far below the largest of a state, in balanced units, are rounding: they would couple what nothing couples.
+_ROUNDING = 1e-14
 Poles = NDArray[np.complex128]
 
 
@@ -62,8 +64,9 @@ class ObservablePart:
     def full_gain(self, L: Matrix) -> Matrix:
         """Return ``K`` in the caller's units for a gain ``L`` of the observable part."""
         form = self.form
-        K = form.states[:, None] * (form.Q[:, : self.order] @ (L @ self.to_outputs)) * form.outputs
-        return self.without_left_null(K)
+        K = form.Q[:, : self.order] @ (L @ self.to_outputs)
+        K = np.where(np.abs(K) > _ROUNDING * np.abs(K).max(axis=1, keepdims=True, initial=0.0), K, 0.0)
+        return self.without_left_null(form.states[:, None] * K * form.outputs)
 
     def without_left_null(self, K: Matrix) -> Matrix:
         """Return the gain with the same ``K C`` that ignores the left null directions of ``C``."""

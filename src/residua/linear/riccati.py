@@ -17,6 +17,8 @@ from residua.linear.rank import DEFAULT_RTOL, decide_rank
 from residua.linear.spectrum import describe_modes
 
 Matrix = NDArray[np.float64]
+#: What the solution of an equation is known to, relative to the sizes of states, or to the largest gain of a state.
+_ROUNDING = 1e-14
 _RESIDUAL_LIMIT = 1e-6
 
 
@@ -135,7 +137,18 @@ def filter_riccati(
             f"the Riccati equation was not solved: relative residual {residual:.3g} (limit {_RESIDUAL_LIMIT:.0e}), "
             f"poles {describe_modes(poles)}; scale the noise covariances nearer to one another"
         )
+    P, K = _without_rounding(P, K)
     return RiccatiSolution(T * P * T.T, T * K * Y.T, innovation / Y / Y.T, poles, residual)
+
+
+def _without_rounding(P: Matrix, K: Matrix) -> tuple[Matrix, Matrix]:
+    """Return covariance and gain, in even units, without what rounding leaves of correlations that there are not.
+
+    A gain of 1e-17 beside one of size one would couple parts of a plant that nothing couples.
+    """
+    size = np.sqrt(np.abs(np.diag(P)))
+    P = np.where(np.abs(P) > _ROUNDING * np.outer(size, size), P, 0.0)
+    return P, np.where(np.abs(K) > _ROUNDING * np.abs(K).max(axis=1, keepdims=True, initial=0.0), K, 0.0)
 
 
 def _covariance(M: ArrayLike, name: str, n: int) -> Matrix:

@@ -140,16 +140,19 @@ def values_out(values: Any) -> dict[str, Any]:
     return out
 
 
-def values_in(value: Any, where: str, cls: type[Any]) -> Any:
+def values_in(value: Any, where: str, cls: type[Any], known: Mapping[str, Any] | None = None) -> Any:
     """Return the dataclass that a record describes.
 
     Each entry is of the type that its field declares, and its numbers are of the kind that the table
-    :data:`residua.monitor.field_kinds.FIELDS` names, else of the usual kind of that type.
+    :data:`residua.monitor.field_kinds.FIELDS` names, else of the usual kind of that type. Fields that are ``known``
+    already are no entries of the record.
     """
-    content = record(value, where, field_names(cls))
+    out = dict(known or {})
+    content = record(value, where, [name for name in field_names(cls) if name not in out])
     kinds = FIELDS.get(cls.__name__, {})
-    out = {}
     for field in fields(cls):
+        if field.name not in content:
+            continue
         entry, at, declared = content[field.name], joined(where, field.name), str(field.type)
         plain = declared.removesuffix(" | None")
         if entry is None and plain != declared:

@@ -13,6 +13,7 @@ from residua.number_kinds import (
     COUNT,
     ENTRY,
     KNOWN_OR_NOT,
+    PART,
     POSITIVE,
     PROBABILITY,
     SHARE,
@@ -21,21 +22,13 @@ from residua.number_kinds import (
 )
 
 _RUNS = {"persistence": COUNT, "release": COUNT, "window": WINDOW}
-_PROMISE = {"promised": SHARE}
+_FITTED = {"center": ENTRY, "whitening": ENTRY, "promised": SHARE, "shrinkage": PART}
 
 FIELDS: Mapping[str, Mapping[str, NumberKind]] = {
     "NormThreshold": {**_RUNS, "threshold": POSITIVE, "false_alarm_rate": PROBABILITY},
-    "NormTest": {**_RUNS, **_PROMISE, "center": ENTRY, "whitening": ENTRY, "threshold": POSITIVE},
-    "BankTest": {**_RUNS, **_PROMISE, "center": ENTRY, "whitening": ENTRY, "sizes": COUNT, "thresholds": POSITIVE},
-    "GroupTest": {
-        **_RUNS,
-        **_PROMISE,
-        "center": ENTRY,
-        "whitening": ENTRY,
-        "sizes": COUNT,
-        "thresholds": POSITIVE,
-        "whole": ENTRY,
-    },
+    "NormTest": {**_RUNS, **_FITTED, "threshold": POSITIVE},
+    "BankTest": {**_RUNS, **_FITTED, "sizes": COUNT, "thresholds": POSITIVE},
+    "GroupTest": {**_RUNS, **_FITTED, "sizes": COUNT, "thresholds": POSITIVE, "whole": ENTRY},
     "Directional": {"window": WINDOW},
     "Structured": {"window": WINDOW, "share": SHARE},
     "Matched": {"window": WINDOW, "alike": SHARE},

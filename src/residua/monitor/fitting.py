@@ -155,6 +155,7 @@ def _fitted(
             false_alarm_rate=rate,
             covariance=covariance,
             signal_sizes=[signal_size(generator, deviations, part) for part in groups.values()],
+            seams=seams,
         )
     return fit_norm_test(
         settings,

@@ -15,11 +15,11 @@ from residua.monitor.encoding import (
     table_in,
     text_in,
     texts_in,
+    values_in,
     values_out,
     whole_in,
 )
-from residua.monitor.field_kinds import FIELDS
-from residua.number_kinds import COUNT, POSITIVE, PROBABILITY, number_in
+from residua.number_kinds import COUNT, POSITIVE, PROBABILITY
 from residua.visible import echo
 
 #: The tests, by the entry ``kind``.
@@ -57,21 +57,10 @@ def threshold_in(value: Any) -> NormThreshold | PeakThreshold:
 
 def _norm_in(content: dict[str, Any]) -> NormThreshold:
     groups = content.pop("groups", None)
-    values = record(content, "test", [name for name in field_names(NormThreshold) if name != "groups"])
     if groups is not None and groups != "each":
         parts = table_in(groups, "test.groups")
         groups = {name: texts_in(part, joined("test.groups", name)) for name, part in parts.items()}
-    read: dict[str, Any] = {
-        name: (
-            text_in(value, joined("test", name))
-            if name == "whiten"
-            else None
-            if value is None and name in ("threshold", "release")
-            else number_in(value, joined("test", name), FIELDS["NormThreshold"][name])
-        )
-        for name, value in values.items()
-    }
-    return NormThreshold(**read, groups=groups)
+    return values_in(content, "test", NormThreshold, {"groups": groups})
 
 
 def _thresholds_in(value: Any) -> float | dict[str, float] | list[float] | None:

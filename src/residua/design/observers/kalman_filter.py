@@ -8,6 +8,7 @@ from residua.design.evidence import Evidence
 from residua.design.generator import ResidualGenerator
 from residua.design.observers.observer import Observer
 from residua.errors import AccuracyError, DesignError
+from residua.linear.balancing import without_rounding
 from residua.linear.riccati import filter_riccati
 from residua.plant import Plant
 
@@ -92,7 +93,7 @@ def kalman_filter(plant: Plant) -> ResidualGenerator:
     )
     observer = Observer(
         plant,
-        plant.A - K @ plant.C,
+        without_rounding(np.hstack([np.eye(n), -K]), np.vstack([plant.A, plant.C])),
         np.eye(n),
         K,
         np.eye(n),
