@@ -65,7 +65,7 @@ print(result)
 # The observer that the error cannot reach
 # ----------------------------------------
 # z' = F z + T B u + K y with the estimate z + H y. The existence condition holds (last line above). With all poles at -3:
-robust = rs.design.robust_detection_filter(engine, poles=[-3, -3, -3])
+robust = rs.design.robust_detection_filter(engine, poles=[-3, -3, -3], H0=np.zeros((3, 6)))  # the paper's own H
 observer = robust.observer
 print("H =", observer.H, "T =", observer.T, "K =", observer.K, sep="\n")
 

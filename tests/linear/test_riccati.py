@@ -104,3 +104,11 @@ def test_slicot_benchmarks(shared_data):
         A, B = np.linalg.solve(E, A), np.linalg.solve(E, B)
         found = filter_riccati(A, C, B @ B.T, np.eye(len(C)), dt=1.0 if entry["discrete"] else 0)
         assert found.residual < 1e-8, entry["name"]
+
+
+def test_parts_that_nothing_couples_have_no_gain_in_common() -> None:
+    A, C = [[1, 0, 0], [0, 1, 0.1], [0, 0, 1]], [[1, 0, 0], [1, 0, 0], [0, 1, 0], [0, 1, 0]]
+    found = filter_riccati(A, C, 1e-6 * np.eye(3), 1e-4 * np.eye(4), dt=0.1)
+    assert not np.any(found.gain[0, 2:])
+    assert not np.any(found.gain[1:, :2])
+    assert np.all(found.gain[0, :2] > 0)

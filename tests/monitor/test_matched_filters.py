@@ -131,8 +131,8 @@ def test_files_of_the_version_before_are_still_read(tmp_path: Path) -> None:
     ("change", "words"),
     [
         (lambda c: c["running"]["matched"].update(faults=["p1"]), "faults must be those of the plant"),
-        (lambda c: c["running"]["matched"]["responses"].update(shape=[1, 2, 4]), "has .* numbers"),
-        (lambda c: c["running"].update(matched=None), "if and only if"),
+        (lambda c: c["running"]["matched"]["responses"].update(shape=[1, 2, 4]), "must be those of 21 samples"),
+        (lambda c: c["running"].update(matched=None), "running.matched: expected a table, got None"),
         (lambda c: c["isolate"].update(window=0), "window"),
         (lambda c: c["state"]["match_held"].update(shape=[6, 1]), "match_held must have shape"),
         (lambda c: c.update(version=2), "version 2"),

@@ -102,8 +102,8 @@ def test_settled_codes_are_what_is_left_of_a_long_simulation(general: rs.design.
 @pytest.mark.parametrize(
     ("which", "faults", "named"),
     [
-        ("general", {"voltage actuator": 1.0}, ("current sensor", "voltage actuator")),
-        ("general", {"current sensor": 0.5}, ("current sensor", "voltage actuator")),
+        ("general", {"voltage actuator": 1.5}, ("current sensor", "voltage actuator")),
+        ("general", {"current sensor": 2.0}, ("current sensor", "voltage actuator")),
         ("general", {"load speed sensor": 0.5}, ("load speed sensor",)),
         ("by_parts", {"current sensor": 0.5}, ("voltage actuator", "current sensor")),
     ],
@@ -174,7 +174,7 @@ def test_a_short_recording_is_told_how_long_settling_takes() -> None:
 def test_ranks_are_shared_by_ties_and_restarts_told_only_when_there_were_any(general: rs.design.Bank) -> None:
     plant = drive()
     monitor = rs.Monitor(general, test=NormThreshold(persistence=5)).fit(*recording(plant, 60, 1))
-    u, y = recording(plant, 15, 2, faults={"current sensor": 0.5})
+    u, y = recording(plant, 15, 2, faults={"current sensor": 2.0})
     y[100, 0] = np.nan
     text = str(monitor.run(u, y))
     assert "(tied with 2 more)" in text

@@ -19,6 +19,7 @@ from residua.linear.spectrum import describe_modes
 Matrix = NDArray[np.float64]
 #: What the solution of an equation is known to, relative to the sizes of states, or to the largest gain of a state.
 _ROUNDING = 1e-14
+#: Largest relative residual of an equation that counts as solved.
 _RESIDUAL_LIMIT = 1e-6
 
 
