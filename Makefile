@@ -44,7 +44,7 @@ test: $(VENV)/.made-test
 	$(BIN)/ruff check $(CODE)
 	$(BIN)/ruff format --check $(CODE)
 	$(BIN)/pyright --pythonpath $(BIN)/python
-	$(BIN)/pytest --cov --cov-report=term
+	$(BIN)/pytest -n auto --cov --cov-report=term
 
 docs: $(VENV)/.made-docs
 	rm -rf docs/api/generated  # pages of names that are gone would fail the build

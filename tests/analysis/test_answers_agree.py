@@ -192,3 +192,5 @@ def test_a_margin_that_was_asked_for_stays_and_says_what_rounding_it_leaves(monk
     made = rs.design.structured_bank(plant, [benchmark.ROW], margin=rate).generator
     assert made.evidence.conditions["rounding over a fault"] > 1e-8
     assert any("a smaller margin leaves less" in note for note in made.evidence.notes)
+    with pytest.raises(AccuracyError, match=r"lost in rounding.*ask for slower ones"):
+        rs.design.structured_bank(plant, [benchmark.ROW], margin=3 * rate)

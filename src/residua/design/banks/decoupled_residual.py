@@ -34,6 +34,8 @@ from residua.plant.even_units import even_plant
 _ROUNDING = "rounding over a fault"
 #: A default margin that lets rounding grow to more than this of what a fault leaves is lowered.
 _LITTLE = 1e-8
+#: The same beside noise, which hides more than that, so that a slower filter would gain nothing.
+_LITTLE_BESIDE_NOISE = 1e-4
 
 
 def decoupled_residual(
@@ -141,7 +143,7 @@ def _designed(
         rounding = rounding_share(made)
         made = replace(made, evidence=made.evidence.extended(conditions={_ROUNDING: rounding}))
         unseen = sum(1 for name in visible if not made.structure[:, made.faults.index(name)].any())
-        if not free or (not unseen and rounding <= _LITTLE):
+        if not unseen and (not free or rounding <= _limit(plant)):
             return _told(made, rounding)
         if best is None or (unseen, rounding) < best[:2]:
             best = unseen, rounding, made
@@ -151,7 +153,7 @@ def _designed(
         raise AccuracyError(
             f"the response to {best[0]} of the faults {', '.join(visible)}, which a residual can see that ignores "
             f"{', '.join((*plant.disturbances, *ignored)) or 'nothing'}, is lost in rounding: the plant is too badly "
-            "conditioned; reduce its order, or give a margin"
+            f"conditioned{'; reduce its order, or give a margin' if free else ' for these poles; ask for slower ones'}"
         )
     assert failure is not None  # there is at least one attempt
     raise failure
@@ -165,9 +167,13 @@ def _visible(plant: Plant, ignored: list[str], rtol: float) -> list[str]:
     return [name for name, seen in zip(left.faults, fault_space(left, rtol=rtol).visible, strict=True) if seen]
 
 
+def _limit(plant: Plant) -> float:
+    return _LITTLE_BESIDE_NOISE if plant.Bw.shape[1] else _LITTLE
+
+
 def _told(made: ResidualGenerator, rounding: float) -> ResidualGenerator:
     """Return a residual with a note where rounding is more than a little."""
-    if rounding <= _LITTLE:
+    if rounding <= _limit(made.plant):
         return made
     note = (
         f"rounding of numbers of 16 digits makes the residual {rounding:.0e} of what a fault leaves, that of "
