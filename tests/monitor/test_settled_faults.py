@@ -178,7 +178,7 @@ def test_ranks_are_shared_by_ties_and_restarts_told_only_when_there_were_any(gen
     y[100, 0] = np.nan
     text = str(monitor.run(u, y))
     assert "(tied with 2 more)" in text
-    assert "1 sample with missing values: last values held, no decision there, nor at 10 after them" in text
+    assert "1 sample with missing values: last values held, no decision there, nor at 9 after them" in text
     assert "restarted" not in text
     y[100:130, 0] = np.nan
     assert "filter restarted 1 time after longer gaps" in str(monitor.run(u, y))
