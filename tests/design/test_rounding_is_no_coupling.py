@@ -71,3 +71,40 @@ def test_a_silent_response_beside_large_terms_does_not_overflow() -> None:
         warnings.simplefilter("error", RuntimeWarning)
         made = rs.design.decoupled_residual(plant, insensitive_to=[plant.faults[0]])
     assert all(0.0 <= value < np.inf for name, value in made.evidence.conditions.items() if "rounding" in name)
+
+
+def in_units(plant: rs.Plant, x: list[int], y: list[int], f: list[int]) -> rs.Plant:
+    """Return a plant in other units, by powers of two; its faults of sensors are in those of the outputs."""
+    X, Y = 2.0 ** np.array(x), 2.0 ** np.array(y)
+    other = rs.Plant(plant.A / X[:, None] * X, plant.Bu / X[:, None], plant.C * X / Y[:, None], dt=plant.dt)
+    other = other.with_disturbances(
+        {name: plant.Bd[:, i] / X for i, name in enumerate(plant.disturbances)},
+    )
+    own = [i for i, kind in enumerate(plant.fault_kinds) if kind == "component"]
+    other = other.with_faults({plant.faults[i]: plant.Bf[:, i] / X * 2.0 ** f[i] for i in own})
+    return other.with_sensor_faults([plant.outputs.index(z.component) for z in plant.fault_list if z.kind == "sensor"])
+
+
+def test_estimators_of_faults_do_not_depend_on_units() -> None:
+    base = rs.design.sensor_fault_estimators(sparse())
+    x, y, f = [-3, 20, -9, -12, -16, 0], [-1, -9, 12, 10], [19, -7, -14]
+    other = rs.design.sensor_fault_estimators(in_units(sparse(), x, y, f))
+    assert list(other) == list(base)
+
+
+def test_the_derivatives_of_a_perfect_observer_do_not_depend_on_units() -> None:
+    """The disturbance alone drives a state that only ``E`` connects with the others."""
+    plant = rs.Plant([[12, 0], [0, 0]], [[0], [2]], [[1, 3], [-3, -1], [-1, 2]]).with_disturbances({"d1": [0, 1]})
+    plant = plant.with_faults({"f1": [2, -2]})
+    for k in (-20, -7, 0, 13, 20):
+        other = in_units(plant, [k, -k], [0, k, 0], [0])
+        assert rs.design.perfect_observer(other, least_order=True).index == 2
+        assert rs.design.perfect_observer(other).index == 3
+
+
+def test_a_kalman_filter_keeps_apart_what_nothing_connects() -> None:
+    A = np.zeros((4, 4))
+    A[0, 2], A[2, [0, 3]], A[3, 0] = -1.5, [2.0**-8, -(2.0**-7)], -(2.0**-7)
+    plant = rs.Plant(A, np.zeros((4, 0)), np.eye(4)[[1, 0]]).with_faults({"f1": [2, 0, 0, -1]})
+    made = rs.design.kalman_filter(plant.with_sensor_faults().with_noise(process=1.0, measurement=1.0))
+    np.testing.assert_array_equal(made.structure, [[False, True, False], [True, False, True]])
