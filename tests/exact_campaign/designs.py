@@ -213,6 +213,19 @@ def _banks_of_rows(subject: Subject) -> None:
                 record.problem("wrong", "structure", f"{record.function}: {bank.structure.tolist()}, fires {fires}")
 
 
+def _sizes(subject: Subject) -> dict[str, float]:
+    """Return one base unit of each fault and disturbance in the units of the plant: the same expected sizes."""
+    plant, by = subject.plant, subject.by
+    sizes = {name: 1 / by.d[i] for i, name in enumerate(plant.disturbances)}
+    for i, fault in enumerate(plant.fault_list):
+        if fault.kind == "sensor":
+            unit = by.y[plant.outputs.index(fault.component)]
+        else:
+            unit = by.u[plant.inputs.index(fault.component)] if fault.kind == "actuator" else by.f[i]
+        sizes[plant.faults[i]] = 1 / unit
+    return {name: float(size) for name, size in sizes.items()}
+
+
 def _parity(subject: Subject) -> None:
     X, plant = subject.exact, subject.plant
     for ignored in _ignored_sets(subject)[:2]:
@@ -239,8 +252,8 @@ def _parity(subject: Subject) -> None:
             different = {k: (record.answer.made.get(k), wanted.get(k)) for k in wanted | record.answer.made}
             different = {k: v for k, v in different.items() if v[0] != v[1]}
             record.problem("wrong", "parity", f"parity_orders (said, exact): {different}")
-    least = max(questions.residual_indices(X), default=0)
-    record = subject.ask("optimal_parity", lambda: rs.design.optimal_parity(plant, order=least))
+    least, sizes = max(questions.residual_indices(X), default=0), _sizes(subject)
+    record = subject.ask("optimal_parity", lambda: rs.design.optimal_parity(plant, order=least, sizes=sizes))
     sees = X.plain and not X.Bd.ncols() and any(questions.visible(X))
     if judged(record, True if sees else None, "parity"):
         examine_generator(subject, record, record.answer.made.generator, plant)

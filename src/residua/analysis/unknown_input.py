@@ -10,7 +10,15 @@ from numpy.typing import NDArray
 from residua.linear.arrays import frozen
 from residua.linear.balancing import descriptor_units, evened, without_rounding
 from residua.linear.observability import Detectability, detectability
-from residua.linear.rank import DEFAULT_RTOL, RankDecision, decide_rank, left_null_basis, null_basis, range_basis
+from residua.linear.rank import (
+    DEFAULT_RTOL,
+    RankDecision,
+    decide_rank,
+    left_null_basis,
+    null_basis,
+    range_basis,
+    without_noise,
+)
 from residua.linear.spectrum import describe_modes
 from residua.plant import OperatingPoint, Plant
 from residua.plant.disturbances import factor_disturbance
@@ -237,6 +245,7 @@ def _ordinary_decoupling(even: EvenPlant, form: OutputFreeForm, Q: NDArray) -> O
     weights = even.output_weights(form.A, form.E, form.C)
     CQ = weights[:, None] * without_rounding(form.C, Q)
     U, s, Vh = np.linalg.svd(CQ) if CQ.size else (np.eye(p), np.zeros(0), np.eye(q))
+    U, Vh = without_noise(U), without_noise(Vh)  # of an output that a combination leaves out, rounding is no reading
     P, W2 = without_rounding(Vh.T / s, U[:, :q].T) * weights, U[:, q:].T * weights
     L = left_null_basis(Q)[0].T
     inner = without_rounding(P, form.C)  # P C Q = I

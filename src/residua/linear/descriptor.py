@@ -44,7 +44,10 @@ def scaled_pencil(A: NDArray, E: NDArray, *, unit: float | None = None) -> Scale
     units of the states. Then both are, in turn with the unit. Weak couplings stay weak, see `unit_free_pencil`.
     """
     A, E = np.asarray(A, dtype=float), np.asarray(E, dtype=float)
-    a, e = pencil_without_residue(A, E, pencil_units(A, E))
+    u = pencil_units(A, E)
+    a, e = pencil_without_residue(A, E, u)
+    # Parts that only E connects have no units beside one another in A alone: what all entries say comes first.
+    a, e = u.rows[:, None] * a * u.columns, u.rows[:, None] * e * u.columns
     rows, columns = np.ones(A.shape[0]), np.ones(A.shape[1])
     if A.size:
         silent = np.logical_or.outer(~np.any(a, axis=1), ~np.any(a, axis=0))
@@ -54,6 +57,7 @@ def scaled_pencil(A: NDArray, E: NDArray, *, unit: float | None = None) -> Scale
         if unit is None:
             factor = _unit_of_s(rows[:, None] * a * columns, rows[:, None] * e * columns)
         rows, columns = evened(a + factor * e, rows, columns, sweeps=_SWEEPS)
+    rows, columns = rows * u.rows, columns * u.columns
     return ScaledPencil(rows[:, None] * A * columns, factor * rows[:, None] * E * columns, rows, columns, factor)
 
 

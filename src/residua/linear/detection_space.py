@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.linear.balancing import without_rounding
 from residua.linear.rank import (
     DEFAULT_RTOL,
     RankDecision,
@@ -14,6 +15,7 @@ from residua.linear.rank import (
     left_null_basis,
     null_basis,
     range_basis,
+    without_noise,
 )
 from residua.linear.reachability import reachable_basis
 
@@ -174,18 +176,24 @@ def split_blocks(A: NDArray, C: NDArray, spaces: list[DetectionSpace], *, rtol: 
     D = np.hstack([np.zeros((len(C), 0)), *(space.outputs for space in spaces)])
     inside = range_C - D @ np.linalg.lstsq(D, range_C, rcond=None)[0] if D.shape[1] else range_C
     U, _, _ = np.linalg.svd(inside, full_matrices=False)
-    rest_outputs = U[:, : range_C.shape[1] - D.shape[1]]
-    read = np.linalg.pinv(np.hstack([D, rest_outputs]), rcond=1e-12)
+    rest_outputs = without_noise(U[:, : range_C.shape[1] - D.shape[1]])
+    read = _inverse(np.hstack([D, rest_outputs]))
     pairs, confining, row = [], [], 0
     for space in spaces:
         S, q = space.basis, space.outputs.shape[1]
-        seen = space.outputs.T @ (C @ S)
-        confining.append((A @ S - S @ (S.T @ (A @ S))) @ np.linalg.pinv(seen, rcond=1e-12))
-        pairs.append((S.T @ A @ S, seen))
+        seen = without_rounding(space.outputs.T, C, S)
+        confining.append(without_rounding(np.hstack([np.eye(n), -S]), np.vstack([A, S.T @ A]), S, _inverse(seen)))
+        pairs.append((without_rounding(S.T, A, S), seen))
         row += q
     S_all = np.hstack([np.zeros((n, 0)), *(space.basis for space in spaces)])
     R = left_null_basis(S_all)[0] if S_all.shape[1] else np.eye(n)
     K_given = np.hstack([np.zeros((n, 0)), *confining])
-    A0 = R.T @ (A @ R) - R.T @ K_given @ (read[:row] @ (C @ R))
-    C0 = read[row:] @ (C @ R)
-    return Blocks(pairs, (A0, C0), spaces, confining, R, read)
+    # Sums that cancel leave exact zeros: what rounding leaves of them would be couplings that poles are placed through.
+    A0 = without_rounding(np.hstack([R.T, -(R.T @ K_given) @ read[:row]]), np.vstack([A, C]), R)
+    return Blocks(pairs, (A0, without_rounding(read[row:], C, R)), spaces, confining, R, read)
+
+
+def _inverse(M: NDArray) -> NDArray[np.float64]:
+    """Return the pseudo-inverse of a matrix of comparable columns, exactly zero where only rounding is left."""
+    found = np.linalg.pinv(M, rcond=1e-12)
+    return np.where(np.abs(found) > 1e-14 * np.abs(found).max(initial=0.0), found, 0.0)

@@ -133,13 +133,13 @@ def range_basis(
 ) -> tuple[NDArray, RankDecision]:
     """Return an orthonormal basis of the column space of ``M`` and the rank decision behind it."""
     U, _, _, decision = _svd_decision(M, rtol, scale, full=False)
-    return _without_noise(U[:, : decision.rank]), decision
+    return without_noise(U[:, : decision.rank]), decision
 
 
 def null_basis(M: ArrayLike, *, rtol: float = DEFAULT_RTOL, scale: float | None = None) -> tuple[NDArray, RankDecision]:
     """Return an orthonormal basis of ``{x : M x = 0}`` and the rank decision behind it."""
     _, _, Vh, decision = _svd_decision(M, rtol, scale, full=True)
-    return _without_noise(Vh[decision.rank :].conj().T), decision
+    return without_noise(Vh[decision.rank :].conj().T), decision
 
 
 def left_null_basis(
@@ -147,9 +147,9 @@ def left_null_basis(
 ) -> tuple[NDArray, RankDecision]:
     """Return an orthonormal basis, as columns, of ``{w : w' M = 0}`` and the rank decision behind it."""
     U, _, _, decision = _svd_decision(M, rtol, scale, full=True)
-    return _without_noise(U[:, decision.rank :]), decision
+    return without_noise(U[:, decision.rank :]), decision
 
 
-def _without_noise(basis: NDArray) -> NDArray:
+def without_noise(basis: NDArray) -> NDArray:
     """Return an orthonormal basis with exact zeros where its vectors, known to rounding of their length, have none."""
     return np.where(np.abs(basis) > _NOISE, basis, 0.0)

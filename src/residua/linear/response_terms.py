@@ -94,7 +94,7 @@ def response_terms(
         raise ModelError(f"the system has a pole at one of the points asked for: {error}") from error
     inside, before = np.abs(X), np.abs(Y).swapaxes(1, 2)
     terms = np.abs(system.C) @ inside + before @ (np.abs(M) @ inside + B) + D
-    path = _paths(system, B, D)
+    path = paths(system, B, D)
     return ResponseTerms(np.where(path, system.C @ X + system.D, 0.0), np.where(path, terms, 0.0))
 
 
@@ -172,7 +172,7 @@ def _split(x: NDArray) -> tuple[NDArray, NDArray]:
     return high, x - high
 
 
-def _paths(system: StateSpace, B: Real, D: Real) -> NDArray[np.bool_]:
+def paths(system: StateSpace, B: Real, D: Real) -> NDArray[np.bool_]:
     """Tell from which inputs a chain of couplings leads to which outputs; from all to all of a descriptor system."""
     if system.E is not None:
         return np.ones(D.shape, dtype=bool)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
+from scipy.sparse.csgraph import connected_components
 
 from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear import arrays
@@ -128,10 +129,11 @@ def filter_riccati(
     terms = (A, C * unit, to_T * Q * to_T.T / unit**2, to_Y * R * Y, S / unit)
     T = T[:, None] * unit
     Y = to_Y
-    P = _solve(*terms, dt)
+    together = _connected(*terms)
+    P = np.where(together, _solve(*terms, dt), 0.0)
     K, innovation, residual = _gain(*terms, P, dt)
     if residual > 1e-12:
-        P, K, innovation, residual = _refine(terms, P, K, innovation, residual, dt)
+        P, K, innovation, residual = _refine(terms, together, P, K, innovation, residual, dt)
     poles = np.linalg.eigvals(terms[0] - K @ terms[1]).astype(complex)
     if not is_stable_mode(poles, dt).all() or not residual <= _RESIDUAL_LIMIT:
         raise AccuracyError(
@@ -203,6 +205,14 @@ def _check_solvable(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix, dt: f
         )
 
 
+def _connected(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix) -> NDArray[np.bool_]:
+    """Tell which states some chain of couplings, noises and outputs connects: of others the errors share nothing."""
+    n = len(A)
+    graph = np.block([[(A != 0) | (Q != 0), S != 0], [C != 0, R != 0]])
+    part = connected_components(graph, directed=False)[1][:n]
+    return part[:, None] == part
+
+
 def _solve(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix, dt: float) -> Matrix:
     solver = scipy.linalg.solve_discrete_are if dt else scipy.linalg.solve_continuous_are
     cross = S if np.any(S) else None
@@ -237,6 +247,7 @@ def _gain(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix, P: Matrix, dt: 
 
 def _refine(
     terms: tuple[Matrix, Matrix, Matrix, Matrix, Matrix],
+    together: NDArray[np.bool_],
     P: Matrix,
     K: Matrix,
     innovation: Matrix,
@@ -257,7 +268,7 @@ def _refine(
                 better = solver(closed, W if dt else -W)
         except (np.linalg.LinAlgError, ValueError):
             break
-        better = (better + better.T) / 2
+        better = np.where(together, (better + better.T) / 2, 0.0)
         new_K, new_innovation, new_residual = _gain(*terms, better, dt)
         if not new_residual < residual:
             break

@@ -30,6 +30,8 @@ def rounding_share(generator: ResidualGenerator) -> float:
         x = np.abs(R @ system.B[:, n_u:] @ plant.system("fault").frequency_response(w))
         steps = np.abs(system.A) @ x + K @ y
         left = left + np.abs(system.C) @ x + np.abs(system.C @ R) @ steps
-    share = _EPS * np.median(left / np.maximum(response, 1e-300), axis=0)
+    # A response below the rounding of its terms is lost as a whole, however small it is: a share of one.
+    lost = response < _EPS * left
+    share = np.median(np.where(lost, 1.0, _EPS * left / np.where(lost | (response == 0), 1.0, response)), axis=0)
     best = np.where(generator.structure, share, np.inf).min(axis=0, initial=np.inf)  # of the residuals that see it
     return float(np.max(best, initial=0.0, where=np.isfinite(best)))

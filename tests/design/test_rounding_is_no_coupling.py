@@ -1,0 +1,110 @@
+"""Entries that are nothing but rounding of a design's own products are no couplings, and no answers."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+
+import residua as rs
+
+#: A gain of a plant of small whole numbers and fractions; one of rounding is 1e15.
+GAIN = 1e3
+
+
+def sparse() -> rs.Plant:
+    A = np.zeros((6, 6))
+    A[0, 0], A[1, :3], A[2, 2] = 0.25, [0.75, -0.5, -0.25], -0.5
+    A[3, [0, 2]], A[4, [0, 4]], A[5, 0] = -0.75, [0.5, -0.25], -0.5
+    C = np.eye(6)[[5, 2, 5, 1]]
+    plant = rs.Plant(A, np.zeros((6, 0)), C, dt=0.5).with_disturbances({"d1": [0, 2, -3, 0, -2, 0]})
+    faults = {"f1": [0, 0, 0, 0, 2, 0], "f2": [0, 2, 0, 0, 3, 0], "f3": [0, 0, 0, 3, 0, 0]}
+    return plant.with_faults(faults).with_sensor_faults([0, 2])
+
+
+def chain_of_delays() -> rs.Plant:
+    A = np.diag(np.ones(4), -1)
+    A[1, 1] = 0.5
+    plant = rs.Plant(A, np.zeros((5, 0)), np.eye(5)[[0, 4, 4, 1]], dt=0.5)
+    plant = plant.with_disturbances({"d1": [0, 0, 0, 0, 1], "d2": [-2, 0, 0, -3, 0]})
+    return plant.with_faults({"f1": [3, 1, 3, -2, 0]}).with_sensor_faults([2])
+
+
+def dead_sensor() -> rs.Plant:
+    A = [[3, -2, -3, 0, 3], [2, 0, -1, 0, 1], [1, -3, -2, 0, -2], [-2, -2, -2, 2, 1], [0, 0, 0, 3, 0]]
+    B = [[1, 1], [-3, 1], [1, -2], [0, 1], [-2, 0]]
+    C = np.eye(5)[[3, 0, 0, 4]]
+    C[2] = 0
+    plant = rs.Plant(A, B, C).with_disturbances({"d1": [-3, -3, 2, 2, 2], "d2": [3, 3, 0, 3, 2]})
+    return plant.with_faults({"f1": [0, 3, 0, -2, 0]}).with_actuator_faults([1]).with_sensor_faults([3])
+
+
+@pytest.mark.parametrize(
+    ("plant", "design"),
+    [
+        (sparse(), rs.design.robust_detection_filter),
+        (chain_of_delays(), rs.design.unknown_input_observer),
+        (dead_sensor(), rs.design.detection_filter),
+    ],
+    ids=["sparse", "delays", "dead sensor"],
+)
+def test_no_pole_is_placed_through_rounding(plant: rs.Plant, design: Any) -> None:
+    made = design(plant)
+    assert made.evidence.conditions["norm of K1"] < GAIN
+    assert np.abs(made.system.A).max(initial=0.0) < GAIN
+
+
+def test_a_mode_behind_a_difference_of_equal_sensors_stays_fixed() -> None:
+    found = rs.analysis.unknown_input_observer_existence(chain_of_delays())
+    # a double zero at 0, known to the root of rounding
+    np.testing.assert_allclose(found.fixed_poles, [0.0, 0.0], atol=1e-7)
+
+
+def test_a_silent_response_beside_large_terms_does_not_overflow() -> None:
+    A = [[1, 1, 0], [0, 1, 2], [0, 0, 1]]
+    plant = rs.Plant(A, [[0], [0], [-3]], [[0, 1, 0], [0, 1, 0], [0, 0, 1]], dt=0.5)
+    plant = plant.with_disturbances({"d1": [0, 3, -2]}).with_faults({"f1": [2, -1, 3], "f2": [0, 0, 1]})
+    plant = plant.with_actuator_faults([0]).with_sensor_faults([2])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        made = rs.design.decoupled_residual(plant, insensitive_to=[plant.faults[0]])
+    assert all(0.0 <= value < np.inf for name, value in made.evidence.conditions.items() if "rounding" in name)
+
+
+def in_units(plant: rs.Plant, x: list[int], y: list[int], f: list[int]) -> rs.Plant:
+    """Return a plant in other units, by powers of two; its faults of sensors are in those of the outputs."""
+    X, Y = 2.0 ** np.array(x), 2.0 ** np.array(y)
+    other = rs.Plant(plant.A / X[:, None] * X, plant.Bu / X[:, None], plant.C * X / Y[:, None], dt=plant.dt)
+    other = other.with_disturbances(
+        {name: plant.Bd[:, i] / X for i, name in enumerate(plant.disturbances)},
+    )
+    own = [i for i, kind in enumerate(plant.fault_kinds) if kind == "component"]
+    other = other.with_faults({plant.faults[i]: plant.Bf[:, i] / X * 2.0 ** f[i] for i in own})
+    return other.with_sensor_faults([plant.outputs.index(z.component) for z in plant.fault_list if z.kind == "sensor"])
+
+
+def test_estimators_of_faults_do_not_depend_on_units() -> None:
+    base = rs.design.sensor_fault_estimators(sparse())
+    x, y, f = [-3, 20, -9, -12, -16, 0], [-1, -9, 12, 10], [19, -7, -14]
+    other = rs.design.sensor_fault_estimators(in_units(sparse(), x, y, f))
+    assert list(other) == list(base)
+
+
+def test_the_derivatives_of_a_perfect_observer_do_not_depend_on_units() -> None:
+    """The disturbance alone drives a state that only ``E`` connects with the others."""
+    plant = rs.Plant([[12, 0], [0, 0]], [[0], [2]], [[1, 3], [-3, -1], [-1, 2]]).with_disturbances({"d1": [0, 1]})
+    plant = plant.with_faults({"f1": [2, -2]})
+    for k in (-20, -7, 0, 13, 20):
+        other = in_units(plant, [k, -k], [0, k, 0], [0])
+        assert rs.design.perfect_observer(other, least_order=True).index == 2
+        assert rs.design.perfect_observer(other).index == 3
+
+
+def test_a_kalman_filter_keeps_apart_what_nothing_connects() -> None:
+    A = np.zeros((4, 4))
+    A[0, 2], A[2, [0, 3]], A[3, 0] = -1.5, [2.0**-8, -(2.0**-7)], -(2.0**-7)
+    plant = rs.Plant(A, np.zeros((4, 0)), np.eye(4)[[1, 0]]).with_faults({"f1": [2, 0, 0, -1]})
+    made = rs.design.kalman_filter(plant.with_sensor_faults().with_noise(process=1.0, measurement=1.0))
+    np.testing.assert_array_equal(made.structure, [[False, True, False], [True, False, True]])
