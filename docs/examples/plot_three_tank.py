@@ -13,6 +13,7 @@ of output says which of the two it was.
 """
 
 import os
+import textwrap
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -93,7 +94,7 @@ def monitor_for(generator, window=30):
 monitor = monitor_for(kalman)
 second_half = monitor.run(normal[0][half:], normal[1][half:])
 print(monitor)
-print(f"threshold: {monitor.norm_test.basis}")
+print(textwrap.fill(f"threshold: {monitor.norm_test.basis}", 110))
 print(f"second half: {second_half.false_alarm_fraction:.2%} of {second_half.decided.sum()} samples in alarm")
 assert second_half.false_alarm_fraction <= 0.01
 
