@@ -71,7 +71,7 @@ print(everyone)
 # %%
 # On the recordings
 # -----------------
-# All three are fitted to the first half of the fault-free recording, for one false alarm in 200 samples. The two banks
+# All three are fitted to the first half of the fault-free recording, for half a per cent of samples in alarm. The two banks
 # judge sums over 30 samples, and raise an alarm after ten in a row.
 test = rs.decide.NormThreshold(window=30, persistence=10)
 monitors = {
@@ -158,5 +158,5 @@ axes[-1].set_xlabel("time in s")
 # direction to hold and no size to be known, and it can say "none of mine": for the two faults that grow until the linear
 # model no longer holds, the bank says that it knows no such code, where the direction ranks, rightly once and wrongly
 # once. A direction weighs all residuals against each other and always ranks. The sensor bank is the quickest of the
-# three and answers one question only. Two faults that look alike while constant (h1's sensor and a clogged pipe 1-3)
-# are named together by all three.
+# three for most faults and answers one question only. Two faults that look alike while constant (h1's sensor and a
+# clogged pipe 1-3) are named together by all three.

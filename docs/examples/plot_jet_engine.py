@@ -64,8 +64,11 @@ print(result)
 # %%
 # The observer that the error cannot reach
 # ----------------------------------------
-# z' = F z + T B u + K y with the estimate z + H y. The existence condition holds (last line above). With all poles at -3:
-robust = rs.design.robust_detection_filter(engine, poles=[-3, -3, -3], H0=np.zeros((3, 6)))  # the paper's own H
+# z' = F z + T B u + K y with the estimate z + H y. The existence condition holds (last line above). With all poles at -3.
+# More than one H decouples. Without ``H0`` the package takes the one that is smallest with evenly weighted outputs, which
+# is the same in all units; the paper takes the smallest in the units that it uses, which is that of a zero ``H0``:
+H0 = np.zeros((3, 6))
+robust = rs.design.robust_detection_filter(engine, poles=[-3, -3, -3], H0=H0)
 observer = robust.observer
 print("H =", observer.H, "T =", observer.T, "K =", observer.K, sep="\n")
 
@@ -84,7 +87,7 @@ K_printed = np.array(
 )
 for corrected in (True, False):
     plant = jet_engine(corrected=corrected, disturbances=False).with_disturbances(E1)
-    o = rs.design.unknown_input_observer(plant, poles=[-3, -3, -3])
+    o = rs.design.unknown_input_observer(plant, poles=[-3, -3, -3], H0=H0)
     differences = [np.abs(a - b).max() for a, b in ((o.H, H_printed), (o.T, T_printed), (o.K, K_printed))]
     print(
         f"C(6,3) = {plant.C[5, 2]:.5f}: largest difference from the printed H {differences[0]:.1e}, "

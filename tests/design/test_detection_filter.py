@@ -129,3 +129,16 @@ def test_a_plant_without_faults_is_refused() -> None:
         rs.design.detection_filter(rs.library.gertler().without_faults())
     with pytest.raises(ModelError, match="unknown fault"):
         rs.design.detection_filter(rs.library.gertler(), faults=["nobody"])
+
+
+def test_notes_on_faults_that_move_the_error_alike_do_not_contradict_what_tells_them_apart() -> None:
+    plant = rs.Plant([[-1.0, 0], [0, -2]], [[1.0], [1]], np.eye(2)).with_faults({"a": [1, 0], "b": [2, 0]})
+    (note,) = (note for note in rs.design.detection_filter(plant, margin=3).evidence.notes if "signature" in note)
+    assert note == "a, b share one signature: this filter cannot tell them apart"
+    flt = rs.design.robust_detection_filter(rs.library.jet_engine().without_faults("fuel actuator"), poles=[-3, -3, -3])
+    (note,) = (note for note in flt.evidence.notes if "signature" in note)
+    assert note.endswith("along one signature: what tells them apart is how they enter the outputs")
+    sensors = list(flt.subspaces)
+    for one, other in itertools.combinations(sensors, 2):  # each settles off the subspace of every other
+        for name, stranger in ((one, other), (other, one)):
+            assert rs.decide.projection_distance(flt.steady_directions[name], flt.subspaces[stranger]) > 0.1

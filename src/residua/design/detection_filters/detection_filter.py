@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -162,16 +162,12 @@ def directional_filters(
     weights = even.output_weights(A, np.zeros((len(A), 0)), C)
     units = _Units.of(A, C, event_matrices(plant, T, chosen), weights)
     events, unseen = fault_events(units.A, units.C, units.events, rtol=rtol)
-    notes = [
-        f"{', '.join(event.faults)} share one signature: this filter cannot tell them apart"
-        for event in events
-        if len(event.faults) > 1
-    ]
+    directly = [name for name in chosen if _seen_directly(plant, H, W, name)]
+    notes = [note for event in events for note in _shared(event.faults, directly)]
     unseen = [name for name in unseen if not _seen_directly(plant, H, W, name)]
     if unseen:
         why = "hidden by the decoupled disturbances" if decouples and plant.disturbances else "seen by no output"
         notes.append(f"{', '.join(unseen)}: {why}")
-    directly = [name for name in chosen if _seen_directly(plant, H, W, name)]
     if not events and not directly:
         raise DesignError(f"none of the faults reaches the residual ({'; '.join(notes)})")
     pole = scalar_pole(A, C, poles, margin, plant.dt)
@@ -297,6 +293,20 @@ def event_matrices(plant: Plant, T: NDArray, faults: tuple[str, ...]) -> dict[st
         reference = max(np.linalg.norm(f), np.linalg.norm(d), 1e-300)
         out[name] = _unit_columns(np.where(size > 1e-11 * reference, L, 0.0))
     return out
+
+
+def _shared(faults: Sequence[str], directly: Sequence[str]) -> list[str]:
+    """Return what is to be said of faults that move the error along one signature; ``directly``: seen without it."""
+    if len(faults) < 2:
+        return []
+    alike = [name for name in faults if name not in directly]
+    notes = [f"{', '.join(alike)} share one signature: this filter cannot tell them apart"] if len(alike) > 1 else []
+    if len(alike) < len(faults):
+        notes.append(
+            f"{', '.join(faults)} move the error of the observer along one signature: what tells them apart is how "
+            "they enter the outputs"
+        )
+    return notes
 
 
 def _seen_directly(plant: Plant, H: NDArray, W: NDArray, name: str) -> bool:

@@ -55,7 +55,8 @@ def robust_detection_filter(
     faults : iterable of str, optional
         The faults to be kept apart; all faults of the plant when omitted.
     H0 : array_like, shape (n, outputs), optional
-        The free matrix of the general decoupling gain; zero when omitted.
+        The free matrix of the general decoupling gain, in the units of the plant: zeros give the smallest ``H``
+        in these units, as in the paper; when omitted, ``H`` is the smallest with evenly weighted outputs.
     rtol : float
         Relative tolerance of the rank decisions.
 
