@@ -14,7 +14,7 @@ from residua.linear.arrays import matrix
 from residua.linear.balancing import evened
 from residua.linear.uncertain_system import bounds
 
-MATRICES = ("A", "B", "C", "D")
+MATRICES = ("A", "B", "C", "D", "Bd", "Dd", "Bf", "Df")
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,9 @@ class Perturbation:
 
     Parameters
     ----------
-    matrix : {"A", "B", "C", "D"}
-        The matrix of the plant: states, control inputs, outputs, direct term.
+    matrix : {"A", "B", "C", "D", "Bd", "Dd", "Bf", "Df"}
+        The matrix of the plant: states, control inputs, outputs, direct term; directions of all disturbances in states
+        and in outputs, and those of all faults.
     H : array_like, shape (rows of the matrix, k)
     G : array_like, shape (k, columns of the matrix)
     low, high : array_like, shape (k,)

@@ -13,7 +13,7 @@ from residua.linear.arrays import frozen
 from residua.linear.spectrum import spectral_radius
 from residua.plant.perturbation import UncertainParameter, factored
 from residua.plant.plant import Plant
-from residua.plant.uncertain_plant import UncertainPlant, make_uncertain_plant, visited_values
+from residua.plant.uncertain_plant import ChannelBlock, UncertainPlant, make_uncertain_plant, visited_values
 
 Matrix = NDArray[np.float64]
 #: Points inside of the box of parameters that are evaluated besides its corners.
@@ -23,7 +23,9 @@ _MANY = 10.0
 #: What rounding may do to an entry, relative to the terms that it is the sum of.
 _ROUNDED = 1e-13
 #: What the affine form describes, and what it takes from the nominal plant.
-_MOVING, _FIXED = ("A", "Bu", "C", "Du"), ("E", "Bd", "Dd", "Bf", "Df", "Bw", "Dw")
+_MOVING, _FIXED = ("A", "Bu", "C", "Du", "Bd", "Dd", "Bf", "Df"), ("E", "Bw", "Dw")
+#: What plants of a list must have in common besides: the relations that are made of lists count on it.
+_DIRECTIONS = ("Bd", "Dd", "Bf", "Df")
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,15 +39,15 @@ class Linearisation:
     deviation : dict of str to ndarray
         The largest absolute deviation of each entry of each matrix of the plant.
     relative : float
-        The largest deviation of an entry of ``A``, ``B``, ``C`` or ``D`` relative to the range of that entry over the
-        points.
+        The largest deviation of an entry of ``A``, ``B``, ``C`` or ``D``, or of the direction of a disturbance or a
+        fault, relative to the range of that entry over the points.
     worst : dict of str to float
         The parameters at which ``relative`` was found.
     points : int
         Points evaluated: corners of the box, and points inside. Between them more may be left out.
     kept : dict of str to float
-        Matrices that the affine form takes from the nominal plant although they move, those of disturbances, faults
-        and noise and ``E``: by how much at most, relative to the largest entry of the column in the nominal plant.
+        Matrices that the affine form takes from the nominal plant although they move, those of noise and ``E``: by how
+        much at most, relative to the largest entry of the column in the nominal plant.
     before : Linearisation or None
         What an earlier step has left out, where the points of this one were taken from its affine form.
     """
@@ -162,20 +164,22 @@ def _parameter(name: str, values: Sequence[float]) -> UncertainParameter:
 
 
 def _stacked(plant: Plant, like: Plant) -> Matrix:
-    """Return ``[A B; C D]`` of a plant that has the channels of another."""
+    """Return ``[A B; C D]``, ``B`` with disturbances and faults, of a plant that has the channels of another."""
     for what in ("inputs", "outputs", "states", "disturbances", "faults", "noises", "dt"):
         if getattr(plant, what) != getattr(like, what):
             raise ModelError(
                 f"the plants of one family differ in their {what}: {getattr(plant, what)} and {getattr(like, what)}"
             )
-    return np.block([[plant.A, plant.Bu], [plant.C, plant.Du]])
+    return _stacked_from({name: getattr(plant, name) for name in _MOVING})
 
 
-def _channels_of(slope: Matrix, plant: Plant) -> tuple[Matrix, Matrix, Matrix, Matrix]:
-    """Return ``Hx, Hy, Gx, Gu`` with ``-[Hx; Hy] [Gx Gu] = slope``, with as few channels as its rank."""
+def _channels_of(slope: Matrix, plant: Plant) -> ChannelBlock:
+    """Return channels with ``-[Hx; Hy] [Gx Gu Gd Gf] = slope``, as few as its rank."""
     n = plant.n_states
     L, R = factored(slope)
-    return -L[:n], -L[n:], R[:, :n], R[:, n:]
+    R = np.where(slope.any(axis=0), R, 0.0)  # no rounding where nothing moves
+    ends = np.cumsum([n, len(plant.inputs), len(plant.disturbances)])
+    return ChannelBlock(-L[:n], -L[n:], *np.split(R, ends, axis=1))
 
 
 def _all_matrices(plant: Plant) -> dict[str, Matrix]:
@@ -184,7 +188,8 @@ def _all_matrices(plant: Plant) -> dict[str, Matrix]:
 
 
 def _stacked_from(matrices: Mapping[str, Matrix]) -> Matrix:
-    return np.block([[matrices["A"], matrices["Bu"]], [matrices["C"], matrices["Du"]]])
+    upper, lower = ([matrices[name] for name in names] for names in (("A", "Bu", "Bd", "Bf"), ("C", "Du", "Dd", "Df")))
+    return np.block([upper, lower])
 
 
 def _rounding(plants: Sequence[Plant], rtol: float) -> dict[str, Matrix]:
@@ -290,7 +295,7 @@ def uncertain_plant_from_plants(plants: Iterable[Plant]) -> UncertainPlant:
     stacks = np.stack([_stacked(plant, nominal) for plant in family])
     fixed = [_all_matrices(plant) for plant in family]
     rounding = _rounding(family, 0.0)
-    for name in _FIXED:
+    for name in (*_FIXED, *_DIRECTIONS):
         if any(np.any(np.abs(matrices[name] - fixed[0][name]) > rounding[name]) for matrices in fixed):
             raise ModelError(f"the plants differ in {name}: only A, B, C and D may vary within a family")
     spread = np.ptp(stacks, axis=0)

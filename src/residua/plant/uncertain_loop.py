@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import DesignError, ModelError
 from residua.linear import StateSpace, arrays
@@ -15,7 +15,9 @@ from residua.linear.robust_norm.visited_members import check_modes
 from residua.linear.spectrum import describe_modes
 from residua.linear.uncertain_system import UncertainSystem, parameter_values
 from residua.plant.plant import Plant
-from residua.plant.uncertain_plant import UncertainPlant, make_uncertain_plant, visited_values
+from residua.plant.uncertain_plant import ChannelBlock, UncertainPlant, make_uncertain_plant, visited_values
+
+Matrix = NDArray[np.float64]
 
 
 def close_loop(plant: UncertainPlant, controller: StateSpace) -> UncertainPlant:
@@ -25,7 +27,7 @@ def close_loop(plant: UncertainPlant, controller: StateSpace) -> UncertainPlant:
 
        x_{c,k+1} = A_c x_{c,k} + B_c y_k, \qquad u_k = C_c x_{c,k}
 
-    The loop has the states :math:`[x; x_c]`, no inputs, and uncertainty in ``A`` and ``C`` only:
+    The loop has the states :math:`[x; x_c]`, no inputs, and uncertainty in ``A`` and ``C``:
 
     .. math::
 
@@ -33,7 +35,8 @@ def close_loop(plant: UncertainPlant, controller: StateSpace) -> UncertainPlant:
        \Delta A = \begin{bmatrix} \Delta A_p & \Delta B_p C_c \\ B_c \Delta C_p & 0 \end{bmatrix}, \quad
        C = [C_p \; 0], \quad \Delta C = [\Delta C_p \; 0]
 
-    A sensor fault, and a disturbance of an output, also drives the controller. Each parameter keeps its channels: one
+    A sensor fault, and a disturbance of an output, also drives the controller: a direction :math:`[D_1; D_2]` becomes
+    :math:`[D_1; B_c D_2; D_2]`, and what is uncertain in it is too. Each parameter keeps its channels: one
     that stands in ``C`` enters the loop's ``A`` and ``C`` by the same channel, once, where the literature has two
     copies. A direct term of the plant is allowed, and adds its parts.
 
@@ -101,11 +104,13 @@ def close_loop(plant: UncertainPlant, controller: StateSpace) -> UncertainPlant:
         parts |= {"B" + letter: frozen(np.vstack([B, Bc @ D])), "D" + letter: D}
     loop = loop._with(**parts, disturbances=p.disturbances, fault_list=p.fault_list)
     k = len(plant.channels)
-    block = (
+    block = ChannelBlock(
         np.vstack([plant.Hx, Bc @ plant.Hy]),
         plant.Hy,
         np.hstack([plant.Gx, plant.Gu @ Cc]),
         np.zeros((k, 0)),
+        plant.Gd,
+        plant.Gf,
     )
     return make_uncertain_plant(loop, plant.parameters, plant.channels, [block], linearisation=plant.linearisation)
 
@@ -236,6 +241,19 @@ def residual_over_set(
 
     True for any ``T``; that of the filter makes the corner of :math:`\tilde A` zero.
 
+    Where the directions :math:`D_1, D_2` of a signal that was asked for depend on the parameters, by :math:`G_w`, all
+    signals come one sample later, by a state each, :math:`v_{k+1} = w_k`, and everything uncertain stands in ``A`` and
+    ``C`` again: with :math:`[x; e; v]`
+
+    .. math::
+
+       \begin{bmatrix} \tilde A & B_w \\ 0 & 0 \end{bmatrix}, \quad \begin{bmatrix} 0 \\ I \end{bmatrix}, \quad
+       [C_q \; G_w], \quad [C_z \; D_{zw}], \quad D_{zp}
+
+    take the places of :math:`\tilde A, B_w, C_q, C_z, D_{zp}`, and ``Bp`` gets zeros. A delay of all signals together
+    changes neither peak norms, which hold at any sample, nor gains; one of some of them would, for their sizes are
+    bounded together at each sample.
+
     Parameters
     ----------
     loop : UncertainPlant
@@ -259,7 +277,8 @@ def residual_over_set(
     Raises
     ------
     ModelError
-        If the loop has control inputs, or a shape does not fit.
+        If the loop has control inputs, or a shape does not fit; if directions depend on parameters in continuous time,
+        where nothing can come a sample later.
     """
     p = loop.nominal
     if p.inputs or p.E is not None:
@@ -279,20 +298,50 @@ def residual_over_set(
     scale = np.array([float((sizes or {}).get(known[i], 1.0)) for i in chosen])
     D1 = np.hstack([p.Bd, p.Bf])[:, chosen] * scale
     D2 = np.hstack([p.Dd, p.Df])[:, chosen] * scale
+    Gw = np.hstack([loop.Gd, loop.Gf])[:, chosen] * scale
     F, K, H, J = flt.A, flt.B, flt.C, flt.D
+    A = np.block([[p.A, np.zeros((n, len(F)))], [T @ p.A - F @ T - K @ p.C, F]])
+    Bp, Bw = -np.vstack([loop.Hx, T @ loop.Hx - K @ loop.Hy]), np.vstack([D1, T @ D1 - K @ D2])
+    Cq, Cz, Dzw = np.hstack([loop.Gx, np.zeros((len(loop.Gx), len(F)))]), np.hstack([H @ T + J @ p.C, -H]), J @ D2
+    if np.any(Gw):
+        _check_sampled(p, [known[i] for i, moves in zip(chosen, np.any(Gw, axis=0), strict=True) if moves])
+        A, Bp, Bw, Cq, Cz, Dzw = _one_sample_later(A, Bp, Bw, Cq, Cz, Dzw, Gw)
     return UncertainSystem(
-        np.block([[p.A, np.zeros((n, len(F)))], [T @ p.A - F @ T - K @ p.C, F]]),
-        -np.vstack([loop.Hx, T @ loop.Hx - K @ loop.Hy]),
-        np.vstack([D1, T @ D1 - K @ D2]),
-        np.hstack([loop.Gx, np.zeros((len(loop.Gx), len(F)))]),
-        np.hstack([H @ T + J @ p.C, -H]),
+        A,
+        Bp,
+        Bw,
+        Cq,
+        Cz,
         -J @ loop.Hy,
-        J @ D2,
+        Dzw,
         low=loop.low - loop.nominal_values,
         high=loop.high - loop.nominal_values,
         channels=loop.channels,
         parameters=loop.names,
         dt=p.dt,
+    )
+
+
+def _check_sampled(plant: Plant, moving: list[str]) -> None:
+    if not plant.is_discrete:
+        raise ModelError(
+            f"the directions of {', '.join(map(repr, moving))} depend on parameters, which is allowed for in sampled "
+            "time only: discretize(dt) the uncertain plant first"
+        )
+
+
+def _one_sample_later(
+    A: Matrix, Bp: Matrix, Bw: Matrix, Cq: Matrix, Cz: Matrix, Dzw: Matrix, Gw: Matrix
+) -> tuple[Matrix, Matrix, Matrix, Matrix, Matrix, Matrix]:
+    """Return matrices of a system with its inputs delayed, which moves ``q = Cq x + Gw w`` into the states."""
+    n, m = Bw.shape
+    return (
+        np.block([[A, Bw], [np.zeros((m, n + m))]]),
+        np.vstack([Bp, np.zeros((m, Bp.shape[1]))]),
+        np.vstack([np.zeros((n, m)), np.eye(m)]),
+        np.hstack([Cq, Gw]),
+        np.hstack([Cz, Dzw]),
+        np.zeros_like(Dzw),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +13,7 @@ from residua.errors import ModelError
 from residua.linear import StateSpace
 from residua.linear.arrays import frozen, unique
 from residua.linear.uncertain_system import UncertainSystem, corners, parameter_values
-from residua.plant.perturbation import Perturbation, UncertainParameter
+from residua.plant.perturbation import MATRICES, Perturbation, UncertainParameter
 from residua.plant.plant import Plant
 
 if TYPE_CHECKING:
@@ -24,6 +24,17 @@ Matrix = NDArray[np.float64]
 _ALL_CORNERS = 10
 
 
+class ChannelBlock(NamedTuple):
+    """Channels of an uncertain plant, one after another; ``Gd`` and ``Gf`` are zero where they are not given."""
+
+    Hx: Matrix
+    Hy: Matrix
+    Gx: Matrix
+    Gu: Matrix
+    Gd: Matrix | None = None
+    Gf: Matrix | None = None
+
+
 @dataclass(frozen=True, init=False, eq=False, repr=False)
 class UncertainPlant:
     r"""A plant with constant parameters of which only bounds are known.
@@ -31,6 +42,9 @@ class UncertainPlant:
     .. math::
 
        \Delta A = -H_x F G_x, \quad \Delta B = -H_x F G_u, \quad \Delta C = -H_y F G_x, \quad \Delta D = -H_y F G_u
+
+    and likewise with :math:`G_d` and :math:`G_f` for the directions of disturbances and faults, in the states and in
+    the outputs,
 
     with ``F`` diagonal: each channel (column of ``H``, row of ``G``) belongs to a parameter, which may own several;
     the entry of ``F`` is the parameter less its nominal value. Three ways to make one: perturbations of the matrices
@@ -54,6 +68,8 @@ class UncertainPlant:
     Hy : ndarray, shape (outputs, channels)
     Gx : ndarray, shape (channels, n)
     Gu : ndarray, shape (channels, inputs)
+    Gd : ndarray, shape (channels, disturbances)
+    Gf : ndarray, shape (channels, faults)
     linearisation : Linearisation or None
         What the form above leaves out of the plants that it was made from; None where it was given.
     plants : tuple of Plant
@@ -69,8 +85,10 @@ class UncertainPlant:
     Notes
     -----
     Assumes
-        Parameters are constant in time. Directions of faults and disturbances do not depend on them: an actuator
-        fault keeps the nominal column of ``B``.
+        Parameters are constant in time. Directions of noise, and ``E``, do not depend on them. Those of faults and
+        disturbances do as far as they are given to: plants of :meth:`from_parameters` bring theirs, while a
+        perturbation of ``B`` leaves an actuator fault with the nominal column; perturb ``"Bf"`` as well, by the same
+        name.
 
     References
     ----------
@@ -93,6 +111,8 @@ class UncertainPlant:
     Hy: Matrix
     Gx: Matrix
     Gu: Matrix
+    Gd: Matrix
+    Gf: Matrix
     linearisation: Linearisation | None
     plants: tuple[Plant, ...]
     function: Callable[[Mapping[str, float]], Plant] | None
@@ -102,7 +122,7 @@ class UncertainPlant:
             raise ModelError(f"nominal must be a Plant, got {type(nominal).__name__}")
         blocks, labels = [], []
         found: dict[str, UncertainParameter] = {}
-        counts = dict.fromkeys("ABCD", 0)
+        counts: dict[str, int] = dict.fromkeys(MATRICES, 0)
         for delta in deltas:
             if not isinstance(delta, Perturbation):
                 raise ModelError(f"deltas holds Perturbation objects, got {type(delta).__name__}")
@@ -188,6 +208,10 @@ class UncertainPlant:
             Bu=frozen(plant.Bu - Hx @ self.Gu),
             C=frozen(plant.C - Hy @ self.Gx),
             Du=frozen(plant.Du - Hy @ self.Gu),
+            Bd=frozen(plant.Bd - Hx @ self.Gd),
+            Dd=frozen(plant.Dd - Hy @ self.Gd),
+            Bf=frozen(plant.Bf - Hx @ self.Gf),
+            Df=frozen(plant.Df - Hy @ self.Gf),
         )
 
     def vertex_values(self) -> NDArray[np.float64]:
@@ -249,7 +273,7 @@ class UncertainPlant:
         if self.function is not None or before is None or before.exact or found is None:
             return made
         both = replace(found, exact=False, before=before)
-        block = made.Hx, made.Hy, made.Gx, made.Gu
+        block = ChannelBlock(made.Hx, made.Hy, made.Gx, made.Gu, made.Gd, made.Gf)
         return make_uncertain_plant(
             made.nominal, made.parameters, made.channels, [block], linearisation=both, function=made.function
         )
@@ -271,13 +295,13 @@ def make_uncertain_plant(
     nominal: Plant,
     parameters: tuple[UncertainParameter, ...],
     channels: tuple[int, ...],
-    blocks: Iterable[tuple[Matrix, Matrix, Matrix, Matrix]],
+    blocks: Iterable[ChannelBlock | tuple[Matrix, Matrix, Matrix, Matrix]],
     *,
     linearisation: Linearisation | None = None,
     plants: tuple[Plant, ...] = (),
     function: Callable[[Mapping[str, float]], Plant] | None = None,
 ) -> UncertainPlant:
-    """Return an uncertain plant from blocks ``(Hx, Hy, Gx, Gu)`` of channels, one after another."""
+    """Return an uncertain plant from blocks of channels, one after another."""
     new = object.__new__(UncertainPlant)
     _assign(new, nominal, parameters, channels, blocks, linearisation, plants, function)
     return new
@@ -299,22 +323,30 @@ def _assign(
     nominal: Plant,
     parameters: tuple[UncertainParameter, ...],
     channels: tuple[int, ...],
-    blocks: Iterable[tuple[Matrix, Matrix, Matrix, Matrix]],
+    blocks: Iterable[ChannelBlock | tuple[Matrix, Matrix, Matrix, Matrix]],
     linearisation: Linearisation | None = None,
     plants: tuple[Plant, ...] = (),
     function: Callable[[Mapping[str, float]], Plant] | None = None,
 ) -> None:
-    blocks = list(blocks)
+    made = [block if isinstance(block, ChannelBlock) else ChannelBlock(*block) for block in blocks]
     unique(tuple(p.name for p in parameters), "parameters")
-    n, m, p = nominal.n_states, len(nominal.inputs), nominal.n_outputs
+    n, p = nominal.n_states, nominal.n_outputs
+
+    def right(part: str, columns: int) -> Matrix:
+        given = ((getattr(b, part), len(b.Gx)) for b in made)
+        rows = [np.zeros((k, columns)) if G is None else G for G, k in given]
+        return frozen(np.vstack([np.zeros((0, columns)), *rows]))
+
     fields = {
         "nominal": nominal,
         "parameters": parameters,
         "channels": channels,
-        "Hx": frozen(np.hstack([np.zeros((n, 0)), *(b[0] for b in blocks)])),
-        "Hy": frozen(np.hstack([np.zeros((p, 0)), *(b[1] for b in blocks)])),
-        "Gx": frozen(np.vstack([np.zeros((0, n)), *(b[2] for b in blocks)])),
-        "Gu": frozen(np.vstack([np.zeros((0, m)), *(b[3] for b in blocks)])),
+        "Hx": frozen(np.hstack([np.zeros((n, 0)), *(b.Hx for b in made)])),
+        "Hy": frozen(np.hstack([np.zeros((p, 0)), *(b.Hy for b in made)])),
+        "Gx": right("Gx", n),
+        "Gu": right("Gu", len(nominal.inputs)),
+        "Gd": right("Gd", len(nominal.disturbances)),
+        "Gf": right("Gf", len(nominal.faults)),
         "linearisation": linearisation,
         "plants": plants,
         "function": function,
@@ -323,17 +355,19 @@ def _assign(
         object.__setattr__(new, key, value)
 
 
-def _channel_block(plant: Plant, delta: Perturbation) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+def _channel_block(plant: Plant, delta: Perturbation) -> ChannelBlock:
     """Return the channels of one perturbation, with zeros where it does not enter."""
-    n, m, p = plant.n_states, len(plant.inputs), plant.n_outputs
-    rows, columns = (p if delta.matrix in "CD" else n), (m if delta.matrix in "BD" else n)
-    k = len(delta.low)
+    n, p, k = plant.n_states, plant.n_outputs, len(delta.low)
+    of_outputs = delta.matrix[0] in "CD"
+    side = "x" if delta.matrix in "AC" else delta.matrix[1:] or "u"
+    widths = {"x": n, "u": len(plant.inputs), "d": len(plant.disturbances), "f": len(plant.faults)}
+    rows, columns = (p if of_outputs else n), widths[side]
     if delta.H.shape[0] != rows or delta.G.shape[1] != columns:
         raise ModelError(
             f"d{delta.matrix} = -H F G must be {rows} x {columns} as {delta.matrix} of the plant is, "
             f"got H with {delta.H.shape[0]} rows and G with {delta.G.shape[1]} columns"
         )
-    Hx, Hy, Gx, Gu = np.zeros((n, k)), np.zeros((p, k)), np.zeros((k, n)), np.zeros((k, m))
-    (Hy if delta.matrix in "CD" else Hx)[:] = delta.H
-    (Gu if delta.matrix in "BD" else Gx)[:] = delta.G
-    return Hx, Hy, Gx, Gu
+    Hx, Hy, right = np.zeros((n, k)), np.zeros((p, k)), {part: np.zeros((k, width)) for part, width in widths.items()}
+    (Hy if of_outputs else Hx)[:] = delta.H
+    right[side][:] = delta.G
+    return ChannelBlock(Hx, Hy, right["x"], right["u"], right["d"], right["f"])

@@ -219,13 +219,13 @@ def sampled_cost(
     plant, bounded = family.plant, bounded or {}
     columns = [plant.faults.index(name) for name in bounded]
     sizes = np.array(list(bounded.values()))
-    B = np.hstack([plant.Bd, plant.Bf[:, columns] * sizes])
-    D = np.hstack([plant.Dd, plant.Df[:, columns] * sizes])
     T, L, N = family.state_map, family.inject, family.read
     i = plant.faults.index(family.target)
-    b, d = plant.Bf[:, i], plant.Df[:, i]
     parts = []
     for member in members:
+        B = np.hstack([member.Bd, member.Bf[:, columns] * sizes])
+        D = np.hstack([member.Dd, member.Df[:, columns] * sizes])
+        b, d = member.Bf[:, i], member.Df[:, i]
         dA, dC = member.A - plant.A, member.C - plant.C
         error = {"driven": T @ dA - L @ dC, "start": T @ B - L @ D, "fault_start": T @ b - L @ d}
         seen = {"seen": N @ dC, "direct": N @ D, "fault_direct": N @ d}
