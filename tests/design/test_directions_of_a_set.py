@@ -7,6 +7,9 @@ import pytest
 
 import residua as rs
 from residua.design.robust_l1.certified_threshold import certified_threshold
+from residua.design.robust_l1.estimator_family import estimator_family
+from residua.design.robust_l1.sampled_cost import Weights, sampled_cost
+from residua.design.robust_l1.starting_gains import starting_gains
 from residua.errors import ModelError
 from residua.linear import StateSpace, peak_input, peak_norm, smallest_gain
 from residua.plant import Perturbation, UncertainPlant
@@ -178,22 +181,45 @@ def test_no_real_plant_responds_less(seed, band):
         assert found.attained <= min(gains) * 1.01
 
 
+def leaking_plant(v) -> rs.Plant:
+    plant = rs.Plant([[0.8, 0.1], [0.0, 0.6]], np.zeros((2, 0)), np.eye(2), dt=1.0, outputs=["a", "b"])
+    plant = plant.with_disturbances([[0.02 * v["area"]], [0.01]], output=[[0.0], [0.01]])
+    return plant.with_faults({"leak": [-0.1 * v["area"], 0.0]}).with_sensor_faults(["b"])
+
+
+def leaking_loop() -> UncertainPlant:
+    return UncertainPlant.from_parameters(leaking_plant, {"area": (0.5, 1.0, 1.5)})
+
+
+def test_the_search_looks_at_the_directions_of_its_members():
+    loop = leaking_loop()
+    family = estimator_family(loop.nominal, "leak", ())
+    tried = np.array([family.point(Z, np.ones(family.rows)) for Z in starting_gains(family, 0.9)])
+    for area in (0.5, 1.5):
+        real = leaking_plant({"area": area})
+        cost = sampled_cost(family, [loop.member([area])], Weights(0.5, 1.0), radius=0.95, bounded={"b sensor": 0.1})
+        found = cost.norms(tried)
+        assert np.isfinite(found.alone).any()
+        for k in np.flatnonzero(np.isfinite(found.alone)):
+            one, _ = family.estimator(tried[k])
+            alone = peak_norm(in_series(driven(real, real.disturbances), one)).value
+            # terms of the responses beyond 1e-4 are cut, and some lie on a line between others
+            assert found.alone[k] == pytest.approx(alone, rel=5e-3)
+            (gain,) = in_series(driven(real, ["leak"]), one).frequency_response(np.zeros(1)).ravel().real
+            assert found.fault[k] == pytest.approx(abs(gain), rel=1e-9)
+
+
 def test_a_bank_promises_faults_for_every_real_plant():
     """A lasting fault of the smallest size that is certain to be seen, and the worst disturbance against it."""
 
-    def plant_at(v):
-        plant = rs.Plant([[0.8, 0.1], [0.0, 0.6]], np.zeros((2, 0)), np.eye(2), dt=1.0, outputs=["a", "b"])
-        plant = plant.with_disturbances([[0.02 * v["area"]], [0.01]], output=[[0.0], [0.01]])
-        return plant.with_faults({"leak": [-0.1 * v["area"], 0.0]}).with_sensor_faults(["b"])
-
-    loop = UncertainPlant.from_parameters(plant_at, {"area": (0.5, 1.0, 1.5)})
+    loop = leaking_loop()
     quick = rs.design.DifferentialEvolution(population=30, generations=15, polish=False)
     bank = rs.design.robust_l1_bank(loop, ["leak"], search=quick, method="centred", progress=False)
     one = bank.estimators["leak"]
     assert not one.certificate.notes
     assert one.sensitivity.values == {"area": 0.5}
     for area in (0.5, 0.75, 1.2, 1.5):
-        real = plant_at({"area": area})
+        real = leaking_plant({"area": area})
         noise = in_series(driven(real, real.disturbances), one.filter)
         (gain,) = in_series(driven(real, ["leak"]), one.filter).frequency_response(np.zeros(1)).ravel().real
         assert peak_norm(noise).value <= one.threshold * (1 + CUT)
