@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 import residua as rs
+from residua.errors import AccuracyError
+from residua.linear.far_gain import refuse_far_gain
 
 #: A gain of a plant of small whole numbers and fractions; one of rounding is 1e15.
 GAIN = 1e3
@@ -71,6 +73,22 @@ def test_a_silent_response_beside_large_terms_does_not_overflow() -> None:
         warnings.simplefilter("error", RuntimeWarning)
         made = rs.design.decoupled_residual(plant, insensitive_to=[plant.faults[0]])
     assert all(0.0 <= value < np.inf for name, value in made.evidence.conditions.items() if "rounding" in name)
+
+
+@pytest.mark.parametrize("design", [rs.design.unknown_input_observer, rs.design.detection_filter])
+def test_what_only_a_huge_gain_moves_is_refused(design: Any) -> None:
+    """Two modes a ten thousand millionth apart in one output: what tells them apart may be rounding."""
+    plant = rs.Plant(np.diag([-1, -1 - 2.0**-33]), np.zeros((2, 0)), [[1, 1]]).with_faults({"f1": [1, 2]})
+    with pytest.raises(AccuracyError, match="the mode -1 is seen too weakly"):
+        design(plant, margin=1.5)
+
+
+def test_a_gain_that_far_poles_take_is_not_refused() -> None:
+    A = np.diag(np.ones(3), 1)
+    K = np.array([[4e3], [6e6], [4e9], [1e12]])  # all four poles of a chain of integrators at -1000
+    refuse_far_gain(A, np.eye(4)[:1], K, 1000.0)
+    with pytest.raises(AccuracyError, match="seen too weakly"):
+        refuse_far_gain(A, np.eye(4)[:1], K, 1.0)
 
 
 def in_units(plant: rs.Plant, x: list[int], y: list[int], f: list[int]) -> rs.Plant:
