@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import residua as rs
-from residua.errors import AccuracyError
+from residua.design.observers.reduced_order import _check
+from residua.errors import AccuracyError, DesignError
 from residua.linear.far_gain import refuse_far_gain
 
 #: A gain of a plant of small whole numbers and fractions; one of rounding is 1e15.
@@ -56,6 +57,25 @@ def test_no_pole_is_placed_through_rounding(plant: rs.Plant, design: Any) -> Non
     made = design(plant)
     assert made.evidence.conditions["norm of K1"] < GAIN
     assert np.abs(made.system.A).max(initial=0.0) < GAIN
+
+
+@pytest.mark.parametrize("design", [rs.design.reduced_order_observer, rs.design.descriptor_observer])
+@pytest.mark.parametrize("outputs", [None, [0, 1, 2]])
+def test_a_hidden_unstable_mode_is_not_seen_through_rounding(design: Any, outputs: list[int] | None) -> None:
+    """The mode at -1.25 stays whatever the outputs say; a coupling of 1e-16 seemed to see it."""
+    A = np.array([[0, 0, 0, 0, 2, 0], [1, 3, 6, -2, 7, 0], [3, 0, 0, 1, -1, 0]]) / 4
+    A = np.vstack([A, np.array([[5, 5, 9, -3, 12, 0], [3, 0, 0, 0, 1, 0], [-1, -4, 1, 3, -1, -5]]) / 4])
+    C = [[0, -1, 0, 1, -1, 0], [0, 2, 0, -1, 1, 0], [0, -1, 0, 1, -1, 0], [1, 0, 0, 0, 0, 0]]
+    plant = rs.Plant(A, [[3], [-2], [0], [1], [-1], [-3]], C, dt=0.5)
+    with pytest.raises(DesignError, match=r"mode -1\.25 is not seen"):
+        design(plant.with_disturbances({"d1": [0, -3, -3, 1, 0, 3]}), outputs=outputs)
+
+
+def test_an_observer_that_rounding_made_unstable_is_refused() -> None:
+    plant, one, none = rs.Plant([[0.5]], [[1]], [[1]], dt=1.0), np.eye(1), np.zeros((1, 1))
+    _check(plant, one, 0.9 * one, none, one, none, np.ones(1), 1e-10)
+    with pytest.raises(AccuracyError, match="not stable, with poles 1.1"):
+        _check(plant, one, 1.1 * one, none, one, none, np.ones(1), 1e-10)
 
 
 def test_a_mode_behind_a_difference_of_equal_sensors_stays_fixed() -> None:
