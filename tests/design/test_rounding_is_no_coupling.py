@@ -74,7 +74,7 @@ def test_a_hidden_unstable_mode_is_not_seen_through_rounding(design: Any, output
 def test_an_observer_that_rounding_made_unstable_is_refused() -> None:
     plant, one, none = rs.Plant([[0.5]], [[1]], [[1]], dt=1.0), np.eye(1), np.zeros((1, 1))
     _check(plant, one, 0.9 * one, none, one, none, np.ones(1), 1e-10)
-    with pytest.raises(AccuracyError, match="not stable, with poles 1.1"):
+    with pytest.raises(AccuracyError, match=r"not stable, with poles 1\.1"):
         _check(plant, one, 1.1 * one, none, one, none, np.ones(1), 1e-10)
 
 
