@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 
 import residua as rs
+from residua.design.observers.reduced_order import _check
+from residua.errors import AccuracyError, DesignError
+from residua.linear.far_gain import refuse_far_gain
 
 #: A gain of a plant of small whole numbers and fractions; one of rounding is 1e15.
 GAIN = 1e3
@@ -56,6 +59,25 @@ def test_no_pole_is_placed_through_rounding(plant: rs.Plant, design: Any) -> Non
     assert np.abs(made.system.A).max(initial=0.0) < GAIN
 
 
+@pytest.mark.parametrize("design", [rs.design.reduced_order_observer, rs.design.descriptor_observer])
+@pytest.mark.parametrize("outputs", [None, [0, 1, 2]])
+def test_a_hidden_unstable_mode_is_not_seen_through_rounding(design: Any, outputs: list[int] | None) -> None:
+    """The mode at -1.25 stays whatever the outputs say; a coupling of 1e-16 seemed to see it."""
+    A = np.array([[0, 0, 0, 0, 2, 0], [1, 3, 6, -2, 7, 0], [3, 0, 0, 1, -1, 0]]) / 4
+    A = np.vstack([A, np.array([[5, 5, 9, -3, 12, 0], [3, 0, 0, 0, 1, 0], [-1, -4, 1, 3, -1, -5]]) / 4])
+    C = [[0, -1, 0, 1, -1, 0], [0, 2, 0, -1, 1, 0], [0, -1, 0, 1, -1, 0], [1, 0, 0, 0, 0, 0]]
+    plant = rs.Plant(A, [[3], [-2], [0], [1], [-1], [-3]], C, dt=0.5)
+    with pytest.raises(DesignError, match=r"mode -1\.25 is not seen"):
+        design(plant.with_disturbances({"d1": [0, -3, -3, 1, 0, 3]}), outputs=outputs)
+
+
+def test_an_observer_that_rounding_made_unstable_is_refused() -> None:
+    plant, one, none = rs.Plant([[0.5]], [[1]], [[1]], dt=1.0), np.eye(1), np.zeros((1, 1))
+    _check(plant, one, 0.9 * one, none, one, none, np.ones(1), 1e-10)
+    with pytest.raises(AccuracyError, match=r"not stable, with poles 1\.1"):
+        _check(plant, one, 1.1 * one, none, one, none, np.ones(1), 1e-10)
+
+
 def test_a_mode_behind_a_difference_of_equal_sensors_stays_fixed() -> None:
     found = rs.analysis.unknown_input_observer_existence(chain_of_delays())
     # a double zero at 0, known to the root of rounding
@@ -71,6 +93,22 @@ def test_a_silent_response_beside_large_terms_does_not_overflow() -> None:
         warnings.simplefilter("error", RuntimeWarning)
         made = rs.design.decoupled_residual(plant, insensitive_to=[plant.faults[0]])
     assert all(0.0 <= value < np.inf for name, value in made.evidence.conditions.items() if "rounding" in name)
+
+
+@pytest.mark.parametrize("design", [rs.design.unknown_input_observer, rs.design.detection_filter])
+def test_what_only_a_huge_gain_moves_is_refused(design: Any) -> None:
+    """Two modes a ten thousand millionth apart in one output: what tells them apart may be rounding."""
+    plant = rs.Plant(np.diag([-1, -1 - 2.0**-33]), np.zeros((2, 0)), [[1, 1]]).with_faults({"f1": [1, 2]})
+    with pytest.raises(AccuracyError, match="the mode -1 is seen too weakly"):
+        design(plant, margin=1.5)
+
+
+def test_a_gain_that_far_poles_take_is_not_refused() -> None:
+    A = np.diag(np.ones(3), 1)
+    K = np.array([[4e3], [6e6], [4e9], [1e12]])  # all four poles of a chain of integrators at -1000
+    refuse_far_gain(A, np.eye(4)[:1], K, 1000.0)
+    with pytest.raises(AccuracyError, match="seen too weakly"):
+        refuse_far_gain(A, np.eye(4)[:1], K, 1.0)
 
 
 def in_units(plant: rs.Plant, x: list[int], y: list[int], f: list[int]) -> rs.Plant:

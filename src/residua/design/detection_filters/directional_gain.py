@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import DesignError
 from residua.linear.detection_space import DetectionSpace, detection_space, separation, split_blocks
+from residua.linear.far_gain import refuse_far_gain
 from residua.linear.observability import detectability, is_stable_mode, observability_form
 from residua.linear.placement import default_margin, place_observer_margin, place_observer_poles
 from residua.linear.rank import DEFAULT_RTOL, decide_rank
@@ -175,11 +176,17 @@ def block_gain(
             if share is None
             else place_observer_poles(Ai, Ci, share, dt=dt, rtol=rtol)
         )
+        refuse_far_gain(Ai, Ci, placed.gain, _rate(share, distance, dt))
         gains.append(placed.gain)
         requested.append(np.zeros(0, complex) if share is None else share)
         errors.append(float(placed.error))
     K = blocks.gain(gains[:-1], gains[-1])
     return DirectionalGain(K, fixed, np.concatenate(requested), max(errors))
+
+
+def _rate(poles: NDArray | None, margin: float, dt: float) -> float:
+    """Return the size of the farthest pole that is asked for; that of a sampled plant is in the unit disk."""
+    return 1.0 if dt else margin if poles is None else float(np.abs(poles).max(initial=0.0))
 
 
 def share_poles(

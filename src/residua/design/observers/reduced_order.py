@@ -17,8 +17,12 @@ from residua.design.observers.observer_gain import margin_from, place, pole_evid
 from residua.errors import AccuracyError, DesignError
 from residua.linear import arrays
 from residua.linear.balancing import descriptor_units, without_rounding
+from residua.linear.far_gain import refuse_far_gain
+from residua.linear.matrix_poles import explicit_poles
+from residua.linear.observability import is_stable_mode
 from residua.linear.placement import Placement
-from residua.linear.rank import RankDecision, decide_rank, left_null_basis
+from residua.linear.rank import RankDecision, decide_rank, left_null_basis, without_noise
+from residua.linear.spectrum import describe_modes
 from residua.plant import Plant
 from residua.plant.even_units import even_plant
 
@@ -74,10 +78,11 @@ def _reduced(
     Cs = u.outputs[:, None] * (free.T @ plant.C) * S
     Ds = R * (plant.Bd - G @ plant.Dd)
     U, s, Vh = np.linalg.svd(Cs) if Cs.size else (np.eye(len(Cs)), np.zeros(0), np.eye(n))
+    U, Vh = without_noise(U), without_noise(Vh)
     k = decide_rank(Cs, rtol=rtol).rank
     inverse, Q = Vh[:k].T / s[:k] @ U[:, :k].T, Vh[k:].T
     unknown = _full_rank_columns(Ds, R * (np.abs(plant.Bd) + np.abs(G) @ np.abs(plant.Dd)), rtol)
-    X0, N = _particular(Es @ Q, unknown, n - k, plant, rtol)
+    X0, N = _particular(without_rounding(Es, Q), unknown, n - k, plant, rtol)
     placed = _placed(without_rounding(N, As, Q), without_rounding(X0, As, Q), poles, margin, plant, rtol)
     Xs = _without_noise(X0 - placed.gain @ N)
     F = Xs @ As @ Q
@@ -119,7 +124,7 @@ def _particular(EQ: NDArray, D: NDArray, order: int, plant: Plant, rtol: float) 
                 else "add a sensor that sees the states without equations of their own"
             )
         )
-    X = np.linalg.pinv(whole)[:order] / (level or 1.0)
+    X = _without_noise(np.linalg.pinv(whole)[:order]) / (level or 1.0)
     return X, left_null_basis(whole)[0].T
 
 
@@ -132,7 +137,10 @@ def _placed(C: NDArray, A: NDArray, poles: object, margin: float | None, plant: 
     if len(A):
         if poles is None and margin is None:
             margin = margin_from(A, plant)
-        return place(A, C, poles, margin, plant.dt, rtol)  # pyright: ignore[reportArgumentType]
+        placed = place(A, C, poles, margin, plant.dt, rtol)  # pyright: ignore[reportArgumentType]
+        farthest = float(np.abs(placed.requested).max(initial=margin or 0.0))
+        refuse_far_gain(A, C, placed.gain, 1.0 if plant.dt else farthest)
+        return placed
     if poles is not None and np.size(np.asarray(poles)):
         raise DesignError("there is nothing to place: the measurements determine all states, the order is 0")
     none = np.zeros(0, dtype=complex)
@@ -181,7 +189,16 @@ def _unused(plant: Plant, used: list[int]) -> NDArray:
 def _check(
     plant: Plant, T: NDArray, F: NDArray, K: NDArray, M: NDArray, H: NDArray, units: NDArray, rtol: float
 ) -> None:
-    """Raise when ``M T E + H C = I`` or ``T E_d = K D_d`` is missed, relative to the largest terms of its row."""
+    """Raise when a pole of ``F`` is not stable, or ``M T E + H C = I`` or ``T E_d = K D_d`` is missed.
+
+    Relative to the largest terms of the row.
+    """
+    poles = explicit_poles(F)
+    if not is_stable_mode(poles, plant.dt).all():
+        raise AccuracyError(
+            f"the observer is not stable, with poles {describe_modes(poles)}: rounding moved them from where they were "
+            "placed; ask for poles nearer to those of the plant, or use unknown_input_observer"
+        )
     TE = T if plant.E is None else T @ plant.E
     missed = (M @ TE + H @ plant.C - np.eye(plant.n_states)) * units / units[:, None]
     terms = (np.abs(M) @ np.abs(TE) + np.abs(H) @ np.abs(plant.C)) * units / units[:, None]

@@ -25,6 +25,7 @@ from residua.design.observers.observer_gain import margin_from, place, pole_evid
 from residua.errors import AccuracyError, DesignError
 from residua.linear.arrays import matrix
 from residua.linear.balancing import without_rounding
+from residua.linear.far_gain import refuse_far_gain
 from residua.linear.observability import staircase
 from residua.linear.placement import Placement
 from residua.linear.rank import DEFAULT_RTOL, RankDecision
@@ -118,6 +119,8 @@ def unknown_input_observer(
     if poles is None and margin is None:
         margin = margin_from(parts.A22, even)
     placed = place(*parts.error_pair, poles, margin, plant.dt, rtol)
+    farthest = float(np.abs(placed.requested).max(initial=margin or 0.0))
+    refuse_far_gain(*parts.error_pair, placed.gain, 1.0 if plant.dt else farthest)
     placed = replace(placed, gain=without_rounding(parts.M, placed.gain, parts.outputs))
     made = assemble(even, parts.form, parts.T, parts.H, placed, existence)
     return in_units_of_the_plant(made, plant.explicit(), parts.even)
