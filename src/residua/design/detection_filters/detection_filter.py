@@ -25,6 +25,7 @@ from residua.design.evidence import Evidence
 from residua.design.generator import Member, ResidualGenerator, make_generator
 from residua.design.internal_form import check_decoupling
 from residua.design.observers.observer import Observer, in_units_of_the_plant
+from residua.design.observers.observer_gain import POLE_ERROR
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
 from residua.linear.arrays import index_of
@@ -33,6 +34,7 @@ from residua.linear.matrix_poles import explicit_poles
 from residua.linear.observability import detectability
 from residua.linear.placement import default_margin
 from residua.linear.rank import DEFAULT_RTOL, decide_rank
+from residua.linear.spectrum import spectrum_error
 from residua.plant import Plant
 from residua.plant.even_units import EvenPlant, even_plant
 
@@ -229,12 +231,26 @@ class _Frame:
             poles=explicit_poles(F),
             requested_poles=design.requested,
             fixed_poles=design.fixed,
-            conditions={"pole error": design.error, "norm of K1": float(np.linalg.norm(K1))},
+            conditions={"pole error": self._pole_error(design, F), "norm of K1": float(np.linalg.norm(K1))},
             notes=(*notes, design.note) if design.note else notes,
         )
         K, M = K1 + F @ self.H, np.eye(len(F))
         made = Observer(plant, F, self.T, K, M, self.H, self.W, self.base.method, self.decouples, evidence)
         return in_units_of_the_plant(made, self.plant, self.even)
+
+    def _pole_error(self, design: DirectionalGain, F: NDArray) -> float:
+        """Return by how much the poles of the whole filter miss those that were asked for, or raise where it counts."""
+        wanted = np.concatenate([design.requested, design.fixed])
+        if not design.requested.size or len(wanted) != len(F):
+            return design.error
+        error = max(design.error, spectrum_error(F, wanted, self.plant.dt, POLE_ERROR)[0])
+        if error > POLE_ERROR:
+            raise AccuracyError(
+                f"a pole is off by {error:.2g} > {POLE_ERROR:.0e} of what was asked for: so ill-conditioned that "
+                "rounding moves it; ask for poles nearer to those of the plant or further apart, for a margin, or add "
+                "a sensor"
+            )
+        return error
 
 
 @dataclass(frozen=True, eq=False)

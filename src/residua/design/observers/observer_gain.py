@@ -16,7 +16,7 @@ from residua.linear.pole_assignment import real_block_diagonal
 from residua.plant import Plant
 
 #: Largest error of a pole of an observer, relative (sampled: absolute).
-_POLE_ERROR = 1e-6
+POLE_ERROR = 1e-6
 
 
 def place(
@@ -34,9 +34,9 @@ def place(
     if poles is None:
         return place_observer_margin(A, C, default_margin(A, dt) if margin is None else margin, dt=dt, rtol=rtol)
     placed = place_observer_poles(A, C, poles, dt=dt, rtol=rtol)
-    if placed.error > _POLE_ERROR:  # within what rounding does to it, which the placement itself allows
+    if placed.error > POLE_ERROR:  # within what rounding does to it, which the placement itself allows
         raise AccuracyError(
-            f"a pole is off by {placed.error:.2g} > {_POLE_ERROR:.0e} of what was asked for: so ill-conditioned that "
+            f"a pole is off by {placed.error:.2g} > {POLE_ERROR:.0e} of what was asked for: so ill-conditioned that "
             "rounding moves it; ask for poles nearer to those of the plant or further apart, for a margin, or add a "
             "sensor"
         )
