@@ -227,11 +227,6 @@ class OrdinaryDecoupling:
     H: NDArray[np.float64]
 
     @property
-    def plant_H(self) -> NDArray[np.float64]:
-        """``H`` in the units of the plant."""
-        return self.even.states[:, None] * self.H * self.even.outputs
-
-    @property
     def error_pair(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """``T A`` and ``C`` in the coordinates ``M`` and ``outputs``, to place poles with."""
         q, k = self.A21.shape[1], len(self.A22)

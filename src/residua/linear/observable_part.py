@@ -10,11 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 from residua.errors import DesignError
 from residua.linear import arrays
 from residua.linear.observability import Staircase, dies_out, modes_with_uncertainty, staircase
+from residua.linear.rank import without_rounded_gains
 from residua.linear.spectrum import describe_modes
 
 Matrix = NDArray[np.float64]
-#: Gains this far below the largest of a state, in balanced units, are rounding: they would couple what nothing couples.
-_ROUNDING = 1e-14
 Poles = NDArray[np.complex128]
 
 
@@ -64,8 +63,7 @@ class ObservablePart:
     def full_gain(self, L: Matrix) -> Matrix:
         """Return ``K`` in the caller's units for a gain ``L`` of the observable part."""
         form = self.form
-        K = form.Q[:, : self.order] @ (L @ self.to_outputs)
-        K = np.where(np.abs(K) > _ROUNDING * np.abs(K).max(axis=1, keepdims=True, initial=0.0), K, 0.0)
+        K = without_rounded_gains(form.Q[:, : self.order] @ (L @ self.to_outputs))
         return self.without_left_null(form.states[:, None] * K * form.outputs)
 
     def without_left_null(self, K: Matrix) -> Matrix:

@@ -153,3 +153,11 @@ def left_null_basis(
 def without_noise(basis: NDArray) -> NDArray:
     """Return an orthonormal basis with exact zeros where its vectors, known to rounding of their length, have none."""
     return np.where(np.abs(basis) > _NOISE, basis, 0.0)
+
+
+def without_rounded_gains(K: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a gain, in even units, without what is rounding beside the largest of its row.
+
+    A gain of 1e-17 beside one of size one would couple parts of a plant that nothing couples.
+    """
+    return np.where(np.abs(K) > _NOISE * np.abs(K).max(axis=1, keepdims=True, initial=0.0), K, 0.0)

@@ -14,11 +14,11 @@ from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear import arrays
 from residua.linear.balancing import balance_system, power_of_two
 from residua.linear.observability import detectability, is_stable_mode, observability_form
-from residua.linear.rank import DEFAULT_RTOL, decide_rank
+from residua.linear.rank import DEFAULT_RTOL, decide_rank, without_rounded_gains
 from residua.linear.spectrum import describe_modes
 
 Matrix = NDArray[np.float64]
-#: What the solution of an equation is known to, relative to the sizes of states, or to the largest gain of a state.
+#: What the solution of an equation is known to, relative to the sizes of the states.
 _ROUNDING = 1e-14
 #: Largest relative residual of an equation that counts as solved.
 _RESIDUAL_LIMIT = 1e-6
@@ -145,13 +145,10 @@ def filter_riccati(
 
 
 def _without_rounding(P: Matrix, K: Matrix) -> tuple[Matrix, Matrix]:
-    """Return covariance and gain, in even units, without what rounding leaves of correlations that there are not.
-
-    A gain of 1e-17 beside one of size one would couple parts of a plant that nothing couples.
-    """
+    """Return covariance and gain, in even units, without what rounding leaves of correlations that there are not."""
     size = np.sqrt(np.abs(np.diag(P)))
     P = np.where(np.abs(P) > _ROUNDING * np.outer(size, size), P, 0.0)
-    return P, np.where(np.abs(K) > _ROUNDING * np.abs(K).max(axis=1, keepdims=True, initial=0.0), K, 0.0)
+    return P, without_rounded_gains(K)
 
 
 def _covariance(M: ArrayLike, name: str, n: int) -> Matrix:

@@ -19,8 +19,6 @@ from residua.plant import Plant
 
 #: Largest gain from what is ignored to the residual, relative to the terms that have to cancel.
 _LEAK = 1e-7
-#: States whose couplings differ by less than this factor are comparable.
-_COMPARABLE = 1e3
 
 
 @dataclass(frozen=True, eq=False)
