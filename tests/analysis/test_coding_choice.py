@@ -12,8 +12,8 @@ import residua as rs
 from generated import nth, random_plant
 from residua.analysis.coding import CodingSet, attainable, choose, isolation_quality
 from residua.decide import Structured
+from residua.decide.structured import codes_of
 from residua.errors import DesignError, SettingError
-from residua.monitor.preparing import codes_of
 
 RANK = {"none": 0, "weak": 1, "strong": 2}
 

@@ -9,6 +9,7 @@ import pytest
 
 import residua as rs
 from generated import random_plant, simulate, singular_plant
+from residua.design.core.generator import make_generator
 from residua.errors import AccuracyError, DesignError, ModelError, SettingError
 
 
@@ -339,7 +340,7 @@ def test_a_delay_cannot_be_undone_by_a_filter() -> None:
         D=np.zeros_like(system.D),
         states=None,
     )
-    delayed = rs.design.generator.make_generator(
+    delayed = make_generator(
         late,
         plant,
         "late",
@@ -370,7 +371,7 @@ def test_a_zero_of_its_own_makes_a_filter() -> None:
     plant = rs.library.gertler()
     now = rs.design.parity_relations(plant, insensitive_to="p1")
     zero = rs.StateSpace([[0, 1], [0, 0]], [[0], [1]], [[0.25, -1]], [[1]], dt=1.0)
-    made = rs.design.generator.make_generator(
+    made = make_generator(
         now.system.series(zero), plant, "zero", now.evidence, known_form=now.internal_form().series(zero)
     )
     found = now.equivalent_to(made)
