@@ -1,7 +1,7 @@
 """The figures of the house, from its syntax tree.
 
-``python -m tests.house_report [SRC ...] [--csv FILE]`` prints a table with a column for every source tree (this one when
-none is there), and writes it as well.
+``python -m tests.house_report [SRC ...] [--csv FILE]`` prints a table with a column for every source tree (of this one
+without any), and writes it as well.
 """
 
 from __future__ import annotations
