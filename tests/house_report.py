@@ -44,7 +44,7 @@ def single_importers(house: House, largest: int | None = None) -> list[tuple[Mod
     out = []
     for name, importers in house.importers().items():
         module = house.modules[name]
-        if len(importers) != 1 or module.is_package:
+        if len(importers) != 1 or module.is_facade:
             continue
         (user,) = (house.modules[one] for one in importers)
         if largest is None or (module.code_lines < largest and user.room == module.room):
@@ -111,11 +111,11 @@ def rank_decisions(module: Module) -> Iterator[str]:
 
 
 def mixins(house: House) -> list[str]:
-    """Return the classes that only one other inherits from, and that nobody else names: a class cut in two."""
+    """Return the classes that only one other inherits from, and that nobody else names or makes: a class cut in two."""
     out = []
     for (module, name), heirs in house.heirs.items():
-        if len(heirs) == 1:
-            named = {m.name for m in house.modules.values() if name in m.names and not m.is_package}
+        if len(heirs) == 1 and not any(name in m.called for m in house.modules.values()):
+            named = {m.name for m in house.modules.values() if name in m.names and not m.is_facade}
             if named <= {module, heirs[0][0]}:
                 out.append(f"{module}.{name}")
     return sorted(out)
@@ -134,8 +134,7 @@ def files_naming(house: House, *names: str) -> list[Module]:
     """Return the modules that name one of these, as a name or as a text of their own."""
     out = []
     for module in house.modules.values():
-        texts = {n.value for n in ast.walk(module.tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)}
-        if set(names) & (module.names | texts):
+        if set(names) & (module.names | module.texts):
             out.append(module)
     return out
 
@@ -180,9 +179,8 @@ def figures(house: House) -> dict[str, str]:
 
 def _without_facades(house: House) -> list[list[str]]:
     """Return the circles that stay when no facade hands anything on."""
-    inner = House.__new__(House)
-    inner.modules = {name: m for name, m in house.modules.items() if not m.is_package}
-    return inner.circles("top", "type")
+    handed = {(i.importer, i.target) for i in house.imports if house.modules[i.importer].is_facade}
+    return house.circles("top", "type", beside=handed)
 
 
 def _sizes(circles: list[list[str]]) -> str:

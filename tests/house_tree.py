@@ -6,7 +6,7 @@ import ast
 import io
 import tokenize
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -54,8 +54,13 @@ class Module:
 
     @property
     def is_package(self) -> bool:
-        """Whether it is the facade of a folder."""
+        """Whether it is the module of a folder."""
         return self.path.name == "__init__.py"
+
+    @property
+    def is_facade(self) -> bool:
+        """Whether it is the module of a folder that only hands on names."""
+        return self.is_package and all(f.name.startswith("__") for f in self.functions)
 
     @property
     def room(self) -> str:
@@ -84,6 +89,18 @@ class Module:
         found |= {node.attr for node in ast.walk(self.tree) if isinstance(node, ast.Attribute)}
         found |= {a.name for node in ast.walk(self.tree) if isinstance(node, ast.ImportFrom) for a in node.names}
         return frozenset(found | {f.name for f in self.functions} | {c.name for c in self.classes})
+
+    @cached_property
+    def called(self) -> frozenset[str]:
+        """The names that it calls."""
+        calls = (node.func for node in ast.walk(self.tree) if isinstance(node, ast.Call))
+        return frozenset(func.id for func in calls if isinstance(func, ast.Name))
+
+    @cached_property
+    def texts(self) -> frozenset[str]:
+        """The texts in it."""
+        constants = (node.value for node in ast.walk(self.tree) if isinstance(node, ast.Constant))
+        return frozenset(value for value in constants if isinstance(value, str))
 
     @cached_property
     def functions(self) -> list[Function]:
@@ -158,15 +175,15 @@ class House:
         """Return who imports each module; facades, which only hand on names, are left out unless asked for."""
         found: dict[str, set[str]] = {name: set() for name in self.modules}
         for one in self.imports:
-            if facades or not self.modules[one.importer].is_package:
+            if facades or not self.modules[one.importer].is_facade:
                 found[one.target].add(one.importer)
         return found
 
-    def circles(self, *how: str) -> list[list[str]]:
-        """Return the sets of modules that reach each other by imports of these kinds."""
+    def circles(self, *how: str, beside: Collection[tuple[str, str]] = ()) -> list[list[str]]:
+        """Return the sets of modules that reach each other by imports of these kinds, but for some pairs of modules."""
         graph: dict[str, set[str]] = defaultdict(set)
         for one in self.imports:
-            if one.how in how:
+            if one.how in how and (one.importer, one.target) not in beside:
                 graph[one.importer].add(one.target)
         return [sorted(part) for part in _components(graph, sorted(self.modules)) if len(part) > 1]
 

@@ -8,6 +8,7 @@ import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -38,12 +39,13 @@ def _inside(folder: Path) -> Iterator[None]:
         os.chdir(before)
 
 
-def _said(*argv: str) -> tuple[int, str, str]:
+def _said(*argv: str) -> tuple[Any, ...]:
     """Return the exit status of a command, and what it printed."""
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         status = main([*argv])
-    return status, out.getvalue(), err.getvalue()
+    said = (text.getvalue().replace(str(Path.cwd()), "FOLDER") for text in (out, err))
+    return status, *said
 
 
 def measure_commands(ledger: Ledger, folder: Path) -> None:
