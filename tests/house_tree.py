@@ -149,13 +149,13 @@ class House:
 
     @cached_property
     def imports(self) -> list[Import]:
-        """Every import of one module of the package by another."""
+        """Every import of a module of the package within it."""
         return [found for module in self.modules.values() for found in self._imports_of(module)]
 
     def _imports_of(self, module: Module) -> Iterator[Import]:
         for node, how in _placed(module.tree, "top"):
             for target in self._targets(module, node):
-                if target in self.modules and target != module.name:
+                if target in self.modules:
                     yield Import(module.name, target, node.lineno, how)
 
     def _targets(self, module: Module, node: ast.Import | ast.ImportFrom) -> set[str]:
@@ -175,7 +175,7 @@ class House:
         """Return who imports each module; facades, which only hand on names, are left out unless asked for."""
         found: dict[str, set[str]] = {name: set() for name in self.modules}
         for one in self.imports:
-            if facades or not self.modules[one.importer].is_facade:
+            if one.importer != one.target and (facades or not self.modules[one.importer].is_facade):
                 found[one.target].add(one.importer)
         return found
 
@@ -185,7 +185,11 @@ class House:
         for one in self.imports:
             if one.how in how and (one.importer, one.target) not in beside:
                 graph[one.importer].add(one.target)
-        return [sorted(part) for part in _components(graph, sorted(self.modules)) if len(part) > 1]
+        return [
+            sorted(part)
+            for part in _components(graph, sorted(self.modules))
+            if len(part) > 1 or part & graph[min(part)]
+        ]
 
     @cached_property
     def heirs(self) -> dict[tuple[str, str], list[tuple[str, str]]]:

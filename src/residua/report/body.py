@@ -32,11 +32,8 @@ from residua.report.verdict import BEGAN_RULE, MATCH_RULES, RULES, verdict
 if TYPE_CHECKING:
     from residua.design.core.generator import ResidualGenerator
     from residua.monitor.diagnosis import Diagnosis
-if TYPE_CHECKING:
-    from residua.monitor.diagnosis import Diagnosis
 
 _KINDS = {"sensor": "sensor", "actuator": "actuator", "component": "component"}
-
 #: Cosine from which on signatures are said to look alike, and clusters of them that are listed.
 ALIKE = 0.98
 _CLUSTERS = 6

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from math import comb
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,9 +23,6 @@ from residua.linear.subspaces.rank import DEFAULT_RTOL, left_null_basis
 from residua.linear.systems.balancing import descriptor_units
 from residua.linear.systems.descriptor import scaled_pencil
 from residua.plant import Plant
-
-if TYPE_CHECKING:
-    from residua.design.observers.perfect_observer import PerfectObserver
 
 REFERENCE = "Twardy and Kaczorek, part I, eqs. (30) to (33), Theorem 4, Procedure 2"
 #: States of a filter beyond which its peak gain is not computed.

@@ -24,7 +24,6 @@ from residua.robust.sets.uncertain_system import UncertainSystem
 Vector = NDArray[np.float64]
 #: Frequencies at which a system is looked at that is too slow for an ellipsoid, in parts of half the sample rate.
 _FREQUENCIES = (0.0, 1e-3, 1e-2, 0.1, 0.5, 1.0)
-
 #: How close bounds are to what is attained: those that count, and what is only told, in so many parts of the set.
 _COUNTS, _ONLY_TOLD = 1e-2, {"rtol": 0.1, "boxes": 8}
 #: Parts that the set is cut into where a method has no answer before; a tolerance that any answer keeps to.

@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 REST = 0.1
 #: Memories after which what came before is forgotten.
 _FORGOTTEN = 5
-
 #: Name of the cause that fires everything.
 OTHER = "another fault"
 #: A parameter of which less than this share is left beside another one cannot be told from it.
