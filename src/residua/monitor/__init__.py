@@ -5,7 +5,8 @@ from residua.monitor.decision import Decision
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.monitor import Monitor
 from residua.monitor.running import Decisions
-from residua.recording.recording import Recording, read_recording, recording_from_frame, write_table
+from residua.recording.recording import Recording, read_recording, recording_from_frame
+from residua.recording.table_writer import write_table
 
 __all__ = [
     "Alarm",
