@@ -4,7 +4,7 @@ import sys
 from importlib.metadata import version as installed_version
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))  # for gallery_order
+sys.path.insert(0, str(Path(__file__).parent))  # for gallery_order and offline
 
 project = "residua"
 author = "residua developers"
@@ -14,7 +14,7 @@ release = version = installed_version("residua")
 extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
-    "sphinx.ext.mathjax",
+    "offline",  # equations, by sphinx.ext.mathjax
     "numpydoc",
     "sphinx_gallery.gen_gallery",
 ]

@@ -26,7 +26,7 @@ from pathlib import Path
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parent.parent
-SECONDS = 70  # after these no further test begins; on two cores nothing else takes long
+SECONDS = 65  # after these no further test begins; on two cores nothing else takes long
 MOST = 40  # test files
 CORE = (
     "tests/test_import.py",
