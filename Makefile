@@ -2,7 +2,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-DEFINITION := pyproject.toml setup.py src/residua/linear/_recursion.c
+DEFINITION := pyproject.toml setup.py src/residua/linear/systems/_recursion.c
 CODE := src tests benchmarks docs
 
 # Of the exact campaign: plants, processes, and the folder of its record, from which it is resumed.

@@ -12,8 +12,8 @@ flags = ["/O2", "/fp:precise"] if sys.platform == "win32" else ["-O3", "-ffp-con
 stable_abi = not sysconfig.get_config_var("Py_GIL_DISABLED")
 
 kernel = Extension(
-    "residua.linear._recursion",
-    sources=["src/residua/linear/_recursion.c"],
+    "residua.linear.systems._recursion",
+    sources=["src/residua/linear/systems/_recursion.c"],
     extra_compile_args=flags,
     define_macros=[("Py_LIMITED_API", "0x030B0000")] if stable_abi else [],
     py_limited_api=stable_abi,

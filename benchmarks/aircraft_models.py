@@ -27,10 +27,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import residua as rs
-from residua.design.uncertain_parity.expected_signals import ExpectedSignals
-from residua.design.uncertain_parity.model_spread import model_spread
-from residua.design.uncertain_parity.multi_model_parity import multi_model_parity
-from residua.design.uncertain_parity.optimal_parity import optimal_parity
+from residua.robust.parity.expected_signals import ExpectedSignals
+from residua.robust.parity.model_spread import model_spread
+from residua.robust.parity.multi_model_parity import multi_model_parity
+from residua.robust.parity.optimal_parity import optimal_parity
 
 OUTPUT = Path(__file__).resolve().parent.parent / "docs" / "data" / "aircraft_models.csv"
 STEP, MEMORY, NOISE = 0.1, 5.0, 0.01

@@ -46,11 +46,11 @@ import residua as rs
 from residua.decide import Directional, NormThreshold, Structured
 from residua.design import GeneticSearch
 from residua.errors import ResiduaError
-from residua.monitor import array_child, mat_files, recording
 from residua.monitor.saving import EDITED
-from residua.monitor.unpacked import MAX_UNPACKED
 from residua.plant import dumps_plant, load_plant
 from residua.plant.plant_writer import differences
+from residua.recording import array_child, mat_files, recording
+from residua.recording.unpacked import MAX_UNPACKED
 
 TABLE = Path(__file__).resolve().parent.parent / "docs" / "data" / "damaged_files.csv"
 HEADER = ("kind of file", "damaged files", "read, the same", "read, other content", "refused", "reader ended", "wrong")
@@ -307,7 +307,7 @@ class MatWorker:
         self.ended = 0
 
     def read(self, path: Path) -> dict[str, np.ndarray]:
-        """Return what :func:`residua.monitor.mat_files.read_mat` would return."""
+        """Return what :func:`residua.recording.mat_files.read_mat` would return."""
         if self.process is None:
             command = [sys.executable, __file__, "--read-mat-files"]
             pipe = subprocess.PIPE

@@ -30,7 +30,7 @@ from residua.design.parity.relation_model import relation_model
 from residua.design.parity.relations import ParityRelations, relations_of
 from residua.design.parity.shortest import shortest_relation
 from residua.errors import AccuracyError, DesignError
-from residua.linear.pencil_null_space import DEFAULT_RTOL
+from residua.linear.polynomials.pencil_null_space import DEFAULT_RTOL
 
 OUTPUT = Path(__file__).resolve().parent.parent / "docs" / "data"
 ORDERS = (2, 4, 6, 8, 10, 12, 15, 20, 25, 30)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from residua.linear import recursion
-from residua.linear.recursion import run_filter
+from residua.linear.systems import recursion
+from residua.linear.systems.recursion import run_filter
 
 SAMPLES = 1_000_000
 best: dict[str, float] = {}

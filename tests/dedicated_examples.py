@@ -10,8 +10,8 @@ import scipy.linalg
 
 import residua as rs
 from residua.design import Member
-from residua.design.evidence import Evidence
-from residua.design.generator import make_generator
+from residua.design.core.evidence import Evidence
+from residua.design.core.generator import make_generator
 from residua.linear import StateSpace, peak_norm
 
 DT = 0.01

@@ -9,10 +9,10 @@ import numpy as np
 
 from residua.decide import Directional, whitening_matrix
 from residua.decide.directional import direction_test
-from residua.design.evidence import Evidence
-from residua.design.generator import ResidualGenerator, make_generator
+from residua.design.core.evidence import Evidence
+from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.linear import StateSpace
-from residua.linear.rank import decide_rank
+from residua.linear.subspaces.rank import decide_rank
 from residua.monitor.diagnosis import Alarm, Candidate, Diagnosis
 from residua.plant import Plant
 

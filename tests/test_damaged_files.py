@@ -19,7 +19,7 @@ import scipy.io
 import residua as rs
 from damaged import FILES, assert_nothing_wrong
 from residua.errors import DataError, FileFormatError, ModelError, SettingError
-from residua.monitor import mat_files
+from residua.recording import mat_files
 from residua.visible import MAX_ECHO, echo, listed, shortened, visible
 
 SAMPLE = 60

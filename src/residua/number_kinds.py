@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.arrays import LARGEST
 from residua.errors import FileFormatError
-from residua.linear.arrays import LARGEST
 from residua.visible import echo
 
 #: Largest whole number: sums of a few of them are still 64-bit numbers.
@@ -59,7 +59,7 @@ def _all(values: NDArray) -> NDArray[np.bool_]:
 #: Reports about a design, which may be infinite or not known; nothing that runs.
 ANY = NumberKind("a number", "f", _all)
 FINITE = NumberKind("a finite number", "f", np.isfinite)
-#: Of a model or filter; see :data:`residua.linear.arrays.LARGEST`.
+#: Of a model or filter; see :data:`residua.arrays.LARGEST`.
 ENTRY = NumberKind(f"a finite number of at most {LARGEST:g}", "f", lambda x: np.abs(x) <= LARGEST)
 KNOWN_OR_NOT = NumberKind("a finite number or nan", "f", lambda x: ~np.isinf(x))
 POSITIVE = NumberKind("a positive, finite number", "f", lambda x: np.isfinite(x) & (x > 0))

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from residua.design import ResidualGenerator
-from residua.design.internal_form import frequency_grid, leakage
-from residua.design.signatures import fault_responses, outside_subspaces
+from residua.design.core.internal_form import frequency_grid, leakage
+from residua.design.core.signatures import fault_responses, outside_subspaces
 from residua.errors import AccuracyError
 from residua.linear import simulate_descriptor
-from residua.linear.recursion import run_filter
+from residua.linear.systems.recursion import run_filter
 
 
 def check_residual_generator(

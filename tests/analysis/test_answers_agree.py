@@ -14,7 +14,7 @@ from exact_answers import Exact
 from residua.design.parity.relation_model import relation_model
 from residua.design.parity.shortest import shortest_relation
 from residua.errors import AccuracyError
-from residua.linear.pencil_null_space import DEFAULT_RTOL
+from residua.linear.polynomials.pencil_null_space import DEFAULT_RTOL
 from residua.plant.algebraic_equations import without_algebraic_equations
 from whole_number_plants import KINDS, in_other_units, whole_number_plant
 

@@ -10,7 +10,7 @@ import pytest
 import residua as rs
 from residua.analysis.coding import CodingSet, isolation_quality
 from residua.errors import DesignError, SettingError
-from residua.linear.rank import decide_rank, null_basis
+from residua.linear.subspaces.rank import decide_rank, null_basis
 
 EXAMPLE_1 = {"none": ["110", "111", "111"], "weak": ["110", "101", "111"], "strong": ["110", "101", "011"]}
 

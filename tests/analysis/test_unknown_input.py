@@ -8,7 +8,7 @@ import pytest
 import residua as rs
 from generated import random_plant
 from residua.errors import DesignError
-from residua.linear.zeros import invariant_zeros
+from residua.linear.poles.zeros import invariant_zeros
 
 
 @pytest.mark.parametrize("seed", range(60))

@@ -14,7 +14,7 @@ import residua as rs
 from cli_examples import DISTURBED, PLANT, Residua, assert_error, simulate, write_csv
 from residua.cli.guard import in_cli_words
 from residua.cli.methods import parse_poles
-from residua.design.evidence import format_pole
+from residua.design.core.evidence import format_pole
 
 # ------------------------------------------------------------------ the whole way
 

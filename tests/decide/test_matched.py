@@ -13,7 +13,7 @@ from residua.decide.matched import Matched, MatchedTest, empty_match, match_bloc
 from residua.decide.matched_hold import hold_block
 from residua.decide.matched_level import level_for_rate
 from residua.decide.window import empty_window, moving_sum
-from residua.design.matched_filters import matched_filters
+from residua.design.banks.matched_filters import matched_filters
 from residua.errors import SettingError
 
 

@@ -10,7 +10,7 @@ import residua as rs
 from generated import random_plant
 from residua.design import closed_loop, compensation_gain, fault_estimator, luenberger_observer
 from residua.errors import DesignError, ModelError, SettingError
-from residua.linear.spectrum import match_poles
+from residua.linear.poles.spectrum import match_poles
 
 
 def regulator(plant: rs.Plant) -> np.ndarray:

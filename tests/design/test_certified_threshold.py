@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import residua as rs
-from residua.design.robust_l1.certified_threshold import _part, certified_threshold, left_out
-from residua.design.robust_l1.rounding_scale import rounding_scale
 from residua.errors import DesignError
 from residua.linear import StateSpace, peak_norm
 from residua.plant import Perturbation, UncertainPlant
-from residua.plant.uncertain_loop import residual_over_set
+from residua.robust.estimators.certified_threshold import _part, certified_threshold, left_out
+from residua.robust.estimators.rounding_scale import rounding_scale
+from residua.robust.sets.uncertain_loop import residual_over_set
 from robust_loops import random_loop
 
 A = np.array([[0.9, 0.05, 0], [0.013, 0.57, 0.1], [0.2, 0, 0.4]])

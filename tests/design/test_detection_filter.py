@@ -12,7 +12,7 @@ from generated import random_plant, simulate
 from residua.design.detection_filters.detection_filter import event_matrices
 from residua.design.detection_filters.directional_gain import fault_events, obstacle
 from residua.errors import DesignError, ModelError
-from residua.linear.zeros import invariant_zeros
+from residua.linear.poles.zeros import invariant_zeros
 
 
 @pytest.mark.parametrize("seed", range(40))

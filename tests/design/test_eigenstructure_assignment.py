@@ -10,7 +10,7 @@ from generated import random_plant, simulate
 from residua.design.detection_filters.eigenstructure_assignment import eigenstructure_assignment
 from residua.design.observers.general_residual_generator import residual_generator_from_observer
 from residua.errors import AccuracyError, DesignError, ModelError, ResiduaError, SettingError
-from residua.linear.zeros import invariant_zeros
+from residua.linear.poles.zeros import invariant_zeros
 
 
 def varied_plant(rng: np.random.Generator) -> rs.Plant:

@@ -15,7 +15,7 @@ import pytest
 
 import residua as rs
 from exact_arithmetic import exact_leak, normal_rank, reaches
-from residua.design.internal_form import frequency_grid, leakage
+from residua.design.core.internal_form import frequency_grid, leakage
 from residua.errors import AccuracyError, ResiduaError
 from residua.testing import check_residual_generator
 from scaled_plants import KINDS, numbers

@@ -11,7 +11,7 @@ import pytest
 
 import residua as rs
 from generated import random_plant
-from residua.design.matched_filters import MatchedFilters, matched_filters
+from residua.design.banks.matched_filters import MatchedFilters, matched_filters
 from residua.errors import AccuracyError, DesignError
 
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import residua as rs
-from residua.design.robust_l1.certified_threshold import certified_threshold
-from residua.design.robust_l1.robust_estimator import RobustEstimator
 from residua.linear import StateSpace, peak_input, peak_norm, smallest_gain
 from residua.plant import UncertainPlant, residual_over_set
+from residua.robust.estimators.certified_threshold import certified_threshold
+from residua.robust.estimators.robust_estimator import RobustEstimator
 
 DT = 0.1
 

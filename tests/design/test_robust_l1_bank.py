@@ -10,7 +10,7 @@ from residua.design import DifferentialEvolution, GeneticSearch
 from residua.errors import DesignError
 from residua.linear import StateSpace, peak_input, peak_norm
 from residua.plant import Perturbation, UncertainPlant
-from residua.plant.uncertain_loop import residual_over_set
+from residua.robust.sets.uncertain_loop import residual_over_set
 from robust_loops import random_loop
 
 QUICK = DifferentialEvolution(population=30, generations=15, polish=False)

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 import residua as rs
-from residua.design.robust_l1.estimator_family import estimator_family
-from residua.design.robust_l1.sampled_cost import PENALTY, Norms, Weights, sampled_cost
-from residua.design.robust_l1.starting_gains import error_system, least_star_gains, starting_gains
 from residua.errors import DesignError
-from residua.linear import StateSpace, lmi, peak_norm
-from residua.plant.uncertain_loop import residual_over_set
+from residua.linear import StateSpace, peak_norm
+from residua.linear.norms import lmi
+from residua.robust.estimators.estimator_family import estimator_family
+from residua.robust.estimators.sampled_cost import PENALTY, Norms, Weights, sampled_cost
+from residua.robust.estimators.starting_gains import error_system, least_star_gains, starting_gains
+from residua.robust.sets.uncertain_loop import residual_over_set
 from robust_loops import random_loop
 
 NONE = np.zeros(0)

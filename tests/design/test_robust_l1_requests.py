@@ -7,15 +7,15 @@ import pytest
 
 import residua as rs
 from residua.design import DifferentialEvolution, GeneticSearch
-from residua.design.robust_l1 import estimator_search
-from residua.design.robust_l1.certified_threshold import certified_threshold
-from residua.design.robust_l1.estimator_family import estimator_family
-from residua.design.robust_l1.starting_gains import starting_gains
 from residua.errors import DesignError, ModelError, NoCertificateError, SettingError
 from residua.linear import StateSpace, smallest_gain
 from residua.plant import Perturbation, UncertainPlant
-from residua.plant.uncertain_loop import residual_over_set
-from residua.plant.uncertain_plant import make_uncertain_plant
+from residua.robust.estimators import estimator_search
+from residua.robust.estimators.certified_threshold import certified_threshold
+from residua.robust.estimators.estimator_family import estimator_family
+from residua.robust.estimators.starting_gains import starting_gains
+from residua.robust.sets.uncertain_loop import residual_over_set
+from residua.robust.sets.uncertain_plant import make_uncertain_plant
 from robust_loops import random_loop
 
 QUICK = DifferentialEvolution(population=30, generations=15, polish=False)

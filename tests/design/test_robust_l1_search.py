@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, strategies as st
 
 from residua.design import DifferentialEvolution, GeneticSearch
-from residua.design.robust_l1.genetic_search import _crossed, _mutated
-from residua.design.robust_l1.search_box import BoxedCost, first_population
 from residua.errors import DesignError, FileFormatError, SettingError
+from residua.robust.estimators.genetic_search import _crossed, _mutated
+from residua.robust.estimators.search_box import BoxedCost, first_population
 
 SEARCHES = [GeneticSearch(), DifferentialEvolution()]
 ids = ["genetic", "differential evolution"]

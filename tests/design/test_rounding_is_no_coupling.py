@@ -11,7 +11,7 @@ import pytest
 import residua as rs
 from residua.design.observers.reduced_order import _check
 from residua.errors import AccuracyError, DesignError
-from residua.linear.far_gain import refuse_far_gain
+from residua.linear.subspaces.far_gain import refuse_far_gain
 
 #: A gain of a plant of small whole numbers and fractions; one of rounding is 1e15.
 GAIN = 1e3

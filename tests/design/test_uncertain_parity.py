@@ -10,10 +10,10 @@ import scipy.signal
 
 import residua as rs
 from generated import random_plant
-from residua.design.uncertain_parity.model_spread import model_spread
-from residua.design.uncertain_parity.multi_model_parity import MultiModelParity, multi_model_parity
-from residua.design.uncertain_parity.optimal_parity import optimal_parity
 from residua.errors import DesignError, ModelError, SettingError
+from residua.robust.parity.model_spread import model_spread
+from residua.robust.parity.multi_model_parity import MultiModelParity, multi_model_parity
+from residua.robust.parity.optimal_parity import optimal_parity
 
 
 def family(seed: int, count: int = 3, *, disturbances: int = 0, noise: bool = False) -> list[rs.Plant]:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import residua as rs
-from residua.design.uncertain_parity.multi_model_parity import multi_model_parity
+from residua.robust.parity.multi_model_parity import multi_model_parity
 
 ORDER = 2
 

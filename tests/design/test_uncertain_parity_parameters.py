@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import residua as rs
-from residua.design.uncertain_parity.insensitive_parity import InsensitiveParity, insensitive_parity
-from residua.design.uncertain_parity.insensitive_running import without_directions
-from residua.design.uncertain_parity.select_equations import select_equations
 from residua.errors import AccuracyError, DataError, DesignError, ModelError, SettingError
+from residua.robust.parity.insensitive_parity import InsensitiveParity, insensitive_parity
+from residua.robust.parity.insensitive_running import without_directions
+from residua.robust.parity.select_equations import select_equations
 
 STEP = 0.02
 NOMINAL = {"R": 1.0, "k": 0.5}

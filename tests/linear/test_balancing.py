@@ -7,7 +7,7 @@ import pytest
 
 import residua as rs
 from generated import random_plant
-from residua.linear.balancing import balance_system, descriptor_units
+from residua.linear.systems.balancing import balance_system, descriptor_units
 
 
 def spread(*scales: np.ndarray) -> float:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from residua.linear import UncertainSystem, impulse_terms, peak_norm, robust_peak_norm
-from residua.linear.robust_norm import centred
-from residua.linear.robust_norm.centred import centred_bound
-from residua.linear.robust_norm.scaled_problem import scaled_problem
-from residua.linear.robust_norm.verified_star import _least, verified_star
-from residua.linear.robust_norm.weighted_star import CommonEllipsoid, common_ellipsoid
+from residua.linear import UncertainSystem, peak_norm, robust_peak_norm
+from residua.linear.norms import impulse_terms
+from residua.robust.bounds import centred
+from residua.robust.bounds.centred import centred_bound
+from residua.robust.bounds.scaled_problem import scaled_problem
+from residua.robust.bounds.verified_star import _least, verified_star
+from residua.robust.bounds.weighted_star import CommonEllipsoid, common_ellipsoid
 
 
 def generated(seed: int, *, outputs: int = 1, size: float = 0.3, units: float = 0.0) -> UncertainSystem:

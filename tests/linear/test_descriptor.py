@@ -17,7 +17,7 @@ from residua.linear import (
     simulate_descriptor,
     weierstrass_form,
 )
-from residua.linear.descriptor import scaled_pencil, unit_free_pencil
+from residua.linear.systems.descriptor import scaled_pencil, unit_free_pencil
 from residua.plant import without_algebraic_equations
 
 SEEDS = range(12)

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from residua.linear import invariant_zeros
-from residua.linear.balancing import balance_system, descriptor_units
-from residua.linear.units import matrix_units, output_weights, pencil_units, system_units
+from residua.linear.systems.balancing import balance_system, descriptor_units
+from residua.linear.systems.units import matrix_units, output_weights, pencil_units, system_units
 
 
 def sparse(rng: np.random.Generator, *shape: int, density: float = 0.6) -> np.ndarray:

@@ -7,7 +7,7 @@ import pytest
 import scipy.linalg
 
 from residua.errors import ModelError
-from residua.linear.norms import h2_norm, hinf_norm
+from residua.linear.norms.system_norms import h2_norm, hinf_norm
 
 
 def stable(seed, dt, distance=None):

@@ -7,9 +7,9 @@ import pytest
 import scipy.linalg
 
 from residua.errors import DesignError, ModelError
-from residua.linear.observability import detectability, is_stable_mode, observability_form
-from residua.linear.observable_part import observable_part
-from residua.linear.spectrum import match_poles
+from residua.linear.poles.spectrum import match_poles
+from residua.linear.subspaces.observability import detectability, is_stable_mode, observability_form
+from residua.linear.subspaces.observable_part import observable_part
 
 
 def planted(rng, n, k, p):

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from residua.errors import AccuracyError, MissingExtraError, ModelError, SettingError
-from residua.linear import StateSpace, impulse_terms, peak_input, peak_norm
-from residua.linear.impulse_terms import StableSystem
+from residua.linear import StateSpace, peak_input, peak_norm
+from residua.linear.norms import impulse_terms
+from residua.linear.norms.impulse_terms import StableSystem
 
 A = [[0.5, 0.2], [-0.1, 0.7]]
 KNOWN = {

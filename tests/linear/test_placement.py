@@ -10,8 +10,8 @@ import scipy.io
 import scipy.linalg
 
 from residua.errors import AccuracyError, DesignError, ModelError
-from residua.linear.placement import default_margin, place_observer_margin, place_observer_poles
-from residua.linear.pole_assignment import polished, robust_assignment, schur_assignment
+from residua.linear.poles.placement import default_margin, place_observer_margin, place_observer_poles
+from residua.linear.poles.pole_assignment import polished, robust_assignment, schur_assignment
 
 
 def pair(seed, n, p, k=None, dt=0.0, units=False):

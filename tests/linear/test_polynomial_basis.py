@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from residua.linear.common_factor import without_common_factor
-from residua.linear.pencil_null_space import (
+from residua.linear.polynomials.common_factor import without_common_factor
+from residua.linear.polynomials.pencil_null_space import (
     pencil,
     pencil_null_vectors,
     refined,
     shortest_pencil_null_vectors,
 )
-from residua.linear.polynomial_basis import PolynomialBasis
+from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 
 
 def random_nodes(rng: np.random.Generator, count: int) -> np.ndarray:

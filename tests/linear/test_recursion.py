@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from residua.errors import DataError, ModelError
-from residua.linear import recursion
-from residua.linear.recursion import compiled, ordered_product, run_filter
+from residua.linear.systems import recursion
+from residua.linear.systems.recursion import compiled, ordered_product, run_filter
 
 needs_compiled = pytest.mark.skipif(not compiled(), reason="built without a C compiler")
 PATHS = range(recursion._BEST_PATH + 1)
@@ -291,7 +291,7 @@ def test_kernel_refuses_what_would_overrun_memory() -> None:
 
 
 def test_environment_forces_numpy() -> None:
-    code = "import residua.linear.recursion as r; print(r.compiled())"
+    code = "import residua.linear.systems.recursion as r; print(r.compiled())"
     environment = {**os.environ, "RESIDUA_NO_COMPILED": "1"}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"

@@ -5,8 +5,8 @@ import pytest
 
 from continuous_examples import continuous
 from residua.linear import UncertainSystem
-from residua.linear.robust_norm.member_response import member_response
-from residua.linear.robust_norm.response_expansion import expand
+from residua.robust.bounds.member_response import member_response
+from residua.robust.bounds.response_expansion import expand
 from uncertain_examples import random_uncertain_system
 
 

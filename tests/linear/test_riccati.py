@@ -10,7 +10,7 @@ import scipy.io
 import scipy.linalg
 
 from residua.errors import DesignError, ModelError
-from residua.linear.riccati import filter_riccati
+from residua.linear.poles.riccati import filter_riccati
 
 
 def generated(seed, dt):

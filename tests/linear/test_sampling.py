@@ -10,7 +10,7 @@ import scipy.linalg
 import residua as rs
 from residua.errors import ModelError
 from residua.linear import StateSpace, sample
-from residua.linear.sampling import noise_covariance
+from residua.linear.systems.sampling import noise_covariance
 
 
 def system(seed: int = 0) -> StateSpace:

@@ -9,8 +9,8 @@ import pytest
 import scipy.io
 import scipy.linalg
 
-from residua.linear.spectrum import match_poles
-from residua.linear.zeros import invariant_zeros, normal_rank, pencil_rank_at
+from residua.linear.poles.spectrum import match_poles
+from residua.linear.poles.zeros import invariant_zeros, normal_rank, pencil_rank_at
 
 
 def slicot_zeros(A, B, C, D):

@@ -17,9 +17,9 @@ from residua.linear import StateSpace
 from residua.monitor.alarm import Alarm, Beginning
 from residua.monitor.bands import BAND_DEVIATIONS, residual_bands
 from residua.monitor.beginning import MOST_DATED, with_beginnings
-from residua.monitor.clock import Clock, length
 from residua.monitor.naming import began_text
 from residua.monitor.outcome import compared_outputs
+from residua.recording.clock import Clock, length
 from residua.report.signals import signal_text
 from residua.report.verdict import verdict
 

@@ -16,7 +16,7 @@ from generated import random_plant
 from older_files import as_version
 from residua.decide import NormThreshold
 from residua.decide.matched import Matched
-from residua.design.matched_filters import matched_filters
+from residua.design.banks.matched_filters import matched_filters
 from residua.errors import DataError, FileFormatError, SettingError
 from residua.report.verdict import verdict
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import residua as rs
-from residua.design.matched_filters import matched_filters
+from residua.design.banks.matched_filters import matched_filters
 from three_tank_faults import FAILED, START, diagnosis
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from residua.errors import DataError, FileFormatError, SettingError
 from residua.library import three_tank
-from residua.monitor.recording import read_recording, recording_from_frame
+from residua.recording.recording import read_recording, recording_from_frame
 
 
 def written(path: Path, stamps: list[str], separator: str = ";") -> Path:

@@ -11,8 +11,8 @@ from hypothesis import given, settings, strategies as st
 
 from residua.errors import DataError, SettingError
 from residua.library import three_tank
-from residua.monitor.recording import Recording, read_recording, recording_from_frame, write_table
-from residua.monitor.time_grid import put_on_grid
+from residua.recording.recording import Recording, read_recording, recording_from_frame, write_table
+from residua.recording.time_grid import put_on_grid
 
 
 def read(time: np.ndarray, **options: object) -> Recording:

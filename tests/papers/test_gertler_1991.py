@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 import residua as rs
-from residua.design.evidence import Evidence
-from residua.design.generator import make_generator
+from residua.design.core.evidence import Evidence
+from residua.design.core.generator import make_generator
 from residua.linear import StateSpace
 
 M = np.diag([0.25, 0.3])

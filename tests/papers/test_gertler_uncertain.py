@@ -7,11 +7,11 @@ import pytest
 import scipy.linalg
 
 import residua as rs
-from residua.design.uncertain_parity.insensitive_parity import insensitive_parity
-from residua.design.uncertain_parity.model_spread import model_spread
-from residua.design.uncertain_parity.multi_model_parity import multi_model_parity
-from residua.design.uncertain_parity.optimal_parity import optimal_parity
-from residua.design.uncertain_parity.select_equations import select_equations
+from residua.robust.parity.insensitive_parity import insensitive_parity
+from residua.robust.parity.model_spread import model_spread
+from residua.robust.parity.multi_model_parity import multi_model_parity
+from residua.robust.parity.optimal_parity import optimal_parity
+from residua.robust.parity.select_equations import select_equations
 
 FAULTS = {"p1": [1, 1, 0], "p2": [0, 1, 1]}
 SLOW = 10.0

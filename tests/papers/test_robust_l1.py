@@ -16,7 +16,7 @@ from residua.library import (
     simulate_degrading_jet_engine,
 )
 from residua.linear import StateSpace, peak_input, peak_norm
-from residua.plant.uncertain_loop import residual_over_set
+from residua.robust.sets.uncertain_loop import residual_over_set
 
 SENSORS = ("XNH sensor", "XNL sensor", "TMPC sensor")
 FIGURE_2 = {"XNL sensor": 45.0}

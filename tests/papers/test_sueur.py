@@ -9,7 +9,7 @@ import scipy.linalg
 import residua as rs
 from residua.errors import DesignError
 from residua.linear import invariant_zeros, pencil_rank_at
-from residua.linear.spectrum import match_poles
+from residua.linear.poles.spectrum import match_poles
 from residua.plant import augment_sensor_filter
 
 ACTUATORS = ("collective actuator", "cyclic actuator")

@@ -10,7 +10,7 @@ import residua as rs
 from generated import random_plant, singular_plant
 from residua.errors import AccuracyError, ModelError
 from residua.linear import StateSpace
-from residua.linear.polynomial_matrix import PolynomialMatrix
+from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
 from residua.plant.input_output_conversion import input_output_from_plant
 from residua.plant.input_output_model import InputOutputModel
 

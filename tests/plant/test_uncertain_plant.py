@@ -9,7 +9,7 @@ import residua as rs
 from residua.errors import DesignError, ModelError, SettingError
 from residua.linear import StateSpace
 from residua.plant import Perturbation, UncertainPlant
-from residua.plant.uncertain_loop import check_members_stable, loop_parameters
+from residua.robust.sets.uncertain_loop import check_members_stable, loop_parameters
 from uncertain_examples import (
     D1,
     D2,

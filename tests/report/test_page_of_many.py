@@ -12,7 +12,7 @@ import pytest
 import residua as rs
 from page_reader import read, words
 from report_examples import diagnosis, generator
-from residua.design.generator import Member
+from residua.design.core.generator import Member
 from residua.monitor.alarm import Beginning, Size
 from residua.report.charts import chart_data
 from residua.report.choosing import SHOWN_FAULTS, look_alikes, shown_groups, signal_order

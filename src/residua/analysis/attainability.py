@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from residua.analysis.coding_sets import CodingSet, Structure, counted, structure_rows
 from residua.analysis.diagnosability import group_twins
 from residua.analysis.fault_space import FaultSpace, fault_space
-from residua.linear.rank import DEFAULT_RTOL
+from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 
 #: Attainable rows that are listed, unless the caller says otherwise.

@@ -10,9 +10,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua import arrays
 from residua.analysis.codes import equal_codes, strongly_isolating
 from residua.errors import DesignError
-from residua.linear import arrays
 
 #: Codes that may become others, as a text names them at most.
 NAMED = 6

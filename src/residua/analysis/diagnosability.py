@@ -17,7 +17,7 @@ from residua.analysis.visibility import (
     visible_columns,
 )
 from residua.errors import ModelError
-from residua.linear.rank import DEFAULT_RTOL, check_rtol
+from residua.linear.subspaces.rank import DEFAULT_RTOL, check_rtol
 from residua.plant import Plant
 
 

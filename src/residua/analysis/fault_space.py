@@ -17,7 +17,7 @@ from residua.analysis.visibility import (
     visible_columns,
 )
 from residua.errors import DesignError
-from residua.linear.rank import check_rtol
+from residua.linear.subspaces.rank import check_rtol
 from residua.plant import Plant
 
 #: Two columns closer than this are the same, as for diagnosability.

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.linear.arrays import frozen
-from residua.linear.balancing import descriptor_units, evened, without_rounding
-from residua.linear.observability import Detectability, detectability
-from residua.linear.rank import (
+from residua.arrays import frozen
+from residua.linear.poles.spectrum import describe_modes
+from residua.linear.subspaces.observability import Detectability, detectability
+from residua.linear.subspaces.rank import (
     DEFAULT_RTOL,
     RankDecision,
     decide_rank,
@@ -19,7 +19,7 @@ from residua.linear.rank import (
     range_basis,
     without_noise,
 )
-from residua.linear.spectrum import describe_modes
+from residua.linear.systems.balancing import descriptor_units, evened, without_rounding
 from residua.plant import OperatingPoint, Plant
 from residua.plant.disturbances import factor_disturbance
 from residua.plant.even_units import EvenPlant, even_plant

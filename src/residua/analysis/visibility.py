@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import ModelError
-from residua.linear.rank import decide_rank, equilibrated
+from residua.linear.subspaces.rank import decide_rank, equilibrated
 from residua.plant import Plant
 from residua.plant.canonical_units import canonical_units
 

@@ -35,8 +35,8 @@ from residua.errors import AccuracyError, DataError, ModelError, SettingError
 from residua.files import check_input, real
 from residua.monitor import Diagnosis, Monitor
 from residua.monitor.inputs import settling_reason
-from residua.monitor.recording import Recording, write_table
 from residua.plant.plant_file import load_plant
+from residua.recording.recording import Recording, write_table
 
 app = typer.Typer(
     cls=GuardedGroup,

@@ -15,7 +15,7 @@ import typer
 from residua.cli import screen
 from residua.errors import ModelError, ResiduaError
 from residua.monitor import Monitor
-from residua.monitor.recording import Recording, read_recording
+from residua.recording.recording import Recording, read_recording
 
 
 class Decimal(StrEnum):

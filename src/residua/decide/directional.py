@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.decide.norm_threshold import check_samples
 from residua.errors import DataError, SettingError
-from residua.linear.rank import range_basis
+from residua.linear.subspaces.rank import range_basis
 from residua.visible import echo
 
 #: Signatures whose largest principal angle is below this (sine) are one and the same.

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.norm_threshold import check_samples, is_number
-from residua.design.matched_filters import alike_faults
+from residua.design.banks.matched_filters import alike_faults
 from residua.errors import SettingError
-from residua.linear.recursion import ordered_product
+from residua.linear.systems.recursion import ordered_product
 from residua.visible import echo
 
 #: Numbers that one pass over a block works on at most; bounds memory and does not change a bit of the result.
@@ -152,7 +152,7 @@ def matched_test(
     settings : Matched
     faults : tuple of str
     responses, settled : ndarray
-        As :func:`residua.design.matched_filters.step_responses` returns them, before whitening.
+        As :func:`residua.design.banks.matched_filters.step_responses` returns them, before whitening.
     whitening : ndarray, shape (residuals, residuals)
     """
     white = np.einsum("kmf,mr->krf", responses, whitening)

@@ -12,8 +12,8 @@ from residua.demos.outcome import Outcome
 from residua.design import kalman_filter
 from residua.library import SimulatedRecording, simulate_three_tank, three_tank as library_tank, three_tank_fault
 from residua.monitor import Diagnosis, Monitor
-from residua.monitor.recording import write_table
 from residua.plant import Plant, load_plant, save_plant
+from residua.recording.recording import write_table
 from residua.report.page import Section, write_demo_page
 from residua.report.tables import Table
 

@@ -1,19 +1,21 @@
 """Residual generators and observers: one method, one file."""
 
+from typing import TYPE_CHECKING
+
 from residua.design.banks.actuator_fault_bank import actuator_fault_bank
 from residua.design.banks.bank import Bank
 from residua.design.banks.decoupled_residual import decoupled_residual
+from residua.design.banks.matched_filters import MatchedFilters, matched_filters
 from residua.design.banks.sensor_fault_bank import sensor_fault_bank
 from residua.design.banks.structured_bank import structured_bank
+from residua.design.core.evidence import Evidence
+from residua.design.core.generator import Member, ResidualGenerator
 from residua.design.detection_filters.detection_filter import detection_filter
 from residua.design.detection_filters.eigenstructure_assignment import eigenstructure_assignment
 from residua.design.detection_filters.robust_detection_filter import robust_detection_filter
 from residua.design.estimation.accommodation import Compensation, closed_loop, compensation_gain
 from residua.design.estimation.fault_estimator import FaultEstimator, fault_estimator
 from residua.design.estimation.sensor_fault_estimators import SensorFaultEstimators, sensor_fault_estimators
-from residua.design.evidence import Evidence
-from residua.design.generator import Member, ResidualGenerator
-from residua.design.matched_filters import MatchedFilters, matched_filters
 from residua.design.observers.descriptor_observer import descriptor_observer
 from residua.design.observers.general_residual_generator import (
     GeneralForm,
@@ -33,18 +35,21 @@ from residua.design.parity.parity_relations import chow_willsky_matrices, parity
 from residua.design.parity.primary_residuals import primary_residuals
 from residua.design.parity.relations import ParityRelations
 from residua.design.parity.structured_parity import structured_parity
-from residua.design.robust_l1.certified_threshold import CertifiedThreshold, certified_thresholds
-from residua.design.robust_l1.differential_evolution import DifferentialEvolution
-from residua.design.robust_l1.genetic_search import GeneticSearch
-from residua.design.robust_l1.robust_estimator import RobustEstimator
-from residua.design.robust_l1.robust_l1_bank import RobustL1Bank, robust_l1_bank
-from residua.design.robust_l1.search_result import SearchResult
 from residua.design.suggestion import Suggestion
-from residua.design.uncertain_parity.insensitive_parity import InsensitiveParity, insensitive_parity
-from residua.design.uncertain_parity.model_spread import model_spread
-from residua.design.uncertain_parity.multi_model_parity import MultiModelParity, multi_model_parity
-from residua.design.uncertain_parity.optimal_parity import OptimalParity, optimal_parity
-from residua.design.uncertain_parity.select_equations import EquationChoice, select_equations
+from residua.facade import names_from_above
+
+if TYPE_CHECKING:
+    from residua.robust.estimators.certified_threshold import CertifiedThreshold, certified_thresholds
+    from residua.robust.estimators.differential_evolution import DifferentialEvolution
+    from residua.robust.estimators.genetic_search import GeneticSearch
+    from residua.robust.estimators.robust_estimator import RobustEstimator
+    from residua.robust.estimators.robust_l1_bank import RobustL1Bank, robust_l1_bank
+    from residua.robust.estimators.search_result import SearchResult
+    from residua.robust.parity.insensitive_parity import InsensitiveParity, insensitive_parity
+    from residua.robust.parity.model_spread import model_spread
+    from residua.robust.parity.multi_model_parity import MultiModelParity, multi_model_parity
+    from residua.robust.parity.optimal_parity import OptimalParity, optimal_parity
+    from residua.robust.parity.select_equations import EquationChoice, select_equations
 
 __all__ = [
     "Bank",
@@ -108,3 +113,26 @@ __all__ = [
     "structured_parity",
     "unknown_input_observer",
 ]
+
+__getattr__ = names_from_above(
+    __name__,
+    {
+        "CertifiedThreshold": "residua.robust.estimators.certified_threshold",
+        "certified_thresholds": "residua.robust.estimators.certified_threshold",
+        "DifferentialEvolution": "residua.robust.estimators.differential_evolution",
+        "GeneticSearch": "residua.robust.estimators.genetic_search",
+        "RobustEstimator": "residua.robust.estimators.robust_estimator",
+        "RobustL1Bank": "residua.robust.estimators.robust_l1_bank",
+        "robust_l1_bank": "residua.robust.estimators.robust_l1_bank",
+        "SearchResult": "residua.robust.estimators.search_result",
+        "InsensitiveParity": "residua.robust.parity.insensitive_parity",
+        "insensitive_parity": "residua.robust.parity.insensitive_parity",
+        "model_spread": "residua.robust.parity.model_spread",
+        "MultiModelParity": "residua.robust.parity.multi_model_parity",
+        "multi_model_parity": "residua.robust.parity.multi_model_parity",
+        "OptimalParity": "residua.robust.parity.optimal_parity",
+        "optimal_parity": "residua.robust.parity.optimal_parity",
+        "EquationChoice": "residua.robust.parity.select_equations",
+        "select_equations": "residua.robust.parity.select_equations",
+    },
+)

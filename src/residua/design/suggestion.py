@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from residua.analysis.diagnosability import Diagnosability, diagnosability
 from residua.analysis.unknown_input import is_singular
 from residua.design.banks.bank import Bank
+from residua.design.banks.matched_filters import MatchedFilters
 from residua.design.catalogue import Method, method
+from residua.design.core.generator import ResidualGenerator
 from residua.design.estimation.fault_estimator import FaultEstimator
-from residua.design.generator import ResidualGenerator
-from residua.design.matched_filters import MatchedFilters
 from residua.design.suggestion_candidates import Candidate, candidates
 from residua.errors import AccuracyError, DesignError, ModelError, SettingError
-from residua.plant import InputOutputModel, Plant, UncertainPlant
+from residua.plant import InputOutputModel, Plant
+from residua.robust.sets.uncertain_plant import UncertainPlant
 
 WANTS = ("name", "size", "state")
 #: Larger plants are tried with the single observers only, and the largest not at all.

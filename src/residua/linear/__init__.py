@@ -1,38 +1,43 @@
 """Linear systems as values, and the matrix and pencil algorithms that SciPy lacks."""
 
-from residua.linear.common_factor import PrimitivePart, primitive_part
-from residua.linear.descriptor import WeierstrassForm, is_regular, weierstrass_form
-from residua.linear.descriptor_properties import (
-    DescriptorProperty,
-    descriptor_controllability,
-    descriptor_observability,
-)
-from residua.linear.descriptor_simulation import (
-    ConsistentState,
-    DescriptorRun,
-    consistent_state,
-    simulate_descriptor,
-)
-from residua.linear.detection_space import DetectionSpace, detection_space
-from residua.linear.norms import PeakGain, h2_norm, hinf_norm
-from residua.linear.observability import (
+from typing import TYPE_CHECKING
+
+from residua.facade import names_from_above
+from residua.linear.norms.peak_norm import PeakNorm, peak_input, peak_norm
+from residua.linear.norms.system_norms import PeakGain, h2_norm, hinf_norm
+from residua.linear.poles.placement import Placement, default_margin, place_observer_margin, place_observer_poles
+from residua.linear.poles.riccati import RiccatiSolution, filter_riccati
+from residua.linear.poles.zeros import InvariantZeros, invariant_zeros, normal_rank, pencil_rank_at
+from residua.linear.polynomials.common_factor import PrimitivePart, primitive_part
+from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
+from residua.linear.polynomials.polynomial_null_space import NullVectors, left_null_vectors, shortest_left_null_vectors
+from residua.linear.subspaces.detection_space import DetectionSpace, detection_space
+from residua.linear.subspaces.observability import (
     Detectability,
     ObservabilityForm,
     detectability,
     is_stable_mode,
     observability_form,
 )
-from residua.linear.peak_norm import PeakNorm, peak_input, peak_norm
-from residua.linear.placement import Placement, default_margin, place_observer_margin, place_observer_poles
-from residua.linear.polynomial_matrix import PolynomialMatrix
-from residua.linear.polynomial_null_space import NullVectors, left_null_vectors, shortest_left_null_vectors
-from residua.linear.rank import DEFAULT_RTOL, RankDecision, decide_rank
-from residua.linear.riccati import RiccatiSolution, filter_riccati
-from residua.linear.robust_norm import RobustPeakNorm, SmallestGain, robust_peak_norm, smallest_gain
-from residua.linear.sampling import sample
-from residua.linear.state_space import StateSpace
-from residua.linear.uncertain_system import UncertainSystem
-from residua.linear.zeros import InvariantZeros, invariant_zeros, normal_rank, pencil_rank_at
+from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, decide_rank
+from residua.linear.systems.descriptor import WeierstrassForm, is_regular, weierstrass_form
+from residua.linear.systems.descriptor_properties import (
+    DescriptorProperty,
+    descriptor_controllability,
+    descriptor_observability,
+)
+from residua.linear.systems.descriptor_simulation import (
+    ConsistentState,
+    DescriptorRun,
+    consistent_state,
+    simulate_descriptor,
+)
+from residua.linear.systems.sampling import sample
+from residua.linear.systems.state_space import StateSpace
+
+if TYPE_CHECKING:
+    from residua.robust.bounds import RobustPeakNorm, SmallestGain, robust_peak_norm, smallest_gain
+    from residua.robust.sets.uncertain_system import UncertainSystem
 
 __all__ = [
     "DEFAULT_RTOL",
@@ -85,3 +90,14 @@ __all__ = [
     "smallest_gain",
     "weierstrass_form",
 ]
+
+__getattr__ = names_from_above(
+    __name__,
+    {
+        "RobustPeakNorm": "residua.robust.bounds.robust_peak_norm",
+        "SmallestGain": "residua.robust.bounds.smallest_gain",
+        "robust_peak_norm": "residua.robust.bounds.robust_peak_norm",
+        "smallest_gain": "residua.robust.bounds.smallest_gain",
+        "UncertainSystem": "residua.robust.sets.uncertain_system",
+    },
+)

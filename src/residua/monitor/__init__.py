@@ -4,8 +4,8 @@ from residua.monitor.alarm import Alarm, Beginning, Candidate, PresentFault, Siz
 from residua.monitor.decision import Decision
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.monitor import Monitor
-from residua.monitor.recording import Recording, read_recording, recording_from_frame, write_table
 from residua.monitor.running import Decisions
+from residua.recording.recording import Recording, read_recording, recording_from_frame, write_table
 
 __all__ = [
     "Alarm",

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.arrays import frozen
 from residua.design import Evidence, Member, Observer, ResidualGenerator
 from residua.errors import FileFormatError
 from residua.linear import RankDecision, StateSpace
-from residua.linear.arrays import frozen
 from residua.monitor.encoding import (
     array_in,
     array_out,

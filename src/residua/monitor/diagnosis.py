@@ -16,8 +16,8 @@ from residua.decide.structured import CodeTest
 from residua.errors import MissingExtraError
 from residua.files import write_text
 from residua.monitor.alarm import CLOSE_LEAD, CLOSE_MARGIN, Alarm, Beginning, Candidate, PresentFault
-from residua.monitor.clock import Clock
 from residua.monitor.naming import alike, arrival_text, began_text, estimates_of, ranked, sizes_text, tied_name
+from residua.recording.clock import Clock
 
 if TYPE_CHECKING:
     from residua.design import ResidualGenerator

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from residua.design import ResidualGenerator
+from residua.design.core.generator import make_generator
 from residua.design.detection_filters.detection_filter import stack_systems
-from residua.design.generator import make_generator
 from residua.errors import ModelError
 
 _ALIKE = ("inputs", "outputs", "faults", "disturbances", "dt")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.linear.recursion import ordered_product, run_filter
+from residua.linear.systems.recursion import ordered_product, run_filter
 from residua.monitor.one_plant import FIELDS, LARGEST, SELDOM, OnePlant
 
 if TYPE_CHECKING:

@@ -13,12 +13,12 @@ from residua.decide.member_thresholds import BankTest
 from residua.decide.norm_threshold import NormTest
 from residua.decide.peak_tests import is_bound
 from residua.design import ResidualGenerator
-from residua.design.evidence import format_pole
+from residua.design.core.evidence import format_pole
 from residua.errors import DataError
-from residua.linear.balancing import state_units
-from residua.monitor.recording import Recording, recording_from_frame
-from residua.monitor.time_axis import regular_step, seconds_from_dates
+from residua.linear.systems.balancing import state_units
 from residua.plant import Plant
+from residua.recording.recording import Recording, recording_from_frame
+from residua.recording.time_axis import regular_step, seconds_from_dates
 
 #: What is left of the slowest pole once a filter counts as settled: where thresholds come from data or a noise model,
 #: and where they are bounds that are known or certified, to the digits that these are computed to.

@@ -17,7 +17,7 @@ from residua.decide.residual_groups import GroupTest
 from residua.decide.row_norms import row_norms
 from residua.decide.structured import CodeTest
 from residua.decide.window import WindowState, moving_sum
-from residua.linear.recursion import ordered_product
+from residua.linear.systems.recursion import ordered_product
 
 if TYPE_CHECKING:
     from residua.monitor.running import State

@@ -16,7 +16,7 @@ from residua.decide.member_thresholds import BankTest
 from residua.decide.norm_threshold import NormTest, check_rate, check_samples
 from residua.decide.structured import Structured
 from residua.design import ResidualGenerator
-from residua.design.signals import stack_signals
+from residua.design.core.signals import stack_signals
 from residua.errors import DataError, ModelError, NotFittedError, SettingError
 from residua.monitor.cautions import brought_bounds
 from residua.monitor.decision import Decision, decision_from

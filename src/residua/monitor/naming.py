@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from residua.decide.structured import CodeReading, CodeTest, distinct_rows
 from residua.design import ResidualGenerator
 from residua.monitor.alarm import Alarm, Candidate, Size
-from residua.monitor.clock import Clock
 from residua.plant import Plant
+from residua.recording.clock import Clock
 
 
 def candidates_at(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.linear.recursion import ordered_product, run_filter
+from residua.linear.systems.recursion import ordered_product, run_filter
 
 if TYPE_CHECKING:
     from residua.monitor.running import Specification

@@ -15,8 +15,7 @@ from residua.decide.norm_threshold import NormTest
 from residua.decide.peak_tests import CERTIFIED
 from residua.decide.residual_groups import GroupTest
 from residua.design import ResidualGenerator
-from residua.design.matched_filters import not_settled
-from residua.design.robust_l1.certified_threshold import AFFINE_FORM
+from residua.design.banks.matched_filters import not_settled
 from residua.monitor.alarm import Alarm
 from residua.monitor.bands import residual_bands
 from residua.monitor.beginning import with_beginnings
@@ -28,6 +27,7 @@ from residua.monitor.matched_naming import named_by_match, settled_bases
 from residua.monitor.naming import candidates_at, candidates_of_code, longest_code, sizes_over, with_sizes
 from residua.monitor.running import Decisions, Specification
 from residua.monitor.settings_text import settings_of
+from residua.robust.estimators.certified_threshold import AFFINE_FORM
 
 #: Part of its threshold that the residual is moved by before it is said.
 _TOLD = 0.1

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from residua.decide.matched import MatchedTest
 from residua.design import ResidualGenerator
-from residua.design.matched_filters import step_responses
-from residua.design.responses import state_covariance
+from residua.design.banks.matched_filters import step_responses
+from residua.design.core.responses import state_covariance
 from residua.errors import AccuracyError
-from residua.linear.recursion import Matrices, product_checked, run_checked
+from residua.linear.systems.recursion import Matrices, product_checked, run_checked
 
 Matrix = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from residua.decide.peak_threshold import PeakThreshold
 from residua.decide.residual_groups import GroupTest, group_test_from_model, rows_of_groups
 from residua.decide.structured import CodeTest, Structured, code_test
 from residua.design import ResidualGenerator
-from residua.design.matched_filters import MatchedFilters, step_responses
+from residua.design.banks.matched_filters import MatchedFilters, step_responses
 from residua.errors import ModelError, SettingError
 from residua.monitor.inputs import settling_samples
 from residua.monitor.partial_update import partial_update

@@ -20,7 +20,7 @@ from residua.decide.norm_threshold import NormTest
 from residua.decide.residual_groups import GroupTest
 from residua.decide.structured import CodeTest
 from residua.decide.window import WindowState, empty_window, moving_sum
-from residua.linear.recursion import ordered_product
+from residua.linear.systems.recursion import ordered_product
 from residua.monitor.filtering import Filtered, filter_block
 from residua.monitor.judging import alarms_since, empty_fields, judge_groups, judge_matched, judge_members, judge_whole
 from residua.monitor.partial_update import PartialUpdate, empty_partial

@@ -16,7 +16,7 @@ from residua.decide.member_thresholds import BankTest
 from residua.decide.norm_threshold import NormTest
 from residua.design import ResidualGenerator
 from residua.errors import SettingError
-from residua.linear.recursion import ordered_product
+from residua.linear.systems.recursion import ordered_product
 
 #: How a filter starts: from rest at the first sample, or with the state that its first residuals show.
 STARTS = ("estimated", "rest")

@@ -8,10 +8,10 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
+from residua.arrays import frozen
 from residua.errors import AccuracyError, ModelError
-from residua.linear.arrays import frozen
-from residua.linear.descriptor import ScaledPencil, pencil_decision, unit_free_pencil, weierstrass_form
-from residua.linear.rank import DEFAULT_RTOL
+from residua.linear.subspaces.rank import DEFAULT_RTOL
+from residua.linear.systems.descriptor import ScaledPencil, pencil_decision, unit_free_pencil, weierstrass_form
 
 if TYPE_CHECKING:
     from residua.plant.plant import Plant

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.linear.units import PencilUnits, pencil_units, system_units
+from residua.linear.systems.units import PencilUnits, pencil_units, system_units
 from residua.plant.plant import Plant
 
 Factors = NDArray[np.float64]

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.arrays import LARGEST, index_of, matrix
 from residua.errors import ModelError
-from residua.linear.arrays import LARGEST, index_of, matrix
 from residua.visible import echo
 
 #: The roles an input of a plant can have, with the letter of its matrices.

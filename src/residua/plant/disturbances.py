@@ -8,9 +8,9 @@ from itertools import combinations_with_replacement
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.arrays import matrix
 from residua.errors import DataError, ModelError
-from residua.linear.arrays import matrix
-from residua.linear.rank import DEFAULT_RTOL, RankDecision, decide_rank, equilibrated
+from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, decide_rank, equilibrated
 
 
 def factor_disturbance(E: ArrayLike, *, rtol: float = DEFAULT_RTOL) -> tuple[NDArray, RankDecision]:

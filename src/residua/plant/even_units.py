@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.linear.arrays import frozen
-from residua.linear.balancing import descriptor_units, power_of_two
-from residua.linear.units import output_weights
+from residua.arrays import frozen
+from residua.linear.systems.balancing import descriptor_units, power_of_two
+from residua.linear.systems.units import output_weights
 from residua.plant.plant import Plant
 
 

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import AccuracyError
-from residua.linear.balancing import descriptor_units
-from residua.linear.pencil_null_space import DEFAULT_RTOL, pencil, refined, shortest_pencil_null_vectors
-from residua.linear.polynomial_basis import PolynomialBasis, basis_on_poles
-from residua.linear.polynomial_matrix import PolynomialMatrix
-from residua.linear.rank import DEFAULT_RTOL as RANK_RTOL
+from residua.linear.polynomials.pencil_null_space import DEFAULT_RTOL, pencil, refined, shortest_pencil_null_vectors
+from residua.linear.polynomials.polynomial_basis import PolynomialBasis, basis_on_poles
+from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
+from residua.linear.subspaces.rank import DEFAULT_RTOL as RANK_RTOL
+from residua.linear.systems.balancing import descriptor_units
 from residua.plant.algebraic_equations import without_algebraic_equations
 from residua.plant.input_output_model import InputOutputModel
 from residua.plant.observer_form import check_proper, check_response, response_error, response_points, state_terms

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.arrays import index_of
 from residua.errors import ModelError
-from residua.linear.arrays import index_of
-from residua.linear.polynomial_matrix import PolynomialMatrix
+from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
 
 #: A polynomial per output: a sequence, or ``{output: polynomial}`` with zeros where nothing is given.
 Column = Sequence[ArrayLike] | Mapping[str, ArrayLike]

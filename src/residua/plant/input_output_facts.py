@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import ModelError
-from residua.linear.polynomial_matrix import PolynomialMatrix
+from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
 from residua.plant.channels import ROLES, Fault, OperatingPoint
 from residua.plant.fault_facts import FaultFacts
 from residua.plant.polynomial_text import equation_text

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from residua import arrays
+from residua.arrays import unique
 from residua.errors import ModelError
-from residua.linear import arrays
-from residua.linear.arrays import unique
-from residua.linear.polynomial_matrix import PolynomialMatrix
-from residua.linear.rank import DEFAULT_RTOL
+from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
+from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant.channels import Fault, OperatingPoint, channel_units, operating_point as checked_point
 from residua.plant.input_output_entries import (
     Column,

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.arrays import frozen
 from residua.errors import AccuracyError, ModelError
-from residua.linear.arrays import frozen
-from residua.linear.observability import dies_out, modes_with_uncertainty
-from residua.linear.rank import DEFAULT_RTOL, RankDecision
-from residua.linear.spectrum import describe_modes
-from residua.linear.state_space import StateSpace
+from residua.linear.poles.spectrum import describe_modes
+from residua.linear.subspaces.observability import dies_out, modes_with_uncertainty
+from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision
+from residua.linear.systems.state_space import StateSpace
 from residua.plant.observer_form import (
     ReachablePart,
     check_response,

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.arrays import index_of, matrix
 from residua.errors import ModelError
-from residua.linear.arrays import index_of, matrix
-from residua.linear.sampling import exponentials, noise_covariance
+from residua.linear.systems.sampling import exponentials, noise_covariance
 from residua.plant.channels import number
 
 

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, ModelError
-from residua.linear.balancing import power_of_two, state_units
-from residua.linear.descriptor import weierstrass_form
-from residua.linear.observability import modes_with_uncertainty, staircase
-from residua.linear.polynomial_matrix import PolynomialMatrix
-from residua.linear.rank import RankDecision, decide_rank, equilibrated
-from residua.linear.state_space import StateSpace
+from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
+from residua.linear.subspaces.observability import modes_with_uncertainty, staircase
+from residua.linear.subspaces.rank import RankDecision, decide_rank, equilibrated
+from residua.linear.systems.balancing import power_of_two, state_units
+from residua.linear.systems.descriptor import weierstrass_form
+from residua.linear.systems.state_space import StateSpace
 
 #: Points, in the unit of the variable, at which the determinant is tried: it vanishes at finitely many only.
 _POINTS = np.array([0.31, 1.0, 3.7, 0.9, 1.3]) * np.exp(1j * np.array([0.4, 1.1, 1.9, 2.6, 3.0]))

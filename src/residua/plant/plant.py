@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua import arrays
+from residua.arrays import frozen, matrix, names, unique
 from residua.errors import ModelError
-from residua.linear import StateSpace, arrays
-from residua.linear.arrays import frozen, matrix, names, unique
-from residua.linear.rank import DEFAULT_RTOL
-from residua.linear.state_space import square
+from residua.linear import StateSpace
+from residua.linear.subspaces.rank import DEFAULT_RTOL
+from residua.linear.systems.state_space import square
 from residua.plant.algebraic_equations import without_algebraic_equations
 from residua.plant.channels import (
     FAULT_NOTES,

@@ -9,9 +9,10 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
+from residua import arrays
+from residua.arrays import frozen
 from residua.errors import ModelError
-from residua.linear import StateSpace, arrays
-from residua.linear.arrays import frozen
+from residua.linear import StateSpace
 from residua.plant.plant import Plant
 
 

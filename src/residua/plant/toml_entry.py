@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.arrays import LARGEST
 from residua.errors import FileFormatError
-from residua.linear.arrays import LARGEST
 from residua.number_kinds import kind_of
 from residua.visible import MAX_ECHO, echo, listed, shortened
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.monitor.clock import length
+from residua.recording.clock import length
 from residua.report.charts import by_interest, residual_unit
 from residua.report.choosing import SHOWN_FAULTS, look_alikes, shown_groups
 from residua.report.codes import CODE_RULES, DEDICATED_RULES, SCORE_RULE, code_alarm_table, code_table, present_table
@@ -31,7 +31,7 @@ from residua.report.text import escape, listing, number, percent, score, some
 from residua.report.verdict import BEGAN_RULE, MATCH_RULES, RULES, verdict
 
 if TYPE_CHECKING:
-    from residua.design.generator import ResidualGenerator
+    from residua.design.core.generator import ResidualGenerator
     from residua.monitor.diagnosis import Diagnosis
 
 #: Cosine from which on signatures are said to look alike, and clusters of them that are listed.

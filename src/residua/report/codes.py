@@ -15,8 +15,8 @@ from residua.report.text import escape, percent
 if TYPE_CHECKING:
     from residua.decide.structured import CodeReading, CodeTest
     from residua.monitor.alarm import Alarm
-    from residua.monitor.clock import Clock
     from residua.monitor.diagnosis import Diagnosis
+    from residua.recording.clock import Clock
 
 #: Members of a bank whose part in the codes is shown at once.
 MOST_MEMBERS = 16

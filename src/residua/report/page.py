@@ -18,7 +18,7 @@ from residua.report.tables import Table, text_table
 from residua.report.text import escape, listing, safe_json
 
 if TYPE_CHECKING:
-    from residua.design.generator import ResidualGenerator
+    from residua.design.core.generator import ResidualGenerator
     from residua.monitor.diagnosis import Diagnosis
 
 __all__ = ["Section", "Table", "render", "write_demo_page", "write_page"]

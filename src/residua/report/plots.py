@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from residua.design.generator import ResidualGenerator
+    from residua.design.core.generator import ResidualGenerator
     from residua.monitor.diagnosis import Diagnosis
 
 _COLOURS = ("#0b5cad", "#c4501b", "#00785a", "#8b3fa0", "#946200", "#007a94", "#b0235f", "#4b5560")

@@ -14,7 +14,7 @@ from residua.decide.directional import direction_test
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from residua.design.generator import ResidualGenerator
+    from residua.design.core.generator import ResidualGenerator
     from residua.monitor.diagnosis import Diagnosis
 
 

@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.design.evidence import Evidence, format_pole
+from residua.design.core.evidence import Evidence, format_pole
 from residua.monitor.naming import ranked, tied_name
 from residua.report.choosing import SHOWN_FAULTS
 from residua.report.text import escape, lead_text, number, score, sizes_text, some
 from residua.report.verdict import angle
 
 if TYPE_CHECKING:
-    from residua.design.generator import ResidualGenerator
-    from residua.linear.rank import RankDecision
+    from residua.design.core.generator import ResidualGenerator
+    from residua.linear.subspaces.rank import RankDecision
     from residua.monitor.alarm import Alarm
-    from residua.monitor.clock import Clock
     from residua.monitor.diagnosis import Diagnosis
+    from residua.recording.clock import Clock
 
 #: Headers of the cells of :func:`alarm_times`.
 ALARM_TIMES = ("Began", "Raised", "Ended")

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from residua.monitor.clock import Clock
 from residua.monitor.diagnosis import CLOSE_LEAD, CLOSE_MARGIN, NO_DIRECTION, NO_FIT
 from residua.monitor.naming import alike, began_text
+from residua.recording.clock import Clock
 from residua.report.text import lead_text, listing, number, percent, score, size_text, sizes_text, some
 
 if TYPE_CHECKING:

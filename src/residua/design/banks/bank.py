@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from residua.analysis.codes import equal_codes, strongly_isolating
 from residua.analysis.coding_sets import Structure, structure_rows
-from residua.design.canonical_design import in_own_units, in_units_of
+from residua.design.core.canonical_design import in_own_units, in_units_of
+from residua.design.core.evidence import Evidence
+from residua.design.core.generator import Member, ResidualGenerator, make_generator
+from residua.design.core.internal_form import check_decoupling
 from residua.design.detection_filters.detection_filter import stack_systems
-from residua.design.evidence import Evidence
-from residua.design.generator import Member, ResidualGenerator, make_generator
-from residua.design.internal_form import check_decoupling
 from residua.design.observers.observer import Observer
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from residua import arrays
 from residua.analysis.fault_space import fault_space
 from residua.design.banks.filter_rounding import rounding_share
 from residua.design.banks.unknown_input_quotient import (
@@ -17,17 +18,17 @@ from residua.design.banks.unknown_input_quotient import (
     quotient_filter,
     unknown_input_quotient,
 )
-from residua.design.canonical_design import designed_in_own_units
-from residua.design.evidence import Evidence
-from residua.design.generator import ResidualGenerator, make_generator
-from residua.design.internal_form import check_decoupling
+from residua.design.core.canonical_design import designed_in_own_units
+from residua.design.core.evidence import Evidence
+from residua.design.core.generator import ResidualGenerator, make_generator
+from residua.design.core.internal_form import check_decoupling
 from residua.design.observers.observer_gain import margin_from, place, pole_evidence
 from residua.errors import AccuracyError, DesignError
-from residua.linear import StateSpace, arrays
-from residua.linear.observable_part import UndetectableError
-from residua.linear.placement import Placement
-from residua.linear.rank import DEFAULT_RTOL
-from residua.linear.riccati import filter_riccati
+from residua.linear import StateSpace
+from residua.linear.poles.placement import Placement
+from residua.linear.poles.riccati import filter_riccati
+from residua.linear.subspaces.observable_part import UndetectableError
+from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 from residua.plant.even_units import even_plant
 

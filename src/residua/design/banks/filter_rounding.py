@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from residua.design.generator import ResidualGenerator
-from residua.design.internal_form import frequency_grid
+from residua.design.core.generator import ResidualGenerator
+from residua.design.core.internal_form import frequency_grid
 
 _EPS = float(np.finfo(float).eps)
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from residua.design.banks.bank import Bank, build_bank, wanted_by_scheme
 from residua.design.banks.member_design import advice_for, member_design
 from residua.errors import DesignError
-from residua.linear.rank import DEFAULT_RTOL
+from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from residua.analysis.coding_sets import Structure
 from residua.design.banks.bank import Bank, build_bank, wanted_rows
 from residua.design.banks.decoupled_residual import decoupled_residual
-from residua.linear.rank import DEFAULT_RTOL
+from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.design.signals import signal_names
+from residua.design.core.signals import signal_names
 from residua.linear import StateSpace
-from residua.linear.balancing import descriptor_units, without_rounding
-from residua.linear.detection_space import confining_gain, detection_space
-from residua.linear.rank import RankDecision, decide_rank, left_null_basis, range_basis
-from residua.linear.reachability import reachable_basis
+from residua.linear.subspaces.detection_space import confining_gain, detection_space
+from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis, range_basis
+from residua.linear.subspaces.reachability import reachable_basis
+from residua.linear.systems.balancing import descriptor_units, without_rounding
 from residua.plant import Plant
 
 

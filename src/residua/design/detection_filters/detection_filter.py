@@ -10,6 +10,10 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from residua.analysis.unknown_input import output_free_form
+from residua.arrays import index_of
+from residua.design.core.evidence import Evidence
+from residua.design.core.generator import Member, ResidualGenerator, make_generator
+from residua.design.core.internal_form import check_decoupling
 from residua.design.detection_filters.directional_gain import (
     DirectionalGain,
     FaultEvent,
@@ -21,20 +25,16 @@ from residua.design.detection_filters.directional_gain import (
     scalar_gain,
     scalar_pole,
 )
-from residua.design.evidence import Evidence
-from residua.design.generator import Member, ResidualGenerator, make_generator
-from residua.design.internal_form import check_decoupling
 from residua.design.observers.observer import Observer, in_units_of_the_plant
 from residua.design.observers.observer_gain import POLE_ERROR
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
-from residua.linear.arrays import index_of
-from residua.linear.balancing import balance_system
-from residua.linear.matrix_poles import explicit_poles
-from residua.linear.observability import detectability
-from residua.linear.placement import default_margin
-from residua.linear.rank import DEFAULT_RTOL, decide_rank
-from residua.linear.spectrum import spectrum_error
+from residua.linear.poles.matrix_poles import explicit_poles
+from residua.linear.poles.placement import default_margin
+from residua.linear.poles.spectrum import spectrum_error
+from residua.linear.subspaces.observability import detectability
+from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank
+from residua.linear.systems.balancing import balance_system
 from residua.plant import Plant
 from residua.plant.even_units import EvenPlant, even_plant
 

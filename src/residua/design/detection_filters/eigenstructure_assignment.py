@@ -9,6 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.design.core.evidence import Evidence
+from residua.design.core.generator import ResidualGenerator, make_generator
+from residua.design.core.internal_form import check_decoupling
+from residua.design.core.signals import signal_names
 from residua.design.detection_filters.directional_gain import DirectionalGain, checked_options
 from residua.design.detection_filters.ignored_columns import (
     Frame,
@@ -24,20 +28,16 @@ from residua.design.detection_filters.right_eigenvectors import (
     right_frame,
     right_gain,
 )
-from residua.design.evidence import Evidence
-from residua.design.generator import ResidualGenerator, make_generator
-from residua.design.internal_form import check_decoupling
 from residua.design.observers.observer import Observer
-from residua.design.signals import signal_names
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import StateSpace
-from residua.linear.balancing import without_rounding
-from residua.linear.matrix_poles import explicit_poles
-from residua.linear.norms import hinf_norm
-from residua.linear.observability import is_stable_mode
-from residua.linear.placement import default_margin
-from residua.linear.rank import DEFAULT_RTOL, RankDecision
-from residua.linear.spectrum import describe_modes
+from residua.linear.norms.system_norms import hinf_norm
+from residua.linear.poles.matrix_poles import explicit_poles
+from residua.linear.poles.placement import default_margin
+from residua.linear.poles.spectrum import describe_modes
+from residua.linear.subspaces.observability import is_stable_mode
+from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision
+from residua.linear.systems.balancing import without_rounding
 from residua.plant import Plant
 
 REFERENCE = "Gertler (1991), Automatica 27(4), section 4.3, eqs. (4-5) to (4-14), after Patton and Kangethe (1989)"

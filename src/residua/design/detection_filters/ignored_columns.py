@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.design.generator import ResidualGenerator
-from residua.design.internal_form import leakage
+from residua import arrays
+from residua.design.core.generator import ResidualGenerator
+from residua.design.core.internal_form import leakage
 from residua.errors import AccuracyError, DesignError
-from residua.linear import arrays
-from residua.linear.balancing import descriptor_units, without_rounding
-from residua.linear.observability import detectability
-from residua.linear.rank import RankDecision, decide_rank, range_basis
+from residua.linear.subspaces.observability import detectability
+from residua.linear.subspaces.rank import RankDecision, decide_rank, range_basis
+from residua.linear.systems.balancing import descriptor_units, without_rounding
 from residua.plant import Plant
 
 #: Largest gain from what is ignored to the residual, relative to the terms that have to cancel.

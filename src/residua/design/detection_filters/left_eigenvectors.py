@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from residua.design.detection_filters.directional_gain import DirectionalGain, Poles, share_poles
 from residua.design.detection_filters.ignored_columns import Frame, IgnoredColumns
 from residua.errors import DesignError
-from residua.linear.balancing import without_rounding
-from residua.linear.observability import observability_form
-from residua.linear.placement import place_observer_margin, place_observer_poles
-from residua.linear.pole_assignment import real_block_diagonal
-from residua.linear.rank import RankDecision, decide_rank, left_null_basis, null_basis
+from residua.linear.poles.placement import place_observer_margin, place_observer_poles
+from residua.linear.poles.pole_assignment import real_block_diagonal
+from residua.linear.subspaces.observability import observability_form
+from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis, null_basis
+from residua.linear.systems.balancing import without_rounding
 
 
 @dataclass(frozen=True, eq=False)

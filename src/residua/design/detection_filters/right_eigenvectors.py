@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 from residua.design.detection_filters.directional_gain import DirectionalGain, FaultEvent, Poles, block_gain
 from residua.design.detection_filters.ignored_columns import Frame, IgnoredColumns
 from residua.errors import DesignError
-from residua.linear.detection_space import (
+from residua.linear.poles.spectrum import describe_modes
+from residua.linear.subspaces.detection_space import (
     DetectionSpace,
     conditioned_invariant_basis,
     detection_space,
     separation,
     split_blocks,
 )
-from residua.linear.observability import is_stable_mode, observability_form
-from residua.linear.rank import left_null_basis, range_basis
-from residua.linear.reachability import reachable_basis
-from residua.linear.spectrum import describe_modes
+from residua.linear.subspaces.observability import is_stable_mode, observability_form
+from residua.linear.subspaces.rank import left_null_basis, range_basis
+from residua.linear.subspaces.reachability import reachable_basis
 
 
 @dataclass(frozen=True, eq=False)

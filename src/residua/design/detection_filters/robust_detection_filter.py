@@ -13,14 +13,14 @@ from residua.analysis.unknown_input import (
     output_free_form,
     unknown_input_observer_existence,
 )
+from residua.design.core.evidence import Evidence
+from residua.design.core.generator import ResidualGenerator
 from residua.design.detection_filters.detection_filter import REFERENCES, directional_filters
 from residua.design.detection_filters.directional_gain import Poles
-from residua.design.evidence import Evidence
-from residua.design.generator import ResidualGenerator
 from residua.design.observers.unknown_input_observer import REFERENCE, decoupling_gain
 from residua.errors import DesignError
-from residua.linear.balancing import without_rounding
-from residua.linear.rank import DEFAULT_RTOL
+from residua.linear.subspaces.rank import DEFAULT_RTOL
+from residua.linear.systems.balancing import without_rounding
 from residua.plant import Plant
 from residua.plant.even_units import given_units
 

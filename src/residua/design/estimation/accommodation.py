@@ -9,12 +9,13 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
+from residua import arrays
+from residua.arrays import matrix
 from residua.design.estimation.fault_estimator import FaultEstimator
 from residua.design.observers.observer import Observer
 from residua.errors import DesignError, ModelError, SettingError
-from residua.linear import StateSpace, arrays
-from residua.linear.arrays import matrix
-from residua.linear.balancing import descriptor_units
+from residua.linear import StateSpace
+from residua.linear.systems.balancing import descriptor_units
 from residua.plant import Plant
 
 

@@ -8,19 +8,20 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua import arrays
+from residua.design.core.evidence import Evidence
+from residua.design.core.generator import ResidualGenerator, make_generator
+from residua.design.core.internal_form import check_decoupling, frequency_grid, internal_form
+from residua.design.core.signals import sampled_filter, stack_signals
 from residua.design.estimation.fault_reading import FaultReading, read_faults
-from residua.design.evidence import Evidence
-from residua.design.generator import ResidualGenerator, make_generator
-from residua.design.internal_form import check_decoupling, frequency_grid, internal_form
 from residua.design.observers.observer import Observer
 from residua.design.observers.observer_gain import own_rate
 from residua.design.observers.unknown_input_observer import unknown_input_observer
-from residua.design.signals import sampled_filter, stack_signals
 from residua.errors import AccuracyError, DesignError, SettingError
-from residua.linear import StateSpace, arrays
-from residua.linear.norms import h2_norm, hinf_norm
-from residua.linear.placement import default_margin
-from residua.linear.rank import DEFAULT_RTOL
+from residua.linear import StateSpace
+from residua.linear.norms.system_norms import h2_norm, hinf_norm
+from residua.linear.poles.placement import default_margin
+from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 
 REFERENCES = (

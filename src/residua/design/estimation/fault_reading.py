@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, DesignError
-from residua.linear.balancing import descriptor_units
-from residua.linear.rank import RankDecision, decide_rank, left_null_basis, null_basis
+from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis, null_basis
+from residua.linear.systems.balancing import descriptor_units
 from residua.plant import Plant
 
 

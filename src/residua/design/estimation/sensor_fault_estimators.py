@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 
 from numpy.typing import ArrayLike
 
+from residua import arrays
 from residua.design.estimation.fault_estimator import FaultEstimator, fault_estimator
 from residua.errors import AccuracyError, DesignError
-from residua.linear import arrays
-from residua.linear.rank import DEFAULT_RTOL
+from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 
 

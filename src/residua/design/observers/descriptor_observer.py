@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from residua.design.observers.observer import Observer
 from residua.design.observers.reduced_order import reduced_observer
-from residua.linear.rank import DEFAULT_RTOL
+from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from residua.design.internal_form import frequency_grid
+from residua.design.core.internal_form import frequency_grid
 from residua.errors import AccuracyError, ModelError
 from residua.linear import StateSpace
 

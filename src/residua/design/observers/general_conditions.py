@@ -11,8 +11,8 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from residua.errors import DesignError
-from residua.linear.balancing import DescriptorUnits, descriptor_units
-from residua.linear.rank import left_null_basis
+from residua.linear.subspaces.rank import left_null_basis
+from residua.linear.systems.balancing import DescriptorUnits, descriptor_units
 from residua.plant import Plant
 
 #: The conditions in the order of (4-18), with feedthrough; those of (4-19) follow.

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.design.evidence import Evidence
-from residua.design.generator import ResidualGenerator, make_generator
-from residua.design.internal_form import check_decoupling, leakage
+from residua.arrays import matrix
+from residua.design.core.evidence import Evidence
+from residua.design.core.generator import ResidualGenerator, make_generator
+from residua.design.core.internal_form import check_decoupling, leakage
+from residua.design.core.signals import signal_names
 from residua.design.observers.general_conditions import (
     CONDITIONS,
     FULFILLED,
@@ -22,14 +24,12 @@ from residua.design.observers.general_conditions import (
     static_map,
 )
 from residua.design.observers.observer import Observer
-from residua.design.signals import signal_names
 from residua.errors import DesignError, SettingError
 from residua.linear import StateSpace
-from residua.linear.arrays import matrix
-from residua.linear.matrix_poles import explicit_poles
-from residua.linear.observability import is_stable_mode
-from residua.linear.rank import RankDecision, decide_rank, equilibrated
-from residua.linear.spectrum import describe_modes
+from residua.linear.poles.matrix_poles import explicit_poles
+from residua.linear.poles.spectrum import describe_modes
+from residua.linear.subspaces.observability import is_stable_mode
+from residua.linear.subspaces.rank import RankDecision, decide_rank, equilibrated
 from residua.plant import Plant
 
 #: Largest relative gain from the disturbances of a generator that ignores them.

@@ -13,16 +13,17 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching, shortest_path
 
+from residua import arrays
 from residua.analysis.unknown_input import unknown_input_observer_existence
-from residua.design.evidence import Evidence, format_pole
+from residua.arrays import matrix
+from residua.design.core.evidence import Evidence, format_pole
 from residua.design.observers.observer import Observer
 from residua.design.observers.unknown_input_observer import unknown_input_observer
 from residua.errors import AccuracyError, DesignError
-from residua.linear import arrays, is_stable_mode
-from residua.linear.arrays import matrix
-from residua.linear.placement import place_observer_poles
-from residua.linear.rank import DEFAULT_RTOL, decide_rank, equilibrated
-from residua.linear.spectrum import spectrum_error
+from residua.linear import is_stable_mode
+from residua.linear.poles.placement import place_observer_poles
+from residua.linear.poles.spectrum import spectrum_error
+from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank, equilibrated
 from residua.plant import Plant
 
 _INSTEAD = "fault_estimator and unknown_input_observer do not need it"

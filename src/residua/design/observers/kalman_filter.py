@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from residua.design.evidence import Evidence
-from residua.design.generator import ResidualGenerator
+from residua.design.core.evidence import Evidence
+from residua.design.core.generator import ResidualGenerator
 from residua.design.observers.observer import Observer
 from residua.errors import AccuracyError, DesignError
-from residua.linear.balancing import without_rounding
-from residua.linear.riccati import filter_riccati
+from residua.linear.poles.riccati import filter_riccati
+from residua.linear.systems.balancing import without_rounding
 from residua.plant import Plant
 
 _BOTH = "give both kinds, with_noise(process=..., measurement=...)"

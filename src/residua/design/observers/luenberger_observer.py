@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from residua import arrays
 from residua.analysis.unknown_input import is_singular
-from residua.design.evidence import Evidence
+from residua.design.core.evidence import Evidence
 from residua.design.observers.estimate_check import check_estimate
 from residua.design.observers.observer import Observer, in_units_of_the_plant
 from residua.design.observers.observer_gain import place, pole_evidence
 from residua.errors import DesignError
-from residua.linear import arrays
-from residua.linear.rank import DEFAULT_RTOL
+from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 from residua.plant.even_units import even_plant
 

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.analysis.unknown_input import algebraic_equations
-from residua.design.evidence import Evidence
-from residua.design.generator import ResidualGenerator, make_generator
-from residua.design.internal_form import check_decoupling
-from residua.design.signals import sampled_filter, signal_names, stack_signals
+from residua.design.core.evidence import Evidence
+from residua.design.core.generator import ResidualGenerator, make_generator
+from residua.design.core.internal_form import check_decoupling
+from residua.design.core.signals import sampled_filter, signal_names, stack_signals
 from residua.errors import DesignError
 from residua.linear import StateSpace
-from residua.linear.balancing import power_of_two
-from residua.linear.matrix_poles import explicit_poles
+from residua.linear.poles.matrix_poles import explicit_poles
+from residua.linear.systems.balancing import power_of_two
 from residua.plant import Plant
 from residua.plant.even_units import EvenPlant, even_plant
 

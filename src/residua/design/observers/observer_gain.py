@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.design.detection_filters.directional_gain import checked_options
 from residua.errors import AccuracyError, DesignError, ModelError
-from residua.linear.matrix_poles import explicit_poles
-from residua.linear.placement import Placement, default_margin, place_observer_margin, place_observer_poles
-from residua.linear.pole_assignment import real_block_diagonal
+from residua.linear.poles.matrix_poles import explicit_poles
+from residua.linear.poles.placement import Placement, default_margin, place_observer_margin, place_observer_poles
+from residua.linear.poles.pole_assignment import real_block_diagonal
 from residua.plant import Plant
 
 #: Largest error of a pole of an observer, relative (sampled: absolute).

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.design.evidence import Evidence
+from residua.design.core.evidence import Evidence
 from residua.design.observers.perfect_gain import PerfectGain
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace, decide_rank, invariant_zeros
-from residua.linear.balancing import descriptor_units
-from residua.linear.descriptor import scaled_pencil
-from residua.linear.norms import h2_norm, hinf_norm
-from residua.linear.rank import left_null_basis
-from residua.linear.spectrum import describe_modes
+from residua.linear.norms.system_norms import h2_norm, hinf_norm
+from residua.linear.poles.spectrum import describe_modes
+from residua.linear.subspaces.rank import left_null_basis
+from residua.linear.systems.balancing import descriptor_units
+from residua.linear.systems.descriptor import scaled_pencil
 from residua.plant import Plant
 
 if TYPE_CHECKING:

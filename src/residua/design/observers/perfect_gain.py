@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, DesignError
-from residua.linear.descriptor import scaled_pencil
-from residua.linear.observability import staircase
-from residua.linear.rank import decide_rank, null_basis, range_basis
+from residua.linear.subspaces.observability import staircase
+from residua.linear.subspaces.rank import decide_rank, null_basis, range_basis
+from residua.linear.systems.descriptor import scaled_pencil
 
 Matrix = NDArray[np.float64]
 #: Largest relative variation of det(sN - I), which has to be constant, over the tried s.

@@ -8,9 +8,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.design.evidence import Evidence
-from residua.design.generator import ResidualGenerator, make_generator
-from residua.design.internal_form import check_decoupling
+from residua import arrays
+from residua.design.core.evidence import Evidence
+from residua.design.core.generator import ResidualGenerator, make_generator
+from residua.design.core.internal_form import check_decoupling
+from residua.design.core.signals import sampled_filter, signal_names, stack_signals
 from residua.design.observers.differential_filter import differential_filter, trimmed
 from residua.design.observers.perfect_checks import (
     check_existence,
@@ -20,11 +22,10 @@ from residua.design.observers.perfect_checks import (
     reduced_rows,
 )
 from residua.design.observers.perfect_gain import PerfectGain, full_rank_gain, given_gain, least_order_gain
-from residua.design.signals import sampled_filter, signal_names, stack_signals
 from residua.errors import DesignError, SettingError
-from residua.linear import StateSpace, WeierstrassForm, arrays, default_margin, weierstrass_form
-from residua.linear.descriptor import scaled_pencil
-from residua.linear.rank import DEFAULT_RTOL
+from residua.linear import StateSpace, WeierstrassForm, default_margin, weierstrass_form
+from residua.linear.subspaces.rank import DEFAULT_RTOL
+from residua.linear.systems.descriptor import scaled_pencil
 from residua.plant import Plant
 
 

@@ -9,20 +9,20 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
+from residua import arrays
 from residua.analysis.unknown_input import with_needed_equations
-from residua.design.evidence import Evidence
+from residua.design.core.evidence import Evidence
 from residua.design.observers.estimate_check import check_estimate
 from residua.design.observers.observer import Observer, in_units_of_the_plant, without_measured_equations
 from residua.design.observers.observer_gain import margin_from, place, pole_evidence
 from residua.errors import AccuracyError, DesignError
-from residua.linear import arrays
-from residua.linear.balancing import descriptor_units, without_rounding
-from residua.linear.far_gain import refuse_far_gain
-from residua.linear.matrix_poles import explicit_poles
-from residua.linear.observability import is_stable_mode
-from residua.linear.placement import Placement
-from residua.linear.rank import RankDecision, decide_rank, left_null_basis, without_noise
-from residua.linear.spectrum import describe_modes
+from residua.linear.poles.matrix_poles import explicit_poles
+from residua.linear.poles.placement import Placement
+from residua.linear.poles.spectrum import describe_modes
+from residua.linear.subspaces.far_gain import refuse_far_gain
+from residua.linear.subspaces.observability import is_stable_mode
+from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis, without_noise
+from residua.linear.systems.balancing import descriptor_units, without_rounding
 from residua.plant import Plant
 from residua.plant.even_units import even_plant
 

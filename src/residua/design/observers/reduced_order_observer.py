@@ -10,7 +10,7 @@ from residua.analysis.unknown_input import is_singular
 from residua.design.observers.observer import Observer
 from residua.design.observers.reduced_order import reduced_observer
 from residua.errors import DesignError
-from residua.linear.rank import DEFAULT_RTOL
+from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 
 

@@ -18,17 +18,17 @@ from residua.analysis.unknown_input import (
     output_free_form,
     unknown_input_observer_existence,
 )
-from residua.design.evidence import Evidence
+from residua.arrays import matrix
+from residua.design.core.evidence import Evidence
 from residua.design.observers.estimate_check import check_estimate
 from residua.design.observers.observer import Observer, in_units_of_the_plant, without_measured_equations
 from residua.design.observers.observer_gain import margin_from, place, pole_evidence
 from residua.errors import AccuracyError, DesignError
-from residua.linear.arrays import matrix
-from residua.linear.balancing import without_rounding
-from residua.linear.far_gain import refuse_far_gain
-from residua.linear.observability import staircase
-from residua.linear.placement import Placement
-from residua.linear.rank import DEFAULT_RTOL, RankDecision
+from residua.linear.poles.placement import Placement
+from residua.linear.subspaces.far_gain import refuse_far_gain
+from residua.linear.subspaces.observability import staircase
+from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision
+from residua.linear.systems.balancing import without_rounding
 from residua.plant import Plant
 
 REFERENCE = "Chen, Patton and Zhang (1996), Int. J. Control 63(1), eqs. (2) to (13)"

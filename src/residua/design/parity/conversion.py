@@ -7,15 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.design.generator import ResidualGenerator
+from residua.design.core.generator import ResidualGenerator
 from residua.design.parity.relation import Relation, divided, synthetic_division
 from residua.design.parity.relations import ParityRelations, relations_of
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
-from residua.linear.common_factor import without_common_factor
-from residua.linear.pencil_null_space import DEFAULT_RTOL, pencil, shortest_pencil_null_vectors
-from residua.linear.polynomial_basis import PolynomialBasis
-from residua.linear.reachability import without_unobservable
+from residua.linear.polynomials.common_factor import without_common_factor
+from residua.linear.polynomials.pencil_null_space import DEFAULT_RTOL, pencil, shortest_pencil_null_vectors
+from residua.linear.polynomials.polynomial_basis import PolynomialBasis
+from residua.linear.subspaces.reachability import without_unobservable
 
 #: How far a residual may be from a relation, relative to the terms that have to cancel.
 _EXACT = 1e-7

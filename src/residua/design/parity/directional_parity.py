@@ -8,19 +8,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.design.generator import ResidualGenerator
+from residua import arrays
+from residua.design.core.generator import ResidualGenerator
 from residua.design.parity.directional_pencil import DirectionalPencil, Directions, directional_pencil
 from residua.design.parity.relation import Relation
 from residua.design.parity.relation_model import RelationModel, basis_for, relation_model, state_pencil
 from residua.design.parity.relations import Poles, relations_of
 from residua.design.parity.shortest import combinations_to_try, simplest_of_the_best
 from residua.errors import AccuracyError, DesignError
-from residua.linear import arrays
-from residua.linear.common_factor import without_common_factor
-from residua.linear.degree_search import at_smallest_degree
-from residua.linear.pencil_null_space import DEFAULT_RTOL
-from residua.linear.polynomial_basis import PolynomialBasis
-from residua.linear.rank import RankDecision, decide_rank, left_null_basis
+from residua.linear.polynomials.common_factor import without_common_factor
+from residua.linear.polynomials.degree_search import at_smallest_degree
+from residua.linear.polynomials.pencil_null_space import DEFAULT_RTOL
+from residua.linear.polynomials.polynomial_basis import PolynomialBasis
+from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
 

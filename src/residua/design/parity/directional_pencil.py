@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.design.generator import ResidualGenerator
-from residua.design.internal_form import frequency_grid
+from residua.design.core.generator import ResidualGenerator
+from residua.design.core.internal_form import frequency_grid
 from residua.design.parity.relation import Relation
 from residua.design.parity.relation_model import state_pencil
 from residua.errors import AccuracyError
-from residua.linear.pencil_null_space import DEFAULT_RTOL, Pencil, pencil_null_vectors, refined
-from residua.linear.polynomial_basis import PolynomialBasis
-from residua.linear.rank import RankDecision, left_null_basis
+from residua.linear.polynomials.pencil_null_space import DEFAULT_RTOL, Pencil, pencil_null_vectors, refined
+from residua.linear.polynomials.polynomial_basis import PolynomialBasis
+from residua.linear.subspaces.rank import RankDecision, left_null_basis
 from residua.plant import Plant
 
 #: Coefficients below this fraction of the largest, in balanced units, are rounding.

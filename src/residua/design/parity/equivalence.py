@@ -9,16 +9,16 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from residua.design.evidence import format_pole
-from residua.design.generator import ResidualGenerator
-from residua.design.internal_form import frequency_grid
+from residua.design.core.evidence import format_pole
+from residua.design.core.generator import ResidualGenerator
+from residua.design.core.internal_form import frequency_grid
 from residua.design.parity.conversion import RowFraction, row_fractions
 from residua.design.parity.realization import pole_basis
 from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear import StateSpace, decide_rank
-from residua.linear.balancing import descriptor_units
-from residua.linear.polynomial_basis import PolynomialBasis
-from residua.linear.reachability import without_unobservable
+from residua.linear.polynomials.polynomial_basis import PolynomialBasis
+from residua.linear.subspaces.reachability import without_unobservable
+from residua.linear.systems.balancing import descriptor_units
 
 #: Two responses are parallel when they miss each other by less than this, relative, at every frequency.
 _PARALLEL = 1e-6

@@ -10,13 +10,13 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.design.generator import ResidualGenerator
+from residua import arrays
+from residua.design.core.generator import ResidualGenerator
 from residua.design.parity.relation_model import RelationModel, relation_model
 from residua.design.parity.relations import Poles, relations_of
 from residua.design.parity.shortest import RelationSpace, relation_space, shortest_relations
 from residua.errors import DesignError, SettingError
-from residua.linear import arrays
-from residua.linear.pencil_null_space import DEFAULT_RTOL
+from residua.linear.polynomials.pencil_null_space import DEFAULT_RTOL
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
 

@@ -6,18 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from residua.design.evidence import Evidence, format_pole
-from residua.design.generator import ResidualGenerator, make_generator
-from residua.design.internal_form import check_decoupling
+from residua.design.core.evidence import Evidence, format_pole
+from residua.design.core.generator import ResidualGenerator, make_generator
+from residua.design.core.internal_form import check_decoupling
+from residua.design.core.signals import signal_names
 from residua.design.parity.relation import Relation, synthetic_division
 from residua.design.parity.relation_model import RelationModel, relation_model
 from residua.design.parity.relations import Poles, relations_of
 from residua.design.parity.shortest import shortest_relations
-from residua.design.signals import signal_names
 from residua.errors import DesignError
 from residua.linear import StateSpace, is_stable_mode
-from residua.linear.pencil_null_space import DEFAULT_RTOL
-from residua.linear.polynomial_basis import PolynomialBasis
+from residua.linear.polynomials.pencil_null_space import DEFAULT_RTOL
+from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.linear import StateSpace
-from residua.linear.balancing import balance_system, descriptor_units
-from residua.linear.polynomial_basis import PolynomialBasis
+from residua.linear.polynomials.polynomial_basis import PolynomialBasis
+from residua.linear.systems.balancing import balance_system, descriptor_units
 from residua.plant import Plant
 
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.design.evidence import format_pole
+from residua import arrays
+from residua.design.core.evidence import format_pole
 from residua.errors import ModelError
-from residua.linear import arrays
-from residua.linear.pencil_null_space import Pencil, pencil
-from residua.linear.polynomial_basis import PolynomialBasis, basis_on_poles
+from residua.linear.polynomials.pencil_null_space import Pencil, pencil
+from residua.linear.polynomials.polynomial_basis import PolynomialBasis, basis_on_poles
 from residua.plant import Plant
 from residua.plant.canonical_units import PlantUnits, canonical_units
 from residua.plant.input_output_model import InputOutputModel

@@ -11,19 +11,19 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
-from residua.design.canonical_design import in_units_of
-from residua.design.evidence import Evidence, format_pole
-from residua.design.generator import ResidualGenerator, make_generator
-from residua.design.internal_form import check_decoupling
+from residua.design.core.canonical_design import in_units_of
+from residua.design.core.evidence import Evidence, format_pole
+from residua.design.core.generator import ResidualGenerator, make_generator
+from residua.design.core.internal_form import check_decoupling
+from residua.design.core.signals import signal_names
 from residua.design.parity.directional_pencil import Directions, changed_together, check_directions
 from residua.design.parity.realization import Realization, pole_basis, realize_relation
 from residua.design.parity.relation import Relation, digits_lost, plant_rate
 from residua.design.parity.relation_text import joined, terms_of
-from residua.design.signals import signal_names
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import PolynomialMatrix, StateSpace, is_stable_mode
-from residua.linear.balancing import descriptor_units
-from residua.linear.polynomial_basis import PolynomialBasis
+from residua.linear.polynomials.polynomial_basis import PolynomialBasis
+from residua.linear.systems.balancing import descriptor_units
 from residua.plant import Plant
 from residua.plant.canonical_units import PlantUnits, canonical_units
 

@@ -12,16 +12,16 @@ from residua.analysis.fault_space import fault_space
 from residua.design.parity.relation import Relation
 from residua.design.parity.relation_model import RelationModel, basis_for, state_pencil
 from residua.errors import AccuracyError, DesignError
-from residua.linear.degree_search import at_smallest_degree
-from residua.linear.pencil_null_space import (
+from residua.linear.polynomials.degree_search import at_smallest_degree
+from residua.linear.polynomials.pencil_null_space import (
     Pencil,
     PencilNullVectors,
     pencil,
     pencil_null_vectors,
     shortest_pencil_null_vectors,
 )
-from residua.linear.polynomial_basis import PolynomialBasis
-from residua.linear.rank import RankDecision
+from residua.linear.polynomials.polynomial_basis import PolynomialBasis
+from residua.linear.subspaces.rank import RankDecision
 
 #: A fault is seen by a relation when more than this of the largest response that its size allows is left.
 _SEEN = 1e-9

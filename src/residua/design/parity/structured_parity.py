@@ -8,13 +8,13 @@ import numpy as np
 
 from residua.analysis.coding_sets import Structure
 from residua.design.banks.bank import Bank, build_bank, wanted_rows
-from residua.design.generator import ResidualGenerator
+from residua.design.core.generator import ResidualGenerator
 from residua.design.parity.parity_relations import with_rank
 from residua.design.parity.relation_model import relation_model
 from residua.design.parity.relations import Poles, relations_of
 from residua.design.parity.shortest import shortest_relation
 from residua.errors import AccuracyError, SettingError
-from residua.linear.pencil_null_space import DEFAULT_RTOL
+from residua.linear.polynomials.pencil_null_space import DEFAULT_RTOL
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
 

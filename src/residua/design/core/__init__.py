@@ -1,0 +1,1 @@
+"""What every design shares: the generator, its internal form, its evidence and its structure."""

@@ -1,0 +1,47 @@
+"""Designs in the plant's own units: the same filter, to the last bit, whatever units the plant was written in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from residua.design.core.generator import ResidualGenerator
+from residua.plant import Plant
+from residua.plant.canonical_units import PlantUnits, canonical_units
+
+
+def designed_in_own_units(plant: Plant, design: Callable[[Plant], ResidualGenerator]) -> ResidualGenerator:
+    """Return what a design makes of the plant in canonical units, as a generator for the plant as it was written."""
+    units = canonical_units(plant)
+    return in_units_of(plant, units, design(units.applied(plant)))
+
+
+def in_units_of(plant: Plant, units: PlantUnits, made: ResidualGenerator) -> ResidualGenerator:
+    """Return a generator for the scaled plant as one for the plant. Powers of two: nothing is rounded."""
+    return _rescaled(made, plant, units, 1.0)
+
+
+def in_own_units(made: ResidualGenerator, units: PlantUnits, own: Plant) -> ResidualGenerator:
+    """Return a generator as one for its plant in other units, ``own``."""
+    return _rescaled(made, own, units, -1.0)
+
+
+def _rescaled(made: ResidualGenerator, plant: Plant, units: PlantUnits, power: float) -> ResidualGenerator:
+    """Return a generator from scaled units to those of the plant, or the other way with a power of minus one."""
+    signals = np.concatenate([1 / units.inputs, units.outputs]) ** power
+    equations = units.equations**power
+    known = made.known_form
+    if known is not None:
+        noises = np.ones(known.n_inputs - len(units.faults) - len(units.disturbances))
+        through = np.concatenate([1 / units.faults, 1 / units.disturbances, noises]) ** power
+        known = known.replaced(B=known.B * through, D=known.D * through)
+    return replace(
+        made,
+        system=made.system.replaced(B=made.system.B * signals, D=made.system.D * signals),
+        plant=plant,
+        state_map=None if made.state_map is None else made.state_map * equations,
+        static_map=None if made.static_map is None else made.static_map * equations,
+        known_form=known,
+    )

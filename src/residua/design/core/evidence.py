@@ -1,0 +1,96 @@
+"""What a design proves about itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.linear.subspaces.rank import RankDecision
+
+
+def _empty() -> NDArray[np.complex128]:
+    return np.zeros(0, dtype=complex)
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """The checks that a design has passed, with their numbers.
+
+    Attributes
+    ----------
+    method : str
+        What was designed, in words.
+    poles : ndarray
+        The poles that the residual generator has.
+    requested_poles : ndarray
+        The poles that were asked for; empty when the design chose them.
+    fixed_poles : ndarray
+        Poles that no gain can move: unobservable modes, which are invariant zeros of the plant.
+    decoupling : mapping of str to float
+        Largest gain to the residual from each group of inputs that must not be seen (``"control"``,
+        ``"disturbance"``), relative to the terms that have to cancel.
+    ranks : mapping of str to RankDecision
+        Every rank decision with the singular values on both sides of its gap.
+    conditions : mapping of str to float
+        Named condition numbers and residuals of the identities that define the design.
+    notes : tuple of str
+        What a reader should know, such as a redundancy or the cost of sampling.
+    references : tuple of str
+        Where the method is from, with equation numbers.
+    """
+
+    method: str
+    poles: NDArray[np.complex128] = field(default_factory=_empty)
+    requested_poles: NDArray[np.complex128] = field(default_factory=_empty)
+    fixed_poles: NDArray[np.complex128] = field(default_factory=_empty)
+    decoupling: Mapping[str, float] = field(default_factory=dict)
+    ranks: Mapping[str, RankDecision] = field(default_factory=dict)
+    conditions: Mapping[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    references: tuple[str, ...] = ()
+
+    def extended(
+        self,
+        *,
+        decoupling: Mapping[str, float] | None = None,
+        conditions: Mapping[str, float] | None = None,
+        notes: tuple[str, ...] = (),
+        **changes: object,
+    ) -> Evidence:
+        """Return a copy with entries added to the mappings and notes, and other fields replaced."""
+        return replace(
+            self,
+            decoupling={**self.decoupling, **(decoupling or {})},
+            conditions={**self.conditions, **(conditions or {})},
+            notes=self.notes + notes,
+            **changes,  # pyright: ignore[reportArgumentType]
+        )
+
+    def __str__(self) -> str:
+        lines = [self.method]
+        for label, poles in (
+            ("poles", self.poles),
+            ("asked for", self.requested_poles),
+            ("fixed", self.fixed_poles),
+        ):
+            if len(poles):
+                lines.append(f"  {label}: {', '.join(format_pole(p) for p in poles)}")
+        lines += [f"  gain from {name}: {gain:.1e} (relative)" for name, gain in self.decoupling.items()]
+        lines += [f"  {name}: {decision}" for name, decision in self.ranks.items()]
+        lines += [f"  {name}: {value:.3g}" for name, value in self.conditions.items()]
+        lines += [f"  note: {note}" for note in self.notes]
+        lines += [f"  reference: {reference}" for reference in self.references]
+        return "\n".join(lines)
+
+
+def format_pole(pole: complex) -> str:
+    """Return a pole as short text, in whatever unit of time: only a pole at zero is a zero."""
+    pole = complex(pole)
+    if pole == 0:
+        return "0"
+    if abs(pole.imag) <= 1e-9 * abs(pole):
+        return f"{pole.real:.4g}"
+    return f"{pole.real:.4g}{pole.imag:+.4g}i"

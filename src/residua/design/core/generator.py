@@ -1,0 +1,371 @@
+"""The residual generator: what every design method returns and everything after design works on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from residua.design.core.evidence import Evidence, format_pole
+from residua.design.core.internal_form import (
+    check_known_form,
+    check_state_map,
+    frequency_grid,
+    internal_form,
+    leakage,
+    with_silent_inputs,
+)
+from residua.design.core.responses import covariance_of_sums, steady_responses
+from residua.design.core.signals import discretized_filter, sampled_filter, stack_signals
+from residua.design.core.signatures import signature_bases
+from residua.design.core.transformable import Transformable
+from residua.errors import AccuracyError
+from residua.linear import StateSpace, decide_rank
+from residua.linear.systems.response_terms import in_even_units
+from residua.plant import Plant
+
+if TYPE_CHECKING:
+    from residua.design.observers.observer import Observer
+    from residua.design.parity.relations import ParityRelations
+
+
+#: A generator that leaks less of the controls, relative to what cancels, is exact.
+_EXACT = 1e-6
+
+
+@dataclass(frozen=True)
+class Member:
+    """A part of a generator that was designed on its own: its residual numbers and the faults it is for."""
+
+    name: str
+    residuals: tuple[int, ...]
+    faults: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualGenerator(Transformable):
+    r"""A stable linear filter from inputs and outputs of a plant to residuals.
+
+    .. math:: r = Q(s) \begin{bmatrix} u \\ y \end{bmatrix}
+
+    Guaranteed (and checked when it was designed): for the fault-free plant ``r`` decays to zero for any
+    control input and any disturbance that was decoupled.
+
+    Attributes
+    ----------
+    system : StateSpace
+        Inputs are the plant's control inputs, then its outputs; outputs are the residuals. Signals are
+        deviations from the plant's operating point.
+    plant : Plant
+        What it was designed for.
+    method : str
+        The design, in words.
+    evidence : Evidence
+        What the design proves about itself.
+    subspaces : dict of str to ndarray, shape (residuals, k)
+        For each fault an orthonormal basis of the smallest subspace that the residual never leaves,
+        whatever the time course of that fault (Chen, Patton and Zhang 1996, Definitions 5 and 6; the part that it
+        can reach).
+        When it is the whole residual space, the fault's residual has no fixed direction.
+    observer : Observer or None
+        The observer that it is made of, where there is one.
+    members : tuple of Member
+        The filters that it is stacked from.
+    state_map : ndarray or None, shape (states of the filter, states of the plant)
+        ``T`` with ``xi = T E x`` while nothing fails; ``None`` for a filter that only approximates one, such as
+        a sampled continuous design, or whose states are filtered signals.
+    static_map : ndarray or None, shape (residuals, states of the plant)
+        ``V`` with ``V E = 0``: the algebraic equations of a singular plant that the residual reads.
+    known_form : StateSpace or None
+        The internal form of a filter that has no state map.
+    codes : ndarray of bool or None, shape (members, faults)
+        For a bank: which of its members each fault fires, as its structure promises.
+    estimated : tuple of str
+        For an estimator: the fault that each residual estimates, in its own units (``""`` for one that estimates
+        none); empty otherwise.
+    relations : ParityRelations or None
+        The polynomials that it was made from; :meth:`to_parity` finds those of any other generator.
+    steady : mapping of str to ndarray, or None
+        Steady responses where they are known from elsewhere: sampling a continuous design keeps them.
+
+    References
+    ----------
+    Gertler (1991), section 3.5; Chen, Patton and Zhang (1996), section 3.
+    """
+
+    system: StateSpace
+    plant: Plant
+    method: str
+    evidence: Evidence
+    subspaces: Mapping[str, NDArray[np.float64]] = field(repr=False)
+    observer: Observer | None = field(default=None, repr=False)
+    members: tuple[Member, ...] = ()
+    state_map: NDArray[np.float64] | None = field(default=None, repr=False)
+    static_map: NDArray[np.float64] | None = field(default=None, repr=False)
+    known_form: StateSpace | None = field(default=None, repr=False)
+    codes: NDArray[np.bool_] | None = field(default=None, repr=False)
+    estimated: tuple[str, ...] = ()
+    relations: ParityRelations | None = field(default=None, repr=False)
+    steady: Mapping[str, NDArray[np.float64]] | None = field(default=None, repr=False)
+
+    # ------------------------------------------------------------------- facts
+
+    @property
+    def dt(self) -> float:
+        """0 for a continuous generator, otherwise its sample step in seconds."""
+        return self.system.dt
+
+    @property
+    def residuals(self) -> tuple[str, ...]:
+        """Names of the residuals."""
+        return self.system.outputs
+
+    @property
+    def n_residuals(self) -> int:
+        """Number of residuals."""
+        return self.system.n_outputs
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Names of the plant's faults."""
+        return self.plant.faults
+
+    @cached_property
+    def directions(self) -> dict[str, NDArray[np.float64]]:
+        """The faults whose residual keeps one direction, with that direction (unit length)."""
+        return {name: basis[:, 0] for name, basis in self.subspaces.items() if basis.shape[1] == 1}
+
+    @cached_property
+    def steady_directions(self) -> dict[str, NDArray[np.float64]]:
+        """For each fault the residual that a constant fault of size one settles to; not normalised.
+
+        A zero vector means that a constant fault is not seen (it is not strongly detectable). Residuals that do not
+        answer to a fault at all stay exactly zero.
+        """
+        if self.steady is not None:
+            return {name: vector.copy() for name, vector in self.steady.items()}
+        gain = steady_responses(self.internal_form().select(inputs=range(len(self.faults))))
+        return {name: np.where(self.structure[:, i], gain[:, i], 0.0) for i, name in enumerate(self.faults)}
+
+    @cached_property
+    def residual_rank(self) -> int:
+        """Number of independent directions in which faults and noise can move the residual.
+
+        Less than the number of residuals where decoupling disturbances made some of them copies of others: a
+        signature of this dimension says nothing.
+        """
+        form = self._internal_form
+        skip = range(len(self.faults), len(self.faults) + len(self.plant.disturbances))
+        columns = [i for i in range(form.n_inputs) if i not in skip]
+        even = in_even_units(form.select(inputs=columns)).system
+        scaled = even.frequency_response(frequency_grid(form))
+        for axes in ((0, 1), (0, 2)):  # each input, then each residual, has its own units
+            units = np.abs(scaled).max(axis=axes, keepdims=True, initial=0.0)
+            scaled = scaled / np.where(units > 0, units, 1.0)
+        flat = scaled.transpose(1, 0, 2).reshape(self.n_residuals, -1)
+        return decide_rank(np.hstack([flat.real, flat.imag]), rtol=1e-6).rank
+
+    @cached_property
+    def structure(self) -> NDArray[np.bool_]:
+        """Who fires when what fails: boolean, shape (residuals, faults)."""
+        rows = [np.any(self.subspaces[name], axis=1) for name in self.faults]
+        return np.array(rows, dtype=bool).reshape(len(self.faults), self.n_residuals).T
+
+    @cached_property
+    def covariance(self) -> NDArray[np.float64] | None:
+        """Stationary covariance of the fault-free residual, from the plant's noise.
+
+        ``None`` when the plant has no noise, or is continuous (white measurement noise has no finite
+        variance there: sample the generator first), or the residual has no stationary covariance, as with a
+        sampled continuous design on an unstable plant.
+        """
+        return self.covariance_of_sums(1)
+
+    def covariance_of_sums(self, window: int) -> NDArray[np.float64] | None:
+        r"""Return the covariance of the residual summed over ``window`` samples, divided by ``window``.
+
+        :math:`R_0 + \sum_{k=1}^{N-1} (1 - k/N) (R_k + R_k^T)` with the autocovariances
+        :math:`R_0 = C X C^T + D D^T`, :math:`R_k = C A^{k-1} (A X C^T + B D^T)`. For white residuals, such as
+        Kalman innovations, it does not depend on the window.
+
+        Parameters
+        ----------
+        window : int
+
+        Returns
+        -------
+        ndarray, shape (residuals, residuals), or None
+            ``None`` under the conditions of :attr:`covariance`.
+        """
+        if not self.system.is_discrete or self.plant.Bw.shape[1] == 0 or not self._internal_form.is_stable():
+            return None
+        noise = range(len(self.faults) + len(self.plant.disturbances), self._internal_form.n_inputs)
+        return covariance_of_sums(self._internal_form.select(inputs=noise), window)
+
+    # ----------------------------------------------------------------- results
+
+    def internal_form(self, plant: Plant | None = None, *, controls: bool = False) -> StateSpace:
+        """Return what faults, disturbances and noise do to the residual.
+
+        Parameters
+        ----------
+        plant : Plant, optional
+            The plant to look at; the one it was designed for when omitted. With another plant the result
+            shows what the residual does there.
+        controls : bool
+            Whether the control inputs are further columns, at the end: zero for the plant that the
+            generator was designed for, not for another.
+
+        Returns
+        -------
+        StateSpace
+            Inputs are the faults, disturbances and noise of the plant. The states that the residual does
+            not see are removed, so that an unstable plant is no obstacle.
+        """
+        own = plant is None or plant is self.plant
+        if own and not controls:
+            return self._internal_form
+        plant = self.plant if plant is None else plant
+        if own and self.known_form is not None and self.evidence.decoupling.get("control", 0.0) < _EXACT:
+            return with_silent_inputs(self.known_form, plant.inputs)
+        maps = (self.state_map, self.static_map) if own else (None, None)
+        return internal_form(self.system, plant, *maps, with_controls=controls)
+
+    @cached_property
+    def _internal_form(self) -> StateSpace:
+        if self.known_form is not None:
+            return self.known_form
+        return internal_form(self.system, self.plant, self.state_map, self.static_map)
+
+    def run(
+        self,
+        u: ArrayLike | None,
+        y: ArrayLike,
+        *,
+        x0: ArrayLike | None = None,
+        dt: float | None = None,
+    ) -> NDArray[np.float64]:
+        """Run the filter over recorded deviations from the operating point.
+
+        Parameters
+        ----------
+        u : array_like, shape (time, inputs) or (plants, time, inputs), or None
+            Control inputs; ``None`` for a plant without any.
+        y : array_like, shape (time, outputs) or (plants, time, outputs)
+        x0 : array_like, shape (states of the filter,), optional
+            Initial state of the filter; zero when omitted.
+        dt : float, optional
+            Step of the recording in seconds; needed when the generator is continuous, which is then
+            sampled with it.
+
+        Returns
+        -------
+        ndarray, shape (time, residuals) or (plants, time, residuals)
+        """
+        return sampled_filter(self.system, self.plant, dt).simulate(stack_signals(self.plant, u, y), x0)
+
+    def discretize(self, dt: float, *, hold_outputs: str = "linear") -> ResidualGenerator:
+        """Return the generator sampled with step ``dt``.
+
+        Control inputs are held between samples (exact when the plant's actuators hold them). Outputs are
+        taken to run linearly between samples, which costs a small leakage of control inputs and
+        disturbances into the residual, of second order in ``dt``; the evidence states it. For an exactly
+        zero residual design on ``plant.discretize(dt)`` instead.
+
+        Parameters
+        ----------
+        dt : float
+            Step in seconds.
+        hold_outputs : {"linear", "zero"}
+            What measured outputs are assumed to do between samples.
+
+        Returns
+        -------
+        ResidualGenerator
+        """
+        system = discretized_filter(self.system, self.plant, dt, hold_outputs)
+        plant = self.plant.discretize(dt)
+        cost = {f"{name}, sampled": value for name, value in leakage(system, plant).items()}
+        note = (
+            f"sampled at {system.dt:g} s: inputs held, outputs {hold_outputs} between samples; "
+            "the gains marked 'sampled' are what that costs"
+        )
+        evidence = self.evidence.extended(
+            decoupling=cost,
+            notes=(note,),
+            poles=system.poles(),
+            requested_poles=np.exp(self.evidence.requested_poles * system.dt),
+            fixed_poles=np.exp(self.evidence.fixed_poles * system.dt),
+        )
+        return replace(
+            self,
+            system=system,
+            plant=plant,
+            evidence=evidence,
+            state_map=None,
+            static_map=None,
+            relations=None,
+            known_form=None,  # noise of the sampled plant is not that of the continuous one, held between samples
+            steady=self.steady_directions,
+        )
+
+    def __repr__(self) -> str:
+        kind = f"dt={self.dt:g} s" if self.system.is_discrete else "continuous"
+        return (
+            f"ResidualGenerator({self.method}: {self.n_residuals} residuals, {self.system.n_states} states, "
+            f"{len(self.faults)} faults, {kind})"
+        )
+
+
+def make_generator(
+    system: StateSpace,
+    plant: Plant,
+    method: str,
+    evidence: Evidence,
+    *,
+    state_map: NDArray[np.float64] | None = None,
+    static_map: NDArray[np.float64] | None = None,
+    known_form: StateSpace | None = None,
+    observer: Observer | None = None,
+    members: tuple[Member, ...] = (),
+    codes: NDArray[np.bool_] | None = None,
+    estimated: tuple[str, ...] = (),
+    relations: ParityRelations | None = None,
+) -> ResidualGenerator:
+    """Return a generator with its signatures, after checking that it is stable and that its identities hold.
+
+    A filter whose states are no linear function of the plant's brings its internal form, ``known_form``.
+    """
+    if not system.is_stable():
+        raise AccuracyError(f"the filter is not stable: poles {', '.join(map(format_pole, system.poles()))}")
+    if known_form is not None:
+        form = known_form
+        identity = check_known_form(system, plant, known_form)
+    elif state_map is not None:
+        form = internal_form(system, plant, state_map, static_map)
+        identity = check_state_map(system, plant, state_map, static_map)
+    else:
+        raise TypeError("make_generator needs a state_map or a known_form")
+    bases, off = signature_bases(system, plant, form, state_map, static_map)
+    conditions = {"identities": identity} | ({"response off the signatures": off} if plant.faults else {})
+    if not members:
+        members = (Member(method, tuple(range(system.n_outputs)), plant.faults),)
+    return ResidualGenerator(
+        system,
+        plant,
+        method,
+        evidence.extended(conditions=conditions),
+        bases,
+        observer=observer,
+        members=members,
+        state_map=state_map,
+        static_map=static_map,
+        known_form=known_form,
+        codes=codes,
+        estimated=estimated,
+        relations=relations,
+    )

@@ -1,0 +1,300 @@
+"""A residual generator seen from faults, disturbances and noise."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import AccuracyError, ModelError
+from residua.linear import StateSpace
+from residua.linear.subspaces.reachability import without_unobservable
+from residua.linear.systems.balancing import descriptor_units, state_units
+from residua.linear.systems.response_terms import accurate_response, in_even_units, paths, response_terms
+from residua.plant import Plant
+
+#: A response this far below its terms at every frequency is rounding.
+_NOTHING = 1e-13
+#: Rounding in a response, relative to its terms; measured: below 2e-16 for up to 30 states.
+_ROUNDING = 1e-15
+#: Rounding of the responses that could hide or feign a leak of this size is taken out by more digits.
+_UNSURE = 1e-10
+
+
+def internal_form(
+    generator: StateSpace,
+    plant: Plant,
+    state_map: NDArray | None = None,
+    static_map: NDArray | None = None,
+    *,
+    with_controls: bool = False,
+) -> StateSpace:
+    r"""Return the system from faults, disturbances and noise (and controls) of ``plant`` to the residual.
+
+    With a state map ``T``, the state that the fault-free plant gives the generator, :math:`\xi = T E x`, the error
+    :math:`e = T E x - \xi` obeys :math:`\dot e = A_g e + (T B - G_y D) v`,
+    :math:`r = -C_g e + (H_y D + V B) v`, where ``V``, with ``V E = 0``, reads the algebraic equations of a
+    singular plant: exact, of the order of the generator, whatever the plant. Without a state map the
+    generator is driven by the plant, and the states that the residual does not see are removed.
+
+    Parameters
+    ----------
+    generator : StateSpace
+        From control inputs and outputs of the plant to residuals.
+    plant : Plant
+    state_map : ndarray, shape (states of the generator, states of the plant), optional
+    static_map : ndarray, shape (residuals, states of the plant), optional
+        Zero when omitted.
+    with_controls : bool
+        Whether the control inputs are further columns, at the end.
+
+    Returns
+    -------
+    StateSpace
+
+    References
+    ----------
+    Gertler (1991), eqs. (4-15) to (4-20).
+    """
+    n_u = len(plant.inputs)
+    if state_map is None:
+        whole = _driven(generator, plant)
+        order = list(range(n_u, whole.n_inputs)) + (list(range(n_u)) if with_controls else [])
+        return without_unobservable(whole.select(inputs=order))
+    p = plant.system(("fault", "disturbance", "noise", *(("control",) if with_controls else ())))
+    Gy, Hy = generator.B[:, n_u:], generator.D[:, n_u:]
+    B, D = state_map @ p.B - Gy @ p.D, Hy @ p.D
+    if static_map is not None:
+        D = D + static_map @ p.B
+    if with_controls:
+        first = p.n_inputs - n_u
+        B[:, first:] -= generator.B[:, :n_u]
+        D[:, first:] += generator.D[:, :n_u]
+    return StateSpace(generator.A, B, -generator.C, D, dt=plant.dt, inputs=p.inputs, outputs=generator.outputs)
+
+
+def with_silent_inputs(form: StateSpace, names: tuple[str, ...]) -> StateSpace:
+    """Return an internal form with further inputs that do nothing."""
+    if not names:
+        return form
+    clash = set(names) & set(form.inputs)
+    return form.replaced(
+        B=np.hstack([form.B, np.zeros((form.n_states, len(names)))]),
+        D=np.hstack([form.D, np.zeros((form.n_outputs, len(names)))]),
+        inputs=(*form.inputs, *(f"control {name}" if name in clash else name for name in names)),
+    )
+
+
+def check_state_map(
+    generator: StateSpace, plant: Plant, T: NDArray, V: NDArray | None = None, *, limit: float = 1e-8
+) -> float:
+    r"""Return how far the identities of a generator are missed, or raise.
+
+    :math:`T A - G_y C = A_g T E`, :math:`C_g T E + H_y C + V A = 0` and :math:`V E = 0`, in balanced units,
+    relative to the terms that have to cancel.
+    """
+    n_u = len(plant.inputs)
+    p = plant.system(("control", "disturbance", "fault"))
+    units = state_units(p.A, p.B, p.C, p.D) if p.E is None else descriptor_units(p.A, p.E, p.B, p.C, p.D).states
+    V = np.zeros((generator.n_outputs, plant.n_states)) if V is None else V
+    TE, VE = (T, 0.0 * V) if p.E is None else (T @ p.E, V @ p.E)
+    absolute_TE, absolute_VE = (
+        (np.abs(T), 0.0 * V) if p.E is None else (np.abs(T) @ np.abs(p.E), np.abs(V) @ np.abs(p.E))
+    )
+    Gy, Hy = generator.B[:, n_u:], generator.D[:, n_u:]
+    terms = np.abs(T) @ np.abs(p.A) + np.abs(Gy) @ np.abs(p.C) + np.abs(generator.A) @ absolute_TE
+    if len(T) % max(p.n_states, 1) == 0:
+        rows = np.resize(units, len(T))  # stacked observers repeat the states of the plant
+    else:
+        heights = (absolute_TE * units).max(axis=1, initial=0.0)
+        others = (terms * units).max(axis=1, initial=0.0)  # of a row of T that is zero
+        rows = np.where(heights > 1e-12 * heights.max(initial=0.0), heights, np.where(others > 0, others, 1.0))
+    first = _largest(T @ p.A - Gy @ p.C - generator.A @ TE, units / rows[:, None])
+    own = _largest(p.A, units / units[:, None]) if p.E is None else 0.0
+    if generator.n_states:  # where decoupling left T = 0, all the terms are rounding of what the poles are made of
+        own = max(own, 1e-3 * float(np.abs(generator.poles()).max()))
+    first /= max(_largest(terms, units / rows[:, None]), own, 1e-300)
+    terms = np.abs(generator.C) @ absolute_TE + np.abs(Hy) @ np.abs(p.C) + np.abs(V) @ np.abs(p.A)
+    heights = np.abs(p.C) @ units
+    scale = units / np.where(heights > 0, heights, 1.0)[:, None] if len(Hy) == len(p.C) else units[None, :]
+    per_row = (
+        np.abs(generator.C) * rows / (np.where(heights > 0, heights, 1.0)[:, None] if len(Hy) == len(p.C) else 1.0)
+    )
+    floor = max(1e-6 * float(per_row.max(initial=0.0)), 1e-300)
+    second = _largest(generator.C @ TE + Hy @ p.C + V @ p.A, scale) / max(_largest(terms, scale), floor)
+    third = 0.0
+    if np.any(V) and p.E is not None:  # what V reads may stand where E is zero, and meet it by rounding only
+        beside = np.abs(V).max(axis=1, initial=0.0)[:, None] * np.abs(p.E).max(axis=0, initial=0.0)
+        third = _largest(VE, scale) / max(_largest(absolute_VE, scale), 1e-3 * _largest(beside, scale), 1e-300)
+    return _accepted(max(first, second, third), limit)
+
+
+def check_known_form(generator: StateSpace, plant: Plant, form: StateSpace, *, limit: float = 1e-7) -> float:
+    """Return how far an internal form is from the generator driven by the plant, over frequency, or raise."""
+    w = frequency_grid(generator, plant.system(()))
+    n_u = len(plant.inputs)
+    Q = _along_paths(generator, w)[..., n_u:]
+    P, known = _along_paths(plant.system(("fault", "disturbance", "noise")), w), _along_paths(form, w)
+    if known.shape != (len(w), Q.shape[1], P.shape[2]):
+        raise ModelError(f"the internal form is {form.n_outputs} x {form.n_inputs}, not residuals x (f, d, w)")
+    terms = (np.abs(Q) @ np.abs(P)).max(axis=0)
+    # a path that is itself what rounding left of nothing cannot be missed
+    terms = np.maximum(terms, 1e-8 * np.abs(Q).max(axis=(0, 2))[:, None] * np.abs(P).max(axis=(0, 1))[None, :])
+    missed = np.abs(Q @ P - known).max(axis=0)
+    return _accepted(float(np.max(missed / np.where(terms > 0, terms, 1.0), initial=0.0)), limit)
+
+
+def _along_paths(system: StateSpace, w: NDArray) -> NDArray:
+    """Return responses, exactly zero where no chain of couplings leads: in some units rounding there is large."""
+    return np.where(paths(system, system.B, system.D), system.frequency_response(w), 0.0)
+
+
+def _accepted(worst: float, limit: float) -> float:
+    if not worst <= limit:
+        raise AccuracyError(
+            f"the identities of the residual generator are missed by {worst:.2g} > {limit:.0e}: the plant is too "
+            "badly conditioned for this design; ask for other poles, or use decoupled_residual"
+        )
+    return worst
+
+
+def _largest(M: NDArray, units: NDArray) -> float:
+    """Return the largest entry of a matrix in given units."""
+    return float(np.max(np.abs(M * units), initial=0.0))
+
+
+def _driven(generator: StateSpace, plant: Plant) -> StateSpace:
+    """Return the generator driven by the plant, with all inputs of the plant: controls, f, d, w."""
+    n_u, n_y = len(plant.inputs), plant.n_outputs
+    if generator.n_inputs != n_u + n_y:
+        raise ModelError(
+            f"this generator takes {generator.n_inputs} signals, the plant has {n_u} inputs and {n_y} outputs"
+        )
+    if generator.dt != plant.dt:
+        raise ModelError(
+            f"the generator has dt={generator.dt:g}, the plant dt={plant.dt:g}: sample both with the same step"
+        )
+    p = plant.system(("control", "fault", "disturbance", "noise")).explicit()
+    Gu, Gy = generator.B[:, :n_u], generator.B[:, n_u:]
+    Hu, Hy = generator.D[:, :n_u], generator.D[:, n_u:]
+    n_rest = p.n_inputs - n_u
+    A = np.block(
+        [[p.A, np.zeros((p.n_states, generator.n_states))], [Gy @ p.C, generator.A]],
+    )
+    B = np.vstack([p.B, Gy @ p.D + np.hstack([Gu, np.zeros((generator.n_states, n_rest))])])
+    D = Hy @ p.D + np.hstack([Hu, np.zeros((generator.n_outputs, n_rest))])
+    return StateSpace(
+        A,
+        B,
+        np.hstack([Hy @ p.C, generator.C]),
+        D,
+        dt=plant.dt,
+        inputs=p.inputs,
+        outputs=generator.outputs,
+    )
+
+
+def frequency_grid(*systems: StateSpace, points: int = 60) -> NDArray[np.float64]:
+    """Return frequencies in rad/s that span the dynamics of the systems, from far below to far above."""
+    dt = max(system.dt for system in systems)
+    if dt:  # not at the ends of the circle, where models have poles
+        return np.concatenate([np.pi / dt * np.logspace(-5, np.log10(0.97), points - 1), [0.37 * np.pi / dt]])
+    sizes = np.concatenate([np.zeros(0), *(_pole_sizes(system) for system in systems)])
+    low, high = (sizes.min(), sizes.max()) if sizes.size else (1.0, 1.0)
+    # the factor keeps round numbers, where models have their poles, off the grid
+    return 1.0371 * np.logspace(np.log10(low) - 2, np.log10(high) + 2, points)
+
+
+def _pole_sizes(system: StateSpace) -> NDArray[np.float64]:
+    """Return the sizes of the poles that are not rounding, whatever the units of the states."""
+    poles = np.abs(system.poles())
+    explicit = system.E is None and system.n_states
+    size = float(np.linalg.norm(in_even_units(system).system.A)) if explicit else poles.max(initial=0.0)
+    return poles[poles > np.sqrt(np.finfo(float).eps) * size]
+
+
+def leakage(generator: StateSpace, plant: Plant, w: NDArray | None = None) -> dict[str, float]:
+    r"""Return the response of the residual to controls and to disturbances, relative to the terms that cancel there.
+
+    For each residual, each input and each frequency
+
+    .. math:: \frac{|Q_{u,ij} + \sum_k Q_{y,ik} P_{kj}|}{|Q_{u,ij}| + \sum_k |Q_{y,ik}| |P_{kj}|}
+
+    with the responses ``Q`` of the filter and ``P`` of the plant; of these the largest. 1e-16 is exact, 1 is no
+    decoupling. No number of it has a unit. A response that is rounding at all frequencies, of the terms it is itself
+    made of, is no term: where there are only such, nothing can leak. Where the responses cancel so far inside filter
+    or plant that rounding would hide a leak, they are computed with twice the digits.
+
+    Parameters
+    ----------
+    generator : StateSpace
+        From control inputs and outputs of the plant to residuals.
+    plant : Plant
+    w : ndarray, optional
+        Frequencies in rad/s; a grid over the dynamics of both when omitted.
+
+    Returns
+    -------
+    dict of str to float
+        ``"control"`` and ``"disturbance"``, as far as the plant has any.
+    """
+    if w is None:
+        w = frequency_grid(generator, plant.system(()))
+    points = np.exp(1j * w * generator.dt) if generator.is_discrete else 1j * w
+    n_u = len(plant.inputs)
+    driven = in_even_units(plant.system(("control", "disturbance")))
+    system = _with_even_rows(generator, np.concatenate([driven.inputs[:n_u], 1 / driven.outputs]))
+    Q, P = response_terms(system, points), response_terms(driven.system, points)
+    total, parts = _cancelling(Q.values, P.values, n_u)
+    rounding = _ROUNDING * (_products(Q.terms, np.abs(P.values), n_u) + _products(np.abs(Q.values), P.terms, n_u))
+    unsure = np.flatnonzero((rounding > _UNSURE * parts).any(axis=(1, 2)))
+    if unsure.size:
+        better = accurate_response(system, points[unsure]), accurate_response(driven.system, points[unsure])
+        total[unsure] = _cancelling(*better, n_u)[0]
+    # in the units of the signals that the plant has of itself, the rounding of one term of a residual is that of all
+    alive = _alive(np.abs(Q.values), Q.terms + Q.terms.max(axis=2, keepdims=True, initial=0.0))
+    parts = _cancelling(
+        np.where(alive, Q.values, 0.0), np.where(_alive(np.abs(P.values), P.terms), P.values, 0.0), n_u
+    )[1]
+    ratio = np.where(parts > 0, np.abs(total) / np.where(parts > 0, parts, 1.0), 0.0)
+    groups = {"control": ratio[..., :n_u], "disturbance": ratio[..., n_u:]}
+    return {name: float(part.max(initial=0.0)) for name, part in groups.items() if part.shape[-1]}
+
+
+def _with_even_rows(generator: StateSpace, inputs: NDArray) -> StateSpace:
+    """Return a filter in given units of its inputs, states and residuals in those that it has of itself."""
+    scaled = generator.replaced(B=generator.B * inputs, D=generator.D * inputs)
+    even = in_even_units(scaled)
+    return even.system.replaced(B=even.system.B / even.inputs, D=even.system.D / even.inputs)
+
+
+def _cancelling(Q: NDArray, P: NDArray, n_u: int) -> tuple[NDArray, NDArray[np.float64]]:
+    """Return what controls and disturbances do to the residual, and the sum of the sizes of its terms."""
+    total = Q[..., n_u:] @ P
+    total[..., :n_u] += Q[..., :n_u]
+    return total, _products(np.abs(Q), np.abs(P), n_u)
+
+
+def _products(Q: NDArray, P: NDArray, n_u: int) -> NDArray[np.float64]:
+    """Return the sums of the sizes of the terms of controls and disturbances in the residual."""
+    parts = Q[..., n_u:] @ P
+    parts[..., :n_u] += Q[..., :n_u]
+    return parts
+
+
+def _alive(sizes: NDArray, terms: NDArray) -> NDArray[np.bool_]:
+    """Tell which responses are more than the rounding of their terms, at some frequency."""
+    return np.any(sizes > _NOTHING * terms, axis=0)
+
+
+def check_decoupling(generator: StateSpace, plant: Plant, *, decoupled: bool, limit: float = 1e-7) -> dict[str, float]:
+    """Return the leakage of a finished design, or raise when what was promised is not kept."""
+    found = leakage(generator, plant)
+    promised = {name: gain for name, gain in found.items() if name == "control" or decoupled}
+    for name, gain in promised.items():
+        if not gain <= limit:
+            raise AccuracyError(
+                f"the residual answers to the {name} inputs (by {gain:.2g} > {limit:.0e} of the terms that should "
+                "cancel): the plant is too badly conditioned for this design; ask for other poles, or use "
+                "decoupled_residual"
+            )
+    return promised

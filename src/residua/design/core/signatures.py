@@ -1,0 +1,200 @@
+"""Which residuals answer to which fault, and the directions that each fault moves the residual in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.design.core.internal_form import frequency_grid
+from residua.linear import StateSpace
+from residua.linear.systems.response_terms import in_even_units, response_terms
+from residua.plant import Plant
+
+#: A response this far below its terms at every frequency is what rounding of the design has left of nothing.
+_NOTHING = 1e-9
+#: Of the largest terms of a row and of a column, wherever they stand: what stands elsewhere leaves eps of rounding.
+_ELSEWHERE = 1e-4
+#: Frequencies at which a response is this far below its largest say nothing about its direction.
+_FAINT = 1e-7
+
+
+@dataclass(frozen=True, eq=False)
+class FaultResponses:
+    """The responses of a residual to faults, in even units, with the terms that they are the sum of.
+
+    Attributes
+    ----------
+    form : StateSpace
+        The internal form from the faults, in even units.
+    values : ndarray of complex, shape (k, residuals, faults)
+        Exactly zero where a fault does not reach a residual.
+    terms : ndarray, shape (k, residuals, faults)
+        In the internal form.
+    reached : ndarray of bool, shape (residuals, faults)
+    residuals : ndarray, shape (residuals,)
+        The factors that bring the residuals to even units.
+    """
+
+    form: StateSpace
+    values: NDArray[np.complex128]
+    terms: NDArray[np.float64]
+    reached: NDArray[np.bool_]
+    residuals: NDArray[np.float64]
+
+
+def fault_responses(
+    generator: StateSpace, plant: Plant, form: StateSpace, T: NDArray | None, V: NDArray | None, w: NDArray
+) -> FaultResponses:
+    r"""Return the responses of a residual to the faults of its plant, and which of them there are.
+
+    A fault reaches a residual when the response is more than the rounding of its terms at some frequency. Terms are
+    those of the internal form, with the products ``T Bf`` and ``Gy Df`` that it is made of, and those of the filter
+    driven by the plant, :math:`\sum_k |Q_{y,ik}| |P_{kj}|`: a residual that is the difference of two measurements
+    that a fault moves alike is made of these, whatever its internal form says. Of products such as ``T Bf`` and
+    ``Q P`` the largest entries of row and column count as well, wherever they stand: an entry that should be zero is
+    rounding of those. All in units that do not depend on those of the plant.
+
+    Parameters
+    ----------
+    generator : StateSpace
+        From control inputs and outputs of the plant to residuals.
+    plant : Plant
+    form : StateSpace
+        Their internal form, faults first.
+    T, V : ndarray or None
+        The state and the static map of the generator, where it has them.
+    w : ndarray
+        Frequencies in rad/s.
+
+    Returns
+    -------
+    FaultResponses
+    """
+    n_u, n_f = len(plant.inputs), len(plant.faults)
+    points = np.exp(1j * w * form.dt) if form.is_discrete else 1j * w
+    p = in_even_units(plant.system("fault"))
+    own = form.select(inputs=range(n_f))
+    own = in_even_units(own.replaced(B=own.B * p.inputs, D=own.D * p.inputs))
+    scaled = own.system.replaced(B=own.system.B / own.inputs, D=own.system.D / own.inputs)
+    if T is None:
+        B, D = np.abs(scaled.B), np.abs(scaled.D)
+    else:
+        Gy, Hy = (np.abs(M[:, n_u:]) / p.outputs for M in (generator.B, generator.D))
+        Bf, Df = np.abs(p.system.B), np.abs(p.system.D)
+        B = own.equations[:, None] * (_largest(np.abs(T) / p.equations, Bf) + _largest(Gy, Df))
+        D = _largest(Hy, Df) + (0.0 if V is None else _largest(np.abs(V) / p.equations, Bf))
+        D = own.outputs[:, None] * D
+    found = response_terms(scaled, points, B, D)
+    Q = np.abs(generator.frequency_response(w)[:, :, n_u:]) * own.outputs[:, None] / p.outputs
+    driven = _largest(Q, np.abs(p.system.frequency_response(w)))
+    reached = np.any(np.abs(found.values) > _NOTHING * (found.terms + driven), axis=0)
+    terms = found.terms + driven if T is None else found.terms
+    return FaultResponses(scaled, np.where(reached, found.values, 0.0), terms, reached, own.outputs)
+
+
+def _largest(rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
+    """Return a product of sizes, with a little of the largest of each row times the largest of each column."""
+    anywhere = rows.max(axis=-1, initial=0.0)[..., None] * columns.max(axis=-2, initial=0.0)[..., None, :]
+    return rows @ columns + _ELSEWHERE * anywhere
+
+
+def signature_bases(
+    generator: StateSpace,
+    plant: Plant,
+    form: StateSpace,
+    state_map: NDArray | None = None,
+    static_map: NDArray | None = None,
+    *,
+    rtol: float = 1e-6,
+) -> tuple[dict[str, NDArray[np.float64]], float]:
+    """Return for each fault an orthonormal basis of the subspace that its residual never leaves.
+
+    The subspace is spanned by the response to the fault at all frequencies; it follows from the singular
+    values of the responses at many, each scaled to unit length. (Krylov spaces of the same would amplify
+    rounding in every step.) What is rounding against the terms that a response is made of is taken for zero. The
+    vector of a one-dimensional subspace has the sign of the first response to a positive fault.
+
+    Parameters
+    ----------
+    generator : StateSpace
+    plant : Plant
+    form : StateSpace
+        Their internal form, faults first.
+    state_map, static_map : ndarray, optional
+        Those of the generator, where it has them.
+    rtol : float
+        Directions that carry less than this fraction of the response at every frequency are not there.
+
+    Returns
+    -------
+    bases : dict of str to ndarray, shape (residuals, k)
+        Rows of residuals that a fault does not reach are exactly zero, the others are not.
+    off : float
+        The largest fraction of any response, at any frequency, that was taken for rounding and left out.
+    """
+    found = fault_responses(generator, plant, form, state_map, static_map, frequency_grid(form, generator))
+    units = residual_units(found)
+    bases = {}
+    for i, name in enumerate(plant.faults):
+        columns = _unit_columns(found.values[:, :, i].T / units[:, None])
+        if columns.shape[1] == 0:
+            bases[name] = np.zeros((form.n_outputs, 0))
+            continue
+        U, s, _ = np.linalg.svd(np.hstack([columns.real, columns.imag]), full_matrices=False)
+        basis = np.linalg.qr((units / found.residuals)[:, None] * U[:, s > rtol * s[0]])[0]
+        if basis.shape[1] == 1 and (found.residuals * basis[:, 0]) @ first_response(found.form, i) < 0:
+            basis = -basis
+        bases[name] = _marked(basis, found.reached[:, i])
+    return bases, max(outside_subspaces(found, bases, plant.faults).values(), default=0.0)
+
+
+def residual_units(found: FaultResponses) -> NDArray[np.float64]:
+    """Return the size of what each residual is made of: residuals that ignore every fault have one as well."""
+    units = found.terms.max(axis=(0, 2), initial=0.0)
+    return np.where(units > 0, units, 1.0)
+
+
+def outside_subspaces(
+    found: FaultResponses, bases: dict[str, NDArray[np.float64]], faults: tuple[str, ...]
+) -> dict[str, float]:
+    """Return for each fault the largest fraction of its response, at any frequency, that lies outside its subspace."""
+    units = residual_units(found)
+    out = {}
+    for i, name in enumerate(faults):
+        columns = _unit_columns(found.values[:, :, i].T / units[:, None])
+        basis = np.linalg.qr((found.residuals / units)[:, None] * bases[name])[0]
+        rest = columns - basis @ (basis.T @ columns)
+        out[name] = float(np.linalg.norm(rest, axis=0).max(initial=0.0))
+    return out
+
+
+def _unit_columns(response: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Return the columns of a matrix with unit length, without those that are nothing beside the largest."""
+    size = np.linalg.norm(response, axis=0)
+    keep = (size > 0) & (size > _FAINT * size.max(initial=0.0))
+    return response[:, keep] / size[keep]
+
+
+def _marked(basis: NDArray[np.float64], reached: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return a basis that is zero in the rows that are not reached, and only there."""
+    basis = np.where(reached[:, None], basis, 0.0)
+    lost = reached & ~np.any(basis, axis=1)  # rounding has left nothing of so small a row
+    basis[lost, 0] = np.finfo(float).tiny
+    return basis
+
+
+def first_response(form: StateSpace, column: int) -> NDArray[np.float64]:
+    """Return the first nonzero Markov parameter ``D, C B, C A B, ...`` of one input, up to a positive factor."""
+    if np.any(form.D[:, column]):
+        return form.D[:, column]
+    A = form.A / max(float(np.linalg.norm(form.A)), 1e-300)  # only the direction matters: no power overflows
+    x = form.B[:, column]
+    scale = np.linalg.norm(form.C) * np.linalg.norm(x)
+    for _ in range(form.n_states):
+        y = form.C @ x
+        if np.linalg.norm(y) > 1e-10 * scale:
+            return y
+        x = A @ x
+    return np.zeros(form.n_outputs)

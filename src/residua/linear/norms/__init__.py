@@ -1,0 +1,1 @@
+"""Norms of stable systems: from peak to peak, over frequency, and to white noise."""

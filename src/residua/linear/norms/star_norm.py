@@ -1,0 +1,117 @@
+"""The star norm: the smallest ellipsoid of a one-parameter family that holds all states."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import AccuracyError
+from residua.linear.norms.impulse_terms import StableSystem
+
+Matrix = NDArray[np.float64]
+#: In place of the logarithm of a size that was not found.
+_TOO_LARGE = 1e3
+
+
+@dataclass(frozen=True, eq=False)
+class Ellipsoid:
+    """All states that inputs of unit size reach from zero lie in ``x' Q^-1 x <= 1``.
+
+    Attributes
+    ----------
+    Q : ndarray, shape (n, n)
+        ``Q = A Q A' / (1 - rate) + B B' / rate``, in the units of the system that was given.
+    rate : float
+        ``1 - 1 / a`` of the star norm.
+    bound : float
+        ``largest singular value of (C Q C')^(1/2)``, plus that of ``D``.
+    """
+
+    Q: Matrix
+    rate: float
+    bound: float
+
+
+def star_ellipsoid(system: StableSystem, *, xtol: float = 1e-10) -> Ellipsoid:
+    r"""Search the one parameter of the star norm.
+
+    :math:`Q(\lambda) = \sum_k (1-\lambda)^{-k} \lambda^{-1} A^k B B^T A^{kT}`. Each coefficient is log-convex in
+    :math:`\lambda`, sums and maxima of log-convex functions are log-convex, and so the bound has one minimum only:
+    the search cannot end in another.
+    """
+    direct = float(np.linalg.norm(system.D, 2)) if system.D.size else 0.0
+    n, m = system.B.shape
+    if not n or not m or not np.any(system.B) or not np.any(system.C):
+        return Ellipsoid(np.zeros((n, n)), 0.5, direct)
+    room = 1 - system.radius**2
+    middle = ellipsoid_shape(system.A, system.B, room / 2)
+    seen = middle is None or _spread(system.C, middle) > 1e-24 * np.trace(middle) * float(np.sum(system.C**2))
+    C = system.C if seen else np.eye(n)  # outputs that no input reaches leave the choice to the states
+
+    def rate_of(t: float) -> float:
+        # A logistic scale resolves both ends; the optimum of a slow system lies near the middle of it.
+        return room / (1 + np.exp(-t))
+
+    def size(t: float) -> float:
+        Q = ellipsoid_shape(system.A, system.B, rate_of(t))
+        # larger than any logarithm, and finite: the search lays parabolas through its points
+        return _TOO_LARGE if Q is None else float(np.log(max(_spread(C, Q), np.finfo(float).tiny)))
+
+    from scipy.optimize import minimize_scalar  # slow to import, and not needed to run a monitor
+
+    found = minimize_scalar(size, bounds=(-12.0, 25.0), method="bounded", options={"xatol": xtol**0.5})
+    rate = rate_of(float(found.x))
+    Q = ellipsoid_shape(system.A, system.B, rate)
+    if Q is None:  # a search that begins where nothing is solved does not find its way out
+        rate = rate_of(min(np.linspace(-12.0, 25.0, 75), key=size))
+        Q = ellipsoid_shape(system.A, system.B, rate)
+    if Q is None:
+        raise AccuracyError(
+            f"the Lyapunov equation of the star norm was not solved (spectral radius {system.radius:.12g}): "
+            "a pole is too near to the stability boundary"
+        )
+    return Ellipsoid(Q, rate, float(np.sqrt(max(_spread(system.C, Q), 0.0))) + direct)
+
+
+def _spread(C: Matrix, Q: Matrix) -> float:
+    return float(np.linalg.eigvalsh(C @ Q @ C.T)[-1])
+
+
+def ellipsoid_shape(A: Matrix, B: Matrix, rate: float) -> Matrix | None:
+    """Return ``Q = A Q A' / (1 - rate) + B B' / rate`` by doubling, or None where it was not solved."""
+    W, first = B @ B.T / rate, A / np.sqrt(1 - rate)
+    Q = _doubled(first, W)
+    for _ in range(3):
+        if Q is None:
+            return None
+        rest = first @ Q @ first.T + W - Q
+        size = np.linalg.norm(Q)
+        missed = np.linalg.norm(rest)
+        if missed <= 1e-13 * size:
+            break
+        more = _doubled(first, rest)  # squaring a matrix that is far from normal loses digits
+        better = None if more is None else Q + more
+        if better is None or np.linalg.norm(first @ better @ first.T + W - better) >= missed:
+            break
+        Q = better
+    if Q is None or not np.linalg.norm(first @ Q @ first.T + W - Q) <= 1e-10 * np.linalg.norm(Q):
+        return None
+    return (Q + Q.T) / 2
+
+
+def _doubled(power: Matrix, W: Matrix) -> Matrix | None:
+    """Return ``sum power^k W power'^k`` by squaring, or None where it grows without end."""
+    Q = W
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(60):
+            step = power @ Q @ power.T
+            Q = Q + step
+            size = np.linalg.norm(Q)
+            if not np.isfinite(size):
+                return None
+            if np.linalg.norm(step) <= 1e-16 * size:
+                break
+            power = power @ power
+    return Q

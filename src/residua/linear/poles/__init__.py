@@ -1,0 +1,1 @@
+"""Eigenvalues, zeros, and gains that place poles."""

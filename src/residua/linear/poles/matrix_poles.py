@@ -1,0 +1,38 @@
+"""The eigenvalues of a matrix, without rounding where it is all that they are."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from residua.linear.systems.units import system_units
+
+
+def explicit_poles(A: NDArray) -> NDArray[np.complex128]:
+    r"""Return the eigenvalues of a matrix; those that may be nothing but rounding of zero are zero.
+
+    Rounding scatters a zero of multiplicity ``m`` by :math:`|A| \epsilon^{1/m}`, and to first order any eigenvalue by
+    :math:`\epsilon |A| / |w^H v|`, with its unit eigenvectors: what is within both is zero.
+    """
+    from scipy.sparse.csgraph import connected_components  # slow to import; parts of a cascade have their own poles
+
+    count, part = connected_components(A != 0, connection="strong") if len(A) else (0, np.zeros(0, dtype=int))
+    chosen = [np.flatnonzero(part == i) for i in range(count)]
+    return np.concatenate([np.zeros(0, dtype=complex), *(_poles_of_part(A[np.ix_(i, i)]) for i in chosen)])
+
+
+def _poles_of_part(A: NDArray) -> NDArray[np.complex128]:
+    if len(A) == 1:
+        return A[0].astype(complex)
+    T = system_units(A, np.zeros((len(A), 0)), np.zeros((0, len(A))), np.zeros((0, 0))).states
+    balanced = scipy.linalg.matrix_balance(A / T[:, None] * T)[0]
+    poles, left, right = scipy.linalg.eig(balanced, left=True, right=True)
+    overlap = np.abs(np.sum(left.conj() * right, axis=0))
+    size, rounding = np.linalg.norm(balanced), 10 * len(A) * np.finfo(float).eps
+    zero = np.zeros(len(A), dtype=bool)
+    for m in range(1, len(A) + 1):
+        near = np.abs(poles) <= size * rounding ** (1 / m)
+        if np.count_nonzero(near) >= m:
+            zero = near & (np.abs(poles) * overlap <= rounding * size)
+    return np.where(zero, 0.0, poles).astype(complex)

@@ -1,0 +1,236 @@
+"""Methods that assign the poles of an observable pair; `placement` chooses among them and checks the outcome."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from residua.linear.poles.spectrum import match_poles
+
+Matrix = NDArray[np.float64]
+#: Eigenvectors of a larger condition belong to poles that are multiple, or nearly so: no simple eigenvalues.
+_SIMPLE = 1e8
+
+
+def real_block_diagonal(poles: NDArray[np.complex128]) -> Matrix:
+    """Return a real matrix with the given poles: 1 x 1 blocks, and ``[[a, b], [-b, a]]`` for a pair.
+
+    Parameters
+    ----------
+    poles : ndarray of complex
+        Closed under conjugation; the order of first appearance is kept.
+
+    Returns
+    -------
+    ndarray
+    """
+    blocks = [[[p.real]] if p.imag == 0 else [[p.real, p.imag], [-p.imag, p.real]] for p in poles if p.imag >= 0]
+    return scipy.linalg.block_diag(*blocks) if blocks else np.zeros((0, 0))
+
+
+def robust_assignment(F: Matrix, H: Matrix, poles: NDArray[np.complex128]) -> Matrix | None:
+    """Return ``L`` with ``eig(F - L H) = poles`` and well-conditioned eigenvectors, or None where it fails.
+
+    Kautsky, Nichols and Van Dooren's method as improved by Tits and Yang; it exists only when no pole occurs more
+    often than there are rows in ``H``. With more than 79 states it is not tried: it would take minutes. The caller must
+    check the outcome.
+
+    Parameters
+    ----------
+    F : ndarray, shape (k, k)
+    H : ndarray, shape (r, k)
+        Of full row rank, the pair observable.
+    poles : ndarray of complex, shape (k,)
+
+    Returns
+    -------
+    ndarray, shape (k, r), or None
+    """
+    from scipy.signal import place_poles
+
+    counts = np.sum(np.isclose(poles[:, None], poles, rtol=1e-8, atol=0), axis=1)
+    sweeps = _sweeps(len(F))
+    if counts.max(initial=0) > H.shape[0] or not sweeps:
+        return None
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            L = place_poles(F.T, H.T, poles, maxiter=sweeps).gain_matrix.T
+    except (ValueError, np.linalg.LinAlgError):
+        return None
+    return np.real(L) if np.all(np.isfinite(L)) else None
+
+
+def polished(F: Matrix, H: Matrix, L: Matrix, poles: NDArray[np.complex128]) -> Matrix:
+    r"""Return the gain after one Newton step towards the poles, the smallest, where that brings them nearer.
+
+    To first order :math:`\delta\lambda_i = -w_i\, \delta L\, H v_i` for simple eigenvalues, with :math:`w_i v_i = 1`;
+    the iterations of `robust_assignment` end some digits short of it.
+
+    Parameters
+    ----------
+    F : ndarray, shape (k, k)
+    H : ndarray, shape (r, k)
+    L : ndarray, shape (k, r)
+    poles : ndarray of complex, shape (k,)
+
+    Returns
+    -------
+    ndarray, shape (k, r)
+    """
+    values, V = np.linalg.eig(F - L @ H)
+    if not np.linalg.cond(V) < _SIMPLE:
+        return L
+    W = np.linalg.inv(V)
+    missing = poles[match_poles(values, poles)] - values
+    rows = -np.einsum("ij,ki->ijk", W, H @ V).reshape(len(values), -1)
+    step = np.linalg.lstsq(np.vstack([rows.real, rows.imag]), np.r_[missing.real, missing.imag], rcond=None)[0]
+    better = L + step.reshape(L.shape)
+    now = np.linalg.eigvals(F - better @ H)
+    off = np.abs(poles[match_poles(now, poles)] - now).max(initial=0.0)
+    return better if off < np.abs(missing).max(initial=0.0) else L
+
+
+def _sweeps(order: int) -> int:
+    """Return how many sweeps over the poles to allow: each costs the fifth power of the order."""
+    return round(60 * min(1.0, (24 / max(order, 1)) ** 4))
+
+
+def schur_assignment(F: Matrix, H: Matrix, poles: NDArray[np.complex128]) -> Matrix | None:
+    """Return ``L`` with ``eig(F - L H) = poles`` for poles of any multiplicity, or None where it breaks down.
+
+    One block of the real Schur form is moved at a time, to the pole nearest to it, with the smallest
+    gain that does it.
+
+    Parameters
+    ----------
+    F : ndarray, shape (k, k)
+    H : ndarray, shape (r, k)
+    poles : ndarray of complex, shape (k,)
+
+    Returns
+    -------
+    ndarray, shape (k, r), or None
+
+    References
+    ----------
+    A. Varga, A Schur method for pole assignment, IEEE TAC 26 (1981) 517-519.
+    """
+    k = F.shape[0]
+    T, Z = scipy.linalg.schur(F.T, output="real")
+    gain = np.zeros((H.shape[0], k))
+    reals = [float(p.real) for p in poles if p.imag == 0]
+    pairs = [complex(p) for p in poles if p.imag > 0]
+    done = 0
+    while done < k:
+        size = _bring_block_down(T, Z, done, len(reals))
+        if size is None:
+            return None
+        low = k - size
+        target = _nearest(T[low:, low:], reals, pairs)
+        G = (H @ Z).T
+        f = _block_gain(T[low:, low:], G[low:], target)
+        if f is None:
+            return None
+        T[:, low:] += G @ f
+        gain += f @ Z[:, low:].T
+        if not _standardise_and_raise(T, Z, low, done):
+            return None
+        done += size
+    return -gain.T
+
+
+def _last_size(T: Matrix, done: int) -> int:
+    k = T.shape[0]
+    return 2 if k - done >= 2 and T[k - 1, k - 2] != 0 else 1
+
+
+def _exchange(T: Matrix, Z: Matrix, source: int, destination: int) -> bool:
+    """Move the diagonal block at ``source`` to ``destination`` (both counted from 0), in place."""
+    if source == destination:
+        return True
+    t, z, info = scipy.linalg.lapack.dtrexc(T, Z, source + 1, destination + 1)
+    T[:], Z[:] = t, z
+    return info == 0
+
+
+def _bring_block_down(T: Matrix, Z: Matrix, done: int, n_reals: int) -> int | None:
+    """Return the order of the last block to treat; two real ones are treated as one when only pairs remain."""
+    size = _last_size(T, done)
+    if size == 2 or n_reals:
+        return size
+    k = T.shape[0]
+    if k - done >= 3 and T[k - 2, k - 3] != 0 and not _exchange(T, Z, k - 3, k - 1):
+        return None
+    return 2
+
+
+def _nearest(block: Matrix, reals: list[float], pairs: list[complex]) -> tuple[float, float, float]:
+    """Take the pole or pair nearest to the block off the lists; return it as (trace, determinant, real pole)."""
+    if block.shape[0] == 1:
+        pole = min(reals, key=lambda p: abs(p - block[0, 0]))
+        reals.remove(pole)
+        return pole, pole, pole
+    here = complex(np.linalg.eigvals(block)[0])
+    here = complex(here.real, abs(here.imag))
+    if pairs and (len(reals) < 2 or min(abs(p - here) for p in pairs) <= min(abs(p - here) for p in reals)):
+        pair = min(pairs, key=lambda p: abs(p - here))
+        pairs.remove(pair)
+        return 2 * pair.real, abs(pair) ** 2, pair.real
+    first, second = sorted(reals, key=lambda p: abs(p - here))[:2]
+    reals.remove(first)
+    reals.remove(second)
+    return first + second, first * second, first
+
+
+def _block_gain(block: Matrix, G: Matrix, target: tuple[float, float, float]) -> Matrix | None:
+    """Return the smallest found ``f`` with ``eig(block + G f)`` on target, or None when ``G`` cannot reach it."""
+    trace, determinant, pole = target
+    U, s, Vh = np.linalg.svd(G)
+    if s[0] == 0:
+        return None
+    if block.shape[0] == 1:
+        return Vh[:1].T * ((pole - block[0, 0]) / s[0]) * U[0, 0]
+    M = U.T @ block @ U
+    candidates = []
+    if M[1, 0] != 0:
+        # One direction of input suffices: the trace fixes one entry, the determinant the other.
+        first = trace - M[1, 1]
+        second = (first * M[1, 1] - determinant) / M[1, 0]
+        candidates.append(Vh[:1].T @ (np.array([[first, second]]) - M[:1]) @ U.T / s[0])
+    if s.size > 1 and s[1] > 1e-12 * s[0]:
+        for X in _targets(block, trace, determinant):
+            candidates.append(Vh[:2].T @ ((U.T @ (X - block)) / s[:, None]))
+    return min(candidates, key=lambda f: float(np.linalg.norm(f)), default=None)
+
+
+def _targets(block: Matrix, trace: float, determinant: float) -> list[Matrix]:
+    """Return 2 x 2 matrices with the wanted trace and determinant, near to a given one."""
+    centre = trace / 2
+    product = centre**2 - determinant  # of the off-diagonal entries, when the diagonal is (centre, centre)
+    out = []
+    root = np.sqrt(abs(product))
+    for upper in {float(block[0, 1]), float(np.copysign(root, block[0, 1] or 1.0))}:
+        if upper != 0:
+            out.append(np.array([[centre, upper], [product / upper, centre]]))
+    if product >= 0:
+        out.append(np.array([[centre + root, block[0, 1]], [0.0, centre - root]]))
+        out.append(np.array([[centre - root, block[0, 1]], [0.0, centre + root]]))
+    return out
+
+
+def _standardise_and_raise(T: Matrix, Z: Matrix, low: int, done: int) -> bool:
+    """Bring the assigned block to real Schur form and move it above the blocks still to do."""
+    k = T.shape[0]
+    count = k - low
+    if count == 2:
+        block, Q = scipy.linalg.schur(T[low:, low:], output="real")
+        T[:low, low:] = T[:low, low:] @ Q
+        T[low:, low:] = block
+        Z[:, low:] = Z[:, low:] @ Q
+    if count == 2 and T[k - 1, k - 2] == 0:
+        return _exchange(T, Z, k - 1, done) and _exchange(T, Z, k - 1, done)
+    return _exchange(T, Z, low, done)

@@ -1,0 +1,273 @@
+"""The stabilising solution of the filter Riccati equation, with its residual checked."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse.csgraph import connected_components
+
+from residua import arrays
+from residua.errors import AccuracyError, DesignError, ModelError
+from residua.linear.poles.spectrum import describe_modes
+from residua.linear.subspaces.observability import detectability, is_stable_mode, observability_form
+from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank, without_rounded_gains
+from residua.linear.systems.balancing import balance_system, power_of_two
+
+Matrix = NDArray[np.float64]
+#: What the solution of an equation is known to, relative to the sizes of the states.
+_ROUNDING = 1e-14
+#: Largest relative residual of an equation that counts as solved.
+_RESIDUAL_LIMIT = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class RiccatiSolution:
+    """A steady-state Kalman filter.
+
+    Attributes
+    ----------
+    covariance : ndarray, shape (n, n)
+        ``P``, of the estimation error (of the prediction, in sampled time).
+    gain : ndarray, shape (n, p)
+        ``K``: ``(P C' + S) R^-1``, or ``(A P C' + S) (C P C' + R)^-1`` in sampled time.
+    innovation_covariance : ndarray, shape (p, p)
+        ``C P C' + R`` in sampled time, the intensity ``R`` in continuous time.
+    poles : ndarray of complex, shape (n,)
+        Of ``A - K C``; all stable.
+    residual : float
+        Norm of the equation's residual relative to the sum of the norms of its terms, in balanced units.
+    """
+
+    covariance: Matrix
+    gain: Matrix
+    innovation_covariance: Matrix
+    poles: NDArray[np.complex128]
+    residual: float
+
+
+def filter_riccati(
+    A: ArrayLike,
+    C: ArrayLike,
+    Q: ArrayLike,
+    R: ArrayLike,
+    S: ArrayLike | None = None,
+    *,
+    dt: float = 0,
+) -> RiccatiSolution:
+    r"""Solve the algebraic Riccati equation of the steady-state Kalman filter.
+
+    .. math:: A P + P A^T + Q - (P C^T + S) R^{-1} (P C^T + S)^T = 0
+
+    in continuous time, and in sampled time, for the predictor,
+
+    .. math:: P = A P A^T + Q - (A P C^T + S)(C P C^T + R)^{-1}(A P C^T + S)^T.
+
+    The solution returned is the stabilising one: its poles are stable and its residual is small, or an error is raised.
+
+    Assumes
+        ``(A, C)`` detectable; every mode on the stability boundary disturbed by process noise; ``R`` positive definite.
+
+    Parameters
+    ----------
+    A : array_like, shape (n, n)
+    C : array_like, shape (p, n)
+    Q : array_like, shape (n, n)
+        Process noise: covariance for each step, or intensity.
+    R : array_like, shape (p, p)
+        Measurement noise, in the squared units of ``y``.
+    S : array_like, shape (n, p), optional
+        Cross-covariance of process and measurement noise; zero when omitted.
+    dt : float
+        0 for continuous time, otherwise the sample step in seconds.
+
+    Returns
+    -------
+    RiccatiSolution
+
+    Raises
+    ------
+    ModelError
+        If a matrix is malformed or ``[[Q, S], [S', R]]`` is not a covariance.
+    DesignError
+        If one of the assumptions fails; the message names the outputs or the modes.
+    AccuracyError
+        If the solution fails its own check.
+
+    References
+    ----------
+    Anderson and Moore, Optimal Filtering, 1979, section 4.4.
+
+    Examples
+    --------
+    >>> filter_riccati([[0.0]], [[1.0]], [[4.0]], [[1.0]]).gain
+    array([[2.]])
+    """
+    dt = arrays.sample_step(dt)
+    A = arrays.matrix(A, "A", (None, None))
+    n = A.shape[0]
+    A = arrays.matrix(A, "A", (n, n))
+    C = arrays.matrix(C, "C", (None, n))
+    p = C.shape[0]
+    if p == 0:
+        raise DesignError("a Kalman filter needs at least one output")
+    S = np.zeros((n, p)) if S is None else arrays.matrix(S, "S", (n, p))
+    Q, R = _covariance(Q, "Q", n), _covariance(R, "R", p)
+    if n == 0:
+        return RiccatiSolution(np.zeros((0, 0)), np.zeros((0, p)), R, np.zeros(0, complex), 0.0)
+    _check_solvable(A, C, Q, R, S, dt)
+    scaled = balance_system(A, np.zeros((n, 0)), C, np.zeros((p, 0)))
+    # Outputs in units of their noise: R becomes a correlation matrix, however C is scaled.
+    Y = 1 / power_of_two(np.sqrt(np.diag(R)))
+    T, to_T, to_Y = scaled.states, 1 / scaled.states[:, None], Y[:, None]
+    A, C, S = scaled.A, to_Y * C * T, to_T * S * Y
+    # The size of the state follows from the noise; common units keep P near one.
+    unit = float(power_of_two(np.sqrt(np.array(np.trace(to_T * Q * to_T.T))))) or 1.0
+    terms = (A, C * unit, to_T * Q * to_T.T / unit**2, to_Y * R * Y, S / unit)
+    T = T[:, None] * unit
+    Y = to_Y
+    together = _connected(*terms)
+    P = np.where(together, _solve(*terms, dt), 0.0)
+    K, innovation, residual = _gain(*terms, P, dt)
+    if residual > 1e-12:
+        P, K, innovation, residual = _refine(terms, together, P, K, innovation, residual, dt)
+    poles = np.linalg.eigvals(terms[0] - K @ terms[1]).astype(complex)
+    if not is_stable_mode(poles, dt).all() or not residual <= _RESIDUAL_LIMIT:
+        raise AccuracyError(
+            f"the Riccati equation was not solved: relative residual {residual:.3g} (limit {_RESIDUAL_LIMIT:.0e}), "
+            f"poles {describe_modes(poles)}; scale the noise covariances nearer to one another"
+        )
+    P, K = _without_rounding(P, K)
+    return RiccatiSolution(T * P * T.T, T * K * Y.T, innovation / Y / Y.T, poles, residual)
+
+
+def _without_rounding(P: Matrix, K: Matrix) -> tuple[Matrix, Matrix]:
+    """Return covariance and gain, in even units, without what rounding leaves of correlations that there are not."""
+    size = np.sqrt(np.abs(np.diag(P)))
+    P = np.where(np.abs(P) > _ROUNDING * np.outer(size, size), P, 0.0)
+    return P, without_rounded_gains(K)
+
+
+def _covariance(M: ArrayLike, name: str, n: int) -> Matrix:
+    M = arrays.matrix(M, name, (n, n))
+    if np.abs(M - M.T).max(initial=0.0) > 1e-8 * np.abs(M).max(initial=0.0):
+        raise ModelError(f"{name} must be symmetric; it differs from its transpose by {np.abs(M - M.T).max():.3g}")
+    return (M + M.T) / 2
+
+
+def _correlation(M: Matrix) -> tuple[Matrix, Matrix]:
+    """Scale a covariance to unit diagonal, which makes its definiteness independent of units."""
+    d = np.sqrt(np.maximum(np.diag(M), 0.0))
+    d = np.where(d > 0, d, 1.0)
+    return M / d[:, None] / d, d
+
+
+def _check_solvable(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix, dt: float) -> None:
+    """Raise unless the stabilising solution exists; name what stands in its way."""
+    joint, _ = _correlation(np.block([[Q, S], [S.T, R]]))
+    lowest = float(np.linalg.eigvalsh(joint)[0])
+    if lowest < -1e-9 * max(1.0, float(np.abs(joint).max())):
+        raise ModelError(
+            f"[[Q, S], [S', R]] is not a covariance: its correlation matrix has the eigenvalue {lowest:.3g}"
+        )
+    correlation, _ = _correlation(R)
+    values, vectors = np.linalg.eigh(correlation)
+    if values[0] <= 1e-13 * values[-1]:
+        worst = int(np.argmax(np.abs(vectors[:, 0])))
+        raise DesignError(
+            f"R is singular: rank {decide_rank(correlation, rtol=1e-13).rank} of {R.shape[0]}, "
+            f"no noise in the direction of output number {worst + 1}; give every output measurement noise"
+        )
+    found = detectability(A, C, dt=dt)
+    if not found:
+        raise DesignError(
+            f"not detectable: mode {describe_modes(found.unstable_modes)} is not seen by any output; "
+            "add a sensor that sees it"
+        )
+    # After the measured part of the process noise is taken out, Q - S R^-1 S' drives A - S R^-1 C.
+    gain = np.linalg.solve(R, S.T).T
+    rest, scale = _correlation(Q - gain @ S.T)
+    values, vectors = np.linalg.eigh(rest)
+    root = np.sqrt(np.where(values > 1e-12, values, 0.0)) * vectors * scale[:, None]
+    form = observability_form((A - gain @ C).T, root.T, rtol=DEFAULT_RTOL)
+    modes, near = form.unobservable_modes, form.mode_uncertainty
+    boundary = modes[np.abs(np.abs(modes) - 1 if dt else modes.real) <= near]
+    if boundary.size:
+        raise DesignError(
+            f"mode {describe_modes(boundary)} on the stability boundary is not disturbed by process noise, "
+            "so no steady filter is stable; add process noise on it"
+        )
+
+
+def _connected(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix) -> NDArray[np.bool_]:
+    """Tell which states some chain of couplings, noises and outputs connects: of others the errors share nothing."""
+    n = len(A)
+    graph = np.block([[(A != 0) | (Q != 0), S != 0], [C != 0, R != 0]])
+    part = connected_components(graph, directed=False)[1][:n]
+    return part[:, None] == part
+
+
+def _solve(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix, dt: float) -> Matrix:
+    solver = scipy.linalg.solve_discrete_are if dt else scipy.linalg.solve_continuous_are
+    cross = S if np.any(S) else None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the outcome is checked here
+            P = solver(A.T, C.T, Q, R, s=cross)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise DesignError(
+            f"the Riccati equation has no stabilising solution that can be computed ({error}); "
+            "a mode near the stability boundary is hardly seen by the outputs, or hardly disturbed: "
+            "add a sensor, or process noise on it"
+        ) from error
+    return (P + P.T) / 2
+
+
+def _gain(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix, P: Matrix, dt: float) -> tuple[Matrix, Matrix, float]:
+    """Return gain, innovation covariance and relative residual of a candidate ``P``."""
+    if dt:
+        innovation = C @ P @ C.T + R
+        cross = A @ P @ C.T + S
+        first, left = A @ P @ A.T, P
+    else:
+        innovation, cross = R, P @ C.T + S
+        first, left = A @ P + P @ A.T, np.zeros_like(P)
+    K: Matrix = np.asarray(np.linalg.solve(innovation, cross.T).T, dtype=np.float64)
+    last = K @ cross.T
+    size = sum(float(np.linalg.norm(M)) for M in (first, left, Q, last))
+    residual = float(np.linalg.norm(first - left + Q - last)) / size if size else 0.0
+    return K, innovation, residual
+
+
+def _refine(
+    terms: tuple[Matrix, Matrix, Matrix, Matrix, Matrix],
+    together: NDArray[np.bool_],
+    P: Matrix,
+    K: Matrix,
+    innovation: Matrix,
+    residual: float,
+    dt: float,
+) -> tuple[Matrix, Matrix, Matrix, float]:
+    """Take Newton steps (Kleinman, Hewer) while they make the residual smaller."""
+    A, C, Q, R, S = terms
+    solver = scipy.linalg.solve_discrete_lyapunov if dt else scipy.linalg.solve_continuous_lyapunov
+    for _ in range(3):
+        closed = A - K @ C
+        if not is_stable_mode(np.linalg.eigvals(closed), dt).all():
+            break
+        W = Q - K @ S.T - S @ K.T + K @ R @ K.T
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                better = solver(closed, W if dt else -W)
+        except (np.linalg.LinAlgError, ValueError):
+            break
+        better = np.where(together, (better + better.T) / 2, 0.0)
+        new_K, new_innovation, new_residual = _gain(*terms, better, dt)
+        if not new_residual < residual:
+            break
+        P, K, innovation, residual = better, new_K, new_innovation, new_residual
+    return P, K, innovation, residual

@@ -1,0 +1,112 @@
+"""Comparing a spectrum with the one that was asked for, multiple poles included."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.linear.subspaces.observability import modes_with_uncertainty
+
+Poles = NDArray[np.complex128]
+_EPS = float(np.finfo(float).eps)
+#: No pole may miss by more than this, however ill-conditioned it is.
+_MOST_BY_ROUNDING = 1e-3
+
+
+def describe_modes(modes: Iterable[complex] | NDArray) -> str:
+    """Return modes as short text for messages."""
+    out = []
+    for mode in np.asarray(modes, dtype=complex).ravel():
+        real = f"{mode.real:.5g}"
+        out.append(real if mode.imag == 0 else f"{real}{mode.imag:+.5g}j")
+    return ", ".join(out) if out else "none"
+
+
+def spectral_radius(A: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the spectral radius of a matrix, or of each of a stack; 0 without states."""
+    return np.abs(np.linalg.eigvals(A)).max(axis=-1, initial=0.0) if A.shape[-1] else np.zeros(A.shape[:-2])
+
+
+def match_poles(wanted: Poles, found: Poles) -> NDArray[np.intp]:
+    """Return for each wanted pole the index of a found one, each used at most once, nearest in sum.
+
+    Parameters
+    ----------
+    wanted : ndarray of complex, shape (k,)
+    found : ndarray of complex, shape (n,)
+        At least as many.
+
+    Returns
+    -------
+    ndarray of int, shape (k,)
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    distance = np.abs(wanted[:, None] - found)
+    # Relative, or a fast pole that is off a little would outweigh a slow one that is off altogether.
+    scale = np.abs(wanted)[:, None] + 1e-3 * np.abs(wanted).max(initial=0.0) + np.finfo(float).tiny
+    return linear_sum_assignment(distance / scale)[1]
+
+
+def pole_clusters(poles: Poles, nearness: float = 1e-3) -> list[NDArray[np.intp]]:
+    """Return index sets of poles that are chained by relative distances below ``nearness``."""
+    k = poles.size
+    size = np.maximum(np.abs(poles)[:, None], np.abs(poles))
+    linked = np.abs(poles[:, None] - poles) <= nearness * size
+    label = np.arange(k)
+    for i in range(k):
+        members = np.unique(label[linked[i]])
+        label[np.isin(label, members)] = members.min()
+    return [np.flatnonzero(label == name) for name in np.unique(label)]
+
+
+def spectrum_error(block: NDArray[np.float64], wanted: Poles, dt: float, tolerance: float) -> tuple[float, Poles, bool]:
+    """Return the error of the poles of ``block``, the poles in the wanted order, and whether they are right.
+
+    A simple pole counts with its own error; beyond the tolerance it passes only if rounding of ``block`` moves it that
+    far. The members of a cluster of ``m`` count with the error of their mean, which is well conditioned; each may
+    scatter by ``(eps * condition)**(1/m)`` of the norm, which is what a defective pole does, and the wanted pole must
+    be an eigenvalue of a matrix within rounding of ``block``.
+
+    Parameters
+    ----------
+    block : ndarray, shape (k, k)
+    wanted : ndarray of complex, shape (k,)
+    dt : float
+        Errors are relative when 0, absolute otherwise.
+    tolerance : float
+
+    Returns
+    -------
+    error : float
+    achieved : ndarray of complex
+    reached : bool
+    """
+    k = wanted.size
+    if not k:
+        return 0.0, wanted, True
+    found, moved = modes_with_uncertainty(block)
+    order = match_poles(wanted, found)
+    achieved, moved = found[order], 100 * moved[order]
+    scale = np.ones(k) if dt else np.abs(wanted)
+    size = max(float(np.linalg.norm(block, 2)), float(np.abs(wanted).max()), 1.0 if dt else 0.0)
+    worst, reached = 0.0, True
+    for members in pole_clusters(wanted):
+        unit = float(scale[members].mean())
+        error = abs(complex(np.mean(achieved[members] - wanted[members]))) / unit
+        worst = max(worst, error)
+        m = members.size
+        if m == 1:
+            allowed = max(tolerance, min(float(moved[members][0]) / unit, _MOST_BY_ROUNDING))
+            reached &= error <= allowed
+            continue
+        scatter = float(np.abs(achieved[members] - wanted[members]).max())
+        centre = complex(np.mean(wanted[members]))
+        backward = float(np.linalg.svd(block - centre * np.eye(k), compute_uv=False)[-1])
+        spread = float(np.abs(wanted[members] - centre).max())
+        reached &= error <= tolerance
+        reached &= scatter <= max(tolerance * unit, size * (1e4 * k * _EPS) ** (1 / m))
+        reached &= backward <= 1e4 * k * _EPS * size + spread
+    return worst, achieved, bool(reached)

@@ -1,0 +1,264 @@
+"""Invariant zeros and normal rank of any linear system: non-square, descriptor, with hidden modes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import ArrayLike, NDArray
+
+from residua import arrays
+from residua.errors import AccuracyError
+from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, decide_rank
+from residua.linear.systems.balancing import balance_system, descriptor_units, power_of_two
+
+
+@dataclass(frozen=True, eq=False)
+class InvariantZeros:
+    """The finite invariant zeros of a system and the rank of its transfer matrix.
+
+    Attributes
+    ----------
+    zeros : ndarray of complex
+        With multiplicity, sorted by real part.
+    normal_rank : int
+        Rank of the transfer matrix at almost every ``s``: that of the pencil less ``n``.
+    decisions : tuple of RankDecision
+        Every rank decision on the way, in balanced units.
+    """
+
+    zeros: NDArray[np.complex128]
+    normal_rank: int
+    decisions: tuple[RankDecision, ...]
+
+
+Matrices = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+
+
+def _checked(
+    A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike | None, E: ArrayLike | None
+) -> tuple[Matrices, NDArray[np.float64] | None]:
+    A = arrays.matrix(A, "A", (None, None))
+    n = A.shape[0]
+    A = arrays.matrix(A, "A", (n, n))
+    B = arrays.matrix(B, "B", (n, None))
+    C = arrays.matrix(C, "C", (None, n))
+    shape = (C.shape[0], B.shape[1])
+    D = np.zeros(shape) if D is None else arrays.matrix(D, "D", shape)
+    if E is None:
+        return (A, B, C, D), None
+    E = arrays.matrix(E, "E", (n, n))
+    return (A, B, C, D), None if np.array_equal(E, np.eye(n)) else E
+
+
+def _equilibrated(M: Matrices, E: NDArray[np.float64]) -> tuple[Matrices, NDArray[np.float64], float]:
+    """Scale rows and columns of a descriptor pencil by powers of two; return the unit of ``s`` too."""
+    A, B, C, D = M
+    u = descriptor_units(A, E, B, C, D)
+    r, q, c, v = u.equations[:, None], u.outputs[:, None], u.states, u.inputs
+    return (r * A * c, r * B * v, q * C * c, q * D * v), u.unit * r * E * c, u.unit
+
+
+def _standard(M: Matrices, E: NDArray[np.float64], rtol: float, decisions: list[RankDecision]) -> Matrices:
+    """Turn the algebraic part of a descriptor system into inputs and outputs, and ``E`` into the identity."""
+    A, B, C, D = M
+    U, s, Vh = np.linalg.svd(E)
+    tolerance = rtol * (float(s[0]) if s.size else 0.0)
+    k = int(np.count_nonzero(s > tolerance))
+    decisions.append(RankDecision(k, s, tolerance))
+    left, right = U.T, Vh.T.copy()
+    # Both sides share the division, so that an ill-conditioned E costs only the root of its condition.
+    root = np.sqrt(s[:k])
+    A, B, C = left @ A @ right, left @ B, C @ right
+    A11 = A[:k, :k] / root[:, None] / root
+    B1 = np.hstack([A[:k, k:], B[:k]]) / root[:, None]
+    C1 = np.vstack([A[k:, :k], C[:, :k]]) / root
+    return A11, B1, C1, np.block([[A[k:, k:], B[k:]], [C[:, k:], D]])
+
+
+def _balanced(M: Matrices) -> tuple[Matrices, float]:
+    """Balance a standard system and choose the unit of ``s`` so that all blocks have comparable norms."""
+    s = balance_system(*M)
+    size = float(np.linalg.norm(s.A, 2)) if s.A.size else 0.0
+    unit = float(power_of_two(np.array(size))) if size else 1.0
+    return (s.A / unit, s.B / unit, s.C, s.D), unit
+
+
+def _deflate(M: Matrices, rtol: float, scale: float, decisions: list[RankDecision]) -> Matrices:
+    """Remove infinite zeros and left null structure until ``D`` has full row rank."""
+    A, B, C, D = M
+
+    def decide(X: NDArray[np.float64]) -> tuple[NDArray[np.float64], int, NDArray[np.float64]]:
+        if not X.size:
+            return np.eye(X.shape[0]), 0, np.eye(X.shape[1])
+        U, s, Vh = np.linalg.svd(X)
+        rank = int(np.count_nonzero(s > rtol * scale))
+        decisions.append(RankDecision(rank, s, rtol * scale))
+        return U, rank, Vh
+
+    while True:
+        U, rank, _ = decide(D)
+        if rank == C.shape[0]:
+            return A, B, C, D
+        C, D = U.T @ C, U.T @ D
+        silent, C, D = C[rank:], C[:rank], D[:rank]
+        _, mu, Vh = decide(silent)
+        if mu == 0:
+            return A, B, C, D
+        # The silent outputs force mu states to zero; their equations become outputs in turn.
+        V = np.roll(Vh, -mu, axis=0).T
+        A, B, C = V.T @ A @ V, V.T @ B, C @ V
+        k = A.shape[0] - mu
+        C, D = np.vstack([C[:, :k], A[k:, :k]]), np.vstack([D, B[k:]])
+        A, B = A[:k, :k], B[:k]
+
+
+def invariant_zeros(
+    A: ArrayLike,
+    B: ArrayLike,
+    C: ArrayLike,
+    D: ArrayLike | None = None,
+    E: ArrayLike | None = None,
+    *,
+    rtol: float = DEFAULT_RTOL,
+) -> InvariantZeros:
+    r"""Find every finite ``s`` at which the system pencil loses rank.
+
+    .. math:: P(s) = \begin{bmatrix} sE - A & -B \\ C & D \end{bmatrix}
+
+    of any shape, square or not. Decoupling zeros that lie in the pencil are among them. The pencil is compressed by
+    orthogonal steps to a square regular one; nothing is squared down at random, which would add zeros that are none.
+
+    Parameters
+    ----------
+    A : array_like, shape (n, n)
+    B : array_like, shape (n, m)
+    C : array_like, shape (p, n)
+    D : array_like, shape (p, m), optional
+    E : array_like, shape (n, n), optional
+        May be singular. Identity when omitted.
+    rtol : float
+        Relative to the norm of the balanced pencil.
+
+    Returns
+    -------
+    InvariantZeros
+
+    Raises
+    ------
+    ModelError
+        If a matrix is malformed.
+    AccuracyError
+        If the compressed pencil is not square or its zeros are not finite.
+
+    References
+    ----------
+    Emami-Naeini and Van Dooren, Computation of zeros of linear multivariable systems, Automatica 18 (1982) 415-430.
+
+    Examples
+    --------
+    >>> invariant_zeros([[0, 1], [-2, -3]], [[0], [1]], [[4, 1]]).zeros.real.round(12)
+    array([-4.])
+    """
+    M, descriptor = _checked(A, B, C, D, E)
+    decisions: list[RankDecision] = []
+    n, unit = M[0].shape[0], 1.0
+    if descriptor is not None:
+        M, descriptor, unit = _equilibrated(M, descriptor)
+        M = _standard(M, descriptor, rtol, decisions)
+    algebraic = n - M[0].shape[0]
+    M, second = _balanced(M)
+    unit *= second
+    scale = float(np.linalg.norm(np.block([[M[0], M[1]], [M[2], M[3]]]), 2)) if sum(x.size for x in M) else 1.0
+    M = _deflate(M, rtol, scale, decisions)
+    A, B, C, D = (x.T for x in M)
+    A, B, C, D = _deflate((A, C, B, D), rtol, scale, decisions)
+    rank = D.shape[0]
+    if D.shape[0] != D.shape[1]:
+        raise AccuracyError(
+            f"the compressed pencil is not square (D is {D.shape[0]} x {D.shape[1]}): a rank decision "
+            f"with rtol={rtol:.3g} was not clear; see pencil_rank_at, or choose another rtol"
+        )
+    return InvariantZeros(_finite_zeros((A, B, C, D)) * unit, rank - algebraic, tuple(decisions))
+
+
+def _finite_zeros(M: Matrices) -> NDArray[np.complex128]:
+    """Return the zeros of a square system with invertible ``D``, without inverting it."""
+    A, B, C, D = M
+    k, r = A.shape[0], D.shape[0]
+    if not k:
+        return np.zeros(0, complex)
+    if r:
+        W = np.roll(np.linalg.svd(np.hstack([C, D]))[2], -r, axis=0).T[:, :k]
+        zeros = scipy.linalg.eigvals(np.hstack([A, B]) @ W, W[:k])
+    else:
+        zeros = scipy.linalg.eigvals(A)
+    if not np.all(np.isfinite(zeros)):
+        raise AccuracyError("a zero of the compressed pencil came out infinite: a rank decision was not clear")
+    return zeros[np.lexsort((zeros.imag, zeros.real))]
+
+
+def normal_rank(
+    A: ArrayLike,
+    B: ArrayLike,
+    C: ArrayLike,
+    D: ArrayLike | None = None,
+    E: ArrayLike | None = None,
+    *,
+    rtol: float = DEFAULT_RTOL,
+) -> int:
+    """Return the rank of the transfer matrix at almost every ``s``.
+
+    Parameters are those of `invariant_zeros`.
+
+    Examples
+    --------
+    >>> normal_rank([[-1.0]], [[1.0, 2.0]], [[1.0], [1.0]])
+    1
+    """
+    return invariant_zeros(A, B, C, D, E, rtol=rtol).normal_rank
+
+
+def pencil_rank_at(
+    A: ArrayLike,
+    B: ArrayLike,
+    C: ArrayLike,
+    D: ArrayLike | None = None,
+    E: ArrayLike | None = None,
+    s: complex = 0.0,
+    *,
+    rtol: float = DEFAULT_RTOL,
+) -> RankDecision:
+    """Decide the rank of the system pencil at one ``s``, in balanced units.
+
+    Parameters
+    ----------
+    A, B, C, D, E : array_like
+        See `invariant_zeros`.
+    s : complex
+        Finite.
+    rtol : float
+        Relative to the largest singular value of the balanced pencil at ``s``.
+
+    Returns
+    -------
+    RankDecision
+        Full column rank is ``n + m``, full row rank ``n + p``.
+
+    Examples
+    --------
+    >>> print(pencil_rank_at([[0, 1], [-2, -3]], [[0], [1]], [[4, 1]], s=-4).rank)
+    2
+    """
+    M, descriptor = _checked(A, B, C, D, E)
+    unit = 1.0
+    if descriptor is not None:
+        M, descriptor, unit = _equilibrated(M, descriptor)
+    else:
+        M, unit = _balanced(M)
+        descriptor = np.eye(M[0].shape[0])
+    P = np.block([[s / unit * descriptor - M[0], -M[1]], [M[2], M[3]]])
+    # Far out, the columns of the states grow with s; the rank does not change when they are divided by it.
+    P[:, : M[0].shape[0]] /= max(1.0, abs(s) / unit)
+    return decide_rank(P, rtol=rtol)

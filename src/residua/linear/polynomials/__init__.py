@@ -1,0 +1,1 @@
+"""Polynomial matrices and pencils, their bases and null spaces."""

@@ -1,0 +1,168 @@
+"""Polynomial rows that annihilate a pencil, in a basis that suits its poles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.linear.polynomials.degree_search import at_smallest_degree
+from residua.linear.polynomials.polynomial_basis import PolynomialBasis
+from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis
+from residua.linear.systems.balancing import evened
+
+#: Singular values below this fraction of the largest count as zero. No rounding accumulates before the singular values
+#: are taken, and what is zero comes out near 1e-16: a larger one would take a nearly exact relation for an exact one.
+DEFAULT_RTOL = 1e-13
+
+
+@dataclass(frozen=True, eq=False)
+class Pencil:
+    """``P0 + z P1``, with the basis in which polynomials that multiply it from the left are written.
+
+    Attributes
+    ----------
+    P0, P1 : ndarray, shape (rows, columns)
+    basis : PolynomialBasis
+        With one node more than the highest degree that is asked for.
+    rows, columns : ndarray
+        Units in which the entries are of one size.
+    """
+
+    P0: NDArray[np.float64]
+    P1: NDArray[np.float64]
+    basis: PolynomialBasis
+    rows: NDArray[np.float64]
+    columns: NDArray[np.float64]
+
+    def products(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the coefficients of ``x(z) (P0 + z P1)`` for coefficients of shape (degree + 1, rows)."""
+        out = self.basis.times_variable(x) @ self.P1
+        out[:-1] += x @ self.P0
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class PencilNullVectors:
+    """Polynomial rows ``x(z)`` with ``x (P0 + z P1) = 0``.
+
+    Attributes
+    ----------
+    vectors : ndarray, shape (count, degree + 1, rows)
+        Coefficients in the basis of the pencil.
+    decision : RankDecision
+        The rank of the block matrix that they annihilate.
+    units : ndarray, shape (degree + 1, rows)
+        ``vectors / units`` is orthonormal.
+    """
+
+    vectors: NDArray[np.float64]
+    decision: RankDecision
+    units: NDArray[np.float64]
+
+    @property
+    def degree(self) -> int:
+        """The highest degree."""
+        return self.vectors.shape[1] - 1
+
+
+def pencil(
+    P0: NDArray[np.float64], P1: NDArray[np.float64], basis: PolynomialBasis, *, canonical: bool = False
+) -> Pencil:
+    """Return a pencil with units in which its entries are of one size; ``canonical``: they are nearly so already."""
+    size = float(np.median(basis.sizes)) if basis.count else 1.0
+    level = np.abs(P0) + (np.abs(basis.real).max(initial=0.0) + size) * np.abs(P1)
+    spread = np.array([np.abs(P0 + a * P1) + rho * np.abs(P1) for a, rho in zip(basis.real, basis.sizes, strict=True)])
+    W = np.sqrt((spread**2).mean(axis=0)) if len(spread) else level
+    rows, columns = evened(W, np.ones(W.shape[0]), np.ones(W.shape[1])) if canonical else evened(W)
+    return Pencil(P0, P1, basis, rows, columns)
+
+
+def pencil_null_vectors(given: Pencil, degree: int, *, rtol: float = DEFAULT_RTOL) -> PencilNullVectors:
+    r"""Return all polynomial rows ``x(z)`` of at most a degree with ``x(z) (P_0 + z P_1) = 0``.
+
+    With coefficients in Newton's basis, :math:`z N_j = \rho_j N_{j+1} + a_j N_j - \beta_j N_{j-1}`, the coefficient of
+    :math:`N_j` in the product is
+
+    .. math:: \rho_{j-1} x_{j-1} P_1 + x_j (P_0 + a_j P_1) - \beta_{j+1} x_{j+1} P_1 = 0,
+
+    a block bidiagonal (with pairs of nodes: tridiagonal) system whose left null space is found from its singular
+    values. Nodes at the poles keep its blocks from being alike, which powers of ``z`` do not.
+
+    Parameters
+    ----------
+    given : Pencil
+    degree : int
+    rtol : float
+        Singular values below this fraction of the largest count as zero, in balanced units.
+
+    Returns
+    -------
+    PencilNullVectors
+        Orthonormal in balanced units.
+    """
+    T, units = _block_matrix(given, degree)
+    W, decision = left_null_basis(T, rtol=rtol)
+    vectors = W.T.reshape(W.shape[1], degree + 1, len(given.rows))
+    size = np.abs(vectors).max(axis=(1, 2), initial=0.0)
+    vectors = np.where(np.abs(vectors) > 1e-15 * size[:, None, None], vectors, 0.0)
+    return PencilNullVectors(vectors * units, decision, units)
+
+
+def shortest_pencil_null_vectors(given: Pencil, *, most: int, rtol: float = DEFAULT_RTOL) -> PencilNullVectors | None:
+    """Return the polynomial rows of the smallest degree that annihilate a pencil; ``None`` when none is up to ``most``.
+
+    Parameters
+    ----------
+    given : Pencil
+    most : int
+    rtol : float
+    """
+    rows = len(given.P0)
+
+    def exists(degree: int) -> bool:
+        return decide_rank(_block_matrix(given, degree)[0], rtol=rtol).rank < rows * (degree + 1)
+
+    if rows == 0:
+        return None
+    low, high = 0, 0  # upwards first: short ones cost little to find, and there often are some
+    while not exists(high):
+        if high == most:
+            return None
+        low, high = high + 1, min(max(2 * high, 1), most)
+    smallest = at_smallest_degree(lambda degree: degree if exists(degree) else None, low, high, high)
+    return pencil_null_vectors(given, smallest, rtol=rtol)
+
+
+def refined(given: Pencil, x: NDArray[np.float64], *, rtol: float = DEFAULT_RTOL) -> NDArray[np.float64]:
+    """Return the null vector nearest to one that rounding, such as that of a change of basis, has moved."""
+    k = len(x) - 1
+    T, units = _block_matrix(given, k)
+    scaled = (x / units).ravel()
+    U, s, Vh = np.linalg.svd(T, full_matrices=False)
+    keep = s > rtol * s[0] if len(s) else s > 0
+    scaled = scaled - ((scaled @ T) @ Vh[keep].T / s[keep]) @ U[:, keep].T
+    return scaled.reshape(k + 1, -1) * units
+
+
+def _block_matrix(given: Pencil, degree: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the matrix that the stacked coefficients of null vectors annihilate, and its balanced units.
+
+    Units of one size for all degrees would not do: where poles lie far apart, so do the sizes of the elements.
+    """
+    P0 = given.rows[:, None] * given.P0 * given.columns
+    P1 = given.rows[:, None] * given.P1 * given.columns
+    used = np.any(P0 != 0, axis=0) | np.any(P1 != 0, axis=0)
+    P0, P1 = P0[:, used], P1[:, used]
+    rows, width = P0.shape
+    basis, links = given.basis, given.basis.links
+    T = np.zeros((degree + 1, rows, degree + 2, width))
+    for j in range(degree + 1):
+        T[j, :, j] = P0 + basis.real[j] * P1
+        T[j, :, j + 1] = basis.sizes[j] * P1
+        if links[j]:
+            T[j, :, j - 1] = -links[j] * P1
+    T = T.reshape((degree + 1) * rows, (degree + 2) * width)
+    left, right = evened(T, np.ones(T.shape[0]), np.ones(T.shape[1]))  # the blocks are in even units
+    return left[:, None] * T * right, left.reshape(degree + 1, rows) * given.rows

@@ -1,0 +1,1 @@
+"""Ranks and subspaces: what is observable, reachable, or hidden from an output."""

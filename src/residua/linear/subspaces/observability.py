@@ -1,0 +1,354 @@
+"""The observability staircase: what the outputs see of the state, and what they never will."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import ArrayLike, NDArray
+
+from residua import arrays
+from residua.errors import AccuracyError
+from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision
+from residua.linear.systems.balancing import balance_system
+from residua.linear.systems.units import system_units
+
+_EPS = float(np.finfo(float).eps)
+#: How much of ``norm(A)`` the staircase may drop in the caller's coordinates before it is called a failure.
+_RESIDUAL_LIMIT = 1e-5
+#: What a hidden mode must be inside the stability region by: a slower one does not die out in any time that counts.
+_INSIDE = 1e-10
+
+
+@dataclass(frozen=True, eq=False)
+class ObservabilityForm:
+    """An observable part and an unobservable rest, in orthogonal coordinates ``z = Q' x``.
+
+    Attributes
+    ----------
+    transformation : ndarray, shape (n, n)
+        ``Q``, orthogonal: ``A = Q' A0 Q = [[A11, 0], [A21, A22]]``, ``C = C0 Q = [C1, 0]``.
+    A, C : ndarray
+        The matrices in the new coordinates, with exact zeros where the form has zeros.
+    n_observable : int
+        Order of ``A11``.
+    decisions : tuple of RankDecision
+        One for each step of the staircase, taken in balanced units.
+    unobservable_modes : ndarray of complex
+        Eigenvalues of ``A22``, computed in balanced units.
+    mode_uncertainty : ndarray
+        A bound, to first order, on the error of each unobservable mode.
+    residual : float
+        Largest norm of what was set to zero, relative to the norm of ``A0`` or ``C0``.
+    size : float
+        Spectral norm of ``A0`` in balanced units.
+    """
+
+    transformation: NDArray[np.float64]
+    A: NDArray[np.float64]
+    C: NDArray[np.float64]
+    n_observable: int
+    decisions: tuple[RankDecision, ...]
+    unobservable_modes: NDArray[np.complex128]
+    mode_uncertainty: NDArray[np.float64]
+    residual: float
+    size: float
+
+
+@dataclass(frozen=True, eq=False)
+class Detectability:
+    """Whether every mode that the outputs do not see dies out by itself; true or false as a condition.
+
+    Attributes
+    ----------
+    detectable : bool
+    unobservable_modes, unstable_modes : ndarray of complex
+        All unobservable modes, and those of them that are not stable (the boundary counts as unstable).
+    form : ObservabilityForm
+    """
+
+    detectable: bool
+    unobservable_modes: NDArray[np.complex128]
+    unstable_modes: NDArray[np.complex128]
+    form: ObservabilityForm
+
+    def __bool__(self) -> bool:
+        return self.detectable
+
+
+@dataclass(frozen=True, eq=False)
+class Staircase:
+    """The staircase in balanced units, ``As = T^-1 A T``, ``Cs = Y C T``, which placement works in."""
+
+    A: NDArray[np.float64]
+    C: NDArray[np.float64]
+    Q: NDArray[np.float64]
+    n_observable: int
+    n_seen: int
+    decisions: tuple[RankDecision, ...]
+    states: NDArray[np.float64]
+    outputs: NDArray[np.float64]
+    dropped: float
+    has_units: bool
+
+    @property
+    def rounding(self) -> float:
+        """What rounding and dropped parts may have done to the blocks: relative to the whole, not the block."""
+        return self.dropped + 10 * self.A.shape[0] * _EPS * self.size
+
+    @property
+    def size(self) -> float:
+        """Spectral norm of ``A``."""
+        return float(np.linalg.norm(self.A, 2)) if self.A.size else 0.0
+
+
+def is_stable_mode(
+    modes: ArrayLike, dt: float = 0, margin: float = 0, *, uncertainty: ArrayLike = 0
+) -> NDArray[np.bool_]:
+    """Tell which modes are stable; the boundary counts as unstable.
+
+    Continuous time: ``Re(s) < -margin``. Sampled: ``abs(z) < exp(-margin * dt)``, the same decay rate.
+
+    Parameters
+    ----------
+    modes : array_like of complex
+        Eigenvalues of ``A``, in 1/s when ``dt`` is 0.
+    dt : float
+        0 for continuous time, otherwise the sample step in seconds.
+    margin : float
+        Decay rate in 1/s that must be exceeded.
+    uncertainty : array_like
+        Distance by which each mode must be inside, for what rounding may have done to it.
+
+    Returns
+    -------
+    ndarray of bool
+
+    Examples
+    --------
+    >>> is_stable_mode([-1, 0, 1j])
+    array([ True, False, False])
+    >>> is_stable_mode([0.5, 0.95], dt=0.1, margin=1)
+    array([ True, False])
+    """
+    modes = np.asarray(modes, dtype=complex)
+    inside = np.asarray(uncertainty, dtype=float)
+    if dt:
+        return np.abs(modes) + inside < np.exp(-margin * dt)
+    return np.real(modes) + inside < -margin
+
+
+def dies_out(modes: NDArray, uncertainty: NDArray, dt: float, size: float) -> NDArray[np.bool_]:
+    """Tell which hidden modes count as stable, for everything that has to live with them.
+
+    Inside the stability region by more than their uncertainty and 1e-10 on top: of the radius of the unit disk for
+    sampled systems, of ``size`` for continuous ones.
+
+    Parameters
+    ----------
+    modes : ndarray of complex
+    uncertainty : ndarray
+        See `modes_with_uncertainty`.
+    dt : float
+    size : float
+        Spectral norm of ``A`` in balanced units.
+
+    Returns
+    -------
+    ndarray of bool
+    """
+    return is_stable_mode(modes, dt, uncertainty=uncertainty + _INSIDE * (1.0 if dt else size))
+
+
+def modes_with_uncertainty(
+    A: NDArray[np.float64], perturbation: float = 0.0
+) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+    """Return eigenvalues and what a perturbation of ``A`` may do to each, from its condition number.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+    perturbation : float
+        Norm of the perturbation that comes on top of rounding.
+
+    Returns
+    -------
+    modes : ndarray of complex
+    uncertainty : ndarray
+    """
+    n = A.shape[0]
+    if not n:
+        return np.zeros(0, complex), np.zeros(0)
+    modes, left, right = scipy.linalg.eig(A, left=True, right=True)
+    cosine = np.abs(np.sum(left.conj() * right, axis=0))
+    moved = n * _EPS * float(np.linalg.norm(A)) + perturbation
+    # A defective mode has cosine 0; the floor gives it the sqrt(eps) that a double mode moves by.
+    return modes.astype(complex), moved / np.maximum(cosine, np.sqrt(_EPS))
+
+
+def _scales(A: NDArray[np.float64], C: NDArray[np.float64], rtol: float) -> tuple[float, float]:
+    """Return what rank decisions on pieces of ``A`` and on ``C`` are relative to."""
+    n = A.shape[0]
+    size = float(np.linalg.norm(A, 2)) if n else 0.0
+    # Observability does not change with A - mu I; a plant sampled fast (A near I) shows its couplings only then.
+    shifted = float(np.linalg.norm(A - np.trace(A) / n * np.eye(n), 2)) if n else 0.0
+    floor = 100 * n * _EPS * size / max(rtol, _EPS)
+    return max(shifted, min(size, floor)), float(np.linalg.norm(C, 2)) if C.size else 0.0
+
+
+def staircase(
+    A: NDArray[np.float64], C: NDArray[np.float64], *, rtol: float = DEFAULT_RTOL, units: str = "balanced"
+) -> Staircase:
+    """Reduce a pair to the observability staircase in balanced units.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+    C : ndarray, shape (p, n)
+    rtol : float
+        Relative to the norm of ``A`` (without its multiple of the identity) or of ``C``.
+    units : {"balanced", "even", "given"}
+        Even out the norms of rows and columns, or only their logarithms (where a part of the system is hidden, its
+        balanced units may mean nothing), or take the caller's units, which are comparable already.
+
+    Returns
+    -------
+    Staircase
+        ``Q' A Q = [[A11, 0], [A21, A22]]`` up to what was dropped, which is not set to zero here.
+    """
+    n, p = A.shape[0], C.shape[0]
+    T, Y, has_units = np.ones(n), np.ones(p), True
+    none = np.zeros((n, 0)), C, np.zeros((p, 0))
+    if units == "balanced":
+        scaled = balance_system(A, *none)
+        T, Y, has_units = scaled.states, scaled.outputs, scaled.has_units
+    elif units == "even":
+        u = system_units(A, *none)
+        T, Y = u.states, u.outputs
+    A, C = A / T[:, None] * T, Y[:, None] * C * T
+    scale_A, scale_C = _scales(A, C, rtol)
+    Q, seen, first = np.eye(n), 0, 0
+    block, scale = C, scale_C
+    decisions: list[RankDecision] = []
+    dropped = 0.0
+    while seen < n:
+        _, s, Vh = np.linalg.svd(block) if block.size else (None, np.zeros(0), np.eye(n - seen))
+        rank = int(np.count_nonzero(s > rtol * scale))
+        decisions.append(RankDecision(rank, s, rtol * scale))
+        if s.size > rank and scale:
+            dropped = max(dropped, float(s[rank]) / scale)
+        if rank == 0:
+            break
+        Q[:, seen:] = Q[:, seen:] @ Vh.T
+        first = first or rank
+        before, seen = seen, seen + rank
+        block, scale = Q[:, before:seen].T @ A @ Q[:, seen:], scale_A
+    return Staircase(A, C, Q, seen, first, tuple(decisions), T, Y, dropped * scale_A, has_units)
+
+
+def _orthogonal(form: Staircase) -> NDArray[np.float64]:
+    """Return ``Q`` in the caller's units: its last columns span the unobservable subspace ``T Q2``."""
+    k = form.n_observable
+    n = form.Q.shape[0]
+    if np.all(form.states == 1) or k in (0, n):
+        return form.Q
+    N = form.states[:, None] * form.Q[:, k:]
+    # Sorted rows and pivoted columns keep the small rows of a badly scaled basis accurate.
+    order = np.argsort(-np.abs(N).max(axis=1), kind="stable")
+    full = scipy.linalg.qr(N[order], pivoting=True)[0]
+    Q = np.empty_like(full)
+    Q[order] = full
+    return np.hstack([Q[:, n - k :], Q[:, : n - k]])
+
+
+def observability_form(A: ArrayLike, C: ArrayLike, *, rtol: float = DEFAULT_RTOL) -> ObservabilityForm:
+    r"""Split a pair orthogonally into its observable part and the rest.
+
+    .. math:: Q^T A Q = \begin{bmatrix} A_{11} & 0 \\ A_{21} & A_{22} \end{bmatrix}, \qquad
+              C Q = \begin{bmatrix} C_1 & 0 \end{bmatrix}
+
+    with :math:`(A_{11}, C_1)` observable. Ranks are decided in balanced units, so that they do not depend on those
+    of the states and outputs; what has to be dropped in the caller's units is checked and reported.
+
+    Parameters
+    ----------
+    A : array_like, shape (n, n)
+    C : array_like, shape (p, n)
+    rtol : float
+        Couplings below this fraction of the norm of the balanced pair count as zero.
+
+    Returns
+    -------
+    ObservabilityForm
+
+    Raises
+    ------
+    ModelError
+        If a matrix is malformed.
+    AccuracyError
+        If the zeros of the form are not there to 1e-5 of the norm in the caller's units.
+
+    References
+    ----------
+    Van Dooren, The generalized eigenstructure problem in linear system theory, IEEE TAC 26 (1981).
+
+    Examples
+    --------
+    >>> form = observability_form([[-1.0, 0.0], [0.0, -2.0]], [[1.0, 0.0]])
+    >>> form.n_observable, form.unobservable_modes
+    (1, array([-2.+0.j]))
+    """
+    A = arrays.matrix(A, "A", (None, None))
+    A = arrays.matrix(A, "A", (A.shape[0], A.shape[0]))
+    C = arrays.matrix(C, "C", (None, A.shape[0]))
+    form = staircase(A, C, rtol=rtol)
+    k, Q = form.n_observable, _orthogonal(form)
+    At, Ct = Q.T @ A @ Q, C @ Q
+    lost = [
+        float(np.linalg.norm(M)) / max(float(np.linalg.norm(whole)), np.finfo(float).tiny)
+        for M, whole in ((At[:k, k:], A), (Ct[:, k:], C))
+        if M.size
+    ]
+    residual = max(lost, default=0.0)
+    if residual > max(_RESIDUAL_LIMIT, 10 * rtol):
+        raise AccuracyError(
+            f"the observability form drops {residual:.3g} of the norm of (A, C) with rtol={rtol:.3g}; "
+            "scale the states to comparable units"
+        )
+    At[:k, k:] = 0.0
+    Ct[:, k:] = 0.0
+    Q2 = form.Q[:, k:]
+    modes, uncertainty = modes_with_uncertainty(Q2.T @ form.A @ Q2, form.rounding)
+    return ObservabilityForm(Q, At, Ct, k, form.decisions, modes, uncertainty, residual, form.size)
+
+
+def detectability(A: ArrayLike, C: ArrayLike, *, dt: float = 0, rtol: float = DEFAULT_RTOL) -> Detectability:
+    """Tell whether every unobservable mode is stable.
+
+    An unobservable mode counts as stable only when it is inside the stability region by more than rounding may have
+    moved it, so that a hidden integrator is never taken for a stable mode, and by 1e-10 on top: ``1 - abs(z)`` of a
+    sampled system, ``-Re(s)`` relative to the norm of the balanced ``A`` of a continuous one.
+
+    Parameters
+    ----------
+    A : array_like, shape (n, n)
+    C : array_like, shape (p, n)
+    dt : float
+        0 for continuous time, otherwise the sample step in seconds.
+    rtol : float
+        See `observability_form`.
+
+    Returns
+    -------
+    Detectability
+
+    Examples
+    --------
+    >>> bool(detectability([[-1.0, 0.0], [0.0, 0.0]], [[1.0, 0.0]]))
+    False
+    """
+    form = observability_form(A, C, rtol=rtol)
+    stable = dies_out(form.unobservable_modes, form.mode_uncertainty, dt, form.size)
+    unstable = form.unobservable_modes[~stable]
+    return Detectability(not unstable.size, form.unobservable_modes, unstable, form)

@@ -1,0 +1,126 @@
+"""The observable part of a pair, in the coordinates in which gains are designed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from residua import arrays
+from residua.errors import DesignError
+from residua.linear.poles.spectrum import describe_modes
+from residua.linear.subspaces.observability import Staircase, dies_out, modes_with_uncertainty, staircase
+from residua.linear.subspaces.rank import without_rounded_gains
+
+Matrix = NDArray[np.float64]
+Poles = NDArray[np.complex128]
+
+
+class UndetectableError(DesignError):
+    """A mode that no output sees and that is not stable: no gain moves it."""
+
+
+@dataclass(frozen=True, eq=False)
+class ObservablePart:
+    """The observable part in balanced staircase coordinates, where ``H`` has orthonormal rows.
+
+    Attributes
+    ----------
+    A, C : ndarray
+        The whole pair in the caller's units.
+    dt : float
+    form : Staircase
+    F, H : ndarray, shapes (k, k) and (r, k)
+        The observable pair that gains are designed for.
+    to_outputs : ndarray, shape (r, p)
+        Takes a gain for ``H`` to the balanced outputs.
+    fixed : ndarray of complex
+        The unobservable modes, all stable.
+    """
+
+    A: Matrix
+    C: Matrix
+    dt: float
+    form: Staircase
+    F: Matrix
+    H: Matrix
+    to_outputs: Matrix
+    fixed: Poles
+
+    @property
+    def order(self) -> int:
+        """Number of observable states."""
+        return self.F.shape[0]
+
+    @property
+    def pseudo_inverse(self) -> Matrix:
+        """A right factor ``X`` with ``C X C = C``, found in balanced units."""
+        form = self.form
+        seen = form.Q[:, : self.order] @ (self.H.T @ self.to_outputs)
+        return form.states[:, None] * seen * form.outputs
+
+    def full_gain(self, L: Matrix) -> Matrix:
+        """Return ``K`` in the caller's units for a gain ``L`` of the observable part."""
+        form = self.form
+        K = without_rounded_gains(form.Q[:, : self.order] @ (L @ self.to_outputs))
+        return self.without_left_null(form.states[:, None] * K * form.outputs)
+
+    def without_left_null(self, K: Matrix) -> Matrix:
+        """Return the gain with the same ``K C`` that ignores the left null directions of ``C``."""
+        rank = self.H.shape[0]
+        if rank in (0, K.shape[1]):
+            return K
+        U = np.linalg.svd(self.form.C)[0][:, :rank]
+        U = np.where(np.any(self.form.C, axis=1)[:, None], U, 0.0)  # rounding in an empty row is no output
+        basis = np.linalg.qr(U / self.form.outputs[:, None])[0]
+        projected = (K @ basis) @ basis.T
+        for _ in range(2):  # outputs in very different units make one projection inexact
+            lost = (K - projected) @ self.C @ self.pseudo_inverse
+            projected = projected + (lost @ basis) @ basis.T
+        return projected
+
+
+def observable_part(A: ArrayLike, C: ArrayLike, dt: float, rtol: float) -> ObservablePart:
+    """Split off the unobservable part of a pair, or say which of its modes is not stable.
+
+    A hidden mode counts as stable only when it is inside the stability region by more than its uncertainty and 1e-10 on
+    top, as in `detectability`.
+
+    Parameters
+    ----------
+    A : array_like, shape (n, n)
+    C : array_like, shape (p, n)
+    dt : float
+    rtol : float
+
+    Returns
+    -------
+    ObservablePart
+
+    Raises
+    ------
+    ModelError
+        If a matrix is malformed.
+    DesignError
+        If the pair is not detectable.
+    """
+    dt = arrays.sample_step(dt)
+    A = arrays.matrix(A, "A", (None, None))
+    A = arrays.matrix(A, "A", (A.shape[0], A.shape[0]))
+    C = arrays.matrix(C, "C", (None, A.shape[0]))
+    form = staircase(A, C, rtol=rtol)
+    k, r = form.n_observable, form.n_seen
+    Q1, Q2 = form.Q[:, :k], form.Q[:, k:]
+    # The first step of the staircase is C = U S [I 0] Q'; with S^-1 U' the seen states become the outputs.
+    U, s, _ = np.linalg.svd(form.C) if form.C.size else (np.eye(C.shape[0]), np.zeros(0), None)
+    to_outputs = np.zeros((0, C.shape[0])) if not r else U[:, :r].T / s[:r, None]
+    H = to_outputs @ form.C @ Q1
+    fixed, uncertainty = modes_with_uncertainty(Q2.T @ form.A @ Q2, form.rounding)
+    stable = dies_out(fixed, uncertainty, dt, form.size)
+    if not stable.all():
+        raise UndetectableError(
+            f"not detectable: mode {describe_modes(fixed[~stable])} is not seen by any output and is not stable "
+            f"({k} of {A.shape[0]} states observable); add a sensor that sees it"
+        )
+    return ObservablePart(A, C, dt, form, Q1.T @ form.A @ Q1, H, to_outputs, fixed)

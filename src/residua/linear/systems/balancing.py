@@ -1,0 +1,287 @@
+"""Scaling by powers of two, so that rank decisions do not depend on the units that a model was written in.
+
+Every scaling starts from the units of :mod:`residua.linear.systems.units`, which are the same whatever units the caller
+chose, and is a function of the entries in those units only: other units, by powers of two, change no bit of a scaled
+matrix.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from residua.linear.systems.units import RESIDUE, matrix_units, pencil_units, system_units, without_residue
+
+#: Couplings this far below the largest may have been scaled away.
+_VANISHED = 1e-5
+_SWEEPS = 60
+#: Units of states further apart than this power of two come from parts without couplings both ways.
+_WIDEST = 64
+#: No scale leaves this range; a system that asks for it is reducible, and one part can be scaled without end.
+_LARGEST = 2.0**200
+#: Ratios of scales that move by more than this power of two in the second half of the sweeps will not come to rest.
+_DRIFT = 4
+
+
+@dataclass(frozen=True, eq=False)
+class BalancedSystem:
+    """A system in scaled units: ``A = T^-1 A0 T``, ``B = T^-1 B0 U``, ``C = Y C0 T``, ``D = Y D0 U``.
+
+    Attributes
+    ----------
+    A, B, C, D : ndarray
+        The scaled matrices.
+    states, inputs, outputs : ndarray
+        The diagonals of ``T``, ``U`` and ``Y``; all powers of two, so that scaling rounds nothing.
+    start : ndarray
+        The units of the states that the sweeps started from, of :func:`residua.linear.systems.units.system_units`.
+    """
+
+    A: NDArray[np.float64]
+    B: NDArray[np.float64]
+    C: NDArray[np.float64]
+    D: NDArray[np.float64]
+    states: NDArray[np.float64]
+    inputs: NDArray[np.float64]
+    outputs: NDArray[np.float64]
+    start: NDArray[np.float64]
+
+    @property
+    def has_units(self) -> bool:
+        """Whether the balanced units of the states mean something: a hidden part of a system has none of its own."""
+        return not self.states.size or bool(np.ptp(np.log2(self.states / self.start)) <= _WIDEST)
+
+    @property
+    def own_units(self) -> NDArray[np.float64]:
+        """The balanced units of the states, or those that the sweeps started from where the former mean nothing."""
+        return self.states if self.has_units else self.start
+
+
+def power_of_two(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the power of two nearest to each positive number; one where it is zero."""
+    x = np.asarray(x, dtype=float)
+    return np.exp2(np.round(np.log2(np.where(x > 0, x, 1.0))))
+
+
+def without_rounding(*factors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the product of matrices, exactly zero where it is nothing but the rounding of its terms.
+
+    Such entries would seem to be couplings, and balancing would take a row of them for a state in small units.
+    """
+    product, terms = factors[0], np.abs(factors[0])
+    for factor in factors[1:]:
+        product, terms = product @ factor, terms @ np.abs(factor)
+    return np.where(np.abs(product) > 1e-13 * terms.shape[1] * terms, product, 0.0)
+
+
+def evened(
+    W: NDArray[np.float64],
+    rows: NDArray[np.float64] | None = None,
+    columns: NDArray[np.float64] | None = None,
+    *,
+    sweeps: int = 4,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Even out the norms of rows and columns in turn, by powers of two, residue left out.
+
+    From factors on that the caller has, or else from those of :func:`residua.linear.systems.units.matrix_units`.
+    """
+    if rows is None or columns is None:
+        rows, columns = matrix_units(W)
+    W = without_residue(W, rows, columns)
+    for _ in range(sweeps):
+        rows = rows / power_of_two(np.linalg.norm(rows[:, None] * W * columns, axis=1))
+        columns = columns / power_of_two(np.linalg.norm(rows[:, None] * W * columns, axis=0))
+    return rows, columns
+
+
+def _root(numerator: float, denominator: float) -> float:
+    """Return the power of two that evens out two norms."""
+    exponent = 0.5 * (math.log2(numerator) - math.log2(denominator))
+    return 2.0 ** round(exponent) if abs(exponent) < 1000 else math.inf
+
+
+def _length(x: NDArray[np.float64]) -> float:
+    """Return the norm of a vector; called so often that the checks of ``numpy.linalg.norm`` would take longer."""
+    return math.sqrt(x.dot(x))
+
+
+def _largest(x: NDArray[np.float64]) -> float:
+    """Return the largest entry of a vector of entries that are not negative."""
+    return float(x.max(initial=0.0))
+
+
+def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> BalancedSystem:
+    """Scale the units of states, inputs and outputs until rows and columns of ``[A B; C D]`` match in norm.
+
+    Osborne's sweep over the states, with the rows of ``C`` and the columns of ``B`` taking part, each scaled to
+    the norm of ``A``. Rows and columns that are rounding residue are left as they are. Where no scaling gives all
+    rows and columns their norm, as with an input that enters several outputs and no state, the largest entries of
+    rows and columns are evened out instead, which can always be done.
+
+    Parameters
+    ----------
+    A : array_like, shape (n, n)
+    B : array_like, shape (n, m)
+    C : array_like, shape (p, n)
+    D : array_like, shape (p, m)
+
+    Returns
+    -------
+    BalancedSystem
+
+    References
+    ----------
+    E. E. Osborne, On pre-conditioning of matrices, J. ACM 7 (1960) 338-345. SLICOT routine TB01ID.
+    """
+    A0, B0, C0, D0 = (np.asarray(M, dtype=float) for M in (A, B, C, D))
+    n = len(A0)
+    start = system_units(A0, B0, C0, D0)
+    T, U, Y = start.states, start.inputs, start.outputs
+    A, B, C, D = A0 / T[:, None] * T, B0 / T[:, None] * U, Y[:, None] * C0 * T, Y[:, None] * D0 * U
+    W = without_residue(np.block([[A, B], [C, D]]))
+    # Only couplings count in a sweep; the diagonal of A does not change with the units of the states.
+    np.fill_diagonal(W[:n, :n], 0.0)
+    # The spectral radius of A sets the level for the channels, whose units are free: it has no units of states.
+    radius, size = (float(np.abs(np.linalg.eigvals(A)).max()), float(np.linalg.norm(A))) if n else (0.0, 0.0)
+    if radius < np.sqrt(np.finfo(float).eps) * size:  # numerically nilpotent: the radius is rounding
+        radius = size
+    level = float(power_of_two(np.array(radius or 1.0)))
+    scaled = W.copy()
+    left, right, settled = _factors(scaled, n, level, _length)
+    if not settled or _vanished(scaled):
+        left, right, _ = _factors(W, n, level, _largest)
+    T, U, Y = T * right[:n], U * right[n:], Y * left[n:]
+    # The scaled matrices are the same for states and inputs in c times larger, outputs in c times smaller units:
+    # of these units those nearest to the given ones are taken; the sweeps may have drifted far away from them.
+    size = np.sum(np.log2(T)) - np.sum(np.log2(Y))
+    c = 2.0 ** np.round(size / max(len(T) + len(Y), 1))
+    T, U, Y = T / c, U / c, Y * c
+    scaled = A0 / T[:, None] * T, B0 / T[:, None] * U, Y[:, None] * C0 * T, Y[:, None] * D0 * U
+    return BalancedSystem(*scaled, T, U, Y, start.states)
+
+
+def _vanished(W: NDArray[np.float64]) -> bool:
+    """Tell whether scaling has made a coupling nothing beside the others: no scaling evens all norms.
+
+    Where the states are a cascade, one of them can be scaled without end, with an input and an output that take part,
+    until the path to it does not count any more, and the sweeps come to rest only then.
+    """
+    smallest = np.min(W[W > 0], initial=np.inf)
+    return bool(smallest < _VANISHED * W.max(initial=0.0))
+
+
+def _factors(
+    W: NDArray[np.float64], n: int, level: float, length: Callable[[NDArray[np.float64]], float]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
+    """Sweep ``W`` in place; return factors of rows and of columns, and whether their ratios came to rest."""
+    left, right = np.ones(W.shape[0]), np.ones(W.shape[1])
+    middle = left, right
+    for k in range(_SWEEPS):
+        if k == _SWEEPS // 2:
+            middle = left.copy(), right.copy()
+        moved = _scale_channels(W, left, right, n, level, length)
+        moved |= _sweep(W, left, right, n, level, length)
+        if not moved:
+            return left, right, True
+    # All states and inputs may drift one way and all outputs the other: the scaled matrices do not show that.
+    drift = np.log2(np.concatenate([right / middle[1], middle[0][n:] / left[n:]]))
+    return left, right, bool(np.ptp(drift) <= _DRIFT)
+
+
+@dataclass(frozen=True, eq=False)
+class DescriptorUnits:
+    """Units for ``E x' = A x + B v``, ``y = C x + D v``: ``R A S``, ``unit R E S``, ``R B V``, ``Y C S``, ``Y D V``.
+
+    Their entries are of about one size.
+
+    Attributes
+    ----------
+    equations, states, inputs, outputs : ndarray
+        The diagonals of ``R``, ``S``, ``V`` and ``Y``, powers of two. Without ``E``, ``R`` is the inverse of ``S``.
+    unit : float
+        The unit of ``s``, a power of two; one without ``E``.
+    """
+
+    equations: NDArray[np.float64]
+    states: NDArray[np.float64]
+    inputs: NDArray[np.float64]
+    outputs: NDArray[np.float64]
+    unit: float
+
+
+def descriptor_units(A: NDArray, E: NDArray | None, B: NDArray, C: NDArray, D: NDArray) -> DescriptorUnits:
+    """Return units in which the rows and columns of a system, also of a descriptor system, are of one size.
+
+    Time is scaled along with ``E``, so that its units do not matter.
+    """
+    n = len(A)
+    if E is None:
+        found = balance_system(A, B, C, D)
+        if not found.has_units:
+            u = system_units(A, B, C, D)
+            return DescriptorUnits(1 / u.states, u.states, u.inputs, u.outputs, 1.0)
+        return DescriptorUnits(1 / found.states, found.states, found.inputs, found.outputs, 1.0)
+    whole = np.block([[A, B], [C, D]]).astype(float)
+    dynamic = np.zeros_like(whole)
+    dynamic[:n, :n] = E
+    u = pencil_units(whole, dynamic)
+    W = np.abs(whole) + u.unit * np.abs(dynamic)
+    rows, columns = evened(W, u.rows, u.columns)
+    return DescriptorUnits(rows[:n], columns[:n], columns[n:], rows[n:], u.unit)
+
+
+def state_units(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike | None = None) -> NDArray[np.float64]:
+    """Return units of the states of a system: balanced, or only even where that means nothing."""
+    D = np.zeros((np.shape(C)[0], np.shape(B)[1])) if D is None else D
+    return balance_system(A, B, C, D).own_units
+
+
+def _sweep(
+    W: NDArray[np.float64],
+    left: NDArray[np.float64],
+    right: NDArray[np.float64],
+    n: int,
+    level: float,
+    length: Callable[[NDArray[np.float64]], float],
+) -> bool:
+    """Even out row and column of each of the first ``n`` indices, in place; return whether anything moved.
+
+    A state that nothing sees, or nothing drives, has one side only, which is brought to ``level``.
+    """
+    moved = False
+    for i in range(n):
+        row, column = length(W[i]), length(W[:, i].copy())
+        f = _root(row, column) if row and column else _root(row or level, column or level) ** 2
+        if f != 1.0 and 1 / _LARGEST < right[i] * f < _LARGEST:
+            moved = True
+            W[i] /= f
+            W[:, i] *= f
+            left[i] /= f
+            right[i] *= f
+    return moved
+
+
+def _scale_channels(
+    W: NDArray[np.float64],
+    left: NDArray[np.float64],
+    right: NDArray[np.float64],
+    n: int,
+    level: float,
+    length: Callable[[NDArray[np.float64]], float],
+) -> bool:
+    """Bring the rows of outputs and the columns of inputs of ``W`` to one norm, in place."""
+    moved = False
+    for axis, factors, block in ((1, left, W[n:]), (0, right, W[:, n:])):
+        if not block.size:
+            continue
+        norms = block.max(axis=axis) if length is _largest else np.sqrt(np.sum(block * block, axis=axis))
+        real = norms > RESIDUE * norms.max(initial=0.0)
+        f = np.where(real, power_of_two(level / np.where(real, norms, level)), 1.0)
+        moved |= bool(np.any(f != 1.0))
+        block *= f[:, None] if axis else f
+        factors[n:] *= f
+    return moved

@@ -1,0 +1,196 @@
+"""Observability and controllability of descriptor systems."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from residua import arrays
+from residua.errors import AccuracyError, ModelError
+from residua.linear.poles.spectrum import describe_modes
+from residua.linear.poles.zeros import invariant_zeros, pencil_rank_at
+from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, decide_rank, equilibrated
+from residua.linear.systems.descriptor import checked_pencil, scaled_pencil, weierstrass_form
+
+
+@dataclass(frozen=True, eq=False)
+class DescriptorProperty:
+    """Whether a descriptor system is observable (or controllable), and which condition fails; a bool as a condition.
+
+    Attributes
+    ----------
+    complete : bool
+        C-observable: no finite mode is hidden, and the algebraic part is seen too. This is the truth value.
+    finite : bool
+        R-observable: no finite mode is hidden.
+    impulse : bool
+        Impulses of the state show in the output.
+    hidden_modes : ndarray of complex
+        The finite ``s`` at which the pencil loses rank.
+    rank_finite : RankDecision
+        Of the pencil at the first hidden mode; without one, at a point that is no special one.
+    rank_infinite : RankDecision
+        Of ``[E; C]``, respectively ``[E B]``.
+    reasons : tuple of str
+        What fails, in words and numbers; empty when nothing does.
+    """
+
+    complete: bool
+    finite: bool
+    impulse: bool
+    hidden_modes: NDArray[np.complex128]
+    rank_finite: RankDecision
+    rank_infinite: RankDecision
+    reasons: tuple[str, ...]
+
+    def __bool__(self) -> bool:
+        return self.complete
+
+    def __str__(self) -> str:
+        return "complete" if self.complete else "not complete: " + "; ".join(self.reasons)
+
+
+def descriptor_observability(
+    A: ArrayLike, C: ArrayLike, E: ArrayLike | None = None, *, rtol: float = DEFAULT_RTOL
+) -> DescriptorProperty:
+    r"""Tell whether the outputs of a descriptor system determine its whole state.
+
+    C-observable exactly when
+
+    .. math::
+
+       \operatorname{rank} \begin{bmatrix} sE - A \\ C \end{bmatrix} = n \ \text{for every finite } s, \qquad
+       \operatorname{rank} \begin{bmatrix} E \\ C \end{bmatrix} = n.
+
+    The first condition alone is R-observability. Impulse observability is
+    :math:`\operatorname{rank} [E\ A; 0\ E; 0\ C] = n + \operatorname{rank} E`.
+
+    Parameters
+    ----------
+    A : array_like, shape (n, n)
+    C : array_like, shape (p, n)
+    E : array_like, shape (n, n), optional
+        Identity when omitted.
+    rtol : float
+        For every rank decision, in scaled units.
+
+    Returns
+    -------
+    DescriptorProperty
+
+    Raises
+    ------
+    ModelError
+        If a matrix is malformed or the pencil is not regular.
+    AccuracyError
+        If a rank decision was not clear.
+
+    References
+    ----------
+    Twardy and Kaczorek, part I, Definition 4 and eqs. (28); L. Dai, Singular Control Systems, Springer 1989, chapter 2.
+
+    Examples
+    --------
+    >>> found = descriptor_observability([[1, 2], [3, 4]], [[1, 0]], [[1, 0], [0, 0]])
+    >>> bool(found), found.finite, found.reasons
+    (False, True, ('rank[E; C] = 1 < 2: the outputs miss a part of the state that obeys algebraic equations alone',))
+    """
+    A, E = checked_pencil(A, E)
+    C = arrays.matrix(C, "C", (None, len(A)), what="one column per state")
+    return _property(A, E, C, rtol, "rank[sE - A; C]", "rank[E; C]", "outputs miss")
+
+
+def descriptor_controllability(
+    A: ArrayLike, B: ArrayLike, E: ArrayLike | None = None, *, rtol: float = DEFAULT_RTOL
+) -> DescriptorProperty:
+    r"""Tell whether the inputs of a descriptor system move its whole state.
+
+    C-controllable exactly when :math:`\operatorname{rank} [sE - A\ B] = n` for every finite ``s`` and
+    :math:`\operatorname{rank} [E\ B] = n`, which is what Lemma 4 says of the two parts of the Weierstrass form.
+
+    Parameters
+    ----------
+    A : array_like, shape (n, n)
+    B : array_like, shape (n, m)
+    E : array_like, shape (n, n), optional
+        Identity when omitted.
+    rtol : float
+        For every rank decision, in scaled units.
+
+    Returns
+    -------
+    DescriptorProperty
+
+    Raises
+    ------
+    ModelError
+        If a matrix is malformed or the pencil is not regular.
+    AccuracyError
+        If a rank decision was not clear.
+
+    References
+    ----------
+    Twardy and Kaczorek, part I, Definition 3 and Lemma 4, eqs. (17).
+
+    Examples
+    --------
+    >>> bool(descriptor_controllability([[1, 2], [3, 4]], [[1], [1]], [[1, 0], [0, 0]]))
+    True
+    """
+    A, E = checked_pencil(A, E)
+    B = arrays.matrix(B, "B", (len(A), None), what="one row per state")
+    return _property(A.T, E.T, B.T, rtol, "rank[sE - A, B]", "rank[E, B]", "inputs do not move")
+
+
+def _property(
+    A: NDArray, E: NDArray, C: NDArray, rtol: float, pencil: str, infinite: str, what: str
+) -> DescriptorProperty:
+    n = len(A)
+    poles = weierstrass_form(A, E, rtol=rtol).poles  # raises when the pencil is not regular
+    hidden = _hidden_modes(A, E, C, poles, rtol)
+    empty = np.zeros((n, 0))
+    at = complex(hidden[0]) if hidden.size else 0.77 * max(1e-3, float(np.abs(poles).max(initial=1.0)))
+    rank_finite = pencil_rank_at(A, empty, C, None, E, at, rtol=1e-7 if hidden.size else rtol)
+    tall, E_s, C_s, A_s = _scaled(A, E, C)
+    rank_infinite = decide_rank(tall, rtol=rtol)
+    reasons = []
+    if hidden.size:
+        reasons.append(f"{pencil} = {rank_finite.rank} < {n} at s = {describe_modes(hidden)}: the {what} this mode")
+    if rank_infinite.rank < n:
+        reasons.append(
+            f"{infinite} = {rank_infinite.rank} < {n}: the {what} a part of the state that obeys algebraic "
+            "equations alone"
+        )
+    zero = np.zeros_like(E_s)
+    whole = np.block([[E_s, A_s], [zero, E_s], [np.zeros_like(C_s), C_s]])
+    impulse = decide_rank(whole, rtol=rtol).rank == n + decide_rank(E_s, rtol=rtol).rank
+    return DescriptorProperty(not reasons, not hidden.size, impulse, hidden, rank_finite, rank_infinite, tuple(reasons))
+
+
+def _scaled(A: NDArray, E: NDArray, C: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    """Return ``[E; C]``, ``E``, ``C`` and ``A`` with rows and columns in comparable units."""
+    n = len(A)
+    p = scaled_pencil(np.vstack([A, C]), np.vstack([E, np.zeros_like(C)]))
+    E_s, C_s, A_s = p.E[:n], p.A[n:], p.A[:n]
+    return equilibrated(np.vstack([E_s, C_s])), E_s, C_s, A_s
+
+
+def _hidden_modes(A: NDArray, E: NDArray, C: NDArray, poles: NDArray, rtol: float) -> NDArray[np.complex128]:
+    """Return the finite ``s`` at which ``[sE - A; C]`` loses rank; they are among the poles."""
+    n = len(A)
+    found = invariant_zeros(A, np.zeros((n, 0)), C, None, E, rtol=rtol)
+    if found.normal_rank:
+        raise ModelError("det(sE - A) is zero for every s: the equations do not determine the states")
+    hidden = found.zeros
+    if hidden.size:
+        # Poles at zero have no size; the unit of s in which A and E are comparable stands in.
+        size = np.abs(poles).max(initial=scaled_pencil(A, E).unit)
+        off = np.abs(hidden[:, None] - poles).min(axis=1, initial=np.inf)
+        if not np.all(off <= 1e-3 * float(size)):
+            raise AccuracyError(
+                f"the hidden modes {describe_modes(hidden)} are not among the poles {describe_modes(poles)}: a rank "
+                f"decision with rtol={rtol:.3g} was not clear; choose another rtol, or rescale the model"
+            )
+    return hidden

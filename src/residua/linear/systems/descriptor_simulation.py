@@ -1,0 +1,302 @@
+"""Consistent states and simulation of descriptor systems."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from residua import arrays
+from residua.errors import DataError, ModelError, SettingError
+from residua.linear.subspaces.rank import DEFAULT_RTOL
+from residua.linear.systems.descriptor import WeierstrassForm, weierstrass_form
+from residua.linear.systems.recursion import run_filter
+from residua.linear.systems.sampling import exponentials
+from residua.linear.systems.state_space import StateSpace
+
+
+@dataclass(frozen=True, eq=False)
+class ConsistentState:
+    """A state that a descriptor system can be in, made from one that it perhaps cannot; a bool as a condition.
+
+    Attributes
+    ----------
+    state : ndarray, shape (n,)
+        The state right after the jump: the dynamic part of the given one, with the algebraic part that the inputs
+        demand.
+    consistent : bool
+        Whether the given state was consistent already.
+    distance : float
+        How far it was off, relative to the sizes of the states that are added up.
+    """
+
+    state: NDArray[np.float64]
+    consistent: bool
+    distance: float
+
+    def __bool__(self) -> bool:
+        return self.consistent
+
+
+def consistent_state(
+    system: StateSpace,
+    x0: ArrayLike,
+    v: ArrayLike | None = None,
+    *,
+    derivatives: Sequence[ArrayLike] = (),
+    tolerance: float = 1e-8,
+    rtol: float = DEFAULT_RTOL,
+) -> ConsistentState:
+    r"""Project a state onto those that the equations allow for the inputs at that moment.
+
+    In the Weierstrass form the dynamic part :math:`x_1` is free and the algebraic part is
+    :math:`x_2 = -\sum_{i < \nu} N^i B_2 v^{(i)}`. A system that starts elsewhere jumps: :math:`x_1` is kept.
+
+    Parameters
+    ----------
+    system : StateSpace
+        Continuous, or sampled; then later inputs take the place of derivatives.
+    x0 : array_like, shape (n,)
+    v : array_like, shape (m,), optional
+        The inputs; zero when omitted.
+    derivatives : sequence of array_like, shape (m,)
+        First, second, ... derivative of the inputs (sampled: the inputs of the next steps). Only those that the
+        state depends on are needed.
+    tolerance : float
+        A state that is off by less counts as consistent.
+    rtol : float
+        For the rank decisions.
+
+    Returns
+    -------
+    ConsistentState
+
+    Raises
+    ------
+    ModelError
+        If the system is not regular, or derivatives are missing.
+    AccuracyError
+        If its dynamic and algebraic parts cannot be told apart, see `weierstrass_form`.
+
+    References
+    ----------
+    Twardy and Kaczorek, part I, eqs. (15), (16).
+
+    Examples
+    --------
+    >>> from residua.linear import StateSpace, consistent_state
+    >>> system = StateSpace([[-1, 0], [1, -1]], [[0], [1]], [[1, 0]], E=[[1, 0], [0, 0]])
+    >>> found = consistent_state(system, [2.0, 0.0], [0.5])
+    >>> bool(found), found.state
+    (False, array([2. , 2.5]))
+    """
+    form = weierstrass_form(system.A, system.E, rtol=rtol)
+    m, n = system.n_inputs, system.n_states
+    given = [np.zeros(m) if v is None else _vector(v, m, "v")]
+    given += [_vector(d, m, "derivatives") for d in derivatives]
+    start = _vector(x0, n, "x0")
+    needed = input_order(form, system)
+    if v is None:
+        given += [np.zeros(m)] * max(0, needed + 1 - len(given))
+    fast = _fast_part(form, system, [g[None] for g in given])[0]
+    k = form.n_finite
+    z = form.Q_inverse @ start
+    state = form.Q @ np.concatenate([z[:k], fast])
+    size = np.abs(form.Q) @ np.abs(np.concatenate([z[:k], fast])) + np.abs(start)
+    size = np.maximum(size, size.max(initial=0.0) * 1e-12)
+    distance = float(np.max(np.abs(state - start) / np.where(size > 0, size, 1.0), initial=0.0))
+    return ConsistentState(state, distance <= tolerance, distance)
+
+
+def input_order(form: WeierstrassForm, system: StateSpace) -> int:
+    """Return the highest derivative of the inputs (or step ahead) that the states depend on; -1 for none."""
+    power = (form.P @ system.B)[form.n_finite :]
+    size = np.abs(form.P[form.n_finite :]) @ np.abs(system.B)
+    order = -1
+    for i in range(form.index):
+        if np.any(np.abs(power) > 1e-11 * np.maximum(size, np.finfo(float).tiny)):
+            order = i
+        power, size = form.N @ power, np.abs(form.N) @ size
+    return order
+
+
+def _vector(value: ArrayLike, count: int, name: str) -> NDArray[np.float64]:
+    out = np.atleast_1d(np.asarray(value, dtype=float)).ravel()
+    if out.shape != (count,) or not np.isfinite(out).all():
+        raise ModelError(f"{name} must have {count} finite entries, got shape {np.shape(value)}")
+    return out
+
+
+def _fast_part(form: WeierstrassForm, system: StateSpace, signals: Sequence[NDArray]) -> NDArray[np.float64]:
+    """Return ``-sum N^i B2 v^(i)``, shape (time, n2); ``signals`` are the inputs and their derivatives."""
+    order = input_order(form, system)
+    if len(signals) <= order:
+        word = "inputs of the next steps" if system.is_discrete else "derivatives of the inputs"
+        raise ModelError(
+            f"the state depends on the first {order} {word} (index {form.index}): give derivatives=[...], "
+            f"{order} of them; {len(signals) - 1} given"
+        )
+    power = (form.P @ system.B)[form.n_finite :]
+    out = np.zeros((len(signals[0]), len(power)))
+    for signal in signals[: order + 1]:
+        out -= signal @ power.T
+        power = form.N @ power
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class DescriptorRun:
+    """States and outputs of a descriptor system over time.
+
+    Attributes
+    ----------
+    states : ndarray, shape (samples, n)
+    outputs : ndarray, shape (samples, p)
+        For a sampled system fewer samples than inputs were given: the last ones depend on inputs still to come.
+    """
+
+    states: NDArray[np.float64]
+    outputs: NDArray[np.float64]
+
+
+def simulate_descriptor(
+    system: StateSpace,
+    v: ArrayLike,
+    *,
+    x0: ArrayLike | None = None,
+    dt: float | None = None,
+    derivatives: Sequence[ArrayLike] = (),
+    hold: str = "zero",
+    rtol: float = DEFAULT_RTOL,
+) -> DescriptorRun:
+    r"""Run a descriptor system over an input sequence.
+
+    The dynamic part is sampled exactly for inputs that are held, or linear, between samples. The algebraic part
+    is :math:`x_2 = -\sum_{i < \nu} N^i B_2 v^{(i)}`: of index 1 it follows from the inputs at the same instant; of
+    a higher index it also takes their derivatives, which nothing but the caller knows, unless the inputs do not
+    reach that far down the chain. A sampled system takes its inputs of the next steps instead, and its run ends
+    that many steps early.
+
+    Parameters
+    ----------
+    system : StateSpace
+    v : array_like, shape (time, m)
+    x0 : array_like, shape (n,), optional
+        Must be consistent; when omitted the dynamic part starts at zero.
+    dt : float, optional
+        Step of ``v``; needed for a continuous system.
+    derivatives : sequence of array_like, shape (time, m)
+        First, second, ... derivative of ``v``; continuous systems of index above 1 only.
+    hold : {"zero", "linear"}
+        What the inputs do between samples; continuous systems only. Inputs that are held jump, so a system that
+        needs their derivatives takes ``"linear"``: the dynamic part is then exact to second order in the step.
+    rtol : float
+        For the rank decisions.
+
+    Returns
+    -------
+    DescriptorRun
+
+    Raises
+    ------
+    ModelError
+        If the system is not regular, or ``dt`` or derivatives are missing.
+    DataError
+        If signals do not fit the system, or ``x0`` is not consistent; `consistent_state` makes it so.
+    SettingError
+        If ``hold`` is not one of its words, or a sampled system is given derivatives.
+    AccuracyError
+        If its dynamic and algebraic parts cannot be told apart, see `weierstrass_form`.
+
+    References
+    ----------
+    Twardy and Kaczorek, part I, eqs. (15), (16).
+
+    Examples
+    --------
+    >>> from residua.linear import StateSpace, simulate_descriptor
+    >>> system = StateSpace([[-1, 0], [1, -1]], [[1], [0]], [[0, 1]], E=[[1, 0], [0, 0]])
+    >>> simulate_descriptor(system, [[1.0], [1.0], [1.0]], dt=0.5).outputs.ravel().round(6)
+    array([0.      , 0.393469, 0.632121])
+    """
+    step = _step(system, dt)
+    if hold not in ("zero", "linear"):
+        raise SettingError(f"hold must be 'zero' or 'linear', got {hold!r}")
+    form = weierstrass_form(system.A, system.E, rtol=rtol)
+    v = _signal(v, system.n_inputs, None, "v")
+    signals = [v, *(_signal(d, system.n_inputs, len(v), "derivatives") for d in derivatives)]
+    order = max(input_order(form, system), 0)
+    if system.is_discrete:
+        if derivatives:
+            raise SettingError("derivatives are for continuous systems; a sampled one takes its later inputs from v")
+        if len(v) <= order:
+            raise DataError(f"the state depends on the inputs of {order} steps ahead: {len(v)} samples are too few")
+        covered = len(v) - order
+        signals = [v[i : i + covered] for i in range(order + 1)]
+    elif order and hold == "zero":
+        raise ModelError(
+            f"the state depends on the first {order} derivatives of the inputs (index {form.index}), and held inputs "
+            "would give it impulses: give derivatives=[...] of smooth inputs and hold='linear'"
+        )
+    fast = _fast_part(form, system, signals)
+    start = _slow_start(form, system, x0, [s[0] for s in signals] if len(v) else [], rtol)
+    slow = _slow_part(form, system, v[: len(fast)], start, step, hold)
+    states = np.hstack([slow, fast]) @ form.Q.T
+    return DescriptorRun(states, states @ system.C.T + v[: len(fast)] @ system.D.T)
+
+
+def _step(system: StateSpace, dt: float | None) -> float:
+    if system.is_discrete:
+        if dt is not None and abs(dt - system.dt) > 1e-9 * system.dt:
+            raise DataError(f"the system has dt={system.dt:g} s, the inputs {dt:g} s")
+        return system.dt
+    step = 0.0 if dt is None else arrays.sample_step(dt)
+    if not step:
+        raise ModelError("the system is continuous: give the step of the inputs, dt=...")
+    return step
+
+
+def _signal(value: ArrayLike, m: int, length: int | None, name: str) -> NDArray[np.float64]:
+    out = np.asarray(value, dtype=float)
+    if out.ndim == 1 and m == 1:
+        out = out[:, None]
+    if out.ndim != 2 or out.shape[1] != m or (length is not None and len(out) != length):
+        wanted = f"({'time' if length is None else length}, {m})"
+        raise DataError(f"{name} must be {wanted}, got shape {out.shape}")
+    return out
+
+
+def _slow_start(
+    form: WeierstrassForm, system: StateSpace, x0: ArrayLike | None, first: list[NDArray], rtol: float
+) -> NDArray[np.float64]:
+    if x0 is None or not first:
+        return np.zeros(form.n_finite)
+    found = consistent_state(system, x0, first[0], derivatives=first[1:], rtol=rtol)
+    if not found:
+        raise DataError(
+            f"x0 is not consistent with the algebraic equations and the first input (off by {found.distance:.2g}, "
+            "relative): start at consistent_state(system, x0, v[0]).state"
+        )
+    return form.Q_inverse[: form.n_finite] @ np.asarray(x0, dtype=float).ravel()
+
+
+def _slow_part(
+    form: WeierstrassForm, system: StateSpace, v: NDArray, start: NDArray, step: float, hold: str
+) -> NDArray[np.float64]:
+    """Return the dynamic states at the samples, shape (time, n1)."""
+    k, m = form.n_finite, v.shape[1]
+    B1 = (form.P @ system.B)[:k]
+    if not k or not len(v):
+        return np.zeros((len(v), k))
+    if system.is_discrete:
+        Phi, Gamma, ramp = form.A1, B1, np.zeros((k, m))
+    else:
+        Phi, Gamma, ramp = exponentials(form.A1, B1, step)
+        ramp = ramp if hold == "linear" else np.zeros_like(ramp)
+    # The state shifted by what the ramp adds obeys a causal recursion; see `sample`.
+    B = Gamma + Phi @ ramp - ramp
+    state = (start - ramp @ v[0])[None]
+    _, out = run_filter(Phi, B, np.eye(k), ramp, state, v[None])
+    return out[0]

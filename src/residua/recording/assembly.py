@@ -1,0 +1,155 @@
+"""A recording made of columns: inputs, outputs, and a clock that is regular, put on a grid, or not used."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import DataError
+from residua.recording.columns import ReadOptions, settled_step
+from residua.recording.time_axis import regular_step
+from residua.recording.time_grid import Grid, put_on_grid
+from residua.visible import echo
+
+#: Times in seconds, and the moment that they count from, where they were dates.
+Times = tuple[NDArray[np.float64], str]
+
+
+@dataclass(frozen=True, eq=False)
+class Clock:
+    """A column of times, which is read only where it is used.
+
+    Attributes
+    ----------
+    name : str
+    read : callable
+    """
+
+    name: str
+    read: Callable[[], Times]
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Inputs and outputs of a plant at equally spaced times, in plant units.
+
+    Attributes
+    ----------
+    time : ndarray, shape (T,)
+        Seconds.
+    u : ndarray, shape (T, inputs)
+    y : ndarray, shape (T, outputs)
+        Missing values are NaN.
+    dt : float
+        Step in seconds.
+    source : str
+        The file that it came from.
+    columns : dict of str to str
+        Channel of the plant to the column that it was read from.
+    n_missing : int
+        Number of values (not samples) in ``u`` and ``y`` that are missing or not finite, those of rows that were
+        inserted included.
+    origin : str
+        The moment that ``time`` counts from, where the recording had dates.
+    n_inserted : int
+        Number of samples that the file has no row for (``fill_gaps``).
+    notes : tuple of str
+        What was done to the file's rows and times: what was inserted or left out, and how far times were moved. A
+        diagnosis has them among its own.
+    """
+
+    time: NDArray[np.float64]
+    u: NDArray[np.float64]
+    y: NDArray[np.float64]
+    dt: float
+    source: str
+    columns: Mapping[str, str]
+    n_missing: int
+    origin: str = ""
+    n_inserted: int = 0
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+def assembled(
+    data: Mapping[str, NDArray],
+    chosen: Mapping[str, str],
+    clock: Clock | None,
+    options: ReadOptions,
+    source: str,
+    first_row: int,
+) -> Recording:
+    """Return the recording of columns.
+
+    Parameters
+    ----------
+    data : mapping of str to ndarray
+        The columns that are read, by their names.
+    chosen : mapping of str to str
+        The column of every channel.
+    clock : Clock or None
+    options : ReadOptions
+    source : str
+        What to call the recording in messages.
+    first_row : int
+        Number of the first row, for messages.
+    """
+    outputs = options.outputs or tuple(chosen)
+    columns = {chosen[name]: data[chosen[name]] for name in (*options.inputs, *outputs)}
+    lengths = {name: len(column) for name, column in columns.items()}
+    rows = max(lengths.values(), default=0)
+    time, origin, step, grid, notes = _settled(clock, options, source, first_row, rows)
+    if time is not None and clock is not None:
+        lengths[clock.name] = len(time)
+    if min(lengths.values(), default=0) != max(lengths.values(), default=0):
+        raise DataError(f"{source}: the columns differ in length: {echo(lengths)}")
+    if rows == 0:
+        raise DataError(f"{source}: there are no data rows")
+    u, y = (
+        np.column_stack([data[chosen[name]] for name in group]) if group else np.zeros((rows, 0))
+        for group in (options.inputs, outputs)
+    )
+    dt = settled_step(step, options, source)
+    inserted = 0
+    if grid is not None:
+        notes += grid.notes(np.hstack([u, y]))
+        time, u, y, inserted = grid.time, grid.filled(u), grid.filled(y), grid.inserted
+    if time is None:
+        time = np.arange(rows, dtype=np.float64) * dt
+    n_missing = int((~np.isfinite(u)).sum() + (~np.isfinite(y)).sum())
+    return Recording(time, u, y, dt, source, dict(chosen), n_missing, origin, inserted, notes)
+
+
+def _settled(
+    clock: Clock | None, options: ReadOptions, source: str, first_row: int, rows: int
+) -> tuple[NDArray[np.float64] | None, str, float | None, Grid | None, tuple[str, ...]]:
+    """Return times, the moment that they count from, their step, the grid that they stand on, and notes.
+
+    No times where there are none, or where they are not used because of ``dt``.
+    """
+    if clock is None:
+        if options.fill_gaps:
+            raise DataError(f"{source}: fill_gaps needs times, and there is no time column: name it by time=")
+        return None, "", None, None, ()
+    try:
+        time, origin = clock.read()
+        time = np.asarray(time, dtype=np.float64)
+        if len(time) < 2 or len(time) != rows:
+            return time, origin, None, None, ()
+        if options.fill_gaps:
+            grid = put_on_grid(time, options.step, options.near, first_row, source)
+            return time, origin, grid.step, grid, ()
+        step = regular_step(time, options.near, first_row, source)
+        if options.gets_round_times:
+            settled_step(step, options, source)
+        return time, origin, step, None, ()
+    except DataError as error:
+        if not options.gets_round_times:
+            raise
+        note = f"its time column {echo(clock.name)} was not used, rows are {options.dt:g} s apart as dt= says ({error})"
+        return None, "", None, None, (note,)

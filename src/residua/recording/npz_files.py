@@ -1,0 +1,71 @@
+"""Reading .npz files: archives of NumPy arrays, no larger than they may be, and no Python objects."""
+
+from __future__ import annotations
+
+import math
+import zipfile
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import FileFormatError
+from residua.recording.unpacked import too_large, unpacked_limit
+from residua.visible import echo
+
+#: What every zip archive begins with, and every single array of NumPy.
+_ZIP, _NPY = (b"PK\x03\x04", b"PK\x05\x06"), b"\x93NUMPY"
+
+
+def read_npz(path: Path) -> dict[str, NDArray]:
+    """Return the arrays of a .npz file; Python objects in it are refused, and so is what is not in the file."""
+    limit = unpacked_limit()
+    with path.open("rb") as file:
+        head = file.read(len(_NPY))
+    if head == _NPY:
+        raise FileFormatError(f"{path.name}: this is a single array (.npy); save named arrays with numpy.savez")
+    if not head.startswith(_ZIP):
+        raise FileFormatError(
+            f"{path.name}: it is no .npz file, or holds Python objects; only arrays of numbers are read"
+        )
+    try:
+        with zipfile.ZipFile(path) as archive:
+            parts = archive.infolist()
+            if sum(part.file_size for part in parts) > limit:
+                raise too_large(path.name, limit)
+            return {_name(part): _array(archive, part, path.name) for part in parts}
+    except FileFormatError:
+        raise
+    except (
+        Exception
+    ) as error:  # whatever a reader of damaged data ends with: zlib.error, TokenError, AttributeError, ...
+        raise FileFormatError(
+            f"{path.name}: not a readable .npz file: {type(error).__name__}: {echo(str(error))}"
+        ) from error
+
+
+def _name(part: zipfile.ZipInfo) -> str:
+    return part.filename.removesuffix(".npy")
+
+
+def _array(archive: zipfile.ZipFile, part: zipfile.ZipInfo, source: str) -> NDArray:
+    """Return one array, once its header fits what is there: NumPy makes room for what the header says."""
+    with archive.open(part) as member:
+        dtype, size = _header(member)
+        if dtype.hasobject:
+            raise FileFormatError(
+                f"{source}: {echo(_name(part))} holds Python objects; only arrays of numbers are read"
+            )
+        if size * dtype.itemsize > part.file_size:
+            raise FileFormatError(f"{source}: {echo(_name(part))} is shorter than it says: the file is damaged")
+    with archive.open(part) as member:
+        return np.lib.format.read_array(member, allow_pickle=False)
+
+
+def _header(member: IO[bytes]) -> tuple[np.dtype, int]:
+    """Return type and number of the entries of an array."""
+    version = np.lib.format.read_magic(member)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read(member)
+    return dtype, math.prod(shape)

@@ -1,0 +1,169 @@
+"""The bound of one box of parameters, by the method that is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import AccuracyError, SettingError
+from residua.linear.norms.peak_norm import peak_norm
+from residua.robust.bounds.centred import centred_bound
+from residua.robust.bounds.inequalities import METHODS, Certificate, Inequalities
+from residua.robust.bounds.scaled_problem import scaled_problem
+from residua.robust.bounds.verified_star import verified_star
+from residua.robust.bounds.weighted_star import common_ellipsoid
+from residua.robust.bounds.worst_member import WorstMember
+from residua.robust.sets.uncertain_system import UncertainSystem
+
+Matrix = NDArray[np.float64]
+#: Relative improvement below which the search of the rate ends.
+_SETTLED = 3e-4
+#: A bound around the centre that is this many times what is attained asks for an ellipsoid as well.
+_LOOSE = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What is asked of every box."""
+
+    method: str
+    worst: WorstMember
+    rate: float | None
+    searches: int
+
+
+@dataclass(frozen=True, eq=False)
+class BoxBound:
+    """The bound of one box of parameters."""
+
+    system: UncertainSystem
+    widest: float = np.nan
+    bound: float = np.inf
+    method: str = ""
+    rate: float = np.nan
+    certificate: Mapping[str, Matrix] = field(default_factory=dict)
+    eigenvalues: Mapping[str, float] = field(default_factory=dict)
+    unit: float = 1.0
+
+
+def check_method(method: str | None) -> None:
+    """Raise unless it is a method, or none is asked for."""
+    known = (*METHODS, "star", "centred")
+    if method is not None and method not in known:
+        raise SettingError(f"method must be one of {', '.join(map(repr, known))}, got {method!r}")
+
+
+def box_bound(system: UncertainSystem, task: Task) -> BoxBound:
+    """Bound the output of all members of one box; infinite where the method has no certificate."""
+    if not np.any(system.Bw) or not (np.any(system.Cz) or np.any(system.Dzp)):
+        direct = float(np.linalg.norm(system.Dzw, 2)) if system.Dzw.size else 0.0
+        return BoxBound(system, bound=direct, method=task.method)
+    if task.method == "centred":
+        centred = _tried(_by_expansion, system)
+        if centred.bound <= _LOOSE * task.worst.attained:
+            return centred
+        star = _tried(_by_weights, system)
+        return star if star.bound < centred.bound or np.isnan(centred.widest) else centred
+    return _tried(_by_weights if task.method == "star" else partial(_by_inequalities, task=task), system)
+
+
+def _tried(method: Callable[[UncertainSystem], BoxBound], system: UncertainSystem) -> BoxBound:
+    try:
+        return method(system)
+    except AccuracyError:  # too slow, or too far from normal, for its equations to be solved
+        return BoxBound(system)
+
+
+def _by_expansion(system: UncertainSystem) -> BoxBound:
+    found = centred_bound(system)
+    if found is None:
+        return BoxBound(system)
+    terms = {"linear": found.linear, "second": found.second, "rest": found.rest}
+    return BoxBound(
+        system,
+        widest=int(np.argmax(found.blame)) if np.any(found.blame) else np.nan,
+        bound=found.value,
+        method="centred",
+        certificate={name: np.array(value) for name, value in terms.items()},
+        eigenvalues={"small gain": 1 - found.gain},
+    )
+
+
+def _by_weights(system: UncertainSystem) -> BoxBound:
+    problem = scaled_problem(system)
+    part = BoxBound(system, problem.widest())
+    found = common_ellipsoid(problem)
+    sure = None if found is None else verified_star(system, problem, found)
+    if found is None or sure is None:
+        return part
+    return replace(
+        part,
+        bound=sure.bound,
+        method="star",
+        certificate={"Q": sure.Q, "shares": sure.shares},
+        eigenvalues={"decrease": sure.least},
+    )
+
+
+def _by_inequalities(system: UncertainSystem, task: Task) -> BoxBound:
+    problem = scaled_problem(system)
+    part = BoxBound(system, problem.widest())
+    inequalities = Inequalities(problem, task.method)
+    if task.rate is not None:
+        found = inequalities.solve(task.rate)
+    else:
+        room = 1 - task.worst.radius**2
+        start = peak_norm(system.member((system.low + system.high) / 2), kind="star").rate
+        found = _search(inequalities.solve, float(np.clip(start / room, 0.05, 0.8)), room, task.searches)
+    if found is None:
+        return part
+    return replace(
+        part,
+        bound=found.bound * problem.unit,
+        method=task.method,
+        rate=found.rate,
+        certificate=found.matrices | {"T": problem.T},
+        eigenvalues=found.eigenvalues,
+        unit=problem.unit,
+    )
+
+
+def _search(
+    solve: Callable[[float], Certificate | None], start: float, room: float, searches: int
+) -> Certificate | None:
+    """Search the rate, on a logistic scale of ``(0, room)``: a walk downhill, then parabolas through three points."""
+    found: dict[float, float] = {}
+    best: Certificate | None = None
+
+    def value(t: float) -> float:
+        nonlocal best
+        if t not in found:
+            made = solve(room / (1 + np.exp(-t)))
+            found[t] = np.inf if made is None else made.bound
+            if made is not None and (best is None or made.bound < best.bound):
+                best = made
+        return found[t]
+
+    t, step = float(np.log(start / (1 - start))), 0.6
+    for guess in (t, t - 1.5, t - 3.0, t + 1.5, t - 5.0):
+        if len(found) < searches and np.isfinite(value(guess)):
+            t = guess
+            break
+    while len(found) < searches and best is not None:
+        left, right = value(t - step), value(t + step) if len(found) < searches else np.inf
+        if min(left, right) < found[t]:
+            t = t - step if left < right else t + step
+            continue
+        curve = left + right - 2 * found[t]
+        shift = 0.5 * (left - right) / curve if np.isfinite(curve) and curve > 0 else 0.0
+        # What a parabola through the three points promises; a bound is flat around its best rate.
+        if len(found) >= searches or (0.5 * shift**2 * curve <= _SETTLED * found[t] and curve <= 0.03 * found[t]):
+            break
+        if shift and value(t + shift * step) < found[t]:
+            t = t + shift * step
+        step *= 0.3
+    return best

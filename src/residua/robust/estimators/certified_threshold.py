@@ -1,0 +1,308 @@
+"""Thresholds that no member of an uncertain set exceeds while nothing fails: for any filter, by proof."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from numbers import Real
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from residua.arrays import index_of
+from residua.design.banks.bank import Bank
+from residua.design.core.generator import ResidualGenerator
+from residua.errors import DesignError, ModelError, NoCertificateError, SettingError
+from residua.linear import StateSpace
+from residua.robust.bounds import RobustPeakNorm, robust_peak_norm
+from residua.robust.estimators.rounding_scale import rounding_scale
+from residua.robust.sets.uncertain_loop import check_members_stable, loop_parameters, residual_over_set
+from residua.robust.sets.uncertain_plant import UncertainPlant
+from residua.robust.sets.uncertain_system import UncertainSystem
+
+#: How close bounds are to what is attained: those that count, and what is only told, in so many parts of the set.
+_COUNTS, _ONLY_TOLD = 1e-2, {"rtol": 0.1, "boxes": 8}
+#: Parts that the set is cut into where a method has no answer before; a tolerance that any answer keeps to.
+_BOXES, _ANY = 32, 1e300
+#: Parts of what a residual would be without cancellation. Designs that decouple all disturbances left 1e-14 of it, for
+#: plants with units 1e8 apart up to 6e-11, and searches 2e-9; thresholds that mean something are 1e-6 and more.
+_DECOUPLED, _ROUNDED = 1e-8, 1e-13
+
+#: How a note begins that tells of a set that was linearised.
+AFFINE_FORM = "certified for the affine form of the set"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CertifiedThreshold:
+    r"""What the residual of no member exceeds while disturbances and bounded faults keep to their sizes.
+
+    .. math:: J_{th} = J_{rw} + \sum_k \kappa_k J_{rf_k}
+
+    Attributes
+    ----------
+    value : float
+        ``J_th``.
+    disturbances : RobustPeakNorm
+        ``J_rw``: all disturbances together, of length one at every sample. ``worst`` are parameters of the loop, for
+        ``loop.member``.
+    faults : mapping of str to RobustPeakNorm
+        ``J_rf`` of other faults of size one, at any time course: what leaks into the residual. Of faults that are
+        decoupled it is what rounding may leave.
+    sizes : mapping of str to float
+        ``kappa``: those of them that the threshold covers.
+    notes : tuple of str
+        What the proof leaves out; empty when there is nothing.
+    """
+
+    value: float
+    disturbances: RobustPeakNorm
+    faults: Mapping[str, RobustPeakNorm]
+    sizes: Mapping[str, float]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def attained(self) -> float:
+        """The largest residual that was found for the disturbances alone: of the member ``disturbances.worst``."""
+        return self.disturbances.attained
+
+    @property
+    def leakage(self) -> dict[str, float]:
+        """Bound of what a fault of size one that is not to be seen adds to the residual."""
+        return {name: found.bound for name, found in self.faults.items()}
+
+    def __float__(self) -> float:
+        return self.value
+
+    def __str__(self) -> str:
+        covered = "".join(f", {name} up to {size:g} covered" for name, size in self.sizes.items())
+        text = f"threshold {self.value:.5g} (disturbances alone attain {self.attained:.5g}{covered})"
+        return "\n".join([text, *(f"note: {note}" for note in self.notes)])
+
+    def __repr__(self) -> str:
+        leaks = ", ".join(f"{name} {bound:.3g}" for name, bound in self.leakage.items())
+        told = f", leakage: {leaks}" if leaks else ""
+        return f"CertifiedThreshold({self.value:.6g}, attained {self.attained:.6g}, {self.disturbances.method!r}{told})"
+
+
+def left_out(loop: UncertainPlant) -> tuple[str, ...]:
+    """Return what certificates of a loop do not cover."""
+    out = []
+    if loop.linearisation is not None and not loop.linearisation.exact:
+        out.append(f"{AFFINE_FORM}: {loop.linearisation}")
+    if loop.nominal.noises:
+        out.append("white noise has no bound: the thresholds are for the disturbances alone")
+    return tuple(out)
+
+
+def certified_threshold(
+    loop: UncertainPlant,
+    residual_filter: StateSpace,
+    state_map: ArrayLike | None = None,
+    *,
+    faults: Iterable[str] = (),
+    sizes: Mapping[str, float] | None = None,
+    method: str | None = None,
+) -> CertifiedThreshold:
+    """Return the threshold of one residual (or of the length of several together) over the whole set.
+
+    Parameters
+    ----------
+    loop : UncertainPlant
+        In closed loop.
+    residual_filter : StateSpace
+        From the outputs of the loop to the residual.
+    state_map : array_like, optional
+        ``T`` with ``xi = T x`` while nothing happens to the nominal loop.
+    faults : sequence of str
+        Faults whose leakage is told, those with a size besides.
+    sizes : mapping of str to float, optional
+        Largest sizes of faults that the threshold covers; those of different faults are reached at once.
+    method : str, optional
+        Of :func:`residua.linear.robust_peak_norm`; its default when omitted, within 1 per cent of what is attained
+        where that can be had. What is only told is known to 10 per cent. A method that is given is used for the whole
+        set, and for parts of it where it has no answer for the whole.
+    """
+    sized = {name: float(size) for name, size in (sizes or {}).items() if size}
+    if not loop.nominal.disturbances and not sized:
+        raise ModelError(
+            "the loop has neither disturbances nor bounded faults: nothing but rounding would be under a threshold; "
+            "give the plant its disturbances, with_disturbances(...)"
+        )
+    task = _Task(loop, residual_filter, state_map, method)
+    own, scale = task.bound(loop.nominal.disturbances, rtol=_COUNTS)
+    others, reached = {}, own.attained > _DECOUPLED * scale
+    if not reached and not sized:
+        raise _not_reached(own, scale)
+    for name in dict.fromkeys((*faults, *sized)):
+        # what leaks matters by what it adds to the threshold, and hardly where it is only told
+        close = {"rtol": 0.0, "atol": _COUNTS * own.bound / sized[name]} if name in sized else _ONLY_TOLD
+        others[name], unit = task.bound((name,), **close)
+        reached |= name in sized and others[name].attained > _DECOUPLED * unit
+    if not reached:
+        raise _not_reached(own, scale, tuple(sized))
+    value = own.bound + sum(size * others[name].bound for name, size in sized.items())
+    return CertifiedThreshold(value, own, others, sized, left_out(loop))
+
+
+def _not_reached(own: RobustPeakNorm, scale: float, sized: tuple[str, ...] = ()) -> DesignError:
+    bounded = f" and the bounded faults ({', '.join(sized)})" if sized else ""
+    why = (
+        f"they cancel in it, and what is left of them, {own.attained:.2g}, is rounding (their parts of it are of the "
+        f"order of {scale:.2g}): they are decoupled from it, or it weighs outputs without disturbances too much; a "
+        "threshold of that would mean false alarms"
+        if scale
+        else "they reach no output that it reads"
+    )
+    return DesignError(
+        f"the disturbances{bounded} do not reach this residual: {why}; give the measurements their bounded noise as "
+        "disturbances, with_disturbances(..., output=...), or test the residual by a threshold that is fitted to data, "
+        "residua.decide.NormThreshold()"
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """One residual of a loop, of which several bounds are wanted."""
+
+    loop: UncertainPlant
+    filter: StateSpace
+    state_map: ArrayLike | None
+    method: str | None
+
+    def bound(self, signals: tuple[str, ...], **close: Any) -> tuple[RobustPeakNorm, float]:
+        """Return the bound for some signals, no smaller than rounding, and what it would be without cancellation."""
+        system = residual_over_set(self.loop, self.filter, self.state_map, signals=signals)
+        scale = rounding_scale(self.loop.nominal, self.filter, signals)
+        close["atol"] = max(close.get("atol", 0.0), _DECOUPLED * scale)
+        try:
+            found = _bound(system, self.method, **close)
+        except DesignError:
+            check_members_stable(self.loop)  # that error names deviations from the nominal values
+            raise
+        worst = loop_parameters(self.loop, found.worst)
+        # signals may reach the outputs by way of the uncertainty only
+        scale = max(scale, rounding_scale(self.loop.member(worst), self.filter, signals))
+        return replace(found, worst=worst, bound=float(max(found.bound, _ROUNDED * scale))), scale
+
+
+def _bound(
+    system: UncertainSystem, method: str | None, *, rtol: float, atol: float, boxes: int | None = None
+) -> RobustPeakNorm:
+    """Return a bound within tolerances of what is attained, or the best in so many parts."""
+    if method is None and boxes is None:
+        return robust_peak_norm(system, rtol=rtol, atol=atol)
+    # a method that is given may be wanted for what it proves of the whole: parameters that vary in time
+    method, boxes = (method, 1) if method else ("centred", boxes)
+    try:
+        return robust_peak_norm(system, method=method, boxes=boxes, rtol=rtol, atol=atol)
+    except NoCertificateError:
+        # where there is no answer for the set as it is asked for, the first for parts of it
+        return robust_peak_norm(system, method=method, boxes=_BOXES, atol=_ANY)
+
+
+def check_uncertain(loop: object) -> None:
+    """Raise unless it is an uncertain plant."""
+    if not isinstance(loop, UncertainPlant):
+        how = "UncertainPlant(plant, deltas=[...]), or UncertainPlant(plant) where nothing is uncertain"
+        raise ModelError(f"the loop must be an UncertainPlant, got {type(loop).__name__}: make one by {how}")
+
+
+def checked_sizes(loop: UncertainPlant, sizes: Mapping[str, float] | None) -> dict[str, float]:
+    """Return the sizes that are not zero, by fault, in the order of the loop."""
+    out = dict.fromkeys(loop.nominal.faults, 0.0)
+    if not isinstance(sizes, Mapping | None):
+        raise SettingError(f"sizes names faults: {{name: size}}, got {sizes!r}"[:200])
+    for name, size in (sizes or {}).items():
+        index_of(name, loop.nominal.faults, "fault")
+        if not (isinstance(size, Real) and np.isfinite(size) and size >= 0):
+            raise SettingError(f"the size of {name!r} must be a finite number, 0 or more, got {size!r}")
+        out[name] = float(size)
+    return {name: size for name, size in out.items() if size}
+
+
+def certified_thresholds(
+    generator: ResidualGenerator | Bank,
+    loop: UncertainPlant,
+    *,
+    sizes: Mapping[str, float] | None = None,
+    method: str | None = None,
+) -> dict[str, CertifiedThreshold]:
+    r"""Certify thresholds for the members of any residual generator of a closed loop.
+
+    For each member the smallest bound that is found of :math:`|r(k)|_2` over the whole set, for disturbances of length
+    at most one at every sample, from rest. Guaranteed: while nothing fails, no member of the set exceeds its threshold.
+
+    Parameters
+    ----------
+    generator : ResidualGenerator or Bank
+        Designed on ``loop.nominal``, or any generator that reads its outputs.
+    loop : UncertainPlant
+        In closed loop.
+    sizes : mapping of str to float, optional
+        Sizes up to which faults that a member is not to see may leak into it: their bounds are added.
+    method : str, optional
+        See :func:`residua.linear.robust_peak_norm`.
+
+    Returns
+    -------
+    dict of str to CertifiedThreshold
+        By member; :class:`residua.decide.PeakThreshold` takes them as they are.
+
+    Raises
+    ------
+    ModelError
+        If the generator does not read the outputs of the loop, or nothing acts on it.
+    DesignError
+        If a member of the set is not stable, or no bound is found; if the disturbances do not reach a residual.
+
+    References
+    ----------
+    Robust l1 fault detection, eqs. (41)-(48), which hold for the nominal plant only.
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> from residua.plant import Perturbation, UncertainPlant
+    >>> tank = rs.Plant([[0.9]], [[]], [[1.0]], dt=1.0, outputs=["level"])
+    >>> tank = tank.with_disturbances([[0.1]]).with_sensor_faults()
+    >>> loop = UncertainPlant(tank, deltas=[Perturbation("A", [[-1.0]], [[1.0]], -0.02, 0.01)])
+    >>> observer = rs.design.luenberger_observer(tank, poles=[0.5]).residual_generator()
+    >>> found = rs.design.certified_thresholds(observer, loop)
+    >>> [(name, round(one.value, 2), round(one.attained, 2)) for name, one in found.items()]
+    [('Luenberger observer', 0.22, 0.22)]
+    """
+    check_uncertain(loop)
+    made = generator.generator if isinstance(generator, Bank) else generator
+    chosen = checked_sizes(loop, sizes)
+    if made.plant.inputs:
+        raise ModelError(
+            "this generator reads control inputs; a closed loop has none: design on loop.nominal, whose only signals "
+            "are its outputs"
+        )
+    if made.plant.outputs != loop.nominal.outputs:
+        raise ModelError(
+            f"this generator reads the outputs {', '.join(made.plant.outputs)}, the loop has "
+            f"{', '.join(loop.nominal.outputs)}: they must be the same, in the same order"
+        )
+    out = {}
+    for member in made.members:
+        others = [name for name in loop.nominal.faults if name not in member.faults]
+        part, T = _part(made, list(member.residuals))
+        sized = {name: size for name, size in chosen.items() if name in others}
+        out[member.name] = certified_threshold(loop, part, T, faults=others, sizes=sized, method=method)
+    return out
+
+
+def _part(made: ResidualGenerator, rows: list[int] | list[str]) -> tuple[StateSpace, ArrayLike | None]:
+    """Return the filter of some residuals without the states that do not reach them: those of other members."""
+    part = made.system.explicit().select(outputs=rows)
+    reaching = np.any(part.C, axis=0)
+    for _ in range(part.n_states):
+        further = reaching | np.any(part.A[reaching], axis=0)
+        if np.array_equal(further, reaching):
+            break
+        reaching = further
+    kept = np.flatnonzero(reaching)
+    T = None if made.state_map is None else np.asarray(made.state_map)[kept]
+    return StateSpace(part.A[np.ix_(kept, kept)], part.B[kept], part.C[:, kept], part.D, dt=part.dt), T

@@ -1,0 +1,196 @@
+"""All estimators of an uncertain loop that the nuisance faults do not reach: what is fixed, and what is free."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.arrays import frozen
+from residua.design.banks.unknown_input_quotient import (
+    ExplicitParts,
+    Quotient,
+    explicit_parts,
+    quotient_filter,
+    unknown_input_quotient,
+)
+from residua.errors import DesignError
+from residua.linear import StateSpace
+from residua.linear.subspaces.rank import DEFAULT_RTOL
+from residua.plant import Plant
+from residua.robust.bounds.member_response import reached_units
+from residua.robust.sets.uncertain_system import UncertainSystem
+
+Matrix = NDArray[np.float64]
+#: A steady response is zero below this part of the terms that cancel in it.
+_ROUNDING = 1e-10
+#: Units of states that are no farther apart than this power of two are left as they are.
+_EVEN = 10
+
+
+@dataclass(frozen=True, eq=False)
+class EstimatorFamily:
+    r"""The estimators of a loop with one residual each, decoupled from chosen faults whatever the free numbers are.
+
+    .. math:: z_{k+1} = (A_q - Z C_q) z_k + (L + Z N) y_k, \qquad r_k = g^T (N y_k - C_q z_k)
+
+    with :math:`z = T x` while nothing happens. Where the nuisance faults enter independent outputs, ``T`` is the
+    identity and the gain :math:`W = L + Z N` solves :math:`W R_{2k} = R_{1k}`, the projection :math:`P = g^T N` solves
+    :math:`P R_{2k} = 0`, for every nuisance ``k``: ``L`` is one solution, and the rows of ``N`` are all
+    directions that they leave. Where they do not (faults of actuators), the part of the state that they reach is
+    divided out.
+
+    Attributes
+    ----------
+    plant : Plant
+        The nominal loop.
+    target : str
+    decoupled : tuple of str
+    parts : ExplicitParts
+    quotient : Quotient
+        ``A_q``, ``C_q``, ``L`` (``inject``) and ``N`` (``read``), in balanced units.
+    """
+
+    plant: Plant
+    target: str
+    decoupled: tuple[str, ...]
+    parts: ExplicitParts
+    quotient: Quotient
+
+    @property
+    def order(self) -> int:
+        """Number of states of the estimators."""
+        return len(self.quotient.A)
+
+    @property
+    def rows(self) -> int:
+        """How many independent combinations of the outputs are free of the nuisance faults."""
+        return len(self.quotient.C)
+
+    @property
+    def full(self) -> bool:
+        """Whether the estimators are full-order observers: nothing had to be divided out."""
+        return self.order == self.plant.n_states
+
+    @property
+    def size(self) -> int:
+        """How many numbers are free: the gain, and the direction where there is a choice."""
+        return self.order * self.rows + (self.rows if self.rows > 1 else 0)
+
+    @cached_property
+    def state_map(self) -> Matrix:
+        """``T`` with ``z = T x``, in the units of the plant."""
+        return self.quotient.T1 * self.parts.equations
+
+    @cached_property
+    def inject(self) -> Matrix:
+        """``L``: what every gain of the family has in common, for outputs in the units of the plant."""
+        return self.quotient.inject * self.parts.outputs
+
+    @cached_property
+    def read(self) -> Matrix:
+        """``N``, for outputs in the units of the plant."""
+        return self.quotient.read * self.parts.outputs
+
+    def split(self, points: Matrix) -> tuple[Matrix, Matrix]:
+        """Return gains ``Z``, shape (k, order, rows), and unit directions ``g``, shape (k, rows), of points."""
+        points = np.atleast_2d(points)
+        count = self.order * self.rows
+        Z = points[:, :count].reshape(len(points), self.order, self.rows)
+        if self.rows == 1:
+            return Z, np.ones((len(points), 1))
+        g = points[:, count:]
+        size = np.linalg.norm(g, axis=1, keepdims=True)
+        first = np.eye(self.rows)[0]
+        return Z, np.where(size > 0, g / np.where(size > 0, size, 1.0), first)
+
+    def point(self, Z: Matrix, g: Matrix) -> Matrix:
+        """Return the point that stands for a gain and a direction."""
+        return np.concatenate([Z.ravel(), g]) if self.rows > 1 else Z.ravel()
+
+    def estimator(self, point: Matrix, scale: float = 1.0) -> tuple[StateSpace, Matrix]:
+        """Return the filter from the outputs to the residual, and its state map; those of the plant where full."""
+        Z, g = (part[0] for part in self.split(point))
+        made = quotient_filter(self.plant, self.parts, self.quotient, Z)
+        s, T = made.system, made.state_map
+        H, J = scale * g[None] @ s.C, scale * g[None] @ s.D
+        if not self.full:
+            return s.replaced(C=H, D=J, outputs=["r"]), T
+        W, p = np.linalg.solve(T, s.B), self.plant
+        # from the plant itself, so that nothing but the rounding of W C is left between the two
+        one = StateSpace(p.A - W @ p.C, W, -J @ p.C, J, dt=s.dt, states=p.states, inputs=s.inputs, outputs=["r"])
+        return one, np.eye(self.order)
+
+
+def estimator_family(
+    plant: Plant, target: str, decoupled: tuple[str, ...], *, rtol: float = DEFAULT_RTOL
+) -> EstimatorFamily:
+    """Divide out what nuisance faults reach; raises where no residual is left, or the target is lost with them."""
+    parts = _even_parts(plant, decoupled)
+    quotient = unknown_input_quotient(parts, rtol)
+    family = EstimatorFamily(plant, target, decoupled, parts, quotient)
+    if not family.rows:
+        raise DesignError(
+            f"no estimator for {target!r} ignores {', '.join(decoupled)}: the {plant.n_outputs} outputs are all used "
+            "up; decouple fewer faults (decouple=) and give the others a size (sizes=)"
+        )
+    i = plant.faults.index(target)
+    driven, direct = _driven(family, i)
+    size = np.abs(family.read) @ np.abs(plant.Df[:, i])
+    moved = np.abs(family.state_map) @ np.abs(plant.Bf[:, i]) + np.abs(family.inject) @ np.abs(plant.Df[:, i])
+    terms = np.concatenate([size, moved]).max(initial=0.0)
+    if not np.any(np.abs(np.concatenate([direct, driven])) > 1e-9 * terms):
+        raise DesignError(
+            f"a residual that ignores {', '.join(decoupled)} cannot see {target!r}: they reach the outputs alike; "
+            "decouple fewer faults (decouple=) and give the others a size (sizes=)"
+        )
+    return family
+
+
+def _even_parts(plant: Plant, decoupled: tuple[str, ...]) -> ExplicitParts:
+    """Return the loop in even units; what is zero cannot be told from rounding in units that are far apart."""
+    aim = plant.without_disturbances().faults_as_disturbances(decoupled)
+    n, B, D = plant.n_states, np.hstack([plant.Bd, plant.Bf]), np.hstack([plant.Dd, plant.Df])
+    none = np.zeros((n, 0))
+    units = reached_units(UncertainSystem(plant.A, none, B, none.T, plant.C, None, D, low=[], high=[], dt=plant.dt))
+    if not n or np.ptp(np.log2(units)) <= _EVEN:
+        return explicit_parts(aim)
+    driven = {name: frozen(getattr(aim, name) / units[:, None]) for name in ("Bu", "Bd", "Bf", "Bw")}
+    scaled = aim._with(A=frozen(aim.A * units / units[:, None]), C=frozen(aim.C * units), **driven)
+    parts = explicit_parts(scaled)
+    return replace(parts, equations=parts.equations / units)
+
+
+def check_lasting(family: EstimatorFamily) -> None:
+    """Raise where the target leaves nothing in the residuals of the nominal loop once they have settled."""
+    p, i = family.plant, family.plant.faults.index(family.target)
+    R, one = np.linalg.inv(np.eye(p.n_states) - p.A), np.eye(p.n_states)
+    reached = np.abs(R) @ (one + (one + np.abs(p.A)) @ np.abs(R)) @ np.abs(p.Bf[:, i])
+    left = np.abs(p.C @ R @ p.Bf[:, i] + p.Df[:, i])
+    if not np.any(left > _ROUNDING * (np.abs(p.C) @ reached + np.abs(p.Df[:, i]))):
+        raise DesignError(
+            f"a lasting {family.target!r} leaves the outputs of the nominal loop as they are without it: their steady "
+            "response to it is zero. Integral action does that: where the controller integrates, it moves the plant "
+            "until all sensors read their set points again, and the command shows the fault (give the plant its "
+            "control inputs as further outputs); where the plant itself integrates, nothing shows it: leave it out, "
+            "faults="
+        )
+    q, b, d = family.quotient, *_driven(family, i)
+    # e' = A e + b - Z r with r = C e + d is at rest with r = 0, whatever Z, where that can be solved for e
+    M, v = np.vstack([np.eye(family.order) - q.A, q.C]), np.concatenate([b, -d])
+    e = np.linalg.lstsq(M, v, rcond=None)[0]
+    if not np.any(np.abs(v - M @ e) > _ROUNDING * (np.abs(M) @ np.abs(e) + np.abs(v)).max(initial=0.0)):
+        raise DesignError(
+            f"no estimator that ignores {', '.join(family.decoupled) or 'nothing'} sees {family.target!r} while it "
+            "lasts: once they have settled, the outputs answer to it as to what is ignored; decouple fewer faults "
+            "(decouple=) and give the others a size (sizes=), or add a sensor (where the controller has integral "
+            "action, the control inputs as further outputs)"
+        )
+
+
+def _driven(family: EstimatorFamily, i: int) -> tuple[Matrix, Matrix]:
+    """Return how a fault drives the error of all estimators, and what of it they read at once."""
+    p = family.plant
+    return family.state_map @ p.Bf[:, i] - family.inject @ p.Df[:, i], family.read @ p.Df[:, i]

@@ -1,0 +1,255 @@
+"""The cost of many estimators at once, over chosen members of the uncertain set."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.linear.poles.spectrum import spectral_radius
+from residua.plant import Plant
+from residua.robust.estimators.estimator_family import EstimatorFamily
+
+Matrix = NDArray[np.float64]
+#: What is left of the impulse response where its sum is broken off.
+_TAIL = 1e-4
+#: Samples that are summed one by one; beyond, the step doubles every so many.
+_DENSE, _PER_OCTAVE = 128, 64
+#: What the time to settle counts, at the longest allowed: of gains that cost the same the fastest is taken.
+_HASTE = 2e-3
+_ROUNDING = 1e-7
+#: Cost of an estimator that is not stable, or too slow, or blind; its spectral radius is added. No other costs as much.
+PENALTY = 1e6
+
+
+@dataclass(frozen=True)
+class Weights:
+    r"""The weights of the cost (40), :math:`J = \beta J_{rw} + (1 - \beta) / J_{rf} + \gamma J_{rw} / J_{rf}`.
+
+    The size of the residual is free, and the best one follows: scaled by :math:`s`, the first two terms are least at
+    :math:`s^2 = (1 - \beta) / (\beta J_{rw} J_{rf})`. What is left, :math:`2 \sqrt{\beta (1 - \beta) q} + \gamma q`,
+    depends on the ratio :math:`q = J_{rw} / J_{rf}` alone, and grows with it.
+    """
+
+    beta: float
+    gamma: float
+
+    def cost(self, disturbance: NDArray[np.float64], fault: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the cost with the best size of the residual; infinite where the fault is not seen."""
+        ratio = np.full(np.shape(disturbance), np.inf)
+        np.divide(disturbance, fault, out=ratio, where=fault > 0)
+        both = self.beta * (1 - self.beta)
+        # weights of zero are no terms: zero times infinity would be none either
+        cost = 2 * np.sqrt(both * ratio) if both else np.zeros_like(ratio)
+        return cost + self.gamma * ratio if self.gamma else cost
+
+    def scale(self, disturbance: float, fault: float) -> float:
+        """Return the best size of the residual; where none is best, that with a response of one to the fault."""
+        if 0 < self.beta < 1 and disturbance > 0:
+            return float(np.sqrt((1 - self.beta) / (self.beta * disturbance * fault)))
+        return 1 / fault
+
+
+@dataclass(frozen=True, eq=False)
+class Norms:
+    """What is known of many estimators, one entry each.
+
+    Attributes
+    ----------
+    disturbance : ndarray
+        ``J_rw``: of disturbances and bounded faults together, the largest over the members; NaN where not computed.
+    alone : ndarray
+        That of the disturbances alone.
+    fault : ndarray
+        ``J_rf``: the smallest response to the target.
+    radius : ndarray
+        Spectral radius.
+    """
+
+    disturbance: NDArray[np.float64]
+    alone: NDArray[np.float64]
+    fault: NDArray[np.float64]
+    radius: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class SampledCost:
+    """The cost of many estimators of a family, over some members of the set.
+
+    Attributes
+    ----------
+    family : EstimatorFamily
+    weights : Weights
+    disturbances : int
+        How many of the first inputs are disturbances, which have one size together; every further one is a bounded
+        fault.
+    radius : float
+        Largest spectral radius of an estimator that counts.
+    frequencies : ndarray of complex
+        ``exp(j omega dt)`` at which the response to the target counts.
+    parts : tuple of _MemberParts
+    unit : float
+        What costs are divided by: they have the unit of the fault, and what is not stable costs more than any.
+    """
+
+    family: EstimatorFamily
+    weights: Weights
+    disturbances: int
+    radius: float
+    frequencies: NDArray[np.complex128]
+    parts: tuple[_MemberParts, ...]
+    unit: float = 1.0
+
+    def __call__(self, points: Matrix) -> NDArray[np.float64]:
+        """Return the cost of every point, shape (k,), in its unit and with a trifle for slowness."""
+        return self.ranked(self.norms(points))
+
+    def ranked(self, found: Norms) -> NDArray[np.float64]:
+        """Return the cost of estimators with known norms; what is of use costs less than what is not, however much."""
+        slowness = np.log(self.radius) / np.log(np.clip(found.radius, 1e-6, 1 - 1e-12))
+        cost = self.weights.cost(found.disturbance, found.fault) * (1 + _HASTE * slowness)
+        cost = cost / self.unit
+        return np.where(np.isfinite(cost) & (found.radius <= self.radius), _below_penalty(cost), PENALTY + found.radius)
+
+    def norms(self, points: Matrix) -> Norms:
+        """Return the norms of every point."""
+        Z, g = self.family.split(points)
+        q = self.family.quotient
+        F = q.A - Z @ q.C
+        radius = spectral_radius(F)
+        found = np.full((3, len(Z)), np.nan)
+        usable = radius <= self.radius
+        if usable.any():
+            gains = F[usable], Z[usable], g[usable]
+            steps = _steps(self._terms)
+            sums = np.array([self._member_norm(part, *gains, steps) for part in self.parts])
+            found[:, usable] = sums.sum(axis=2).max(axis=0), sums[:, :, 0].max(axis=0), self._fault(*gains)
+        return Norms(found[0], found[1], found[2], radius)
+
+    @property
+    def _terms(self) -> int:
+        # of the slowest that may come: what one costs must not depend on the others that are looked at with it
+        slowest = min(max(self.radius, *(part.radius for part in self.parts), 0.1), 1 - 1e-9)
+        return int(np.ceil(np.log(_TAIL) / np.log(slowest)))
+
+    def _member_norm(
+        self, part: _MemberParts, F: Matrix, Z: Matrix, g: Matrix, steps: Sequence[tuple[int, int]]
+    ) -> NDArray[np.float64]:
+        """Return the sums of lengths of one member's impulse responses, shape (k, 1 + faults)."""
+        q, n = self.family.quotient, len(part.A)
+        A = np.zeros((len(F), n + F.shape[1], n + F.shape[1]))
+        A[:, :n, :n], A[:, n:, n:] = part.A, F
+        A[:, n:, :n] = part.driven - Z @ part.seen
+        x = np.concatenate([np.broadcast_to(part.B, (len(F), *part.B.shape)), part.start - Z @ part.direct], axis=1)
+        row = np.concatenate([g @ part.seen, g @ q.C], axis=1)[:, None]
+        total = self._lengths(g[:, None] @ part.direct)[:, 0]
+        before, power = self._lengths(row @ x), A
+        for stride, count in steps:
+            h, leap = _responses(row, power, x, count)
+            now = self._lengths(h)
+            known = np.concatenate([before, now[:, :-1]], axis=1)
+            # the samples between two that are looked at are taken to lie on a line
+            total += (stride * (known + now) / 2 + (known - now) / 2).sum(axis=1)
+            before, power, x = now[:, -1:], power @ power, leap @ x
+        return total + before[:, 0]
+
+    def _lengths(self, h: Matrix) -> Matrix:
+        """Return the lengths of terms of the impulse response to the disturbances, and to every fault."""
+        n = self.disturbances
+        return np.concatenate([np.linalg.norm(h[..., :n], axis=2, keepdims=True), np.abs(h[..., n:])], axis=2)
+
+    def _fault(self, F: Matrix, Z: Matrix, g: Matrix) -> NDArray[np.float64]:
+        """Return the smallest response to the target over frequencies and members."""
+        q = self.family.quotient
+        smallest = np.full(len(F), np.inf)
+        for z in self.frequencies:
+            z = z.real if abs(z.imag) < 1e-15 else z
+            for part in self.parts:
+                x = np.linalg.solve(z * np.eye(len(part.A)) - part.A, part.fault)
+                v = part.seen @ x + part.fault_direct
+                e = part.driven @ x + part.fault_start - Z @ v
+                inner = np.linalg.solve(z * np.eye(F.shape[1]) - F, e[..., None])[..., 0] if F.shape[1] else e
+                filtered, direct = np.einsum("ki,ki->k", g, inner @ q.C.T), g @ v
+                r = np.abs(filtered + direct)
+                # what is rounding against the two terms that cancel is nothing
+                r = np.where(r > _ROUNDING * (np.abs(filtered) + np.abs(direct)), r, 0.0)
+                smallest = np.minimum(smallest, r)
+        return smallest
+
+
+@dataclass(frozen=True, eq=False)
+class _MemberParts:
+    """What one member of the set does to the error of every estimator of a family.
+
+    ``x' = A x + B w``, ``e' = F e + (driven - Z seen) x + (start - Z direct) w``, ``r = g (C e + seen x + direct w)``;
+    ``seen`` and ``driven`` are what the member differs from the nominal loop by.
+    """
+
+    A: Matrix
+    B: Matrix
+    seen: Matrix
+    driven: Matrix
+    start: Matrix
+    direct: Matrix
+    fault: NDArray[np.float64]
+    fault_start: NDArray[np.float64]
+    fault_direct: NDArray[np.float64]
+    radius: float
+
+
+def _below_penalty(cost: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return costs as they are up to half of the penalty, and beyond in the same order, smoothly, all below it."""
+    large = np.maximum(cost, PENALTY / 2)
+    squeezed = np.minimum(PENALTY * (1 - PENALTY / (4 * large)), np.nextafter(PENALTY, 0))
+    return np.where(cost <= PENALTY / 2, cost, squeezed)
+
+
+def sampled_cost(
+    family: EstimatorFamily,
+    members: Sequence[Plant],
+    weights: Weights,
+    *,
+    radius: float,
+    band: float = 0.0,
+    bounded: Mapping[str, float] | None = None,
+) -> SampledCost:
+    """Prepare the cost for some members of the set; faults in ``bounded`` count as disturbances of that size."""
+    plant, bounded = family.plant, bounded or {}
+    columns = [plant.faults.index(name) for name in bounded]
+    sizes = np.array(list(bounded.values()))
+    T, L, N = family.state_map, family.inject, family.read
+    i = plant.faults.index(family.target)
+    parts = []
+    for member in members:
+        B = np.hstack([member.Bd, member.Bf[:, columns] * sizes])
+        D = np.hstack([member.Dd, member.Df[:, columns] * sizes])
+        b, d = member.Bf[:, i], member.Df[:, i]
+        dA, dC = member.A - plant.A, member.C - plant.C
+        error = {"driven": T @ dA - L @ dC, "start": T @ B - L @ D, "fault_start": T @ b - L @ d}
+        seen = {"seen": N @ dC, "direct": N @ D, "fault_direct": N @ d}
+        parts.append(_MemberParts(A=member.A, B=B, fault=b, radius=float(spectral_radius(member.A)), **error, **seen))
+    omega = np.linspace(0.0, band, 1 if band == 0 else 9)
+    z = np.exp(1j * omega * plant.dt)
+    return SampledCost(family, weights, len(plant.disturbances), radius, z, tuple(parts))
+
+
+def _steps(terms: int) -> list[tuple[int, int]]:
+    """Return strides from each sample that is looked at to the next, and how many of each, to cover ``terms``."""
+    out = [(1, min(terms, _DENSE))]
+    covered, stride = out[0][1], 1
+    while covered < terms:
+        stride *= 2
+        out.append((stride, _PER_OCTAVE))
+        covered += stride * _PER_OCTAVE
+    return out
+
+
+def _responses(row: Matrix, power: Matrix, x: Matrix, count: int) -> tuple[Matrix, Matrix]:
+    """Return ``row power^k x`` for ``k = 1..count`` by doubling, and ``power^m``, ``m`` the next power of two."""
+    seen = row @ power
+    while seen.shape[1] < count:
+        seen = np.concatenate([seen, seen @ power], axis=1)
+        power = power @ power
+    return (seen @ x)[:, :count], power

@@ -1,0 +1,380 @@
+"""Gertler's residuals that parameters of the model do not reach: a transformation that depends on the data."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from residua import arrays
+from residua.design.core.signals import stack_signals
+from residua.errors import DataError, DesignError, SettingError
+from residua.linear import StateSpace
+from residua.linear.poles.spectrum import spectral_radius
+from residua.plant import Plant
+from residua.robust.parity.insensitive_fitting import fitted_running
+from residua.robust.parity.insensitive_running import (
+    ParameterResiduals,
+    ParameterRunning,
+    ParameterState,
+    without_directions,
+)
+from residua.robust.parity.model_sensitivity import Equations, Model, checked_parameters, equations_of
+from residua.robust.parity.window_filter import window_filter, window_poles
+
+#: Name of the cause that fires everything.
+OTHER = "another fault"
+#: A parameter of which less than this share is left beside another one cannot be told from it.
+_APART = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class InsensitiveParity:
+    r"""Residuals that each ignore some parameters, to first order, whatever the inputs do.
+
+    Not a :class:`ResidualGenerator`: what is taken off depends on the data. It never changes; :meth:`block` maps a
+    state and a block of samples to the next state and the residuals, the same for any cutting into blocks.
+
+    Attributes
+    ----------
+    plant : Plant
+        The nominal one.
+    parameters : mapping of str to float
+        Nominal values.
+    changes : mapping of str to float
+        The changes that are expected.
+    members : tuple of str
+        Names of the residuals, each a vector with one entry per equation.
+    ignored : tuple of tuple of str
+        The parameters that each ignores.
+    causes : tuple of str
+        What can be told: parameters, and ``"another fault"``.
+    codes : ndarray of bool, shape (members, causes)
+        Which members each cause fires, as :func:`residua.decide.read_codes` takes it.
+    shares : ndarray, shape (members, parameters)
+        How much of the effect of each parameter is left in each member, as a share, under white inputs.
+    thresholds : ndarray or None, shape (members,)
+        From fault-free data, see :meth:`fit`.
+    basis : str
+        What the units of the residuals and the thresholds rest on.
+    slope_errors : mapping of str to float
+        How far derivatives by two steps are apart, relative to the largest.
+    promised : ndarray or None, shape (members,)
+        Fraction of fault-free samples over each threshold that the data of :meth:`fit` promise not to be exceeded on
+        other data, with 95 % confidence; 1 where they are too few to say anything.
+    """
+
+    plant: Plant = field(repr=False)
+    parameters: Mapping[str, float]
+    changes: Mapping[str, float]
+    members: tuple[str, ...]
+    ignored: tuple[tuple[str, ...], ...]
+    causes: tuple[str, ...]
+    codes: NDArray[np.bool_] = field(repr=False)
+    shares: NDArray[np.float64] = field(repr=False)
+    running: ParameterRunning = field(repr=False)
+    thresholds: NDArray[np.float64] | None
+    basis: str
+    slope_errors: Mapping[str, float] = field(repr=False)
+    promised: NDArray[np.float64] | None = None
+
+    def initial_state(self, plants: int = 1) -> ParameterState:
+        """Return the state before the first sample, of one plant or several."""
+        return self.running.initial_state(plants)
+
+    def block(
+        self, state: ParameterState, u: ArrayLike | None, y: ArrayLike
+    ) -> tuple[ParameterState, ParameterResiduals]:
+        """Run over the next samples.
+
+        Parameters
+        ----------
+        state : ParameterState
+        u, y : array_like, shape (plants, time, channels)
+            Deviations from the operating point.
+
+        Returns
+        -------
+        state : ParameterState
+            To go on with.
+        residuals : ParameterResiduals
+        """
+        data = stack_signals(self.plant, u, y)
+        if data.ndim != 3:
+            raise DataError(f"a block is (plants, time, channels), got shape {data.shape}")
+        if not np.isfinite(data).all():
+            raise DataError("a value is missing or infinite: fill the gaps first, or begin anew after them")
+        return self.running.block(state, data)
+
+    def run(self, u: ArrayLike | None, y: ArrayLike) -> ParameterResiduals:
+        """Run over a recording from its begin.
+
+        Parameters
+        ----------
+        u : array_like, shape (time, inputs) or (plants, time, inputs), or None
+            Deviations from the operating point.
+        y : array_like, shape (time, outputs) or (plants, time, outputs)
+
+        Returns
+        -------
+        ParameterResiduals
+            Without the axis of the plants for a recording of one.
+        """
+        data = stack_signals(self.plant, u, y)
+        whole = data if data.ndim == 3 else data[None]
+        n_u = len(self.plant.inputs)
+        _, found = self.block(self.initial_state(len(whole)), whole[..., :n_u] if n_u else None, whole[..., n_u:])
+        if data.ndim == 3:
+            return found
+        return ParameterResiduals(
+            found.primary[0], found.sensitivities[0], found.residuals[0], found.statistic[0], found.fired[0]
+        )
+
+    def fit(self, u: ArrayLike | None, y: ArrayLike, *, false_alarm_rate: float = 1e-4) -> InsensitiveParity:
+        """Return the same with units and thresholds from fault-free data at the nominal parameters.
+
+        The primary residuals are brought to unit covariance; then the threshold of each member is the level that its
+        statistic exceeds on the given fraction of samples, on data other than these: the statistic of each stretch of
+        time is in units that the others give, and where the data are too few, its tail is extended and ``promised``
+        says which fraction is not exceeded.
+
+        Parameters
+        ----------
+        u, y : array_like
+            As for :meth:`run`.
+        false_alarm_rate : float
+            Fraction of the samples over the threshold, of each member.
+
+        Returns
+        -------
+        InsensitiveParity
+
+        Raises
+        ------
+        DataError
+            If there are fewer than ten samples per equation, or 30, after the filter has settled.
+        """
+        if not 0 < false_alarm_rate < 1:
+            raise SettingError(f"false_alarm_rate must lie between 0 and 1, got {false_alarm_rate!r}")
+        data = stack_signals(self.plant, u, y)
+        running, promises, count = fitted_running(
+            self.running, data if data.ndim == 3 else data[None], false_alarm_rate
+        )
+        told = "; ".join(f"{name}: {one}" for name, one in zip(self.members, promises, strict=True))
+        return replace(
+            self,
+            running=running,
+            thresholds=running.thresholds,
+            promised=np.array([one.promised for one in promises]),
+            basis=f"fitted to {count} fault-free samples, {promises[0] if len(promises) == 1 else told}",
+        )
+
+    def __str__(self) -> str:
+        m = self.plant.n_outputs
+        lines = [f"{len(self.members)} residuals of {m} equations, {len(self.parameters)} parameters; {self.basis}"]
+        for name, code, chosen in zip(self.members, self.codes, self.ignored, strict=True):
+            fires = ", ".join(cause for cause, on in zip(self.causes, code, strict=True) if on)
+            lines.append(f"  {name}: dimension {m - len(chosen)}, answers to {fires}")
+        return "\n".join(lines)
+
+
+def insensitive_parity(
+    model: Model,
+    parameters: Mapping[str, float],
+    *,
+    insensitive_to: Iterable[str] | str = (),
+    isolate: Iterable[str] | str = (),
+    changes: Mapping[str, float] | None = None,
+    poles: Sequence[complex] | None = None,
+    memory: int = 20,
+) -> InsensitiveParity:
+    r"""Design residuals that do not answer to small changes of chosen parameters of the model, whatever the inputs.
+
+    The primary residuals :math:`e^*(t, \theta) = H(z, \theta)\, y - G(z, \theta)\, u` have the derivatives
+
+    .. math:: \pi_k(t) = \frac{\partial H}{\partial \theta_k} y - \frac{\partial G}{\partial \theta_k} u
+
+    so that an error :math:`\Delta\theta_k` of the model adds :math:`\pi_k(t) \Delta\theta_k`. A residual that ignores
+    the parameters with the derivatives :math:`\Pi(t)` is
+
+    .. math:: r(t) = \left(I - \Pi (\Pi^T \Pi + \epsilon^2 I)^{-1} \Pi^T\right) e^*(t)
+
+    in units in which the noise of ``e*`` is white and each column is the effect of an expected change.
+
+    Guaranteed: of changes :math:`\delta`, in units of the expected ones, at most :math:`\epsilon |\delta| / 2` is left
+    to first order, at every sample; the remainder is of second order in the changes.
+
+    Parameters
+    ----------
+    model : function of the parameters, by name
+        Returns a sampled Plant or InputOutputModel. Of a plant the equation of each output is taken; an
+        InputOutputModel may have its own, such as one for each balance.
+    parameters : mapping of str to float
+        Names and nominal values of all parameters that are ignored or told apart.
+    insensitive_to : sequence of str
+        Those that may drift: no residual answers to them.
+    isolate : sequence of str
+        Those of which a change is a fault: for each there is a residual that ignores it, besides the one that ignores
+        the drifts alone. When both are omitted: all of them, as far as there are equations.
+    changes : mapping of str to float, optional
+        Expected changes; a tenth of the nominal value when omitted.
+    poles : sequence of complex, optional
+        As many as the order of the equations, by which they and their derivatives are divided; all zero when omitted,
+        the moving average. Slow poles let less of the noise through.
+    memory : int
+        Samples over which the square of a residual is averaged (exponentially).
+
+    Returns
+    -------
+    InsensitiveParity
+        ``.fit(u, y)`` it to fault-free data, then ``.run(u, y)``; read ``.fired`` with
+        ``rs.decide.read_codes(result.fired, parity.codes, parity.causes, members=parity.members)``.
+
+    Raises
+    ------
+    DesignError
+        If more parameters are to be ignored at once than there are equations less one, or a parameter changes nothing.
+    ModelError
+        If the model is continuous or its signals depend on the parameters.
+    AccuracyError
+        If derivatives by two steps disagree.
+
+    Notes
+    -----
+    Assumes: the model is linear in its signals; parameters change slowly, compared with the order of the equations; and
+    the measured signals stand for the true ones in :math:`\Pi`.
+
+    The paper takes one row :math:`w_i^T(t)` with :math:`w_i^T \Pi = 0`. A row may jump, for the null space of
+    :math:`\Pi^T` has no continuous basis in general, and leaves part of the null space unused; the projection here is
+    unique, all of the null space, and smooth in the data. Its matrix is the inverse of the covariance that ``e*`` has
+    with white noise of unit size and parameters off by :math:`1/\epsilon` expected changes.
+
+    Where :math:`\Pi(t)` loses rank, as at rest, or where two parameters act alike, nothing need be removed: directions
+    shorter than :math:`\epsilon` stay in. There is no rank to decide.
+
+    Insensitivity costs: a residual with ``m`` equations that ignores ``k`` parameters has ``m - k`` dimensions left,
+    and a fault that acts in the direction of an ignored parameter at some moment is not seen then.
+
+    References
+    ----------
+    Gertler (1991), eqs. (6-7) to (6-13), where :math:`\Delta\theta` is nominal less true; Gertler, Luo, Anderson
+    and Fang (1990).
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> def motor(R, k):  # current and speed, sampled
+    ...     return rs.Plant([[-2 * R, -2 * k], [10 * k, -0.5]], [[2], [0]], [[1, 0], [0, 1]]).discretize(0.02)
+    >>> print(rs.design.insensitive_parity(motor, {"R": 1.0, "k": 0.5}, insensitive_to="R"))
+    1 residuals of 2 equations, 2 parameters; ...
+      ignores R: dimension 1, answers to k, another fault
+    """
+    values, sizes = checked_parameters(parameters, changes)
+    names = tuple(values)
+    drifts, told = (
+        [names[i] for i in arrays.positions(chosen, names, "parameter")] for chosen in (insensitive_to, isolate)
+    )
+    equations = equations_of(model, values, sizes)
+    if not drifts and not told:
+        told = list(names)
+    members, ignored = _members(drifts, told, len(equations.model.outputs))
+    if memory != int(memory) or memory < 1:
+        raise SettingError(f"memory must be a whole number of samples, at least 1, got {memory!r}")
+    plant = equations.model.to_plant()
+    chosen = window_poles(poles, equations.outputs.shape[1] - 1)
+    system = _filter(equations, plant, chosen)
+    running, basis = _running(system, plant, names, sizes, ignored, int(memory), chosen)
+    shares = _shares(running, plant)
+    causes = [name for name in names if name not in drifts]
+    left = shares[:, [names.index(name) for name in causes]] > _APART
+    codes = np.column_stack([left, np.ones(len(members), dtype=bool)])
+    return InsensitiveParity(
+        plant, values, sizes, members, ignored, (*causes, OTHER), codes, shares, running, None, basis,
+        dict(zip(names, equations.errors, strict=True)),
+    )  # fmt: skip
+
+
+def _members(drifts: list[str], told: list[str], m: int) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
+    """Return the names of the residuals and what each ignores."""
+    both = [name for name in told if name in drifts]
+    if both:
+        raise DesignError(f"parameter {both[0]!r} is to be ignored always and to be told: leave it out of one")
+    ignored = [tuple(drifts), *((*drifts, name) for name in told)]
+    longest = max(ignored, key=len)
+    if len(longest) > m - 1:
+        raise DesignError(
+            f"{m} equations leave room for {m - 1} ignored parameter{'s' * (m != 2)} at a time, not for "
+            f"{', '.join(longest)}: add a sensor, or ignore fewer"
+        )
+    return tuple("ignores " + (" and ".join(one) or "nothing") for one in ignored), tuple(ignored)
+
+
+def _filter(equations: Equations, plant: Plant, poles: NDArray[np.complex128]) -> StateSpace:
+    """Return the filter to the primary residuals and, one parameter after the other, their derivatives."""
+    outputs = np.concatenate([equations.outputs, *equations.output_slopes])
+    inputs = np.concatenate([equations.inputs, *equations.input_slopes])
+    names = [f"e{i + 1}" for i in range(plant.n_outputs)]
+    count = len(equations.output_slopes)
+    labels = [*names, *(f"d{name}/d{k + 1}" for k in range(count) for name in names)]
+    return window_filter(outputs, inputs, plant, labels, poles)
+
+
+def _running(
+    system: StateSpace,
+    plant: Plant,
+    names: tuple[str, ...],
+    sizes: Mapping[str, float],
+    ignored: tuple[tuple[str, ...], ...],
+    memory: int,
+    poles: NDArray[np.complex128],
+) -> tuple[ParameterRunning, str]:
+    """Return what runs, in units in which expected changes are of one size in all equations, and what these rest on."""
+    m = plant.n_outputs
+    slowest = float(np.abs(poles).max(initial=0.0))
+    settle = len(poles) + (int(np.ceil(np.log(1e-3) / np.log(slowest))) if slowest > 1e-12 else 0)
+    chosen = tuple(tuple(names.index(name) for name in one) for one in ignored)
+    running = ParameterRunning(
+        system.A,
+        system.B,
+        system.C,
+        system.D,
+        np.eye(m),
+        np.array([sizes[name] for name in names]),
+        chosen,
+        1.0,
+        memory,
+        settle,
+        np.full(len(ignored), np.inf),
+    )
+    data = _excited(plant)
+    _, seen = running.block(running.initial_state(1), data)
+    squares = (seen.sensitivities[0, settle:] ** 2).mean(axis=0)  # parameters x equations
+    terms = running.largest_gains() @ np.sqrt((data[0] ** 2).mean(axis=0))
+    units = np.maximum(np.sqrt(squares.max(axis=0)), 1e-6 * terms)  # an equation may not depend on any parameter
+    units = np.where(units > 0, units, 1.0)
+    smallest = np.sqrt((squares / units**2).sum(axis=1).min())
+    basis = "in units of what expected changes do under white inputs; no thresholds before .fit(u, y)"
+    return replace(running, scale=np.diag(1 / units), rest=1e-9 * float(smallest)), basis
+
+
+def _excited(plant: Plant) -> NDArray[np.float64]:
+    """Return a stretch of operation of the plant under white inputs, from rest."""
+    rng = np.random.default_rng(41)
+    v = rng.standard_normal((400, len(plant.inputs)))
+    growth = float(spectral_radius(plant.A))
+    v = v[: int(np.clip(20 / np.log(growth), 40, 400))] if growth > 1 else v
+    return np.hstack([v, plant.system(("control",)).simulate(v)])[None]
+
+
+def _shares(running: ParameterRunning, plant: Plant) -> NDArray[np.float64]:
+    """Return how much of the effect of each parameter is left in each residual, as a share."""
+    _, seen = running.block(running.initial_state(1), _excited(plant))
+    pi = seen.sensitivities[0, running.settle :]
+    out = np.zeros((len(running.ignored), pi.shape[1]))
+    for i, chosen in enumerate(running.ignored):
+        for k in range(pi.shape[1]):
+            left = without_directions(pi[:, k], pi[:, list(chosen)], running.rest)
+            out[i, k] = np.linalg.norm(left) / np.linalg.norm(pi[:, k])
+    return out

@@ -1,0 +1,344 @@
+"""Lou, Willsky and Verghese's parity relations: good for all variants of a plant, exact for none."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.design.core.evidence import Evidence
+from residua.design.core.generator import ResidualGenerator
+from residua.errors import DesignError, SettingError
+from residua.linear.poles.spectrum import spectral_radius
+from residua.plant import Plant
+from residua.plant.input_output_model import InputOutputModel
+from residua.robust.parity.best_ratios import best_ratios
+from residua.robust.parity.expected_signals import ExpectedSignals, Sizes
+from residua.robust.parity.plant_variants import plant_family, probabilities
+from residua.robust.parity.window_filter import approximate_generator, window_filter, window_poles
+
+_METHOD = "parity relations for several models"
+#: A relation whose leak is below this fraction of the largest has none: that is rounding.
+_ZERO = 1e-13
+#: A response below this fraction of the terms that it is the sum of is none.
+_ROUNDING = 1e-11
+
+
+@dataclass(frozen=True, eq=False)
+class MultiModelParity:
+    r"""The most robust relations over a window of samples of several models.
+
+    Attributes
+    ----------
+    generator : ResidualGenerator
+        Of the nominal model. Its residual is not exactly zero without a fault: thresholds must leave room for ``leak``.
+    plants : tuple of Plant
+        The models; faults to ignore are among their disturbances.
+    nominal : int
+        The model that the generator counts as its plant.
+    ratios : ndarray
+        For ``criterion="faults"``: response to constant faults for the leak, of all relations, the largest first.
+    singular_values : ndarray, shape ((order + 1) (outputs + inputs),)
+        Of all relations of this order, the least robust first: the root mean square of the moving-average residual,
+        over all models, in fault-free operation with the expected signals.
+    output_weights, input_weights : ndarray, shape (relations, order + 1, channels)
+        The relations chosen, the most robust first: the weights of the samples, the oldest first.
+    units : ndarray, shape (outputs + inputs,)
+        The root mean square of outputs and inputs in operation: the weights times these have length one.
+    leak : ndarray, shape (models, relations)
+        Root mean square of the residual of the generator in fault-free operation of each model.
+    gains : ndarray, shape (models, relations, faults)
+        What the residual settles to under a constant fault of size one; NaN for a model that does not settle.
+    """
+
+    generator: ResidualGenerator
+    plants: tuple[Plant, ...] = field(repr=False)
+    nominal: int
+    singular_values: NDArray[np.float64]
+    ratios: NDArray[np.float64]
+    output_weights: NDArray[np.float64] = field(repr=False)
+    input_weights: NDArray[np.float64] = field(repr=False)
+    units: NDArray[np.float64] = field(repr=False)
+    leak: NDArray[np.float64] = field(repr=False)
+    gains: NDArray[np.float64] = field(repr=False)
+
+    @property
+    def smallest_faults(self) -> NDArray[np.float64]:
+        """The constant fault that moves the residual as far as its leak, shape (models, faults).
+
+        By the best of the relations; infinite for a fault that leaves nothing once it has settled.
+        """
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = self.leak[:, :, None] / np.abs(self.gains)
+        ratio = np.where(np.abs(self.gains) > 0, ratio, np.inf)
+        return np.min(np.where(np.isnan(self.gains), np.nan, ratio), axis=1, initial=np.inf)
+
+    def __str__(self) -> str:
+        s = self.singular_values
+        kept = len(self.output_weights)
+        lines = [
+            f"{_METHOD}: {kept} of {len(s)} relations of order {self.output_weights.shape[1] - 1}, "
+            f"{len(self.plants)} models",
+            _listed("faults for leak", self.ratios, kept)
+            if len(self.ratios)
+            else _listed("singular values", s[::-1], kept),
+            "  fault that settles to the leak (rms), nominal / worst model:",
+        ]
+        smallest = self.smallest_faults
+        for j, fault in enumerate(self.generator.faults):
+            lines.append(f"    {fault}: {smallest[self.nominal, j]:.3g} / {smallest[:, j].max():.3g}")
+        return "\n".join(lines)
+
+
+def _listed(what: str, values: NDArray[np.float64], kept: int) -> str:
+    told = f"  {what}, kept: {', '.join(f'{x:.3g}' for x in values[:kept])}"
+    return told + (f"; next {values[kept]:.3g}" if kept < len(values) else "")
+
+
+def multi_model_parity(
+    plants: Iterable[Plant | InputOutputModel],
+    *,
+    order: int,
+    rank: int | None = None,
+    relations: int | None = None,
+    criterion: str = "leak",
+    weights: Sequence[float] | None = None,
+    insensitive_to: Iterable[str | int] | str = (),
+    inputs: Sizes | None = None,
+    disturbances: Sizes | None = None,
+    states: Sizes | None = None,
+    correlation_time: float = 0.0,
+    noise: bool = False,
+    nominal: int = 0,
+    poles: Sequence[complex] | None = None,
+) -> MultiModelParity:
+    r"""Design the relations between the last samples that hold best for several models at once.
+
+    Over ``order + 1`` samples the signals of model ``i`` are
+
+    .. math:: \begin{bmatrix} Y \\ U \end{bmatrix} = M_i \zeta, \qquad
+              M_i = \begin{bmatrix} R_i & Q_i \\ 0 & I \end{bmatrix} S_i
+
+    with states, inputs, disturbances and ignored faults :math:`S_i \zeta` of expected sizes, ``zeta`` white. With the
+    singular value decomposition of :math:`[\sqrt{\pi_1} M_1, \dots, \sqrt{\pi_\kappa} M_\kappa]`, in units of the root
+    mean square of each signal, the last left singular vectors are the relations ``w`` that come closest to
+    :math:`w^T M_i = 0` for all models.
+
+    Guaranteed: the mean square of :math:`r^* = w^T [Y; U]` over models (with their weights), states and inputs is the
+    square of its singular value, and no other set of as many orthonormal ``w`` has a smaller sum.
+
+    Parameters
+    ----------
+    plants : sequence of Plant or InputOutputModel
+        The models, sampled, with the same inputs, outputs and faults; their states may differ.
+    order : int
+        A relation reads ``order + 1`` samples.
+    rank : int, optional
+        How many constraints are kept, :math:`\rho`: all other left singular vectors are relations.
+    relations : int, optional
+        How many relations instead: the best ones. One when neither is given.
+    criterion : {"leak", "faults"}
+        What makes a relation good: a small leak for its length, as in the paper, or a large response to constant faults
+        for its leak, which the paper leaves to chance.
+    weights : sequence of float, optional
+        How often each model is met; alike when omitted.
+    insensitive_to : sequence of str
+        Faults to ignore as far as possible, as disturbances.
+    inputs, disturbances : number, sequence, mapping of str to float, or covariance matrix, optional
+        Expected root mean squares, or the covariance; one when omitted. Faults to ignore count among the disturbances.
+    states : likewise, optional
+        Of the states when a window begins; when omitted, the stationary ones that inputs and disturbances make.
+    correlation_time : float
+        Seconds over which inputs and disturbances stay alike; white when zero. Real inputs move slowly: with white ones
+        slow modes and steady states count for little.
+    noise : bool
+        Whether the noise of the plants counts among the disturbances.
+    nominal : int
+        The model that the generator counts as its plant.
+    poles : sequence of complex, optional
+        ``order`` poles by which the relations are divided; all zero when omitted, the moving averages themselves.
+
+    Returns
+    -------
+    MultiModelParity
+        With ``generator``, ``singular_values`` and the ``leak`` of every model.
+
+    Raises
+    ------
+    DesignError
+        If the plants are continuous, ``rank`` or ``relations`` do not fit, or a model has no stationary states.
+    ModelError
+        If the models have different signals.
+    SettingError
+        If sizes or weights make no sense.
+
+    Notes
+    -----
+    Assumes: the plant is one of the models; signals are about as large as expected.
+
+    The paper's condition, eq. (6-4), is on the outputs alone, :math:`w^T [R_1, \dots, R_\kappa] = 0`, with the inputs
+    removed by :math:`Q` of one model; here inputs are rows of their own, so that models with different :math:`Q` are
+    treated too. For plants without inputs both are one.
+
+    A relation may be robust because it sees nothing: ``gains`` and ``smallest_faults`` tell. With more samples than
+    needed the most robust combinations are high differences, which answer to steps for a moment only.
+    ``criterion="faults"`` maximises :math:`\lVert w^T F \rVert / \lVert w^T M \rVert` instead, where ``F`` holds what
+    faults of size one that last over the window do to the outputs of each model, from rest, and orders the relations by
+    that ratio; relations without leak come first.
+
+    Continuous plants are refused: sizes of derivatives mean nothing for signals such as these. Sample them first.
+
+    References
+    ----------
+    Lou, Willsky and Verghese (1986), Automatica 22(3); Gertler (1991), eqs. (6-4), (6-5).
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> def variant(a):
+    ...     plant = rs.Plant([[a, 0], [0.1, 0.5]], [[1], [0]], [[1, 0], [0, 1]], dt=1.0)
+    ...     return plant.with_sensor_faults()
+    >>> found = rs.design.multi_model_parity([variant(a) for a in (0.7, 0.8, 0.9)], order=1)
+    >>> found.singular_values.round(3)  # both outputs are of the same state: one relation is exact for all models
+    array([1.88 , 1.106, 1.   , 0.487, 0.057, 0.   ])
+    """
+    family = plant_family(plants, insensitive_to=insensitive_to)
+    if not 0 <= nominal < len(family):
+        raise DesignError(f"nominal must be the number of one of {len(family)} models, counted from zero: {nominal!r}")
+    if order != int(order) or order < 0:
+        raise DesignError(f"order must be a whole number of past samples, got {order!r}")
+    pi = probabilities(weights, len(family))
+    expected = ExpectedSignals(inputs, disturbances, states, correlation_time, noise)
+    names = [f"model {i}" for i in range(len(family))]
+    driven = [expected.driven(plant) for plant in family]
+    windows = [one.window(order, name) for one, name in zip(driven, names, strict=True)]
+    if criterion not in ("leak", "faults"):
+        raise SettingError(f"criterion must be 'leak' or 'faults', got {criterion!r}")
+    if criterion == "faults" and rank is not None:
+        raise DesignError("rank goes by the leak alone: with criterion='faults' say how many relations, relations=...")
+    units, U, s = _ranked(windows, pi, order)
+    plant = family[nominal]
+    ratios = np.zeros(0)
+    vectors = U[:, ::-1].T
+    if criterion == "faults":
+        vectors, ratios = _by_faults(U, s, _constant_faults(family, pi, order) / np.tile(units, order + 1)[:, None])
+    count = _count(rank, relations, len(s) if criterion == "leak" else len(vectors))
+    W = (vectors[:count] / np.tile(units, order + 1)).reshape(count, order + 1, -1)
+    W = W * _signs(W)[:, None, None]
+    outputs, given = W[:, :, : plant.n_outputs], W[:, :, plant.n_outputs :]
+    chosen = window_poles(poles, int(order))
+    system = window_filter(outputs, given, plant, [f"r{i + 1}" for i in range(count)], chosen)
+    leak, notes = _leaks(system, driven, windows, W, names, moving_average=not np.any(chosen))
+    gains = np.array([_steady(outputs, chosen, one) for one in family])
+    evidence = Evidence(
+        method=_METHOD,
+        poles=system.poles(),
+        requested_poles=np.tile(chosen, count),
+        conditions=_conditions(s, count, leak, nominal) if criterion == "leak" else _leak_conditions(leak, nominal),
+        notes=(
+            f"good for {len(family)} models, exact for none in general: without a fault the residual stays about as "
+            "small as its leak, not zero; thresholds must leave room for it",
+            *notes,
+        ),
+        references=("Lou, Willsky and Verghese (1986)", "Gertler (1991), eqs. (6-4), (6-5)"),
+    )
+    generator = approximate_generator(system, plant, _METHOD, evidence)
+    return MultiModelParity(generator, family, nominal, s, ratios, outputs, given, units, leak, gains)
+
+
+def _ranked(
+    windows: Sequence[NDArray[np.float64]], pi: NDArray[np.float64], order: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return the units of the signals, the left singular vectors and all singular values."""
+    M = np.hstack([np.sqrt(share) * window for share, window in zip(pi, windows, strict=True)])
+    rms = np.sqrt((M**2).sum(axis=1).reshape(order + 1, -1).mean(axis=0))
+    units = np.where(rms > 0, rms, 1.0)
+    U, s, _ = np.linalg.svd(M / np.tile(units, order + 1)[:, None], full_matrices=M.shape[1] < len(M))
+    return units, U, np.concatenate([s, np.zeros(len(M) - len(s))])
+
+
+def _constant_faults(family: Sequence[Plant], pi: NDArray[np.float64], order: int) -> NDArray[np.float64]:
+    """Return what faults that last over a window do to its samples, on every model; the inputs are known."""
+    columns = []
+    for share, plant in zip(pi, family, strict=True):
+        x, rows = np.zeros_like(plant.Bf), []
+        for _ in range(order + 1):
+            rows += [plant.C @ x + plant.Df, np.zeros((len(plant.inputs), len(plant.faults)))]
+            x = plant.A @ x + plant.Bf
+        columns.append(np.sqrt(share) * np.vstack(rows))
+    return np.hstack(columns)
+
+
+def _by_faults(
+    U: NDArray[np.float64], s: NDArray[np.float64], F: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return relations of unit length in the order of their response to faults for their leak, with that ratio."""
+    rank = int(np.count_nonzero(s > _ZERO * s[0]))
+    exact = U[:, rank:]
+    left, gains, _ = np.linalg.svd(exact.T @ F, full_matrices=False)
+    seeing = int(np.count_nonzero(gains > 1e-9 * max(np.linalg.norm(F), 1e-300)))
+    found, ratios = (exact @ left[:, :seeing]).T, np.full(seeing, np.inf)
+    some, combinations = best_ratios(U[:, :rank].T @ F, np.diag(s[:rank]), rank)
+    kept = some > 1e-12 * some.max(initial=0.0)  # the others see nothing
+    combinations = combinations[kept] / np.linalg.norm(combinations[kept], axis=1, keepdims=True)
+    return np.vstack([found, combinations @ U[:, :rank].T]), np.concatenate([ratios, some[kept]])
+
+
+def _count(rank: int | None, relations: int | None, most: int) -> int:
+    """Return how many relations are kept."""
+    if rank is not None and relations is not None:
+        raise DesignError("give rank, the number of constraints, or relations, the number of relations; not both")
+    count = 1 if rank is None and relations is None else relations if relations is not None else most - (rank or 0)
+    if count != int(count) or not 1 <= count <= most:
+        what = f"rank must be 0 to {most - 1}" if rank is not None else f"relations must be 1 to {most}"
+        raise DesignError(f"{what} for windows of {most} values, got {rank if rank is not None else relations!r}")
+    return int(count)
+
+
+def _signs(W: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the signs that make the largest weight of each relation positive."""
+    flat = W.reshape(len(W), -1)
+    largest = flat[np.arange(len(W)), np.abs(flat).argmax(axis=1)]
+    return np.where(largest < 0, -1.0, 1.0)
+
+
+def _leaks(system, driven, windows, W, names, *, moving_average: bool) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """Return the spread of the residual without faults on each model."""
+    flat = W.reshape(len(W), -1)
+    average = np.array([np.linalg.norm(flat @ window, axis=1) for window in windows])
+    if moving_average:
+        return average, ()
+    spread = [one.spread_of(system, name) for one, name in zip(driven, names, strict=True)]
+    if any(one is None for one in spread):
+        return average, (
+            "the leak is that of the moving averages: with given sizes of states poles have no stationary one",
+        )
+    return np.array(spread), ()
+
+
+def _steady(outputs: NDArray[np.float64], poles: NDArray[np.complex128], plant: Plant) -> NDArray[np.float64]:
+    """Return what the residual settles to for constant faults on a model; NaN where the model does not settle.
+
+    Exactly zero where that is rounding of what cancels.
+    """
+    n = plant.n_states
+    if spectral_radius(plant.A) >= 1:
+        return np.full((len(outputs), len(plant.faults)), np.nan)
+    x = np.linalg.solve(np.eye(n) - plant.A, plant.Bf)
+    y, parts = plant.C @ x + plant.Df, np.abs(plant.C) @ np.abs(x) + np.abs(plant.Df)
+    gain, terms = outputs.sum(axis=1) @ y, np.abs(outputs).sum(axis=1) @ parts
+    return np.where(np.abs(gain) > _ROUNDING * terms, gain, 0.0) / float(np.prod(1 - poles).real)
+
+
+def _conditions(s: NDArray[np.float64], count: int, leak: NDArray[np.float64], nominal: int) -> dict[str, float]:
+    """Return the numbers that the evidence names."""
+    out = {"largest singular value kept as relation": float(s[len(s) - count])}
+    if count < len(s):
+        out["next singular value"] = float(s[len(s) - count - 1])
+    return out | _leak_conditions(leak, nominal)
+
+
+def _leak_conditions(leak: NDArray[np.float64], nominal: int) -> dict[str, float]:
+    return {"leak (rms), nominal model": float(leak[nominal].max()), "leak (rms), worst model": float(leak.max())}

@@ -1,0 +1,85 @@
+"""Weighted sums over the last samples of inputs and outputs, as filters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from residua.design.core.evidence import Evidence, format_pole
+from residua.design.core.generator import ResidualGenerator, make_generator
+from residua.design.core.internal_form import internal_form
+from residua.design.core.signals import signal_names
+from residua.design.parity.realization import pole_basis
+from residua.errors import DesignError
+from residua.linear import StateSpace
+from residua.linear.polynomials.polynomial_basis import PolynomialBasis
+from residua.plant import Plant
+
+
+def window_filter(
+    outputs: NDArray[np.float64],
+    inputs: NDArray[np.float64],
+    plant: Plant,
+    names: Sequence[str],
+    poles: NDArray[np.complex128],
+) -> StateSpace:
+    r"""Return :math:`r = \sum_j (a_j z^j y + b_j z^j u) / \prod_i (z - \lambda_i)` as chains, one per residual.
+
+    Parameters
+    ----------
+    outputs, inputs : ndarray, shape (residuals, order + 1, channels)
+        ``a`` and ``b``, the oldest sample first.
+    plant : Plant
+    names : sequence of str
+    poles : ndarray, shape (order,)
+        All zero: the moving average itself.
+    """
+    basis = pole_basis(poles)
+    k, n_u = outputs.shape[1] - 1, inputs.shape[2]
+    M = np.diag(basis.real[:k]) + np.eye(k, k=-1)
+    for j in np.flatnonzero(basis.imaginary[:k]):  # the first of a conjugate pair
+        M[j, j + 1] = -basis.links[j + 1]
+    powers = PolynomialBasis.powers(k + 1)
+    parts = [powers.changed_to(basis, np.hstack([b, a])) for a, b in zip(outputs, inputs, strict=True)]
+    count = len(parts)
+    width = n_u + outputs.shape[2]
+    C = np.zeros((1, k))
+    C[0, k - 1 : k] = 1.0
+    return StateSpace(
+        scipy.linalg.block_diag(*[M] * count) if k else np.zeros((0, 0)),
+        np.vstack([part[:k] for part in parts]).reshape(count * k, width),
+        scipy.linalg.block_diag(*[C] * count).reshape(count, count * k),
+        np.vstack([part[k:] for part in parts]),
+        dt=plant.dt,
+        inputs=signal_names(plant),
+        outputs=names,
+    )
+
+
+def approximate_generator(system: StateSpace, plant: Plant, method: str, evidence: Evidence) -> ResidualGenerator:
+    """Return a filter as a generator although inputs and states leak into its residual.
+
+    Its internal form is that of the filter driven by the plant, with the control inputs where they are asked for.
+    """
+    made = make_generator(system, plant, method, evidence, known_form=internal_form(system, plant))
+    return replace(made, known_form=None)  # a known form says that control inputs do nothing
+
+
+def window_poles(poles: Sequence[complex] | None, order: int) -> NDArray[np.complex128]:
+    """Return the poles of a window of samples, checked; all zero when omitted."""
+    if poles is None:
+        return np.zeros(order, dtype=np.complex128)
+    values = np.atleast_1d(np.asarray(poles, dtype=np.complex128))
+    if values.shape != (order,):
+        raise DesignError(f"a window of order {order} takes {order} poles, not {values.size}")
+    pairs = np.sort_complex(values[values.imag > 0]), np.sort_complex(values[values.imag < 0].conj())
+    if len(pairs[0]) != len(pairs[1]) or not np.allclose(*pairs, rtol=1e-12, atol=0):
+        raise DesignError("the poles are not closed under conjugation")
+    outside = values[~(np.abs(values) < 1)]
+    if len(outside):
+        raise DesignError(f"pole {format_pole(outside[0])} is not stable: poles must lie inside the unit circle")
+    return values

@@ -1,0 +1,1 @@
+"""Sets of systems and plants: uncertain parameters, and loops around them."""

@@ -1,0 +1,373 @@
+"""Plants that are known up to constant parameters within bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from residua.arrays import frozen, unique
+from residua.errors import ModelError
+from residua.linear import StateSpace
+from residua.plant.plant import Plant
+from residua.robust.sets.perturbation import MATRICES, Perturbation, UncertainParameter
+from residua.robust.sets.uncertain_system import UncertainSystem, corners, parameter_values
+
+if TYPE_CHECKING:
+    from residua.robust.sets.linearisation import Linearisation
+
+Matrix = NDArray[np.float64]
+#: Up to so many parameters every corner of their box is visited, beyond as many corners at random.
+_ALL_CORNERS = 10
+
+
+class ChannelBlock(NamedTuple):
+    """Channels of an uncertain plant, one after another; ``Gd`` and ``Gf`` are zero where they are not given."""
+
+    Hx: Matrix
+    Hy: Matrix
+    Gx: Matrix
+    Gu: Matrix
+    Gd: Matrix | None = None
+    Gf: Matrix | None = None
+
+
+@dataclass(frozen=True, init=False, eq=False, repr=False)
+class UncertainPlant:
+    r"""A plant with constant parameters of which only bounds are known.
+
+    .. math::
+
+       \Delta A = -H_x F G_x, \quad \Delta B = -H_x F G_u, \quad \Delta C = -H_y F G_x, \quad \Delta D = -H_y F G_u
+
+    and likewise with :math:`G_d` and :math:`G_f` for the directions of disturbances and faults, in the states and in
+    the outputs,
+
+    with ``F`` diagonal: each channel (column of ``H``, row of ``G``) belongs to a parameter, which may own several;
+    the entry of ``F`` is the parameter less its nominal value. Three ways to make one: perturbations of the matrices
+    (here), :meth:`from_parameters` (physical parameters), :meth:`from_plants` (a list of plants).
+
+    Parameters
+    ----------
+    nominal : Plant
+        Continuous or sampled; ``F = 0``.
+    deltas : sequence of Perturbation
+        ``dA = -H F G`` and likewise; equal names, also in different matrices, are one parameter.
+
+    Attributes
+    ----------
+    nominal : Plant
+    parameters : tuple of UncertainParameter
+        Names, bounds and nominal values.
+    channels : tuple of int
+        The parameter of each channel.
+    Hx : ndarray, shape (n, channels)
+    Hy : ndarray, shape (outputs, channels)
+    Gx : ndarray, shape (channels, n)
+    Gu : ndarray, shape (channels, inputs)
+    Gd : ndarray, shape (channels, disturbances)
+    Gf : ndarray, shape (channels, faults)
+    linearisation : Linearisation or None
+        What the form above leaves out of the plants that it was made from; None where it was given.
+    plants : tuple of Plant
+        Those of :meth:`from_plants`.
+    function : callable or None
+        That of :meth:`from_parameters`, from which sampled plants are made. Not kept when the object is pickled.
+
+    Raises
+    ------
+    ModelError
+        If a shape does not fit, or one parameter is given two different bounds.
+
+    Notes
+    -----
+    Assumes
+        Parameters are constant in time. Directions of noise, and ``E``, do not depend on them. Those of faults and
+        disturbances do as far as they are given to: plants of :meth:`from_parameters` bring theirs, while a
+        perturbation of ``B`` leaves an actuator fault with the nominal column; perturb ``"Bf"`` as well, by the same
+        name.
+
+    References
+    ----------
+    Robust l1 fault detection, eqs. (1)-(8).
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> from residua.plant import Perturbation, UncertainPlant
+    >>> tank = rs.Plant([[0.9]], [[0.1]], [[1.0]], dt=1.0)
+    >>> unc = UncertainPlant(tank, deltas=[Perturbation("A", [[-1.0]], [[1.0]], -0.02, 0.01, ["outflow"])])
+    >>> unc.member({"outflow": 0.01}).A
+    array([[0.91]])
+    """
+
+    nominal: Plant
+    parameters: tuple[UncertainParameter, ...]
+    channels: tuple[int, ...]
+    Hx: Matrix
+    Hy: Matrix
+    Gx: Matrix
+    Gu: Matrix
+    Gd: Matrix
+    Gf: Matrix
+    linearisation: Linearisation | None
+    plants: tuple[Plant, ...]
+    function: Callable[[Mapping[str, float]], Plant] | None
+
+    def __init__(self, nominal: Plant, deltas: Iterable[Perturbation] = ()) -> None:
+        if not isinstance(nominal, Plant):
+            raise ModelError(f"nominal must be a Plant, got {type(nominal).__name__}")
+        blocks, labels = [], []
+        found: dict[str, UncertainParameter] = {}
+        counts: dict[str, int] = dict.fromkeys(MATRICES, 0)
+        for delta in deltas:
+            if not isinstance(delta, Perturbation):
+                raise ModelError(f"deltas holds Perturbation objects, got {type(delta).__name__}")
+            blocks.append(_channel_block(nominal, delta))
+            start = counts[delta.matrix]
+            counts[delta.matrix] += len(delta.low)
+            names = delta.names or tuple(f"{delta.matrix}{start + i + 1}" for i in range(len(delta.low)))
+            for name, low, high in zip(names, delta.low, delta.high, strict=True):
+                entry = UncertainParameter(name, float(low), float(high))
+                if found.setdefault(name, entry) != entry:
+                    raise ModelError(
+                        f"the parameter {name!r} is given bounds [{low:g}, {high:g}] in d{delta.matrix} and "
+                        f"[{found[name].low:g}, {found[name].high:g}] before"
+                    )
+                labels.append(name)
+        order = {name: i for i, name in enumerate(found)}
+        _assign(self, nominal, tuple(found.values()), tuple(order[name] for name in labels), blocks)
+
+    @classmethod
+    def from_parameters(
+        cls,
+        function: Callable[[Mapping[str, float]], Plant],
+        parameters: Mapping[str, Sequence[float]],
+        *,
+        rtol: float = 1e-9,
+        seed: int = 0,
+    ) -> UncertainPlant:
+        """Return the uncertain plant of named physical parameters; see :func:`uncertain_plant_from_parameters`."""
+        from residua.robust.sets.linearisation import uncertain_plant_from_parameters
+
+        return uncertain_plant_from_parameters(function, parameters, rtol=rtol, seed=seed)
+
+    @classmethod
+    def from_plants(cls, plants: Iterable[Plant]) -> UncertainPlant:
+        """Return an uncertain plant that contains all plants of a list; see :func:`uncertain_plant_from_plants`."""
+        from residua.robust.sets.linearisation import uncertain_plant_from_plants
+
+        return uncertain_plant_from_plants(plants)
+
+    # ------------------------------------------------------------------ facts
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(parameter.name for parameter in self.parameters)
+
+    @property
+    def low(self) -> NDArray[np.float64]:
+        """Lower bounds of the parameters."""
+        return np.array([parameter.low for parameter in self.parameters])
+
+    @property
+    def high(self) -> NDArray[np.float64]:
+        """Upper bounds of the parameters."""
+        return np.array([parameter.high for parameter in self.parameters])
+
+    @property
+    def nominal_values(self) -> NDArray[np.float64]:
+        """The parameters of the nominal plant."""
+        return np.array([parameter.nominal for parameter in self.parameters])
+
+    # ---------------------------------------------------------------- members
+
+    def member(self, values: ArrayLike | Mapping[str, float]) -> Plant:
+        """Return the plant with given parameters.
+
+        Parameters
+        ----------
+        values : mapping of name to value, or array_like, shape (parameters,)
+            A mapping may leave out parameters: these are nominal.
+
+        Raises
+        ------
+        ModelError
+            If a parameter is unknown or outside of its bounds.
+        """
+        v = parameter_values(values, self.names, self.low, self.high, self.nominal_values)
+        F = (v - self.nominal_values)[list(self.channels)]
+        Hx, Hy = self.Hx * F, self.Hy * F
+        plant = self.nominal
+        return plant._with(
+            A=frozen(plant.A - Hx @ self.Gx),
+            Bu=frozen(plant.Bu - Hx @ self.Gu),
+            C=frozen(plant.C - Hy @ self.Gx),
+            Du=frozen(plant.Du - Hy @ self.Gu),
+            Bd=frozen(plant.Bd - Hx @ self.Gd),
+            Dd=frozen(plant.Dd - Hy @ self.Gd),
+            Bf=frozen(plant.Bf - Hx @ self.Gf),
+            Df=frozen(plant.Df - Hy @ self.Gf),
+        )
+
+    def vertex_values(self) -> NDArray[np.float64]:
+        """Return the corners of the box of parameters, shape (2^k, k); for up to 12 parameters."""
+        return corners(self.low, self.high)
+
+    def vertices(self) -> list[Plant]:
+        """Return the plants at all corners of the box of parameters, in the order of :meth:`vertex_values`."""
+        return [self.member(values) for values in self.vertex_values()]
+
+    def sample_values(self, rng: np.random.Generator | int, count: int) -> NDArray[np.float64]:
+        """Return parameters drawn evenly from the box, shape (count, k)."""
+        return np.random.default_rng(rng).uniform(self.low, self.high, (count, len(self.parameters)))
+
+    def sample(self, rng: np.random.Generator | int, count: int) -> list[Plant]:
+        """Return plants with parameters drawn evenly from the box.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator or int
+            A generator, or the seed of one.
+        count : int
+        """
+        return [self.member(values) for values in self.sample_values(rng, count)]
+
+    # -------------------------------------------------------------- new plants
+
+    def in_closed_loop(self, controller: StateSpace) -> UncertainPlant:
+        """Return the uncertain plant under feedback; see :func:`close_loop`."""
+        from residua.robust.sets.uncertain_loop import close_loop
+
+        return close_loop(self, controller)
+
+    def estimator_residual(
+        self,
+        gain: ArrayLike,
+        projection: ArrayLike,
+        *,
+        nuisances: Iterable[str] = (),
+        nuisance_size: float = 1.0,
+        model: ArrayLike | None = None,
+    ) -> UncertainSystem:
+        """Return the residual of an estimator as an uncertain system; see :func:`estimator_residual`."""
+        from residua.robust.sets.uncertain_loop import estimator_residual
+
+        return estimator_residual(self, gain, projection, nuisances=nuisances, nuisance_size=nuisance_size, model=model)
+
+    def discretize(self, dt: float) -> UncertainPlant:
+        """Return the uncertain plant sampled with step ``dt``.
+
+        Sampled matrices are not affine in the parameters of continuous ones: ``linearisation`` of what is returned
+        tells what the affine form leaves out, the directions of disturbances and faults included. A set that was made
+        by :meth:`from_parameters` is made anew of sampled plants of its function, so that this is told of these.
+        """
+        of = self.member if self.function is None else self.function
+        bounds = {p.name: (p.low, p.nominal, p.high) for p in self.parameters}
+        made = type(self).from_parameters(lambda values: of(values).discretize(dt), bounds)
+        before, found = self.linearisation, made.linearisation
+        if self.function is not None or before is None or before.exact or found is None:
+            return made
+        both = replace(found, exact=False, before=before)
+        block = ChannelBlock(made.Hx, made.Hy, made.Gx, made.Gu, made.Gd, made.Gf)
+        return make_uncertain_plant(
+            made.nominal, made.parameters, made.channels, [block], linearisation=both, function=made.function
+        )
+
+    def __getstate__(self) -> dict[str, Any]:
+        # functions that are given are seldom importable, and what they have made is all here
+        return vars(self) | {"function": None}
+
+    def __repr__(self) -> str:
+        kind = f"dt={self.nominal.dt:g} s" if self.nominal.is_discrete else "continuous"
+        short = "" if self.linearisation is None or self.linearisation.exact else f", {self.linearisation}"
+        return (
+            f"UncertainPlant({self.nominal.name!r}: {self.nominal.n_states} states, {len(self.parameters)} parameters "
+            f"in {len(self.channels)} channels, {kind}{short})"
+        )
+
+
+def make_uncertain_plant(
+    nominal: Plant,
+    parameters: tuple[UncertainParameter, ...],
+    channels: tuple[int, ...],
+    blocks: Iterable[ChannelBlock | tuple[Matrix, Matrix, Matrix, Matrix]],
+    *,
+    linearisation: Linearisation | None = None,
+    plants: tuple[Plant, ...] = (),
+    function: Callable[[Mapping[str, float]], Plant] | None = None,
+) -> UncertainPlant:
+    """Return an uncertain plant from blocks of channels, one after another."""
+    new = object.__new__(UncertainPlant)
+    _assign(new, nominal, parameters, channels, blocks, linearisation, plants, function)
+    return new
+
+
+def visited_values(plant: UncertainPlant, inside: int, seed: int) -> NDArray[np.float64]:
+    """Return parameters to look at: the nominal ones, corners (all up to 10 parameters), and points inside."""
+    rng = np.random.default_rng(seed)
+    k = len(plant.parameters)
+    if k <= _ALL_CORNERS:
+        ends = plant.vertex_values()
+    else:
+        ends = np.where(rng.random((2**_ALL_CORNERS, k)) < 0.5, plant.low, plant.high)
+    return np.vstack([plant.nominal_values, ends, plant.sample_values(rng, inside)])
+
+
+def _assign(
+    new: UncertainPlant,
+    nominal: Plant,
+    parameters: tuple[UncertainParameter, ...],
+    channels: tuple[int, ...],
+    blocks: Iterable[ChannelBlock | tuple[Matrix, Matrix, Matrix, Matrix]],
+    linearisation: Linearisation | None = None,
+    plants: tuple[Plant, ...] = (),
+    function: Callable[[Mapping[str, float]], Plant] | None = None,
+) -> None:
+    made = [block if isinstance(block, ChannelBlock) else ChannelBlock(*block) for block in blocks]
+    unique(tuple(p.name for p in parameters), "parameters")
+    n, p = nominal.n_states, nominal.n_outputs
+
+    def right(part: str, columns: int) -> Matrix:
+        given = ((getattr(b, part), len(b.Gx)) for b in made)
+        rows = [np.zeros((k, columns)) if G is None else G for G, k in given]
+        return frozen(np.vstack([np.zeros((0, columns)), *rows]))
+
+    fields = {
+        "nominal": nominal,
+        "parameters": parameters,
+        "channels": channels,
+        "Hx": frozen(np.hstack([np.zeros((n, 0)), *(b.Hx for b in made)])),
+        "Hy": frozen(np.hstack([np.zeros((p, 0)), *(b.Hy for b in made)])),
+        "Gx": right("Gx", n),
+        "Gu": right("Gu", len(nominal.inputs)),
+        "Gd": right("Gd", len(nominal.disturbances)),
+        "Gf": right("Gf", len(nominal.faults)),
+        "linearisation": linearisation,
+        "plants": plants,
+        "function": function,
+    }
+    for key, value in fields.items():
+        object.__setattr__(new, key, value)
+
+
+def _channel_block(plant: Plant, delta: Perturbation) -> ChannelBlock:
+    """Return the channels of one perturbation, with zeros where it does not enter."""
+    n, p, k = plant.n_states, plant.n_outputs, len(delta.low)
+    of_outputs = delta.matrix[0] in "CD"
+    side = "x" if delta.matrix in "AC" else delta.matrix[1:] or "u"
+    widths = {"x": n, "u": len(plant.inputs), "d": len(plant.disturbances), "f": len(plant.faults)}
+    rows, columns = (p if of_outputs else n), widths[side]
+    if delta.H.shape[0] != rows or delta.G.shape[1] != columns:
+        raise ModelError(
+            f"d{delta.matrix} = -H F G must be {rows} x {columns} as {delta.matrix} of the plant is, "
+            f"got H with {delta.H.shape[0]} rows and G with {delta.G.shape[1]} columns"
+        )
+    Hx, Hy, right = np.zeros((n, k)), np.zeros((p, k)), {part: np.zeros((k, width)) for part, width in widths.items()}
+    (Hy if of_outputs else Hx)[:] = delta.H
+    right[side][:] = delta.G
+    return ChannelBlock(Hx, Hy, right["x"], right["u"], right["d"], right["f"])
