@@ -39,7 +39,8 @@ sphinx_gallery_conf = {
     "show_signature": False,
     "plot_gallery": True,
     "remove_config_comments": True,
-    "min_reported_time": 1000,  # no page with computation times
+    "min_reported_time": 1000,
+    "write_computation_times": False,  # these pages load scripts from other hosts
     "within_subsection_order": "gallery_order.by_interest",
 }
 

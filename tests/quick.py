@@ -188,16 +188,18 @@ class Repository:
 
     def tests_of(self, path: str) -> set[str]:
         """Return the test files nearest to a file."""
-        if is_test(path):
-            return {path}
+        # A facade passes names on, and whoever uses them there is counted already; only what it uses itself leads on.
+        return {path} if is_test(path) else self._outwards(path, through=False) or self._outwards(path, through=True)
+
+    def _outwards(self, path: str, through: bool) -> set[str]:
+        """Return the test files that are reached first, by way of facades or not."""
         seen, layer = {path}, {path}
         while layer:
             layer = {user for near in layer for user in self.users(near)} - seen
             if tests := {user for user in layer if is_test(user)}:
                 return tests
             seen |= layer
-            # A facade passes names on, and whoever uses them there is counted already.
-            layer = {user for user in layer if not user.endswith("__init__.py")}
+            layer = {user for user in layer if through or not user.endswith("__init__.py")}
         return set()
 
 
