@@ -12,6 +12,8 @@ import pytest
 for _library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
+from refusals import pytest_configure, refused  # noqa: E402, F401
+
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 
