@@ -10,11 +10,16 @@ from numpy.typing import NDArray
 
 from residua.linear import StateSpace
 
+#: A coefficient below this fraction of the terms that it is the sum of is rounding.
+_ROUNDING = 1e-13
+
 
 def trimmed(
     coefficients: Sequence[NDArray], sizes: Sequence[NDArray], rate: float, rtol: float = 1e-12
 ) -> list[NDArray]:
-    """Return a polynomial without the highest coefficients that are rounding.
+    """Return a polynomial without the highest coefficients that are rounding, and with zeros for entries that are.
+
+    A signal that was decoupled is then not read at all, where rounding of its terms would read it faintly.
 
     Parameters
     ----------
@@ -25,7 +30,7 @@ def trimmed(
     rtol : float
         Coefficients below this fraction of what their row and their column are made of count as rounding.
     """
-    out = list(coefficients)
+    out = [np.where(np.abs(P) > _ROUNDING * size, P, 0.0) for P, size in zip(coefficients, sizes, strict=True)]
     total = sum(rate**i * size for i, size in enumerate(sizes))
     columns = np.max(total, axis=0, keepdims=True, initial=0.0)
     columns = np.where(columns > 0, columns, 1.0)

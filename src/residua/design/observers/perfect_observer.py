@@ -215,8 +215,13 @@ class PerfectObserver:
         pick = np.eye(len(self.N))[part]
         return self.series(G, pick, [])
 
-    def series(self, G: NDArray, pick: NDArray, first: list[NDArray]) -> list[NDArray[np.float64]]:
-        """Return ``first`` and then ``pick G, pick N G, ...`` up to the last that is not zero."""
+    def series(
+        self, G: NDArray, pick: NDArray, first: list[NDArray], direct: tuple[NDArray, NDArray] | None = None
+    ) -> list[NDArray[np.float64]]:
+        """Return ``first`` and then ``pick G, pick N G, ...`` up to the last that is not zero.
+
+        ``direct``: two factors whose product is added to ``pick G``.
+        """
         out, sizes = list(first), [np.abs(P) for P in first]
         # In the coordinates of the chains, where N is triangular, its powers are small when they should be.
         chain, pick = self.gain.triangular, pick @ self.gain.basis
@@ -226,6 +231,10 @@ class PerfectObserver:
             out.append(pick @ power)
             sizes.append(np.abs(pick) @ size)
             power, size = chain @ power, np.abs(chain) @ size
+        if direct is not None:
+            left, right = direct
+            out[len(first)] = out[len(first)] + left @ right
+            sizes[len(first)] = sizes[len(first)] + np.abs(left) @ np.abs(right)
         return trimmed(out, sizes, self.bandwidth)
 
     def residual_polynomial(self, B: NDArray, D: NDArray, *, own: bool) -> list[NDArray[np.float64]]:
@@ -244,9 +253,7 @@ class PerfectObserver:
             F = np.vstack([B, D])
         if self.complete:
             W, whole = self.left, np.hstack([p.C[rows], p.Dd[rows]])
-            out = self.series(G, -W @ whole, [])
-            out[0] = out[0] + W @ direct
-            return out
+            return self.series(G, -W @ whole, [], (W, direct))
         E = np.eye(p.n_states) if p.E is None else p.E
         S = np.zeros((p.n_states + len(rows), len(self.N)))
         S[: p.n_states, : p.n_states] = E
