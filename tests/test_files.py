@@ -19,7 +19,8 @@ from residua.errors import FileFormatError
 from residua.files import check_input, replacing, write_text
 from residua.library import gertler, three_tank
 from residua.plant import load_plant, save_plant
-from residua.recording.recording import read_recording, write_table
+from residua.recording.recording import read_recording
+from residua.recording.table_writer import write_table
 
 WRITERS: dict[str, Callable[[Path], object]] = {
     "text": lambda path: write_text(path, "x"),

@@ -9,8 +9,7 @@ import residua as rs
 from residua.errors import DesignError
 from residua.linear import StateSpace, peak_norm
 from residua.plant import Perturbation, UncertainPlant
-from residua.robust.estimators.certified_threshold import _part, certified_threshold, left_out
-from residua.robust.estimators.rounding_scale import rounding_scale
+from residua.robust.estimators.certified_threshold import _part, certified_threshold, left_out, rounding_scale
 from residua.robust.sets.uncertain_loop import residual_over_set
 from robust_loops import random_loop
 

@@ -14,7 +14,8 @@ import scipy.io
 
 from residua.errors import DataError, FileFormatError, MissingExtraError
 from residua.library import three_tank
-from residua.recording.recording import Recording, read_recording, recording_from_frame, write_table
+from residua.recording.recording import Recording, read_recording, recording_from_frame
+from residua.recording.table_writer import write_table
 
 PLANT = three_tank()
 CHANNELS = ("Q1", "Q2", "h1", "h2", "h3")

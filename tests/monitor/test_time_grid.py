@@ -11,7 +11,8 @@ from hypothesis import given, settings, strategies as st
 
 from residua.errors import DataError, SettingError
 from residua.library import three_tank
-from residua.recording.recording import Recording, read_recording, recording_from_frame, write_table
+from residua.recording.recording import Recording, read_recording, recording_from_frame
+from residua.recording.table_writer import write_table
 from residua.recording.time_grid import put_on_grid
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +11,6 @@ import typer
 
 from residua import __version__
 from residua.cli import methods, plant_commands, screen
-from residua.cli.files import check_outputs
 from residua.cli.guard import FAULT, NO_FAULT, GuardedGroup, in_cli_words, warn
 from residua.cli.methods import MemberKind, Method, Scheme
 from residua.cli.plant_commands import PlantFile, Rows
@@ -28,15 +28,16 @@ from residua.cli.recording_options import (
     Transpose,
     Variable,
 )
-from residua.decide import Directional, GroupTest, Matched, NormTest, NormThreshold, Structured
+from residua.decide import Directional, Matched, NormThreshold, Structured
 from residua.demos import Outcome
 from residua.design import MatchedFilters, ResidualGenerator
 from residua.errors import AccuracyError, DataError, ModelError, SettingError
-from residua.files import check_input, real
+from residua.files import check_input, check_output, real, special
 from residua.monitor import Diagnosis, Monitor
 from residua.monitor.inputs import settling_reason
 from residua.plant.plant_file import load_plant
-from residua.recording.recording import Recording, write_table
+from residua.recording.recording import Recording
+from residua.recording.table_writer import write_table
 
 app = typer.Typer(
     cls=GuardedGroup,
@@ -201,7 +202,7 @@ def _evidence(monitor: Monitor) -> object:
 def _readiness(monitor: Monitor, path: Path) -> str:
     if monitor.is_fitted:
         test = monitor.norm_test
-        what = f"threshold {test.threshold:.6g}" if isinstance(test, NormTest) else _thresholds(monitor)
+        what = _thresholds(monitor).replace("threshold: ", "threshold ")
         return f"{what}: {test.basis}; 'residua fit' sets it from fault-free data"
     return f"no threshold yet: residua fit {path} NORMAL.csv -o {path}"
 
@@ -209,10 +210,10 @@ def _readiness(monitor: Monitor, path: Path) -> str:
 def _thresholds(monitor: Monitor) -> str:
     """Return the threshold, or those of the members of a bank."""
     test = monitor.norm_test
-    if isinstance(test, NormTest):
+    if not test.part_names:
         return f"threshold: {test.threshold:.6g}"
-    names = test.names if isinstance(test, GroupTest) else [member.name for member in monitor.generator.members]
-    return f"thresholds: {', '.join(f'{n} {t:.6g}' for n, t in zip(names, test.thresholds, strict=True))}"
+    limits = zip(test.part_names, test.part_thresholds, strict=True)
+    return f"thresholds: {', '.join(f'{name} {limit:.6g}' for name, limit in limits)}"
 
 
 @app.command()
@@ -408,3 +409,25 @@ def _folder(path: Path) -> None:
     if path.exists() and not path.is_dir():
         raise DataError(f"{path} is a file; the demo needs a folder")
     path.mkdir(parents=True, exist_ok=True)
+
+
+def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path] = ()) -> None:
+    """Raise unless every output can be written.
+
+    Parameters
+    ----------
+    outputs : iterable of Path or None
+        ``None`` stands for an output that was not asked for.
+    inputs : iterable of Path
+        Files that must not be overwritten.
+    """
+    taken = {real(path): "is read by this command" for path in inputs}
+    for path in outputs:
+        if path is None:
+            continue
+        check_output(path)
+        if special(path):
+            continue
+        if real(path) in taken:
+            raise DataError(f"{path} {taken[real(path)]}; give the output another name")
+        taken[real(path)] = "is given for two outputs"

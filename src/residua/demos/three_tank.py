@@ -13,7 +13,7 @@ from residua.design import kalman_filter
 from residua.library import SimulatedRecording, simulate_three_tank, three_tank as library_tank, three_tank_fault
 from residua.monitor import Diagnosis, Monitor
 from residua.plant import Plant, load_plant, save_plant
-from residua.recording.recording import write_table
+from residua.recording.table_writer import write_table
 from residua.report.page import Section, write_demo_page
 from residua.report.tables import Table
 

@@ -1,11 +1,12 @@
 """A generator with its decision logic, running on data."""
 
-from residua.monitor.alarm import Alarm, Beginning, Candidate, PresentFault, Size
+from residua.decide.alarm import Alarm, Beginning, Candidate, PresentFault, Size
 from residua.monitor.decision import Decision
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.monitor import Monitor
 from residua.monitor.running import Decisions
-from residua.recording.recording import Recording, read_recording, recording_from_frame, write_table
+from residua.recording.recording import Recording, read_recording, recording_from_frame
+from residua.recording.table_writer import write_table
 
 __all__ = [
     "Alarm",

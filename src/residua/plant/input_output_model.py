@@ -7,13 +7,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
 from residua.arrays import unique
 from residua.errors import ModelError
 from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
 from residua.linear.subspaces.rank import DEFAULT_RTOL
-from residua.plant.channels import Fault, OperatingPoint, channel_units, operating_point as checked_point
+from residua.plant.channels import ROLES, Fault, OperatingPoint, channel_units, operating_point as checked_point
+from residua.plant.fault_facts import FaultFacts
 from residua.plant.input_output_entries import (
     Column,
     checked_variable,
@@ -24,7 +26,6 @@ from residua.plant.input_output_entries import (
     output_polynomials,
     row_delays,
 )
-from residua.plant.input_output_facts import InputOutputFacts
 from residua.plant.observer_form import check_proper, check_regular
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
-class InputOutputModel(InputOutputFacts):
+class InputOutputModel(FaultFacts):
     r"""A linear plant as polynomial equations between its inputs and outputs.
 
     .. math:: H(z)\, y = G(z)\, u + G_d(z)\, d + G_f(z)\, f
@@ -90,6 +91,23 @@ class InputOutputModel(InputOutputFacts):
     (z^2 - 1.4 z + 0.45) y2 = (1.1 z - 0.95) u + (z - 0.9) p1 + (z^2 - 1.4 z + 0.45) [y2 sensor]
     """
 
+    H: PolynomialMatrix
+    G: PolynomialMatrix
+    Gd: PolynomialMatrix
+    Gf: PolynomialMatrix
+    dt: float
+    variable: str
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    measured_inputs: tuple[str, ...]
+    disturbances: tuple[str, ...]
+    fault_list: tuple[Fault, ...]
+    name: str
+    operating_point: OperatingPoint
+    units: Mapping[str, str]
+    description: str
+    delays: tuple[int, ...]
+
     def __init__(
         self,
         H: Any,
@@ -142,6 +160,79 @@ class InputOutputModel(InputOutputFacts):
         }
         for key, value in fields.items():
             object.__setattr__(self, key, value)
+
+    # ------------------------------------------------------------------- facts
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of outputs, and of equations."""
+        return self.H.shape[0]
+
+    @property
+    def is_discrete(self) -> bool:
+        """Whether the model is sampled."""
+        return self.dt > 0
+
+    @property
+    def is_diagonal(self) -> bool:
+        """Whether every equation has one output."""
+        off = self.H.coefficients[:, ~np.eye(self.n_outputs, dtype=bool)]
+        return not np.any(off)
+
+    def right_side(self, roles: Iterable[str] = ("control", "disturbance", "fault")) -> PolynomialMatrix:
+        """Return the columns of ``G``, ``Gd`` and ``Gf`` of the given roles, in that order."""
+        parts = {"control": self.G, "disturbance": self.Gd, "fault": self.Gf}
+        chosen = [roles] if isinstance(roles, str) else list(roles)
+        for role in chosen:
+            if role not in parts:
+                hint = " (an input-output model has no noise)" if role in ROLES else ""
+                raise ModelError(f"unknown role {role!r}{hint}; known: {', '.join(parts)}")
+        return PolynomialMatrix(np.zeros((1, self.n_outputs, 0))).beside(*(parts[role] for role in chosen))
+
+    def transfer(
+        self, points: ArrayLike, roles: Iterable[str] = ("control", "disturbance", "fault")
+    ) -> NDArray[np.complex128]:
+        r"""Return the transfer matrix :math:`S = H^{-1} [G\ G_d\ G_f]` at values of ``z`` or ``s``.
+
+        Parameters
+        ----------
+        points : array_like of complex, shape (k,)
+        roles : sequence of str
+            Whose columns, in that order.
+
+        Returns
+        -------
+        ndarray of complex, shape (k, outputs, inputs of these roles)
+        """
+        at = np.atleast_1d(np.asarray(points, dtype=complex))
+        H, N = self.H.evaluate(at), self.right_side(roles).evaluate(at)
+        size = np.abs(H).max(axis=2, keepdims=True, initial=0.0)
+        size = np.where(size > 0, size, 1.0)
+        try:
+            return np.asarray(np.linalg.solve(H / size, N / size), dtype=complex)
+        except np.linalg.LinAlgError as error:
+            raise ModelError(f"the model has a pole at one of the points asked for: {error}") from error
+
+    def __str__(self) -> str:
+        letter = "z" if self.is_discrete else "s"
+        names = (*self.inputs, *self.disturbances, *self.faults)
+        right = self.right_side().coefficients
+        return "\n".join(
+            equation_text(
+                [(self.H.coefficients[:, i, j], name) for j, name in enumerate(self.outputs)],
+                [(right[:, i, j], name) for j, name in enumerate(names)],
+                letter,
+            )
+            for i in range(self.n_outputs)
+        )
+
+    def __repr__(self) -> str:
+        kind = f"dt={self.dt:g} s" if self.is_discrete else "continuous"
+        return (
+            f"InputOutputModel({self.name!r}: degrees {', '.join(map(str, self.H.row_degrees))}, {len(self.inputs)} "
+            f"inputs, {self.n_outputs} outputs, {len(self.disturbances)} disturbances, {len(self.fault_list)} faults, "
+            f"{kind})"
+        )
 
     # ---------------------------------------------------- from and to elsewhere
 
@@ -319,3 +410,71 @@ class InputOutputModel(InputOutputFacts):
                 raise ModelError(f"fault {fault.name!r} has no effect: its polynomials are zero")
         unique((*self.faults, *(fault.name for fault in faults)), "faults")
         return self._with(Gf=self.Gf.beside(extra), fault_list=(*self.fault_list, *faults))
+
+
+def polynomial_text(coefficients: NDArray[np.float64], variable: str, *, digits: int = 5) -> str:
+    """Return a polynomial as text, highest power first.
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (degree + 1,)
+        Lowest power first.
+    variable : str
+    digits : int
+        Significant digits of each coefficient.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> polynomial_text(np.array([0.2, -0.9, 1.0]), "z")
+    'z^2 - 0.9 z + 0.2'
+    """
+    parts = [(float(value), _power(variable, k)) for k, value in reversed(list(enumerate(coefficients))) if value != 0]
+    return _sum((value < 0, _monomial(abs(value), power, digits)) for value, power in parts)
+
+
+def equation_text(
+    left: Iterable[tuple[NDArray[np.float64], str]],
+    right: Iterable[tuple[NDArray[np.float64], str]],
+    variable: str,
+    *,
+    digits: int = 5,
+) -> str:
+    """Return an equation between sums of polynomials times signals; signals with a zero polynomial are left out."""
+    return " = ".join(
+        _sum(_term(p, signal, variable, digits) for p, signal in side if np.any(p)) for side in (left, right)
+    )
+
+
+def _term(p: NDArray[np.float64], signal: str, variable: str, digits: int) -> tuple[bool, str]:
+    """Return the sign (true: minus) and the text of one polynomial times a signal."""
+    used = np.flatnonzero(p)
+    minus = bool(p[used[-1]] < 0)
+    size = -p if minus else p
+    name = f"[{signal}]" if any(c.isspace() for c in signal) else signal
+    if len(used) > 1:
+        return minus, f"({polynomial_text(size, variable, digits=digits)}) {name}"
+    factor = _monomial(float(size[used[0]]), _power(variable, int(used[0])), digits)
+    return minus, name if factor == "1" else f"{factor} {name}"
+
+
+def _sum(terms: Iterable[tuple[bool, str]]) -> str:
+    out = ""
+    for minus, text in terms:
+        sign = (" - " if minus else " + ") if out else ("-" if minus else "")
+        out += sign + text
+    return out or "0"
+
+
+def _monomial(size: float, power: str, digits: int) -> str:
+    number = f"{size:.{digits}g}"
+    if not power:
+        return number
+    return power if number == "1" else f"{number} {power}"
+
+
+def _power(variable: str, k: int) -> str:
+    return "" if k == 0 else variable if k == 1 else f"{variable}^{k}"

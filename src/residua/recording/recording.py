@@ -21,11 +21,10 @@ from residua.recording.dates import seconds_from_text
 from residua.recording.mat_files import read_mat
 from residua.recording.npz_files import read_npz
 from residua.recording.parquet_files import read_parquet
-from residua.recording.table_writer import write_table
 from residua.recording.time_axis import seconds_from_dates
 from residua.visible import echo
 
-__all__ = ["Recording", "read_recording", "recording_from_frame", "write_table"]
+__all__ = ["Recording", "read_recording", "recording_from_frame"]
 
 
 def read_recording(

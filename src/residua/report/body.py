@@ -14,7 +14,6 @@ from residua.report.choosing import SHOWN_FAULTS, look_alikes, shown_groups
 from residua.report.codes import CODE_RULES, DEDICATED_RULES, SCORE_RULE, code_alarm_table, code_table, present_table
 from residua.report.contributions import contribution_html, inside_band
 from residua.report.figures import band_text, charts_html
-from residua.report.look import look_table
 from residua.report.pictures import direction_picture
 from residua.report.signatures import Signatures, judged_signatures
 from residua.report.tables import (
@@ -27,13 +26,14 @@ from residua.report.tables import (
     similarity_table,
     structure_table,
 )
-from residua.report.text import escape, listing, number, percent, score, some
+from residua.report.text import escape, listing, number, percent, score, size_text, some
 from residua.report.verdict import BEGAN_RULE, MATCH_RULES, RULES, verdict
 
 if TYPE_CHECKING:
     from residua.design.core.generator import ResidualGenerator
     from residua.monitor.diagnosis import Diagnosis
 
+_KINDS = {"sensor": "sensor", "actuator": "actuator", "component": "component"}
 #: Cosine from which on signatures are said to look alike, and clusters of them that are listed.
 ALIKE = 0.98
 _CLUSTERS = 6
@@ -204,6 +204,8 @@ def _directions(diagnosis: Diagnosis) -> str:
     )
     if not diagnosis.groups:
         text = "This monitor does not isolate; these are the signatures that it would judge by. " + text
+    elif not diagnosis.signatures:
+        text = f"Faults are not named by direction here; this is how the filter could tell them so. {text}"
     if known.whitened:
         text += " Residuals are compared after whitening by their fault-free covariance."
     if any(known.steady):
@@ -300,3 +302,30 @@ def filter_html(generator: ResidualGenerator, *, number: int, several: bool, use
         f"<details{'' if several else ' open'}><summary>Evidence: what the design proves about itself</summary>"
         f"{evidence_html(generator.evidence)}</details></section>"
     )
+
+
+def look_table(diagnosis: Diagnosis) -> str:
+    """Return what to look at where faults are named; empty without."""
+    main, plant = diagnosis.main_alarm, diagnosis.generator.plant
+    if main is None:
+        return ""
+    groups = [*diagnosis.named, *(c.faults for c in main.candidates[1:2] if main.doubt)]
+    faults = [name for group in groups for name in group if name in plant.faults]
+    if not faults:
+        return ""
+    shown = [plant.fault_list[plant.faults.index(name)] for name in faults[:SHOWN_FAULTS]]
+    told = {size.fault: size for size in main.sizes}
+    sizes = [size_text(told[fault.name]) if fault.name in told else "" for fault in shown]
+    columns: list[tuple[str, list[str]]] = [
+        ("Fault", [f'<td class="name">{escape(fault.name)}</td>' for fault in shown]),
+        ("Component", [escape(fault.component) for fault in shown]),
+        ("Kind", [_KINDS.get(fault.kind, escape(fault.kind)) for fault in shown]),
+        ("What it is", [escape(fault.description) for fault in shown]),
+        ("What to check", [escape(fault.check) for fault in shown]),
+        ("Estimated size", [escape(size) for size in sizes]),
+    ]
+    kept = [(name, cells) for name, cells in columns if any(cells)]
+    rows = [[cell or "–" for cell in row] for row in zip(*(cells for _, cells in kept), strict=True)]
+    more = len(faults) - len(shown)
+    note = f'<p class="muted">… and {more} more, which this monitor cannot tell from these.</p>' if more else ""
+    return f"<h3>What to look at</h3>{html_table([name for name, _ in kept], rows)}{note}"

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 
 from residua import arrays
 from residua.analysis.fault_space import fault_space
-from residua.design.banks.filter_rounding import rounding_share
 from residua.design.banks.unknown_input_quotient import (
     ExplicitParts,
     Quotient,
@@ -21,7 +20,7 @@ from residua.design.banks.unknown_input_quotient import (
 from residua.design.core.canonical_design import designed_in_own_units
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
-from residua.design.core.internal_form import check_decoupling
+from residua.design.core.internal_form import check_decoupling, frequency_grid
 from residua.design.observers.observer_gain import margin_from, place, pole_evidence
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
@@ -31,6 +30,8 @@ from residua.linear.subspaces.observable_part import UndetectableError
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 from residua.plant.even_units import even_plant
+
+_EPS = float(np.finfo(float).eps)
 
 _ROUNDING = "rounding over a fault"
 #: A default margin that lets rounding grow to more than this of what a fault leaves is lowered.
@@ -257,3 +258,30 @@ def _kalman_gain(quotient: Quotient, plant: Plant) -> Placement:
     found = filter_riccati(quotient.A, quotient.C, G @ G.T, J @ J.T, G @ J.T, dt=plant.dt)
     none, K = np.zeros(0, dtype=complex), np.asarray(found.gain)
     return Placement(K, none, np.asarray(found.poles, dtype=complex), none, 0.0, 1.0, float(np.linalg.norm(K)))
+
+
+def rounding_share(generator: ResidualGenerator) -> float:
+    r"""Return how large rounding is over the response to the fault that is weakest against it.
+
+    For the signals of a slow fault: the terms :math:`|F| |x| + |K| |y|` of each step are rounded and pass through
+    :math:`C (zI - F)^{-1}` on to the residual, whose own terms are :math:`|C| |x| + |D| |y|`. Zero without faults.
+    """
+    system, plant = generator.system, generator.plant
+    w = frequency_grid(system, plant.system(()))
+    w = w[: max(len(w) // 3, 1)]
+    y = np.abs(plant.system("fault").frequency_response(w))
+    n_u, n = len(plant.inputs), system.n_states
+    K, H = np.abs(system.B[:, n_u:]), np.abs(system.D[:, n_u:])
+    response = np.abs(generator.internal_form().frequency_response(w)[:, :, : len(plant.faults)])
+    left = H @ y
+    if n:
+        z = np.exp(1j * w * plant.dt) if plant.is_discrete else 1j * w
+        R = np.linalg.inv(z[:, None, None] * np.eye(n) - system.A)
+        x = np.abs(R @ system.B[:, n_u:] @ plant.system("fault").frequency_response(w))
+        steps = np.abs(system.A) @ x + K @ y
+        left = left + np.abs(system.C) @ x + np.abs(system.C @ R) @ steps
+    # A response below the rounding of its terms is lost as a whole, however small it is: a share of one.
+    lost = response < _EPS * left
+    share = np.median(np.where(lost, 1.0, _EPS * left / np.where(lost | (response == 0), 1.0, response)), axis=0)
+    best = np.where(generator.structure, share, np.inf).min(axis=0, initial=np.inf)  # of the residuals that see it
+    return float(np.max(best, initial=0.0, where=np.isfinite(best)))

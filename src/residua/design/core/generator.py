@@ -22,7 +22,6 @@ from residua.design.core.internal_form import (
 from residua.design.core.responses import covariance_of_sums, steady_responses
 from residua.design.core.signals import discretized_filter, sampled_filter, stack_signals
 from residua.design.core.signatures import signature_bases
-from residua.design.core.transformable import Transformable
 from residua.errors import AccuracyError
 from residua.linear import StateSpace, decide_rank
 from residua.linear.systems.response_terms import in_even_units
@@ -30,7 +29,8 @@ from residua.plant import Plant
 
 if TYPE_CHECKING:
     from residua.design.observers.observer import Observer
-    from residua.design.parity.relations import ParityRelations
+    from residua.design.parity.equivalence import Equivalence
+    from residua.design.parity.relations import ParityRelations, Poles
 
 
 #: A generator that leaks less of the controls, relative to what cancels, is exact.
@@ -47,7 +47,7 @@ class Member:
 
 
 @dataclass(frozen=True, eq=False)
-class ResidualGenerator(Transformable):
+class ResidualGenerator:
     r"""A stable linear filter from inputs and outputs of a plant to residuals.
 
     .. math:: r = Q(s) \begin{bmatrix} u \\ y \end{bmatrix}
@@ -312,6 +312,107 @@ class ResidualGenerator(Transformable):
             known_form=None,  # noise of the sampled plant is not that of the continuous one, held between samples
             steady=self.steady_directions,
         )
+
+    def to_parity(self) -> ParityRelations:
+        r"""Return the parity relations behind the residuals: the same equations without poles.
+
+        Each residual is :math:`r = r^* c(z) / d(z)` with a relation :math:`r^*` that is polynomial in inputs and
+        outputs; a factor ``c`` that all signals share is divided out, and told in ``divided``.
+
+        Returns
+        -------
+        ParityRelations
+
+        Raises
+        ------
+        AccuracyError
+            If a residual is no exact relation, such as that of a sampled continuous design, or the polynomials lose
+            too many digits.
+        DesignError
+            If the plant has an ``E`` and the generator no state map.
+
+        References
+        ----------
+        Gertler (1991), eqs. (3-18) to (3-23).
+
+        Examples
+        --------
+        >>> import residua as rs
+        >>> flt = rs.design.decoupled_residual(rs.library.gertler(), insensitive_to="p1", poles=[0.25, 0.3])
+        >>> flt.to_parity().orders
+        (2,)
+        """
+        from residua.design.parity.conversion import to_parity
+
+        return to_parity(self)
+
+    def with_poles(self, poles: Poles | None = None) -> ResidualGenerator:
+        """Return the generator of the same relations with other poles; see :meth:`ParityRelations.with_poles`.
+
+        Parameters
+        ----------
+        poles : sequence of complex, or mapping of str to sequence, optional
+            As many as the order of each relation; all zero in sampled time when omitted (the moving-average form).
+
+        Returns
+        -------
+        ResidualGenerator
+
+        Raises
+        ------
+        DesignError
+            If the poles do not fit.
+        AccuracyError
+            As for :meth:`to_parity`.
+
+        References
+        ----------
+        Gertler (1991), section 3.5.
+        """
+        made = self.to_parity().with_poles(poles)
+        old = self.evidence
+        evidence = made.evidence.extended(
+            ranks=dict(old.ranks), references=tuple({*made.evidence.references, *old.references})
+        )
+        kept = [note for note in old.notes if self.relations is not None and "digits" not in note]
+        evidence = replace(evidence, notes=tuple(dict.fromkeys([*kept, *made.evidence.notes])))
+        return replace(made, method=self.method, evidence=evidence, codes=self.codes, members=self.members)
+
+    def equivalent_to(self, other: ResidualGenerator) -> Equivalence:
+        """Tell whether another generator is the same up to poles and scale, or another transformation, and which.
+
+        Parameters
+        ----------
+        other : ResidualGenerator
+            Of a plant with as many inputs and outputs, and of the same step.
+
+        Returns
+        -------
+        Equivalence
+            True when equivalent; prints the transformation from this generator to the other.
+
+        Raises
+        ------
+        ModelError
+            If the two take different signals.
+
+        References
+        ----------
+        Gertler (1991), section 3.5: every residual generator is a transformation of the primary residuals.
+
+        Examples
+        --------
+        >>> import residua as rs
+        >>> plant = rs.library.gertler()
+        >>> a = rs.design.decoupled_residual(plant, insensitive_to="p1", poles=[0.25, 0.3])
+        >>> b = rs.design.parity_relations(plant, insensitive_to="p1")
+        >>> print(b.equivalent_to(a))
+        equivalent: the same up to poles and scale (to ...)
+          r1 = ... x zeros at 0, 0 / poles at 0.3, 0.25 of r1
+        """
+        from residua.design.parity.equivalence import equivalence
+
+        return equivalence(self, other)
 
     def __repr__(self) -> str:
         kind = f"dt={self.dt:g} s" if self.system.is_discrete else "continuous"

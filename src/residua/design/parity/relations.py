@@ -19,7 +19,6 @@ from residua.design.core.signals import signal_names
 from residua.design.parity.directional_pencil import Directions, changed_together, check_directions
 from residua.design.parity.realization import Realization, pole_basis, realize_relation
 from residua.design.parity.relation import Relation, digits_lost, plant_rate
-from residua.design.parity.relation_text import joined, terms_of
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import PolynomialMatrix, StateSpace, is_stable_mode
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
@@ -400,3 +399,30 @@ def _checked_poles(poles: Any, order: int, name: str, plant: Plant) -> NDArray[n
         where = "inside the unit circle" if plant.is_discrete else "in the left half plane"
         raise SettingError(f"pole {format_pole(unstable[0])} is not stable: poles must lie {where}")
     return values
+
+
+def terms_of(rows: NDArray[np.float64], signals: Sequence[str], discrete: bool) -> Iterator[tuple[float, str]]:
+    """Yield the terms of one relation: newest sample, or highest derivative, first."""
+    k = len(rows) - 1
+    for column, signal in zip(rows.T, signals, strict=True):
+        for i in range(k, -1, -1):
+            if column[i]:
+                late = k - i
+                where = (
+                    ("[k]" if not late else f"[k-{late}]")
+                    if discrete
+                    else ("" if not i else "'" * i if i < 4 else f"^({i})")
+                )
+                yield column[i], f"{signal}{where}"
+
+
+def joined(terms: Sequence[tuple[float, str]]) -> str:
+    """Return a sum as text."""
+    out = ""
+    for value, name in terms:
+        sign = " - " if value < 0 else " + "
+        if not out:
+            sign = "-" if value < 0 else ""
+        size = abs(value)
+        out += sign + (name if abs(size - 1) < 1e-12 else f"{size:.6g} {name}")
+    return out or "0"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,7 +154,11 @@ def peak_norm(
     star = star_ellipsoid(s)
     Q = s.units[:, None] * star.Q * s.units
     found = PeakNorm(star.bound, np.nan, kind, rate=star.rate, ellipsoid=Q)
-    return found if kind == "star" else lmi_peak(s, star, found)
+    better = lmi_peak(s, star) if kind == "lmi" else None
+    if better is None:
+        return found
+    value, rate, ellipsoid = better
+    return replace(found, value=value, rate=rate, ellipsoid=ellipsoid)
 
 
 def _by_sums(s: StableSystem, rtol: float, most: int, componentwise: bool) -> PeakNorm:

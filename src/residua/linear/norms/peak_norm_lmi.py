@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,19 +10,16 @@ from residua.linear.norms import lmi
 from residua.linear.norms.impulse_terms import StableSystem
 from residua.linear.norms.star_norm import Ellipsoid
 
-if TYPE_CHECKING:
-    from residua.linear.norms.peak_norm import PeakNorm
-
 Matrix = NDArray[np.float64]
 #: Strictness of the inequalities, in coordinates in which the ellipsoid of the star norm is the unit ball.
 _MARGINS = (1e-6, 1e-4, 1e-3)
 
 
-def lmi_peak(system: StableSystem, star: Ellipsoid, found: PeakNorm) -> PeakNorm:
-    """Return the bound of the inequality, or that of the star norm, which satisfies it too, where that is less."""
+def lmi_peak(system: StableSystem, star: Ellipsoid) -> tuple[float, float, Matrix] | None:
+    """Return the bound of the inequality, its rate and ellipsoid; ``None`` where the star norm is no larger."""
     lmi.require_solver()
     if not star.bound or not np.any(star.Q) or not np.any(system.C):
-        return found
+        return None
     A, B, C, D, T = _unit_ball(system, star)
     room = 1 - system.radius**2
     best: list[tuple[float, float, Matrix]] = []
@@ -47,11 +41,11 @@ def lmi_peak(system: StableSystem, star: Ellipsoid, found: PeakNorm) -> PeakNorm
     value, rate, P = min(best, key=lambda item: item[0])
     value *= star.bound
     if value >= star.bound:
-        return found
+        return None
     # x' P x <= g1 in scaled coordinates, g1 the first part of the bound's square.
     back = system.units[:, None] * T
     g1 = lmi.least_level(_dynamic(A, B, P, rate, 0.0), len(A))
-    return replace(found, value=value, rate=rate, ellipsoid=g1 * back @ np.linalg.solve(P, back.T))
+    return value, rate, g1 * back @ np.linalg.solve(P, back.T)
 
 
 def _unit_ball(system: StableSystem, star: Ellipsoid) -> tuple[Matrix, Matrix, Matrix, Matrix, Matrix]:

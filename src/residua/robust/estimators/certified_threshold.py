@@ -8,19 +8,22 @@ from numbers import Real
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from residua.arrays import index_of
 from residua.design.banks.bank import Bank
 from residua.design.core.generator import ResidualGenerator
-from residua.errors import DesignError, ModelError, NoCertificateError, SettingError
-from residua.linear import StateSpace
+from residua.errors import AccuracyError, DesignError, ModelError, NoCertificateError, SettingError
+from residua.linear import StateSpace, peak_norm
+from residua.plant import Plant
 from residua.robust.bounds import RobustPeakNorm, robust_peak_norm
-from residua.robust.estimators.rounding_scale import rounding_scale
 from residua.robust.sets.uncertain_loop import check_members_stable, loop_parameters, residual_over_set
 from residua.robust.sets.uncertain_plant import UncertainPlant
 from residua.robust.sets.uncertain_system import UncertainSystem
 
+Vector = NDArray[np.float64]
+#: Frequencies at which a system is looked at that is too slow for an ellipsoid, in parts of half the sample rate.
+_FREQUENCIES = (0.0, 1e-3, 1e-2, 0.1, 0.5, 1.0)
 #: How close bounds are to what is attained: those that count, and what is only told, in so many parts of the set.
 _COUNTS, _ONLY_TOLD = 1e-2, {"rtol": 0.1, "boxes": 8}
 #: Parts that the set is cut into where a method has no answer before; a tolerance that any answer keeps to.
@@ -306,3 +309,38 @@ def _part(made: ResidualGenerator, rows: list[int] | list[str]) -> tuple[StateSp
     kept = np.flatnonzero(reaching)
     T = None if made.state_map is None else np.asarray(made.state_map)[kept]
     return StateSpace(part.A[np.ix_(kept, kept)], part.B[kept], part.C[:, kept], part.D, dt=part.dt), T
+
+
+def rounding_scale(plant: Plant, residual_filter: StateSpace, signals: Iterable[str]) -> float:
+    """Return the size of the residual that each output of the loop would cause alone, for signals of unit size.
+
+    The outputs are as large as the signals make them in this loop, the filter is as large as it answers to these.
+    Estimators of which the signals are decoupled have a residual of 1e-15 to 1e-10 times that, for rounding.
+    """
+    flt = residual_filter.explicit()
+    sizes = _sizes(_driven(plant, tuple(signals)))
+    if not np.any(sizes) or not flt.n_outputs:
+        return 0.0
+    return float(np.linalg.norm(_sizes(StateSpace(flt.A, flt.B * sizes, flt.C, flt.D * sizes, dt=flt.dt))))
+
+
+def _driven(plant: Plant, signals: tuple[str, ...]) -> StateSpace:
+    """Return the outputs of a loop as disturbances and faults drive them."""
+    known = (*plant.disturbances, *plant.faults)
+    columns = [known.index(name) for name in signals]
+    B, D = np.hstack([plant.Bd, plant.Bf])[:, columns], np.hstack([plant.Dd, plant.Df])[:, columns]
+    return StateSpace(plant.A, B, plant.C, D, dt=plant.dt)
+
+
+def _sizes(system: StateSpace) -> Vector:
+    """Return about the largest value of every output."""
+    direct = np.linalg.norm(system.D, axis=1)
+    if not system.n_inputs or not np.any(system.B):
+        return direct
+    try:
+        Q = peak_norm(system, kind="star").ellipsoid
+    except AccuracyError:  # too slow
+        points = np.pi / system.dt * np.array(_FREQUENCIES)
+        return np.linalg.norm(system.frequency_response(points), axis=2).max(axis=0)
+    assert Q is not None  # "star" gives one
+    return direct + np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", system.C, Q, system.C), 0.0))

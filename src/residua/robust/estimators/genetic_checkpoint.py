@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +16,6 @@ from residua.json_files import check_checksum, dumps, loads
 from residua.number_kinds import FINITE, INDEX, NumberKind, number_in
 from residua.robust.estimators.search_box import BoxedCost, Matrix
 from residua.visible import shortened
-
-if TYPE_CHECKING:
-    from residua.robust.estimators.genetic_search import GeneticSearch
 
 _FORMAT = "residua-genetic-search"
 _VERSION = 2
@@ -116,7 +113,7 @@ def settings_of(search: Any) -> dict[str, Any]:
     return {name: value for name, value in asdict(search).items() if name not in _ENDS}
 
 
-def fingerprint(search: GeneticSearch, box: BoxedCost, starts: Matrix) -> dict[str, Any]:
+def fingerprint(search: Any, box: BoxedCost, starts: Matrix) -> dict[str, Any]:
     """Return what makes a search the same: settings, box, starts, and the cost of three points."""
     probes = box.lower + np.array([0.25, 0.5, 0.8])[:, None] * box.width
     return {

@@ -1,0 +1,320 @@
+"""One alarm: when, who, how much."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from residua.decide.code_reading import CodeReading
+
+#: A lead in score below this is a close call.
+CLOSE_MARGIN = 0.02
+
+#: By matched filters, a lead in twice the logarithm of the likelihood below this (20 to 1) is a close call.
+CLOSE_LEAD = 6.0
+
+
+@dataclass(frozen=True)
+class Size:
+    """The estimated size of a fault over an alarm.
+
+    Attributes
+    ----------
+    fault : str
+    mean : float
+        Mean of the estimate over the judged window; NaN where it has no value.
+    last : float
+        Its last value there.
+    unit : str
+        Of the output of a sensor fault, or the input of an actuator fault, where the plant knows it; else empty.
+    deviation : float or None
+        Standard deviation of ``mean``, where the noise model tells it (matched filters, for a known arrival).
+    """
+
+    fault: str
+    mean: float
+    last: float
+    unit: str
+    deviation: float | None = None
+
+    def __str__(self) -> str:
+        spread = "" if self.deviation is None else f" ± {self.deviation:.2g}"
+        return f"{self.mean:.3g}{spread}{f' ({self.unit})' if self.unit else ''}"
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A fault, or a group of faults that the monitor cannot tell apart, with how well it explains an alarm.
+
+    Attributes
+    ----------
+    faults : tuple of str
+    score : float
+        Correlation of the residual with the signature of the group, 0 to 1 (``CORR``); by code: the fraction of
+        the members of the bank that agree with the group's code; by matched filters: the root of the fraction that
+        the fault explains of what exceeds the noise.
+    distance : float
+        Normalised projection distance of the residual from the signature, 0 to 1 (``NPD``);
+        ``score**2 + distance**2 = 1``; by code: the fraction of the members that do not agree, ``1 - score``.
+    sizes : tuple of Size
+        Of those of its faults that are estimated.
+    arrival : float or None
+        By matched filters: when the fault arrived if it is this one, in seconds; ``None`` where that was before the
+        window.
+    ratio : float or None
+        By matched filters: twice the logarithm of the likelihood ratio of this fault against none. A lead of 6 over
+        the next candidate makes this one 20 times as likely.
+    """
+
+    faults: tuple[str, ...]
+    score: float
+    distance: float
+    sizes: tuple[Size, ...] = ()
+    arrival: float | None = None
+    ratio: float | None = None
+
+    @property
+    def name(self) -> str:
+        """The faults as text."""
+        return " or ".join(self.faults)
+
+    @property
+    def size(self) -> float | None:
+        """Estimated size of the (first estimated) fault, mean over the judged window; ``None`` without an estimate."""
+        return self.sizes[0].mean if self.sizes else None
+
+
+@dataclass(frozen=True)
+class PresentFault:
+    """A fault that is there by the code of a dedicated bank, and when its own member fired.
+
+    Attributes
+    ----------
+    faults : tuple of str
+        With those that have the same member: one of them or more is there.
+    member : str
+    since : float
+        Time at which its member first fired in this alarm, in seconds. A fault that grows arrived before.
+    until : float or None
+        Time at which its member's alarm went away for the last time; ``None`` when it lasts to the end of the
+        recording, and always in a :class:`residua.monitor.Decision`.
+    """
+
+    faults: tuple[str, ...]
+    member: str
+    since: float
+    until: float | None = None
+
+    @property
+    def name(self) -> str:
+        """The faults as text."""
+        return " or ".join(self.faults)
+
+    def __str__(self) -> str:
+        until = "" if self.until is None else f" until {self.until:.6g} s"
+        return f"{self.name}, its member fired from {self.since:.6g} s{until}"
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """When the change of the residual began that raised an alarm, as an interval.
+
+    It holds for a change that begins as a step, a ramp or the square of time, whatever it becomes later, in noise that
+    goes on as it was before; see :func:`residua.decide.change_time.change_time`. A fault whose first effect on the
+    residual is later than the fault itself began by that much earlier.
+
+    Attributes
+    ----------
+    earliest : float or None
+        In seconds; ``None`` where the recording does not reach back far enough to tell: at or before ``latest``.
+    estimate : float
+        The most likely time.
+    latest : float
+    confidence : float
+        With which the change began between ``earliest`` and ``latest``: 0.95, kept to 0.90 at least in simulations.
+    """
+
+    earliest: float | None
+    estimate: float
+    latest: float
+    confidence: float = 0.95
+
+
+def put_down_to(reading: CodeReading | None, candidates: tuple[Candidate, ...]) -> tuple[tuple[str, ...], ...]:
+    """Return the faults that are named: all that a code reads, or the best candidate."""
+    return reading.named if reading is not None else tuple(c.faults for c in candidates[:1])
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """One alarm: where it lies in the recording and what explains it.
+
+    Alarms that follow each other by less than the isolation window and name the same fault are one; by the code of a
+    dedicated bank those that have one of their faults in common.
+
+    Attributes
+    ----------
+    onset : float
+        Time at which the statistic first went over the threshold and stayed, in seconds; by matched filters the
+        estimated arrival of the fault, where that is known. What the alarm is about began earlier, as a rule:
+        ``began``.
+    raised : float
+        Time at which the alarm was raised (later than the onset when persistence was asked for).
+    ended : float or None
+        Time at which it went away, ``None`` when it lasts to the end of the recording.
+    candidates : tuple of Candidate
+        Best first, judged over the isolation window that ends with the last sample over the threshold (of the
+        longest part, where alarms were joined). By matched filters arrivals and sizes are those of the longest part
+        whose arrival is not after ``raised``, and no candidate arrives after it. By code: the group that was read, then
+        the others by the number of members that agree; empty where the reading is unknown, or several faults, which are
+        no alternatives of each other: ``named`` has them.
+    start, stop : int
+        Sample numbers of ``raised`` and of the first sample after the alarm.
+    reading : CodeReading or None
+        For a bank: what the fired members say. Read from the pattern that stood for the largest number of samples of
+        the alarm, the later one of two that stood equally long. Of a dedicated bank, with them every member that
+        counted as fired for an isolation window; by :class:`residua.decide.PeakThreshold` every one that fired.
+    read_share : float or None
+        The fraction of the alarm's samples in which just that pattern stood.
+    sizes : tuple of Size
+        Estimated sizes of all faults that are estimated, over the isolation window that ends with the last sample
+        over the threshold.
+    arrival : float or None
+        By matched filters: the estimated arrival of the best candidate; ``None`` where it was before the window.
+    present : tuple of PresentFault
+        By the code of a dedicated bank: every fault that was read and when its own member fired, the first one first.
+    began : Beginning or None
+        When the change began that raised the alarm, as an interval; ``None`` where that cannot be told: it was before
+        ``raised``. Of the twenty longest alarms of a recording.
+    fired : tuple of str
+        Where groups of residuals are tested by themselves: those that were in alarm, the longest first.
+    """
+
+    onset: float
+    raised: float
+    ended: float | None
+    candidates: tuple[Candidate, ...]
+    start: int
+    stop: int
+    reading: CodeReading | None = None
+    read_share: float | None = None
+    sizes: tuple[Size, ...] = field(default=())
+    arrival: float | None = None
+    present: tuple[PresentFault, ...] = ()
+    began: Beginning | None = None
+    fired: tuple[str, ...] = ()
+
+    @property
+    def named(self) -> tuple[tuple[str, ...], ...]:
+        """The faults that the alarm is put down to: the best candidate, or all of several at once by code.
+
+        Those that cannot be told apart are one group, of which one fault or more is there. Empty where nobody is named.
+        """
+        return put_down_to(self.reading, self.candidates)
+
+    @property
+    def samples(self) -> int:
+        """Number of samples in alarm: from ``raised`` up to ``ended``."""
+        return self.stop - self.start
+
+    @property
+    def margin(self) -> float | None:
+        """Lead of the best candidate over the next in score; ``None`` with fewer than two."""
+        return self.candidates[0].score - self.candidates[1].score if len(self.candidates) > 1 else None
+
+    @property
+    def doubt(self) -> str:
+        """What makes the first name doubtful against the second one; empty where nothing does.
+
+        ``"score"``: the scores are a close call. By matched filters instead ``"likelihood"``: the second is not 20
+        times less likely; or ``"fit"``: both explain nearly the same, and neither explains the data to within the
+        noise. What is left then exceeds what sets the two apart, so that an error of the model, or a fault that is no
+        step, may have decided, however large the lead in likelihood is. By code always empty.
+        """
+        if self.margin is None or self.reading is not None:
+            return ""
+        if self.lead is None:
+            return "score" if self.margin < CLOSE_MARGIN else ""
+        if self.lead < CLOSE_LEAD:
+            return "likelihood"
+        first, second = (c.score**2 for c in self.candidates[:2])
+        return "fit" if self.margin < CLOSE_MARGIN and 1 - first > first - second else ""
+
+    @property
+    def lead(self) -> float | None:
+        """Lead of the best candidate over the next in ``ratio``, by matched filters; ``None`` with fewer than two."""
+        ratios = [c.ratio for c in self.candidates[:2] if c.ratio is not None]
+        return ratios[0] - ratios[1] if len(ratios) == 2 else None
+
+    def to_dict(self, *, window: int = 1) -> dict[str, Any]:
+        """Return the alarm as plain values for JSON; ``short`` means shorter than the isolation window.
+
+        ``began`` is there where it is known, ``code`` for banks, ``present`` for dedicated ones, ``sizes`` for
+        estimators and matched filters, ``arrival`` and ``lead`` for the latter, ``fired`` for groups of residuals.
+        """
+        out: dict[str, Any] = {
+            "onset": _clean(self.onset),
+            "raised": _clean(self.raised),
+            "ended": None if self.ended is None else _clean(self.ended),
+            "samples": self.samples,
+            "short": self.samples < window,
+            "margin": self.margin,
+            "candidates": [_candidate(c) for c in self.candidates],
+        }
+        if self.began is not None:
+            out["began"] = _began(self.began)
+        if any(c.ratio is not None for c in self.candidates):
+            out |= {"arrival": self.arrival, "lead": self.lead}
+        if self.reading is not None:
+            out["code"] = _code(self.reading) | {"share": self.read_share}
+        if self.fired:
+            out["fired"] = list(self.fired)
+        if self.present:
+            out["present"] = [_present(fault) for fault in self.present]
+        if self.sizes:
+            out["sizes"] = [_size(s) for s in self.sizes]
+        return out
+
+
+def _candidate(c: Candidate) -> dict[str, Any]:
+    out: dict[str, Any] = {"faults": list(c.faults), "score": c.score, "distance": c.distance}
+    return out if c.ratio is None else out | {"arrival": c.arrival, "ratio": c.ratio}
+
+
+def _began(b: Beginning) -> dict[str, Any]:
+    earliest = None if b.earliest is None else _clean(b.earliest)
+    times = {"earliest": earliest, "estimate": _clean(b.estimate), "latest": _clean(b.latest)}
+    return times | {"confidence": b.confidence}
+
+
+def _present(p: PresentFault) -> dict[str, Any]:
+    until = None if p.until is None else _clean(p.until)
+    return {"faults": list(p.faults), "member": p.member, "since": _clean(p.since), "until": until}
+
+
+def _size(s: Size) -> dict[str, Any]:
+    out = {"fault": s.fault, "mean": _finite(s.mean), "last": _finite(s.last), "unit": s.unit}
+    return out if s.deviation is None else out | {"deviation": _finite(s.deviation)}
+
+
+def _code(reading: CodeReading) -> dict[str, Any]:
+    return {
+        "fired": list(reading.fired),
+        "answer": reading.answer,
+        "faults": list(reading.faults),
+        "settled": list(reading.settled),
+        "distance": reading.distance,
+        "pairs": [[list(a), list(b)] for a, b in reading.pairs],
+        "possible": [list(group) for group in reading.possible],
+        "together": [list(group) for group in reading.together],
+        "text": reading.meaning,
+    }
+
+
+def _clean(time: float) -> float:
+    """Return a time without what rounding adds to a multiple of the step."""
+    return float(f"{time:.12g}")
+
+
+def _finite(value: float) -> float | None:
+    return value if value - value == 0 else None

@@ -1,0 +1,125 @@
+"""What a design is certain of its members, and which other faults may have driven one of them over its threshold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide.alarm import Alarm
+from residua.errors import FileFormatError
+from residua.number_kinds import BOUND, POSITIVE
+from residua.records import float_in, float_out, joined, record, table_in
+
+#: Pairs of faults that a caution tells at most.
+_TOLD = 4
+
+
+@dataclass(frozen=True)
+class MemberBounds:
+    """What is certain of one member of a bank, which has the name of its fault, over the whole uncertainty set.
+
+    Attributes
+    ----------
+    disturbances : float
+        Bound of what disturbances alone cause.
+    response : float
+        The least that a lasting fault of size one, the member's own, causes.
+    leakage : mapping of str to float
+        Bound of what other faults of size one cause, at any time course.
+    """
+
+    disturbances: float
+    response: float
+    leakage: Mapping[str, float]
+
+
+def bounds_out(bounds: Mapping[str, MemberBounds]) -> dict[str, Any]:
+    """Return the bounds of all members as a record."""
+    return {
+        name: {
+            "disturbances": float_out(one.disturbances),
+            "response": float_out(one.response),
+            "leakage": {fault: float_out(value) for fault, value in one.leakage.items()},
+        }
+        for name, one in bounds.items()
+    }
+
+
+def bounds_in(value: Any, where: str, members: Sequence[str]) -> dict[str, MemberBounds]:
+    """Return the bounds of all members from a record."""
+    out = {}
+    for name, entry in table_in(value, where).items():
+        at = joined(where, name)
+        content = record(entry, at, ("disturbances", "response", "leakage"))
+        leakage = table_in(content["leakage"], joined(at, "leakage"))
+        out[name] = MemberBounds(
+            float_in(content["disturbances"], joined(at, "disturbances"), BOUND),
+            float_in(content["response"], joined(at, "response"), POSITIVE),
+            {fault: float_in(bound, joined(joined(at, "leakage"), fault), BOUND) for fault, bound in leakage.items()},
+        )
+    if out and set(out) != set(members):
+        raise FileFormatError(f"{where} must have each member once: {', '.join(members)}")
+    return out
+
+
+def leakage_cautions(
+    bounds: Mapping[str, MemberBounds],
+    members: Sequence[str],
+    alarms: Sequence[Alarm],
+    statistics: NDArray[np.float64],
+) -> tuple[str, ...]:
+    """Return for each alarm which of its residuals a single other fault may have driven over their thresholds.
+
+    Parameters
+    ----------
+    bounds : mapping of str to MemberBounds
+        Of every member.
+    members : sequence of str
+    alarms : sequence of Alarm
+    statistics : ndarray, shape (time, members)
+    """
+    out: list[str] = []
+    for k, alarm in enumerate(alarms, 1):
+        if alarm.reading is None:
+            continue
+        seen = statistics[alarm.start : alarm.stop]
+        peaks = np.where(np.isnan(seen), 0.0, seen).max(axis=0, initial=0.0)
+        largest = dict(zip(members, peaks.tolist(), strict=True))
+        told = sorted(_explained(bounds, largest, alarm.reading.fired))
+        low = [name for name in alarm.reading.fired if largest[name] <= bounds[name].disturbances]
+        if low:
+            out.append(
+                f"disturbances alone may fire {', '.join(map(repr, low))}: thresholds are below the bounds that the "
+                "design has certified"
+            )
+        if told:
+            more = f"; and {len(told) - _TOLD} more" if len(told) > _TOLD else ""
+            where = f"in alarm {k} " if len(alarms) > 1 else ""
+            out.append(f"other faults leak: {where}{'; '.join(text for _, text in told[:_TOLD])}{more}")
+    return tuple(out)
+
+
+def _explained(
+    bounds: Mapping[str, MemberBounds], peaks: Mapping[str, float], fired: Sequence[str]
+) -> Iterator[tuple[float, str]]:
+    """Yield the other faults that may alone have made a member fire, those first that need the least for it.
+
+    The residual of a member is at most ``disturbances + leakage s`` where another fault alone is of size ``s``, and a
+    lasting ``s`` makes that of its own member at least ``response s - disturbances``. So the other is not excluded
+    where the size that the first asks for is no larger than the one that the second allows.
+    """
+    for name in fired:
+        excess = peaks[name] - bounds[name].disturbances
+        for other, leak in bounds[name].leakage.items():
+            needed = excess / leak if excess > 0 and leak > 0 else np.inf
+            own = bounds.get(other)  # members are named by their faults
+            allowed = np.inf if own is None else (peaks[other] + own.disturbances) / own.response
+            if np.isfinite(needed) and needed <= allowed:
+                room = f"its own residual allows up to {allowed:.3g} of a lasting one"
+                told = "no member sees it" if own is None else room
+                text = f"what fires {name!r} may be {other!r} alone, if that reaches {needed:.3g} or more ({told})"
+                yield needed / allowed, text

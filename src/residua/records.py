@@ -1,0 +1,255 @@
+"""Numbers, arrays and records as JSON: every float to its last bit, every entry checked when it is read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import fields, is_dataclass
+from functools import lru_cache
+from types import NoneType, UnionType
+from typing import Any, ClassVar, get_args, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import FileFormatError
+from residua.json_files import dumps, loads
+from residua.number_kinds import FINITE, FLAG, INDEX, USUAL, NumberKind, kind_of, number_in, numbers_in
+from residua.visible import echo
+
+#: Largest extent of an array in a file; more is a damaged file, not a design.
+MAX_EXTENT = 10**8
+_KINDS = {"c": "complex", "f": "float", "b": "bool", "i": "int", "u": "int"}
+_TYPES = {"complex": "c", "float": "f", "bool": "b", "int": "i"}
+
+
+def record(value: Any, where: str, names: Iterable[str]) -> dict[str, Any]:
+    """Return a table that has just these entries, or say which one is missing or unknown."""
+    if not isinstance(value, Mapping):
+        raise FileFormatError(f"{where or 'the file'}: expected a table, got {kind_of(value)}")
+    known = tuple(names)
+    for name in known:
+        if name not in value:
+            raise FileFormatError(f"the entry {echo(joined(where, name))} is missing")
+    for name in value:
+        if name not in known:
+            raise FileFormatError(f"the entry {echo(joined(where, name))} is unknown")
+    return dict(value)
+
+
+def joined(where: str, name: str | int) -> str:
+    """Return the full name of an entry."""
+    return f"{where}.{name}" if where else str(name)
+
+
+def table_in(value: Any, where: str) -> dict[str, Any]:
+    """Return a table with any entries."""
+    if not isinstance(value, Mapping):
+        raise FileFormatError(f"{where}: expected a table, got {kind_of(value)}")
+    return dict(value)
+
+
+def list_in(value: Any, where: str, count: int | None = None) -> list[Any]:
+    """Return a list, of a certain length if asked."""
+    if not isinstance(value, list) or (count is not None and len(value) != count):
+        wanted = "a list" if count is None else f"a list of {count}"
+        raise FileFormatError(f"{where}: expected {wanted}, got {kind_of(value)}")
+    return value
+
+
+def texts_in(value: Any, where: str) -> tuple[str, ...]:
+    """Return a list of texts."""
+    return tuple(text_in(item, joined(where, i)) for i, item in enumerate(list_in(value, where)))
+
+
+def text_in(value: Any, where: str) -> str:
+    """Return a text."""
+    if not isinstance(value, str):
+        raise FileFormatError(f"{where}: expected text, got {kind_of(value)}")
+    if any("\ud800" <= letter <= "\udfff" for letter in value):  # halves of characters, which no file can hold
+        raise FileFormatError(f"{where}: expected text, got {kind_of(value)}, which is no Unicode")
+    return value
+
+
+def whole_in(value: Any, where: str, kind: NumberKind = INDEX) -> int:
+    """Return a whole number, which is not negative unless another kind is named."""
+    return number_in(value, where, kind)
+
+
+def flag_in(value: Any, where: str) -> bool:
+    """Return true or false."""
+    return number_in(value, where, FLAG)
+
+
+def float_out(x: float) -> float | str:
+    """Return a number; ``"nan"``, ``"inf"`` and ``"-inf"`` are texts, since JSON lacks them."""
+    return float(x) if np.isfinite(x) else repr(float(x))
+
+
+def float_in(value: Any, where: str, kind: NumberKind = FINITE) -> float:
+    """Return a number that :func:`float_out` made, finite unless another kind is named."""
+    return number_in(value, where, kind)
+
+
+def array_out(value: NDArray) -> dict[str, Any]:
+    """Return an array as its shape and its numbers in order."""
+    kind = _KINDS[value.dtype.kind]
+    if kind == "complex":
+        flat: list[Any] = [[float_out(z.real), float_out(z.imag)] for z in value.ravel()]
+    elif kind == "float":
+        flat = [float_out(x) for x in value.ravel()]
+    else:
+        flat = value.ravel().tolist()
+    return {"shape": list(value.shape), kind: flat}
+
+
+def array_in(value: Any, where: str, kind: NumberKind = FINITE, ndim: int | None = None) -> NDArray:
+    """Return an array that :func:`array_out` made, of numbers of a kind, with as many dimensions as are asked for."""
+    content = table_in(value, where)
+    name = next((name for name in content if name in _TYPES), "")
+    if set(content) != {"shape", name}:
+        raise FileFormatError(f"{where}: an array must be {{shape, float | complex | int | bool}}")
+    shape = tuple(whole_in(n, joined(where, "shape")) for n in list_in(content["shape"], joined(where, "shape")))
+    flat = list_in(content[name], joined(where, name))
+    if len(shape) > 4 or max(shape, default=0) > MAX_EXTENT or math.prod(shape) != len(flat):
+        raise FileFormatError(f"{where}: an array of shape {echo(shape)} has {len(flat)} numbers")
+    if _TYPES[name] != kind.dtype:
+        raise FileFormatError(f"{where}: expected an array of {_KINDS[kind.dtype]}, got one of {name}")
+    if ndim is not None and len(shape) != ndim:
+        raise FileFormatError(f"{where}: expected an array of {ndim} dimensions, got shape {shape}")
+    return numbers_in(flat, where, kind, shape)
+
+
+class Record:
+    """Base of dataclasses that are saved.
+
+    Attributes
+    ----------
+    NUMBER_KINDS : mapping of str to NumberKind
+        What the numbers of a field may be, where that is not the usual for its type
+        (:data:`residua.number_kinds.USUAL`): more, such as NaN for what is not known, or less, such as positive.
+    """
+
+    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {}
+
+
+_SCALARS: dict[Any, str] = {float: "f", int: "i", bool: "b"}
+_DTYPES: dict[Any, str] = {NDArray[np.float64]: "f", NDArray[np.int64]: "i", NDArray[np.bool_]: "b"}
+
+
+def values_out(values: Any) -> dict[str, Any]:
+    """Return a dataclass as a record: of numbers, texts, arrays, tuples of these, and dataclasses of the same."""
+    return {name: _value_out(getattr(values, name)) for name in field_names(values)}
+
+
+def _value_out(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return array_out(value)
+    if isinstance(value, (float, np.floating)):
+        return float_out(float(value))
+    if isinstance(value, (int, np.integer)) and not isinstance(value, bool):
+        return int(value)
+    if isinstance(value, tuple):
+        return [_value_out(item) for item in value]
+    return values_out(value) if is_dataclass(value) else value
+
+
+def values_in(value: Any, where: str, cls: type[Any], known: Mapping[str, Any] | None = None) -> Any:
+    """Return the dataclass that a record describes.
+
+    Each entry is of the type that its field declares, and its numbers are of the kind that the class names
+    (:class:`Record`), else of the usual kind of that type. Fields that are ``known`` already are no entries of the
+    record.
+    """
+    out = dict(known or {})
+    content = record(value, where, [name for name in field_names(cls) if name not in out])
+    kinds, types = _number_kinds(cls), _declared(cls)
+    for name, entry in content.items():
+        out[name] = _value_in(entry, joined(where, name), types[name], kinds.get(name))
+    return cls(**out)
+
+
+@lru_cache(maxsize=256)
+def _declared(cls: type[Any]) -> dict[str, Any]:
+    return get_type_hints(cls)
+
+
+def _number_kinds(cls: type[Any]) -> Mapping[str, NumberKind]:
+    return cls.NUMBER_KINDS if issubclass(cls, Record) else {}
+
+
+def _value_in(entry: Any, where: str, declared: Any, kind: NumberKind | None) -> Any:
+    if get_origin(declared) is UnionType:
+        plain = [one for one in get_args(declared) if one is not NoneType]
+        return None if entry is None else _value_in(entry, where, plain[0], kind)
+    if declared in _DTYPES:
+        return array_in(entry, where, kind or USUAL[_DTYPES[declared]])
+    if declared in _SCALARS:
+        return number_in(entry, where, kind or USUAL[_SCALARS[declared]])
+    if get_origin(declared) is tuple:
+        inner = get_args(declared)[0]
+        if inner is str:
+            return texts_in(entry, where)
+        return tuple(_value_in(one, joined(where, k), inner, kind) for k, one in enumerate(list_in(entry, where)))
+    if is_dataclass(declared) and isinstance(declared, type):
+        return values_in(entry, where, declared)
+    return text_in(entry, where)
+
+
+def state_in(value: Any, where: str, like: Any) -> Any:
+    """Return the state that a record describes: a dataclass with the same entries and shapes as another one.
+
+    Parameters
+    ----------
+    value : object
+        From a file.
+    where : str
+        Its name there.
+    like : dataclass
+        The state before the first sample, of as many plants.
+    """
+    content, kinds = record(value, where, field_names(like)), _number_kinds(type(like))
+    out = {}
+    for name, entry in content.items():
+        at, example = joined(where, name), getattr(like, name)
+        if example is None:
+            if entry is not None:
+                raise FileFormatError(f"{at} must be null, got {kind_of(entry)}")
+            out[name] = None
+        elif is_dataclass(example):
+            out[name] = state_in(entry, at, example)
+        elif isinstance(example, np.ndarray):
+            out[name] = array_in(entry, at, kinds.get(name, USUAL[example.dtype.kind]))
+            if out[name].shape != example.shape:
+                raise FileFormatError(f"{at} must have shape {example.shape}, got {out[name].shape}")
+        else:
+            out[name] = number_in(entry, at, kinds.get(name, USUAL[_SCALARS[type(example)]]))
+    return type(like)(**out)
+
+
+def field_names(cls: Any) -> list[str]:
+    """Return the names of the fields of a dataclass."""
+    return [field.name for field in fields(cls)]
+
+
+__all__ = [
+    "Record",
+    "array_in",
+    "array_out",
+    "dumps",
+    "field_names",
+    "flag_in",
+    "float_in",
+    "float_out",
+    "joined",
+    "list_in",
+    "loads",
+    "record",
+    "state_in",
+    "table_in",
+    "text_in",
+    "texts_in",
+    "values_in",
+    "values_out",
+    "whole_in",
+]

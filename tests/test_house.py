@@ -1,0 +1,212 @@
+"""The rules of the house, read from its syntax tree: where a module stands, what it may import, how long a body is.
+
+A ratchet is a number of places that do not keep a rule yet: it only ever goes down.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections import Counter, defaultdict
+
+import pytest
+
+from house_report import (
+    FRAGMENT,
+    LARGEST_MODULE,
+    SCREEN,
+    UNDECIDED,
+    methods,
+    mixins,
+    named_tolerances,
+    rank_decisions,
+    single_importers,
+    tolerances,
+)
+from house_tree import House, Module, body_lines
+
+#: Imports run down this list; the modules of the first line, which lie loose, may import one another.
+ROOMS = (
+    *("errors", "visible", "number_kinds", "arrays", "facade", "progress", "files", "partial_files", "json_files"),
+    *("linear", "plant", "recording", "analysis", "design", "robust", "library", "decide", "monitor", "validate"),
+    *("report", "testing", "demos", "cli", "residua", "__main__"),
+)
+LOOSE = ROOMS[: ROOMS.index("linear")]
+
+#: Who may look up, or across to what stands on it: the facades, whose methods and names live where they are made.
+FACADES = {
+    "residua.linear": "residua.robust",  # public names of uncertain systems
+    "residua.plant": "residua.robust",  # public names of uncertain plants
+    "residua.design": "residua.robust",  # public names of robust designs
+    "residua.linear.systems.state_space": "residua.linear.systems",  # discretize, simulate
+    "residua.plant.plant": "residua.plant",  # from_state_space, from_toml, to_toml, discretize
+    "residua.plant.input_output_model": "residua.plant",  # from_plant, from_transfer_functions, to_plant
+    "residua.robust.sets.uncertain_plant": "residua.robust.sets",  # from_parameters, in_closed_loop, ...
+    "residua.design.core.generator": "residua.design",  # to_parity, equivalent_to, observer
+    "residua.design.suggestion": "residua.robust.sets",  # suggest, for an uncertain plant too
+    "residua.robust.parity.insensitive_parity": "residua.decide",  # fit
+    "residua.monitor.monitor": "residua.monitor",  # save, load
+    "residua.monitor.diagnosis": "residua.report",  # plot, to_html
+    "residua.cli": "residua.cli",  # main, which says what package is missing
+    "residua.cli.app": "residua.demos",  # demo
+}
+#: Kinds of files, each of which is a file here too, whoever reads it.
+FORMATS = ("residua.recording.npz_files", "residua.recording.parquet_files")
+
+# Ratchets: the number of places, by room where a room is being rebuilt.
+IN_CIRCLES = {"monitor": 4}
+FRAGMENTS = {"decide": 3, "monitor": 4}
+LONG_BODIES = {"monitor": 1}
+SPELLED = {"decide": 0, "monitor": 10}
+TOLERANCES, DISTINCT_TOLERANCES, NAMES_WITH_SEVERAL_VALUES, WITHOUT_EVIDENCE = 469, 25, 7, 52
+UNLISTED_METHODS, LISTS_BY_HAND = 12, 3
+
+
+@pytest.fixture(scope="module")
+def house() -> House:
+    return House()
+
+
+def by_room(modules: list[Module]) -> Counter[str]:
+    return Counter(module.room for module in modules)
+
+
+def over(found: Counter[str], ratchet: dict[str, int]) -> dict[str, int]:
+    """Return the rooms with more places than a ratchet allows."""
+    return {room: count for room, count in found.items() if count > ratchet.get(room, 0)}
+
+
+# ------------------------------------------------------------- A: rooms
+
+
+def test_every_module_is_in_a_room(house: House) -> None:
+    assert {module.room for module in house.modules.values()} <= set(ROOMS)
+
+
+def test_imports_run_down_the_rooms(house: House) -> None:
+    height = {room: 0 if room in LOOSE else k for k, room in enumerate(ROOMS)}
+    up = []
+    for one in house.imports:
+        here, there = house.modules[one.importer], house.modules[one.target]
+        allowed = FACADES.get(here.name)
+        version = here.room == "cli" and there.name == "residua"
+        if height[there.room] > height[here.room] and not version and not (allowed and there.name.startswith(allowed)):
+            up.append(f"{here.name}:{one.line} imports {there.name}")
+    for module in house.modules.values():
+        for name in module.texts & (house.modules.keys() - {"residua"}):
+            above = height[house.modules[name].room] > height[module.room]
+            if above and not name.startswith(FACADES.get(module.name, "nothing")):
+                up.append(f"{module.name} hands on names of {name}")
+    assert up == []
+
+
+def test_only_facades_import_inside_functions(house: House) -> None:
+    hidden = [one for one in house.imports if one.how == "function"]
+    found = [f"{i.importer}:{i.line} imports {i.target}" for i in hidden if not _handed(i.importer, i.target)]
+    assert found == []
+
+
+def test_every_facade_still_looks_up(house: House) -> None:
+    used = {i.importer for i in house.imports if _handed(i.importer, i.target)}
+    assert sorted(set(FACADES) - used) == []
+
+
+def _handed(importer: str, target: str) -> bool:
+    return importer in FACADES and target.startswith(FACADES[importer])
+
+
+# ----------------------------------------------------------- B: circles
+
+
+def test_no_circle_of_imports(house: House) -> None:
+    lazy = {(i.importer, i.target) for i in house.imports if i.how != "top" and _handed(i.importer, i.target)}
+    circles = house.circles("top", "type", beside=lazy)
+    found = by_room([house.modules[name] for circle in circles for name in circle])
+    assert over(found, IN_CIRCLES) == {}, circles
+
+
+# ------------------------------------------------------ C: one idea a file
+
+
+def test_no_fragment_with_one_importer(house: House) -> None:
+    own = set(methods(house))
+    kept = [
+        (module, user)
+        for module, user in single_importers(house, FRAGMENT)
+        if module.name.rpartition(".")[2] not in own
+        and module.name not in FORMATS
+        and len(module.text.splitlines()) + len(user.text.splitlines()) <= LARGEST_MODULE
+    ]
+    found = by_room([module for module, _ in kept])
+    assert over(found, FRAGMENTS) == {}, [(a.name, a.code_lines, b.name) for a, b in kept]
+
+
+def test_no_mixin_with_one_heir(house: House) -> None:
+    assert mixins(house) == []
+
+
+def test_no_body_of_a_function_is_longer_than_a_screen(house: House) -> None:
+    long = [(m, f.name, body_lines(f)) for m in house.modules.values() for f in m.functions if body_lines(f) > SCREEN]
+    assert over(by_room([m for m, _, _ in long]), LONG_BODIES) == {}, [(m.name, name, n) for m, name, n in long]
+
+
+def test_no_module_is_too_long_for_one_idea(house: House) -> None:
+    assert [m.name for m in house.modules.values() if len(m.text.splitlines()) > LARGEST_MODULE] == []
+
+
+# -------------------------------------------------- E: declared protocols
+
+
+def test_no_attribute_of_a_design_by_its_spelling(house: House) -> None:
+    """A monitor asks a design for what a protocol declares: no ``getattr`` by a text, no stand-in for a design."""
+    asked = []
+    for module in house.modules.values():
+        if module.room in SPELLED:
+            calls = [n for n in ast.walk(module.tree) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)]
+            for call in calls:
+                spelled = call.func.id in ("getattr", "hasattr") and isinstance(call.args[1], ast.Constant)  # pyright: ignore
+                if spelled or call.func.id == "SimpleNamespace":  # pyright: ignore
+                    asked.append(module)
+    assert over(by_room(asked), SPELLED) == {}, [m.name for m in asked]
+
+
+# ---------------------------------------------------------- H: tolerances
+
+
+def test_tolerances_are_few_and_named(house: House) -> None:
+    found = [value for module in house.modules.values() for value in tolerances(module)]
+    assert len(found) <= TOLERANCES
+    assert len(set(found)) <= DISTINCT_TOLERANCES
+
+
+def test_one_name_of_a_tolerance_has_one_value(house: House) -> None:
+    values: dict[str, set[float]] = defaultdict(set)
+    for module in house.modules.values():
+        for name, value in named_tolerances(module):
+            values[name.lstrip("_")].add(value)
+    assert len([name for name, some in values.items() if len(some) > 1]) <= NAMES_WITH_SEVERAL_VALUES, values
+
+
+def test_ranks_are_decided_with_their_evidence(house: House) -> None:
+    found = [name for m in house.modules.values() for name in rank_decisions(m) if name in UNDECIDED | {"svd"}]
+    assert len(found) <= WITHOUT_EVIDENCE
+
+
+# ------------------------------------------------- I: one registry of methods
+
+
+def test_every_method_is_in_the_catalogue(house: House) -> None:
+    catalogue = house.modules["residua.design.catalogue"].texts
+    missing = [name for name in methods(house) if name not in catalogue]
+    assert len(missing) <= UNLISTED_METHODS, missing
+
+
+def test_methods_are_listed_in_one_place(house: House) -> None:
+    """A module that names six methods or more, and is neither the registry nor the facade, is a list by hand."""
+    own = set(methods(house)) | {name.replace("_", "-") for name in methods(house)}
+    lists = [
+        module.name
+        for module in house.modules.values()
+        if module.name not in ("residua.design", "residua.design.catalogue")
+        and len(own & (module.texts | module.names)) >= 6
+    ]
+    assert len(lists) <= LISTS_BY_HAND, lists
