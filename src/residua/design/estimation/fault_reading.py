@@ -120,8 +120,8 @@ def _reading_what_it_needs(first: NDArray, second: NDArray, M: NDArray, wanted: 
         kept = np.abs(row) > 1e-13 * terms[i]
         if not kept.all():
             fewer = np.zeros(len(row))
-            fewer[kept] = wanted[i] @ np.linalg.pinv(M[kept], rcond=rtol)
-            if np.abs(fewer @ M - wanted[i]).max() <= 2 * np.abs(row @ M - wanted[i]).max() + 1e-15:
+            fewer[kept] = wanted[i] @ _inverse(M[kept], rtol)
+            if np.abs(fewer @ M - wanted[i]).max() <= max(2 * np.abs(row @ M - wanted[i]).max(), np.finfo(float).eps):
                 X[i] = fewer
     return X
 

@@ -6,15 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def row_parts(present: NDArray[np.bool_]) -> list[NDArray[np.int_]]:
+def row_parts(M: NDArray) -> list[NDArray[np.int_]]:
     """Return the rows of a matrix in groups that share no column, each with the first of its rows first.
 
     Parameters
     ----------
-    present : ndarray of bool, shape (rows, columns)
-        Where the entries are that are not zero.
+    M : ndarray, shape (rows, columns)
+        What counts is where the entries are that are not zero.
     """
-    left = np.arange(len(present))
+    present = M != 0
+    left = np.arange(len(M))
     parts = []
     while left.size:
         inside = np.zeros(len(left), dtype=bool)

@@ -33,7 +33,7 @@ def best_ratios(
     combinations : ndarray, shape (rank, rows)
         With :math:`|c^T D| = 1`.
     """
-    found = [_singular_rows(unwanted, part) for part in row_parts(np.hstack([wanted, unwanted]) != 0)]
+    found = [_singular_rows(unwanted, part) for part in row_parts(np.hstack([wanted, unwanted]))]
     sizes = np.concatenate([s for _, s in found])
     kept = np.zeros(len(sizes), dtype=bool)
     kept[np.argsort(-sizes, kind="stable")[:rank]] = True
