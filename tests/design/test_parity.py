@@ -339,7 +339,7 @@ def test_a_delay_cannot_be_undone_by_a_filter() -> None:
         D=np.zeros_like(system.D),
         states=None,
     )
-    delayed = rs.design.generator.make_generator(
+    delayed = rs.design.core.generator.make_generator(
         late,
         plant,
         "late",
@@ -370,7 +370,7 @@ def test_a_zero_of_its_own_makes_a_filter() -> None:
     plant = rs.library.gertler()
     now = rs.design.parity_relations(plant, insensitive_to="p1")
     zero = rs.StateSpace([[0, 1], [0, 0]], [[0], [1]], [[0.25, -1]], [[1]], dt=1.0)
-    made = rs.design.generator.make_generator(
+    made = rs.design.core.generator.make_generator(
         now.system.series(zero), plant, "zero", now.evidence, known_form=now.internal_form().series(zero)
     )
     found = now.equivalent_to(made)

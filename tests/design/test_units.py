@@ -96,7 +96,7 @@ def test_an_unstable_filter_cannot_be_made() -> None:
     flt = rs.design.detection_filter(rs.library.gertler())
     assert flt.observer is not None
     with pytest.raises(AccuracyError, match="stable"):
-        rs.design.generator.make_generator(
+        rs.design.core.generator.make_generator(
             flt.system.replaced(A=flt.system.A * 4), flt.plant, "x", flt.evidence, state_map=np.eye(3)
         )
 
