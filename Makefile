@@ -10,14 +10,16 @@ PLANTS ?= 100000
 WORKERS ?= $(shell nproc)
 RECORD ?= campaign
 
-.PHONY: help demo test docs bench campaign exact-campaign clean
+.PHONY: help demo quick test docs bench campaign exact-campaign dist clean
 
 help:
 	@echo "make demo      diagnose a simulated jet engine and leave a report page"
+	@echo "make quick     style, types, and the tests of what changed, in a minute and a half"
 	@echo "make test      style, types, and all tests, with coverage"
 	@echo "make docs      the documentation, into docs/_build/html"
 	@echo "make bench     measured speed, against other packages"
 	@echo "make campaign  the long runs that make test leaves out"
+	@echo "make dist      wheel and source distribution, tried out where there is no compiler"
 	@echo "make clean     remove what was built (the environment $(VENV) stays)"
 	@echo "make exact-campaign PLANTS=100000   generated plants against exact arithmetic; resumed where it stopped"
 	@echo "Another Python: make demo PYTHON=python3.12"
@@ -33,12 +35,16 @@ $(BIN)/python:
 $(VENV)/.made-demo: EXTRAS := cli,plot
 $(VENV)/.made-test: EXTRAS := test
 $(VENV)/.made-docs: EXTRAS := docs
+$(VENV)/.made-dist: EXTRAS := dist
 $(VENV)/.made-%: $(BIN)/python $(DEFINITION)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[$(EXTRAS)]'
 	@touch $@
 
 demo: $(VENV)/.made-demo
 	$(BIN)/residua demo jet-engine
+
+quick: $(VENV)/.made-test
+	$(BIN)/python tests/quick.py $(if $(SINCE),--since $(SINCE))
 
 test: $(VENV)/.made-test
 	$(BIN)/ruff check $(CODE)
@@ -60,6 +66,11 @@ campaign: $(VENV)/.made-test
 exact-campaign: $(VENV)/.made-test
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=src:tests $(BIN)/python -m exact_campaign \
 	  --plants $(PLANTS) --workers $(WORKERS) --out $(RECORD) --tables docs/data
+
+dist: $(VENV)/.made-dist
+	rm -rf dist
+	$(BIN)/python -m build --outdir dist
+	$(BIN)/python tests/distribution.py dist
 
 clean:
 	rm -rf build dist htmlcov .coverage .benchmarks .pytest_cache .hypothesis .ruff_cache residua-demo

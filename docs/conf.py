@@ -4,7 +4,7 @@ import sys
 from importlib.metadata import version as installed_version
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))  # for gallery_order
+sys.path.insert(0, str(Path(__file__).parent))  # for gallery_order and offline
 
 project = "residua"
 author = "residua developers"
@@ -14,7 +14,7 @@ release = version = installed_version("residua")
 extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
-    "sphinx.ext.mathjax",
+    "offline",  # equations, by sphinx.ext.mathjax
     "numpydoc",
     "sphinx_gallery.gen_gallery",
 ]
@@ -39,7 +39,8 @@ sphinx_gallery_conf = {
     "show_signature": False,
     "plot_gallery": True,
     "remove_config_comments": True,
-    "min_reported_time": 1000,  # no page with computation times
+    "min_reported_time": 1000,
+    "write_computation_times": False,  # these pages load scripts from other hosts
     "within_subsection_order": "gallery_order.by_interest",
 }
 

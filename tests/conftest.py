@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from refusals import pytest_configure, refused  # noqa: F401
+
 # Before NumPy is imported: with matrices of ten rows the threads of the linear algebra do nothing but wait for each
 # other, which takes twice the time on two cores.
 for _library in ("OPENBLAS", "OMP", "MKL"):

@@ -12,9 +12,46 @@ _SIX = {
 }
 
 
+_WINDOW, _RUNS = ("ends", "block", "begun", "filled"), ("up", "down", "alarm")
+
+
+def _flat(content: dict[str, Any]) -> None:
+    """Put what runs and its state into one flat table each, as before version 7."""
+    fitted, running, state = content["fitted"], content["running"], content["state"]
+    kind = "" if content["isolate"] is None else content["isolate"]["kind"]
+    if running is not None:
+        isolation = running.pop("isolation")
+        running |= dict.fromkeys(("direction", "codes", "matched"))
+        if kind == "matched":
+            running["matched"] = fitted.pop("matched")
+        elif kind == "code":
+            del isolation["at_once"], fitted["names"]
+            running["codes"] = isolation
+        elif kind:
+            running["direction"] = isolation
+    if state is None:
+        return
+    test, isolation, empty = state["test"], state["isolation"], {"shape": [1, 0, 0], "float": []}
+    flat = state["filter"] | test["runs"] | {"count": state["count"], "since": test["runs"]["up"]}
+    flat |= {f"match_{name}": empty for name in ("sums", "weights", "held", "extra")}
+    flat |= {f"test_{name}": test["window"][name] for name in _WINDOW}
+    judged = isolation
+    if kind == "code":
+        judged, flat["since"] = isolation["window"], isolation["since"]
+    elif kind == "matched":
+        judged, flat["match_held"] = test["window"], isolation["held"]
+        flat |= {f"match_{name}": entry for name, entry in test["match"].items()}
+    flat |= {name: judged[name] for name in _WINDOW}
+    content["state"] = flat
+
+
 def as_version(version: int, content: dict[str, Any]) -> dict[str, Any]:
     """Take out of a file of today what came later than a version; it must hold nothing that only today has."""
     content["version"] = version
+    _flat(content)
+    if version == 6:
+        content["checksum"] = None
+        return content
     del content["checksum"]
     for table, names in _SIX.items():
         entries = content[table] if table else content

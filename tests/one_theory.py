@@ -137,6 +137,7 @@ class Findings:
     counts: Counter[str] = field(default_factory=Counter)
     wrong: list[str] = field(default_factory=list)
     refused: list[str] = field(default_factory=list)
+    without: list[str] = field(default_factory=list)  # eigenvectors, which need not exist
 
 
 def compare(plant: rs.Plant, ignored: tuple[str, ...], told: str, out: Findings) -> None:
@@ -184,7 +185,8 @@ def _eigenvectors(
     name = f"{side} eigenvectors"
     try:
         made = eigenstructure_assignment(plant, side=side, insensitive_to=ignored)
-    except DesignError:
+    except DesignError as error:
+        out.without.append(f"{told}: {name}: {error}")
         return
     except AccuracyError as error:
         out.counts[f"{name}: refused for accuracy"] += 1

@@ -159,7 +159,7 @@ def test_an_archive_that_unpacks_to_more_than_it_may_is_refused(
     if ending == ".npz":
         np.savez_compressed(path, **zeros)
     else:
-        rs.monitor.recording.write_table(path, zeros)
+        rs.monitor.write_table(path, zeros)
     assert path.stat().st_size < 1_000_000
     monkeypatch.setenv("RESIDUA_MAX_UNPACKED", "20000000")
     with pytest.raises(FileFormatError, match="RESIDUA_MAX_UNPACKED to a larger"):
@@ -269,8 +269,8 @@ def test_the_reader_is_started_with_the_paths_of_this_process(tmp_path: Path) ->
     """Where a package was put on the path by hand, the process that reads needs it too."""
     path = mat_file(tmp_path / "r.mat")
     code = (
-        "import sys, residua as rs; sys.path.insert(0, 'elsewhere'); "
-        "print(sorted(rs.monitor.mat_files.read_mat(__import__('pathlib').Path(sys.argv[1]))))"
+        "import sys; from residua.recording import mat_files; sys.path.insert(0, 'elsewhere'); "
+        "print(sorted(mat_files.read_mat(__import__('pathlib').Path(sys.argv[1]))))"
     )
     done = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=False)
     assert done.stdout.strip() == "['u', 'y']", done.stderr

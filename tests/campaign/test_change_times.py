@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from change_examples import CASES, ONSET, coverage, noise
-from residua.monitor.alarm import Alarm
+from residua.decide.alarm import Alarm
 from residua.monitor.beginning import with_beginnings
 
 pytestmark = pytest.mark.campaign

@@ -7,9 +7,8 @@ import pytest
 
 import residua as rs
 from residua.decide import correlation, projection_distance
-from residua.decide.directional import direction_test
+from residua.decide.directional import candidates_at, direction_test
 from residua.errors import DataError
-from residua.monitor.outcome import candidates_at
 
 
 @pytest.mark.parametrize("seed", range(10))

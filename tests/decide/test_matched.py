@@ -9,9 +9,10 @@ from scipy import stats
 
 import residua as rs
 from generated import random_plant
-from residua.decide.matched import Matched, MatchedTest, empty_match, match_block, matched_test, summed
-from residua.decide.matched_hold import hold_block
+from residua.decide.matched import Matched, matched_test
+from residua.decide.matched_hold import HeldState, hold_block
 from residua.decide.matched_level import level_for_rate
+from residua.decide.matched_responses import MatchedTest, empty_match, match_block, summed
 from residua.decide.window import empty_window, moving_sum
 from residua.design.banks.matched_filters import matched_filters
 from residua.errors import SettingError
@@ -154,9 +155,9 @@ def test_arrival_and_fault_are_held_once_the_window_has_passed_them() -> None:
     q += np.random.default_rng(3).standard_normal(q.shape)
     usable = np.ones((1, n), dtype=bool)
     sums, _ = moving_sum(summed(q, usable), empty_window(1, test.samples, 4))
-    found, state = match_block(test, empty_match(test, 1), q, usable, sums)
+    found, _ = match_block(test, empty_match(test, 1), q, usable, sums)
     over = np.sqrt(found["ratios"].max(axis=2)) > 5
-    match, _ = hold_block(test, state, found, over, np.zeros(1, dtype=bool), over, 0)
+    match, _ = hold_block(test.window, HeldState.empty(1), found, over, over, 0)
     alarm = over[0, :150]
     assert not alarm[:50].any()
     assert alarm[55:].all()

@@ -8,7 +8,7 @@ from hypothesis import given, settings, strategies as st
 
 import residua as rs
 from residua.decide import BankTest, NormTest, PeakThreshold, peak_over_window
-from residua.decide.peak_tests import CERTIFIED, GIVEN, checked_peak_test, fit_peak_test, peak_test
+from residua.decide.peak_threshold import CERTIFIED, GIVEN, checked_peak_test, fit_peak_test, peak_test
 from residua.decide.persistence import alarm_logic
 from residua.errors import DataError, SettingError
 from robust_loops import random_loop

@@ -10,7 +10,7 @@ import pytest
 
 import residua as rs
 from residua.decide import GroupTest, NormTest, NormThreshold
-from residua.decide.residual_groups import rows_of_groups
+from residua.decide.member_thresholds import rows_of_groups
 from residua.errors import FileFormatError, SettingError
 from residua.monitor import Alarm
 

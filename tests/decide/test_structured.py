@@ -10,9 +10,8 @@ from hypothesis import given, settings, strategies as st
 
 from residua.decide import CodeReading, Structured, read_code, read_codes
 from residua.decide.code_reading import UNKNOWN
-from residua.decide.structured import code_test
+from residua.decide.structured import candidates_of_code, code_test, column_read
 from residua.errors import DataError, SettingError
-from residua.monitor.naming import candidates_of_code, column_read
 
 GENERALIZED = ~np.eye(4, dtype=bool)
 FAULTS = ("a", "b", "c", "d")

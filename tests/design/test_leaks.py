@@ -15,6 +15,7 @@ import pytest
 
 import residua as rs
 from exact_arithmetic import exact_leak, normal_rank, reaches
+from refusals import Refused
 from residua.design.core.internal_form import frequency_grid, leakage
 from residua.errors import AccuracyError, ResiduaError
 from residua.testing import check_residual_generator
@@ -88,14 +89,18 @@ def check_evidence(name: str, seed: int) -> str:
 
 @pytest.mark.parametrize("seed", range(27))
 @pytest.mark.parametrize("name", DESIGNS)
-def test_units_change_nothing(name: str, seed: int) -> None:
-    agree(name, seed)
+@pytest.mark.refusals(at_most=81)
+def test_units_change_nothing(name: str, seed: int, refused: Refused) -> None:
+    if (kind := agree(name, seed)) != "made":
+        refused(f"{name}: {kind}")
 
 
 @pytest.mark.parametrize("seed", range(9))
 @pytest.mark.parametrize("name", DESIGNS)
-def test_the_evidence_is_the_exact_leak(name: str, seed: int) -> None:
-    check_evidence(name, seed)
+@pytest.mark.refusals(at_most=30)
+def test_the_evidence_is_the_exact_leak(name: str, seed: int, refused: Refused) -> None:
+    if (kind := check_evidence(name, seed)) != "made":
+        refused(f"{name}: {kind}")
 
 
 @pytest.mark.campaign

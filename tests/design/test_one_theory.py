@@ -10,16 +10,20 @@ import pytest
 
 import residua as rs
 from one_theory import ONE_FILTER, Findings, compare, generated, ignored_sets, visible
+from refusals import Refused
 
 
 @pytest.mark.parametrize("seed", range(200, 225))
-def test_every_method_agrees_with_the_exact_ranks_and_with_the_others(seed: int) -> None:
+@pytest.mark.refusals(at_most=68)
+def test_every_method_agrees_with_the_exact_ranks_and_with_the_others(seed: int, refused: Refused) -> None:
     plant, out = generated(seed), Findings()
     for ignored in ignored_sets(plant, np.random.default_rng([21, seed]), 3):
         compare(plant, ignored, f"plant {seed}", out)
     assert out.wrong == []
     assert out.refused == []
     assert out.counts["bank: reached"] == out.counts["parity: reached"] == out.counts["attainable"]
+    for words in out.without:
+        refused(words)
 
 
 def test_plants_hide_faults_for_other_reasons_than_counting() -> None:

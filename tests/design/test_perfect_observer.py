@@ -7,6 +7,7 @@ import pytest
 import scipy.linalg
 
 import residua as rs
+from refusals import Refused
 from residua.design import perfect_observer
 from residua.design.observers.perfect_gain import nilpotency_index
 from residua.design.observers.perfect_observer import differential_filter
@@ -270,14 +271,15 @@ def test_T_is_singular_for_every_gain_where_the_outputs_miss_the_algebraic_part(
 
 
 @pytest.mark.parametrize("exponent", range(3, 15))
-def test_nearly_hidden_states_are_estimated_or_refused_never_wrong(exponent: int) -> None:
+@pytest.mark.refusals(at_most=6)
+def test_nearly_hidden_states_are_estimated_or_refused_never_wrong(exponent: int, refused: Refused) -> None:
     eps = 10.0**-exponent
     plant = rs.Plant([[-1, eps, 0], [0, -2, 0], [1, 0, -1]], [[1], [1], [0]], [[1, 0, 1]], E=np.diag([1.0, 1.0, 0.0]))
     try:
         observer = perfect_observer(plant)
-    except (DesignError, AccuracyError):
+    except (DesignError, AccuracyError) as error:
         assert exponent > 5
-        return
+        refused.skip(error)
     assert estimate_response(observer, 1j * np.array([0.1, 1.0])).max() < 1e-6
     assert observer.evidence.conditions["noise gain, outputs to estimate (peak)"] > 0.1 / eps
 

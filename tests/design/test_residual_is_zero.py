@@ -7,6 +7,7 @@ import pytest
 
 import residua as rs
 from generated import random_plant, simulate
+from refusals import Refused
 from residua.errors import DesignError
 
 SEEDS = range(40)
@@ -33,7 +34,8 @@ def test_unknown_input_observer(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_disturbances_in_the_outputs_are_decoupled_too(seed: int) -> None:
+@pytest.mark.refusals(at_most=0)
+def test_disturbances_in_the_outputs_are_decoupled_too(seed: int, refused: Refused) -> None:
     rng = np.random.default_rng(100 + seed)
     plant = random_plant(rng, n=5, outputs=4, dt=0.1, faults=1)
     plant = plant.with_disturbances(
@@ -41,7 +43,7 @@ def test_disturbances_in_the_outputs_are_decoupled_too(seed: int) -> None:
     )
     existence = rs.analysis.unknown_input_observer_existence(plant)
     if not existence:
-        pytest.skip(f"generated plant without an observer: {existence}")
+        refused.skip(existence)
     generator = rs.design.unknown_input_observer(plant).residual_generator()
     assert largest_residual(generator, *simulate(plant, rng, 60)) < 1e-9
     assert generator.n_residuals == 3
@@ -49,14 +51,15 @@ def test_disturbances_in_the_outputs_are_decoupled_too(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("robust", [False, True])
-def test_detection_filters(seed: int, robust: bool) -> None:
+@pytest.mark.refusals(at_most=0)
+def test_detection_filters(seed: int, robust: bool, refused: Refused) -> None:
     rng = np.random.default_rng(200 + seed)
     plant = random_plant(rng, disturbances=1 if robust else 0, faults=2, dt=0.1, sensors=seed % 3 == 0)
     design = rs.design.robust_detection_filter if robust else rs.design.detection_filter
     try:
         generator = design(plant)
     except DesignError as error:
-        pytest.skip(f"not for this plant: {error}")
+        refused.skip(error)
     assert generator.system.is_stable()
     assert largest_residual(generator, *simulate(plant, rng, 60)) < 1e-9
 
@@ -70,12 +73,13 @@ def test_kalman_filter(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_continuous_designs_by_their_internal_form(seed: int) -> None:
+@pytest.mark.refusals(at_most=0)
+def test_continuous_designs_by_their_internal_form(seed: int, refused: Refused) -> None:
     """In continuous time the statement is about transfer matrices: zero from every control and disturbance."""
     rng = np.random.default_rng(400 + seed)
     plant = random_plant(rng, disturbances=1, dt=0.0)
-    if not rs.analysis.unknown_input_observer_existence(plant):
-        pytest.skip("generated plant without an observer")
+    if not (existence := rs.analysis.unknown_input_observer_existence(plant)):
+        refused.skip(existence)
     generator = rs.design.unknown_input_observer(plant).residual_generator()
     form = generator.internal_form(plant)
     d = [i for i, name in enumerate(form.inputs) if name in plant.disturbances]

@@ -11,6 +11,7 @@ import pytest
 
 import residua as rs
 from generated import random_plant, singular_plant
+from refusals import Refused
 from residua.design import catalogue, suggestion
 from residua.errors import AccuracyError, DesignError, ModelError, SettingError
 from residua.plant import Perturbation, UncertainPlant
@@ -265,7 +266,8 @@ def test_records_say_who_serves_singular_plants(method: catalogue.Method) -> Non
             design()
 
 
-def test_records_say_what_decouples() -> None:
+@pytest.mark.refusals(at_most=0)
+def test_records_say_what_decouples(refused: Refused) -> None:
     plant = rs.library.jet_engine().with_noise(process=1.0, measurement=1.0)
     for entry in rs.suggest(plant).entries:
         made = entry.made
@@ -273,7 +275,8 @@ def test_records_say_what_decouples() -> None:
             continue
         try:
             generator = made if isinstance(made, rs.design.ResidualGenerator) else made.residual_generator()
-        except DesignError:
+        except DesignError as error:
+            refused(error)
             continue
         form = generator.internal_form()
         first = len(generator.faults)

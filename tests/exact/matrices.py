@@ -40,9 +40,9 @@ def block(rows: Sequence[Sequence[fmpq_mat]]) -> fmpq_mat:
     """Return a matrix of blocks; heights and widths must fit."""
     entries: list[fmpq] = []
     for blocks in rows:
-        for i in range(blocks[0].nrows()):
-            for M in blocks:
-                entries.extend(M[i, j] for j in range(M.ncols()))
+        for lines in zip(*(M.tolist() if M.ncols() else [[]] * M.nrows() for M in blocks), strict=True):
+            for line in lines:
+                entries += line
     return fmpq_mat(sum(blocks[0].nrows() for blocks in rows), sum(M.ncols() for M in rows[0]), entries)
 
 
@@ -98,9 +98,11 @@ def is_zero(M: fmpq_mat) -> bool:
 
 def residues(M: fmpq_mat) -> list[list[int]]:
     """Return a matrix modulo the prime."""
-    return [
-        [int(M[i, j].p) * pow(int(M[i, j].q), -1, PRIME) % PRIME for j in range(M.ncols())] for i in range(M.nrows())
-    ]
+    return [[_residue(x) for x in row] for row in M.tolist()]
+
+
+def _residue(x: fmpq) -> int:
+    return int(x.p) * (1 if x.q == 1 else pow(int(x.q), -1, PRIME)) % PRIME if x.p else 0
 
 
 def rank_modulo(M: Sequence[Sequence[int]]) -> int:

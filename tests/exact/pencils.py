@@ -26,13 +26,16 @@ Pencil = tuple[fmpq_mat, fmpq_mat]
 
 def normal_rank(P: Pencil) -> int:
     """Return the rank at almost every ``s``: modulo a prime, at two points far from everything."""
+    return max(rank_modulo(values) for values in generic_values(P))
+
+
+def generic_values(P: Pencil) -> list[list[list[int]]]:
+    """Return a pencil modulo a prime at two points far from everything."""
     P0, P1 = residues(P[0]), residues(P[1])
     points = (1234567890123456789, 987654321987654321)
-    ranks = [
-        rank_modulo([[(a + s * b) % PRIME for a, b in zip(x, y, strict=True)] for x, y in zip(P0, P1, strict=True)])
-        for s in points
+    return [
+        [[(a + s * b) % PRIME for a, b in zip(x, y, strict=True)] for x, y in zip(P0, P1, strict=True)] for s in points
     ]
-    return max(ranks)
 
 
 # -------------------------------------------------------------------------------- zeros

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from flint import fmpq, fmpq_mat
@@ -26,6 +26,7 @@ class ExactPlant:
     Df: fmpq_mat
     sampled: bool
     plain: bool
+    answers: dict[Any, Any] = field(default_factory=dict, repr=False)  # that do not depend on units, once each
 
     @property
     def n(self) -> int:
@@ -67,6 +68,42 @@ def exact_plant(plant: Any) -> ExactPlant:
     M = {name: exact(getattr(plant, name)) for name in ("A", "Bu", "C", "Du", "Bd", "Dd", "Bf", "Df")}
     E = identity(n) if plant.E is None else exact(plant.E)
     return ExactPlant(E=E, sampled=plant.dt > 0, plain=plant.E is None, **M)
+
+
+def with_answers_of(plant: ExactPlant, other: ExactPlant, by: Any) -> ExactPlant:
+    """Return a plant with the answers about another, when it is that one in units ``by`` to the last bit, or as it is.
+
+    Units of states, signals and equations are invertible: no rank, polynomial, index or existence depends on them.
+    """
+    left = by.r if not plant.plain else 1 / by.x
+    rows, outputs = _factors(left), _factors(1 / by.y)
+    columns = {"A": by.x, "E": by.x, "C": by.x, "Bu": by.u, "Du": by.u, "Bd": by.d, "Dd": by.d}
+    for name, factors in columns.items():
+        if name == "E" and plant.plain:
+            continue
+        above = outputs if name in ("C", "Du", "Dd") else rows
+        if not _is_scaled(getattr(plant, name), getattr(other, name), above, _factors(factors)):
+            return plant
+    through, wanted = (block([[X.Bf], [X.Df]]) for X in (plant, other))
+    above = rows + outputs
+    for j in range(plant.faults):  # a fault of a channel has the unit of the channel, one of its own has its own
+        i = next((i for i in range(len(above)) if wanted[i, j] != 0), None)
+        unit = fmpq(1) if i is None else through[i, j] / (above[i] * wanted[i, j])
+        if unit == 0 or any(through[i, j] != above[i] * wanted[i, j] * unit for i in range(len(above))):
+            return plant
+    return replace(plant, answers=other.answers)
+
+
+def _factors(values: Any) -> list[fmpq]:
+    return [fmpq(*float(x).as_integer_ratio()) for x in values]
+
+
+def _is_scaled(M: fmpq_mat, other: fmpq_mat, rows: list[fmpq], columns: list[fmpq]) -> bool:
+    """Tell whether a matrix is another with its rows and columns multiplied."""
+    shape = M.nrows(), M.ncols()
+    return shape == (other.nrows(), other.ncols()) == (len(rows), len(columns)) and all(
+        M[i, j] == rows[i] * other[i, j] * columns[j] for i in range(shape[0]) for j in range(shape[1])
+    )
 
 
 def at(P: tuple[fmpq_mat, fmpq_mat], s: fmpq | int) -> fmpq_mat:

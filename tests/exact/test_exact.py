@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 pytest.importorskip("flint", reason="exact arithmetic: pip install 'residua[test]'")
@@ -10,7 +12,7 @@ from flint import fmpq, fmpq_mat, fmpq_poly
 
 from exact import pencils, questions, stability
 from exact.matrices import block, exact, identity, is_zero, null_space, rank, zeros
-from exact.plants import ExactPlant, at, exact_plant
+from exact.plants import ExactPlant, at, exact_plant, with_answers_of
 from exact_campaign.cases import plant_of, units
 from exact_campaign.kinds import KINDS, case_of
 
@@ -81,6 +83,31 @@ def test_a_proper_estimate_by_solving_is_that_by_ranks(kind: str) -> None:
     for plant in plants(kind):
         for ignored in ([], [0]):
             assert questions.proper_estimate(plant, ignored) == questions.proper_estimate_by_ranks(plant, ignored)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_ranks_of_chosen_columns_are_those_of_the_pencil(kind: str) -> None:
+    for plant in plants(kind):
+        for ignored in ([], [0], [plant.faults - 1, 0], range(plant.faults)):
+            wanted = pencils.normal_rank(plant.pencil(*plant.ignoring(sorted(set(ignored)))))
+            assert questions.generic_rank(plant, ignored) == wanted
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_answers_are_shared_with_the_same_plant_in_other_units_and_with_no_other(kind: str) -> None:
+    for seed in range(1000, 1006):
+        case = case_of(kind, seed)
+        by = units(case, seed, powers_of_two=True)
+        base, scaled = exact_plant(plant_of(case)), exact_plant(plant_of(case, by))
+        assert with_answers_of(scaled, base, by).answers is base.answers
+        for name in ("A", "Bu", "C", "Du", "Bd", "Dd"):
+            if any(getattr(scaled, name).entries()):
+                bent = replace(scaled, **{name: getattr(scaled, name) * 3}, answers={})
+                assert with_answers_of(bent, base, by).answers is not base.answers
+        two = next((i for i in range(scaled.n) if scaled.Bf.ncols() and scaled.Bf[i, 0] != 0), None)
+        if two is not None and any(scaled.Df[i, 0] != 0 for i in range(scaled.p)):
+            bent = replace(scaled, Bf=scaled.Bf * 3, answers={})  # in the states alone, and not in the outputs
+            assert with_answers_of(bent, base, by).answers is not base.answers
 
 
 @pytest.mark.parametrize("kind", KINDS)

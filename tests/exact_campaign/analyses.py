@@ -6,8 +6,8 @@ import numpy as np
 from flint import fmpq, fmpq_poly
 
 import residua as rs
-from exact import pencils, questions
-from exact.matrices import rank, rational, zeros
+from exact import questions
+from exact.matrices import rank, rational
 from exact.plants import at
 from exact.stability import distance_to_boundary, roots
 from exact_campaign.answers import Record, Subject, plain
@@ -56,14 +56,8 @@ def _zeros(subject: Subject, which: str) -> None:
     record = subject.ask(
         f"invariant_zeros ({which})", lambda: rs.linear.invariant_zeros(plant.A, B, plant.C, D, plant.E)
     )
-    columns = {
-        "u": (X.Bu, X.Du),
-        "d": (X.Bd, X.Dd),
-        "f": X.ignoring(range(X.faults)),
-        "none": (zeros(X.n, 0), zeros(X.p, 0)),
-    }[which]
-    P = X.pencil(*columns)
-    exact, wanted = pencils.zero_polynomial(P), pencils.normal_rank(P) - X.n
+    exact, rank_there = questions.zeros_from(X, which)
+    wanted = rank_there - X.n
     if record.answer.refused:
         record.problem("wrong", "zeros", f"refused: {record.answer.refused[:120]}; exact: {exact}")
         return
@@ -85,7 +79,7 @@ def _ranks_at_points(subject: Subject) -> None:
     """Compare the rank of the pencil at a few rational points, zeros among them, with the exact one."""
     plant, X = subject.plant, subject.exact
     P = X.pencil(X.Bd, X.Dd)
-    p = pencils.zero_polynomial(P)
+    p = questions.fixed_polynomial(X)
     places = [rational(z.real) for z, _ in roots(p) if z.imag == 0 and p(rational(z.real)) == 0][:2]
     for s in (fmpq(0), fmpq(3, 8), *places):
         value = float(s.p) / float(s.q)
@@ -237,7 +231,7 @@ def _attainable(subject: Subject, *, constant: bool) -> None:
     found = plain(record.answer.made.attainable)
     record.facts = {"rows": found, "reasons": record.answer.made.reasons, "independent": record.answer.made.independent}
     _compare_rows(record, texts, found, wanted)
-    independent = X.n + X.p - pencils.normal_rank(X.pencil(X.Bd, X.Dd))
+    independent = X.n + X.p - questions.generic_rank(X)
     if record.answer.made.independent > independent:
         record.problem("wrong", "attainable", f"{record.answer.made.independent} independent, exact {independent}")
     if listed.answer.made is not None:

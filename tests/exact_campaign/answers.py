@@ -11,12 +11,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import residua as rs
-from exact.pencils import normal_rank
-from exact.plants import ExactPlant, exact_plant
-from exact_campaign.cases import Case, Units, plant_of
+from exact.plants import ExactPlant, exact_plant, with_answers_of
+from exact_campaign.cases import Case, Units, base_units, plant_of
 from residua.errors import AccuracyError, ResiduaError
 
 #: Outcomes from best to worst; the last ones fail the campaign.
@@ -66,6 +64,7 @@ class Subject:
     of_floats: bool = True  # whether the exact twin is that of the floats, or the case itself
     records: dict[str, Record] = field(default_factory=dict)
     known: dict[str, Answer] = field(default_factory=dict)
+    like: Subject | None = None  # the same plant in other units, whose exact answers are had already
 
     @cached_property
     def plant(self) -> rs.Plant:
@@ -80,7 +79,10 @@ class Subject:
     @cached_property
     def exact(self) -> ExactPlant:
         """The plant as fractions: those of the floats themselves, or of the case."""
-        return exact_plant(self.plant if self.of_floats else plant_of(self.case))
+        found = exact_plant(self.plant if self.of_floats else plant_of(self.case))
+        if self.like is None:
+            return found
+        return with_answers_of(found, self.like.exact, self.by if self.of_floats else base_units(self.case))
 
     @cached_property
     def rates(self) -> float:
@@ -130,26 +132,3 @@ def plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [plain(v) for v in value]
     return value.item() if isinstance(value, np.generic) else value
-
-
-def nearness(P: tuple[Any, Any], points: tuple[complex, ...]) -> float:
-    """Return how near a pencil is to a lower normal rank: its smallest kept singular value, in balanced units."""
-    r = normal_rank(P)
-    if r == 0:
-        return 1.0
-    M0, M1 = (np.array([[float(x.p) / float(x.q) for x in row] for row in M.tolist()]) for M in P)
-    best = 0.0
-    for s in points:
-        M = M0 + s * M1
-        best = max(best, _smallest_kept(M, r))
-    return best
-
-
-def _smallest_kept(M: NDArray, r: int) -> float:
-    M = np.array(M)
-    for _ in range(20):
-        for axis in (1, 0):
-            size = np.sqrt(np.abs(M).max(axis=axis, keepdims=True, initial=0.0))
-            M = M / np.where(size > 0, size, 1.0)
-    values = np.linalg.svd(M, compute_uv=False)
-    return float(values[r - 1] / values[0])

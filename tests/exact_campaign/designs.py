@@ -10,7 +10,6 @@ import numpy as np
 import residua as rs
 from exact import questions
 from exact.matrices import block, rank
-from exact.pencils import normal_rank
 from exact.plants import ExactPlant
 from exact.stability import distance_to_boundary
 from exact_campaign.answers import Record, Subject
@@ -124,8 +123,7 @@ def _contradiction(subject: Subject, analysis: str, design: str, topic: str) -> 
 def _perfect(subject: Subject) -> None:
     X, plant = subject.exact, subject.plant
     q = X.Bd.ncols()
-    P = X.pencil(X.Bd, X.Dd)
-    exists = normal_rank(P) == X.n + q and questions.fixed_polynomial(X).degree() == 0
+    exists = questions.generic_rank(X) == X.n + q and questions.fixed_polynomial(X).degree() == 0
     record = subject.ask("perfect_observer (least order)", lambda: rs.design.perfect_observer(plant, least_order=True))
     independent = rank(block([[X.Bd], [X.Dd]])) == q
     if judged(record, exists if independent else None, "perfect observers"):

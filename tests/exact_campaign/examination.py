@@ -40,9 +40,9 @@ def stages() -> tuple[Stage, ...]:
     return analyses, designs
 
 
-def examined(case: Case, by: Units, ask: tuple[Stage, ...]) -> Subject:
-    """Return a plant in some units with all its records."""
-    subject = Subject(case, by)
+def examined(case: Case, by: Units, ask: tuple[Stage, ...], like: Subject | None = None) -> Subject:
+    """Return a plant in some units with all its records; ``like`` is the same plant in others."""
+    subject = Subject(case, by, like=like)
     for stage in ask:
         stage(subject)
     return subject
@@ -57,11 +57,11 @@ def examine(kind: str, seed: int, ask: tuple[Stage, ...] | None = None) -> tuple
     case = case_of(kind, seed)
     ask = stages() if ask is None else ask
     base = examined(case, base_units(case), ask)
-    other = examined(case, units(case, seed, powers_of_two=True), ask)
+    other = examined(case, units(case, seed, powers_of_two=True), ask, base)
     compare(base, other)
     subjects = [base, other]
     if seed % 3 == 0:
-        subjects.append(rounded(case, units(case, seed, powers_of_two=False), ask))
+        subjects.append(rounded(case, units(case, seed, powers_of_two=False), ask, base))
     outcomes, failures = {}, []
     for subject in subjects:
         for name, record in subject.records.items():
@@ -74,12 +74,12 @@ def examine(kind: str, seed: int, ask: tuple[Stage, ...] | None = None) -> tuple
     return outcomes, failures
 
 
-def rounded(case: Case, by: Units, ask: tuple[Stage, ...]) -> Subject:
+def rounded(case: Case, by: Units, ask: tuple[Stage, ...], base: Subject) -> Subject:
     """Return a plant in decimal units with its records: wrong is what neither its floats nor the case itself allow."""
-    subject = examined(case, by, ask)
+    subject = examined(case, by, ask, base)
     if not any(outcome == "wrong" for record in subject.records.values() for outcome, _, _ in record.problems):
         return subject
-    second = Subject(case, by, of_floats=False, known=subject.known)
+    second = Subject(case, by, of_floats=False, known=subject.known, like=base)
     for stage in ask:
         stage(second)
     for name, record in subject.records.items():

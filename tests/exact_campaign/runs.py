@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import time
 import traceback
 from collections import Counter
@@ -98,7 +97,6 @@ def run(plants: int, seed: int, workers: int, path: Path, *, seconds: float | No
     kept = done(path)
     missing = [chunk for chunk in chunks(plants, seed) if chunk.key not in kept]
     end = time.monotonic() + (float("inf") if seconds is None else seconds)
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with ProcessPoolExecutor(workers) as pool, path.open("a", encoding="utf-8") as out:
         todo = iter(missing)
         running = {pool.submit(run_chunk, chunk) for chunk in islice(todo, 2 * workers)}

@@ -16,6 +16,7 @@ from residua.decide import BankTest, Directional, NormThreshold, Structured, rea
 from residua.decide.norm_threshold import fit_norm_test
 from residua.errors import FileFormatError, ModelError, SettingError
 from residua.monitor.running import Decisions, run_block
+from residua.records import values_out
 
 FIELDS = {
     "residuals": "residuals",
@@ -248,7 +249,7 @@ def test_step_equals_run_to_the_last_bit(gaps: bool) -> None:
     u, y = recording(sampled_plant(0), faults={"y2 sensor": 1.0})
     u, y = with_gaps(u, y) if gaps else (u, y)
     whole = run(monitor, u, y)
-    codes = monitor._specification().codes
+    codes = monitor._specification().isolation.coding
     assert codes is not None
     monitor.reset()
     for k in range(len(u)):
@@ -302,13 +303,17 @@ def test_a_fleet_gives_what_each_plant_alone_gives() -> None:
         (lambda c: c["fitted"]["thresholds"].update(shape=[1], float=[1.0]), "4 members"),
         (lambda c: c["fitted"]["thresholds"]["float"].__setitem__(0, -1.0), "positive"),
         (lambda c: c["fitted"]["sizes"].update(int=[1, 5, 3, 3]), "sizes"),
-        (lambda c: c["running"].update(codes=None), "running.codes"),
-        (lambda c: c["running"]["codes"]["groups"][0].pop(), "each once"),
-        (lambda c: c["running"]["codes"]["groups"].pop(), "settled"),
-        (lambda c: c["running"]["codes"]["settled"].__setitem__(0, ["somebody"]), "settled"),
-        (lambda c: c["running"]["codes"].update(members=["a"]), "4 members"),
-        (lambda c: c["state"]["alarm"].update(shape=[1], bool=[False]), "state.alarm"),
-        (lambda c: c["state"]["block"].update(shape=[1, 50, 1], float=[0.0] * 50), "state.block"),
+        (lambda c: c["running"].update(isolation=None), "running.isolation"),
+        (lambda c: c["running"]["isolation"]["groups"][0].pop(), "each once"),
+        (lambda c: c["running"]["isolation"]["groups"].pop(), "settled"),
+        (lambda c: c["running"]["isolation"]["settled"].__setitem__(0, ["somebody"]), "settled"),
+        (lambda c: c["running"]["isolation"].update(members=["a"]), "4 members"),
+        (lambda c: c["state"]["test"]["runs"]["alarm"].update(shape=[1], bool=[False]), "state.test.runs.alarm"),
+        (lambda c: c["state"]["isolation"]["since"]["int"].__setitem__(0, 10**6), "since must not be later"),
+        (
+            lambda c: c["state"]["isolation"]["window"]["block"].update(shape=[1, 50, 1], float=[0.0] * 50),
+            "state.isolation.window.block",
+        ),
         (lambda c: c["design"].update(codes=None), "none: use a bank"),
     ],
 )
@@ -413,7 +418,6 @@ def test_running_does_not_touch_the_state_it_was_given() -> None:
     monitor.update(u, y)
     state = monitor._state
     assert state is not None
-    before = {name: np.array(getattr(state, name)) for name in state.__dataclass_fields__}
+    before = values_out(state)
     run_block(monitor._specification(), state, np.concatenate([u, y], axis=1)[None])
-    for name, value in before.items():
-        assert np.array_equal(getattr(state, name), value), name
+    assert values_out(state) == before

@@ -12,10 +12,10 @@ import pytest
 
 import residua as rs
 from residua.decide import NormThreshold
+from residua.decide.alarm import Alarm, Beginning
+from residua.decide.whitened_norm import BAND_DEVIATIONS
 from residua.library import simulate_three_tank, three_tank, three_tank_fault
 from residua.linear import StateSpace
-from residua.monitor.alarm import Alarm, Beginning
-from residua.monitor.bands import BAND_DEVIATIONS, residual_bands
 from residua.monitor.beginning import MOST_DATED, with_beginnings
 from residua.monitor.naming import began_text
 from residua.monitor.outcome import compared_outputs
@@ -168,11 +168,11 @@ def test_a_band_holds_the_share_that_is_said(leak: rs.Diagnosis) -> None:
 
 def test_the_band_of_an_unknown_covariance_is_the_threshold() -> None:
     monitor = rs.Monitor(rs.design.kalman_filter(three_tank()), test=NormThreshold(threshold=2.5, whiten="none"))
-    band, share = residual_bands(monitor.norm_test)
+    band, share = monitor.norm_test.bands()
     assert share == 0.0
     np.testing.assert_array_equal(band, 2.5)
     whitened = rs.Monitor(rs.design.kalman_filter(three_tank())).norm_test
-    band, share = residual_bands(whitened)
+    band, share = whitened.bands()
     covariance = np.linalg.inv(whitened.whitening @ whitened.whitening.T)
     np.testing.assert_allclose(band, BAND_DEVIATIONS * np.sqrt(np.diag(covariance)), rtol=1e-9)
     assert share == pytest.approx(1 - math.erfc(BAND_DEVIATIONS / math.sqrt(2)), abs=1e-12)

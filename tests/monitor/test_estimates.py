@@ -12,8 +12,8 @@ import pytest
 import residua as rs
 from bank_examples import hand_made_bank, recording, sampled_plant, static_estimator, with_gaps
 from residua.decide import Directional, NormThreshold, Structured
+from residua.decide.sizes import estimates_of, fault_unit
 from residua.errors import ModelError, SettingError
-from residua.monitor.naming import estimates_of, fault_unit
 
 FAULT = "y2 sensor"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -51,19 +51,20 @@ def bits(decisions: Any) -> dict[str, bytes]:
     out: dict[str, bytes] = {}
     for field in fields(decisions):
         value = getattr(decisions, field.name)
-        out |= bits(value) if field.name == "match" else {field.name: np.ascontiguousarray(value).tobytes()}
+        if is_dataclass(value):
+            out |= bits(value)
+        elif value is not None:
+            out[field.name] = np.ascontiguousarray(value).tobytes()
     return out
 
 
 def stacked(parts: list[Any], axis: int) -> Any:
     cls = type(parts[0])
-    values = {
-        field.name: stacked([getattr(p, field.name) for p in parts], axis)
-        if field.name == "match"
-        else np.concatenate([getattr(p, field.name) for p in parts], axis=axis)
-        for field in fields(cls)
-    }
-    return cls(**values)
+    if isinstance(parts[0], np.ndarray):
+        return np.concatenate(parts, axis=axis)
+    if parts[0] is None:
+        return None
+    return cls(**{field.name: stacked([getattr(p, field.name) for p in parts], axis) for field in fields(cls)})
 
 
 def monitor(*, steady: bool = False, persistence: int = 3) -> rs.Monitor:
@@ -130,11 +131,11 @@ def test_files_of_the_version_before_are_still_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda c: c["running"]["matched"].update(faults=["p1"]), "faults must be those of the plant"),
-        (lambda c: c["running"]["matched"]["responses"].update(shape=[1, 2, 4]), "must be those of 21 samples"),
-        (lambda c: c["running"].update(matched=None), "running.matched: expected a table, got None"),
+        (lambda c: c["fitted"]["matched"].update(faults=["p1"]), "faults must be those of the plant"),
+        (lambda c: c["fitted"]["matched"]["responses"].update(shape=[1, 2, 4]), "must be those of 21 samples"),
+        (lambda c: c["fitted"].update(matched=None), "fitted.matched: expected a table, got None"),
         (lambda c: c["isolate"].update(window=0), "window"),
-        (lambda c: c["state"]["match_held"].update(shape=[6, 1]), "match_held must have shape"),
+        (lambda c: c["state"]["isolation"]["held"].update(shape=[6, 1]), "state.isolation.held must have shape"),
         (lambda c: c.update(version=2), "version 2"),
     ],
 )

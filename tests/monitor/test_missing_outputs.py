@@ -12,6 +12,7 @@ import residua as rs
 from residua.decide import Matched, NormThreshold
 from residua.monitor.partial_update import PartialUpdate
 from residua.monitor.running import initial_state, run_block
+from residua.records import values_out
 from running_examples import plant, recording
 
 
@@ -77,7 +78,7 @@ def test_it_is_the_kalman_filter_of_the_book(seed: int, share: float) -> None:
     assert np.array_equal(found.usable[0], whole)
     size = np.abs(expected[whole] @ root.T).max()
     np.testing.assert_allclose(found.residuals[0, whole], expected[whole] @ root.T, atol=1e-4 * size)
-    np.testing.assert_allclose(state.x[0], x, atol=1e-4 * np.abs(x).max())
+    np.testing.assert_allclose(state.filter.x[0], x, atol=1e-4 * np.abs(x).max())
 
 
 def test_innovations_stay_white_with_covariance_one() -> None:
@@ -117,8 +118,9 @@ def test_any_cutting_and_any_fleet_gives_the_same_bits(seed: int, matched: bool,
             assert np.array_equal(other, expected, equal_nan=expected.dtype.kind == "f"), name
         stacked = np.concatenate([getattr(one, name) for one in alone])
         assert np.array_equal(stacked, expected, equal_nan=expected.dtype.kind == "f"), name
-    for name in ("x", "spread", "bent", "apart", "age", "resets", "match_extra", "match_weights", "start_sums"):
-        assert np.array_equal(getattr(now, name), getattr(state, name)), name
+    for name in ("x", "spread", "bent", "apart", "age", "resets", "start_sums"):
+        assert np.array_equal(getattr(now.filter, name), getattr(state.filter, name)), name
+    assert values_out(now.test) == values_out(state.test)
 
 
 def test_without_missing_outputs_nothing_changes_by_a_bit_and_after_them_nothing_for_long() -> None:
@@ -138,8 +140,8 @@ def test_without_missing_outputs_nothing_changes_by_a_bit_and_after_them_nothing
     np.testing.assert_allclose(found.statistic[300:], clean.statistic[300:], rtol=1e-9)
     spec = monitor._specification()
     state, _ = run_block(spec, initial_state(spec, 1), np.hstack([u, y2])[None])
-    assert not state.apart[0]
-    assert not state.match_extra.any()
+    assert not state.filter.apart[0]
+    assert not state.test.match.extra.any()
 
 
 def test_matched_filters_expect_what_faults_do_while_outputs_are_missing() -> None:

@@ -449,8 +449,8 @@ def test_files_of_earlier_versions_are_still_read(tmp_path: Path, version: int) 
         (lambda c: c["certified"].pop("only XNH"), "missing 'only XNH'"),
         (lambda c: c["certified"].update({"only XNH": "high"}), "certified.only XNH"),
         (lambda c: c.pop("certified"), "certified"),
-        (lambda c: c["state"]["since"].update(shape=[3]), "state.since"),
-        (lambda c: c["state"]["since"]["int"].__setitem__(0, -1), "state.since"),
+        (lambda c: c["state"]["isolation"]["since"].update(shape=[3]), "state.isolation.since"),
+        (lambda c: c["state"]["isolation"]["since"]["int"].__setitem__(0, -1), "state.isolation.since"),
     ],
 )
 def test_damaged_files_are_refused(tmp_path: Path, change: Change, words: str) -> None:

@@ -15,6 +15,7 @@ from older_files import as_version
 from residua.decide import Matched, NormThreshold, PeakThreshold
 from residua.errors import SettingError
 from residua.monitor.running import initial_state, run_block
+from residua.records import values_out
 from running_examples import plant, recording
 
 MARKS = [1.7976931348623157e308, -1.7976931348623157e308, 1e300, -3.4028235e38, 1e36]
@@ -96,9 +97,10 @@ def test_any_cutting_and_any_fleet_gives_the_same_bits(
         assert np.array_equal(joined, expected, equal_nan=expected.dtype.kind == "f"), name
         stacked = np.concatenate([getattr(one, name) for one in alone])
         assert np.array_equal(stacked, expected, equal_nan=expected.dtype.kind == "f"), name
-    for name in ("x", "held", "age", "running", "resets", "broken", "alarm"):
-        assert np.array_equal(getattr(now, name), getattr(state, name)), name
-        assert np.isfinite(getattr(state, name)).all(), name
+    assert values_out(now.test) == values_out(state.test)
+    for name in ("x", "held", "age", "running", "resets", "broken"):
+        assert np.array_equal(getattr(now.filter, name), getattr(state.filter, name)), name
+        assert np.isfinite(getattr(state.filter, name)).all(), name
     assert np.isfinite(whole.statistic[whole.usable]).all()
 
 
@@ -108,8 +110,10 @@ def test_a_state_that_is_no_number_starts_anew_and_is_counted(value: float) -> N
     data = np.hstack(recording(200))[None]
     state, _ = run_block(spec, initial_state(spec, 1), data[:, :50])
     with np.errstate(all="ignore"):
-        state, found = run_block(spec, replace(state, x=np.full_like(state.x, value)), data[:, 50:])
-    assert state.broken[0] == 1
+        state, found = run_block(
+            spec, replace(state, filter=replace(state.filter, x=np.full_like(state.filter.x, value))), data[:, 50:]
+        )
+    assert state.filter.broken[0] == 1
     assert found.usable[0, -50:].all()
     assert not found.alarm[0, -50:].any()
 

@@ -17,7 +17,7 @@ from older_files import as_version
 from residua.decide import NormThreshold
 from residua.errors import FileFormatError
 from residua.library import three_tank
-from residua.monitor.encoding import array_out
+from residua.records import array_out
 
 
 def continuous() -> rs.Plant:
@@ -88,7 +88,7 @@ def test_everything_comes_back(kind: str, tmp_path: Path) -> None:
         monitor.update(*recording(100, 2))
     monitor.save(tmp_path / "m.json")
     loaded = rs.Monitor.load(tmp_path / "m.json")
-    names = ("design", "test", "isolate", "settle", "max_hold", "notes", "_generator", "_norm_test", "_spec", "_state")
+    names = ("design", "test", "isolate", "settle", "max_hold", "notes", "_generator", "_test", "_spec", "_state")
     for name in names:
         assert_same(getattr(monitor, name), getattr(loaded, name), name)
     loaded.save(tmp_path / "again.json")
@@ -272,7 +272,7 @@ def test_no_number_that_runs_may_be_missing_or_infinite(
     places = [place for place in numbers(content) if not {*REPORTS, "match_held", "version"} & {*place}]
     assert {place[0] for place in places} >= {"design", "test", "fitted", "running", "state"}
     assert ("running", "start") in {place[:2] for place in places}
-    assert {("state", "x"), ("state", "held")} <= {place[:2] for place in places}
+    assert {("state", "filter", "x"), ("state", "filter", "held")} <= {place[:3] for place in places}
     runs = [place for place in places if place[0] in ("fitted", "running", "state")]
     rest = [place for place in places if place not in runs]
     for place in [*runs, *rest[:: max(1, len(rest) // 40)]]:
@@ -286,10 +286,14 @@ def test_no_number_that_runs_may_be_missing_or_infinite(
     [
         (("running", "start", "float", 0), "nan", r"running\.start.*expected a finite number"),
         (("running", "start", "float", 0), 7.0, r"running\.start must be the state that the filter settles to"),
-        (("state", "x", "float", 0), "inf", r"state\.x.*: expected a finite number"),
-        (("state", "held", "float", 1), "-inf", r"state\.held.*: expected a finite number"),
-        (("state", "age", "int", 0), -1, r"state\.age\[0\]: expected a whole number, 0 or more, got -1"),
-        (("state", "since", "int", 0), 10**6, r"state\.since must not be later"),
+        (("state", "filter", "x", "float", 0), "inf", r"state\.filter\.x.*: expected a finite number"),
+        (("state", "filter", "held", "float", 1), "-inf", r"state\.filter\.held.*: expected a finite number"),
+        (
+            ("state", "filter", "age", "int", 0),
+            -1,
+            r"state\.filter\.age\[0\]: expected a whole number, 0 or more, got -1",
+        ),
+        (("state", "test", "window", "filled"), 10**6, r"state\.test\.window\.filled must be below the window"),
         (("fitted", "threshold"), "inf", r"fitted\.threshold: expected a positive, finite number"),
         (("fitted", "threshold"), 0, r"fitted\.threshold: expected a positive, finite number, got 0"),
         (("fitted", "persistence"), 0, r"fitted\.persistence: expected a whole number, 1 or more, got 0"),
@@ -298,7 +302,7 @@ def test_no_number_that_runs_may_be_missing_or_infinite(
         (("test", "false_alarm_rate"), 1.5, r"test\.false_alarm_rate: expected a number between 0 and 1, got 1.5"),
         (("design", "system", "A", "float", 0), 1e308, r"design\.system\.A\[0, 0\]: expected a finite number of at"),
         (("design", "system", "dt"), -1.0, r"design\.system\.dt: expected 0, or a positive number"),
-        (("running", "direction", "bases", 0, "float", 0), 3.0, r"running\.direction\.bases\[0\]: .* orthonormal"),
+        (("running", "isolation", "bases", 0, "float", 0), 3.0, r"running\.isolation\.bases\[0\]: .* orthonormal"),
     ],
 )
 def test_the_message_names_the_entry_and_what_it_may_be(
@@ -407,8 +411,8 @@ def test_windows_that_do_not_belong_together_are_refused_before_anything_is_made
     rs.Monitor(rs.design.matched_filters(three_tank(), window=4)).save(path)
     whole = json.loads(path.read_text())
     cases = {
-        (("isolate", "window"),): r"running\.matched\.window must be that of isolate",
-        (("isolate", "window"), ("running", "matched", "window")): r"running\.matched\.responses must be those of",
+        (("isolate", "window"),): r"fitted\.matched\.window must be that of isolate",
+        (("isolate", "window"), ("fitted", "matched", "window")): r"fitted\.matched\.responses must be those of",
         (("test", "window"),): r"fitted\.window must be that of the test",
         (("running",),): r"running must be there if and only if fitted is",
     }
@@ -419,3 +423,28 @@ def test_windows_that_do_not_belong_together_are_refused_before_anything_is_made
         path.write_text(json.dumps(content))
         with pytest.raises(FileFormatError, match=words):
             rs.Monitor.load(path)
+
+
+SAVED = Path(__file__).parent / "saved"
+
+
+@pytest.mark.parametrize("kind", ["direction", "groups", "none", "bank", "peak", "matched"])
+def test_files_that_version_6_wrote_go_on_with_the_same_bits(kind: str, tmp_path: Path) -> None:
+    """The files, and what that version decided after them, were written by it while it was the latest."""
+    told = json.loads((SAVED / "expected.json").read_text())
+    path = SAVED / f"version6-{kind}.json"
+    monitor = rs.Monitor.load(path)
+    assert monitor.notes == ()
+    monitor.save(tmp_path / "today.json")
+    after = told["after"][kind]
+    for one in (monitor, rs.Monitor.load(tmp_path / "today.json")):
+        found = one.update(np.array(told["u"]), np.array(told["y"]))
+        assert found.residuals[0, ::15].ravel().tolist() == after["residuals"]
+        assert np.packbits(found.alarm[0]).tolist() == after["alarm"]
+        assert [None if v != v else v for v in found.scores[0, -1].tolist()] == after["scores"]
+        assert [None if v != v else v for v in found.statistic[0, ::9].tolist()] == after["statistic"]
+    edited = json.loads(path.read_text())
+    edited["max_hold"] += 1
+    (tmp_path / "edited.json").write_text(json.dumps(edited))
+    with pytest.raises(FileFormatError, match="checksum"):
+        rs.Monitor.load(tmp_path / "edited.json")

@@ -10,7 +10,7 @@ import scipy.linalg
 
 import residua as rs
 from residua.decide import NormThreshold
-from residua.monitor.preparing import settled_codes
+from residua.decide.structured import settled_codes
 from residua.report.codes import code_table
 
 STEP = 5e-3

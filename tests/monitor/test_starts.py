@@ -132,7 +132,7 @@ def test_any_cutting_and_any_fleet_gives_the_same_bits(seed: int, kind: str, set
         stacked = np.concatenate([getattr(one, name) for one in alone])
         assert np.array_equal(stacked, expected, equal_nan=expected.dtype.kind == "f"), name
     for name in ("x", "age", "starting", "start_sums", "moved", "resets"):
-        assert np.array_equal(getattr(now, name), getattr(state, name)), name
+        assert np.array_equal(getattr(now.filter, name), getattr(state.filter, name)), name
 
 
 @pytest.mark.parametrize("power", [-20, 20])

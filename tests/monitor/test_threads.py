@@ -66,7 +66,7 @@ def test_samples_of_a_stream_are_taken_one_after_the_other() -> None:
         list(pool.map(lambda _: monitor.step(u, y), range(400)))
     assert monitor._state is not None
     assert monitor._state.count == 400
-    assert monitor._state.age[0] == 400
+    assert monitor._state.filter.age[0] == 400
 
 
 def test_a_copy_has_a_state_of_its_own() -> None:

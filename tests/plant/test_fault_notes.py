@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import residua as rs
+from residua.decide.sizes import fault_unit
 from residua.errors import FileFormatError, ModelError
 from residua.library import three_tank
-from residua.monitor.naming import fault_unit
 from residua.plant import dumps_plant, loads_plant
 
 NOTES = {"description": "A hole.", "check": 'the "drain" valve\nand the floor', "unit": "cm2"}

@@ -12,8 +12,8 @@ import pytest
 import residua as rs
 from page_reader import read, words
 from report_examples import diagnosis, generator
+from residua.decide.alarm import Beginning, Size
 from residua.design.core.generator import Member
-from residua.monitor.alarm import Beginning, Size
 from residua.report.charts import chart_data
 from residua.report.choosing import SHOWN_FAULTS, look_alikes, shown_groups, signal_order
 from residua.report.contributions import averaged_residuals, inside_band, shares_of_statistic

@@ -28,7 +28,7 @@ from residua.cli.recording_options import (
     Transpose,
     Variable,
 )
-from residua.decide import Directional, GroupTest, Matched, NormTest, NormThreshold, Structured
+from residua.decide import Directional, Matched, NormThreshold, Structured
 from residua.demos import Outcome
 from residua.design import MatchedFilters, ResidualGenerator
 from residua.errors import AccuracyError, DataError, ModelError, SettingError
@@ -202,7 +202,7 @@ def _evidence(monitor: Monitor) -> object:
 def _readiness(monitor: Monitor, path: Path) -> str:
     if monitor.is_fitted:
         test = monitor.norm_test
-        what = f"threshold {test.threshold:.6g}" if isinstance(test, NormTest) else _thresholds(monitor)
+        what = _thresholds(monitor).replace("threshold: ", "threshold ")
         return f"{what}: {test.basis}; 'residua fit' sets it from fault-free data"
     return f"no threshold yet: residua fit {path} NORMAL.csv -o {path}"
 
@@ -210,10 +210,10 @@ def _readiness(monitor: Monitor, path: Path) -> str:
 def _thresholds(monitor: Monitor) -> str:
     """Return the threshold, or those of the members of a bank."""
     test = monitor.norm_test
-    if isinstance(test, NormTest):
+    if not test.part_names:
         return f"threshold: {test.threshold:.6g}"
-    names = test.names if isinstance(test, GroupTest) else [member.name for member in monitor.generator.members]
-    return f"thresholds: {', '.join(f'{n} {t:.6g}' for n, t in zip(names, test.thresholds, strict=True))}"
+    limits = zip(test.part_names, test.part_thresholds, strict=True)
+    return f"thresholds: {', '.join(f'{name} {limit:.6g}' for name, limit in limits)}"
 
 
 @app.command()

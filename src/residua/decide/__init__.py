@@ -1,38 +1,65 @@
-"""From residuals to alarms and named faults."""
+"""From residuals to alarms and named faults: one test or isolation, one file."""
 
+from residua.decide.alarm import Alarm, Candidate
 from residua.decide.consistency import ConsistentFault, Explanation, code_likelihoods, consistent_faults
 from residua.decide.directional import Directional, DirectionTest, correlation, projection_distance
-from residua.decide.matched import Matched, MatchedTest
+from residua.decide.isolation import Isolation, IsolationSettings, Named, Scores, Seen
+from residua.decide.kinds import register
+from residua.decide.matched import Matched
 from residua.decide.matched_hold import Match
-from residua.decide.member_thresholds import BankTest
+from residua.decide.matched_level import LikelihoodTest
+from residua.decide.matched_responses import MatchedTest
+from residua.decide.member_thresholds import BankTest, GroupTest
 from residua.decide.norm_threshold import NormTest, NormThreshold
 from residua.decide.peak_threshold import PeakThreshold, peak_over_window
-from residua.decide.residual_groups import GroupTest
+from residua.decide.persistence import AlarmRuns, run_alarm
 from residua.decide.structured import CodeReading, CodeTest, Structured, read_code, read_codes
+from residua.decide.test import Block, FaultFreeRun, ResidualTest, Tested, TestSettings, Watched
 from residua.decide.whitening import whitening_matrix
+from residua.decide.window import WindowState, empty_window, moving_sum
 
 __all__ = [
+    "Alarm",
+    "AlarmRuns",
     "BankTest",
+    "Block",
+    "Candidate",
     "CodeReading",
     "CodeTest",
     "ConsistentFault",
     "DirectionTest",
     "Directional",
     "Explanation",
+    "FaultFreeRun",
     "GroupTest",
+    "Isolation",
+    "IsolationSettings",
+    "LikelihoodTest",
     "Match",
     "Matched",
     "MatchedTest",
+    "Named",
     "NormTest",
     "NormThreshold",
     "PeakThreshold",
+    "ResidualTest",
+    "Scores",
+    "Seen",
     "Structured",
+    "TestSettings",
+    "Tested",
+    "Watched",
+    "WindowState",
     "code_likelihoods",
     "consistent_faults",
     "correlation",
+    "empty_window",
+    "moving_sum",
     "peak_over_window",
     "projection_distance",
     "read_code",
     "read_codes",
+    "register",
+    "run_alarm",
     "whitening_matrix",
 ]

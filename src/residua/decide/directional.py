@@ -4,21 +4,121 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.decide.norm_threshold import check_samples
-from residua.errors import DataError, SettingError
+from residua.decide.alarm import Candidate
+from residua.decide.checks import check_samples
+from residua.decide.isolation import Isolation, IsolationSettings, Scores, check_groups
+from residua.decide.row_norms import row_norms
+from residua.decide.test import Block, ResidualTest, Tested, Watched
+from residua.decide.window import WindowState, empty_window, moving_sum
+from residua.design import ResidualGenerator
+from residua.errors import DataError, FileFormatError, SettingError
 from residua.linear.subspaces.rank import range_basis
+from residua.linear.systems.recursion import ordered_product
+from residua.number_kinds import FINITE, WINDOW, NumberKind
+from residua.records import joined
 from residua.visible import echo
 
 #: Signatures whose largest principal angle is below this (sine) are one and the same.
 SAME_SIGNATURE = 1e-3
+#: Bases from a file are orthonormal to that.
+_ORTHONORMAL = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class DirectionTest(Isolation):
+    """Signatures in whitened residual space: what runs.
+
+    Attributes
+    ----------
+    window : int
+    groups : tuple of tuple of str
+        Faults with the same signature are one group.
+    bases : tuple of ndarray, shape (k, dimension)
+        Orthonormal, one per group.
+    unjudged : tuple of str
+        Faults without a usable signature.
+    """
+
+    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {"window": WINDOW, "bases": FINITE}
+
+    window: int
+    groups: tuple[tuple[str, ...], ...]
+    bases: tuple[NDArray[np.float64], ...]
+    unjudged: tuple[str, ...]
+
+    @property
+    def dimensions(self) -> tuple[int, ...]:
+        """Dimension of each group's signature."""
+        return tuple(basis.shape[1] for basis in self.bases)
+
+    def start(self, plants: int) -> WindowState:
+        """Return the window of the residual before the first sample."""
+        return empty_window(plants, self.window, len(self.bases[0]) if self.bases else 0)
+
+    def run(self, state: WindowState, block: Block, tested: Tested) -> tuple[WindowState, Scores]:
+        """Return the correlation of the residual, summed over the window, with each signature."""
+        whitened = tested.whitened if self.bases else tested.whitened[..., :0]  # nothing to compare it with
+        sums, window = moving_sum(whitened, state)
+        size = row_norms(sums)
+        usable = tested.usable & (size > 0)
+        size = np.where(usable, size, 1.0)
+        scores = np.full((*sums.shape[:2], len(self.bases)), np.nan)
+        for g, basis in enumerate(self.bases):
+            part = row_norms(ordered_product(sums, basis)) / size
+            scores[..., g] = np.where(usable, np.minimum(part, 1.0), np.nan)
+        return window, Scores(scores)
+
+    def candidates(self, scores: NDArray[np.float64]) -> tuple[Candidate, ...]:
+        """Return the groups ranked by score, best first; none where the direction is not known.
+
+        Scores that agree to three digits are a tie, which the narrower signature wins: a plane contains more
+        residuals by chance than a line.
+        """
+        return candidates_at(scores, self.groups, self.dimensions)
+
+    # ----------------------------------------------- what the rest of a monitor asks for
+
+    @property
+    def samples(self) -> int:
+        """Samples that the residual is averaged over."""
+        return self.window
+
+    @property
+    def signatures(self) -> tuple[NDArray[np.float64], ...]:
+        """The bases."""
+        return self.bases
+
+    def words(self, step: float) -> dict[str, str]:
+        """Return in words how faults are named."""
+        over = f"{self.window} samples ({self.window * step:g} s)"
+        return {"isolation": f"direction of the residual averaged over {over}"}
+
+    # --------------------------------------------------------------------------- files
+
+    def check(self, watched: Watched, test: ResidualTest) -> None:
+        """Raise where signatures from a file are not of the residuals and faults, or not orthonormal."""
+        where, residuals = "running.isolation", watched.generator.n_residuals
+        check_groups(self.groups, self.unjudged, where, watched.generator.faults)
+        if len(self.bases) != len(self.groups):
+            raise FileFormatError(f"{where}.bases: expected a list of {len(self.groups)}")
+        for k, basis in enumerate(self.bases):
+            if basis.ndim != 2 or len(basis) != residuals:
+                raise FileFormatError(f"{where}: every basis must have {residuals} rows")
+            if not basis.size or not np.abs(basis.T @ basis - np.eye(basis.shape[1])).max() <= _ORTHONORMAL:
+                raise FileFormatError(f"{joined(where, 'bases')}[{k}]: its columns must be orthonormal")
+
+    def check_state(self, state: WindowState, count: int) -> None:
+        """Raise where a state from a file cannot be one."""
+        state.check("state.isolation")
 
 
 @dataclass(frozen=True)
-class Directional:
+class Directional(IsolationSettings):
     """Rank the faults by the angle between the residual and their signatures.
 
     Parameters
@@ -36,6 +136,10 @@ class Directional:
     Chen, Patton and Zhang (1996), eqs. (26) to (30); steady directions: Gertler (1991), section 5.3.
     """
 
+    kind: ClassVar[str] = "direction"
+    makes: ClassVar[type[Isolation]] = DirectionTest
+    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {"window": WINDOW}
+
     window: int = 50
     signature: str = "auto"
 
@@ -46,31 +150,35 @@ class Directional:
         if self.signature not in ("auto", "subspace", "steady"):
             raise SettingError(f"signature must be 'auto', 'subspace' or 'steady', got {echo(self.signature)}")
 
+    def isolation(self, generator: ResidualGenerator, test: ResidualTest) -> DirectionTest:
+        """Return the signatures in the space of the whitened residual."""
+        return direction_test(
+            self, generator.subspaces, generator.steady_directions, test.metric, generator.residual_rank
+        )
 
-@dataclass(frozen=True, eq=False)
-class DirectionTest:
-    """Signatures in whitened residual space: what runs.
+    @classmethod
+    def for_design(cls, design: Any, generator: ResidualGenerator) -> Self | None:
+        """Return the default: what any generator without codes is read by."""
+        return None if generator.codes is not None else cls()
 
-    Attributes
-    ----------
-    window : int
-    groups : tuple of tuple of str
-        Faults with the same signature are one group.
-    bases : tuple of ndarray, shape (k, dimension)
-        Orthonormal, one per group.
-    unjudged : tuple of str
-        Faults without a usable signature.
-    """
+    def kept(self, generator: ResidualGenerator) -> tuple[str, int, int] | None:
+        """Return the window, and that it keeps the residuals."""
+        return f"Directional(window={self.window})", self.window, generator.n_residuals
 
-    window: int
-    groups: tuple[tuple[str, ...], ...]
-    bases: tuple[NDArray[np.float64], ...]
-    unjudged: tuple[str, ...]
+    def check_record(self, content: Mapping[str, Any], where: str) -> None:
+        """Raise where what runs has another window."""
+        if content.get("window") != self.window:
+            raise FileFormatError(f"{where}.window must be that of isolate, {self.window}")
 
-    @property
-    def dimensions(self) -> tuple[int, ...]:
-        """Dimension of each group's signature."""
-        return tuple(basis.shape[1] for basis in self.bases)
+
+def candidates_at(
+    scores: NDArray[np.float64], groups: tuple[tuple[str, ...], ...], dimensions: tuple[int, ...]
+) -> tuple[Candidate, ...]:
+    """Return the groups ranked by score, best first; see :meth:`DirectionTest.candidates`."""
+    if scores.size == 0 or np.isnan(scores).all():
+        return ()
+    order = np.lexsort((-scores, np.asarray(dimensions), -np.round(scores, 3)))
+    return tuple(Candidate(groups[g], float(scores[g]), float(np.sqrt(max(0.0, 1.0 - scores[g] ** 2)))) for g in order)
 
 
 def correlation(residual: ArrayLike, signature: ArrayLike, *, rtol: float = 1e-9) -> float:

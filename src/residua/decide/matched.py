@@ -2,25 +2,174 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.norm_threshold import check_samples, is_number
-from residua.design.banks.matched_filters import alike_faults
+from residua.decide.alarm import Alarm, Candidate, Size
+from residua.decide.checks import check_samples, is_number
+from residua.decide.isolation import (
+    Isolation,
+    IsolationSettings,
+    Named,
+    Naming,
+    Scores,
+    Seen,
+    last_over,
+    leader,
+    longest,
+)
+from residua.decide.matched_hold import HeldState, Match, hold_block
+from residua.decide.matched_level import Likelihoods, LikelihoodThreshold
+from residua.decide.matched_responses import MatchedTest
+from residua.decide.sizes import fault_unit
+from residua.decide.test import Block, ResidualTest, Tested, TestSettings, Watched
+from residua.decide.whitened_norm import NormSettings
+from residua.design import ResidualGenerator
+from residua.design.banks.matched_filters import MatchedFilters, alike_faults, not_settled, step_responses
 from residua.errors import SettingError
-from residua.linear.systems.recursion import ordered_product
+from residua.number_kinds import SHARE, WINDOW, NumberKind
+from residua.records import record
 from residua.visible import echo
 
-#: Numbers that one pass over a block works on at most; bounds memory and does not change a bit of the result.
-_PASS = 1_000_000
+#: Largest correlation between samples, relative, with which residuals still count as white.
+_WHITE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class MatchedNames(Isolation):
+    """What names faults by the likelihood of their responses.
+
+    Attributes
+    ----------
+    matched : MatchedTest
+    """
+
+    matched: MatchedTest
+
+    @property
+    def groups(self) -> tuple[tuple[str, ...], ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Faults with responses that are alike."""
+        return self.matched.groups
+
+    @property
+    def unjudged(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Faults without a response."""
+        return self.matched.unjudged
+
+    def start(self, plants: int) -> HeldState:
+        """Return the state before the first sample."""
+        return HeldState.empty(plants)
+
+    def run(self, state: HeldState, block: Block, tested: Tested) -> tuple[HeldState, Scores]:
+        """Return what a standing alarm is put down to, and how much of what exceeds the noise each group explains."""
+        seen = tested.likelihood
+        assert isinstance(seen, Likelihoods)
+        found = seen.found
+        match, state = hold_block(self.matched.window, state, found, tested.alarm, tested.exceeded, block.count)
+        return state, Scores(match_scores(self.matched, found["ratios"], seen.sums, tested.usable), match=match)
+
+    def name(self, seen: Seen, start: int, stop: int, last: int) -> Named:
+        """Return what an alarm is put down to at its end, with arrival and onset where they are known."""
+        match = seen.scores.match
+        assert match is not None
+        judged = seen.tested.alarm & seen.tested.exceeded
+        return named_by_match(
+            self.matched, match, seen.scores.scores, judged, start, stop, last, seen.generator, seen.time
+        )
+
+    def name_now(self, seen: Seen) -> Named:
+        """Return the candidates of the latest sample, and the fault and arrival that the alarm is put down to."""
+        match, step = seen.scores.match, seen.generator.dt
+        assert match is not None
+        ago = seen.count - float(match.arrival[0])
+        candidates = candidates_of_match(
+            self.matched,
+            match,
+            seen.scores.scores,
+            0,
+            seen.generator,
+            lambda number: (seen.count + number) * step,
+            settled=ago > self.matched.window,
+        )
+        return Named(
+            candidates=candidates,
+            arrived=ago * step if np.isfinite(ago) else None,
+            blamed=self.matched.faults[int(match.fault[0])],
+        )
+
+    def name_of_several(self, parts: Sequence[Alarm], exceeded: NDArray[np.bool_], name: Naming) -> Named:
+        """Return what several alarms are put down to that are one.
+
+        That of the longest part whose arrival is known, and not after the first part was raised; without any, of the
+        longest of those in which the fault had arrived before the window. A later part may date the same fault anew, by
+        what there is in its own window.
+        """
+        first, last = parts[0], parts[-1]
+        dated = [part for part in parts if part.arrival is not None and part.arrival <= first.raised]
+        who = longest(dated or [part for part in parts if part.arrival is None])
+        found = name(first.start, who.stop, last_over(exceeded, last.start, last.stop))
+        if found.candidates[0].faults == leader(first):
+            return found
+        return name(first.start, who.stop, last_over(exceeded, who.start, who.stop))  # the name that all parts agree on
+
+    # ----------------------------------------------- what the rest of a monitor asks for
+
+    @property
+    def samples(self) -> int:
+        """Samples that responses are looked for in."""
+        return self.matched.samples
+
+    def samples_to_be_sure(self, test: ResidualTest) -> int:
+        """Return that names are as sure after any time."""
+        return 1
+
+    @property
+    def signatures(self) -> tuple[NDArray[np.float64], ...]:
+        """The direction that the first fault of each group settles to, no column where that vanishes."""
+        directions = [self.matched.settled[:, [columns[0]]] for columns in self.matched.columns]
+        return tuple(d / np.linalg.norm(d) if d.any() else d[:, :0] for d in directions)
+
+    def words(self, step: float) -> dict[str, str]:
+        """Return in words how faults are named."""
+        window = self.matched.window
+        if not len(self.matched.responses):
+            return {
+                "isolation": "the settled response that explains them best; the name may be wrong until it has settled"
+            }
+        return {
+            "isolation": f"the fault and arrival, up to {window} samples ({window * step:g} s) ago, that explain the "
+            "innovations best; held once that arrival has left the window"
+        }
+
+    @property
+    def where_missing(self) -> str:
+        """What of missing values matters here."""
+        return "samples without a decision count for none" if len(self.matched.responses) else ""
+
+    def notes(self) -> tuple[str, ...]:
+        """Return a warning where the window is shorter than the responses take to settle."""
+        test = self.matched
+        late = [test.faults[j] for j in not_settled(test.responses, test.settled)] if len(test.responses) else []
+        if not late:
+            return ()
+        return (
+            f"the window of {test.window} samples is shorter than the responses to {', '.join(late)} take to settle: "
+            "arrivals and sizes are those found while the arrival lay within the window; a longer window is better",
+        )
+
+    # --------------------------------------------------------------------------- files
+
+    def to_record(self) -> dict[str, Any]:
+        """Return nothing: the test has the responses."""
+        return {}
 
 
 @dataclass(frozen=True)
-class Matched:
+class Matched(IsolationSettings):
     r"""Find the fault, its arrival and its size whose expected response resembles the innovations most.
 
     For each fault and each arrival up to ``window`` samples ago, and for each fault once it has settled, the
@@ -44,6 +193,10 @@ class Matched:
     Gertler (1991), section 5.3; Willsky and Jones (1976), IEEE TAC 21(1), 108-112.
     """
 
+    kind: ClassVar[str] = "matched"
+    makes: ClassVar[type[Isolation]] = MatchedNames
+    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {"window": WINDOW, "alike": SHARE}
+
     window: int = 40
     steady: bool = False
     alike: float = 0.999
@@ -59,83 +212,71 @@ class Matched:
             raise SettingError(f"alike must be a correlation, over 0 and up to 1, got {echo(self.alike)}")
         object.__setattr__(self, "alike", float(self.alike))
 
+    def isolation(self, generator: ResidualGenerator, test: ResidualTest) -> MatchedNames:
+        """Return what names faults by the responses that the test compares."""
+        assert test.responses is not None
+        return MatchedNames(test.responses)
 
-@dataclass(frozen=True, eq=False)
-class MatchedTest:
-    """The responses in whitened residual space: what runs.
+    # ----------------------------------------------- what the rest of a monitor asks for
 
-    Attributes
-    ----------
-    window : int
-    faults : tuple of str
-        The columns of the responses.
-    groups : tuple of tuple of str
-        Faults that cannot be told apart are one group.
-    responses : ndarray, shape (window + 1, residuals, faults)
-        Of a fault that arrived 0 to ``window`` samples ago; with no rows, only settled faults are looked for.
-    settled : ndarray, shape (residuals, faults)
-    unjudged : tuple of str
-        Faults without a response.
-    """
+    @classmethod
+    def for_design(cls, design: Any, generator: ResidualGenerator) -> Self | None:
+        """Return the window and grouping of matched filters."""
+        return cls(design.window, design.steady, design.alike) if isinstance(design, MatchedFilters) else None
 
-    window: int
-    faults: tuple[str, ...]
-    groups: tuple[tuple[str, ...], ...]
-    responses: NDArray[np.float64]
-    settled: NDArray[np.float64]
-    unjudged: tuple[str, ...]
+    def check(self, generator: ResidualGenerator) -> None:
+        """Raise unless the residuals are innovations."""
+        check_white(generator)
 
-    @property
-    def samples(self) -> int:
-        """How many samples are looked at: those of the window, and the one of the arrival."""
-        return self.window + 1
+    def test_of(self, settings: TestSettings) -> TestSettings:
+        """Return the test of likelihoods with the threshold, persistence and release of a norm."""
+        if settings.divides:
+            raise SettingError(
+                "groups are for residuals that are named by direction or not at all; here faults are matched: leave "
+                "groups out, or isolate=Directional() or None"
+            )
+        if not isinstance(settings, NormSettings):
+            raise SettingError(
+                f"{type(settings).__name__} tests the residual itself, and Matched how well the responses to faults "
+                "explain it: test=NormThreshold(), or isolate=Directional()"
+            )
+        return LikelihoodThreshold(settings, self.window, self.steady, lambda generator: self._maker(generator))
 
-    @cached_property
-    def columns(self) -> tuple[tuple[int, ...], ...]:
-        """Fault numbers of each group."""
-        return tuple(tuple(self.faults.index(name) for name in group) for group in self.groups)
+    def _maker(self, generator: ResidualGenerator) -> Callable[[NDArray[np.float64]], MatchedTest]:
+        """Return what makes responses of a whitening matrix; they are simulated once."""
+        responses, settled = step_responses(generator, self.window)
+        return lambda whitening: matched_test(self, generator.faults, responses, settled, whitening)
 
-    @cached_property
-    def energies(self) -> NDArray[np.float64]:
-        """Squared size of the responses at each sample: (window + 1, faults)."""
-        return _squares(np.swapaxes(self.responses, 1, 2))
+    def kept(self, generator: ResidualGenerator) -> tuple[str, int, int] | None:
+        """Return the window, and what it keeps: residuals, and products with the responses to all faults."""
+        k = generator.n_residuals
+        each = k + 2 + (0 if self.steady else len(generator.faults) * (k + 2))
+        return f"Matched(window={self.window})", self.window + 1, each
 
-    @cached_property
-    def weights(self) -> NDArray[np.float64]:
-        """Squared size of the responses up to each sample, added in order: (window + 1, faults)."""
-        return np.cumsum(self.energies, axis=0)
-
-    @cached_property
-    def bank(self) -> NDArray[np.float64]:
-        """All responses side by side: (residuals, (window + 1) faults)."""
-        return np.ascontiguousarray(np.swapaxes(self.responses, 0, 1).reshape(len(self.settled), -1))
+    def isolation_from_record(self, content: Any, where: str, watched: Watched, test: ResidualTest) -> Isolation:
+        """Return what runs: it is made of the responses of the test alone."""
+        record(content, where, ())
+        return self.isolation(watched.generator, test)
 
 
-@dataclass(frozen=True, eq=False)
-class MatchState:
-    """What the test remembers; every array has one row per plant.
-
-    Attributes
-    ----------
-    sums, weights : ndarray, shape (plants, window + 1, faults)
-        For each arrival: the products with the expected response so far, and the squared size of that response.
-    held : ndarray, shape (plants, 6)
-        Of the alarm that stands: fault, arrival, the sample that they were found at, whether they are final, the
-        sample of its raising and the largest likelihood ratio so far; NaN without one.
-    extra : ndarray, shape (plants, window + 1, 2 faults)
-        For each of the last samples what faults that arrived before the window add there to the products with their
-        settled responses, and to the squared size of these, where they have other responses.
-    """
-
-    sums: NDArray[np.float64]
-    weights: NDArray[np.float64]
-    held: NDArray[np.float64]
-    extra: NDArray[np.float64]
-
-
-#: Where faults have other responses than as a rule: plant, sample, and the whitened responses by age, shape
-#: (window + 1, faults, residuals), with one more row for those that arrived before the window.
-Bends = Sequence[tuple[int, int, NDArray[np.float64]]]
+def check_white(generator: ResidualGenerator) -> None:
+    """Raise unless the residuals are innovations: white, so that products with responses can simply be added."""
+    advice = "design with matched_filters(plant), or kalman_filter(plant), on the sampled plant, plant.discretize(dt)"
+    if not generator.faults:
+        raise SettingError("Matched looks for the responses to faults, and this plant has none")
+    covariance = generator.covariance
+    if covariance is None:
+        raise SettingError(f"Matched needs white residuals of known covariance, and this generator has none: {advice}")
+    spread = np.sqrt(np.diag(covariance))
+    for window in (2, 10):
+        sums = generator.covariance_of_sums(window)
+        assert sums is not None  # as for one sample
+        off = np.abs(sums - covariance) / np.outer(spread, spread)
+        if not off.max(initial=0.0) <= _WHITE:
+            raise SettingError(
+                f"Matched needs white residuals, and those of this generator ({generator.method}) correlate over time "
+                f"({off.max():.2g}): {advice}"
+            )
 
 
 def matched_test(
@@ -170,176 +311,6 @@ def matched_test(
     )
 
 
-def empty_match(test: MatchedTest, plants: int, *, bends: bool = False) -> MatchState:
-    """Return the state before the first sample; ``bends`` says whether responses may differ from what they are."""
-    sums = np.zeros((plants, len(test.responses), len(test.faults)))
-    extra = np.broadcast_to(0.0, (plants, test.samples if bends else 0, 2 * len(test.faults)))
-    return MatchState(sums, sums, np.full((plants, 6), np.nan), extra)
-
-
-# ------------------------------------------------------------------ likelihood ratios
-
-
-def match_block(
-    test: MatchedTest,
-    state: MatchState,
-    q: NDArray[np.float64],
-    usable: NDArray[np.bool_],
-    sums: NDArray[np.float64],
-    bends: Bends = (),
-) -> tuple[dict[str, NDArray], MatchState]:
-    """Return the likelihood ratio, arrival and size of every fault at every sample of a block.
-
-    Each pair of fault and arrival adds its products sample by sample, in the order of time, so that the result is the
-    same to the last bit for any cutting. Samples that are not usable add nothing and count for nothing: they carry no
-    information, and what was known before them stays.
-
-    Parameters
-    ----------
-    test : MatchedTest
-    state : MatchState
-    q : ndarray, shape (plants, time, residuals)
-        Whitened residuals, zero where not usable.
-    usable : ndarray of bool, shape (plants, time)
-    sums : ndarray, shape (plants, time, residuals + 2)
-        Sums of :func:`summed` over the last ``window + 1`` samples.
-    bends : sequence of (int, int, ndarray)
-        Where faults have other responses than those of the test, as while a Kalman filter recovers from missing
-        outputs: plant, sample of the block, and the responses.
-
-    Returns
-    -------
-    found : dict
-        ``ratios``, ``ages``, ``sizes``, ``deviations`` and ``settled_sizes`` of :class:`Match`.
-    state : MatchState
-    """
-    plants, time, _ = q.shape
-    step = max(1, _PASS // max(1, plants * max(1, state.sums.shape[1]) * max(1, len(test.faults))))
-    parts = []
-    for start in range(0, max(time, 1), step):
-        cut = slice(start, start + step)
-        bent = [(p, k - start, R) for p, k, R in bends if start <= k < start + step and usable[p, k]]
-        part, state = _match_pass(test, state, q[:, cut], usable[:, cut], sums[:, cut], bent)
-        parts.append(part)
-    return {name: np.concatenate([part[name] for part in parts], axis=1) for name in parts[0]}, state
-
-
-def summed(q: NDArray[np.float64], usable: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return what the test needs sums of: the whitened residual, its square and whether it is usable."""
-    return np.concatenate([q, _squares(q)[..., None], usable[..., None].astype(float)], axis=2)
-
-
-def _match_pass(
-    test: MatchedTest, state: MatchState, q: NDArray, usable: NDArray[np.bool_], sums: NDArray, bends: Bends
-) -> tuple[dict[str, NDArray], MatchState]:
-    m = q.shape[2]
-    count = sums[..., -1:]
-    products = ordered_product(sums[..., :m], test.settled)
-    weights = count * _squares(test.settled.T)
-    if bends or (state.extra.size and state.extra.strides[0] and state.extra.any()):
-        products, weights, state = _with_extra(test, state, q, bends, products, weights)
-    ratios, settled_sizes, deviations = _likelihood(products, weights)
-    sizes, ages = settled_sizes, np.full(ratios.shape, -1, dtype=np.int64)
-    if len(test.responses):
-        steps = _products(test, q)
-        for p, k, R in bends:
-            steps[:, p, k] = _inner(R[:-1], q[p, k])
-        products, before = _along_arrivals(steps, state.sums)
-        full = not bends and usable.all() and bool(np.all(state.weights[:, :-1] == test.weights[:-1]))
-        if full:  # no sample was ever missing: the same numbers, known beforehand
-            weights = np.broadcast_to(test.weights[:, None, None], products.shape)
-            known = np.broadcast_to(test.weights, state.weights.shape)
-        else:
-            steps = np.where(usable[None, :, :, None], test.energies[:, None, None], 0.0)
-            for p, k, R in bends:
-                steps[:, p, k] = _squares(R[:-1])
-            weights, known = _along_arrivals(steps, state.weights)
-        state = replace(state, sums=before, weights=known)
-        found = _likelihood(products, weights)
-        best = np.argmax(found[0], axis=0)
-        own = [np.take_along_axis(values, best[None], axis=0)[0] for values in found]
-        younger = own[0] > ratios * (1 + 1e-9)  # a response that never changes cannot tell when it began
-        ratios, sizes, deviations = (
-            np.where(younger, a, b) for a, b in zip(own, (ratios, sizes, deviations), strict=True)
-        )
-        ages = np.where(younger, best, -1)
-    found = {
-        "ratios": ratios,
-        "ages": ages,
-        "sizes": sizes,
-        "deviations": deviations,
-        "settled_sizes": settled_sizes,
-    }
-    return found, state
-
-
-def _products(test: MatchedTest, q: NDArray) -> NDArray[np.float64]:
-    """Return the product of each sample with the response at each age: (ages, plants, time, faults)."""
-    product = ordered_product(q, test.bank).reshape(*q.shape[:2], len(test.responses), len(test.faults))
-    return np.ascontiguousarray(np.moveaxis(product, 2, 0))
-
-
-def _with_extra(
-    test: MatchedTest, state: MatchState, q: NDArray, bends: Bends, products: NDArray, weights: NDArray
-) -> tuple[NDArray, NDArray, MatchState]:
-    """Add to the products and weights of settled faults what they are off by at the samples of the window.
-
-    Sums over the window are formed anew at each sample, from the oldest on: nothing drifts.
-    """
-    extra, faults = state.extra.copy(), len(test.faults)
-    settled = test.settled.T
-    off = {(p, k): R[-1] for p, k, R in bends}
-    for p in sorted({p for p, _ in off} | set(np.flatnonzero(extra.any(axis=(1, 2))).tolist())):
-        for k in range(q.shape[1]):
-            now = np.zeros(2 * faults)
-            if (p, k) in off:
-                now[:faults] = _inner(off[p, k], q[p, k]) - _inner(settled, q[p, k])
-                now[faults:] = _squares(off[p, k]) - _squares(settled)
-            extra[p, :-1] = extra[p, 1:]
-            extra[p, -1] = now
-            total = np.cumsum(extra[p], axis=0)[-1]
-            products[p, k] += total[:faults]
-            weights[p, k] = np.maximum(weights[p, k] + total[faults:], 0.0)
-    return products, weights, replace(state, extra=extra if extra.any() else np.broadcast_to(0.0, extra.shape))
-
-
-def _inner(rows: NDArray, q: NDArray) -> NDArray[np.float64]:
-    """Return the product of each row with a residual, added in order."""
-    total = np.zeros(rows.shape[:-1])
-    for j in range(rows.shape[-1]):
-        total = total + rows[..., j] * q[j]
-    return total
-
-
-def _along_arrivals(steps: NDArray, before: NDArray) -> tuple[NDArray, NDArray]:
-    """Add up what belongs to one arrival, into ``steps``: that of age ``k`` now had age ``k - 1`` a sample ago."""
-    if steps.shape[2]:
-        for k in range(1, len(steps)):
-            steps[k, :, 0] += before[:, k - 1]
-            steps[k, :, 1:] += steps[k - 1, :, :-1]
-        before = np.moveaxis(steps[:, :, -1], 0, 1).copy()
-    return steps, before
-
-
-def _likelihood(products: NDArray, weights: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-    """Return likelihood ratio, size and deviation; 0, NaN and infinity where nothing of the response was seen."""
-    seen = weights > 0
-    safe = np.where(seen, weights, 1.0)
-    return (
-        np.where(seen, products * products / safe, 0.0),
-        np.where(seen, products / safe, np.nan),
-        np.where(seen, 1 / np.sqrt(safe), np.inf),
-    )
-
-
-def _squares(rows: NDArray) -> NDArray[np.float64]:
-    """Return the squared norm of each row, its squares added in order."""
-    total = np.zeros(rows.shape[:-1])
-    for j in range(rows.shape[-1]):
-        total = total + rows[..., j] * rows[..., j]
-    return total
-
-
 def match_scores(test: MatchedTest, ratios: NDArray, sums: NDArray, usable: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Return for each group how much of what exceeds the noise in the window its best response explains, or NaN.
 
@@ -352,3 +323,130 @@ def match_scores(test: MatchedTest, ratios: NDArray, sums: NDArray, usable: NDAr
     whole = np.maximum(excess, best.max(axis=-1))
     known = usable & (whole > 0)
     return np.where(known[..., None], np.sqrt(best / np.where(known, whole, 1.0)[..., None]), np.nan)
+
+
+def candidates_of_match(
+    test: MatchedTest,
+    match: Match,
+    scores: NDArray[np.float64],
+    at: int,
+    generator: ResidualGenerator,
+    clock: Callable[[float], float],
+    last: int | None = None,
+    settled: bool = False,
+    sources: NDArray[np.int64] | None = None,
+) -> tuple[Candidate, ...]:
+    """Return the groups ranked by their likelihood, each with the arrival and size of its faults.
+
+    Parameters
+    ----------
+    test : MatchedTest
+    match : Match
+        Of one plant.
+    scores : ndarray, shape (time, groups)
+    at : int
+        The sample at which arrivals and sizes are taken.
+    generator : ResidualGenerator
+    clock : callable
+        From the number of a sample to seconds.
+    last : int, optional
+        A later sample, that the last sizes are of. Where its window holds nothing of that of ``at``, it is new
+        evidence, and the likelihoods of the two are added: it tells a fault that grows, or another one that follows,
+        from the step that the beginning looked like.
+    settled : bool
+        Whether the last sizes are by the steady responses; always so where ``last`` is not ``at``.
+    sources : ndarray of int, shape (faults,), optional
+        For each fault the sample at which its arrival and size are taken instead; see :func:`sources_of`.
+    """
+    sources = np.full(len(test.faults), at) if sources is None else sources
+    last = at if last is None else last
+    ratios, shown = match.ratios[at], at
+    if last - at > test.window:
+        ratios = ratios + match.ratios[last]
+        shown = max(at, last, key=lambda k: match.ratios[k].max())
+    ends = match.settled_sizes[last] if settled or last != at else match.sizes[last]
+    out = []
+    for g, columns in enumerate(test.columns):
+        best = max(columns, key=lambda j: ratios[j])
+        age = int(match.ages[sources[best], best])
+        score = float(scores[shown, g])
+        told = tuple(
+            Size(
+                test.faults[j],
+                float(match.sizes[sources[j], j]),
+                float(ends[j]),
+                fault_unit(generator.plant, test.faults[j]),
+                float(match.deviations[sources[j], j]),
+            )
+            for j in columns
+        )
+        distance = float(np.sqrt(max(0.0, 1.0 - score**2)))
+        arrival = clock(int(sources[best]) - age) if age >= 0 else None
+        out.append(Candidate(test.groups[g], score, distance, told, arrival, float(ratios[best])))
+    return tuple(sorted(out, key=lambda c: -(c.ratio or 0.0)))
+
+
+def sources_of(match: Match, judged: NDArray[np.bool_], raised: int, at: int) -> NDArray[np.int64]:
+    """Return for each fault the last sample up to ``at`` at which it arrived no later than the alarm was raised.
+
+    Without any, the last one at which it had arrived before the window. A fault cannot have arrived after its alarm.
+    Later samples may yet date it so: once its true arrival has left the window, and where it has not settled, or never
+    does, the best step is one that begins somewhere in the window.
+
+    Parameters
+    ----------
+    match : Match
+        Of one plant.
+    judged : ndarray of bool, shape (time,)
+        Samples in alarm and over the threshold.
+    raised, at : int
+    """
+    now = np.arange(raised, at + 1)[:, None]
+    ages = match.ages[raised : at + 1]
+    over = judged[raised : at + 1, None]
+    dated, settled = over & (ages >= 0) & (now - ages <= raised), over & (ages < 0)
+    can = np.where(dated.any(axis=0), dated, settled)
+    return np.where(can.any(axis=0), at - np.argmax(can[::-1], axis=0), raised)
+
+
+def named_by_match(
+    test: MatchedTest,
+    match: Match,
+    scores: NDArray[np.float64],
+    judged: NDArray[np.bool_],
+    raised: int,
+    stop: int,
+    last: int,
+    generator: ResidualGenerator,
+    time: NDArray[np.float64],
+) -> Named:
+    """Return what an alarm is put down to at its end: candidates, sizes, arrival, and the onset where it is known.
+
+    Parameters
+    ----------
+    test : MatchedTest
+    match : Match
+        Of one plant.
+    scores : ndarray, shape (time, groups)
+    judged : ndarray of bool, shape (time,)
+        Samples in alarm and over the threshold.
+    raised : int
+        Sample at which the alarm was raised, the first of those that were joined.
+    stop : int
+        The sample after the alarm, or after that of the joined ones which is taken.
+    last : int
+        The last sample over the threshold.
+    generator : ResidualGenerator
+    time : ndarray, shape (time,)
+    """
+
+    def clock(number: float) -> float:
+        inside = 0 <= number < len(time)
+        return float(time[int(number)]) if inside else float(time[0] + number * generator.dt)
+
+    at = int(match.source[stop - 1])
+    sources = sources_of(match, judged, raised, at)
+    candidates = candidates_of_match(test, match, scores, at, generator, clock, max(at, last), sources=sources)
+    arrival = candidates[0].arrival
+    sizes = tuple(s for c in candidates for s in c.sizes)
+    return Named(candidates=candidates, sizes=sizes, arrival=arrival, onset=arrival)

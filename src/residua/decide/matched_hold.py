@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.matched import MatchedTest, MatchState
+from residua.number_kinds import KNOWN_OR_NOT, NumberKind
+from residua.records import Record
 
 #: A likelihood ratio that has fallen from its peak by that many of its roots speaks of a fault that has gone; its own
 #: standard deviation is two.
@@ -48,20 +50,39 @@ class Match:
     arrival: NDArray[np.float64]
     source: NDArray[np.int64]
 
-    def of(self, plant: int) -> Match:
-        """Return that of one plant."""
-        return Match(**{name: getattr(self, name)[plant] for name in _names()})
+
+@dataclass(frozen=True, eq=False)
+class HeldState(Record):
+    """What is remembered of the alarm that stands; a row per plant.
+
+    Attributes
+    ----------
+    held : ndarray, shape (plants, 6)
+        Fault, arrival, the sample that they were found at, whether they are final, the sample of its raising and the
+        largest likelihood ratio so far; NaN without one.
+    on : ndarray of bool, shape (plants,)
+        Whether one stands.
+    """
+
+    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {"held": KNOWN_OR_NOT}
+
+    held: NDArray[np.float64]
+    on: NDArray[np.bool_]
+
+    @staticmethod
+    def empty(plants: int) -> HeldState:
+        """Return the state before the first sample."""
+        return HeldState(np.full((plants, 6), np.nan), np.zeros(plants, dtype=bool))
 
 
 def hold_block(
-    test: MatchedTest,
-    state: MatchState,
+    window: int,
+    state: HeldState,
     found: dict[str, NDArray],
     alarm: NDArray[np.bool_],
-    was: NDArray[np.bool_],
     over: NDArray[np.bool_],
     count: int,
-) -> tuple[Match, MatchState]:
+) -> tuple[Match, HeldState]:
     """Put each alarm down to one fault and arrival: the most likely as long as that arrival lies within the window.
 
     Thereafter the test cannot see how the fault began, so that name and arrival stay until the alarm ends. An alarm
@@ -72,18 +93,17 @@ def hold_block(
 
     Parameters
     ----------
-    test : MatchedTest
-    state : MatchState
+    window : int
+        In samples.
+    state : HeldState
     found : dict
-        From :func:`residua.decide.matched.match_block`.
+        From :func:`residua.decide.matched_responses.match_block`.
     alarm, over : ndarray of bool, shape (plants, time)
         Whether the alarm is on, and whether the statistic of a usable sample is over its threshold.
-    was : ndarray of bool, shape (plants,)
-        Whether the alarm was on before the block.
     count : int
         Samples before the block.
     """
-    time = alarm.shape[1]
+    time, was = alarm.shape[1], state.on
     now = count + np.arange(time)
     best = np.argmax(found["ratios"], axis=2)
     age = np.take_along_axis(found["ages"], best[..., None], axis=2)[..., 0]
@@ -106,7 +126,7 @@ def hold_block(
     reference = np.where(latest >= start, _pick(arrival, latest), raised)
     late = np.zeros(on.shape, dtype=bool)
     late[:, 0] = held[:, 3] == 1
-    late[:, 1:] = on[:, 1:] & ~begun[:, 1:] & (now - reference[:, :-1] > test.window)
+    late[:, 1:] = on[:, 1:] & ~begun[:, 1:] & (now - reference[:, :-1] > window)
     final = on & (_latest(late) >= start)
     latest = _latest(dated & (~final | (at == 0)))
     known = latest >= start
@@ -117,7 +137,7 @@ def hold_block(
     origin = np.where(put_down, _pick(origin, source), np.nan)
     if time:
         last = np.stack([x[:, -1] for x in (fault, arrival, origin, final.astype(float), raised, peak)], axis=1)
-        state = replace(state, held=np.where(on[:, -1:], last, np.nan))
+        state = HeldState(np.where(on[:, -1:], last, np.nan), alarm[:, -1].copy())
     match = Match(
         **found,
         fault=np.where(put_down, fault, -1)[:, 1:].astype(np.int64),
@@ -143,17 +163,3 @@ def _peak(values: NDArray[np.float64], start: NDArray[np.int64]) -> NDArray[np.f
 
 def _pick(values: NDArray, columns: NDArray[np.int64]) -> NDArray:
     return np.take_along_axis(values, np.maximum(columns, 0), axis=1)
-
-
-def joined_matches(parts: Sequence[Match], plant: int) -> Match:
-    """Return the match of one plant from those on all pieces of its recording."""
-    return Match(**{name: np.concatenate([getattr(part, name)[plant] for part in parts]) for name in _names()})
-
-
-def joined_blocks(parts: Sequence[Match]) -> Match:
-    """Return the match of all plants from those on consecutive blocks."""
-    return Match(**{name: np.concatenate([getattr(part, name) for part in parts], axis=1) for name in _names()})
-
-
-def _names() -> list[str]:
-    return [field.name for field in fields(Match)]

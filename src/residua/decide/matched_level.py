@@ -2,21 +2,213 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.checks import check_rate
 from residua.decide.false_alarms import observed, promise_of
 from residua.decide.fault_free import FaultFree, Moments
-from residua.decide.matched import MatchedTest, empty_match, match_block, summed
-from residua.decide.norm_threshold import NormTest, NormThreshold, check_rate, fit_moments, norm_test_from_model
-from residua.decide.window import empty_window, moving_sum
-from residua.errors import DataError, SettingError
+from residua.decide.isolation import check_groups
+from residua.decide.matched_responses import MatchedTest, MatchState, empty_match, match_block, summed
+from residua.decide.persistence import AlarmRuns
+from residua.decide.test import Block, FaultFreeRun, ResidualTest, Tested, TestSettings, Watched
+from residua.decide.whitened_norm import (
+    NormSettings,
+    NormTest,
+    against_threshold,
+    fit_moments,
+    norm_test_from_model,
+    whitened_residuals,
+)
+from residua.decide.window import WindowState, empty_window, moving_sum
+from residua.design import ResidualGenerator
+from residua.errors import DataError, FileFormatError, SettingError
+from residua.records import joined, table_in
+from residua.visible import echo
 
 #: What makes a test of the whitening matrix that belongs to it.
 MakeTest = Callable[[NDArray[np.float64]], MatchedTest]
+
+
+@dataclass(frozen=True, eq=False)
+class Likelihoods:
+    """Likelihood ratio, arrival and size of every fault at every sample, as of :class:`residua.decide.Match`.
+
+    Attributes
+    ----------
+    found : dict of str to ndarray
+        ``ratios``, ``ages``, ``sizes``, ``deviations`` and ``settled_sizes``.
+    sums : ndarray, shape (plants, time, residuals + 2)
+        Of the whitened residual, its square and what is usable, over the window.
+    """
+
+    found: dict[str, NDArray]
+    sums: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class LikelihoodState:
+    """What the test of likelihoods remembers.
+
+    Attributes
+    ----------
+    window : WindowState
+    match : MatchState
+    runs : AlarmRuns
+    """
+
+    window: WindowState
+    match: MatchState
+    runs: AlarmRuns
+
+
+@dataclass(frozen=True, eq=False)
+class LikelihoodTest(NormTest):
+    """The root of the largest likelihood ratio of any fault and arrival against one threshold: what runs.
+
+    Attributes
+    ----------
+    matched : MatchedTest
+        The responses.
+    """
+
+    matched: MatchedTest = field(kw_only=True)
+
+    def start(self, plants: int) -> LikelihoodState:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Return the state before the first sample."""
+        window = empty_window(plants, self.matched.samples, self.whitening.shape[1] + 2)
+        match = empty_match(self.matched, plants, bends=True)
+        return LikelihoodState(window, match, AlarmRuns.empty(plants))
+
+    def run(  # pyright: ignore[reportIncompatibleMethodOverride]
+        self, state: LikelihoodState, block: Block
+    ) -> tuple[LikelihoodState, Tested]:
+        """Compare the root of the largest likelihood ratio with the threshold."""
+        q, usable = whitened_residuals(self.center, self.whitening, block)
+        sums, window = moving_sum(summed(q, usable), state.window)
+        found, match = match_block(self.matched, state.match, q, usable, sums, block.bends)
+        statistic = np.where(usable, np.sqrt(found["ratios"].max(axis=2)), np.nan)
+        runs, tested = against_threshold(self, state.runs, statistic, usable, q)
+        return LikelihoodState(window, match, runs), replace(tested, likelihood=Likelihoods(found, sums))
+
+    @property
+    def responses(self) -> MatchedTest:
+        """The responses."""
+        return self.matched
+
+    def words(self, step: float) -> dict[str, str]:
+        """Return in words what the threshold is, what is tested, and when an alarm begins and ends."""
+        window = self.matched.window
+        told = f"largest standardised size of a step fault that arrived up to {window} samples ago, or before"
+        if not len(self.matched.responses):
+            told = f"largest standardised size of a settled fault, over {window + 1} samples"
+        return super().words(step) | {"test": told}
+
+    # --------------------------------------------------------------------------- files
+
+    def check(self, watched: Watched) -> None:
+        """Raise where a test from a file does not fit what it is to watch."""
+        super().check(watched)
+        where, test, faults = "fitted.matched", self.matched, watched.generator.faults
+        check_groups(test.groups, test.unjudged, where, faults)
+        if test.faults != faults:
+            raise FileFormatError(f"{where}: faults must be those of the plant")
+        rows = len(test.responses) if len(test.responses) == 0 else test.samples
+        wanted = (rows, watched.generator.n_residuals, len(faults))
+        for name, array, shape in (("responses", test.responses, wanted), ("settled", test.settled, wanted[1:])):
+            if array.shape != shape:
+                raise FileFormatError(f"{where}.{name} must be finite numbers of shape {shape}")
+        for group in test.groups:  # of what leaves no trace there is nothing to look for
+            columns = [faults.index(name) for name in group]
+            if not (test.responses[..., columns].any() or test.settled[:, columns].any()):
+                raise FileFormatError(f"{where}.responses: those of {echo(group[0])} must not all be zero")
+
+    def check_state(self, state: LikelihoodState) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Raise where a state from a file cannot be one."""
+        state.window.check("state.test.window")
+
+
+@dataclass(frozen=True, eq=False)
+class LikelihoodThreshold(TestSettings):
+    """The test of likelihoods that a threshold on a norm becomes beside matched filters; users set the parts of it.
+
+    Attributes
+    ----------
+    settings : NormSettings
+    window : int
+    steady : bool
+    make : callable
+        From a generator to what makes responses of a whitening matrix.
+    """
+
+    kind: ClassVar[str] = "likelihood"
+    makes: ClassVar[type[ResidualTest]] = LikelihoodTest
+
+    settings: NormSettings
+    window: int
+    steady: bool
+    make: Callable[[ResidualGenerator], MakeTest]
+
+    @property
+    def false_alarm_rate(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """That of the settings."""
+        return self.settings.false_alarm_rate
+
+    @property
+    def remedy(self) -> str:
+        """How a threshold can be had."""
+        return self.settings.remedy
+
+    def check(self, watched: Watched) -> None:
+        """Raise where the settings do not fit what is to be watched."""
+        self.settings.check(watched)
+
+    def kept(self, watched: Watched) -> tuple[str, int, int] | None:
+        """Return the window of the settings."""
+        return self.settings.kept(watched)
+
+    def from_model(self, watched: Watched) -> LikelihoodTest | None:
+        """Return the test that needs no data; ``None`` when data are needed."""
+        generator = watched.generator
+        covariance = generator.covariance_of_sums(self.settings.window)
+        make = self.make(generator)
+        found = matched_test_from_model(self.settings, covariance, generator.n_residuals, make)
+        return None if found is None else self._with(found, make)
+
+    def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> LikelihoodTest:
+        """Return the test fitted to fault-free data, for a rate of false alarms."""
+        make = self.make(watched.generator)
+        found = fit_matched_test(
+            self.settings,
+            run.residuals,
+            run.usable,
+            make,
+            false_alarm_rate=rate,
+            covariance=watched.generator.covariance_of_sums(self.settings.window),
+            signal_size=run.signal_size(),
+            seams=run.seams,
+        )
+        return self._with(found, make)
+
+    def _with(self, test: NormTest, make: MakeTest) -> LikelihoodTest:
+        """Return a test of norms as one of likelihoods."""
+        values = {one.name: getattr(test, one.name) for one in fields(NormTest)}
+        return LikelihoodTest(**values, matched=make(test.whitening))
+
+    def check_record(self, content: Mapping[str, Any], where: str) -> None:
+        """Raise where a record of a test is not of these settings, before anything is made of it."""
+        self.settings.check_record(content, where)
+        matched, at = table_in(content.get("matched"), joined(where, "matched")), joined(where, "matched")
+        if matched.get("window") != self.window:
+            raise FileFormatError(f"{at}.window must be that of isolate, {self.window}")
+        shape = table_in(matched.get("responses"), joined(at, "responses")).get("shape")
+        rows = shape[0] if isinstance(shape, list) and shape else None
+        if rows != (0 if self.steady else self.window + 1):
+            raise FileFormatError(f"{at}.responses must be those of {self.window + 1} samples")
 
 
 def level_for_rate(test: MatchedTest, rate: float) -> float:
@@ -101,7 +293,7 @@ def _tree(test: MatchedTest) -> tuple[NDArray[np.float64], int]:
 
 
 def matched_test_from_model(
-    settings: NormThreshold, covariance: NDArray | None, n_residuals: int, make: MakeTest
+    settings: NormSettings, covariance: NDArray | None, n_residuals: int, make: MakeTest
 ) -> NormTest | None:
     """Return whitening and threshold that need no data, or ``None`` when data are needed."""
     _check_settings(settings)
@@ -116,7 +308,7 @@ def matched_test_from_model(
 
 
 def fit_matched_test(
-    settings: NormThreshold,
+    settings: NormSettings,
     residuals: NDArray[np.float64],
     usable: NDArray[np.bool_],
     make: MakeTest,
@@ -197,7 +389,7 @@ def _statistic(test: MatchedTest, moments: Moments, data: FaultFree, part: slice
     return np.sqrt(found["ratios"][0].max(axis=1))
 
 
-def _check_settings(settings: NormThreshold) -> None:
+def _check_settings(settings: NormSettings) -> None:
     if settings.window != 1:
         raise SettingError(
             f"NormThreshold(window={settings.window}) has no meaning for matched filters, whose window is that of "

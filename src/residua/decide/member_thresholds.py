@@ -1,29 +1,53 @@
-"""One threshold test per member of a bank, so that the whole bank keeps the false alarm rate asked for."""
+"""A threshold for each part of the residual, so that all together keep the false alarm rate that was asked for.
+
+Parts are the members of a bank, or groups of residuals that users name.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.checks import check_rate
 from residua.decide.false_alarms import coincidence
-from residua.decide.norm_threshold import (
+from residua.decide.fault_free import FaultFree
+from residua.decide.persistence import AlarmRuns, alarm_logic
+from residua.decide.row_norms import row_norms
+from residua.decide.test import Block, ResidualTest, Tested, Watched
+from residua.decide.whitened_norm import (
+    BAND_DEVIATIONS,
+    BAND_SHARE,
+    FITTED,
+    RUNS,
     Fitted,
+    NormSettings,
+    NormState,
     NormTest,
-    NormThreshold,
-    check_rate,
+    check_invertible,
     fit_moments,
+    is_selection,
     norm_test_from_model,
+    whitened_residuals,
     with_threshold,
 )
-from residua.decide.persistence import alarm_logic
-from residua.errors import ModelError
+from residua.decide.whitening import whitening_matrix
+from residua.decide.window import empty_window, moving_sum
+from residua.errors import FileFormatError, ModelError, SettingError
+from residua.linear.systems.recursion import ordered_product
+from residua.number_kinds import COUNT, ENTRY, POSITIVE, NumberKind
+
+#: Groups of residuals: ``"each"`` by itself, names with the residuals of each, or none.
+Groups = str | tuple[tuple[str, tuple[str, ...]], ...] | None
+#: Residual numbers of each part, with or without names.
+Parts = Mapping[str, Sequence[int]] | Sequence[Sequence[int]]
 
 
 @dataclass(frozen=True, eq=False)
-class BankTest:
+class BankTest(ResidualTest):
     """The threshold tests of the members of a bank, every number filled in: what runs.
 
     Each member has its own whitening and threshold. The bank is in alarm while any member is.
@@ -45,7 +69,11 @@ class BankTest:
         As of :class:`residua.decide.NormTest`.
     promised, shrinkage : float or None
         As of :class:`residua.decide.NormTest`; of the whole bank, and the largest of the members.
+    names : tuple of str
+        Of the members.
     """
+
+    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {**RUNS, **FITTED, "sizes": COUNT, "thresholds": POSITIVE}
 
     center: NDArray[np.float64]
     whitening: NDArray[np.float64]
@@ -58,6 +86,7 @@ class BankTest:
     kind: str = "norm"
     promised: float | None = None
     shrinkage: float | None = None
+    names: tuple[str, ...] = ()
 
     @property
     def threshold(self) -> float:
@@ -81,22 +110,144 @@ class BankTest:
             out[rows] = np.minimum(out[rows], threshold * np.sqrt(np.sum(inverse**2, axis=0) / self.window))
         return out
 
+    def start(self, plants: int) -> NormState:
+        """Return the state before the first sample."""
+        window = empty_window(plants, self.window, self.whitening.shape[1])
+        return NormState(window, AlarmRuns.empty(plants, len(self.sizes)))
+
+    def run(self, state: NormState, block: Block) -> tuple[NormState, Tested]:
+        """Compare the norm of each part, summed over the window, with its own threshold."""
+        q, usable = whitened_residuals(self.center, self.whitening, block)
+        sums, window = moving_sum(q, state.window)
+        statistics = np.full((*usable.shape, len(self.sizes)), np.nan)
+        for m, (start, stop) in enumerate(self.columns):
+            statistics[..., m] = np.where(usable, row_norms(sums[..., start:stop]) / np.sqrt(self.window), np.nan)
+        over = usable[..., None] & (np.where(usable[..., None], statistics, 0.0) > self.thresholds)
+        runs = state.runs
+        fired, up, down = member_alarms(self, over, usable, runs.up, runs.down, runs.alarm)
+        if usable.shape[1]:
+            runs = AlarmRuns(up[:, -1].copy(), down[:, -1].copy(), fired[:, -1].copy())
+        tested = Tested(
+            usable,
+            np.max(statistics / self.thresholds, axis=2),
+            np.asarray(over.any(axis=2)),
+            np.asarray(fired.any(axis=2)),
+            np.where(fired, up, 0).max(axis=2, initial=0),
+            self._whole(q, usable, block),
+            statistics,
+            fired,
+        )
+        return NormState(window, runs), tested
+
+    def _whole(self, q: NDArray, usable: NDArray[np.bool_], block: Block) -> NDArray[np.float64]:
+        """Return the residual in units in which its direction is judged: of a bank nothing is."""
+        return q
+
+    # ----------------------------------------------- what the rest of a monitor asks for
+
+    @property
+    def samples(self) -> int:
+        """Samples that are summed."""
+        return self.window
+
+    @property
+    def metric(self) -> NDArray[np.float64]:
+        """The whitening."""
+        return self.whitening
+
+    @property
+    def per_deviation(self) -> NDArray[np.float64] | None:
+        """The whitening."""
+        return self.whitening
+
+    @property
+    def per_threshold(self) -> NDArray[np.float64]:
+        """The whitening in units of the thresholds."""
+        return self.whitening / np.repeat(self.thresholds, self.sizes)
+
+    @property
+    def guarded(self) -> NDArray[np.float64]:
+        """In deviations."""
+        return np.abs(self.whitening)
+
+    @property
+    def part_names(self) -> tuple[str, ...]:
+        """The members."""
+        return self.names
+
+    @property
+    def part_thresholds(self) -> NDArray[np.float64]:
+        """Those of the members."""
+        return self.thresholds
+
+    def bands(self) -> tuple[NDArray[np.float64], float]:
+        """Return the band of each residual alone; see :meth:`NormTest.bands`."""
+        if is_selection(self.whitening):
+            return self.band, 0.0
+        return BAND_DEVIATIONS * replace(self, thresholds=np.ones(len(self.thresholds))).band, BAND_SHARE
+
+    def words(self, step: float) -> dict[str, str]:
+        """Return in words what the thresholds are, what is tested, and when an alarm begins and ends."""
+        summed = f", summed over {self.window} samples" if self.window > 1 else ""
+        return {
+            "threshold": self._limits(),
+            "test": f"norm of each {self._whose}{summed}; the statistic is the largest ratio to its threshold",
+            "alarm": self._raised(f"{self.persistence} samples in a row"),
+        }
+
+    #: A part of it, that part and all of them, in words.
+    _whose: ClassVar[str] = "member's whitened residual"
+    _part: ClassVar[str] = "member"
+    _all: ClassVar[str] = "the bank"
+
+    def _limits(self) -> str:
+        limits = ", ".join(f"{name} {limit:.4g}" for name, limit in zip(self.names, self.thresholds, strict=True))
+        return f"{limits} ({self.basis})"
+
+    def _raised(self, samples: str) -> str:
+        return (
+            f"of a {self._part}: raised by {samples} over its threshold, ended by {self.release} below it; "
+            f"of {self._all}: while any {self._part} is in alarm"
+        )
+
+    # --------------------------------------------------------------------------- files
+
+    def check(self, watched: Watched) -> None:
+        """Raise where a test from a file does not fit what it is to watch."""
+        k, parts = watched.generator.n_residuals, self._parts_of(watched)
+        sizes = [len(rows) for rows in parts.values()]
+        if self.names != tuple(parts):
+            raise FileFormatError(f"fitted: names must be those of the {self._part}s")
+        if self.sizes.tolist() != sizes or self.thresholds.shape != (len(sizes),):
+            raise FileFormatError(f"fitted: sizes and thresholds must be for {len(sizes)} members")
+        if self.center.shape != (k,) or self.whitening.shape != (k, sum(sizes)):
+            raise FileFormatError(f"fitted: center and whitening must be for {k} residuals")
+        for start, stop in self.columns:
+            check_invertible(self.whitening[:, start:stop], of_some=True)
+
+    def _parts_of(self, watched: Watched) -> Mapping[str, Sequence[int]]:
+        return watched.parts or {}
+
+    def check_state(self, state: NormState) -> None:
+        """Raise where a state from a file cannot be one."""
+        state.window.check("state.test.window")
+
 
 def bank_test_from_model(
-    settings: NormThreshold, covariance: NDArray | None, members: Sequence[Sequence[int]], n_residuals: int
+    settings: NormSettings, covariance: NDArray | None, members: Parts, n_residuals: int
 ) -> BankTest | None:
     """Return the test that needs no data, or ``None`` when data are needed; see :func:`fit_bank_test`."""
     single = replace(settings, false_alarm_rate=settings.false_alarm_rate / max(1, len(members)))
-    tests = [norm_test_from_model(single, _part(covariance, rows), len(rows)) for rows in members]
+    tests = [norm_test_from_model(single, _part(covariance, rows), len(rows)) for rows in rows_of(members)]
     found = [test for test in tests if test is not None]
     return side_by_side(found, 1.0, members, n_residuals) if found and len(found) == len(tests) else None
 
 
 def fit_bank_test(
-    settings: NormThreshold,
+    settings: NormSettings,
     residuals: NDArray[np.float64],
     usable: NDArray[np.bool_],
-    members: Sequence[Sequence[int]],
+    members: Parts,
     *,
     false_alarm_rate: float,
     covariance: NDArray | None,
@@ -109,10 +260,10 @@ def fit_bank_test(
 
     Parameters
     ----------
-    settings : NormThreshold
+    settings : NormSettings
     residuals : ndarray, shape (time, k)
     usable : ndarray of bool, shape (time,)
-    members : sequence of sequence of int
+    members : mapping of str to sequence of int, or sequence of sequence of int
         Residual numbers of each member.
     false_alarm_rate : float
         Of the whole bank.
@@ -137,7 +288,7 @@ def fit_bank_test(
             signal_size=size,
             seams=seams,
         )
-        for rows, size in zip(members, signal_sizes, strict=True)
+        for rows, size in zip(rows_of(members), signal_sizes, strict=True)
     ]
     return side_by_side(*fit_together(found, false_alarm_rate), members, residuals.shape[1])
 
@@ -159,6 +310,11 @@ def fit_together(found: Sequence[Fitted], rate: float) -> tuple[list[NormTest], 
     return [with_threshold(one, rate * at_once / len(found)) for one in found], at_once
 
 
+def rows_of(members: Parts) -> list[Sequence[int]]:
+    """Return the residual numbers of each part."""
+    return list(members.values()) if isinstance(members, Mapping) else list(members)
+
+
 def _part(covariance: NDArray | None, rows: Sequence[int]) -> NDArray | None:
     if not len(rows):
         raise ModelError("a member of this bank has no residuals")
@@ -166,15 +322,16 @@ def _part(covariance: NDArray | None, rows: Sequence[int]) -> NDArray | None:
 
 
 def side_by_side(
-    tests: Sequence[NormTest], at_once: float, members: Sequence[Sequence[int]], n_residuals: int
+    tests: Sequence[NormTest], at_once: float, members: Parts, n_residuals: int, makes: type[BankTest] | None = None
 ) -> BankTest:
     """Return the tests of the members as one.
 
     ``members`` are the residual numbers of each, ``at_once`` is how many are in alarm at once.
     """
-    sizes = np.array([len(rows) for rows in members], dtype=np.int64)
+    places = rows_of(members)
+    sizes = np.array([len(rows) for rows in places], dtype=np.int64)
     center, whitening, at = np.zeros(n_residuals), np.zeros((n_residuals, int(sizes.sum()))), 0
-    for test, rows in zip(tests, members, strict=True):
+    for test, rows in zip(tests, places, strict=True):
         center[list(rows)] = test.center
         whitening[list(rows), at : at + len(rows)] = test.whitening
         at += len(rows)
@@ -182,7 +339,7 @@ def side_by_side(
     promises = [test.promised for test in tests if test.promised is not None]
     promised = float(min(1.0, sum(promises) / at_once)) if len(promises) == len(tests) else None
     drawn = [test.shrinkage for test in tests if test.shrinkage is not None]
-    return BankTest(
+    return (makes or BankTest)(
         center,
         whitening,
         sizes,
@@ -194,6 +351,7 @@ def side_by_side(
         one.kind,
         promised,
         float(max(drawn)) if drawn else None,
+        tuple(members) if isinstance(members, Mapping) else tuple(str(k + 1) for k in range(len(members))),
     )
 
 
@@ -257,3 +415,125 @@ def member_alarms(
     )
     shape = (plants, count, time)
     return tuple(part.reshape(shape).transpose(0, 2, 1) for part in (on, ups, downs))  # pyright: ignore
+
+
+@dataclass(frozen=True, eq=False)
+class GroupTest(BankTest):
+    """The threshold tests of groups of residuals, every number filled in: what runs.
+
+    As :class:`BankTest`, with the groups as its members; the direction of the residual is that of all of it.
+
+    Attributes
+    ----------
+    whole : ndarray, shape (k, k)
+        Whitening of all residuals together, in which direction is judged.
+    """
+
+    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {**BankTest.NUMBER_KINDS, "whole": ENTRY}
+
+    whole: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
+
+    _whose: ClassVar[str] = "group of residuals, whitened"
+    _part: ClassVar[str] = "group"
+    _all: ClassVar[str] = "all"
+
+    def _whole(self, q: NDArray, usable: NDArray[np.bool_], block: Block) -> NDArray[np.float64]:
+        return ordered_product(np.where(usable[..., None], block.residuals - self.center, 0.0), self.whole)
+
+    @property
+    def metric(self) -> NDArray[np.float64]:
+        """Whitening of all residuals together."""
+        return self.whole
+
+    @property
+    def groups_of_residuals(self) -> dict[str, tuple[int, ...]]:
+        """Residual numbers of each group."""
+        seen = ((name, np.any(self.whitening[:, a:b] != 0, axis=1)) for name, (a, b) in
+                zip(self.names, self.columns, strict=True))  # fmt: skip
+        return {name: tuple(np.flatnonzero(rows).tolist()) for name, rows in seen}
+
+    def check(self, watched: Watched) -> None:
+        """Raise where a test from a file does not fit what it is to watch."""
+        super().check(watched)
+        k = watched.generator.n_residuals
+        if self.whole.shape != (k, k):
+            raise FileFormatError(f"fitted: names must be those of the groups, and whole be for {k} residuals")
+
+
+def rows_of_groups(groups: Groups, residuals: Sequence[str]) -> dict[str, tuple[int, ...]]:
+    """Return the residual numbers of each group.
+
+    Raises
+    ------
+    SettingError
+        If the groups do not have each residual just once.
+    """
+    if groups == "each":
+        return {name: (i,) for i, name in enumerate(residuals)}
+    assert not isinstance(groups, str)
+    places = {name: i for i, name in enumerate(residuals)}
+    grouped = [name for _, members in groups or () for name in members]
+    unknown = [name for name in grouped if name not in places]
+    twice = sorted({name for name in grouped if grouped.count(name) > 1})
+    missing = [name for name in residuals if name not in grouped]
+    if unknown or twice or missing:
+        told = "; ".join(
+            f"{what} {', '.join(map(repr, names[:5]))}"
+            for what, names in (("unknown:", unknown), ("in two groups:", twice), ("in none:", missing))
+            if names
+        )
+        raise SettingError(
+            f"groups must have every residual of the generator just once ({', '.join(map(repr, residuals[:8]))}"
+            f"{', ...' if len(residuals) > 8 else ''}); {told}"
+        )
+    return {name: tuple(places[one] for one in members) for name, members in groups or ()}
+
+
+def group_test_from_model(
+    settings: NormSettings, covariance: NDArray | None, rows: Mapping[str, Sequence[int]], n_residuals: int
+) -> GroupTest | None:
+    """Return the test that needs no data, or ``None`` when data are needed; each group has 1/G of the rate."""
+    found = bank_test_from_model(settings, covariance, rows, n_residuals)
+    if found is None:
+        return None
+    known = covariance is not None and settings.whiten in ("auto", "model")
+    whole = whitening_matrix(covariance) if known and covariance is not None else np.eye(n_residuals)
+    return _with_names(found, rows, whole)
+
+
+def fit_group_test(
+    settings: NormSettings,
+    residuals: NDArray[np.float64],
+    usable: NDArray[np.bool_],
+    rows: Mapping[str, Sequence[int]],
+    *,
+    false_alarm_rate: float,
+    covariance: NDArray | None,
+    signal_sizes: Sequence[float],
+    seams: Sequence[int] = (),
+) -> GroupTest:
+    """Fit the tests of all groups to fault-free residuals, as :func:`fit_bank_test` does those of members."""
+    found = fit_bank_test(
+        settings,
+        residuals,
+        usable,
+        rows,
+        false_alarm_rate=false_alarm_rate,
+        covariance=covariance,
+        signal_sizes=signal_sizes,
+        seams=seams,
+    )
+    data = FaultFree(residuals, usable, settings.window, tuple(seams))
+    if settings.whiten == "none" or data.spread <= 1e-12 * max(signal_sizes):
+        whole = np.eye(residuals.shape[1])
+    elif settings.whiten == "model" and covariance is not None:
+        whole = whitening_matrix(covariance)
+    else:
+        whole = data.moments().whitening
+    return _with_names(found, rows, whole)
+
+
+def _with_names(test: BankTest, rows: Mapping[str, Sequence[int]], whole: NDArray[np.float64]) -> GroupTest:
+    values = {one.name: getattr(test, one.name) for one in fields(BankTest)}
+    values["basis"] = test.basis.replace(" members: ", " groups: ", 1).replace("of the whole bank", "of all together")
+    return GroupTest(**values, whole=whole)

@@ -1,27 +1,30 @@
-"""A threshold on the norm of the residual."""
+"""A threshold on the norm of the residual: of all residuals together, or of each group of them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import isfinite
-from typing import Any
+from typing import Any, ClassVar, Self
 
-import numpy as np
-from numpy.typing import NDArray
-
-from residua.decide.false_alarms import Observed, observed, promise_of
-from residua.decide.fault_free import FaultFree, check_enough
-from residua.decide.whitening import whitening_matrix
-from residua.errors import SettingError
+from residua.decide.member_thresholds import (
+    BankTest,
+    Groups,
+    GroupTest,
+    bank_test_from_model,
+    fit_bank_test,
+    fit_group_test,
+    group_test_from_model,
+    rows_of_groups,
+)
+from residua.decide.test import FaultFreeRun, ResidualTest, Watched
+from residua.decide.whitened_norm import NormSettings, NormTest, fit_norm_test, norm_test_from_model
+from residua.errors import FileFormatError, SettingError
+from residua.records import joined, table_in, texts_in, values_in, values_out
 from residua.visible import echo
-
-#: Groups of residuals: ``"each"`` by itself, names with the residuals of each, or none.
-Groups = str | tuple[tuple[str, tuple[str, ...]], ...] | None
 
 
 @dataclass(frozen=True)
-class NormThreshold:
+class NormThreshold(NormSettings):
     r"""Alarm while the norm of the whitened residual stays over a threshold.
 
     .. math:: J_k = \sqrt{\bar q_k^T \bar q_k} > J_{th}, \qquad
@@ -61,32 +64,100 @@ class NormThreshold:
     Chen, Patton and Zhang (1996), eq. (24).
     """
 
-    threshold: float | None = None
-    persistence: int = 3
-    release: int | None = None
-    window: int = 1
-    whiten: str = "auto"
-    false_alarm_rate: float = 1e-4
+    kind: ClassVar[str] = "norm"
+    makes: ClassVar[type[ResidualTest]] = NormTest
+
     groups: Any = None
 
     def __post_init__(self) -> None:
         """Check the settings."""
-        if self.threshold is not None and not (is_number(self.threshold) and self.threshold > 0):
-            raise SettingError(f"threshold must be a positive number, got {self.threshold!r}")
-        for name in ("persistence", "window"):
-            check_samples(getattr(self, name), name)
-        if self.release is not None:
-            check_samples(self.release, "release")
-        if self.whiten not in ("auto", "data", "model", "none"):
-            raise SettingError(f"whiten must be 'auto', 'data', 'model' or 'none', got {self.whiten!r}")
-        check_rate(self.false_alarm_rate)
-        for name in ("persistence", "release", "window"):  # plain numbers, whatever they came as
-            value = getattr(self, name)
-            object.__setattr__(self, name, None if value is None else int(value))
-        for name in ("threshold", "false_alarm_rate"):
-            value = getattr(self, name)
-            object.__setattr__(self, name, None if value is None else float(value))
+        super().__post_init__()
         object.__setattr__(self, "groups", _checked_groups(self.groups))
+
+    def from_model(self, watched: Watched) -> NormTest | BankTest | None:
+        """Return the test that needs no data; ``None`` when data are needed."""
+        generator = watched.generator
+        covariance = generator.covariance_of_sums(self.window)
+        if watched.parts is not None:
+            return bank_test_from_model(self, covariance, watched.parts, generator.n_residuals)
+        if self.groups is not None:
+            rows = rows_of_groups(self.groups, generator.residuals)
+            return group_test_from_model(self, covariance, rows, generator.n_residuals)
+        return norm_test_from_model(self, covariance, generator.n_residuals)
+
+    def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> NormTest | BankTest:
+        """Return the test fitted to fault-free data, for a rate of false alarms."""
+        generator = watched.generator
+        given: dict[str, Any] = {
+            "false_alarm_rate": rate,
+            "covariance": generator.covariance_of_sums(self.window),
+            "seams": run.seams,
+        }
+        if watched.parts is not None:
+            sizes = [run.signal_size(rows) for rows in watched.parts.values()]
+            return fit_bank_test(self, run.residuals, run.usable, watched.parts, signal_sizes=sizes, **given)
+        if self.groups is not None:
+            rows = rows_of_groups(self.groups, generator.residuals)
+            sizes = [run.signal_size(part) for part in rows.values()]
+            return fit_group_test(self, run.residuals, run.usable, rows, signal_sizes=sizes, **given)
+        return fit_norm_test(self, run.residuals, run.usable, signal_size=run.signal_size(), **given)
+
+    # ----------------------------------------------- what the rest of a monitor asks for
+
+    def check(self, watched: Watched) -> None:
+        """Raise where the groups do not have each residual just once."""
+        if self.groups is not None:
+            rows_of_groups(self.groups, watched.generator.residuals)
+
+    @property
+    def remedy(self) -> str:
+        """How a threshold can be had."""
+        return f"{super().remedy}, give the plant noise (with_noise), or set NormThreshold(threshold=...)"
+
+    @property
+    def divides(self) -> bool:
+        """Whether groups are tested by themselves."""
+        return self.groups is not None
+
+    def kept(self, watched: Watched) -> tuple[str, int, int] | None:
+        """Return the window, and how many whitened residuals are kept of each of its samples."""
+        parts = watched.parts
+        columns = watched.generator.n_residuals if parts is None else sum(map(len, parts.values()))
+        return f"NormThreshold(window={self.window})", self.window, columns
+
+    # --------------------------------------------------------------------------- files
+
+    def to_record(self) -> dict[str, Any]:
+        """Return the settings as a record; ``groups`` are an entry where there are any."""
+        content = values_out(self)
+        groups = content.pop("groups")
+        if self.groups is not None:
+            content["groups"] = groups if isinstance(groups, str) else {name: list(part) for name, part in self.groups}
+        return content
+
+    @classmethod
+    def from_record(cls, content: Any, where: str) -> Self:
+        """Return the settings that a record describes."""
+        content = table_in(content, where)
+        groups = content.pop("groups", None)
+        if groups is not None and groups != "each":
+            parts = table_in(groups, joined(where, "groups"))
+            groups = {name: texts_in(part, joined(joined(where, "groups"), name)) for name, part in parts.items()}
+        return values_in(content, where, cls, {"groups": groups})
+
+    def check_record(self, content: Mapping[str, Any], where: str) -> None:
+        """Raise where a test has another window."""
+        if content.get("window") != self.window:
+            raise FileFormatError(f"{where}.window must be that of the test, {self.window}")
+
+    def test_from_record(self, content: Any, where: str, watched: Watched) -> ResidualTest:
+        """Return what runs, from a record."""
+        cls = BankTest if watched.parts is not None else NormTest if self.groups is None else GroupTest
+        if cls is GroupTest:
+            watched = replace(watched, parts=rows_of_groups(self.groups, watched.generator.residuals))
+        test = values_in(content, where, cls)
+        test.check(watched)
+        return test
 
 
 def _checked_groups(given: object) -> Groups:
@@ -120,194 +191,4 @@ def _checked_groups(given: object) -> Groups:
     return tuple(out.items())
 
 
-def is_number(value: object) -> bool:
-    """Tell whether a setting is one finite number."""
-    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool) and isfinite(value)
-
-
-def check_samples(value: object, name: str, *, least: int = 1) -> None:
-    """Raise unless a setting is a whole number of samples."""
-    if not is_number(value) or int(value) != value or value < least:  # pyright: ignore
-        raise SettingError(f"{name} must be a whole number of samples, at least {least}, got {value!r}")
-
-
-def check_rate(rate: float) -> None:
-    """Raise unless ``rate`` is a usable false alarm rate."""
-    if not is_number(rate) or not 0 < rate < 1:
-        raise SettingError(f"false_alarm_rate must lie between 0 and 1, got {rate!r}")
-
-
-@dataclass(frozen=True, eq=False)
-class NormTest:
-    """A norm threshold with every number filled in: what runs.
-
-    Attributes
-    ----------
-    center : ndarray, shape (k,)
-        Fault-free mean.
-    whitening : ndarray, shape (k, k)
-    threshold : float
-    persistence, release, window : int
-    basis : str
-        Where threshold and covariance come from, in words.
-    kind : {"norm", "peak"}
-        What it was made of: :class:`NormThreshold`, or :class:`residua.decide.PeakThreshold`, whose window is
-        ``release``.
-    promised : float or None
-        Fraction of fault-free samples in alarm that the data of the fit promise not to be exceeded on other data, with
-        95 % confidence: 1 where they are too few to say anything; ``None`` where the threshold is not from data.
-    shrinkage : float or None
-        How far the covariance was drawn towards a simpler one, between 0 and 1, because the data were too few for it;
-        ``None`` where it is not from data.
-    """
-
-    center: NDArray[np.float64]
-    whitening: NDArray[np.float64]
-    threshold: float
-    persistence: int
-    release: int
-    window: int
-    basis: str
-    kind: str = "norm"
-    promised: float | None = None
-    shrinkage: float | None = None
-
-    @property
-    def band(self) -> NDArray[np.float64]:
-        """How far each residual alone, averaged over the window, can be from its mean below threshold."""
-        inverse = np.linalg.pinv(self.whitening)
-        return self.threshold * np.sqrt(np.sum(inverse**2, axis=0) / self.window)
-
-
-def norm_test_from_model(settings: NormThreshold, covariance: NDArray | None, n_residuals: int) -> NormTest | None:
-    """Return the test that needs no data, or ``None`` when data are needed."""
-    use_model = settings.whiten in ("auto", "model") and covariance is not None
-    whitening = whitening_matrix(covariance) if use_model and covariance is not None else np.eye(n_residuals)
-    if settings.threshold is not None:
-        threshold, basis = settings.threshold, "threshold given"
-    elif use_model:
-        from scipy.special import chdtri  # slow to import, and needed only here
-
-        threshold = float(np.sqrt(chdtri(n_residuals, settings.false_alarm_rate)))
-        basis = f"chi-squared distribution at {settings.false_alarm_rate:g} per sample, noise model of the plant"
-    else:
-        return None
-    release = settings.release or settings.persistence
-    return NormTest(np.zeros(n_residuals), whitening, threshold, settings.persistence, release, settings.window, basis)
-
-
-def fit_norm_test(
-    settings: NormThreshold,
-    residuals: NDArray[np.float64],
-    usable: NDArray[np.bool_],
-    *,
-    false_alarm_rate: float,
-    covariance: NDArray | None,
-    signal_size: float,
-    seams: Sequence[int] = (),
-) -> NormTest:
-    """Fit mean, covariance and threshold to fault-free residuals.
-
-    Mean and covariance are those of all samples. The threshold comes from statistics that each stretch of time has by
-    the mean and covariance of the others (cross-fitting, :class:`residua.decide.fault_free.FaultFree`), so that it
-    holds on data that the covariance was not fitted to. It is that which the fraction of samples in alarm, persistence
-    and release included, is ``false_alarm_rate`` for; see :func:`residua.decide.false_alarms.promise_of` for what is
-    done where the data are too few to show that, and for what ``promised`` says.
-
-    Parameters
-    ----------
-    settings : NormThreshold
-    residuals : ndarray, shape (time, k)
-    usable : ndarray of bool, shape (time,)
-    false_alarm_rate : float
-    covariance : ndarray or None
-        From the plant's noise model, of sums over the window.
-    signal_size : float
-        Size of the signals that the residual is the difference of; residuals below 1e-12 of it are rounding.
-    seams : sequence of int
-        Where ``residuals`` are those of several recordings in a row: the first sample of each further one. No window,
-        run or correlation reaches across.
-
-    Returns
-    -------
-    NormTest
-    """
-    check_rate(false_alarm_rate)
-    base = fit_moments(settings, residuals, usable, covariance=covariance, signal_size=signal_size, seams=seams)
-    return with_threshold(base, false_alarm_rate)
-
-
-@dataclass(frozen=True, eq=False)
-class Fitted:
-    """A test with mean and covariance fitted, and what its threshold is to be fitted to.
-
-    Attributes
-    ----------
-    test : NormTest
-        Its threshold is infinite, or the one of the settings.
-    seen : Observed or None
-        Its cross-fitted statistic on fault-free data; ``None`` where the threshold is set.
-    count : int
-        Fault-free samples.
-    rounding : float or None
-        Where these data hold no noise: the level of rounding.
-    """
-
-    test: NormTest
-    seen: Observed | None
-    count: int
-    rounding: float | None
-
-
-def fit_moments(
-    settings: NormThreshold,
-    residuals: NDArray[np.float64],
-    usable: NDArray[np.bool_],
-    *,
-    covariance: NDArray | None,
-    signal_size: float,
-    seams: Sequence[int] = (),
-) -> Fitted:
-    """Fit mean and covariance, and return what the threshold is to be fitted to; see :func:`fit_norm_test`."""
-    data = FaultFree(residuals, usable, settings.window, tuple(seams))
-    k, count = residuals.shape[1], int(usable.sum())
-    check_enough(count, k, settings.window)
-    rounding = 1e-12 * signal_size
-    noise_free = data.spread <= rounding
-    known = None
-    if settings.whiten == "none" or noise_free:
-        known = np.eye(k)
-    elif settings.whiten == "model" and covariance is not None:
-        known = whitening_matrix(covariance)
-    whole = data.moments(whitening=known)
-    release = settings.release or settings.persistence
-    test = NormTest(whole.center, whole.whitening, np.inf, settings.persistence, release, settings.window, "")
-    if known is None:
-        test = replace(test, shrinkage=float(whole.intensity))
-    if settings.threshold is not None:
-        test = replace(test, threshold=settings.threshold, basis="threshold given, mean and covariance fitted")
-        return Fitted(test, None, count, None)
-    seen = observed(
-        data.cross_fitted(whole, whiten=known is None), data.full, usable, data.parts, k,
-        persistence=settings.persistence, release=release, window=settings.window, own=data.statistic(whole),
-    )  # fmt: skip
-    return Fitted(test, seen, count, rounding if noise_free else None)
-
-
-def with_threshold(base: Fitted, rate: float) -> NormTest:
-    """Return a test with its threshold for a rate of false alarms."""
-    if base.seen is None:
-        return base.test
-    found = promise_of(base.seen, rate)
-    threshold, basis = found.threshold, f"fitted to {base.count} fault-free samples, {found}"
-    if base.test.shrinkage:
-        basis += f"; covariance of too few samples, drawn by {base.test.shrinkage:.2g} towards a simpler one"
-    if base.rounding is not None:
-        threshold, basis = above_rounding(threshold, base.rounding, basis)
-    return replace(base.test, threshold=float(threshold), basis=basis, promised=float(found.promised))
-
-
-def above_rounding(threshold: float, rounding: float, basis: str) -> tuple[float, str]:
-    """Return a threshold fitted to data without noise, raised to the rounding of the signals, and its basis."""
-    told = f"{basis}; no noise in these data: the threshold is at rounding level"
-    return max(threshold, rounding, np.finfo(float).tiny), told
+__all__ = ["NormTest", "NormThreshold", "fit_norm_test", "norm_test_from_model"]

@@ -4,22 +4,149 @@ from __future__ import annotations
 
 import reprlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import SupportsFloat
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Self, SupportsFloat
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.decide.norm_threshold import check_rate, check_samples, is_number
+from residua.decide.checks import check_rate, check_samples, is_number
+from residua.decide.false_alarms import observed
+from residua.decide.fault_free import FaultFree
+from residua.decide.member_thresholds import BankTest, Parts, fit_together, rows_of, side_by_side
 from residua.decide.row_norms import row_norms
-from residua.errors import DataError, SettingError
+from residua.decide.seams import told_sample
+from residua.decide.test import FaultFreeRun, ResidualTest, Tested, TestSettings, Watched
+from residua.decide.whitened_norm import Fitted, NormTest, with_threshold
+from residua.errors import DataError, FileFormatError, SettingError
+from residua.number_kinds import COUNT, POSITIVE, PROBABILITY
+from residua.records import field_names, float_in, joined, record, values_in, values_out, whole_in
+from residua.visible import echo
+
+#: How the basis of a test begins whose thresholds the design has certified, or the user has given.
+CERTIFIED = "certified by the design over its uncertainty set"
+GIVEN = "threshold given"
 
 #: Characters up to which an error repeats what was given.
 _LONGEST = 80
+#: Members whose shares of their thresholds a basis tells one by one.
+_TOLD = 8
+
+
+class _Peak:
+    """What a test of peaks says of itself, whether of the residual as a whole or of members one by one."""
+
+    basis: str
+    release: int
+    whitening: NDArray[np.float64]
+    band: NDArray[np.float64]
+
+    @property
+    def horizon(self) -> int:
+        """Samples of the window."""
+        return self.release
+
+    @property
+    def is_bound(self) -> bool:
+        """Whether thresholds are certified or given, and not fitted to data."""
+        return self.basis.startswith((CERTIFIED, GIVEN))
+
+    @property
+    def is_certified(self) -> bool:
+        """Whether the design has certified the thresholds."""
+        return self.basis.startswith(CERTIFIED)
+
+    @property
+    def per_deviation(self) -> NDArray[np.float64] | None:
+        """Nothing is known of the spread."""
+        return None
+
+    def bands(self) -> tuple[NDArray[np.float64], float]:
+        """Return where each residual alone is over its threshold."""
+        return self.band, 0.0
+
+    def _said(self, step: float, several: bool) -> str:
+        """Return what is tested, in words."""
+        origin = "certified by the design" if self.is_certified else self.basis.split(" ")[0]
+        origin = {"each": "fitted", "threshold": "given"}.get(origin, origin)
+        whose = "the residual"
+        if several:
+            whose = "each member's residual; the statistic is the largest ratio to its threshold"
+        return (
+            f"finite-horizon peak test, window {self.release} samples ({self.release * step:g} s), "
+            f"threshold{'s' if several else ''} {origin}: norm of {whose}"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PeakTest(_Peak, NormTest):
+    """A finite-horizon test of the residual as a whole; see :class:`residua.decide.NormTest`."""
+
+    kind: str = "peak"
+
+    @property
+    def guarded(self) -> NDArray[np.float64]:
+        """In thresholds."""
+        return np.abs(self.whitening) / self.threshold
+
+    def words(self, step: float) -> dict[str, str]:
+        """Return in words what the threshold is, what is tested, and when an alarm begins and ends."""
+        alarm = f"raised by one sample over it, ended by {self.release} below it"
+        return super().words(step) | {"test": self._said(step, False), "alarm": alarm}
+
+    def cautions(self, tested: Tested) -> tuple[str, ...]:
+        """Return a doubt of the units of a recording."""
+        return _unit_cautions(self, tested.usable, tested.statistic[:, None], np.array([self.threshold]))
+
+
+@dataclass(frozen=True, eq=False)
+class PeakBankTest(_Peak, BankTest):
+    """Finite-horizon tests of the members of a bank; see :class:`residua.decide.BankTest`."""
+
+    kind: str = "peak"
+
+    @property
+    def guarded(self) -> NDArray[np.float64]:
+        """In thresholds."""
+        return np.abs(self.whitening) / np.repeat(self.thresholds, self.sizes)
+
+    def words(self, step: float) -> dict[str, str]:
+        """Return in words what the thresholds are, what is tested, and when an alarm begins and ends."""
+        said = self._said(step, len(self.thresholds) > 1)
+        return super().words(step) | {"test": said, "alarm": self._raised("one sample")}
+
+    def cautions(self, tested: Tested) -> tuple[str, ...]:
+        """Return a doubt of the units of a recording."""
+        return _unit_cautions(self, tested.usable, tested.part_statistics, self.thresholds)
+
+
+#: Times its threshold that every residual reaches at once where units or operating point are to be doubted.
+_FAR = 10.0
+
+
+def _unit_cautions(
+    test: PeakTest | PeakBankTest, usable: NDArray[np.bool_], statistics: NDArray[np.float64], limits: NDArray
+) -> tuple[str, ...]:
+    """Return a doubt of the recording where every residual is far over a bound as soon as anything is judged.
+
+    A threshold that is fitted would have shown it; one that is certified or given has never seen the data.
+    """
+    judged = np.flatnonzero(usable)[: test.release]
+    if not test.is_bound or not len(judged):
+        return ()
+    ratios = statistics[judged] / limits
+    smallest = float(ratios.max(axis=0).min())
+    if not (ratios[0] > 1).all() or smallest < _FAR:
+        return ()
+    every = "every residual" if len(limits) > 1 else "the residual"
+    return (
+        f"from the first judged sample on {every} is far over its threshold ({smallest:.3g} times and more): is the "
+        "recording in the units, signs and order of the model, and is its operating point that of the plant?",
+    )
 
 
 @dataclass(frozen=True)
-class PeakThreshold:
+class PeakThreshold(TestSettings):
     r"""Alarm while the largest norm of the residual over a moving window is over a threshold.
 
     .. math:: \max_{N_0 \le k \le N} |r(k)|_2 > J_{th}
@@ -79,6 +206,9 @@ class PeakThreshold:
     [(100.0, 161.0)]
     """
 
+    kind: ClassVar[str] = "peak"
+    makes: ClassVar[type[ResidualTest]] = PeakTest
+
     thresholds: SupportsFloat | Mapping[str, SupportsFloat] | Sequence[SupportsFloat] | None = None
     window: int = 60
     false_alarm_rate: float = 1e-4
@@ -126,6 +256,106 @@ class PeakThreshold:
                 f"expected {len(members)} thresholds, one for each of {', '.join(map(repr, members))}, got {len(given)}"
             )
         return tuple(map(float, given))
+
+    def from_model(self, watched: Watched) -> NormTest | BankTest | None:
+        """Return the test with the thresholds that are given or certified; ``None`` without any."""
+        settings, basis = self, GIVEN
+        if settings.thresholds is None and watched.certified:
+            settings, basis = replace(settings, thresholds=dict(watched.certified)), CERTIFIED
+        thresholds = settings.for_members(tested_members(watched))
+        if thresholds is None:
+            return None
+        return peak_test(settings, thresholds, basis, watched.generator.n_residuals, watched.parts)
+
+    def known(self, watched: Watched) -> NormTest | BankTest | None:
+        """Return the test with the thresholds that are given or certified."""
+        return self.from_model(watched)
+
+    def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> NormTest | BankTest:
+        """Return the test fitted to fault-free data; thresholds that are known stay, and are held against them."""
+        known, parts = self.from_model(watched), watched.parts
+        if known is not None:
+            return checked_peak_test(known, run.residuals, run.usable, list(parts or ()), run.seams)
+        sizes = [run.signal_size(rows) for rows in parts.values()] if parts else [run.signal_size()]
+        return fit_peak_test(
+            self, run.residuals, run.usable, false_alarm_rate=rate, signal_sizes=sizes, members=parts, seams=run.seams
+        )
+
+    # ----------------------------------------------- what the rest of a monitor asks for
+
+    def check(self, watched: Watched) -> None:
+        """Raise where thresholds are not for what is tested."""
+        tested = tested_members(watched)
+        self.for_members(tested)
+        if self.thresholds is not None or not watched.certified:
+            return
+        if not tested:
+            raise SettingError(
+                "the certified thresholds of this design are for its members one by one: isolate=Structured(), or give "
+                "one for the residual as a whole, test=PeakThreshold(...), or test=NormThreshold()"
+            )
+        if not watched.generator.system.is_discrete:
+            raise SettingError(
+                "the certified thresholds of this design are for its continuous filter, and a monitor runs a sampled "
+                "one: design for the sampled plant, plant.discretize(dt), or test=NormThreshold()"
+            )
+
+    @property
+    def takes_certified(self) -> bool:
+        """Whether thresholds that a design has certified are looked at."""
+        return True
+
+    @property
+    def uses_certified(self) -> bool:
+        """Whether they are used: where none are given."""
+        return self.thresholds is None
+
+    @property
+    def remedy(self) -> str:
+        """How a threshold can be had."""
+        return f"{super().remedy}, or set PeakThreshold(thresholds=...)"
+
+    # --------------------------------------------------------------------------- files
+
+    def to_record(self) -> dict[str, Any]:
+        """Return the settings as a record: one threshold, a list, or a table of them."""
+        given = self.thresholds
+        thresholds = list(given) if isinstance(given, tuple) else dict(given) if isinstance(given, dict) else given
+        return values_out(self) | {"thresholds": thresholds}
+
+    @classmethod
+    def from_record(cls, content: Any, where: str) -> Self:
+        """Return the settings that a record describes."""
+        content = record(content, where, field_names(cls))
+        rate = float_in(content["false_alarm_rate"], joined(where, "false_alarm_rate"), PROBABILITY)
+        window = whole_in(content["window"], joined(where, "window"), COUNT)
+        return cls(_thresholds_in(content["thresholds"], joined(where, "thresholds")), window, rate)
+
+    def test_from_record(self, content: Any, where: str, watched: Watched) -> ResidualTest:
+        """Return what runs, from a record."""
+        test = values_in(content, where, PeakTest if watched.parts is None else PeakBankTest)
+        if test.kind != self.kind:
+            raise FileFormatError(f"{where}.kind must be that of the test, got {echo(test.kind)}")
+        test.check(watched)
+        return test
+
+
+def tested_members(watched: Watched) -> list[str]:
+    """Return the members that have a threshold of their own; a generator of one member is that as a whole."""
+    generator = watched.generator
+    names = [member.name for member in generator.members]
+    alone = len(names) == 1 and len(generator.members[0].residuals) == generator.n_residuals
+    return names if watched.parts is not None or alone else []
+
+
+def _thresholds_in(value: Any, where: str) -> float | dict[str, float] | list[float] | None:
+    if value is None:
+        return None
+    if isinstance(value, dict):
+        return {name: float_in(entry, joined(where, name), POSITIVE) for name, entry in value.items()}
+    if isinstance(value, list):
+        return [float_in(entry, joined(where, k), POSITIVE) for k, entry in enumerate(value)]
+    return float_in(value, where, POSITIVE)
 
 
 def _checked(given: object) -> float | dict[str, float] | tuple[float, ...] | None:
@@ -221,4 +451,186 @@ def _moving_maximum(values: NDArray[np.float64], window: int) -> NDArray[np.floa
     return np.maximum(backwards[:count], forwards[window - 1 : window - 1 + count])
 
 
-__all__ = ["PeakThreshold", "peak_over_window"]
+def peak_test(
+    settings: PeakThreshold,
+    thresholds: Sequence[float],
+    basis: str,
+    n_residuals: int,
+    members: Parts | None = None,
+) -> NormTest | BankTest:
+    """Return the test with its thresholds: no centre, no whitening, one sample raises it and ``window`` end it.
+
+    Parameters
+    ----------
+    settings : PeakThreshold
+    thresholds : sequence of float
+        One per member, or one.
+    basis : str
+        Where they come from, in words.
+    n_residuals : int
+    members : mapping of str to sequence of int, or sequence of sequence of int, optional
+        Residual numbers of each member; when omitted, the residual is tested as a whole.
+    """
+    if members is None:
+        return _blank(settings, n_residuals, thresholds[0], basis)
+    tests = [_blank(settings, len(rows), J, basis) for rows, J in zip(rows_of(members), thresholds, strict=True)]
+    return replace(side_by_side(tests, 1.0, members, n_residuals, PeakBankTest), basis=basis)
+
+
+def _blank(settings: PeakThreshold, k: int, threshold: float = np.inf, basis: str = "") -> PeakTest:
+    return PeakTest(np.zeros(k), np.eye(k), threshold, 1, settings.window, 1, basis)
+
+
+def fit_peak_test(
+    settings: PeakThreshold,
+    residuals: NDArray[np.float64],
+    usable: NDArray[np.bool_],
+    *,
+    false_alarm_rate: float,
+    signal_sizes: Sequence[float],
+    members: Parts | None = None,
+    seams: Sequence[int] = (),
+) -> NormTest | BankTest:
+    """Fit a threshold to the norm of fault-free residuals, or one to that of each member.
+
+    As :func:`residua.decide.norm_threshold.fit_norm_test`, of the norm as it is: the fraction of usable samples in
+    alarm, those of the window included, is to be ``false_alarm_rate``; each of ``M`` members gets ``1/M`` of it, or
+    more where their alarms coincide (:func:`residua.decide.member_thresholds.fit_together`).
+
+    Parameters
+    ----------
+    settings : PeakThreshold
+    residuals : ndarray, shape (time, k)
+    usable : ndarray of bool, shape (time,)
+    false_alarm_rate : float
+    signal_sizes : sequence of float
+        For each member, or for the whole, the size of the signals that its residuals are the difference of.
+    members : mapping of str to sequence of int, or sequence of sequence of int, optional
+    seams : sequence of int
+        The first sample of each further recording.
+
+    Returns
+    -------
+    NormTest or BankTest
+
+    Raises
+    ------
+    DataError
+        If there are fewer usable samples than ten windows.
+    """
+    check_rate(false_alarm_rate)
+    rows = [range(residuals.shape[1])] if members is None else rows_of(members)
+    found = [
+        _observed(settings, residuals[:, list(part)], usable, size, seams)
+        for part, size in zip(rows, signal_sizes, strict=True)
+    ]
+    if members is None:
+        return with_threshold(found[0], false_alarm_rate)
+    return side_by_side(*fit_together(found, false_alarm_rate), members, residuals.shape[1], PeakBankTest)
+
+
+def _observed(
+    settings: PeakThreshold,
+    residuals: NDArray[np.float64],
+    usable: NDArray[np.bool_],
+    signal_size: float,
+    seams: Sequence[int],
+) -> Fitted:
+    count, least = int(usable.sum()), max(30, 10 * settings.window)
+    if count < least:
+        raise DataError(
+            f"{count} usable samples are too few to fit {residuals.shape[1]} residuals with a window of "
+            f"{settings.window}: give at least {least} fault-free samples after the filter has settled"
+        )
+    norms = np.where(usable, row_norms(residuals), 0.0)
+    data = FaultFree(residuals, usable, settings.window, tuple(seams))
+    seen = observed(
+        norms, data.full, usable, data.parts, np.inf, persistence=1, release=settings.window, window=settings.window
+    )
+    rounding = 1e-12 * signal_size
+    return Fitted(_blank(settings, residuals.shape[1]), seen, count, rounding if norms.max() <= rounding else None)
+
+
+def checked_peak_test(
+    test: NormTest | BankTest,
+    residuals: NDArray[np.float64],
+    usable: NDArray[np.bool_],
+    members: Sequence[str] = (),
+    seams: Sequence[int] = (),
+) -> NormTest | BankTest:
+    """Hold a test with known thresholds against a fault-free recording; its basis then tells how close that came.
+
+    Nothing is fitted: a threshold with a proof holds for every recording that its assumptions cover.
+
+    Parameters
+    ----------
+    test : NormTest or BankTest
+    residuals : ndarray, shape (time, k)
+    usable : ndarray of bool, shape (time,)
+    members : sequence of str
+        Names of the members of a bank.
+    seams : sequence of int
+        The first sample of each further recording, where there are several in a row.
+
+    Returns
+    -------
+    NormTest or BankTest
+
+    Raises
+    ------
+    DataError
+        If no sample is usable, or the recording goes over a threshold.
+    """
+    rows = residuals[usable]
+    if not len(rows):
+        raise DataError("no sample of this recording is usable, so it cannot be held against the thresholds")
+    parts = [rows @ test.whitening[:, a:b] for a, b in test.columns] if isinstance(test, BankTest) else [rows]
+    norms = np.array([row_norms(part) for part in parts]).T
+    limits = test.thresholds if isinstance(test, BankTest) else np.array([test.threshold])
+    samples, certified = np.flatnonzero(usable), test.basis.startswith(CERTIFIED)
+    _check_below(norms, limits, samples, members, certified=certified, seams=seams)
+    share = 100 * norms.max(axis=0) / limits
+    if len(share) == 1:
+        told = f"{share[0]:.3g} % of it"
+    elif len(share) <= _TOLD:
+        told = ", ".join(f"{s:.3g} % of that of {name}" for s, name in zip(share, members, strict=True))
+    else:
+        told = f"at most {share.max():.3g} % of one, that of {members[int(share.argmax())]}"
+    return replace(test, basis=f"{test.basis.split('; ')[0]}; {len(rows)} fault-free samples reached {told}")
+
+
+def _check_below(
+    norms: NDArray[np.float64],
+    limits: NDArray[np.float64],
+    samples: NDArray[np.int64],
+    members: Sequence[str],
+    *,
+    certified: bool,
+    seams: Sequence[int],
+) -> None:
+    """Raise where a recording that is to be fault-free goes over a threshold; ``norms``: (usable samples, members)."""
+    worst = int((norms.max(axis=0) / limits).argmax())
+    over = norms[:, worst] > limits[worst]
+    if not over.any():
+        return
+    at = int(norms[:, worst].argmax())
+    whose = f" of {members[worst]!r}" if members else ""
+    count, where = int(over.sum()), told_sample(int(samples[at]), seams)
+    told = (
+        f"this recording goes over the threshold{whose}: |r| = {norms[at, worst]:.4g} in {where}, "
+        f"{norms[at, worst] / limits[worst]:.3g} times the threshold of {limits[worst]:.4g}, and over it in {count} of "
+        f"{len(norms)} usable samples"
+    )
+    if certified:
+        raise DataError(
+            f"{told}. The threshold is certified, so one of its assumptions does not hold: disturbances are larger "
+            "than 1 in the units of the design, or the recording is in other units, or the plant lies outside the "
+            "uncertainty set, or the recording has a fault in it, or the filter had not settled. Give a fault-free "
+            "recording, or design for larger disturbances or a wider set"
+        )
+    raise DataError(
+        f"{told}. Give a fault-free recording, or higher thresholds; PeakThreshold() without thresholds fits them"
+    )
+
+
+__all__ = ["CERTIFIED", "GIVEN", "PeakBankTest", "PeakTest", "PeakThreshold", "peak_over_window"]

@@ -2,8 +2,52 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class AlarmRuns:
+    """What the alarm logic remembers; a row per plant, or a row and a column for each part.
+
+    Attributes
+    ----------
+    up, down : ndarray of int
+        Usable samples in a row above and below the threshold so far.
+    alarm : ndarray of bool
+        Whether the alarm is on.
+    """
+
+    up: NDArray[np.int64]
+    down: NDArray[np.int64]
+    alarm: NDArray[np.bool_]
+
+    @staticmethod
+    def empty(plants: int, *parts: int) -> AlarmRuns:
+        """Return the runs before the first sample."""
+        none = np.zeros((plants, *parts), dtype=np.int64)
+        return AlarmRuns(none, none, np.zeros((plants, *parts), dtype=bool))
+
+
+def run_alarm(
+    exceeded: NDArray[np.bool_], usable: NDArray[np.bool_], runs: AlarmRuns, persistence: int, release: int
+) -> tuple[NDArray[np.bool_], NDArray[np.int64], AlarmRuns]:
+    """Run the alarm logic over a block of samples, as :func:`alarm_logic`.
+
+    Returns
+    -------
+    alarm : ndarray of bool, shape (plants, time)
+    up : ndarray of int, shape (plants, time)
+        Samples in a row over the threshold.
+    runs : AlarmRuns
+        To go on with.
+    """
+    alarm, up, down = alarm_logic(exceeded, usable, runs.up, runs.down, runs.alarm, persistence, release)
+    if not exceeded.shape[1]:
+        return alarm, up, runs
+    return alarm, up, AlarmRuns(up[:, -1].copy(), down[:, -1].copy(), alarm[:, -1].copy())
 
 
 def alarm_logic(

@@ -2,57 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.analysis.codes import equal_codes, strongly_isolating
+from residua.decide.alarm import Alarm, Candidate, PresentFault
+from residua.decide.checks import check_samples, is_number
 from residua.decide.code_reading import CodeReading
-from residua.decide.norm_threshold import check_samples, is_number
-from residua.errors import DataError, SettingError
+from residua.decide.isolation import Isolation, IsolationSettings, Named, Naming, Scores, Seen, check_groups, last_over
+from residua.decide.member_bounds import MemberBounds, leakage_cautions
+from residua.decide.sizes import sizes_over, with_sizes
+from residua.decide.test import Block, ResidualTest, Tested, TestSettings, Watched
+from residua.decide.window import WindowState, empty_window, moving_sum
+from residua.design import ResidualGenerator
+from residua.errors import DataError, FileFormatError, ModelError, SettingError
+from residua.number_kinds import SHARE, WINDOW, NumberKind
 from residua.visible import echo
 
 
-@dataclass(frozen=True)
-class Structured:
-    """Name the fault whose code the fired members of a bank spell.
+@dataclass(frozen=True, eq=False)
+class CodeState:
+    """What the reading of codes remembers.
 
-    Parameters
+    Attributes
     ----------
-    window : int
-        Samples over which it is judged which members fired: their alarms do not begin and end together.
-    share : float
-        A member counts as fired if it was in alarm, within the window, at least this fraction of the samples
-        of the member that was in alarm the longest.
-    distance : int
-        Members in which a pattern may differ from the nearest code and still be read as it; 0 turns that off.
-
-    References
-    ----------
-    Gertler (1991), section 4; Chen and Patton (1999), chapter 3; for sensors one by one, Clark (1978) and
-    Frank (1987).
+    window : WindowState
+        Of the alarms of the members.
+    since : ndarray of int, shape (plants, members)
+        When each first fired in the alarm that stands, as a number of samples, that one included; 0 while none stands.
+    fired : ndarray of bool, shape (plants, members)
+        At the last sample.
     """
 
-    window: int = 50
-    share: float = 0.5
-    distance: int = 1
-
-    def __post_init__(self) -> None:
-        """Check the settings."""
-        check_samples(self.window, "window")
-        check_samples(self.distance, "distance", least=0)
-        if not is_number(self.share) or not 0 < self.share <= 1:
-            raise SettingError(f"share must lie between 0 and 1, got {echo(self.share)}")
-        object.__setattr__(self, "window", int(self.window))
-        object.__setattr__(self, "share", float(self.share))
-        object.__setattr__(self, "distance", int(self.distance))
+    window: WindowState
+    since: NDArray[np.int64]
+    fired: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
-class CodeTest:
+class CodeTest(Isolation):
     """Codes with equal ones grouped: what runs.
 
     A fault that some members see only while it changes has two codes, and may be in two groups: that of all members
@@ -71,7 +64,11 @@ class CodeTest:
         Faults that fire no member.
     settled : tuple of tuple of str
         For each group, those of its faults that have this code only once they are constant.
+    at_once : bool
+        Whether a member that fires counts as fired at once, in a dedicated bank: its test has a window of its own.
     """
+
+    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {"window": WINDOW, "share": SHARE}
 
     window: int
     share: float
@@ -81,6 +78,7 @@ class CodeTest:
     codes: NDArray[np.bool_]
     unjudged: tuple[str, ...]
     settled: tuple[tuple[str, ...], ...] = ()
+    at_once: bool = False
 
     def __post_init__(self) -> None:
         """Fill in that no fault has another code once it is constant."""
@@ -141,6 +139,215 @@ class CodeTest:
             return CodeReading("nearest", nearest[0], smallest, pairs, (), *made, settled[near[0]])
         return CodeReading("unknown", (), smallest if len(near) else -1, pairs, nearest, *made, possible=possible)
 
+    # ------------------------------------------------------------------------ running
+
+    def start(self, plants: int) -> CodeState:
+        """Return the state before the first sample."""
+        count = len(self.members)
+        none = np.zeros((plants, count), dtype=np.int64)
+        return CodeState(empty_window(plants, self.window, count), none, none.astype(bool))
+
+    def run(self, state: CodeState, block: Block, tested: Tested) -> tuple[CodeState, Scores]:
+        """Return which members count as fired over the window, and how many agree with the code of each group."""
+        fired, usable = tested.fired, tested.usable
+        counts, window = moving_sum((fired & usable[..., None]).astype(float), state.window)  # whole numbers: exact
+        largest = counts.max(axis=2, initial=0.0)[..., None]
+        code = np.asarray(tested.alarm)[..., None] & (counts > 0) & (counts >= self.share * largest)
+        if self.at_once and self.dedicated:  # its window has passed already, and each member speaks for itself
+            code = fired
+        agree = np.zeros((*usable.shape, len(self.groups)))
+        for g in range(len(self.groups)):
+            agree[..., g] = np.count_nonzero(code == self.codes[:, g], axis=2)
+        read = usable & code.any(axis=2)
+        scores = np.where(read[..., None], agree / len(self.members), np.nan)
+        if fired.shape[1]:
+            since = alarms_since(fired, state, block.count)
+            state = CodeState(window, since, fired[:, -1].copy())
+        return state, Scores(scores, code=code)
+
+    def name(self, seen: Seen, start: int, stop: int, last: int) -> Named:
+        """Return what the fired members say: the pattern that stood the longest, and the candidates by it.
+
+        Of a dedicated bank with all members that lasted: each is a fault of its own.
+        """
+        code, usable = seen.scores.code, seen.tested.usable
+        assert code is not None
+        judged = slice(start, last + 1)
+        pattern, share = longest_code(code[judged], usable[judged])
+        if self.dedicated:
+            pattern, share = named_pattern(self, pattern, code[judged], seen.tested.fired[judged], usable[judged])
+        reading = self.read(pattern)
+        first = max(start, last - self.window + 1)
+        sizes = sizes_over(seen.generator, seen.residuals, usable, first, last)
+        return Named(
+            candidates=with_sizes(candidates_of_code(reading, self), sizes),
+            sizes=sizes,
+            reading=reading,
+            read_share=share,
+            present=present_faults(self, reading, seen.tested.fired, seen.time, start, stop),
+        )
+
+    def name_now(self, seen: Seen) -> Named:
+        """Return what the members say that fired over the window up to now."""
+        assert seen.scores.code is not None
+        reading = self.read(seen.scores.code[0])
+        present = present_now(self, reading, seen.state.since[0], seen.generator.dt)
+        return Named(candidates=candidates_of_code(reading, self), reading=reading, present=present)
+
+    def same_event(self, before: Alarm, alarm: Alarm) -> bool:
+        """Tell whether two alarms have the same leader; of a dedicated bank, one of their faults in common."""
+        if self.dedicated:
+            one, other = _named_by(before), _named_by(alarm)
+            if one or other:
+                return bool(one & other)
+        return super().same_event(before, alarm)
+
+    def name_of_several(self, parts: Sequence[Alarm], exceeded: NDArray[np.bool_], name: Naming) -> Named | None:
+        """Return what a dedicated bank says of several alarms that are one: all faults of their whole time."""
+        if not self.dedicated:
+            return None
+        first, last = parts[0], parts[-1]
+        return name(first.start, last.stop, last_over(exceeded, last.start, last.stop))
+
+    # ----------------------------------------------- what the rest of a monitor asks for
+
+    @property
+    def coding(self) -> CodeTest:
+        """These codes."""
+        return self
+
+    @property
+    def samples(self) -> int:
+        """Samples over which it is judged which members fired."""
+        return self.window
+
+    def samples_to_be_sure(self, test: ResidualTest) -> int:
+        """Return how long an alarm has to last; where members count as fired at once, a name is as sure at any time."""
+        return 1 if self.at_once and self.dedicated else self.window
+
+    def words(self, step: float) -> dict[str, str]:
+        """Return in words how faults are named."""
+        if self.dedicated and self.at_once:
+            return {
+                "isolation": "every fault has a member of its own: each member that fires in an alarm names its fault"
+            }
+        told = (
+            f"code of the members that fired over {self.window} samples ({self.window * step:g} s): those in alarm for "
+            f"at least {self.share:g} of the samples of the one that was in alarm the longest"
+        )
+        if self.dedicated:
+            return {"isolation": f"{told}; every fault has a member of its own, so several at once are all named"}
+        return {"isolation": f"{told}; nearest codes up to {self.distance} off"}
+
+    def cautions(self, bounds: Mapping[str, MemberBounds], alarms: Sequence[Alarm], seen: Seen) -> tuple[str, ...]:
+        """Return for each alarm which of its residuals a single other fault may have driven over their thresholds."""
+        if not bounds or not self.dedicated or not self.at_once:
+            return ()
+        return leakage_cautions(bounds, self.members, alarms, seen.tested.part_statistics)
+
+    # --------------------------------------------------------------------------- files
+
+    def check(self, watched: Watched, test: ResidualTest) -> None:
+        """Raise where codes from a file are not of the members and faults."""
+        where, count = "running.isolation", len(watched.parts or ())
+        if len(self.settled) != len(self.groups) or any(
+            set(s) - set(g) for s, g in zip(self.settled, self.groups, strict=True)
+        ):
+            raise FileFormatError(f"{where}: settled must name faults of each of the {len(self.groups)} groups")
+        own = [[x for x in g if x not in s] for g, s in zip(self.groups, self.settled, strict=True)]
+        check_groups(own, self.unjudged, where, watched.generator.faults)
+        if len(self.members) != count or self.codes.shape != (count, len(self.groups)):
+            raise FileFormatError(f"{where}: codes must be true or false, {count} members x {len(self.groups)} groups")
+        if self.at_once != (test.horizon > 0):
+            raise FileFormatError(f"{where}.at_once must be as the test is")
+
+    def check_state(self, state: CodeState, count: int) -> None:
+        """Raise where a state from a file cannot be one."""
+        state.window.check("state.isolation.window")
+        if (state.since > count).any():
+            raise FileFormatError("state.isolation.since must not be later than state.count")
+
+
+@dataclass(frozen=True)
+class Structured(IsolationSettings):
+    """Name the fault whose code the fired members of a bank spell.
+
+    Parameters
+    ----------
+    window : int
+        Samples over which it is judged which members fired: their alarms do not begin and end together.
+    share : float
+        A member counts as fired if it was in alarm, within the window, at least this fraction of the samples
+        of the member that was in alarm the longest.
+    distance : int
+        Members in which a pattern may differ from the nearest code and still be read as it; 0 turns that off.
+
+    References
+    ----------
+    Gertler (1991), section 4; Chen and Patton (1999), chapter 3; for sensors one by one, Clark (1978) and
+    Frank (1987).
+    """
+
+    kind: ClassVar[str] = "code"
+    makes: ClassVar[type[Isolation]] = CodeTest
+    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {"window": WINDOW, "share": SHARE}
+
+    window: int = 50
+    share: float = 0.5
+    distance: int = 1
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        check_samples(self.window, "window")
+        check_samples(self.distance, "distance", least=0)
+        if not is_number(self.share) or not 0 < self.share <= 1:
+            raise SettingError(f"share must lie between 0 and 1, got {echo(self.share)}")
+        object.__setattr__(self, "window", int(self.window))
+        object.__setattr__(self, "share", float(self.share))
+        object.__setattr__(self, "distance", int(self.distance))
+
+    def isolation(self, generator: ResidualGenerator, test: ResidualTest) -> CodeTest:
+        """Return the codes of a bank."""
+        return codes_of(generator, self, at_once=test.horizon > 0)
+
+    # ----------------------------------------------- what the rest of a monitor asks for
+
+    @classmethod
+    def for_design(cls, design: Any, generator: ResidualGenerator) -> Self | None:
+        """Return the default for a generator with codes."""
+        return None if generator.codes is None else cls()
+
+    def check(self, generator: ResidualGenerator) -> None:
+        """Raise for a generator without codes."""
+        if generator.codes is None:
+            raise SettingError(
+                "Structured reads the code of a bank, and this generator has none: use a bank, or Directional()"
+            )
+        if generator.codes.shape != (len(generator.members), len(generator.faults)):
+            raise ModelError(f"codes {generator.codes.shape} must have a row per member and a column per fault")
+
+    def parts(self, generator: ResidualGenerator) -> dict[str, tuple[int, ...]]:
+        """Return the members, each with its residuals."""
+        return {member.name: member.residuals for member in generator.members}
+
+    def test_of(self, settings: TestSettings) -> TestSettings:
+        """Refuse groups of residuals: members are tested one by one already."""
+        if settings.divides:
+            raise SettingError(
+                "groups are for residuals that are named by direction or not at all; here faults are by code, and its "
+                "members are tested one by one already: leave groups out, or isolate=Directional() or None"
+            )
+        return settings
+
+    def kept(self, generator: ResidualGenerator) -> tuple[str, int, int] | None:
+        """Return the window, and that it keeps the alarms of the members."""
+        return f"Structured(window={self.window})", self.window, len(generator.members)
+
+    def check_record(self, content: Mapping[str, Any], where: str) -> None:
+        """Raise where what runs has another window."""
+        if content.get("window") != self.window:
+            raise FileFormatError(f"{where}.window must be that of isolate, {self.window}")
+
 
 def _each_once(groups: Iterable[tuple[str, ...]]) -> tuple[tuple[str, ...], ...]:
     """Return groups without the faults that an earlier one has named."""
@@ -166,6 +373,27 @@ def _pairs_of(
         if one and other and (other, one) not in out:
             out.append((one, other))
     return tuple(dict.fromkeys(out))
+
+
+def settled_codes(generator: ResidualGenerator) -> NDArray[np.bool_]:
+    """Return which members a constant fault still fires once the residual has settled: (members, faults).
+
+    A member may see a fault only while it changes; then fewer members fire in the end than the code promises.
+    """
+    assert generator.codes is not None
+    steady = np.array([generator.steady_directions[name] for name in generator.faults])
+    steady = steady.reshape(len(generator.faults), generator.n_residuals).T
+    rows_of = [member.residuals for member in generator.members]
+    seen = [(steady[list(rows)] != 0).any(axis=0) for rows in rows_of]
+    return np.array(seen, dtype=bool).reshape(generator.codes.shape) & generator.codes
+
+
+def codes_of(generator: ResidualGenerator, isolate: Structured, *, at_once: bool = False) -> CodeTest:
+    """Return the codes that a bank is read by: those of its faults, and those of constant faults where they differ."""
+    assert generator.codes is not None
+    names = [member.name for member in generator.members]
+    made = code_test(isolate, generator.codes, generator.faults, names, settled=settled_codes(generator))
+    return replace(made, at_once=at_once)
 
 
 def code_test(
@@ -326,6 +554,159 @@ def distinct_rows(rows: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[n
     keys = packed.view(f"V{packed.shape[1]}")[:, 0] if packed.shape[1] > 1 else packed[:, 0]
     _, first, index, counts = np.unique(keys, return_index=True, return_inverse=True, return_counts=True)
     return counts.astype(np.int64), first.astype(np.int64), index.astype(np.int64).ravel()
+
+
+# ------------------------------------------------------------------ what an alarm is put down to
+
+
+def candidates_of_code(reading: CodeReading, codes: CodeTest) -> tuple[Candidate, ...]:
+    """Return the group that was read, then the others by the members that agree; none where nothing was read.
+
+    Every fault is named once: with that of its codes which agrees better.
+    """
+    if not reading.faults:
+        return ()
+    pattern = np.array(reading.pattern)
+    agree = np.mean(codes.codes == pattern[:, None], axis=0)
+    first = column_read(reading, codes)
+    assert first is not None
+    named: set[str] = set()
+    out = []
+    for g in (first, *(int(g) for g in np.argsort(-agree, kind="stable") if g != first)):
+        faults = tuple(name for name in codes.groups[g] if name not in named)
+        named.update(faults)
+        if faults:
+            out.append(Candidate(faults, float(agree[g]), float(1.0 - agree[g])))
+    return tuple(out)
+
+
+def column_read(reading: CodeReading, codes: CodeTest) -> int | None:
+    """Return the number of the code that was read; ``None`` where none was."""
+    off = np.count_nonzero(codes.codes != np.array(reading.pattern)[:, None], axis=0)
+    same = [g for g, group in enumerate(codes.groups) if reading.faults and group == reading.faults]
+    return min(same, key=lambda g: off[g], default=None)
+
+
+def longest_code(code: NDArray[np.bool_], counted: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], float]:
+    """Return the pattern that stood for the most samples, the latest of those, and the fraction in which it did.
+
+    Parameters
+    ----------
+    code : ndarray of bool, shape (time, members)
+    counted : ndarray of bool, shape (time,)
+        Samples that count.
+    """
+    rows = code[counted & code.any(axis=1)]
+    if not len(rows):
+        return np.zeros(code.shape[1], dtype=bool), 0.0
+    counts, first, _ = distinct_rows(rows[::-1])
+    best = np.lexsort((first, -counts))[0]
+    return rows[::-1][first[best]], float(counts[best] / len(rows))
+
+
+def named_pattern(
+    codes: CodeTest,
+    longest: NDArray[np.bool_],
+    code: NDArray[np.bool_],
+    fired: NDArray[np.bool_],
+    usable: NDArray[np.bool_],
+) -> tuple[NDArray[np.bool_], float]:
+    """Return the members that an alarm of a dedicated bank names, and the fraction of its samples with just these.
+
+    Those of the pattern that stood the longest, and every other that counted as fired for an isolation window in all: a
+    fault that came later has its member too, and a false alarm of a member is shorter. By a peak test every member that
+    fired: one sample over its threshold declares the fault, and its own window holds it.
+
+    Parameters
+    ----------
+    codes : CodeTest
+    longest : ndarray of bool, shape (members,)
+    code, fired : ndarray of bool, shape (time, members)
+        Of the samples of the alarm.
+    usable : ndarray of bool, shape (time,)
+    """
+    if codes.at_once:
+        more = fired.any(axis=0)
+    else:
+        more = np.count_nonzero(code & usable[:, None], axis=0) >= codes.window
+    pattern = longest | more
+    read = code[usable & code.any(axis=1)]
+    return pattern, float((read == pattern).all(axis=1).mean()) if len(read) else 0.0
+
+
+def present_faults(
+    codes: CodeTest, reading: CodeReading, fired: NDArray[np.bool_], time: NDArray[np.float64], start: int, stop: int
+) -> tuple[PresentFault, ...]:
+    """Return the faults that were read with the times at which their members fired, the first one first.
+
+    Parameters
+    ----------
+    codes : CodeTest
+    reading : CodeReading
+    fired : ndarray of bool, shape (time, members)
+        Of the whole recording.
+    time : ndarray, shape (time,)
+    start, stop : int
+        First sample of the alarm and the one after it.
+    """
+    found = []
+    for group in reading.named if codes.dedicated else ():
+        member = codes.member_of(group)
+        on = start + np.flatnonzero(fired[start:stop, member])
+        if on.size:  # a member may count as fired for a moment longer than its alarm lasts
+            after = int(on[-1]) + 1
+            until = float(time[after]) if after < len(time) else None
+            found.append(PresentFault(group, codes.members[member], float(time[on[0]]), until))
+    return tuple(sorted(found, key=lambda fault: fault.since))
+
+
+def present_now(
+    codes: CodeTest, reading: CodeReading, since: NDArray[np.int64], step: float
+) -> tuple[PresentFault, ...]:
+    """Return the faults that are read now, since when their members fire in the standing alarm.
+
+    Parameters
+    ----------
+    codes : CodeTest
+    reading : CodeReading
+    since : ndarray of int, shape (members,)
+        As a :class:`CodeState` has it.
+    step : float
+        Seconds between samples.
+    """
+    if not codes.dedicated:
+        return ()
+    fired = [(group, codes.member_of(group)) for group in reading.named]
+    found = [PresentFault(g, codes.members[m], (int(since[m]) - 1) * step) for g, m in fired if since[m] > 0]
+    return tuple(sorted(found, key=lambda fault: fault.since))
+
+
+def _named_by(alarm: Alarm) -> set[tuple[str, ...]]:
+    """Return the groups of faults that an alarm names by code."""
+    return set(alarm.reading.named) if alarm.reading else set()
+
+
+def alarms_since(fired: NDArray[np.bool_], state: CodeState, count: int) -> NDArray[np.int64]:
+    """Return when each member first fired in the alarm that stands: how many samples had been seen with that one.
+
+    0 where no alarm stands, or where that is not known, the state being one of an earlier version.
+
+    Parameters
+    ----------
+    fired : ndarray of bool, shape (plants, time, members)
+        With a sample at least.
+    state : CodeState
+        Before the block.
+    count : int
+        Samples before the block.
+    """
+    time = fired.shape[1]
+    samples = np.arange(time)
+    last_off = np.where(fired.any(axis=2), -1, samples).max(axis=1)
+    standing = fired & (samples > last_off[:, None])[..., None]
+    first = np.where(standing.any(axis=1), count + 1 + standing.argmax(axis=1), 0)
+    before = state.since
+    return np.where((last_off == -1)[:, None] & (state.fired | (before > 0)), before, first)
 
 
 __all__ = ["CodeReading", "CodeTest", "Structured", "code_test", "distinct_rows", "read_code", "read_codes"]

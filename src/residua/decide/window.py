@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.errors import FileFormatError
+
 
 @dataclass(frozen=True, eq=False)
 class WindowState:
@@ -30,6 +32,12 @@ class WindowState:
     block: NDArray[np.float64]
     begun: NDArray[np.float64]
     filled: int
+
+    def check(self, where: str) -> None:
+        """Raise where a window from a file cannot be one."""
+        length = self.block.shape[1]
+        if not 0 <= self.filled < max(length, 2):
+            raise FileFormatError(f"{where}.filled must be below the window of {length}")
 
 
 def empty_window(plants: int, window: int, k: int) -> WindowState:

@@ -1,6 +1,6 @@
 """A generator with its decision logic, running on data."""
 
-from residua.monitor.alarm import Alarm, Beginning, Candidate, PresentFault, Size
+from residua.decide.alarm import Alarm, Beginning, Candidate, PresentFault, Size
 from residua.monitor.decision import Decision
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.monitor import Monitor

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.alarm import Alarm, Beginning
 from residua.decide.change_time import CONFIDENCE, LEAST_BEFORE, ChangeTime, change_time
-from residua.monitor.alarm import Alarm, Beginning
 
 #: Alarms of one recording that are dated at most, the longest first.
 MOST_DATED = 20

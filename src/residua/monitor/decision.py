@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.structured import CodeReading
+from residua.decide.alarm import Candidate, PresentFault, put_down_to
+from residua.decide.code_reading import CodeReading
+from residua.decide.isolation import Named, Seen
+from residua.decide.sizes import estimates_of
 from residua.design import ResidualGenerator
-from residua.monitor.alarm import Candidate, PresentFault, put_down_to
-from residua.monitor.dedicated import present_now
-from residua.monitor.matched_naming import candidates_of_match
-from residua.monitor.naming import candidates_at, candidates_of_code, estimates_of
-from residua.monitor.running import Decisions, Specification, State
+from residua.monitor.running import Decisions, State
+from residua.monitor.specification import Specification
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,47 +74,27 @@ class Decision:
 
 def decision_from(found: Decisions, spec: Specification, generator: ResidualGenerator, state: State) -> Decision:
     """Return the decision on the one sample of the first plant of a block; ``state`` is that after it."""
-    count = state.count - 1  # the number of this sample in the run
-    alarm = bool(found.alarm[0, 0])
-    candidates: tuple[Candidate, ...] = ()
-    fired: tuple[str, ...] = ()
-    present: tuple[PresentFault, ...] = ()
-    reading = None
+    tested = found.tested
+    alarm, fired = bool(tested.alarm[0, 0]), ()
     if spec.members:
-        fired = tuple(name for name, on in zip(spec.members, found.fired[0, 0], strict=True) if on)
-    if spec.codes is not None:
-        if alarm:
-            reading = spec.codes.read(found.code[0, 0])
-            candidates = candidates_of_code(reading, spec.codes)
-            present = present_now(spec.codes, reading, state.since[0], generator.dt)
-    elif alarm and spec.direction is not None:
-        candidates = candidates_at(found.scores[0, 0], spec.direction.groups, spec.direction.dimensions)
-    arrived, blamed = None, ""
-    if alarm and spec.matched is not None and found.match is not None:
-        match = found.match.of(0)
-        ago = count - float(match.arrival[0])
-        candidates = candidates_of_match(
-            spec.matched,
-            match,
-            found.scores[0],
-            0,
-            generator,
-            lambda number: (count + number) * generator.dt,
-            settled=ago > spec.matched.window,
-        )
-        arrived = ago * generator.dt if np.isfinite(ago) else None
-        blamed = spec.matched.faults[int(match.fault[0])]
+        fired = tuple(name for name, on in zip(spec.members, tested.fired[0, 0], strict=True) if on)
+    named = Named()
+    if alarm:
+        one, count = found.of(0), state.count - 1  # the number of this sample in the run
+        time = np.array([count * generator.dt])
+        seen = Seen(time, one.residuals, one.tested, one.named, generator, spec.test, state.isolation, count)
+        named = spec.isolation.name_now(seen)
     return Decision(
         residual=found.residuals[0, 0],
-        statistic=float(found.statistic[0, 0]),
+        statistic=float(tested.statistic[0, 0]),
         alarm=alarm,
-        decided=bool(found.usable[0, 0]),
+        decided=bool(tested.usable[0, 0]),
         missing=bool(found.missing[0, 0]),
-        candidates=candidates,
+        candidates=named.candidates,
         fired=fired,
-        reading=reading,
+        reading=named.reading,
         estimates={name: float(value) for name, value in estimates_of(generator, found.residuals[0, 0]).items()},
-        arrived=arrived,
-        blamed=blamed,
-        present=present,
+        arrived=named.arrived,
+        blamed=named.blamed,
+        present=named.present,
     )

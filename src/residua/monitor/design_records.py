@@ -13,7 +13,9 @@ from residua.arrays import frozen
 from residua.design import Evidence, Member, Observer, ResidualGenerator
 from residua.errors import FileFormatError
 from residua.linear import RankDecision, StateSpace
-from residua.monitor.encoding import (
+from residua.number_kinds import ANY as REPORT, COMPLEX, ENTRY, NOT_NEGATIVE, STEP
+from residua.plant import Fault, OperatingPoint, Plant
+from residua.records import (
     array_in,
     array_out,
     flag_in,
@@ -27,8 +29,6 @@ from residua.monitor.encoding import (
     texts_in,
     whole_in,
 )
-from residua.number_kinds import ANY as REPORT, COMPLEX, ENTRY, NOT_NEGATIVE, STEP
-from residua.plant import Fault, OperatingPoint, Plant
 
 _SYSTEM_ENTRIES = ("A", "B", "C", "D", "dt", "inputs", "outputs", "states")
 _PLANT_ARRAYS = ("A", "C", "Bu", "Du", "Bd", "Dd", "Bf", "Df", "Bw", "Dw")

@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.alarm import CLOSE_LEAD, CLOSE_MARGIN, Alarm, Beginning, Candidate, PresentFault
 from residua.decide.matched_hold import Match
+from residua.decide.sizes import estimates_of
 from residua.decide.structured import CodeTest
 from residua.errors import MissingExtraError
 from residua.files import write_text
-from residua.monitor.alarm import CLOSE_LEAD, CLOSE_MARGIN, Alarm, Beginning, Candidate, PresentFault
-from residua.monitor.naming import alike, arrival_text, began_text, estimates_of, ranked, sizes_text, tied_name
+from residua.monitor.naming import alike, arrival_text, began_text, ranked, sizes_text, tied_name
 from residua.recording.clock import Clock
 
 if TYPE_CHECKING:

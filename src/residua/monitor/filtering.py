@@ -5,17 +5,14 @@ Everything gives the same bits however the time axis is cut: what is decided her
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from residua.linear.systems.recursion import ordered_product, run_filter
 from residua.monitor.one_plant import FIELDS, LARGEST, SELDOM, OnePlant
-
-if TYPE_CHECKING:
-    from residua.monitor.running import Specification, State
+from residua.monitor.specification import FilterState, Specification
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +34,15 @@ class Filtered:
     bends: tuple[tuple[int, int, NDArray[np.float64]], ...] = ()
 
 
-def filter_block(spec: Specification, state: State, data: NDArray[np.float64]) -> tuple[dict[str, NDArray], Filtered]:
-    """Run the generator over a block; return what changes of the state, and what was found."""
+def filter_block(spec: Specification, state: FilterState, data: NDArray[np.float64]) -> tuple[FilterState, Filtered]:
+    """Run the generator over a block; return the state to go on with, and the residuals."""
+    changed, filtered = _filter_block(spec, state, data)
+    return replace(state, **changed), filtered
+
+
+def _filter_block(
+    spec: Specification, state: FilterState, data: NDArray[np.float64]
+) -> tuple[dict[str, NDArray], Filtered]:
     v, missing, aside = plausible_values(spec, data)
     plants, time, _ = v.shape
     before = {name: getattr(state, name) for name in FIELDS}
@@ -137,7 +141,7 @@ def _run_starting(spec: Specification, fields: dict[str, NDArray], v: NDArray) -
 
 def _run_one_by_one(
     spec: Specification,
-    state: State,
+    state: FilterState,
     fields: dict[str, NDArray],
     who: NDArray[np.int64],
     v: NDArray,

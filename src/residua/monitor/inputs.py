@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.decide.member_thresholds import BankTest
-from residua.decide.norm_threshold import NormTest
-from residua.decide.peak_tests import is_bound
+from residua.decide.test import ResidualTest
 from residua.design import ResidualGenerator
 from residua.design.core.evidence import format_pole
 from residua.errors import DataError
@@ -132,13 +129,13 @@ def _seconds(time: ArrayLike) -> tuple[NDArray[np.float64], str]:
         raise DataError(f"time must be seconds, or dates: {error}") from error
 
 
-def settling_samples(generator: ResidualGenerator, test: NormTest | BankTest | None = None) -> int:
+def settling_samples(generator: ResidualGenerator, test: ResidualTest | None = None) -> int:
     """Return how many samples the slowest pole of a sampled generator needs to decay to 1 %.
 
     To a millionth for a test by bounds: 1 % of what a start leaves in the residual is in no certified threshold. And
     until the residual itself has forgotten the start as far: poles that are near to each other, or zero, take longer.
     """
-    if test is None or not is_bound(test):
+    if test is None or not test.is_bound:
         return _samples_until(generator, SETTLED)
     return _samples_for_bounds(generator)
 
@@ -179,12 +176,9 @@ def _samples_until(generator: ResidualGenerator, left: float) -> int:
     return 1 if slowest < 1e-6 else int(np.ceil(np.log(left) / np.log(min(slowest, 1 - 1e-9))))
 
 
-def signal_size(generator: ResidualGenerator, v: NDArray, rows: Sequence[int] | None = None) -> float:
-    """Return the size of the signals that cancel in the residual, from deviations of shape (time, channels).
-
-    ``rows`` are the residuals that are meant; all of them when omitted.
-    """
+def signal_levels(generator: ResidualGenerator, v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return for each residual the size of the signals that cancel in it, from deviations of (time, channels)."""
     finite = np.where(np.isfinite(v), v, 0.0)
     rms = np.sqrt(np.mean(finite**2, axis=0))
     gain = np.abs(generator.system.dc_gain()) + np.abs(generator.system.D)
-    return float(np.max((gain @ rms)[slice(None) if rows is None else list(rows)], initial=0.0))
+    return np.asarray(gain @ rms)

@@ -10,22 +10,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.decide.directional import Directional
-from residua.decide.matched import Matched
-from residua.decide.member_thresholds import BankTest
-from residua.decide.norm_threshold import NormTest, check_rate, check_samples
-from residua.decide.structured import Structured
+from residua.decide.checks import check_rate, check_samples
+from residua.decide.isolation import IsolationSettings, NoIsolation
+from residua.decide.test import ResidualTest, TestSettings, Watched
 from residua.design import ResidualGenerator
 from residua.design.core.signals import stack_signals
 from residua.errors import DataError, ModelError, NotFittedError, SettingError
-from residua.monitor.cautions import brought_bounds
 from residua.monitor.decision import Decision, decision_from
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.estimating import with_estimator
 from residua.monitor.fitting import fitted_test
 from residua.monitor.inputs import settling_samples, several_signals, signals
 from residua.monitor.outcome import Recorded, compared_outputs, diagnosis_from
-from residua.monitor.peak_preparing import Threshold, chosen_threshold, member_names, no_threshold
 from residua.monitor.plausible import (
     TIMES,
     Plausible,
@@ -34,16 +30,17 @@ from residua.monitor.plausible import (
     guarded_ranges,
     plausible_deviations,
 )
-from residua.monitor.preparing import (
-    Isolation,
+from residua.monitor.running import Decisions, State, initial_state, joined_decisions, run_block
+from residua.monitor.setup import (
     as_generator,
     blank_test,
+    brought_bounds,
     check_windows,
     chosen_isolation,
-    first_test,
+    chosen_test,
     specification,
 )
-from residua.monitor.running import Decisions, Specification, State, initial_state, run_block
+from residua.monitor.specification import Specification
 from residua.monitor.starting import checked_start
 
 #: Samples per piece when a recording is run: bounds memory and lets progress be shown.
@@ -67,11 +64,11 @@ class Monitor:
     ----------
     generator : ResidualGenerator, or a bank, matched filters or an estimator
         Of an object that is not a generator itself, its ``generator`` is run.
-    test : NormThreshold or PeakThreshold, optional
+    test : NormThreshold, PeakThreshold or TestSettings, optional
         When to raise an alarm. When omitted, for a design that brings certified thresholds (its ``thresholds``, one for
         each member) :class:`residua.decide.PeakThreshold` with those, for any other
         :class:`residua.decide.NormThreshold`.
-    isolate : Directional, Structured, Matched, None or "auto"
+    isolate : Directional, Structured, Matched, IsolationSettings, None or "auto"
         How to name the fault. With :class:`residua.decide.Structured` every member of a bank has its own
         whitening, threshold and alarm, each with its share of the false alarm rate; the monitor is in alarm while
         any member is, and the fault is read from which of them are. With :class:`residua.decide.Matched` the fault,
@@ -134,8 +131,8 @@ class Monitor:
         self,
         generator: Any,
         *,
-        test: Threshold | None = None,
-        isolate: Directional | Structured | Matched | str | None = "auto",
+        test: TestSettings | None = None,
+        isolate: IsolationSettings | str | None = "auto",
         estimator: Any = None,
         dt: float | None = None,
         settle: int | None = None,
@@ -150,11 +147,12 @@ class Monitor:
             check_samples(settle, "settle", least=0)
         check_samples(max_hold, "max_hold", least=0)
         self.design: ResidualGenerator = generator
-        self.isolate: Isolation = chosen_isolation(isolate, generator, design)
-        self.test, self._certified = chosen_threshold(test, design, generator, self.isolate)
-        check_windows(self.test, self.isolate, generator)
-        self._bounds = brought_bounds(design, member_names(generator))
-        if estimator is not None and not isinstance(self.isolate, Structured):
+        self._isolation = chosen_isolation(isolate, generator, design)
+        self.test, self._certified = chosen_test(test, design, generator, self._isolation)
+        self._settings = self._isolation.test_of(self.test)
+        check_windows(self._settings, self._isolation, self._watched(generator))
+        self._bounds = brought_bounds(design, generator)
+        if estimator is not None and self._isolation.parts(generator) is None:
             raise SettingError("an estimator runs beside a bank that is read by code: use a bank, and Structured()")
         self.settle = settle
         self.max_hold = int(max_hold)
@@ -164,7 +162,7 @@ class Monitor:
         self._lock = threading.RLock()
         self.notes: tuple[str, ...] = ()
         self._generator: ResidualGenerator | None = None
-        self._norm_test: NormTest | BankTest | None = None
+        self._test: ResidualTest | None = None
         self._spec: Specification | None = None
         self._state: State | None = None
         if generator.system.is_discrete:
@@ -189,14 +187,19 @@ class Monitor:
     @property
     def is_fitted(self) -> bool:
         """Whether the monitor has a threshold, from data, from the noise model, or given."""
-        return self._norm_test is not None
+        return self._test is not None
 
     @property
-    def norm_test(self) -> NormTest | BankTest:
-        """The threshold test with every number filled in; for a bank, those of all its members."""
-        if self._norm_test is None:
-            raise NotFittedError(no_threshold(self.test))
-        return self._norm_test
+    def isolate(self) -> IsolationSettings | None:
+        """How faults are named; ``None``: not at all."""
+        return None if isinstance(self._isolation, NoIsolation) else self._isolation
+
+    @property
+    def norm_test(self) -> Any:
+        """The test with every number filled in; for a bank, those of all its members."""
+        if self._test is None:
+            raise NotFittedError(f"this monitor has no threshold: {self._settings.remedy}")
+        return self._test
 
     @property
     def threshold(self) -> float:
@@ -210,13 +213,12 @@ class Monitor:
         A fault of a bank that some members see only while it changes is in two groups: see
         :class:`residua.decide.CodeTest`.
         """
-        judge = self._specification().judge
-        return judge.groups if judge else ()
+        return self._specification().isolation.groups
 
     @property
     def settling_samples(self) -> int:
         """Samples after a start in which nothing is decided."""
-        if self._norm_test is not None:
+        if self._test is not None:
             return self._specification().settle  # of a loaded monitor that with which it was saved
         return settling_samples(self.generator) if self.settle is None else int(self.settle)
 
@@ -268,19 +270,17 @@ class Monitor:
         for one in given:
             self._learn_step(one.dt)
         recordings = [self._block(one.u, one.y) for one in given]
-        guard = guarded_ranges(self.generator, blank_test(self.generator))
+        blank = blank_test(self.generator)
         samples = np.concatenate([data.reshape(-1, data.shape[2]) for data in recordings])
-        ranges = fitted_ranges(self.plausible, samples, guard)
-        self._norm_test = fitted_test(
-            self.test,
-            self._certified,
-            self.isolate,
-            self.generator,
+        ranges = fitted_ranges(self.plausible, samples, guarded_ranges(self.generator, blank))
+        self._test = fitted_test(
+            self._settings,
+            self._watched(self.generator),
             recordings,
             rate,
             settle=self.settle,
             max_hold=self.max_hold,
-            plausible=self._limits(ranges, blank_test(self.generator)),
+            plausible=self._limits(ranges, blank),
             start=self.start,
         )
         self._ranges = ranges
@@ -339,20 +339,13 @@ class Monitor:
                 progress(min(start + PIECE, data.shape[1]), data.shape[1])
         self._state = state
         clock = generator.dt * np.arange(data.shape[1]) if given.time is None else given.time
-        whole = [
-            diagnosis_from(
-                parts,
-                p,
-                Recorded(clock, data[p], given.source, given.origin, compared_outputs(self.design)),
-                spec,
-                generator,
-                (int(state.resets[p]), int(state.broken[p])),
-                float(state.moved[p]),
-                (*self.notes, *given.notes),
-                self._bounds,
-            )
-            for p in range(len(data))
-        ]
+        found, compared = joined_decisions(parts), compared_outputs(self.design)
+        notes = (*self.notes, *given.notes)
+        whole = []
+        for p in range(len(data)):
+            recorded = Recorded(clock, data[p], given.source, given.origin, compared)
+            diagnosis = diagnosis_from(found.of(p), recorded, spec, generator, state.filter, p, notes, self._bounds)
+            whole.append(diagnosis)
         return whole if np.ndim(given.y) == 3 else whole[0]
 
     def update(self, u: ArrayLike | None, y: ArrayLike) -> Decisions:
@@ -444,8 +437,10 @@ class Monitor:
         spec = self._specification()
         with self._lock:
             state = initial_state(spec, len(data)) if self._state is None else self._state
-            if len(state.x) != len(data):
-                raise DataError(f"the monitor follows {len(state.x)} plants, the block has {len(data)}; reset() first")
+            if len(state.filter.x) != len(data):
+                raise DataError(
+                    f"the monitor follows {len(state.filter.x)} plants, the block has {len(data)}; reset() first"
+                )
             state, found = run_block(spec, state, data)
             self._state = state
         return found, state
@@ -458,9 +453,12 @@ class Monitor:
         """Take over everything but the lock."""
         self.__dict__.update(content, _lock=threading.RLock())
 
+    def _watched(self, generator: ResidualGenerator) -> Watched:
+        return Watched(generator, self._isolation.parts(generator), self._certified)
+
     def _use(self, sampled: ResidualGenerator) -> None:
         self._generator = sampled
-        self._norm_test = first_test(self.test, self._certified, self.isolate, sampled)
+        self._test = self._settings.from_model(self._watched(sampled))
         self._spec = self._state = None
 
     def _learn_step(self, dt: float | None) -> None:
@@ -486,7 +484,7 @@ class Monitor:
                 self._spec = specification(
                     self.generator,
                     self.norm_test,
-                    self.isolate,
+                    self._isolation,
                     settle=self.settle,
                     max_hold=self.max_hold,
                     plausible=self._limits(self._ranges, self.norm_test),
@@ -494,7 +492,7 @@ class Monitor:
                 )
             return self._spec
 
-    def _limits(self, ranges: NDArray[np.float64] | None, test: NormTest | BankTest) -> NDArray[np.float64]:
+    def _limits(self, ranges: NDArray[np.float64] | None, test: ResidualTest) -> NDArray[np.float64]:
         plant = self.generator.plant
         return plausible_deviations(self.plausible, (*plant.inputs, *plant.outputs), ranges, self.generator, test)
 

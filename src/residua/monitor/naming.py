@@ -1,60 +1,12 @@
-"""Who is to blame: candidates by direction or by code, and the sizes of faults that are estimated."""
+"""Candidates in words: their ranks, sizes, arrivals, and what cannot be told apart."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
-from residua.decide.structured import CodeReading, CodeTest, distinct_rows
-from residua.design import ResidualGenerator
-from residua.monitor.alarm import Alarm, Candidate, Size
-from residua.plant import Plant
+from residua.decide.alarm import Alarm, Candidate, Size
+from residua.decide.structured import CodeTest
 from residua.recording.clock import Clock
-
-
-def candidates_at(
-    scores: NDArray[np.float64], groups: tuple[tuple[str, ...], ...], dimensions: tuple[int, ...]
-) -> tuple[Candidate, ...]:
-    """Return the groups ranked by score, best first; none where the direction is not known.
-
-    Scores that agree to three digits are a tie, which the narrower signature wins: a plane contains more
-    residuals by chance than a line.
-    """
-    if scores.size == 0 or np.isnan(scores).all():
-        return ()
-    order = np.lexsort((-scores, np.asarray(dimensions), -np.round(scores, 3)))
-    return tuple(Candidate(groups[g], float(scores[g]), float(np.sqrt(max(0.0, 1.0 - scores[g] ** 2)))) for g in order)
-
-
-def candidates_of_code(reading: CodeReading, codes: CodeTest) -> tuple[Candidate, ...]:
-    """Return the group that was read, then the others by the members that agree; none where nothing was read.
-
-    Every fault is named once: with that of its codes which agrees better.
-    """
-    if not reading.faults:
-        return ()
-    pattern = np.array(reading.pattern)
-    agree = np.mean(codes.codes == pattern[:, None], axis=0)
-    first = column_read(reading, codes)
-    assert first is not None
-    named: set[str] = set()
-    out = []
-    for g in (first, *(int(g) for g in np.argsort(-agree, kind="stable") if g != first)):
-        faults = tuple(name for name in codes.groups[g] if name not in named)
-        named.update(faults)
-        if faults:
-            out.append(Candidate(faults, float(agree[g]), float(1.0 - agree[g])))
-    return tuple(out)
-
-
-def column_read(reading: CodeReading, codes: CodeTest) -> int | None:
-    """Return the number of the code that was read; ``None`` where none was."""
-    off = np.count_nonzero(codes.codes != np.array(reading.pattern)[:, None], axis=0)
-    same = [g for g, group in enumerate(codes.groups) if reading.faults and group == reading.faults]
-    return min(same, key=lambda g: off[g], default=None)
 
 
 def ranked(candidates: tuple[Candidate, ...]) -> list[tuple[int, Candidate]]:
@@ -114,65 +66,3 @@ def alike(groups: tuple[tuple[str, ...], ...], codes: CodeTest | None) -> list[t
         if len(group) > 1 and not (later and any(set(group) <= own for own in always)):
             out.append((group, tuple(f"{name} once constant" if name in later else name for name in group)))
     return out
-
-
-def longest_code(code: NDArray[np.bool_], counted: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], float]:
-    """Return the pattern that stood for the most samples, the latest of those, and the fraction in which it did.
-
-    Parameters
-    ----------
-    code : ndarray of bool, shape (time, members)
-    counted : ndarray of bool, shape (time,)
-        Samples that count.
-    """
-    rows = code[counted & code.any(axis=1)]
-    if not len(rows):
-        return np.zeros(code.shape[1], dtype=bool), 0.0
-    counts, first, _ = distinct_rows(rows[::-1])
-    best = np.lexsort((first, -counts))[0]
-    return rows[::-1][first[best]], float(counts[best] / len(rows))
-
-
-def estimates_of(generator: ResidualGenerator, residuals: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """Return the columns that estimate a fault; one estimated more than once is told apart by its residual's name."""
-    names = generator.estimated
-    labels = [f if names.count(f) == 1 else f"{f} ({r})" for f, r in zip(names, generator.residuals, strict=False)]
-    return {label: residuals[..., i] for i, label in enumerate(labels) if names[i]}
-
-
-def sizes_over(
-    generator: ResidualGenerator, residuals: NDArray[np.float64], usable: NDArray[np.bool_], first: int, last: int
-) -> tuple[Size, ...]:
-    """Return mean and last value of every estimate over a stretch of samples, both ends included."""
-    if not generator.estimated:
-        return ()
-    rows = residuals[first : last + 1][usable[first : last + 1]]
-    return tuple(
-        Size(
-            fault,
-            float(rows[:, i].mean()) if len(rows) else float("nan"),
-            float(rows[-1, i]) if len(rows) else float("nan"),
-            fault_unit(generator.plant, fault),
-        )
-        for i, fault in enumerate(generator.estimated)
-        if fault
-    )
-
-
-def with_sizes(candidates: tuple[Candidate, ...], sizes: tuple[Size, ...]) -> tuple[Candidate, ...]:
-    """Return the candidates, each with the sizes of its faults."""
-    if not sizes:
-        return candidates
-    return tuple(replace(c, sizes=tuple(size for size in sizes if size.fault in c.faults)) for c in candidates)
-
-
-def fault_unit(plant: Plant, fault: str) -> str:
-    """Return the unit that a fault is measured in: its own, or that of its channel, where the plant knows it."""
-    if fault not in plant.faults:
-        return ""
-    i = plant.faults.index(fault)
-    if plant.fault_list[i].unit:
-        return plant.fault_list[i].unit
-    if plant.fault_kinds[i] not in ("sensor", "actuator"):
-        return ""  # the size of a process fault is in whatever its direction was given in
-    return str(plant.units.get(plant.fault_components[i], ""))

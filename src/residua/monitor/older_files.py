@@ -8,41 +8,116 @@ import numpy as np
 
 from residua.errors import FileFormatError
 from residua.json_files import CHECKSUM
-from residua.monitor.encoding import array_in, array_out, table_in
-from residua.monitor.judging import empty_fields
 from residua.monitor.partial_update import empty_partial
 from residua.monitor.plausible import TIMES
 from residua.number_kinds import FLAG, INDEX
+from residua.records import array_in, array_out, record, table_in
 
 #: Versions before today's that are read.
-OLDER = (3, 4, 5)
+OLDER = (3, 4, 5, 6)
 
 
 def renewed(content: dict[str, Any]) -> dict[str, Any]:
-    """Return the content of a file of version 3 to 6 as one of version 6.
+    """Return the content of a file of an earlier version as one of today.
 
     In a file of version 3 nothing was matched with responses; before version 5 every test was of the norm, and when a
     standing alarm began was not known: it stays so until it ends. ``bounds`` are an entry of a file only where there
     are any. A file from before version 6 has no checksum, and in its signatures rounding where there are zeros now: in
     the rows of residuals that a fault does not reach. Its starts were from rest, and its Kalman filters held the values
     of missing outputs, which both stay so; and every finite number was a measurement: without the recording that was
-    fitted, only what would overflow is missing.
+    fitted, only what would overflow is missing. Before version 7 what ran and its state were one flat table of every
+    kind of test and isolation.
     """
-    content = {"bounds": {}} | content
-    if content["version"] == 3:
+    version, content = content["version"], {"bounds": {}} | content
+    if version == 3:
         _with_matched(content)
-    if content["version"] in (3, 4):
+    if version in (3, 4):
         _with_kinds(content)
-    if content["version"] in OLDER:
+    if version in (3, 4, 5):
         if CHECKSUM in content:
-            raise FileFormatError(f"the entry {CHECKSUM!r} is unknown in version {content['version']}")
+            raise FileFormatError(f"the entry {CHECKSUM!r} is unknown in version {version}")
         content[CHECKSUM] = None
         for name in ("design", "sampled"):
             if content.get(name) is not None:
                 content[name] = _with_silent_rows(table_in(content[name], name), name)
         _with_promise(content)
         _with_plausible(content)
+    if version in OLDER:
+        _nested(content)
     return content
+
+
+# ----------------------------------------------------------------------------- version 6 to 7
+
+_FILTER = (
+    *("x", "held", "gap", "running", "age", "resets", "broken", "starting", "start_sums", "moved", "apart"),
+    *("spread", "bent"),
+)
+_WINDOW, _RUNS = ("ends", "block", "begun", "filled"), ("up", "down", "alarm")
+_STATE_6 = (
+    *_FILTER, *_RUNS, "since", *_WINDOW, *(f"test_{name}" for name in _WINDOW), "count",
+    *(f"match_{name}" for name in ("sums", "weights", "held", "extra")),
+)  # fmt: skip
+_RUNNING_6 = ("start", "settle", "plausible", "first", "partial", "direction", "codes", "matched")
+
+
+def _nested(content: dict[str, Any]) -> None:
+    """Bring test and isolation, and their states, together: each in a table of its own."""
+    isolate = content.get("isolate")
+    kind = "" if isolate is None else table_in(isolate, "isolate").get("kind")
+    if content.get("running") is None or content.get("fitted") is None:
+        if content.get("state") is not None:
+            raise FileFormatError("state must not be there without running")
+        return
+    running = record(content["running"], "running", _RUNNING_6)
+    fitted = table_in(content["fitted"], "fitted")
+    parts = {name: running.pop(name) for name in ("direction", "codes", "matched")}
+    wanted = {"direction": "direction", "code": "codes", "matched": "matched"}.get(str(kind))
+    for name, part in parts.items():
+        if (part is None) != (name != wanted):
+            raise FileFormatError(f"running.{name} must be there if and only if isolate asks for it")
+    if kind == "code":
+        codes = table_in(parts["codes"], "running.codes")
+        fitted = fitted | {"names": codes.get("members")}
+        running["isolation"] = codes | {"at_once": fitted.get("kind") == "peak"}
+    elif kind == "matched":
+        fitted = fitted | {"matched": parts["matched"]}
+        running["isolation"] = {}
+    else:
+        running["isolation"] = parts["direction"] or {"groups": [], "unjudged": []}
+    content |= {"running": running, "fitted": fitted}
+    if content.get("state") is not None:
+        content["state"] = _nested_state(record(content["state"], "state", _STATE_6), str(kind), parts)
+
+
+def _nested_state(state: dict[str, Any], kind: str, parts: dict[str, Any]) -> dict[str, Any]:
+    """Return a state with tables for filter, test and isolation."""
+    window, runs = {name: state[name] for name in _WINDOW}, {name: state[name] for name in _RUNS}
+    test: dict[str, Any] = {"window": {name: state[f"test_{name}"] for name in _WINDOW}, "runs": runs}
+    isolation: Any = None
+    if kind == "direction":
+        isolation = window if table_in(parts["direction"], "running.direction").get("bases") else _narrow(window)
+    elif kind == "code":
+        isolation = {"window": window, "since": state["since"], "fired": state["alarm"]}
+    elif kind == "matched":
+        match = {name: state[f"match_{name}"] for name in ("sums", "weights", "extra")}
+        length = array_in(window["ends"], "state.ends").shape[1]
+        extra = array_in(match["extra"], "state.match_extra", ndim=3)
+        if not extra.shape[1]:
+            match["extra"] = array_out(np.zeros((extra.shape[0], length, extra.shape[2])))
+        test = {"window": window, "match": match, "runs": runs}
+        isolation = {"held": state["match_held"], "on": state["alarm"]}
+    filtered = {name: state[name] for name in _FILTER}
+    return {"filter": filtered, "test": test, "isolation": isolation, "count": state["count"]}
+
+
+def _narrow(window: dict[str, Any]) -> dict[str, Any]:
+    """Return a moving sum of nothing: where there is no signature, nothing is compared with one."""
+    none = {name: array_in(window[name], f"state.{name}")[..., :0] for name in ("ends", "block", "begun")}
+    return {name: array_out(value) for name, value in none.items()} | {"filled": window["filled"]}
+
+
+# ----------------------------------------------------------------------------- before version 6
 
 
 def _with_silent_rows(design: dict[str, Any], where: str) -> dict[str, Any]:
@@ -86,7 +161,13 @@ def _with_matched(content: dict[str, Any]) -> None:
         content["running"] = table_in(content["running"], "running") | {"matched": None}
     if content.get("state") is not None:
         state = table_in(content["state"], "state")
-        nothing = empty_fields(None, _plants(state), False)
+        none = np.zeros((_plants(state), 0, 0))
+        nothing = {
+            "match_sums": none,
+            "match_weights": none,
+            "match_held": np.zeros((len(none), 0)),
+            "match_extra": none,
+        }
         content["state"] = state | {name: array_out(value) for name, value in nothing.items()}
 
 

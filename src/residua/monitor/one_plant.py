@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from residua.linear.systems.recursion import ordered_product, run_filter
-
-if TYPE_CHECKING:
-    from residua.monitor.running import Specification
+from residua.monitor.specification import Specification
 
 #: A residual beyond is one of a filter that overflows.
 LARGEST = 1e150
@@ -25,7 +22,7 @@ _Bends = list[tuple[int, NDArray[np.float64]]]
 
 @dataclass(eq=False)
 class OnePlant:
-    """The part of a monitor's state that the filter of one plant has; see :class:`residua.monitor.running.State`."""
+    """The filter of one plant; see :class:`residua.monitor.specification.FilterState`."""
 
     x: NDArray[np.float64]
     held: NDArray[np.float64]

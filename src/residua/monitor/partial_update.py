@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.matched import MatchedTest
+from residua.decide.test import ResidualTest
 from residua.design import ResidualGenerator
 from residua.design.banks.matched_filters import step_responses
 from residua.design.core.responses import state_covariance
@@ -198,10 +198,9 @@ class PartialUpdate:
         return gain.own + _product(bent, gain.seen)
 
 
-def partial_update(
-    generator: ResidualGenerator, matched: MatchedTest | None, whitening: Matrix
-) -> PartialUpdate | None:
+def partial_update(generator: ResidualGenerator, test: ResidualTest) -> PartialUpdate | None:
     """Return what a generator needs to go on without some outputs; ``None`` unless it is a stationary Kalman filter."""
+    matched = test.responses
     system, plant, p = generator.system, generator.plant, generator.n_residuals
     n, m = system.n_states, len(plant.inputs)
     T = generator.state_map
@@ -237,7 +236,7 @@ def partial_update(
     noises = (np.asarray(Q), np.asarray(R), np.asarray(S))
     P = (P + P.T) / 2
     return PartialUpdate(
-        plant.A, plant.Bu, plant.C, plant.Du, K, *noises, P, np.vstack([plant.Df, plant.Bf]), ages, settled, whitening
+        plant.A, plant.Bu, plant.C, plant.Du, K, *noises, P, np.vstack([plant.Df, plant.Bf]), ages, settled, test.metric
     )
 
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.member_thresholds import BankTest
-from residua.decide.norm_threshold import NormTest, is_number
+from residua.decide.checks import is_number
+from residua.decide.test import ResidualTest
 from residua.design import ResidualGenerator
 from residua.errors import SettingError
 
@@ -89,7 +89,7 @@ def fitted_ranges(settings: Plausible, data: NDArray[np.float64], guard: NDArray
     return out
 
 
-def guarded_ranges(generator: ResidualGenerator, test: NormTest | BankTest) -> NDArray[np.float64]:
+def guarded_ranges(generator: ResidualGenerator, test: ResidualTest) -> NDArray[np.float64]:
     """Return the limits of every channel that hold without data, in plant units: shape (channels, 2).
 
     Beyond them a value moves the residual by so many standard deviations, or thresholds, that nothing else could be
@@ -107,7 +107,7 @@ def plausible_deviations(
     channels: Sequence[str],
     fitted: NDArray[np.float64] | None,
     generator: ResidualGenerator,
-    test: NormTest | BankTest,
+    test: ResidualTest,
 ) -> NDArray[np.float64]:
     """Return the smallest and largest plausible deviation of every channel: shape (channels, 2).
 
@@ -124,14 +124,10 @@ def plausible_deviations(
     return np.clip(ranges - offset[:, None], -_LARGEST, _LARGEST)
 
 
-def _largest_response(generator: ResidualGenerator, test: NormTest | BankTest) -> NDArray[np.float64]:
+def _largest_response(generator: ResidualGenerator, test: ResidualTest) -> NDArray[np.float64]:
     """Return for each channel the largest response of the whitened residual to it, as soon as the filter knows it."""
     system = generator.system
-    weights = np.abs(test.whitening)
-    if isinstance(test, BankTest):
-        weights = weights / np.repeat(test.thresholds, test.sizes) if test.kind == "peak" else weights
-    elif test.kind == "peak" or test.threshold == np.inf:  # without a threshold nothing is too large to be judged
-        weights = weights / test.threshold
+    weights = test.guarded
     largest, x = np.abs(system.D).T @ weights, system.B
     for _ in range(2 * system.n_states + 1):
         largest = np.maximum(largest, np.abs(system.C @ x).T @ weights)

@@ -12,8 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.member_thresholds import BankTest
-from residua.decide.norm_threshold import NormTest
+from residua.decide.test import ResidualTest
 from residua.design import ResidualGenerator
 from residua.errors import SettingError
 from residua.linear.systems.recursion import ordered_product
@@ -98,7 +97,7 @@ def checked_start(value: object) -> str:
     return str(value)
 
 
-def start_fit(generator: ResidualGenerator, test: NormTest | BankTest, settle: int) -> StartFit | None:
+def start_fit(generator: ResidualGenerator, test: ResidualTest, settle: int) -> StartFit | None:
     """Return what estimates a start from the samples in which the filter settles; ``None`` where nothing can."""
     system = generator.system
     n = system.n_states
@@ -136,27 +135,22 @@ def start_fit(generator: ResidualGenerator, test: NormTest | BankTest, settle: i
 def start_from(
     A: NDArray[np.float64],
     C: NDArray[np.float64],
-    test: NormTest | BankTest,
+    test: ResidualTest,
     samples: int,
     correction: NDArray[np.float64],
 ) -> StartFit:
     """Return what estimates a start, from what is known of the filter, its test and the correction."""
-    return StartFit(samples, A, C, _weights(test, C, A, samples), _ratios(test), correction)
+    return StartFit(samples, A, C, _weights(test, C, A, samples), test.per_threshold, correction)
 
 
-def _weights(test: NormTest | BankTest, C: NDArray, A: NDArray, samples: int) -> NDArray[np.float64]:
+def _weights(test: ResidualTest, C: NDArray, A: NDArray, samples: int) -> NDArray[np.float64]:
     """Return weights that make residuals comparable: the whitening, or, where it is none, by how they see a start."""
     k = len(C)
-    if test.kind == "norm" and not np.array_equal(test.whitening, np.eye(k)):
-        return test.whitening
+    units = test.per_deviation
+    if units is not None and not np.array_equal(units, np.eye(k)):
+        return units
     size, block = np.zeros(k), C
     for _ in range(samples):
         size = size + np.sum(block**2, axis=1)
         block = ordered_product(block, A)
     return np.diag(1 / np.sqrt(np.where(size > 0, size, 1.0)))
-
-
-def _ratios(test: NormTest | BankTest) -> NDArray[np.float64]:
-    """Return the whitening in units of the threshold."""
-    limits = np.repeat(test.thresholds, test.sizes) if isinstance(test, BankTest) else test.threshold
-    return test.whitening / limits

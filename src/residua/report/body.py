@@ -204,6 +204,8 @@ def _directions(diagnosis: Diagnosis) -> str:
     )
     if not diagnosis.groups:
         text = "This monitor does not isolate; these are the signatures that it would judge by. " + text
+    elif not diagnosis.signatures:
+        text = f"Faults are not named by direction here; this is how the filter could tell them so. {text}"
     if known.whitened:
         text += " Residuals are compared after whitening by their fault-free covariance."
     if any(known.steady):

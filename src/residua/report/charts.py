@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.monitor.naming import fault_unit
+from residua.decide.sizes import fault_unit
 from residua.report.choosing import SHOWN_FAULTS, shown_groups
 from residua.report.codes import member_order
 from residua.report.contributions import averaged_residuals

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.monitor.naming import column_read
+from residua.decide.structured import column_read
 from residua.report.choosing import SHOWN_FAULTS, shown_groups
 from residua.report.tables import ALARM_TIMES, MAX_ROWS, alarm_times, html_table, time_cell
 from residua.report.text import escape, percent
 
 if TYPE_CHECKING:
+    from residua.decide.alarm import Alarm
     from residua.decide.structured import CodeReading, CodeTest
-    from residua.monitor.alarm import Alarm
     from residua.monitor.diagnosis import Diagnosis
     from residua.recording.clock import Clock
 

@@ -67,8 +67,8 @@ class Signatures:
 
 
 def judged_signatures(diagnosis: Diagnosis) -> Signatures:
-    """Return the signatures that a diagnosis was judged by; of a monitor that does not isolate, its generator's."""
-    if not diagnosis.groups and not diagnosis.unjudged:
+    """Return the signatures that a diagnosis was judged by; where it was by none, those of its generator."""
+    if not diagnosis.signatures and (diagnosis.groups or not diagnosis.unjudged):
         return generator_signatures(diagnosis.generator, diagnosis.whitening)
     return _turned(diagnosis.generator, diagnosis.groups, diagnosis.signatures, diagnosis.whitening)
 

@@ -16,9 +16,9 @@ from residua.report.text import escape, lead_text, number, score, sizes_text, so
 from residua.report.verdict import angle
 
 if TYPE_CHECKING:
+    from residua.decide.alarm import Alarm
     from residua.design.core.generator import ResidualGenerator
     from residua.linear.subspaces.rank import RankDecision
-    from residua.monitor.alarm import Alarm
     from residua.monitor.diagnosis import Diagnosis
     from residua.recording.clock import Clock
 

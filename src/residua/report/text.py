@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from residua.monitor import naming
 
 if TYPE_CHECKING:
-    from residua.monitor.alarm import Size
+    from residua.decide.alarm import Size
 
 
 #: Characters that a screen acts on instead of showing them: controls, escapes, and those that turn text around.

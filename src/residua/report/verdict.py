@@ -14,7 +14,7 @@ from residua.recording.clock import Clock
 from residua.report.text import lead_text, listing, number, percent, score, size_text, sizes_text, some
 
 if TYPE_CHECKING:
-    from residua.monitor.alarm import Alarm, Candidate
+    from residua.decide.alarm import Alarm, Candidate
     from residua.monitor.diagnosis import Diagnosis
 
 #: A lead in score at or above this is called clear.

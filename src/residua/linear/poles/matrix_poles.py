@@ -6,9 +6,11 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
+from residua.linear.systems.array_cache import cached_by_entries
 from residua.linear.systems.units import system_units
 
 
+@cached_by_entries
 def explicit_poles(A: NDArray) -> NDArray[np.complex128]:
     r"""Return the eigenvalues of a matrix; those that may be nothing but rounding of zero are zero.
 

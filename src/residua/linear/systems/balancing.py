@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.linear.systems.array_cache import cached_by_entries
 from residua.linear.systems.units import RESIDUE, matrix_units, pencil_units, system_units, without_residue
 
 #: Couplings this far below the largest may have been scaled away.
@@ -114,6 +115,7 @@ def _largest(x: NDArray[np.float64]) -> float:
     return float(x.max(initial=0.0))
 
 
+@cached_by_entries
 def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> BalancedSystem:
     """Scale the units of states, inputs and outputs until rows and columns of ``[A B; C D]`` match in norm.
 

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+
+from residua.linear.systems.array_cache import cached_by_entries
 
 #: Entries this far below both the largest of their row and of their column, in the units that this file finds, are
 #: rounding residue; scaling must not promote them to data.
@@ -94,6 +94,7 @@ def _rounded(v: NDArray[np.float64], n: int, q: int) -> Units:
     return Units(T[:n], T[n : n + q], 1.0 / T[n + q :])
 
 
+@cached_by_entries
 def _system_potentials(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> NDArray[np.float64]:
     """Return the potentials of states, inputs and outputs."""
     n = len(A)
@@ -118,6 +119,7 @@ def _potentials_of(W: NDArray[np.float64], n: int) -> NDArray[np.float64]:
     return _potentials(W, row_node, column_node, n + q + p, diagonal, level)
 
 
+@cached_by_entries
 def matrix_units(M: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the factors of rows and of columns with which the entries of a matrix are nearest to one."""
     W = np.abs(np.asarray(M, dtype=float))
@@ -132,6 +134,7 @@ def _matrix_units(W: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[
     return 1.0 / T[:p], T[p:]
 
 
+@cached_by_entries
 def pencil_units(A: NDArray, E: NDArray) -> PencilUnits:
     """Return the factors of rows and columns, and the unit of ``s``, that bring the entries of a pencil nearest to one.
 
@@ -247,20 +250,27 @@ def _normal_equations(
     row: NDArray, column: NDArray, logarithms: NDArray[np.float64], count: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the Laplacian of the graph and the right-hand side of its least squares problem."""
-    L, b = np.zeros((count, count)), np.zeros(count)
-    for k, sign in ((row, 1.0), (column, -1.0)):
-        np.add.at(L, (k, k), 1.0)
-        np.add.at(b, k, sign * logarithms)
-    np.add.at(L, (row, column), -1.0)
-    np.add.at(L, (column, row), -1.0)
-    return L, b
+    ends = np.concatenate([row, column])
+    edges = np.bincount(row * count + column, minlength=count * count).reshape(count, count)
+    L = np.diag(np.bincount(ends, minlength=count)) - edges - edges.T
+    b = np.bincount(ends, weights=np.concatenate([logarithms, -logarithms]), minlength=count)
+    return L.astype(float), b
 
 
 def _origins(row: NDArray, column: NDArray, count: int) -> NDArray[np.int_]:
     """Return the first node of each connected part."""
-    graph = coo_array((np.ones(len(row)), (row, column)), shape=(count, count))
-    _, part = connected_components(graph, directed=False)
-    return np.unique(part, return_index=True)[1]
+    first, parts = list(range(count)), count
+    for i, j in zip(row.tolist(), column.tolist(), strict=True):
+        while first[i] != i:
+            first[i] = i = first[first[i]]
+        while first[j] != j:
+            first[j] = j = first[first[j]]
+        if i != j:
+            first[max(i, j)] = min(i, j)
+            parts -= 1
+            if parts == 1:
+                break
+    return np.flatnonzero(np.array(first, dtype=int) == np.arange(count))
 
 
 def _pencil_potentials(a: NDArray[np.float64], e: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:

@@ -60,6 +60,18 @@ class RobustL1Bank(Bank):
         return {name: one.threshold for name, one in self.estimators.items()}
 
     @property
+    def member_bounds(self) -> dict[str, tuple[float, float, dict[str, float]]]:
+        """Of every member: bound of what disturbances cause, least response to its fault, bounds of what others cause.
+
+        The faults are of size one.
+        """
+        out = {}
+        for name, one in self.estimators.items():
+            leakage = {fault: float(bound) for fault, bound in one.certificate.leakage.items()}
+            out[name] = float(one.certificate.disturbances.bound), float(one.sensitivity.bound), leakage
+        return out
+
+    @property
     def smallest_faults(self) -> dict[str, float]:
         """For every fault the size from which it is certain to be seen, once settled."""
         return {name: one.smallest_fault for name, one in self.estimators.items()}

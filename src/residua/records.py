@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import fields
-from typing import Any
+from dataclasses import fields, is_dataclass
+from functools import lru_cache
+from types import NoneType, UnionType
+from typing import Any, ClassVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import FileFormatError
 from residua.json_files import dumps, loads
-from residua.monitor.field_kinds import FIELDS
 from residua.number_kinds import FINITE, FLAG, INDEX, USUAL, NumberKind, kind_of, number_in, numbers_in
 from residua.visible import echo
 
@@ -119,54 +120,111 @@ def array_in(value: Any, where: str, kind: NumberKind = FINITE, ndim: int | None
     return numbers_in(flat, where, kind, shape)
 
 
-_DTYPES = {"float64": "f", "int64": "i", "bool_": "b"}
-_SCALARS = {"int": "i", "float": "f", "bool": "b"}
+class Record:
+    """Base of dataclasses that are saved.
+
+    Attributes
+    ----------
+    NUMBER_KINDS : mapping of str to NumberKind
+        What the numbers of a field may be, where that is not the usual for its type
+        (:data:`residua.number_kinds.USUAL`): more, such as NaN for what is not known, or less, such as positive.
+    """
+
+    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {}
+
+
+_SCALARS: dict[Any, str] = {float: "f", int: "i", bool: "b"}
+_DTYPES: dict[Any, str] = {NDArray[np.float64]: "f", NDArray[np.int64]: "i", NDArray[np.bool_]: "b"}
 
 
 def values_out(values: Any) -> dict[str, Any]:
-    """Return a dataclass of numbers, texts and arrays as a record."""
-    out = {}
-    for name in field_names(values):
-        value = getattr(values, name)
-        if isinstance(value, np.ndarray):
-            value = array_out(value)
-        elif isinstance(value, (float, np.floating)):
-            value = float_out(float(value))
-        elif isinstance(value, np.integer):
-            value = int(value)
-        elif isinstance(value, tuple):
-            value = list(value)
-        out[name] = value
-    return out
+    """Return a dataclass as a record: of numbers, texts, arrays, tuples of these, and dataclasses of the same."""
+    return {name: _value_out(getattr(values, name)) for name in field_names(values)}
+
+
+def _value_out(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return array_out(value)
+    if isinstance(value, (float, np.floating)):
+        return float_out(float(value))
+    if isinstance(value, (int, np.integer)) and not isinstance(value, bool):
+        return int(value)
+    if isinstance(value, tuple):
+        return [_value_out(item) for item in value]
+    return values_out(value) if is_dataclass(value) else value
 
 
 def values_in(value: Any, where: str, cls: type[Any], known: Mapping[str, Any] | None = None) -> Any:
     """Return the dataclass that a record describes.
 
-    Each entry is of the type that its field declares, and its numbers are of the kind that the table
-    :data:`residua.monitor.field_kinds.FIELDS` names, else of the usual kind of that type. Fields that are ``known``
-    already are no entries of the record.
+    Each entry is of the type that its field declares, and its numbers are of the kind that the class names
+    (:class:`Record`), else of the usual kind of that type. Fields that are ``known`` already are no entries of the
+    record.
     """
     out = dict(known or {})
     content = record(value, where, [name for name in field_names(cls) if name not in out])
-    kinds = FIELDS.get(cls.__name__, {})
-    for field in fields(cls):
-        if field.name not in content:
-            continue
-        entry, at, declared = content[field.name], joined(where, field.name), str(field.type)
-        plain = declared.removesuffix(" | None")
-        if entry is None and plain != declared:
-            out[field.name] = None
-        elif plain.startswith("NDArray["):
-            dtype = _DTYPES[plain[len("NDArray[np.") : -1]]
-            out[field.name] = array_in(entry, at, kinds.get(field.name, USUAL[dtype]))
-        elif plain in _SCALARS:
-            out[field.name] = number_in(entry, at, kinds.get(field.name, USUAL[_SCALARS[plain]]))
-        elif plain == "tuple[str, ...]":
-            out[field.name] = texts_in(entry, at)
-        else:
-            out[field.name] = text_in(entry, at)
+    kinds, types = _number_kinds(cls), _declared(cls)
+    for name, entry in content.items():
+        out[name] = _value_in(entry, joined(where, name), types[name], kinds.get(name))
     return cls(**out)
+
+
+@lru_cache(maxsize=256)
+def _declared(cls: type[Any]) -> dict[str, Any]:
+    return get_type_hints(cls)
+
+
+def _number_kinds(cls: type[Any]) -> Mapping[str, NumberKind]:
+    return cls.NUMBER_KINDS if issubclass(cls, Record) else {}
+
+
+def _value_in(entry: Any, where: str, declared: Any, kind: NumberKind | None) -> Any:
+    if get_origin(declared) is UnionType:
+        plain = [one for one in get_args(declared) if one is not NoneType]
+        return None if entry is None else _value_in(entry, where, plain[0], kind)
+    if declared in _DTYPES:
+        return array_in(entry, where, kind or USUAL[_DTYPES[declared]])
+    if declared in _SCALARS:
+        return number_in(entry, where, kind or USUAL[_SCALARS[declared]])
+    if get_origin(declared) is tuple:
+        inner = get_args(declared)[0]
+        if inner is str:
+            return texts_in(entry, where)
+        return tuple(_value_in(one, joined(where, k), inner, kind) for k, one in enumerate(list_in(entry, where)))
+    if is_dataclass(declared) and isinstance(declared, type):
+        return values_in(entry, where, declared)
+    return text_in(entry, where)
+
+
+def state_in(value: Any, where: str, like: Any) -> Any:
+    """Return the state that a record describes: a dataclass with the same entries and shapes as another one.
+
+    Parameters
+    ----------
+    value : object
+        From a file.
+    where : str
+        Its name there.
+    like : dataclass
+        The state before the first sample, of as many plants.
+    """
+    content, kinds = record(value, where, field_names(like)), _number_kinds(type(like))
+    out = {}
+    for name, entry in content.items():
+        at, example = joined(where, name), getattr(like, name)
+        if example is None:
+            if entry is not None:
+                raise FileFormatError(f"{at} must be null, got {kind_of(entry)}")
+            out[name] = None
+        elif is_dataclass(example):
+            out[name] = state_in(entry, at, example)
+        elif isinstance(example, np.ndarray):
+            out[name] = array_in(entry, at, kinds.get(name, USUAL[example.dtype.kind]))
+            if out[name].shape != example.shape:
+                raise FileFormatError(f"{at} must have shape {example.shape}, got {out[name].shape}")
+        else:
+            out[name] = number_in(entry, at, kinds.get(name, USUAL[_SCALARS[type(example)]]))
+    return type(like)(**out)
 
 
 def field_names(cls: Any) -> list[str]:
@@ -175,6 +233,7 @@ def field_names(cls: Any) -> list[str]:
 
 
 __all__ = [
+    "Record",
     "array_in",
     "array_out",
     "dumps",
@@ -186,6 +245,7 @@ __all__ = [
     "list_in",
     "loads",
     "record",
+    "state_in",
     "table_in",
     "text_in",
     "texts_in",

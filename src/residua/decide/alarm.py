@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from residua.decide.structured import CodeReading
+from residua.decide.code_reading import CodeReading
 
 #: A lead in score below this is a close call.
 CLOSE_MARGIN = 0.02

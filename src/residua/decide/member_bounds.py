@@ -1,4 +1,4 @@
-"""What to mind before a name is believed: faults that leak into the residuals of others, data in other units."""
+"""What a design is certain of its members, and which other faults may have driven one of them over its threshold."""
 
 from __future__ import annotations
 
@@ -9,19 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.member_thresholds import BankTest
-from residua.decide.norm_threshold import NormTest
-from residua.decide.peak_tests import is_bound
-from residua.decide.structured import CodeTest
+from residua.decide.alarm import Alarm
 from residua.errors import FileFormatError
-from residua.monitor.alarm import Alarm
-from residua.monitor.encoding import float_in, float_out, joined, record, table_in
 from residua.number_kinds import BOUND, POSITIVE
+from residua.records import float_in, float_out, joined, record, table_in
 
 #: Pairs of faults that a caution tells at most.
 _TOLD = 4
-#: Times its threshold that every residual reaches at once where units or operating point are to be doubted.
-_FAR = 10.0
 
 
 @dataclass(frozen=True)
@@ -41,21 +35,6 @@ class MemberBounds:
     disturbances: float
     response: float
     leakage: Mapping[str, float]
-
-
-def brought_bounds(design: Any, members: Sequence[str]) -> dict[str, MemberBounds]:
-    """Return the bounds that a bank of robust estimators brings for its members; empty for any other design."""
-    found = getattr(design, "estimators", None)
-    if not isinstance(found, Mapping) or set(found) != set(members):
-        return {}
-    out = {}
-    for name, one in found.items():
-        certificate, sensitivity = getattr(one, "certificate", None), getattr(one, "sensitivity", None)
-        if certificate is None or sensitivity is None:
-            return {}
-        leakage = {fault: float(bound) for fault, bound in certificate.leakage.items()}
-        out[name] = MemberBounds(float(certificate.disturbances.bound), float(sensitivity.bound), leakage)
-    return out
 
 
 def bounds_out(bounds: Mapping[str, MemberBounds]) -> dict[str, Any]:
@@ -89,8 +68,7 @@ def bounds_in(value: Any, where: str, members: Sequence[str]) -> dict[str, Membe
 
 def leakage_cautions(
     bounds: Mapping[str, MemberBounds],
-    test: NormTest | BankTest,
-    codes: CodeTest | None,
+    members: Sequence[str],
     alarms: Sequence[Alarm],
     statistics: NDArray[np.float64],
 ) -> tuple[str, ...]:
@@ -100,20 +78,17 @@ def leakage_cautions(
     ----------
     bounds : mapping of str to MemberBounds
         Of every member.
-    test : NormTest or BankTest
-    codes : CodeTest or None
+    members : sequence of str
     alarms : sequence of Alarm
     statistics : ndarray, shape (time, members)
     """
-    if not bounds or codes is None or not codes.dedicated or test.kind != "peak":
-        return ()
     out: list[str] = []
     for k, alarm in enumerate(alarms, 1):
         if alarm.reading is None:
             continue
         seen = statistics[alarm.start : alarm.stop]
         peaks = np.where(np.isnan(seen), 0.0, seen).max(axis=0, initial=0.0)
-        largest = dict(zip(codes.members, peaks.tolist(), strict=True))
+        largest = dict(zip(members, peaks.tolist(), strict=True))
         told = sorted(_explained(bounds, largest, alarm.reading.fired))
         low = [name for name in alarm.reading.fired if largest[name] <= bounds[name].disturbances]
         if low:
@@ -148,34 +123,3 @@ def _explained(
                 told = "no member sees it" if own is None else room
                 text = f"what fires {name!r} may be {other!r} alone, if that reaches {needed:.3g} or more ({told})"
                 yield needed / allowed, text
-
-
-def unit_cautions(
-    test: NormTest | BankTest, usable: NDArray[np.bool_], statistic: NDArray[np.float64], members: NDArray[np.float64]
-) -> tuple[str, ...]:
-    """Return a doubt of the recording where every residual is far over a bound as soon as anything is judged.
-
-    A threshold that is fitted would have shown it; one that is certified or given has never seen the data.
-
-    Parameters
-    ----------
-    test : NormTest or BankTest
-    usable : ndarray of bool, shape (time,)
-    statistic : ndarray, shape (time,)
-        Of the residual as a whole.
-    members : ndarray, shape (time, members)
-        Of each member of a bank; no columns without one.
-    """
-    judged = np.flatnonzero(usable)[: test.release]
-    if not is_bound(test) or not len(judged):
-        return ()
-    rows, limits = (members, test.thresholds) if isinstance(test, BankTest) else (statistic[:, None], test.threshold)
-    ratios = rows[judged] / limits
-    smallest = float(ratios.max(axis=0).min())
-    if not (ratios[0] > 1).all() or smallest < _FAR:
-        return ()
-    every = "every residual" if isinstance(test, BankTest) and len(test.thresholds) > 1 else "the residual"
-    return (
-        f"from the first judged sample on {every} is far over its threshold ({smallest:.3g} times and more): is the "
-        "recording in the units, signs and order of the model, and is its operating point that of the plant?",
-    )

@@ -1,0 +1,362 @@
+"""The seam of isolations: what tells from residuals, and from what fired, which fault it is.
+
+An isolation is two classes in one file, as a test is (:mod:`residua.decide.test`): the *settings* that users write, and
+what *runs*. A monitor knows no kind of isolation. One of a user's own needs no more than :meth:`Isolation.start`,
+:meth:`Isolation.run` and the names of its groups.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide.alarm import Alarm, Candidate, PresentFault, Size
+from residua.decide.code_reading import CodeReading
+from residua.decide.matched_hold import Match
+from residua.decide.member_bounds import MemberBounds
+from residua.decide.sizes import sizes_over, with_sizes
+from residua.decide.test import Block, ResidualTest, Tested, TestSettings, Watched
+from residua.design import ResidualGenerator
+from residua.errors import FileFormatError
+from residua.records import Record, values_in, values_out
+
+
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """What an isolation says of each sample; every array starts with (plants, time), or with (time,) for one plant.
+
+    Attributes
+    ----------
+    scores : ndarray, shape (..., groups)
+        How well each group of faults explains the residual, best 1; NaN where nothing can be said.
+    code : ndarray of bool, shape (..., members), or None
+        By code: which members count as fired over the window.
+    match : Match or None
+        By matched filters: likelihood ratio, arrival and size of every fault.
+    """
+
+    scores: NDArray[np.float64]
+    code: NDArray[np.bool_] | None = None
+    match: Match | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What was seen of one plant: a whole recording, or the latest sample.
+
+    Attributes
+    ----------
+    time : ndarray, shape (time,)
+        In seconds.
+    residuals : ndarray, shape (time, k)
+    tested : Tested
+    scores : Scores
+    generator : ResidualGenerator
+    test : ResidualTest
+    state : object
+        Of the isolation, after the last sample; of a recording ``None``.
+    count : int
+        Samples of the run before the first of these.
+    """
+
+    time: NDArray[np.float64]
+    residuals: NDArray[np.float64]
+    tested: Tested
+    scores: Scores
+    generator: ResidualGenerator
+    test: ResidualTest
+    state: Any = None
+    count: int = 0
+
+
+@dataclass(frozen=True)
+class Named:
+    """What an alarm is put down to; the attributes are those of :class:`residua.monitor.Alarm`.
+
+    Attributes
+    ----------
+    candidates, sizes, arrival, reading, read_share, present, fired
+    onset : float or None
+        In seconds, where the isolation knows better than the first crossing of the threshold.
+    arrived, blamed
+        Of the latest sample, as of :class:`residua.monitor.Decision`.
+    """
+
+    candidates: tuple[Candidate, ...] = ()
+    sizes: tuple[Size, ...] = ()
+    arrival: float | None = None
+    reading: CodeReading | None = None
+    read_share: float | None = None
+    present: tuple[PresentFault, ...] = ()
+    fired: tuple[str, ...] = ()
+    onset: float | None = None
+    arrived: float | None = field(default=None, compare=False)
+    blamed: str = field(default="", compare=False)
+
+    def of_alarm(self) -> dict[str, Any]:
+        """Return what an :class:`residua.monitor.Alarm` takes over."""
+        names = ("candidates", "sizes", "arrival", "reading", "read_share", "present", "fired")
+        found = {name: getattr(self, name) for name in names}
+        return found if self.onset is None else found | {"onset": self.onset}
+
+
+#: Says what an alarm is put down to: from its first sample, that after it, and the last over the threshold.
+Naming = Callable[[int, int, int], Named]
+
+
+class Isolation(Record, ABC):
+    """What names faults, with every number filled in: what runs. A frozen dataclass with at least these attributes.
+
+    Attributes
+    ----------
+    groups : tuple of tuple of str
+        Faults that cannot be told apart are one group; one column of the scores each.
+    unjudged : tuple of str
+        Faults that are never named.
+    """
+
+    groups: tuple[tuple[str, ...], ...]
+    unjudged: tuple[str, ...]
+
+    @abstractmethod
+    def start(self, plants: int) -> Any:
+        """Return the state before the first sample: a frozen dataclass of arrays with a row per plant, and numbers.
+
+        ``None`` where nothing is remembered.
+        """
+
+    @abstractmethod
+    def run(self, state: Any, block: Block, tested: Tested) -> tuple[Any, Scores]:
+        """Run over a block of samples, and return the state to go on with and what is said of each sample.
+
+        A pure function, with the same bits however time is cut into blocks, and for any number of plants at once.
+        """
+
+    def candidates(self, scores: NDArray[np.float64]) -> tuple[Candidate, ...]:
+        """Return the groups by their scores at one sample, best first; none where nothing is known."""
+        if scores.size == 0 or np.isnan(scores).all():
+            return ()
+        order = np.argsort(-np.nan_to_num(scores, nan=-np.inf), kind="stable")
+        return tuple(Candidate(self.groups[g], float(scores[g]), 1.0 - float(scores[g])) for g in order)
+
+    def name(self, seen: Seen, start: int, stop: int, last: int) -> Named:
+        """Return what an alarm of a recording is put down to.
+
+        Parameters
+        ----------
+        seen : Seen
+        start, stop : int
+            First sample of the alarm, and the one after it.
+        last : int
+            The last sample over the threshold.
+        """
+        first = max(start, last - self.samples + 1)
+        sizes = sizes_over(seen.generator, seen.residuals, seen.tested.usable, first, last)
+        fired: tuple[str, ...] = ()
+        if seen.test.part_names:
+            share = seen.tested.fired[start : max(stop, start + 1)].sum(axis=0)
+            fired = tuple(seen.test.part_names[m] for m in np.argsort(-share, kind="stable") if share[m])
+        found = with_sizes(self.candidates(seen.scores.scores[last]), sizes)
+        return Named(candidates=found, sizes=sizes, fired=fired)
+
+    def name_now(self, seen: Seen) -> Named:
+        """Return what the alarm that stands is put down to; ``seen`` is the latest sample."""
+        return Named(candidates=self.candidates(seen.scores.scores[0]))
+
+    def same_event(self, before: Alarm, alarm: Alarm) -> bool:
+        """Tell whether an alarm that follows another soon is about the same thing."""
+        return leader(before) == leader(alarm)
+
+    def name_of_several(self, parts: Sequence[Alarm], exceeded: NDArray[np.bool_], name: Naming) -> Named | None:
+        """Return what several alarms that are one are put down to; ``None``: what the longest of them is."""
+        return None
+
+    # ----------------------------------------------- what the rest of a monitor asks for
+
+    @property
+    def samples(self) -> int:
+        """Samples that a name is judged over."""
+        return 1
+
+    def samples_to_be_sure(self, test: ResidualTest) -> int:
+        """Return how long an alarm has to last for its name to be sure."""
+        return self.samples
+
+    @property
+    def signatures(self) -> tuple[NDArray[np.float64], ...]:
+        """For each group an orthonormal basis of where its whitened residual points; empty where none is used."""
+        return ()
+
+    @property
+    def coding(self) -> Any:
+        """The codes that members are read against, a :class:`residua.decide.CodeTest`; or ``None``."""
+        return None
+
+    def words(self, step: float) -> dict[str, str]:
+        """Return in words how faults are named, and what of the test is put in other words here.
+
+        Parameters
+        ----------
+        step : float
+            Seconds between samples.
+        """
+        return {"isolation": type(self).__name__}
+
+    @property
+    def where_missing(self) -> str:
+        """What of missing values matters to this isolation, in words."""
+        return ""
+
+    def notes(self) -> tuple[str, ...]:
+        """Return what is to be minded of its settings."""
+        return ()
+
+    def cautions(self, bounds: Mapping[str, MemberBounds], alarms: Sequence[Alarm], seen: Seen) -> tuple[str, ...]:
+        """Return what to mind before a name is believed; ``bounds`` are what a design is certain of its members."""
+        return ()
+
+    # --------------------------------------------------------------------------- files
+
+    def to_record(self) -> dict[str, Any]:
+        """Return the isolation as a record for a file."""
+        return values_out(self)
+
+    def check(self, watched: Watched, test: ResidualTest) -> None:
+        """Raise :class:`residua.errors.FileFormatError` where an isolation from a file does not fit what it names."""
+
+    def check_state(self, state: Any, count: int) -> None:
+        """Raise :class:`residua.errors.FileFormatError` where a state after ``count`` samples cannot be one."""
+
+
+class IsolationSettings(Record, ABC):
+    """What users write to have an isolation. A frozen dataclass.
+
+    Attributes
+    ----------
+    kind : str
+        What its records are marked with in files.
+    makes : type
+        What runs: an :class:`Isolation`.
+    """
+
+    kind: ClassVar[str]
+    makes: ClassVar[type[Isolation]]
+
+    @abstractmethod
+    def isolation(self, generator: ResidualGenerator, test: ResidualTest) -> Isolation:
+        """Return what names the faults of a generator, of the alarms of a test."""
+
+    # ----------------------------------------------- what the rest of a monitor asks for
+
+    @classmethod
+    def for_design(cls, design: Any, generator: ResidualGenerator) -> Self | None:
+        """Return the settings for a design that is made to be read like this (``"auto"``); else ``None``."""
+        return None
+
+    def check(self, generator: ResidualGenerator) -> None:
+        """Raise :class:`residua.errors.SettingError` where faults of this generator cannot be named like this."""
+
+    def parts(self, generator: ResidualGenerator) -> dict[str, tuple[int, ...]] | None:
+        """Return what has to be tested by itself, by name; ``None``: the residual as a whole."""
+        return None
+
+    def test_of(self, settings: TestSettings) -> TestSettings:
+        """Return the settings of the test that goes with this isolation, or raise where one does not."""
+        return settings
+
+    def kept(self, generator: ResidualGenerator) -> tuple[str, int, int] | None:
+        """Return the window as it was set, its samples, and the numbers that are kept of each for a plant."""
+        return None
+
+    # --------------------------------------------------------------------------- files
+
+    def to_record(self) -> dict[str, Any]:
+        """Return the settings as a record for a file, without their kind."""
+        return values_out(self)
+
+    @classmethod
+    def from_record(cls, content: Any, where: str) -> Self:
+        """Return the settings that a record describes."""
+        return values_in(content, where, cls)
+
+    def check_record(self, content: Mapping[str, Any], where: str) -> None:
+        """Raise where a record of an isolation is not of these settings, before anything is made of it."""
+
+    def isolation_from_record(self, content: Any, where: str, watched: Watched, test: ResidualTest) -> Isolation:
+        """Return what runs, from a record, checked against what it names."""
+        isolation = values_in(content, where, self.makes)
+        isolation.check(watched, test)
+        return isolation
+
+
+@dataclass(frozen=True, eq=False)
+class NoNames(Isolation):
+    """What names nothing."""
+
+    groups: tuple[tuple[str, ...], ...] = ()
+    unjudged: tuple[str, ...] = ()
+
+    def start(self, plants: int) -> None:
+        """Return that nothing is remembered."""
+
+    def run(self, state: Any, block: Block, tested: Tested) -> tuple[Any, Scores]:
+        """Return scores of no group."""
+        return state, Scores(np.zeros((*tested.usable.shape, 0)))
+
+    def words(self, step: float) -> dict[str, str]:
+        """Return nothing."""
+        return {}
+
+
+@dataclass(frozen=True)
+class NoIsolation(IsolationSettings):
+    """Alarms without names: what a monitor with ``isolate=None`` has."""
+
+    kind: ClassVar[str] = "none"
+    makes: ClassVar[type[Isolation]] = NoNames
+
+    def isolation(self, generator: ResidualGenerator, test: ResidualTest) -> Isolation:
+        """Return what names nothing."""
+        return NoNames()
+
+
+def check_groups(groups: Sequence[Sequence[str]], unjudged: Sequence[str], where: str, faults: Sequence[str]) -> None:
+    """Raise unless groups and faults that are never named have each fault of a plant once."""
+    if sorted([*unjudged, *(name for group in groups for name in group)]) != sorted(faults):
+        raise FileFormatError(f"{where}: groups and unjudged must be the faults of the plant, each once")
+
+
+def leader(alarm: Alarm) -> tuple[str, ...]:
+    """Return the best candidate of an alarm; empty where nobody is named."""
+    return alarm.candidates[0].faults if alarm.candidates else ()
+
+
+def longest(alarms: Sequence[Alarm]) -> Alarm:
+    """Return the longest of some alarms, the later one of two that are equally long."""
+    return max(reversed(alarms), key=lambda alarm: alarm.samples)
+
+
+def last_over(exceeded: NDArray[np.bool_], start: int, stop: int) -> int:
+    """Return the last sample of a stretch that is over the threshold, or its first."""
+    over = np.flatnonzero(exceeded[start:stop])
+    return start + (int(over[-1]) if over.size else 0)
+
+
+__all__ = [
+    "Isolation",
+    "IsolationSettings",
+    "Named",
+    "Naming",
+    "NoIsolation",
+    "Scores",
+    "Seen",
+    "check_groups",
+    "last_over",
+    "leader",
+    "longest",
+]

@@ -1,0 +1,260 @@
+"""The responses to faults in white residuals, and the likelihood ratio of each fault and arrival."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide.test import Bends
+from residua.linear.systems.recursion import ordered_product
+from residua.number_kinds import WINDOW, NumberKind
+from residua.records import Record
+
+#: Numbers that one pass over a block works on at most; bounds memory and does not change a bit of the result.
+_PASS = 1_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class MatchedTest(Record):
+    """The responses to faults in whitened residual space: what likelihoods are made of.
+
+    Attributes
+    ----------
+    window : int
+    faults : tuple of str
+        The columns of the responses.
+    groups : tuple of tuple of str
+        Faults that cannot be told apart are one group.
+    responses : ndarray, shape (window + 1, residuals, faults)
+        Of a fault that arrived 0 to ``window`` samples ago; with no rows, only settled faults are looked for.
+    settled : ndarray, shape (residuals, faults)
+    unjudged : tuple of str
+        Faults without a response.
+    """
+
+    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {"window": WINDOW}
+
+    window: int
+    faults: tuple[str, ...]
+    groups: tuple[tuple[str, ...], ...]
+    responses: NDArray[np.float64]
+    settled: NDArray[np.float64]
+    unjudged: tuple[str, ...]
+
+    @property
+    def samples(self) -> int:
+        """How many samples are looked at: those of the window, and the one of the arrival."""
+        return self.window + 1
+
+    @cached_property
+    def columns(self) -> tuple[tuple[int, ...], ...]:
+        """Fault numbers of each group."""
+        return tuple(tuple(self.faults.index(name) for name in group) for group in self.groups)
+
+    @cached_property
+    def energies(self) -> NDArray[np.float64]:
+        """Squared size of the responses at each sample: (window + 1, faults)."""
+        return _squares(np.swapaxes(self.responses, 1, 2))
+
+    @cached_property
+    def weights(self) -> NDArray[np.float64]:
+        """Squared size of the responses up to each sample, added in order: (window + 1, faults)."""
+        return np.cumsum(self.energies, axis=0)
+
+    @cached_property
+    def bank(self) -> NDArray[np.float64]:
+        """All responses side by side: (residuals, (window + 1) faults)."""
+        return np.ascontiguousarray(np.swapaxes(self.responses, 0, 1).reshape(len(self.settled), -1))
+
+
+@dataclass(frozen=True, eq=False)
+class MatchState:
+    """What the test remembers; every array has one row per plant.
+
+    Attributes
+    ----------
+    sums, weights : ndarray, shape (plants, window + 1, faults)
+        For each arrival: the products with the expected response so far, and the squared size of that response.
+    extra : ndarray, shape (plants, window + 1, 2 faults)
+        For each of the last samples what faults that arrived before the window add there to the products with their
+        settled responses, and to the squared size of these, where they have other responses.
+    """
+
+    sums: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    extra: NDArray[np.float64]
+
+
+def empty_match(test: MatchedTest, plants: int, *, bends: bool = False) -> MatchState:
+    """Return the state before the first sample; ``bends`` says whether responses may differ from what they are."""
+    sums = np.zeros((plants, len(test.responses), len(test.faults)))
+    extra = np.broadcast_to(0.0, (plants, test.samples if bends else 0, 2 * len(test.faults)))
+    return MatchState(sums, sums, extra)
+
+
+# ------------------------------------------------------------------ likelihood ratios
+
+
+def match_block(
+    test: MatchedTest,
+    state: MatchState,
+    q: NDArray[np.float64],
+    usable: NDArray[np.bool_],
+    sums: NDArray[np.float64],
+    bends: Bends = (),
+) -> tuple[dict[str, NDArray], MatchState]:
+    """Return the likelihood ratio, arrival and size of every fault at every sample of a block.
+
+    Each pair of fault and arrival adds its products sample by sample, in the order of time, so that the result is the
+    same to the last bit for any cutting. Samples that are not usable add nothing and count for nothing: they carry no
+    information, and what was known before them stays.
+
+    Parameters
+    ----------
+    test : MatchedTest
+    state : MatchState
+    q : ndarray, shape (plants, time, residuals)
+        Whitened residuals, zero where not usable.
+    usable : ndarray of bool, shape (plants, time)
+    sums : ndarray, shape (plants, time, residuals + 2)
+        Sums of :func:`summed` over the last ``window + 1`` samples.
+    bends : sequence of (int, int, ndarray)
+        Where faults have other responses than those of the test, as while a Kalman filter recovers from missing
+        outputs: plant, sample of the block, and the responses.
+
+    Returns
+    -------
+    found : dict
+        ``ratios``, ``ages``, ``sizes``, ``deviations`` and ``settled_sizes`` of :class:`Match`.
+    state : MatchState
+    """
+    plants, time, _ = q.shape
+    step = max(1, _PASS // max(1, plants * max(1, state.sums.shape[1]) * max(1, len(test.faults))))
+    parts = []
+    for start in range(0, max(time, 1), step):
+        cut = slice(start, start + step)
+        bent = [(p, k - start, R) for p, k, R in bends if start <= k < start + step and usable[p, k]]
+        part, state = _match_pass(test, state, q[:, cut], usable[:, cut], sums[:, cut], bent)
+        parts.append(part)
+    return {name: np.concatenate([part[name] for part in parts], axis=1) for name in parts[0]}, state
+
+
+def summed(q: NDArray[np.float64], usable: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return what the test needs sums of: the whitened residual, its square and whether it is usable."""
+    return np.concatenate([q, _squares(q)[..., None], usable[..., None].astype(float)], axis=2)
+
+
+def _match_pass(
+    test: MatchedTest, state: MatchState, q: NDArray, usable: NDArray[np.bool_], sums: NDArray, bends: Bends
+) -> tuple[dict[str, NDArray], MatchState]:
+    m = q.shape[2]
+    count = sums[..., -1:]
+    products = ordered_product(sums[..., :m], test.settled)
+    weights = count * _squares(test.settled.T)
+    if bends or (state.extra.size and state.extra.strides[0] and state.extra.any()):
+        products, weights, state = _with_extra(test, state, q, bends, products, weights)
+    ratios, settled_sizes, deviations = _likelihood(products, weights)
+    sizes, ages = settled_sizes, np.full(ratios.shape, -1, dtype=np.int64)
+    if len(test.responses):
+        steps = _products(test, q)
+        for p, k, R in bends:
+            steps[:, p, k] = _inner(R[:-1], q[p, k])
+        products, before = _along_arrivals(steps, state.sums)
+        full = not bends and usable.all() and bool(np.all(state.weights[:, :-1] == test.weights[:-1]))
+        if full:  # no sample was ever missing: the same numbers, known beforehand
+            weights = np.broadcast_to(test.weights[:, None, None], products.shape)
+            known = np.broadcast_to(test.weights, state.weights.shape)
+        else:
+            steps = np.where(usable[None, :, :, None], test.energies[:, None, None], 0.0)
+            for p, k, R in bends:
+                steps[:, p, k] = _squares(R[:-1])
+            weights, known = _along_arrivals(steps, state.weights)
+        state = replace(state, sums=before, weights=known)
+        found = _likelihood(products, weights)
+        best = np.argmax(found[0], axis=0)
+        own = [np.take_along_axis(values, best[None], axis=0)[0] for values in found]
+        younger = own[0] > ratios * (1 + 1e-9)  # a response that never changes cannot tell when it began
+        ratios, sizes, deviations = (
+            np.where(younger, a, b) for a, b in zip(own, (ratios, sizes, deviations), strict=True)
+        )
+        ages = np.where(younger, best, -1)
+    found = {
+        "ratios": ratios,
+        "ages": ages,
+        "sizes": sizes,
+        "deviations": deviations,
+        "settled_sizes": settled_sizes,
+    }
+    return found, state
+
+
+def _products(test: MatchedTest, q: NDArray) -> NDArray[np.float64]:
+    """Return the product of each sample with the response at each age: (ages, plants, time, faults)."""
+    product = ordered_product(q, test.bank).reshape(*q.shape[:2], len(test.responses), len(test.faults))
+    return np.ascontiguousarray(np.moveaxis(product, 2, 0))
+
+
+def _with_extra(
+    test: MatchedTest, state: MatchState, q: NDArray, bends: Bends, products: NDArray, weights: NDArray
+) -> tuple[NDArray, NDArray, MatchState]:
+    """Add to the products and weights of settled faults what they are off by at the samples of the window.
+
+    Sums over the window are formed anew at each sample, from the oldest on: nothing drifts.
+    """
+    extra, faults = state.extra.copy(), len(test.faults)
+    settled = test.settled.T
+    off = {(p, k): R[-1] for p, k, R in bends}
+    for p in sorted({p for p, _ in off} | set(np.flatnonzero(extra.any(axis=(1, 2))).tolist())):
+        for k in range(q.shape[1]):
+            now = np.zeros(2 * faults)
+            if (p, k) in off:
+                now[:faults] = _inner(off[p, k], q[p, k]) - _inner(settled, q[p, k])
+                now[faults:] = _squares(off[p, k]) - _squares(settled)
+            extra[p, :-1] = extra[p, 1:]
+            extra[p, -1] = now
+            total = np.cumsum(extra[p], axis=0)[-1]
+            products[p, k] += total[:faults]
+            weights[p, k] = np.maximum(weights[p, k] + total[faults:], 0.0)
+    return products, weights, replace(state, extra=extra if extra.any() else np.broadcast_to(0.0, extra.shape))
+
+
+def _inner(rows: NDArray, q: NDArray) -> NDArray[np.float64]:
+    """Return the product of each row with a residual, added in order."""
+    total = np.zeros(rows.shape[:-1])
+    for j in range(rows.shape[-1]):
+        total = total + rows[..., j] * q[j]
+    return total
+
+
+def _along_arrivals(steps: NDArray, before: NDArray) -> tuple[NDArray, NDArray]:
+    """Add up what belongs to one arrival, into ``steps``: that of age ``k`` now had age ``k - 1`` a sample ago."""
+    if steps.shape[2]:
+        for k in range(1, len(steps)):
+            steps[k, :, 0] += before[:, k - 1]
+            steps[k, :, 1:] += steps[k - 1, :, :-1]
+        before = np.moveaxis(steps[:, :, -1], 0, 1).copy()
+    return steps, before
+
+
+def _likelihood(products: NDArray, weights: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    """Return likelihood ratio, size and deviation; 0, NaN and infinity where nothing of the response was seen."""
+    seen = weights > 0
+    safe = np.where(seen, weights, 1.0)
+    return (
+        np.where(seen, products * products / safe, 0.0),
+        np.where(seen, products / safe, np.nan),
+        np.where(seen, 1 / np.sqrt(safe), np.inf),
+    )
+
+
+def _squares(rows: NDArray) -> NDArray[np.float64]:
+    """Return the squared norm of each row, its squares added in order."""
+    total = np.zeros(rows.shape[:-1])
+    for j in range(rows.shape[-1]):
+        total = total + rows[..., j] * rows[..., j]
+    return total

@@ -1,0 +1,346 @@
+"""The seam of tests: what turns residuals into a statistic and an alarm.
+
+A test is two classes in one file. Its *settings* are what users write; they make what *runs* from the noise model of a
+plant, or from fault-free data. A monitor knows no kind of test: it asks for what stands here. A test of a user's own is
+written the same way, in a file outside of the package (:func:`residua.decide.register`).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.design import ResidualGenerator
+from residua.records import Record, values_in, values_out
+
+#: Where faults have other responses than as a rule: plant, sample, and the whitened responses by age, shape
+#: (window + 1, faults, residuals), with one more row for those that arrived before the window.
+Bends = Sequence[tuple[int, int, NDArray[np.float64]]]
+
+
+@dataclass(frozen=True, eq=False)
+class Watched:
+    """What a test is made for.
+
+    Attributes
+    ----------
+    generator : ResidualGenerator
+        Sampled.
+    parts : mapping of str to tuple of int, or None
+        Residual numbers of what has to be tested by itself, by name, for an isolation that asks which of them fired:
+        the members of a bank. ``None`` where the residual is tested as a whole.
+    certified : mapping of str to float
+        Thresholds that the design has certified, by member; empty for a design that brings none.
+    """
+
+    generator: ResidualGenerator
+    parts: Mapping[str, tuple[int, ...]] | None = None
+    certified: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class FaultFreeRun:
+    """What a generator makes of fault-free recordings, one after the other.
+
+    Attributes
+    ----------
+    residuals : ndarray, shape (time, k)
+    usable : ndarray of bool, shape (time,)
+        Not while a filter settles: each recording has its own start.
+    seams : tuple of int
+        The first sample of each further recording: nothing goes across.
+    levels : ndarray, shape (k,)
+        For each residual the size of the signals that it is the difference of.
+    """
+
+    residuals: NDArray[np.float64]
+    usable: NDArray[np.bool_]
+    seams: tuple[int, ...]
+    levels: NDArray[np.float64]
+
+    def signal_size(self, rows: Sequence[int] | None = None) -> float:
+        """Return the size of the signals that cancel in some residuals, or in all of them."""
+        return float(np.max(self.levels[slice(None) if rows is None else list(rows)], initial=0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Residuals that a test is run over.
+
+    Attributes
+    ----------
+    residuals : ndarray, shape (plants, time, k)
+        NaN where a value is missing.
+    usable : ndarray of bool, shape (plants, time)
+        Where a decision can be taken.
+    count : int
+        Samples before this block.
+    bends : sequence
+        Where faults have other responses for a while; see :data:`Bends`.
+    """
+
+    residuals: NDArray[np.float64]
+    usable: NDArray[np.bool_]
+    count: int = 0
+    bends: Bends = ()
+
+
+def _nothing() -> NDArray[Any]:
+    return np.zeros((0, 0, 0))
+
+
+@dataclass(frozen=True, eq=False)
+class Tested:
+    """What a test says of a block; every array starts with (plants, time), or with (time,) for one plant.
+
+    Attributes
+    ----------
+    usable : ndarray of bool
+        Where something is decided: at most where the block is usable.
+    statistic : ndarray
+        NaN where nothing is decided.
+    exceeded : ndarray of bool
+        Whether it is over the threshold.
+    alarm : ndarray of bool
+    up : ndarray of int
+        Samples in a row over the threshold.
+    whitened : ndarray, shape (..., k)
+        The residual, zero where not usable, in units in which its direction is judged.
+    part_statistics, fired : ndarray, shape (..., parts)
+        Of what is tested by itself: its statistic, and whether it is in alarm. No columns where nothing is.
+    likelihood : dataclass or None
+        Of a test that compares hypotheses: what an isolation that goes with it reads.
+    """
+
+    __test__: ClassVar[bool] = False  # no test of pytest's
+
+    usable: NDArray[np.bool_]
+    statistic: NDArray[np.float64]
+    exceeded: NDArray[np.bool_]
+    alarm: NDArray[np.bool_]
+    up: NDArray[np.int64]
+    whitened: NDArray[np.float64]
+    part_statistics: NDArray[np.float64]
+    fired: NDArray[np.bool_]
+    likelihood: Any = None
+
+
+class ResidualTest(Record, ABC):
+    """A test with every number filled in: what runs. A frozen dataclass with at least the attributes below.
+
+    Attributes
+    ----------
+    center : ndarray, shape (k,)
+        Fault-free mean of the residual.
+    threshold : float
+        Of the statistic.
+    basis : str
+        Where the threshold comes from, in words.
+    """
+
+    center: NDArray[np.float64]
+    threshold: float
+    basis: str
+
+    @abstractmethod
+    def start(self, plants: int) -> Any:
+        """Return the state before the first sample: a frozen dataclass of arrays with a row per plant, and numbers.
+
+        ``None`` where nothing is remembered.
+        """
+
+    @abstractmethod
+    def run(self, state: Any, block: Block) -> tuple[Any, Tested]:
+        """Run over a block of samples, and return the state to go on with and what is said of each sample.
+
+        A pure function, with the same bits however time is cut into blocks, and for any number of plants at once.
+        """
+
+    # ----------------------------------------------- what the rest of a monitor asks for
+
+    @property
+    def samples(self) -> int:
+        """Samples that the statistic is made of; alarms nearer to each other may be one."""
+        return 1
+
+    @property
+    def horizon(self) -> int:
+        """Samples for which a finite-horizon test holds an alarm after the last sample over; 0 for any other."""
+        return 0
+
+    @property
+    def is_bound(self) -> bool:
+        """Whether thresholds are bounds, certified or given, that no fault-free run exceeds: then it waits longer."""
+        return False
+
+    @property
+    def is_certified(self) -> bool:
+        """Whether the design has certified the thresholds."""
+        return False
+
+    @property
+    def metric(self) -> NDArray[np.float64]:
+        """What the residual is multiplied with before its direction is judged, ``r @ metric``: shape (k, K)."""
+        return np.eye(len(self.center))
+
+    @property
+    def per_deviation(self) -> NDArray[np.float64] | None:
+        """What brings the residual to units of its standard deviation, shape (k, K); ``None`` where it is not known."""
+        return None
+
+    @property
+    def per_threshold(self) -> NDArray[np.float64]:
+        """What brings the residual to units of the threshold, shape (k, K)."""
+        return self.metric / self.threshold
+
+    @property
+    def guarded(self) -> NDArray[np.float64]:
+        """What a value is weighed by that is too large to be a measurement, shape (k, K)."""
+        return np.abs(self.per_threshold)
+
+    @property
+    def part_names(self) -> tuple[str, ...]:
+        """Names of what is tested by itself; empty where the residual is tested as a whole."""
+        return ()
+
+    @property
+    def part_thresholds(self) -> NDArray[np.float64]:
+        """Thresholds of what is tested by itself."""
+        return np.zeros(0)
+
+    @property
+    def groups_of_residuals(self) -> dict[str, tuple[int, ...]]:
+        """Residual numbers of the groups that users asked to be tested by themselves; empty without."""
+        return {}
+
+    @property
+    def responses(self) -> Any:
+        """The responses to faults that the statistic is made of, a :class:`residua.decide.MatchedTest`; or ``None``."""
+        return None
+
+    def bands(self) -> tuple[NDArray[np.float64], float]:
+        """Return half the width of each residual's band, and the share of its fault-free samples that it holds.
+
+        0 where that is not known: the band ends where the residual alone is over the threshold. By default there is no
+        band.
+        """
+        return np.full(len(self.center), np.inf), 0.0
+
+    def words(self, step: float) -> dict[str, str]:
+        """Return in words what the threshold is, what is tested, and when an alarm begins and ends.
+
+        Parameters
+        ----------
+        step : float
+            Seconds between samples.
+        """
+        return {
+            "threshold": f"{self.threshold:.4g} ({self.basis})",
+            "test": type(self).__name__,
+            "alarm": "while the test says so",
+        }
+
+    def cautions(self, tested: Tested) -> tuple[str, ...]:
+        """Return what to mind before an outcome is believed; ``tested`` is that of a whole recording of one plant."""
+        return ()
+
+    # --------------------------------------------------------------------------- files
+
+    def to_record(self) -> dict[str, Any]:
+        """Return the test as a record for a file."""
+        return values_out(self)
+
+    def check(self, watched: Watched) -> None:
+        """Raise :class:`residua.errors.FileFormatError` where a test from a file does not fit what it is to watch."""
+
+    def check_state(self, state: Any) -> None:
+        """Raise :class:`residua.errors.FileFormatError` where a state from a file cannot be one."""
+
+
+class TestSettings(Record, ABC):
+    """What users write to have a test. A frozen dataclass with at least the attributes below.
+
+    Attributes
+    ----------
+    kind : str
+        What its records are marked with in files.
+    makes : type
+        What runs: a :class:`ResidualTest`.
+    false_alarm_rate : float
+        Fraction of fault-free samples in alarm that is aimed at, unless ``fit`` is told otherwise.
+    """
+
+    __test__: ClassVar[bool] = False  # no test of pytest's
+
+    kind: ClassVar[str]
+    makes: ClassVar[type[ResidualTest]]
+    false_alarm_rate: float
+
+    def from_model(self, watched: Watched) -> ResidualTest | None:
+        """Return the test that needs no data; ``None`` when data are needed."""
+        return None
+
+    def known(self, watched: Watched) -> ResidualTest | None:
+        """Return the test whose thresholds data do not change, which wait longer and start from rest; else ``None``."""
+        return None
+
+    @abstractmethod
+    def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> ResidualTest:
+        """Return the test fitted to fault-free data, for a rate of false alarms."""
+
+    # ----------------------------------------------- what the rest of a monitor asks for
+
+    def check(self, watched: Watched) -> None:
+        """Raise :class:`residua.errors.SettingError` where the settings do not fit what is to be watched."""
+
+    @property
+    def takes_certified(self) -> bool:
+        """Whether thresholds that a design has certified are looked at."""
+        return False
+
+    @property
+    def uses_certified(self) -> bool:
+        """Whether they are used."""
+        return self.takes_certified
+
+    @property
+    def remedy(self) -> str:
+        """How a threshold can be had, after "this monitor has no threshold"."""
+        return "fit(u, y) it to fault-free data"
+
+    @property
+    def divides(self) -> bool:
+        """Whether users divided the residual into groups that are tested by themselves."""
+        return False
+
+    def kept(self, watched: Watched) -> tuple[str, int, int] | None:
+        """Return the window as it was set, its samples, and the numbers that are kept of each for a plant."""
+        return None
+
+    # --------------------------------------------------------------------------- files
+
+    def to_record(self) -> dict[str, Any]:
+        """Return the settings as a record for a file, without their kind."""
+        return values_out(self)
+
+    @classmethod
+    def from_record(cls, content: Any, where: str) -> Self:
+        """Return the settings that a record describes."""
+        return values_in(content, where, cls)
+
+    def check_record(self, content: Mapping[str, Any], where: str) -> None:
+        """Raise where a record of a test is not of these settings, before anything is made of it."""
+
+    def test_from_record(self, content: Any, where: str, watched: Watched) -> ResidualTest:
+        """Return what runs, from a record, checked against what it is to watch."""
+        test = values_in(content, where, self.makes)
+        test.check(watched)
+        return test
+
+
+__all__ = ["Bends", "Block", "FaultFreeRun", "ResidualTest", "TestSettings", "Tested", "Watched"]

@@ -1,0 +1,372 @@
+"""The norm of the whitened residual against one threshold: what runs, and how it is fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide.checks import check_rate, check_samples, is_number
+from residua.decide.false_alarms import Observed, observed, promise_of
+from residua.decide.fault_free import FaultFree, check_enough
+from residua.decide.persistence import AlarmRuns, run_alarm
+from residua.decide.row_norms import row_norms
+from residua.decide.test import Block, ResidualTest, Tested, TestSettings, Watched
+from residua.decide.whitening import whitening_matrix
+from residua.decide.window import WindowState, empty_window, moving_sum
+from residua.errors import FileFormatError, SettingError
+from residua.linear.systems.recursion import ordered_product
+from residua.number_kinds import COUNT, ENTRY, PART, POSITIVE, PROBABILITY, SHARE, WINDOW, NumberKind
+
+#: Largest whitened residual that is judged: the square of a sum of many still is a number.
+_LARGEST = 1e120
+#: Share of the fault-free samples of one residual that its band holds, if its noise is Gaussian; in deviations.
+BAND_SHARE, BAND_DEVIATIONS = 0.999, 3.2905267314918945
+#: Columns of a whitening matrix this near to being dependent, in units of their own rows, see some residuals no more;
+#: what is fitted stays above 1e-5.
+_DEPENDENT = 1e-10
+
+#: What the numbers of tests and their settings may be.
+RUNS: Mapping[str, NumberKind] = {"persistence": COUNT, "release": COUNT, "window": WINDOW}
+FITTED: Mapping[str, NumberKind] = {"center": ENTRY, "whitening": ENTRY, "promised": SHARE, "shrinkage": PART}
+
+
+@dataclass(frozen=True)
+class NormSettings(TestSettings):
+    """What every norm of a whitened residual is set by; the parameters of :class:`residua.decide.NormThreshold`."""
+
+    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {**RUNS, "threshold": POSITIVE, "false_alarm_rate": PROBABILITY}
+
+    threshold: float | None = None
+    persistence: int = 3
+    release: int | None = None
+    window: int = 1
+    whiten: str = "auto"
+    false_alarm_rate: float = 1e-4
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        if self.threshold is not None and not (is_number(self.threshold) and self.threshold > 0):
+            raise SettingError(f"threshold must be a positive number, got {self.threshold!r}")
+        for name in ("persistence", "window"):
+            check_samples(getattr(self, name), name)
+        if self.release is not None:
+            check_samples(self.release, "release")
+        if self.whiten not in ("auto", "data", "model", "none"):
+            raise SettingError(f"whiten must be 'auto', 'data', 'model' or 'none', got {self.whiten!r}")
+        check_rate(self.false_alarm_rate)
+        for name in ("persistence", "release", "window"):  # plain numbers, whatever they came as
+            value = getattr(self, name)
+            object.__setattr__(self, name, None if value is None else int(value))
+        for name in ("threshold", "false_alarm_rate"):
+            value = getattr(self, name)
+            object.__setattr__(self, name, None if value is None else float(value))
+
+
+@dataclass(frozen=True, eq=False)
+class NormState:
+    """What a test of norms remembers.
+
+    Attributes
+    ----------
+    window : WindowState
+        Of the moving sum of the whitened residual.
+    runs : AlarmRuns
+        With a column for each part where parts are tested by themselves.
+    """
+
+    window: WindowState
+    runs: AlarmRuns
+
+
+@dataclass(frozen=True, eq=False)
+class NormTest(ResidualTest):
+    """A norm threshold with every number filled in: what runs.
+
+    Attributes
+    ----------
+    center : ndarray, shape (k,)
+        Fault-free mean.
+    whitening : ndarray, shape (k, k)
+    threshold : float
+    persistence, release, window : int
+    basis : str
+        Where threshold and covariance come from, in words.
+    kind : {"norm", "peak"}
+        What it was made of: :class:`residua.decide.NormThreshold`, or :class:`residua.decide.PeakThreshold`, whose
+        window is ``release``.
+    promised : float or None
+        Fraction of fault-free samples in alarm that the data of the fit promise not to be exceeded on other data, with
+        95 % confidence: 1 where they are too few to say anything; ``None`` where the threshold is not from data.
+    shrinkage : float or None
+        How far the covariance was drawn towards a simpler one, between 0 and 1, because the data were too few for it;
+        ``None`` where it is not from data.
+    """
+
+    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {**RUNS, **FITTED, "threshold": POSITIVE}
+
+    center: NDArray[np.float64]
+    whitening: NDArray[np.float64]
+    threshold: float
+    persistence: int
+    release: int
+    window: int
+    basis: str
+    kind: str = "norm"
+    promised: float | None = None
+    shrinkage: float | None = None
+
+    @property
+    def band(self) -> NDArray[np.float64]:
+        """How far each residual alone, averaged over the window, can be from its mean below threshold."""
+        inverse = np.linalg.pinv(self.whitening)
+        return self.threshold * np.sqrt(np.sum(inverse**2, axis=0) / self.window)
+
+    def start(self, plants: int) -> NormState:
+        """Return the state before the first sample."""
+        window = empty_window(plants, self.window, self.whitening.shape[1])
+        return NormState(window, AlarmRuns.empty(plants))
+
+    def run(self, state: NormState, block: Block) -> tuple[NormState, Tested]:
+        """Compare the norm of the whitened residual, summed over the window, with the threshold."""
+        q, usable = whitened_residuals(self.center, self.whitening, block)
+        sums, window = moving_sum(q, state.window)
+        statistic = np.where(usable, row_norms(sums) / np.sqrt(self.window), np.nan)
+        runs, tested = against_threshold(self, state.runs, statistic, usable, q)
+        return NormState(window, runs), tested
+
+    # ----------------------------------------------- what the rest of a monitor asks for
+
+    @property
+    def samples(self) -> int:
+        """Samples that are summed."""
+        return self.window
+
+    @property
+    def metric(self) -> NDArray[np.float64]:
+        """The whitening."""
+        return self.whitening
+
+    @property
+    def per_deviation(self) -> NDArray[np.float64] | None:
+        """The whitening."""
+        return self.whitening
+
+    @property
+    def per_threshold(self) -> NDArray[np.float64]:
+        """The whitening in units of the threshold."""
+        return self.whitening / self.threshold
+
+    @property
+    def guarded(self) -> NDArray[np.float64]:
+        """In deviations; without a threshold nothing is too large to be judged."""
+        return np.abs(self.whitening) / self.threshold if self.threshold == np.inf else np.abs(self.whitening)
+
+    def bands(self) -> tuple[NDArray[np.float64], float]:
+        """Return the band of each residual alone: by its own spread where the covariance is known, else by threshold.
+
+        Whatever the threshold on all together is; of the average over the window where the test has one.
+        """
+        if is_selection(self.whitening):
+            return self.band, 0.0
+        return BAND_DEVIATIONS * replace(self, threshold=1.0).band, BAND_SHARE
+
+    def words(self, step: float) -> dict[str, str]:
+        """Return in words what the threshold is, what is tested, and when an alarm begins and ends."""
+        summed = f", summed over {self.window} samples" if self.window > 1 else ""
+        return {
+            "threshold": f"{self.threshold:.4g} ({self.basis})",
+            "test": f"norm of the whitened residual{summed}",
+            "alarm": f"raised by {self.persistence} samples in a row over it, ended by {self.release} below it",
+        }
+
+    # --------------------------------------------------------------------------- files
+
+    def check(self, watched: Watched) -> None:
+        """Raise where a test from a file does not fit what it is to watch."""
+        k = watched.generator.n_residuals
+        if self.center.shape != (k,) or self.whitening.shape != (k, k):
+            raise FileFormatError(f"fitted: center and whitening must be for {k} residuals")
+        check_invertible(self.whitening)
+
+    def check_state(self, state: NormState) -> None:
+        """Raise where a state from a file cannot be one."""
+        state.window.check("state.test.window")
+
+
+def norm_test_from_model(settings: NormSettings, covariance: NDArray | None, n_residuals: int) -> NormTest | None:
+    """Return the test that needs no data, or ``None`` when data are needed."""
+    use_model = settings.whiten in ("auto", "model") and covariance is not None
+    whitening = whitening_matrix(covariance) if use_model and covariance is not None else np.eye(n_residuals)
+    if settings.threshold is not None:
+        threshold, basis = settings.threshold, "threshold given"
+    elif use_model:
+        from scipy.special import chdtri  # slow to import, and needed only here
+
+        threshold = float(np.sqrt(chdtri(n_residuals, settings.false_alarm_rate)))
+        basis = f"chi-squared distribution at {settings.false_alarm_rate:g} per sample, noise model of the plant"
+    else:
+        return None
+    release = settings.release or settings.persistence
+    return NormTest(np.zeros(n_residuals), whitening, threshold, settings.persistence, release, settings.window, basis)
+
+
+def fit_norm_test(
+    settings: NormSettings,
+    residuals: NDArray[np.float64],
+    usable: NDArray[np.bool_],
+    *,
+    false_alarm_rate: float,
+    covariance: NDArray | None,
+    signal_size: float,
+    seams: Sequence[int] = (),
+) -> NormTest:
+    """Fit mean, covariance and threshold to fault-free residuals.
+
+    Mean and covariance are those of all samples. The threshold comes from statistics that each stretch of time has by
+    the mean and covariance of the others (cross-fitting, :class:`residua.decide.fault_free.FaultFree`), so that it
+    holds on data that the covariance was not fitted to. It is that which the fraction of samples in alarm, persistence
+    and release included, is ``false_alarm_rate`` for; see :func:`residua.decide.false_alarms.promise_of` for what is
+    done where the data are too few to show that, and for what ``promised`` says.
+
+    Parameters
+    ----------
+    settings : NormSettings
+    residuals : ndarray, shape (time, k)
+    usable : ndarray of bool, shape (time,)
+    false_alarm_rate : float
+    covariance : ndarray or None
+        From the plant's noise model, of sums over the window.
+    signal_size : float
+        Size of the signals that the residual is the difference of; residuals below 1e-12 of it are rounding.
+    seams : sequence of int
+        Where ``residuals`` are those of several recordings in a row: the first sample of each further one. No window,
+        run or correlation reaches across.
+
+    Returns
+    -------
+    NormTest
+    """
+    check_rate(false_alarm_rate)
+    base = fit_moments(settings, residuals, usable, covariance=covariance, signal_size=signal_size, seams=seams)
+    return with_threshold(base, false_alarm_rate)
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A test with mean and covariance fitted, and what its threshold is to be fitted to.
+
+    Attributes
+    ----------
+    test : NormTest
+        Its threshold is infinite, or the one of the settings.
+    seen : Observed or None
+        Its cross-fitted statistic on fault-free data; ``None`` where the threshold is set.
+    count : int
+        Fault-free samples.
+    rounding : float or None
+        Where these data hold no noise: the level of rounding.
+    """
+
+    test: NormTest
+    seen: Observed | None
+    count: int
+    rounding: float | None
+
+
+def fit_moments(
+    settings: NormSettings,
+    residuals: NDArray[np.float64],
+    usable: NDArray[np.bool_],
+    *,
+    covariance: NDArray | None,
+    signal_size: float,
+    seams: Sequence[int] = (),
+) -> Fitted:
+    """Fit mean and covariance, and return what the threshold is to be fitted to; see :func:`fit_norm_test`."""
+    data = FaultFree(residuals, usable, settings.window, tuple(seams))
+    k, count = residuals.shape[1], int(usable.sum())
+    check_enough(count, k, settings.window)
+    rounding = 1e-12 * signal_size
+    noise_free = data.spread <= rounding
+    known = None
+    if settings.whiten == "none" or noise_free:
+        known = np.eye(k)
+    elif settings.whiten == "model" and covariance is not None:
+        known = whitening_matrix(covariance)
+    whole = data.moments(whitening=known)
+    release = settings.release or settings.persistence
+    test = NormTest(whole.center, whole.whitening, np.inf, settings.persistence, release, settings.window, "")
+    if known is None:
+        test = replace(test, shrinkage=float(whole.intensity))
+    if settings.threshold is not None:
+        test = replace(test, threshold=settings.threshold, basis="threshold given, mean and covariance fitted")
+        return Fitted(test, None, count, None)
+    seen = observed(
+        data.cross_fitted(whole, whiten=known is None), data.full, usable, data.parts, k,
+        persistence=settings.persistence, release=release, window=settings.window, own=data.statistic(whole),
+    )  # fmt: skip
+    return Fitted(test, seen, count, rounding if noise_free else None)
+
+
+def with_threshold(base: Fitted, rate: float) -> NormTest:
+    """Return a test with its threshold for a rate of false alarms."""
+    if base.seen is None:
+        return base.test
+    found = promise_of(base.seen, rate)
+    threshold, basis = found.threshold, f"fitted to {base.count} fault-free samples, {found}"
+    if base.test.shrinkage:
+        basis += f"; covariance of too few samples, drawn by {base.test.shrinkage:.2g} towards a simpler one"
+    if base.rounding is not None:
+        threshold, basis = above_rounding(threshold, base.rounding, basis)
+    return replace(base.test, threshold=float(threshold), basis=basis, promised=float(found.promised))
+
+
+def above_rounding(threshold: float, rounding: float, basis: str) -> tuple[float, str]:
+    """Return a threshold fitted to data without noise, raised to the rounding of the signals, and its basis."""
+    told = f"{basis}; no noise in these data: the threshold is at rounding level"
+    return max(threshold, rounding, np.finfo(float).tiny), told
+
+
+def whitened_residuals(
+    center: NDArray[np.float64], whitening: NDArray[np.float64], block: Block
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return whitened residuals, zero where not usable, and what is usable: nothing that would overflow a sum."""
+    usable = block.usable
+    with np.errstate(over="ignore", invalid="ignore"):
+        centred = np.where(usable[..., None], block.residuals - center, 0.0)
+    q = ordered_product(centred, whitening)
+    if q.size and not (q.min() >= -_LARGEST and q.max() <= _LARGEST):
+        fits = np.asarray((np.abs(q) <= _LARGEST).all(axis=2))
+        q, usable = np.where(fits[..., None], q, 0.0), usable & fits
+    return q, usable
+
+
+def against_threshold(
+    test: NormTest, runs: AlarmRuns, statistic: NDArray[np.float64], usable: NDArray[np.bool_], whitened: NDArray
+) -> tuple[AlarmRuns, Tested]:
+    """Return what follows from one statistic: alarm, run lengths, and the runs to go on with."""
+    exceeded = usable & (np.where(usable, statistic, 0.0) > test.threshold)
+    alarm, up, runs = run_alarm(exceeded, usable, runs, test.persistence, test.release)
+    nobody = np.zeros((*usable.shape, 0))
+    return runs, Tested(usable, statistic, exceeded, alarm, up, whitened, nobody, nobody.astype(bool))
+
+
+def is_selection(whitening: NDArray[np.float64]) -> bool:
+    """Tell whether a whitening matrix is none: a choice of residuals."""
+    W = whitening
+    return bool(((W == 0) | (W == 1)).all() and (np.count_nonzero(W, axis=0) == 1).all())
+
+
+def check_invertible(whitening: NDArray[np.float64], *, of_some: bool = False) -> None:
+    """Raise where a whitening matrix leaves out a residual, or a combination of them; ``of_some`` are those it has."""
+    rows = np.abs(whitening).max(axis=1, initial=0.0)
+    part = whitening[rows > 0] / rows[rows > 0, None]
+    columns = np.sqrt(np.sum(part**2, axis=0))
+    sizes = np.linalg.svd(part / np.where(columns > 0, columns, 1.0), compute_uv=False)
+    whole = len(part) >= whitening.shape[1] if of_some else len(part) == len(rows)
+    if whitening.shape[1] and not (whole and sizes[-1] > _DEPENDENT):
+        raise FileFormatError("fitted.whitening must be invertible, for each member: some residuals count for nothing")

@@ -1,0 +1,156 @@
+"""From a design and settings to what a monitor runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide.isolation import IsolationSettings, NoIsolation
+from residua.decide.kinds import ISOLATIONS
+from residua.decide.member_bounds import MemberBounds
+from residua.decide.norm_threshold import NormTest, NormThreshold
+from residua.decide.peak_threshold import PeakThreshold
+from residua.decide.test import ResidualTest, TestSettings, Watched
+from residua.design import ResidualGenerator
+from residua.design.core.brought import BoundedDesign, CertifiedDesign, Design
+from residua.errors import ModelError, SettingError
+from residua.monitor.inputs import settling_samples
+from residua.monitor.partial_update import partial_update
+from residua.monitor.specification import Specification
+from residua.monitor.starting import start_fit
+
+#: Numbers that the windows of a monitor may keep for each plant; more is a mistake in the window.
+_MOST_NUMBERS = 10**7
+#: What is asked for where ``isolate`` is none of these.
+_KINDS = "isolate must be 'auto', Directional(...), Structured(...), Matched(...), one of your own, or None"
+
+
+def as_generator(design: Any) -> ResidualGenerator:
+    """Return the generator that was handed over, or the ``generator`` of a bank or an estimator.
+
+    Other objects that could give one, such as observers, are refused: which of their residuals is meant is the
+    caller's to say.
+    """
+    if isinstance(design, ResidualGenerator):
+        return design
+    if isinstance(design, Design) and isinstance(design.generator, ResidualGenerator) and not isinstance(design, type):
+        return design.generator
+    raise ModelError(
+        f"a monitor runs a residual generator, got {type(design).__name__}"
+        + ("; use its residual_generator()" if hasattr(design, "residual_generator") else "")
+    )
+
+
+def chosen_isolation(isolate: Any, generator: ResidualGenerator, design: Any = None) -> IsolationSettings:
+    """Return how faults are named; ``"auto"``: by the kind that says that a design is made for it."""
+    if isinstance(isolate, str) and isolate == "auto":
+        offers = (kind.for_design(design, generator) for kind in reversed(ISOLATIONS.values()))
+        isolate = next(offer for offer in offers if offer is not None)
+    if isolate is None:
+        return NoIsolation()
+    if not isinstance(isolate, IsolationSettings):
+        raise SettingError(f"{_KINDS}, got {isolate!r}")
+    isolate.check(generator)
+    return isolate
+
+
+def chosen_test(
+    test: Any, design: Any, generator: ResidualGenerator, isolate: IsolationSettings
+) -> tuple[TestSettings, dict[str, float]]:
+    """Return the settings of the test, and the thresholds that the design has certified; empty where none are used.
+
+    Without settings: :class:`PeakThreshold` for a design with certified thresholds, else :class:`NormThreshold`.
+    """
+    if test is not None and not isinstance(test, TestSettings):
+        raise SettingError(
+            f"test must be NormThreshold(...), PeakThreshold(...), or TestSettings of your own, got {test!r}"
+        )
+    certified: dict[str, float] = {}
+    if test is None or test.takes_certified:
+        certified = brought_thresholds(design, generator)
+    if test is None:
+        test = PeakThreshold() if certified else NormThreshold()
+    isolate.test_of(test).check(Watched(generator, isolate.parts(generator), certified))
+    return test, certified if test.uses_certified else {}
+
+
+def brought_thresholds(design: Any, generator: ResidualGenerator) -> dict[str, float]:
+    """Return the thresholds that a design brings for the members of its generator; empty for one that brings none.
+
+    Raises
+    ------
+    ModelError
+        If they are not one positive finite number for each member.
+    """
+    found = design.thresholds if isinstance(design, CertifiedDesign) else None
+    if not isinstance(found, Mapping) or not found:
+        return {}
+    try:
+        settings = PeakThreshold(found)
+        settings.for_members([member.name for member in generator.members])
+    except SettingError as error:
+        raise ModelError(f"the certified thresholds of this design do not fit its members: {error}") from error
+    assert isinstance(settings.thresholds, dict)
+    return {name: float(value) for name, value in settings.thresholds.items()}
+
+
+def brought_bounds(design: Any, generator: ResidualGenerator) -> dict[str, MemberBounds]:
+    """Return the bounds that a design brings for the members of its generator; empty for one that brings none."""
+    if not isinstance(design, BoundedDesign):
+        return {}
+    found = design.member_bounds
+    if set(found) != {member.name for member in generator.members}:
+        return {}
+    return {name: MemberBounds(*bounds) for name, bounds in found.items()}
+
+
+def check_windows(settings: TestSettings, isolate: IsolationSettings, watched: Watched) -> None:
+    """Raise where sums over so many samples are asked for that no machine could hold them."""
+    for asked in (settings.kept(watched), isolate.kept(watched.generator)):
+        if asked is None:
+            continue
+        told, window, each = asked
+        if window * each > _MOST_NUMBERS:
+            raise SettingError(
+                f"{told} keeps {window * each:,} numbers for each plant, the most is {_MOST_NUMBERS:,}: "
+                f"a window of {max(1, _MOST_NUMBERS // each):,} samples at most, or sample more slowly"
+            )
+
+
+def blank_test(generator: ResidualGenerator) -> NormTest:
+    """Return a test that never raises an alarm: to see the residuals before there is a threshold."""
+    n = generator.n_residuals
+    return NormTest(np.zeros(n), np.eye(n), np.inf, 1, 1, 1, "")
+
+
+def specification(
+    generator: ResidualGenerator,
+    test: ResidualTest,
+    isolate: IsolationSettings,
+    *,
+    settle: int | None,
+    max_hold: int,
+    plausible: NDArray[np.float64],
+    start: str,
+) -> Specification:
+    """Return what runs; ``plausible`` are the limits of every channel, as deviations."""
+    system, point = generator.system, generator.plant.operating_point
+    settled = settling_samples(generator, test) if settle is None else int(settle)
+    return Specification(
+        system.A,
+        system.B,
+        system.C,
+        system.D,
+        np.asarray(np.linalg.solve(np.eye(system.n_states) - system.A, system.B), dtype=float),
+        np.array([*point.inputs, *point.outputs]),
+        test,
+        isolate.isolation(generator, test),
+        settled,
+        max_hold,
+        plausible,
+        start_fit(generator, test, settled) if start == "estimated" and not test.is_bound else None,
+        partial_update(generator, test),
+    )

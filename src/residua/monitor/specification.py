@@ -1,0 +1,92 @@
+"""What a monitor runs, and what its filter remembers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide.isolation import Isolation
+from residua.decide.test import ResidualTest
+from residua.monitor.partial_update import PartialUpdate
+from residua.monitor.starting import StartFit
+
+
+@dataclass(frozen=True, eq=False)
+class Specification:
+    """Everything that running needs and that never changes.
+
+    Attributes
+    ----------
+    A, B, C, D : ndarray
+        Of the sampled generator, driven by ``[u, y]`` as deviations.
+    start : ndarray, shape (states, channels)
+        Maps a sample to the filter state that it would settle to.
+    offset : ndarray, shape (channels,)
+        Operating point.
+    test : ResidualTest
+        What turns the residual into a statistic and an alarm.
+    isolation : Isolation
+        What names the fault.
+    settle : int
+        Samples after a start, or after a held value, in which nothing is decided.
+    max_hold : int
+        Longest gap over which missing values are held; after a longer one the filter starts anew.
+    plausible : ndarray, shape (channels, 2)
+        Smallest and largest deviation of each channel from its operating point that is taken for a value; any other is
+        missing.
+    first : StartFit or None
+        What estimates a start from the first residuals; ``None`` where a start is from rest.
+    partial : PartialUpdate or None
+        What a Kalman filter needs to go on where outputs are missing; ``None`` for any other generator.
+    """
+
+    A: NDArray[np.float64]
+    B: NDArray[np.float64]
+    C: NDArray[np.float64]
+    D: NDArray[np.float64]
+    start: NDArray[np.float64]
+    offset: NDArray[np.float64]
+    test: ResidualTest
+    isolation: Isolation
+    settle: int
+    max_hold: int
+    plausible: NDArray[np.float64]
+    first: StartFit | None
+    partial: PartialUpdate | None
+
+    @property
+    def members(self) -> tuple[str, ...]:
+        """Names of what has an alarm of its own: members of a bank, or groups of residuals."""
+        return self.test.part_names
+
+
+@dataclass(frozen=True, eq=False)
+class FilterState:
+    """What the filter of a running monitor remembers; every array has one row per plant.
+
+    Attributes
+    ----------
+    x : filter state; held : last value of each channel; gap : incomplete samples in a row;
+    running : whether the filter has been started; age : samples since its start or the last held value;
+    resets : restarts after long gaps; broken : restarts of a filter whose state overflowed;
+    starting : whether the start is still to be estimated; start_sums : what residuals say of it so far; moved : how
+    far that moved a residual, in units of the threshold, at most; apart : whether a Kalman filter is off its
+    stationary one, since outputs were missing; spread : its covariance then, zero for the stationary one; bent : how
+    far its errors by faults are off.
+    """
+
+    x: NDArray[np.float64]
+    held: NDArray[np.float64]
+    gap: NDArray[np.int64]
+    running: NDArray[np.bool_]
+    age: NDArray[np.int64]
+    resets: NDArray[np.int64]
+    broken: NDArray[np.int64]
+    starting: NDArray[np.bool_]
+    start_sums: NDArray[np.float64]
+    moved: NDArray[np.float64]
+    apart: NDArray[np.bool_]
+    spread: NDArray[np.float64]
+    bent: NDArray[np.float64]

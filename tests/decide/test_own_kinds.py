@@ -1,0 +1,277 @@
+"""A test and an isolation of a user's own, in one file outside of the package: everything works with them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import residua as rs
+from residua.decide import (
+    Block,
+    FaultFreeRun,
+    Isolation,
+    IsolationSettings,
+    NormThreshold,
+    ResidualTest,
+    Scores,
+    Tested,
+    TestSettings,
+    Watched,
+    register,
+)
+from residua.decide.kinds import ISOLATIONS, TESTS
+from residua.errors import AccuracyError, FileFormatError, SettingError
+from residua.testing import check_isolation, check_test
+from residua.testing.kinds import _generator, _recording
+
+
+@dataclass(frozen=True, eq=False)
+class Sums:
+    """Of each residual, to either side, what it has moved beyond what is tolerated."""
+
+    up: NDArray[np.float64]
+    down: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PageHinkleyTest(ResidualTest):
+    """Sums of what exceeds a tolerated change; the largest is the statistic."""
+
+    center: NDArray[np.float64]
+    scale: NDArray[np.float64]
+    tolerated: float
+    threshold: float
+    basis: str
+
+    def start(self, plants: int) -> Sums:
+        nothing = np.zeros((plants, len(self.center)))
+        return Sums(nothing, nothing)
+
+    def run(self, state: Sums, block: Block) -> tuple[Sums, Tested]:
+        usable = block.usable
+        z = np.where(usable[..., None], (block.residuals - self.center) / self.scale, 0.0)
+        up, down, statistic = state.up, state.down, np.full(usable.shape, np.nan)
+        for k in range(usable.shape[1]):
+            seen = usable[:, k, None]
+            up = np.where(seen, np.maximum(0.0, up + z[:, k] - self.tolerated), up)
+            down = np.where(seen, np.maximum(0.0, down - z[:, k] - self.tolerated), down)
+            statistic[:, k] = np.where(usable[:, k], np.maximum(up, down).max(axis=1), np.nan)
+        over = usable & (np.nan_to_num(statistic) > self.threshold)
+        nobody = np.zeros((*usable.shape, 0))
+        tested = Tested(usable, statistic, over, over, over.astype(np.int64), z, nobody, nobody.astype(bool))
+        return Sums(up, down), tested
+
+
+@register
+@dataclass(frozen=True)
+class PageHinkley(TestSettings):
+    """Page's test with Hinkley's tolerated change, in standard deviations."""
+
+    kind: ClassVar[str] = "page-hinkley"
+    makes: ClassVar[type[ResidualTest]] = PageHinkleyTest
+
+    tolerated: float = 0.5
+    false_alarm_rate: float = 1e-3
+
+    def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> ResidualTest:
+        rows = run.residuals[run.usable]
+        blank = PageHinkleyTest(rows.mean(axis=0), rows.std(axis=0), self.tolerated, np.inf, "")
+        seen = blank.run(blank.start(1), Block(run.residuals[None], run.usable[None]))[1].statistic[0, run.usable]
+        return replace(
+            blank, threshold=1.5 * float(np.quantile(seen, 1 - rate)), basis=f"fitted to {len(rows)} samples"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class NearestTest(Isolation):
+    """Groups with the centroid of the whitened residual of each."""
+
+    groups: tuple[tuple[str, ...], ...]
+    unjudged: tuple[str, ...]
+    centroids: NDArray[np.float64]
+
+    def start(self, plants: int) -> None:
+        return None
+
+    def run(self, state: None, block: Block, tested: Tested) -> tuple[None, Scores]:
+        distance = np.linalg.norm(tested.whitened[..., None, :] - self.centroids, axis=-1)
+        return None, Scores(np.where(tested.usable[..., None], 1.0 / (1.0 + distance), np.nan))
+
+
+@register
+@dataclass(frozen=True)
+class NearestCentroid(IsolationSettings):
+    """Name the fault whose centroid, that of a step of a size, is nearest to the residual."""
+
+    kind: ClassVar[str] = "nearest-centroid"
+    makes: ClassVar[type[Isolation]] = NearestTest
+
+    size: float = 1.0
+
+    def isolation(self, generator: rs.design.ResidualGenerator, test: ResidualTest) -> NearestTest:
+        steady = np.array([generator.steady_directions[name] for name in generator.faults])
+        groups = tuple((name,) for name in generator.faults)
+        return NearestTest(groups, (), self.size * steady @ test.metric)
+
+
+@pytest.fixture(scope="module")
+def monitor() -> rs.Monitor:
+    generator = _generator()
+    made = rs.Monitor(generator, test=PageHinkley(), isolate=NearestCentroid(size=0.8))
+    return made.fit(*_recording(generator, np.random.default_rng(1), 4000))
+
+
+def faulty(seed: int = 2) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    return _recording(_generator(), np.random.default_rng(seed), 400, faulty=True)
+
+
+def test_they_hold_what_monitors_ask_for() -> None:
+    check_test(PageHinkley())
+    check_isolation(NearestCentroid(size=0.8))
+
+
+def test_a_fault_is_found_and_named(monitor: rs.Monitor) -> None:
+    found = monitor.run(*faulty())
+    assert isinstance(found, rs.Diagnosis)
+    assert found.named == (("y1 sensor",),)
+    assert found.onset is not None
+    assert 198 <= found.onset <= 215
+    assert "PageHinkleyTest" in found.settings["test"]
+    assert found.settings["isolation"] == "NearestTest"
+    assert "1. y1 sensor" in str(found)
+
+
+def test_step_is_run(monitor: rs.Monitor) -> None:
+    u, y = faulty()
+    whole = monitor.run(u, y)
+    assert isinstance(whole, rs.Diagnosis)
+    monitor.reset()
+    for k in range(len(u)):
+        now = monitor.step(u[k], y[k])
+        assert now.alarm == whole.alarm[k]
+        assert now.statistic == whole.statistic[k] or np.isnan(whole.statistic[k])
+        if now.alarm:
+            assert now.candidates[0].score == np.nanmax(whole.scores[k])
+
+
+def test_a_saved_monitor_goes_on(monitor: rs.Monitor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    u, y = faulty()
+    monitor.reset()
+    monitor.update(u[:210], y[:210])
+    monitor.save(tmp_path / "m.json")
+    loaded = rs.Monitor.load(tmp_path / "m.json")
+    assert loaded.test == PageHinkley()
+    assert loaded.isolate == NearestCentroid(size=0.8)
+    one, other = monitor.update(u[210:], y[210:]), loaded.update(u[210:], y[210:])
+    np.testing.assert_array_equal(one.statistic, other.statistic)
+    np.testing.assert_array_equal(one.scores, other.scores)
+    monkeypatch.delitem(TESTS, "page-hinkley")
+    with pytest.raises(FileFormatError, match=r"test\.kind: .*'page-hinkley'.*import the module"):
+        rs.Monitor.load(tmp_path / "m.json")
+    monkeypatch.delitem(ISOLATIONS, "nearest-centroid")
+    assert "nearest-centroid" not in ISOLATIONS
+
+
+def test_page_and_pictures(monitor: rs.Monitor, tmp_path: Path) -> None:
+    plt = pytest.importorskip("matplotlib.pyplot")
+    found = monitor.run(*faulty())
+    assert isinstance(found, rs.Diagnosis)
+    page = found.to_html(tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "y1 sensor" in page
+    assert "NaN" not in page.split("<script")[0]
+    figure = found.plot()
+    figure.savefig(tmp_path / "found.png")
+    plt.close(figure)
+    assert len(found.to_frame()) == 400
+    assert found.columns()["score y1 sensor"].shape == (400,)
+
+
+def test_a_fleet(monitor: rs.Monitor) -> None:
+    u, y = faulty()
+    found = monitor.run(np.stack([u, u]), np.stack([y, y]))
+    assert isinstance(found, list)
+    assert [one.named for one in found] == [(("y1 sensor",),)] * 2
+
+
+# ------------------------------------------------------------------ what its author is told
+
+
+class _Wrong:
+    """Ways to get it wrong."""
+
+    @dataclass(frozen=True, eq=False)
+    class Forgets(PageHinkleyTest):
+        def run(self, state: Sums, block: Block) -> tuple[Sums, Tested]:
+            return super().run(self.start(len(block.usable)), block)
+
+    @dataclass(frozen=True, eq=False)
+    class SaysSomethingOfGaps(PageHinkleyTest):
+        def run(self, state: Sums, block: Block) -> tuple[Sums, Tested]:
+            state, tested = super().run(state, block)
+            return state, replace(tested, statistic=np.nan_to_num(tested.statistic))
+
+    @dataclass(frozen=True, eq=False)
+    class Blind(PageHinkleyTest):
+        def run(self, state: Sums, block: Block) -> tuple[Sums, Tested]:
+            state, tested = super().run(state, block)
+            never = np.zeros_like(tested.alarm)
+            return state, replace(tested, alarm=never, exceeded=never)
+
+    @dataclass(frozen=True, eq=False)
+    class AlwaysOn(PageHinkleyTest):
+        def run(self, state: Sums, block: Block) -> tuple[Sums, Tested]:
+            state, tested = super().run(state, block)
+            return state, replace(tested, alarm=tested.usable, exceeded=tested.usable)
+
+
+@pytest.mark.parametrize(
+    ("cls", "words"),
+    [
+        (_Wrong.Forgets, "running in pieces"),
+        (_Wrong.SaysSomethingOfGaps, "must be NaN"),
+        (_Wrong.Blind, "raises no alarm"),
+        (_Wrong.AlwaysOn, "fault-free samples are in alarm"),
+    ],
+)
+def test_what_is_wrong_with_a_test_is_said(cls: type[Any], words: str) -> None:
+    @dataclass(frozen=True)
+    class Settings(PageHinkley):
+        def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> ResidualTest:
+            test = super().fitted(watched, run, rate)
+            assert isinstance(test, PageHinkleyTest)
+            return cls(test.center, test.scale, test.tolerated, test.threshold, test.basis)
+
+    with pytest.raises(AccuracyError, match=words):
+        check_test(Settings())
+
+
+def test_what_is_wrong_with_an_isolation_is_said() -> None:
+    @dataclass(frozen=True)
+    class OfNobody(NearestCentroid):
+        def isolation(self, generator: rs.design.ResidualGenerator, test: ResidualTest) -> NearestTest:
+            return replace(super().isolation(generator, test), groups=(("somebody",), ("y2 sensor",)))
+
+    with pytest.raises(AccuracyError, match="must be the faults"):
+        check_isolation(OfNobody())
+    with pytest.raises(AccuracyError, match=r"subclass of residua\.decide\.TestSettings"):
+        check_test(NearestCentroid())  # pyright: ignore[reportArgumentType]
+    with pytest.raises(AccuracyError, match=r"subclass of residua\.decide\.IsolationSettings"):
+        check_isolation(PageHinkley())  # pyright: ignore[reportArgumentType]
+
+
+def test_a_kind_belongs_to_one() -> None:
+    @dataclass(frozen=True)
+    class Other(NormThreshold):
+        pass
+
+    with pytest.raises(SettingError, match="the kind 'norm' is that of"):
+        register(Other)
+    with pytest.raises(SettingError, match="takes a subclass"):
+        register(int)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(SettingError, match="must have a kind"):
+        register(type("Nameless", (NormThreshold,), {"kind": ""}))

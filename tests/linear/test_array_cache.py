@@ -1,0 +1,89 @@
+"""Functions that keep their results: the same results, computed once."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from residua.linear.poles.matrix_poles import explicit_poles
+from residua.linear.systems.array_cache import cached_by_entries
+from residua.linear.systems.balancing import balance_system
+from residua.linear.systems.units import _origins, matrix_units, pencil_units
+
+
+def counting():
+    calls = []
+
+    @cached_by_entries
+    def function(A, B):
+        calls.append((A.shape, B.shape))
+        return A.sum() + np.arange(3.0), B.copy()
+
+    return function, calls
+
+
+def test_the_same_entries_are_computed_once_and_others_are_not_taken_for_them():
+    function, calls = counting()
+    first = function(np.ones((2, 3)), np.eye(2))
+    assert function(np.ones((2, 3), order="F"), np.eye(2, dtype=int)) is first
+    assert len(calls) == 1
+    function(np.ones((3, 2)), np.eye(2))  # the same bytes, another shape
+    function(np.ones((2, 3)), np.diag([1.0, np.nextafter(1.0, 2.0)]))
+    assert calls == [((2, 3), (2, 2)), ((3, 2), (2, 2)), ((2, 3), (2, 2))]
+
+
+def test_a_kept_result_cannot_be_written_to_and_does_not_follow_its_arguments():
+    function, _ = counting()
+    B = np.eye(2)
+    kept = function(np.ones((1, 1)), B)
+    B[0, 0] = 5.0
+    assert np.array_equal(kept[1], np.eye(2))
+    with pytest.raises(ValueError, match="read-only"):
+        kept[0][0] = 1.0
+
+
+def test_large_matrices_and_errors_are_not_kept():
+    function, calls = counting()
+    for _ in range(2):
+        function(np.zeros((100, 100)), np.eye(2))
+    assert len(calls) == 2
+
+    tries = []
+
+    @cached_by_entries
+    def failing(A):
+        tries.append(A)
+        raise ValueError("no")
+
+    for _ in range(2):
+        with pytest.raises(ValueError, match="no"):
+            failing(np.eye(1))
+    assert len(tries) == 2
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_kept_results_are_those_of_the_function_itself(seed):
+    rng = np.random.default_rng(seed)
+    A, B, C, D = (rng.normal(size=shape) for shape in ((4, 4), (4, 2), (3, 4), (3, 2)))
+    for cached, matrices in (
+        (balance_system, (A, B, C, D)),
+        (pencil_units, (A, np.diag([1.0, 1.0, 0.0, 0.0]))),
+        (matrix_units, (D,)),
+        (explicit_poles, (A,)),
+    ):
+        again, plain = (cached(*matrices), cached(*matrices)), cached.__wrapped__(*matrices)
+        assert again[0] is again[1]
+        parts = [vars(x) if hasattr(x, "__dict__") else dict(enumerate(x)) for x in (again[0], plain)]
+        assert all(np.array_equal(parts[0][name], parts[1][name]) for name in parts[1])
+
+
+def test_the_first_node_of_each_connected_part_is_that_of_scipy():
+    rng = np.random.default_rng(3)
+    for _ in range(300):
+        count, edges = rng.integers(1, 12), rng.integers(0, 14)
+        row, column = rng.integers(0, count, edges), rng.integers(0, count, edges)
+        graph = coo_array((np.ones(edges), (row, column)), shape=(count, count))
+        part = connected_components(graph, directed=False)[1]
+        assert np.array_equal(_origins(row, column, count), np.sort(np.unique(part, return_index=True)[1]))
