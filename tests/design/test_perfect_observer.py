@@ -280,8 +280,11 @@ def test_nearly_hidden_states_are_estimated_or_refused_never_wrong(exponent: int
     except (DesignError, AccuracyError) as error:
         assert exponent > 5
         refused.skip(error)
-    assert estimate_response(observer, 1j * np.array([0.1, 1.0])).max() < 1e-6
-    assert observer.evidence.conditions["noise gain, outputs to estimate (peak)"] > 0.1 / eps
+    gain = observer.evidence.conditions["noise gain, outputs to estimate (peak)"]
+    assert gain > 0.1 / eps
+    # The terms that cancel in the estimate are as large as this gain, each known to 2**-52 of itself: 7e-12 for the
+    # first plant of these, 7e-6 for 1e-9, where the designer's own check, at other frequencies, begins to refuse.
+    assert estimate_response(observer, 1j * np.array([0.1, 1.0])).max() < 20 * 2.0**-52 * gain
 
 
 # --------------------------------------------------------------------- options

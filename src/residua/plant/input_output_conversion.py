@@ -22,6 +22,9 @@ from residua.plant.plant import Plant
 _ROLES = ("control", "disturbance", "fault")
 #: Coefficients below this fraction of what they are computed from are rounding, where powers weigh the same.
 _ROUNDING = 1e-14
+#: How many times better than another a row must fit the response to be the better one. Where poles crowd together,
+#: powers hold few digits of the response: all rows fit it to what that leaves, and luck makes a factor of two.
+_CLEARLY = 5.0
 _LOWER_ORDER = (
     "coefficients of such a degree do not hold this plant to working precision; use the state-space plant itself, "
     "sample it more slowly, or split it into parts of lower order"
@@ -196,8 +199,8 @@ def _smallest_row(p: _Scaled, i: int, rtol: float) -> tuple[NDArray[np.float64],
     # Made exact in powers as well: of use where modes are far apart, of harm where they are so close together that
     # powers hardly tell one polynomial from another.
     exact = refined(pencil(P0, P1, powers), plain, rtol=rtol)
-    rows = [_equation(p, i, x, size) for x in (exact, plain)]
-    return min(rows, key=lambda row: p.missed(i, *row))
+    first, second = (_equation(p, i, x, size) for x in (plain, exact))
+    return second if p.missed(i, *second) * _CLEARLY < p.missed(i, *first) else first
 
 
 def _equation(

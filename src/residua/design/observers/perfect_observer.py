@@ -27,6 +27,8 @@ from residua.plant import Plant
 REFERENCE = "Twardy and Kaczorek, part I, eqs. (30) to (33), Theorem 4, Procedure 2"
 #: States of a filter beyond which its peak gain is not computed.
 MOST_STATES = 300
+#: A coefficient below this fraction of the terms that it is the sum of is rounding.
+_ROUNDING = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,8 +217,13 @@ class PerfectObserver:
         pick = np.eye(len(self.N))[part]
         return self.series(G, pick, [])
 
-    def series(self, G: NDArray, pick: NDArray, first: list[NDArray]) -> list[NDArray[np.float64]]:
-        """Return ``first`` and then ``pick G, pick N G, ...`` up to the last that is not zero."""
+    def series(
+        self, G: NDArray, pick: NDArray, first: list[NDArray], direct: tuple[NDArray, NDArray] | None = None
+    ) -> list[NDArray[np.float64]]:
+        """Return ``first`` and then ``pick G, pick N G, ...`` up to the last that is not zero.
+
+        ``direct``: two factors whose product is added to ``pick G``.
+        """
         out, sizes = list(first), [np.abs(P) for P in first]
         # In the coordinates of the chains, where N is triangular, its powers are small when they should be.
         chain, pick = self.gain.triangular, pick @ self.gain.basis
@@ -226,6 +233,10 @@ class PerfectObserver:
             out.append(pick @ power)
             sizes.append(np.abs(pick) @ size)
             power, size = chain @ power, np.abs(chain) @ size
+        if direct is not None:
+            left, right = direct
+            out[len(first)] = out[len(first)] + left @ right
+            sizes[len(first)] = sizes[len(first)] + np.abs(left) @ np.abs(right)
         return trimmed(out, sizes, self.bandwidth)
 
     def residual_polynomial(self, B: NDArray, D: NDArray, *, own: bool) -> list[NDArray[np.float64]]:
@@ -244,9 +255,7 @@ class PerfectObserver:
             F = np.vstack([B, D])
         if self.complete:
             W, whole = self.left, np.hstack([p.C[rows], p.Dd[rows]])
-            out = self.series(G, -W @ whole, [])
-            out[0] = out[0] + W @ direct
-            return out
+            return self.series(G, -W @ whole, [], (W, direct))
         E = np.eye(p.n_states) if p.E is None else p.E
         S = np.zeros((p.n_states + len(rows), len(self.N)))
         S[: p.n_states, : p.n_states] = E
@@ -399,7 +408,9 @@ def _bandwidth(bandwidth: float | None, form: WeierstrassForm, plant: Plant) -> 
 def trimmed(
     coefficients: Sequence[NDArray], sizes: Sequence[NDArray], rate: float, rtol: float = 1e-12
 ) -> list[NDArray]:
-    """Return a polynomial without the highest coefficients that are rounding.
+    """Return a polynomial without the highest coefficients that are rounding, and with zeros for entries that are.
+
+    A signal that was decoupled is then not read at all, where rounding of its terms would read it faintly.
 
     Parameters
     ----------
@@ -410,7 +421,7 @@ def trimmed(
     rtol : float
         Coefficients below this fraction of what their row and their column are made of count as rounding.
     """
-    out = list(coefficients)
+    out = [np.where(np.abs(P) > _ROUNDING * size, P, 0.0) for P, size in zip(coefficients, sizes, strict=True)]
     total = sum(rate**i * size for i, size in enumerate(sizes))
     columns = np.max(total, axis=0, keepdims=True, initial=0.0)
     columns = np.where(columns > 0, columns, 1.0)

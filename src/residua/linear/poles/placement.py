@@ -14,6 +14,7 @@ from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.poles.pole_assignment import polished, real_block_diagonal, robust_assignment, schur_assignment
 from residua.linear.poles.spectrum import describe_modes, match_poles, spectrum_error
+from residua.linear.subspaces.far_gain import refuse_far_gain
 from residua.linear.subspaces.observability import is_stable_mode
 from residua.linear.subspaces.observable_part import ObservablePart, observable_part
 from residua.linear.subspaces.rank import DEFAULT_RTOL
@@ -343,14 +344,19 @@ def place_observer_margin(
     if problem.order == 0:
         K = np.zeros((problem.A.shape[0], problem.C.shape[0]))
         return Placement(K, none, none, problem.fixed, 0.0, 1.0, 0.0)
+    tried: list[Matrix] = []
     for weight in (1.0, 100.0, 1e-2, 1e4):
         L = _shifted_riccati(problem, margin, weight)
         if L is None:
             continue
+        tried.append(L)
         K = problem.full_gain(L)
         block, leak = _closed_loop(problem, K)
         if _is_closed_loop_stable(problem, block, leak, margin):
             return _placement(problem, K, none, 0.0, np.linalg.eigvals(block).astype(complex), block)
+    for L in sorted(tried, key=np.linalg.norm)[:1]:
+        # Rounding of a huge gain moves the poles, and whether they pass is luck: the reason must not hang on it.
+        refuse_far_gain(problem.F, problem.H, L, 1.0 if problem.dt else margin)
     raise AccuracyError(
         f"no gain found with every observable pole beyond the margin {margin:.3g} per second "
         f"({problem.order} observable states, {problem.H.shape[0]} independent outputs); "
