@@ -66,6 +66,7 @@ FORMATS = ("residua.recording.npz_files", "residua.recording.parquet_files")
 IN_CIRCLES: dict[str, int] = {}
 FRAGMENTS = {"monitor": 2}
 LONG_BODIES: dict[str, int] = {}
+LONG_MODULES: dict[str, int] = {}
 SPELLED = {"decide": 0, "monitor": 2}  # the columns of data frames
 TOLERANCES, DISTINCT_TOLERANCES, NAMES_WITH_SEVERAL_VALUES, WITHOUT_EVIDENCE = 473, 25, 7, 52
 UNLISTED_METHODS, LISTS_BY_HAND = 12, 3
@@ -160,7 +161,8 @@ def test_no_body_of_a_function_is_longer_than_a_screen(house: House) -> None:
 
 
 def test_no_module_is_too_long_for_one_idea(house: House) -> None:
-    assert [m.name for m in house.modules.values() if len(m.text.splitlines()) > LARGEST_MODULE] == []
+    long = [m for m in house.modules.values() if len(m.text.splitlines()) > LARGEST_MODULE]
+    assert over(by_room(long), LONG_MODULES) == {}, [m.name for m in long]
 
 
 # -------------------------------------------------- E: declared protocols
@@ -183,7 +185,8 @@ def test_no_attribute_of_a_design_by_its_spelling(house: House) -> None:
 
 
 def test_tolerances_are_few_and_named(house: House) -> None:
-    found = [value for module in house.modules.values() for value in tolerances(module)]
+    checked = [module for module in house.modules.values() if module.room != "testing"]  # there they stand by the test
+    found = [value for module in checked for value in tolerances(module)]
     assert len(found) <= TOLERANCES
     assert len(set(found)) <= DISTINCT_TOLERANCES
 
