@@ -72,7 +72,7 @@ class PageHinkleyTest(ResidualTest):
 class PageHinkley(TestSettings):
     """Page's test with Hinkley's tolerated change, in standard deviations."""
 
-    kind: ClassVar[str] = "page-hinkley"
+    kind: ClassVar[str] = "own-page-hinkley"
     makes: ClassVar[type[ResidualTest]] = PageHinkleyTest
 
     tolerated: float = 0.5
@@ -108,7 +108,7 @@ class NearestTest(Isolation):
 class NearestCentroid(IsolationSettings):
     """Name the fault whose centroid, that of a step of a size, is nearest to the residual."""
 
-    kind: ClassVar[str] = "nearest-centroid"
+    kind: ClassVar[str] = "own-nearest-centroid"
     makes: ClassVar[type[Isolation]] = NearestTest
 
     size: float = 1.0
@@ -170,11 +170,11 @@ def test_a_saved_monitor_goes_on(monitor: rs.Monitor, tmp_path: Path, monkeypatc
     one, other = monitor.update(u[210:], y[210:]), loaded.update(u[210:], y[210:])
     np.testing.assert_array_equal(one.statistic, other.statistic)
     np.testing.assert_array_equal(one.scores, other.scores)
-    monkeypatch.delitem(TESTS, "page-hinkley")
-    with pytest.raises(FileFormatError, match=r"test\.kind: .*'page-hinkley'.*import the module"):
+    monkeypatch.delitem(TESTS, "own-page-hinkley")
+    with pytest.raises(FileFormatError, match=r"test\.kind: .*own-page-hinkley.*import the module"):
         rs.Monitor.load(tmp_path / "m.json")
-    monkeypatch.delitem(ISOLATIONS, "nearest-centroid")
-    assert "nearest-centroid" not in ISOLATIONS
+    monkeypatch.delitem(ISOLATIONS, "own-nearest-centroid")
+    assert "own-nearest-centroid" not in ISOLATIONS
 
 
 def test_page_and_pictures(monitor: rs.Monitor, tmp_path: Path) -> None:

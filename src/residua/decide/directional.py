@@ -62,8 +62,9 @@ class DirectionTest(Isolation):
 
     def run(self, state: WindowState, block: Block, tested: Tested) -> tuple[WindowState, Scores]:
         """Return the correlation of the residual, summed over the window, with each signature."""
-        whitened = tested.whitened if self.bases else tested.whitened[..., :0]  # nothing to compare it with
-        sums, window = moving_sum(whitened, state)
+        if not self.bases:  # nothing to compare a direction with
+            return state, Scores(np.zeros((*tested.usable.shape, 0)))
+        sums, window = moving_sum(tested.whitened, state)
         size = row_norms(sums)
         usable = tested.usable & (size > 0)
         size = np.where(usable, size, 1.0)

@@ -21,6 +21,8 @@ from residua.plant.input_output_model import InputOutputModel
 _ZERO = 1e-10
 #: A pole of as many times as there are states is scattered by the root of so many roundings.
 _SCATTER = 4
+#: States up to which one pole of all of them can be told from poles that differ: 2**-52 to the power of 1/7 is 0.006.
+_MOST_OF_ONE_POLE = 7
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +130,7 @@ def basis_for(plant: Plant, count: int) -> PolynomialBasis:
     )  # a size that is rounding would take equations for zero
     finite = np.abs(poles[np.isfinite(poles)])
     size = (float(np.median(finite)) if finite.size else 0.0) or level
-    if plant.E is None and plant.n_states > 1:
+    if plant.E is None and 1 < plant.n_states <= _MOST_OF_ONE_POLE:
         a = float(poles.real.mean())
         rest = plant.A - a * np.eye(plant.n_states)
         scatter = float(np.linalg.norm(rest)) * (_SCATTER * np.finfo(float).eps) ** (1 / plant.n_states)

@@ -15,6 +15,9 @@ from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision
 from residua.linear.systems.balancing import balance_system
 from residua.linear.systems.units import system_units
 
+#: A mode of more than this fraction of the size of its matrix is not zero: a triple zero is scattered by about
+#: as much, and in units that are far apart every mode looks like one of a higher multiplicity.
+_NEAR_ZERO = 1e-5
 _EPS = float(np.finfo(float).eps)
 #: How much of ``norm(A)`` the staircase may drop in the caller's coordinates before it is called a failure.
 _RESIDUAL_LIMIT = 1e-5
@@ -185,7 +188,8 @@ def modes_with_uncertainty(
     cosine = np.abs(np.sum(left.conj() * right, axis=0))
     moved = n * _EPS * float(np.linalg.norm(A)) + perturbation
     # A defective mode has cosine 0; the floor gives it the sqrt(eps) that a double mode moves by.
-    zero = is_rounding_of_zero(modes, cosine, float(np.linalg.norm(A)))
+    size = float(np.linalg.norm(A))
+    zero = is_rounding_of_zero(modes, cosine, size) & (np.abs(modes) <= _NEAR_ZERO * size)
     return np.where(zero, 0.0, modes).astype(complex), moved / np.maximum(cosine, np.sqrt(_EPS))
 
 
