@@ -417,7 +417,7 @@ def test_a_bank_is_equal_to_itself_with_more_residuals_than_outputs() -> None:
     )
     found = bank.generator.equivalent_to(bank)
     assert found.matrix is not None
-    assert np.array_equal(found.matrix, np.eye(4))
+    np.testing.assert_allclose(found.matrix, np.eye(4), rtol=1e-14)  # gains are sums over frequency, to some roundings
     V = bank.generator.equivalent_to(slow).realization()
     w = np.logspace(-2, 0, 9)
     a, b = bank.generator.system.frequency_response(w), slow.system.frequency_response(w)
