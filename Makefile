@@ -5,6 +5,9 @@ BIN := $(VENV)/bin
 DEFINITION := pyproject.toml setup.py src/residua/linear/systems/_recursion.c
 CODE := src tests benchmarks docs
 
+# Where Python may not keep what it compiles, every process that a test starts compiles the package again.
+unexport PYTHONDONTWRITEBYTECODE
+
 # Of the exact campaign: plants, processes, and the folder of its record, from which it is resumed.
 PLANTS ?= 100000
 WORKERS ?= $(shell nproc)
@@ -15,7 +18,7 @@ RECORD ?= campaign
 help:
 	@echo "make demo      diagnose a simulated jet engine and leave a report page"
 	@echo "make quick     style, types, and the tests of what changed, in a minute and a half"
-	@echo "make test      style, types, and all tests, with coverage"
+	@echo "make test      style, types, and all tests with coverage; without it, in two thirds of the time: make test COVERAGE=0"
 	@echo "make docs      the documentation, into docs/_build/html"
 	@echo "make bench     measured speed, against other packages"
 	@echo "make campaign  the long runs that make test leaves out"
@@ -50,7 +53,7 @@ test: $(VENV)/.made-test
 	$(BIN)/ruff check $(CODE)
 	$(BIN)/ruff format --check $(CODE)
 	$(BIN)/pyright --pythonpath $(BIN)/python
-	$(BIN)/pytest -n auto --cov --cov-report=term
+	$(BIN)/pytest -n auto $(if $(filter 0,$(COVERAGE)),,--cov --cov-report=term)
 
 docs: $(VENV)/.made-docs
 	rm -rf docs/api/generated  # pages of names that are gone would fail the build

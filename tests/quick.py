@@ -261,7 +261,9 @@ def run(choice: Choice, root: Path, seconds: float) -> int:
     """Run style, types and tests; return how many of the three failed."""
     begun = time.time()
     paths = [str(root / "src"), str(root / "tests"), *filter(None, [os.environ.get("PYTHONPATH")])]
-    environment = os.environ | {UNTIL: str(begun + seconds), "PYTHONPATH": os.pathsep.join(paths)}
+    # An empty PYTHONDONTWRITEBYTECODE is none: what is compiled is kept, for the next process and the next time.
+    settings = {UNTIL: str(begun + seconds), "PYTHONPATH": os.pathsep.join(paths), "PYTHONDONTWRITEBYTECODE": ""}
+    environment = os.environ | settings
     python, code = [sys.executable, "-m"], [name for name in CODE if (root / name).is_dir()]
 
     def call(*command: str) -> bool:

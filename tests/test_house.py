@@ -38,7 +38,7 @@ ROOMS = (
         "json_files",
         "records",
     ),
-    *("linear", "plant", "recording", "analysis", "design", "robust", "library", "decide", "monitor", "validate"),
+    *("linear", "plant", "recording", "analysis", "design", "decide", "robust", "library", "monitor", "validate"),
     *("report", "testing", "demos", "cli", "residua", "__main__"),
 )
 LOOSE = ROOMS[: ROOMS.index("linear")]
@@ -54,7 +54,6 @@ FACADES = {
     "residua.robust.sets.uncertain_plant": "residua.robust.sets",  # from_parameters, in_closed_loop, ...
     "residua.design.core.generator": "residua.design",  # to_parity, equivalent_to, observer
     "residua.design.suggestion": "residua.robust.sets",  # suggest, for an uncertain plant too
-    "residua.robust.parity.insensitive_parity": "residua.decide",  # fit
     "residua.monitor.monitor": "residua.monitor",  # save, load
     "residua.monitor.diagnosis": "residua.report",  # plot, to_html
     "residua.cli": "residua.cli",  # main, which says what package is missing
@@ -65,11 +64,11 @@ FORMATS = ("residua.recording.npz_files", "residua.recording.parquet_files")
 
 # Ratchets: the number of places, by room where a room is being rebuilt.
 IN_CIRCLES: dict[str, int] = {}
-FRAGMENTS = {"decide": 3, "monitor": 2}
+FRAGMENTS = {"monitor": 2}
 LONG_BODIES: dict[str, int] = {}
-LONG_MODULES = {"decide": 1}
-SPELLED = {"decide": 1, "monitor": 3}
-TOLERANCES, DISTINCT_TOLERANCES, NAMES_WITH_SEVERAL_VALUES, WITHOUT_EVIDENCE = 470, 25, 7, 52
+LONG_MODULES: dict[str, int] = {}
+SPELLED = {"decide": 0, "monitor": 2}  # the columns of data frames
+TOLERANCES, DISTINCT_TOLERANCES, NAMES_WITH_SEVERAL_VALUES, WITHOUT_EVIDENCE = 473, 25, 7, 52
 UNLISTED_METHODS, LISTS_BY_HAND = 12, 3
 
 

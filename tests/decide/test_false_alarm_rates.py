@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from residua.decide.alarm_level import alarm_levels
 from residua.decide.dependence import correlation_times, effective_exceedances
 from residua.decide.exceedance_tail import Scale
-from residua.decide.fault_free import FaultFree
+from residua.decide.false_alarms import alarm_levels
+from residua.decide.fault_free import FaultFree, oracle_approximating_intensity, shrunk
 from residua.decide.member_thresholds import fit_bank_test, member_alarms
 from residua.decide.norm_threshold import NormTest, NormThreshold, fit_norm_test
 from residua.decide.persistence import alarm_logic
-from residua.decide.shrinkage import oracle_approximating_intensity, shrunk
 from residua.errors import DataError
 
 REPOSITORY = Path(__file__).resolve().parent.parent.parent

@@ -37,7 +37,7 @@ class Paths:
 
     ``total`` is the response, ``terms`` the sum of the sizes of what it is the sum of, ``reach`` the largest gain from
     any output to the residual times the largest response of any output, in base units. All of shape
-    (frequencies, residuals, inputs).
+    (frequencies, residuals, inputs). ``apart`` tells which inputs nothing connects with all outputs.
     """
 
     total: NDArray[np.complex128]
@@ -45,6 +45,7 @@ class Paths:
     reach: NDArray[np.float64]
     controls: int
     disturbances: int
+    apart: NDArray[np.bool_]
 
     def leak(self, columns: slice) -> NDArray[np.float64]:
         """Return the response relative to the terms that cancel, zero where it is rounding of what stands elsewhere."""
@@ -102,6 +103,18 @@ def paths(filter: Any, plant: Any, y: NDArray[np.float64], w: list[float]) -> Pa
             terms.append(direct + q[:, m:] @ r)
             largest = (q[:, m:] / y).max(axis=1, initial=0.0)
             reach.append(direct + np.outer(largest, (r * y[:, None]).max(axis=0, initial=0.0)))
-        return Paths(np.array(total), np.array(terms), np.array(reach), m, len(plant.disturbances))
+        apart = _apart(plant, B, D)
+        return Paths(np.array(total), np.array(terms), np.array(reach), m, len(plant.disturbances), apart)
     finally:
         ctx.prec = before
+
+
+def _apart(plant: Any, B: NDArray, D: NDArray) -> NDArray[np.bool_]:
+    """Tell which inputs belong to a part of the plant that nothing connects with some of the outputs."""
+    n, p = len(plant.A), len(plant.C)
+    E = np.eye(n) if plant.E is None else plant.E
+    linked = np.block([[(plant.A != 0) | (E != 0), B != 0], [plant.C != 0, D != 0]])
+    near = linked @ linked.T  # equations and outputs that share a variable
+    for _ in range(n + p):
+        near = near @ near
+    return ~np.all(near[n:] @ linked[:, n:], axis=0)

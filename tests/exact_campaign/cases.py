@@ -104,7 +104,7 @@ def plant_of(case: Case, by: Units | None = None, *, noise: bool = False) -> rs.
         plant = plant.with_faults({f"f{i + 1}": (Bf[:, i], Df[:, i]) for i in range(k)})
     plant = plant.with_actuator_faults(case.actuators).with_sensor_faults(case.sensors)
     if noise:
-        plant = plant.with_noise(process=np.diag(1 / by.x**2), measurement=np.diag(1 / by.y**2))
+        plant = plant.with_noise(process=np.diag(left**2), measurement=np.diag(1 / by.y**2))
     return plant
 
 

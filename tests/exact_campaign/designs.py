@@ -234,7 +234,7 @@ def _parity(subject: Subject) -> None:
         if judged(record, questions.residual_exists(X, ignored), "parity"):
             examine_generator(subject, record, record.answer.made, plant)
             indices, orders = questions.residual_indices(X, ignored), record.answer.made.relations.orders
-            wanted = [min(indices)] * indices.count(min(indices))
+            wanted = [i for i in indices if i == min(indices)]
             if X.plain and sorted(orders) != wanted:
                 record.problem("wrong", "parity", f"{record.function}: orders {orders}, exact {wanted}")
     record = subject.ask("parity_orders", lambda: rs.design.parity_orders(plant))

@@ -18,6 +18,8 @@ _LEAK = 1e-6
 _BEYOND_EVIDENCE = 100.0
 #: A response below this, relative to what the residual is made of, is silence; below the second, nearly.
 _SILENT, _NEARLY_SILENT = 1e-11, 1e-9
+#: The same where nothing connects the input with some of the outputs.
+_SILENT_ROW = 1e-14
 #: A response above this, relative to its terms, is an answer; above the second, nearly.
 _ANSWER, _NEARLY_ANSWER = 1e-5, 1e-6
 #: A response off the claimed subspace by more than the second fraction, and by more than the evidence says, contradicts
@@ -93,10 +95,16 @@ def _structure(
     total, terms, reach = (np.abs(M[:, :, found.to_faults]) for M in (found.total, found.terms, found.reach))
     there = live[:, None]
     share = (total / np.where(reach > 0, reach, 1.0)).max(axis=0)
+    # Parts of a plant that nothing connects have no unit in common but those of the signals, as written or in base
+    # units. No sum is taken over both: what rounding leaves of one in the other is a digit of the row, not of terms.
+    written = np.abs(found.terms).max(axis=2, keepdims=True, initial=0.0)
+    apart = found.apart[found.to_faults]
+    share = np.where(apart, np.maximum(share, (total / np.where(written > 0, written, 1.0)).max(axis=0)), share)
+    silent, nearly = (np.where(apart, _SILENT_ROW, limit) for limit in (_SILENT, _NEARLY_SILENT))
     ratio = np.where(total > 1e-7 * reach, total / np.where(terms > 0, terms, 1.0), 0.0).max(axis=0)
-    for i, j in np.argwhere(structure & there & (share < _NEARLY_SILENT)):
+    for i, j in np.argwhere(structure & there & (share < nearly)):
         told = f"residual {i + 1} is marked for {faults[j]!r}, which is {share[i, j]:.1e} of what it is made of"
-        outcome = "wrong" if share[i, j] < _SILENT else "close"
+        outcome = "wrong" if share[i, j] < silent[j] else "close"
         record.problem(outcome, "structure", f"{record.function}: {told}")
     for i, j in np.argwhere(~structure & there & (ratio > _NEARLY_ANSWER)):
         told = f"residual {i + 1} is not marked for {faults[j]!r}, which is {ratio[i, j]:.1e} of its terms"

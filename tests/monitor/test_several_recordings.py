@@ -8,7 +8,7 @@ import pytest
 
 import residua as rs
 from residua.decide.norm_threshold import NormThreshold, fit_norm_test
-from residua.decide.seams import told_sample
+from residua.decide.peak_threshold import told_sample
 from residua.errors import DataError
 from residua.monitor import Recording, recording_from_frame
 

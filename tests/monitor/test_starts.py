@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,7 @@ def under_way(samples: int, seed: int, fault: float = 0.0, start: int = 0) -> tu
     return u, y
 
 
+@cache
 def designs() -> dict[str, object]:
     plant = tank()
     return {

@@ -60,9 +60,10 @@ def output_free_form(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> OutputFreeF
     rows, columns = _units(np.vstack([plant.Bd, plant.Dd]), plant.n_states)
     Bd, Dd = plant.Bd * columns, rows[:, None] * plant.Dd * columns
     U, s, Vh = np.linalg.svd(Dd)
+    U, Vh = without_noise(U), without_noise(Vh)  # no residual reads an output through what rounding left there
     r = int(np.count_nonzero(s > rtol * s[0]))
     G = without_rounding(Bd, Vh[:r].T / s[:r], U[:, :r].T) * rows
-    W = np.linalg.qr((U[:, r:].T * rows).T)[0].T
+    W = without_noise(np.linalg.qr((U[:, r:].T * rows).T)[0].T)
     rest = without_rounding(Bd, Vh[r:].T)
     scale = float(np.linalg.norm(Bd, 2)) if Bd.size else 0.0
     E, decision = factor_disturbance(rest, rtol=rtol)
@@ -433,7 +434,7 @@ def _singular_existence(plant: Plant, rtol: float) -> UnknownInputExistence:
                 "outside the stability region; add a sensor, or decouple other disturbances"
             )
     parts = None if reasons else SingularDecoupling(even, measured, equations, form, decoupling)
-    useful = len(decoupling.N) > 0
+    useful = plant.n_outputs > measured.n_outputs - len(form.W) + q  # outputs, beyond what all disturbances use up
     return UnknownInputExistence(not reasons, tuple(reasons), decoupling.rank, decoupling.rank_D, fixed, useful, parts)
 
 

@@ -57,7 +57,10 @@ def register(cls: Kind) -> Kind:
         known = ISOLATIONS
     else:
         raise SettingError(f"register takes a subclass of TestSettings or IsolationSettings, got {echo(cls)}")
-    kind = getattr(cls, "kind", None)
+    try:
+        kind = cls.kind
+    except AttributeError:
+        kind = ""
     if not isinstance(kind, str) or not kind:
         raise SettingError(f"{cls.__name__} must have a kind, the text that files know it by")
     other = known.get(kind, cls)

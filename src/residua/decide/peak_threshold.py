@@ -15,7 +15,6 @@ from residua.decide.false_alarms import observed
 from residua.decide.fault_free import FaultFree
 from residua.decide.member_thresholds import BankTest, Parts, fit_together, rows_of, side_by_side
 from residua.decide.row_norms import row_norms
-from residua.decide.seams import told_sample
 from residua.decide.test import FaultFreeRun, ResidualTest, Tested, TestSettings, Watched
 from residua.decide.whitened_norm import Fitted, NormTest, with_threshold
 from residua.errors import DataError, FileFormatError, SettingError
@@ -31,6 +30,15 @@ GIVEN = "threshold given"
 _LONGEST = 80
 #: Members whose shares of their thresholds a basis tells one by one.
 _TOLD = 8
+
+
+def told_sample(sample: int, seams: Sequence[int]) -> str:
+    """Say which sample that is, and of which recording where there are several."""
+    if not seams:
+        return f"sample {sample}"
+    before = [0, *(int(s) for s in seams)]
+    number = max(i for i, start in enumerate(before) if start <= sample)
+    return f"sample {sample - before[number]} of recording {number + 1}"
 
 
 class _Peak:

@@ -616,14 +616,7 @@ def named_pattern(
     Those of the pattern that stood the longest, and every other that counted as fired for an isolation window in all: a
     fault that came later has its member too, and a false alarm of a member is shorter. By a peak test every member that
     fired: one sample over its threshold declares the fault, and its own window holds it.
-
-    Parameters
-    ----------
-    codes : CodeTest
-    longest : ndarray of bool, shape (members,)
-    code, fired : ndarray of bool, shape (time, members)
-        Of the samples of the alarm.
-    usable : ndarray of bool, shape (time,)
+    ``code`` and ``fired``, of shape (time, members), and ``usable`` are those of the samples of the alarm.
     """
     if codes.at_once:
         more = fired.any(axis=0)
@@ -663,17 +656,7 @@ def present_faults(
 def present_now(
     codes: CodeTest, reading: CodeReading, since: NDArray[np.int64], step: float
 ) -> tuple[PresentFault, ...]:
-    """Return the faults that are read now, since when their members fire in the standing alarm.
-
-    Parameters
-    ----------
-    codes : CodeTest
-    reading : CodeReading
-    since : ndarray of int, shape (members,)
-        As a :class:`CodeState` has it.
-    step : float
-        Seconds between samples.
-    """
+    """Return the faults that are read now; ``since``: samples when each member fired first, ``step`` in seconds."""
     if not codes.dedicated:
         return ()
     fired = [(group, codes.member_of(group)) for group in reading.named]

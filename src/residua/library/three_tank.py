@@ -113,13 +113,18 @@ def pipe_flows(h: ArrayLike, clogs: ArrayLike = (0.0, 0.0, 0.0)) -> tuple[NDArra
     -------
     q13, q20, q32 : ndarray, shape (...)
     """
-    h1, h2, h3 = np.moveaxis(np.asarray(h, dtype=float), -1, 0)
-    c13, c20, c32 = np.moveaxis(PIPE * (1.0 - np.asarray(clogs, dtype=float)), -1, 0)
+    h1, h2, h3 = _parts(np.asarray(h, dtype=float))
+    c13, c20, c32 = _parts(PIPE * (1.0 - np.asarray(clogs, dtype=float)))
     return (
         OUTFLOW_13 * c13 * np.sign(h1 - h3) * np.sqrt(2 * GRAVITY * np.abs(h1 - h3)),
         OUTFLOW_20 * c20 * np.sqrt(2 * GRAVITY * np.maximum(h2, 0.0)),
         OUTFLOW_32 * c32 * np.sign(h3 - h2) * np.sqrt(2 * GRAVITY * np.abs(h3 - h2)),
     )
+
+
+def _parts(a: NDArray) -> NDArray:
+    """Return an array with its last axis first; simulations ask for one axis, and NumPy's answer takes most of them."""
+    return a if a.ndim == 1 else np.moveaxis(a, -1, 0)
 
 
 def three_tank_rate(
@@ -149,9 +154,10 @@ def three_tank_rate(
     True
     """
     h = np.asarray(h, dtype=float)
-    q1, q2 = np.moveaxis(np.asarray(q, dtype=float), -1, 0)
+    q1, q2 = _parts(np.asarray(q, dtype=float))
     q13, q20, q32 = pipe_flows(h, clogs)
-    net = np.stack([q1 - q13, q2 + q32 - q20, q13 - q32], axis=-1)
+    parts = q1 - q13, q2 + q32 - q20, q13 - q32
+    net = np.stack(parts, axis=-1) if np.ndim(parts[0]) else np.array(parts)
     return (net - np.asarray(leaks, dtype=float) * np.sqrt(2 * GRAVITY * np.maximum(h, 0.0))) / AREA
 
 

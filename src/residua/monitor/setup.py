@@ -15,7 +15,7 @@ from residua.decide.norm_threshold import NormTest, NormThreshold
 from residua.decide.peak_threshold import PeakThreshold
 from residua.decide.test import ResidualTest, TestSettings, Watched
 from residua.design import ResidualGenerator
-from residua.design.core.brought import BoundedDesign, CertifiedDesign, Design
+from residua.design.core.brought import BoundedDesign, CertifiedDesign, Design, Watcher
 from residua.errors import ModelError, SettingError
 from residua.monitor.inputs import settling_samples
 from residua.monitor.partial_update import partial_update
@@ -40,7 +40,7 @@ def as_generator(design: Any) -> ResidualGenerator:
         return design.generator
     raise ModelError(
         f"a monitor runs a residual generator, got {type(design).__name__}"
-        + ("; use its residual_generator()" if hasattr(design, "residual_generator") else "")
+        + ("; use its residual_generator()" if isinstance(design, Watcher) else "")
     )
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from residua.design.core.signals import signal_names
 from residua.linear import StateSpace
 from residua.linear.subspaces.detection_space import confining_gain, detection_space
-from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis, range_basis
+from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis, range_basis, without_noise
 from residua.linear.subspaces.reachability import reachable_basis
 from residua.linear.systems.balancing import descriptor_units, without_rounding
 from residua.plant import Plant
@@ -93,6 +93,7 @@ class Quotient:
 def unknown_input_quotient(parts: ExplicitParts, rtol: float) -> Quotient:
     """Divide out the smallest unobservability subspace that holds the unknown inputs."""
     U, s, Vh = np.linalg.svd(parts.D)
+    U, Vh = without_noise(U), without_noise(Vh)  # a reading of rounding would couple states to the residual
     direct = decide_rank(parts.D, rtol=rtol, scale=1.0)
     k = direct.rank
     G = parts.B @ (Vh[:k].T / s[:k]) @ U[:, :k].T

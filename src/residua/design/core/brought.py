@@ -38,3 +38,12 @@ class BoundedDesign(Protocol):
         and the bounds of what other faults of size one cause.
         """
         ...
+
+
+@runtime_checkable
+class Watcher(Protocol):
+    """A design, such as an observer, that makes a generator when it is asked which residuals are meant."""
+
+    def residual_generator(self) -> ResidualGenerator:
+        """Return one."""
+        ...

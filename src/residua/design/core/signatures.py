@@ -18,6 +18,10 @@ _NOTHING = 1e-9
 _ELSEWHERE = 1e-4
 #: Frequencies at which a response is this far below its largest say nothing about its direction.
 _FAINT = 1e-7
+#: Faint directions of a response are there when the gap behind them is so much wider than that before them ...
+_WIDER = 100.0
+#: ... and they carry more than this fraction of it.
+_FADED = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +129,8 @@ def signature_bases(
     state_map, static_map : ndarray, optional
         Those of the generator, where it has them.
     rtol : float
-        Directions that carry less than this fraction of the response at every frequency are not there.
+        Directions that carry less than this fraction of the response at every frequency are not there, but where
+        those that rounding has left are much fainter still.
 
     Returns
     -------
@@ -143,11 +148,27 @@ def signature_bases(
             bases[name] = np.zeros((form.n_outputs, 0))
             continue
         U, s, _ = np.linalg.svd(np.hstack([columns.real, columns.imag]), full_matrices=False)
-        basis = np.linalg.qr((units / found.residuals)[:, None] * U[:, s > rtol * s[0]])[0]
+        basis = np.linalg.qr((units / found.residuals)[:, None] * U[:, : _dimension(s, rtol)])[0]
         if basis.shape[1] == 1 and (found.residuals * basis[:, 0]) @ first_response(found.form, i) < 0:
             basis = -basis
         bases[name] = _marked(basis, found.reached[:, i])
     return bases, max(outside_subspaces(found, bases, plant.faults).values(), default=0.0)
+
+
+def _dimension(s: NDArray[np.float64], rtol: float) -> int:
+    """Return how many of the directions with these singular values, the largest first, a response takes.
+
+    Those beyond ``rtol``; and fainter ones where the gap to what is rounding comes only after them. A design misses a
+    direction that it aims at by what lies beyond a gap; faint directions before it are in other units of the residuals
+    as large as others.
+    """
+    s = np.maximum(s / s[0], np.finfo(float).eps)
+    gaps = s / np.append(s[1:], np.finfo(float).eps)
+    kept = int(np.count_nonzero(s > rtol))
+    for k in range(kept + 1, int(np.count_nonzero(s > _FADED)) + 1):
+        if gaps[k - 1] > _WIDER * gaps[kept - 1]:
+            kept = k
+    return kept
 
 
 def residual_units(found: FaultResponses) -> NDArray[np.float64]:

@@ -38,6 +38,9 @@ from residua.linear.systems.balancing import balance_system
 from residua.plant import Plant
 from residua.plant.even_units import EvenPlant, even_plant
 
+#: What a fault does to the error, relative to the terms that it is the sum of, is rounding below this.
+_NO_EVENT = 1e-11
+
 REFERENCES = (
     "Chen, Patton and Zhang (1996), Int. J. Control 63(1), eqs. (14) to (18), Definitions 2 to 4",
     "Gertler (1991), Automatica 27(4), section 5.1, eqs. (5-1) to (5-8), after White and Speyer (1987)",
@@ -302,12 +305,13 @@ def event_matrices(plant: Plant, T: NDArray, faults: tuple[str, ...]) -> dict[st
         f, d = plant.Bf[:, [i]], plant.Df[:, [i]]
         if np.any(d):
             g = inverse @ (form.W @ d)
-            L = T @ np.hstack([g, f - form.G @ d - form.A @ g])
+            effects = np.hstack([g, f - form.G @ d - form.A @ g])
+            sizes = np.hstack([np.abs(g), np.abs(f) + np.abs(form.G) @ np.abs(d) + np.abs(form.A) @ np.abs(g)])
         else:
-            L = T @ f
-        size = np.linalg.norm(L, axis=0)
-        reference = max(np.linalg.norm(f), np.linalg.norm(d), 1e-300)
-        out[name] = _unit_columns(np.where(size > 1e-11 * reference, L, 0.0))
+            effects, sizes = f, np.abs(f)
+        L, terms = T @ effects, np.abs(T) @ sizes
+        real = np.linalg.norm(L, axis=0) > _NO_EVENT * np.linalg.norm(terms, axis=0)
+        out[name] = _unit_columns(np.where(real, L, 0.0))
     return out
 
 
@@ -329,7 +333,8 @@ def _seen_directly(plant: Plant, H: NDArray, W: NDArray, name: str) -> bool:
     """Tell whether a fault in the outputs reaches the residual without the help of the state."""
     d = plant.Df[:, plant.faults.index(name)]
     direct = W @ (d - plant.C @ (H @ d))
-    return bool(np.linalg.norm(direct) > 1e-9 * np.linalg.norm(d)) if np.any(d) else False
+    terms = np.abs(W) @ (np.abs(d) + np.abs(plant.C) @ (np.abs(H) @ np.abs(d)))
+    return bool(np.any(np.abs(direct) > 1e-9 * terms))
 
 
 def _poles_for(poles: Poles, group: list[FaultEvent]) -> Poles:

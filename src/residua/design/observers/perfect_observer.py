@@ -22,6 +22,7 @@ from residua.linear.poles.spectrum import describe_modes
 from residua.linear.subspaces.rank import DEFAULT_RTOL, left_null_basis
 from residua.linear.systems.balancing import descriptor_units
 from residua.linear.systems.descriptor import scaled_pencil
+from residua.linear.systems.response_terms import response_terms
 from residua.plant import Plant
 
 REFERENCE = "Twardy and Kaczorek, part I, eqs. (30) to (33), Theorem 4, Procedure 2"
@@ -29,6 +30,8 @@ REFERENCE = "Twardy and Kaczorek, part I, eqs. (30) to (33), Theorem 4, Procedur
 MOST_STATES = 300
 #: A coefficient below this fraction of the terms that it is the sum of is rounding.
 _ROUNDING = 1e-13
+#: A response this far below its terms is rounding of nothing.
+_NOTHING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -607,7 +610,7 @@ def _estimate_off(o: PerfectObserver, system: StateSpace, limit: float = 1e-6) -
     """Return how far the filter driven by the plant is from the filtered state, over frequency, or raise.
 
     State by state, relative to its response to each control input and disturbance; where one hardly reaches a state, to
-    what others do to it, in even units.
+    what others do to it, in even units; where none does, to the terms that its estimate is the sum of.
     """
     p = o.plant
     driven = p.system(("control", "disturbance"))
@@ -616,14 +619,18 @@ def _estimate_off(o: PerfectObserver, system: StateSpace, limit: float = 1e-6) -
         return 0.0
     units = descriptor_units(driven.A, driven.E, driven.B, driven.C, driven.D).inputs
     points = np.exp(1j * np.array([0.2, 0.9, 2.3])) if p.dt else 1j * o.bandwidth * np.array([0.043, 0.21, 0.93])
-    X = driven.replaced(C=np.eye(n), D=np.zeros((n, m)), outputs=None).evaluate(points)
+    reached = response_terms(driven.replaced(C=np.eye(n), D=np.zeros((n, m)), outputs=None), points)
+    X = np.where(np.abs(reached.values) > _NOTHING * reached.terms, reached.values, 0.0)
     Q, P = system.evaluate(points), driven.evaluate(points)
     found = Q[..., n_u:] @ P
     found[..., :n_u] += Q[..., :n_u]
     late = (1 / points if p.dt else 1 / (points / o.bandwidth + 1)) ** o.derivatives
     wanted = late[:, None, None] * X
-    missed, size = ((np.abs(M) * units).max(axis=0) for M in (found - wanted, wanted))
+    terms = np.abs(Q[..., n_u:]) @ np.abs(P)
+    terms[..., :n_u] += np.abs(Q[..., :n_u])
+    missed, size, terms = ((np.abs(M) * units).max(axis=0) for M in (found - wanted, wanted, terms))
     size = np.maximum(size, 1e-6 * size.max(axis=1, keepdims=True, initial=0.0))
+    size = np.where(size.max(axis=1, keepdims=True, initial=0.0) > 0, size, terms)
     worst = float(np.max(missed / np.where(size > 0, size, 1.0), initial=0.0))
     if not worst <= limit:
         raise AccuracyError(

@@ -19,6 +19,8 @@ from residua.plant.input_output_model import InputOutputModel
 
 #: Poles below this fraction of the size of the plant's dynamics are zero.
 _ZERO = 1e-10
+#: A pole of as many times as there are states is scattered by the root of so many roundings.
+_SCATTER = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,9 +123,17 @@ def basis_for(plant: Plant, count: int) -> PolynomialBasis:
         poles = np.zeros(0, dtype=np.complex128)
     E = np.eye(plant.n_states) if plant.E is None else plant.E
     level = 1.0 if plant.is_discrete else _mean_size(plant.A) / _mean_size(E)
-    poles = np.where(np.abs(poles) > _ZERO * level, poles, 0.0)  # a size that is rounding would take equations for zero
+    poles = np.where(np.abs(poles) > _ZERO * level, poles, 0j).astype(
+        np.complex128
+    )  # a size that is rounding would take equations for zero
     finite = np.abs(poles[np.isfinite(poles)])
     size = (float(np.median(finite)) if finite.size else 0.0) or level
+    if plant.E is None and plant.n_states > 1:
+        a = float(poles.real.mean())
+        rest = plant.A - a * np.eye(plant.n_states)
+        scatter = float(np.linalg.norm(rest)) * (_SCATTER * np.finfo(float).eps) ** (1 / plant.n_states)
+        if np.abs(poles - a).max() <= scatter:  # one pole, as far as rounding lets one tell
+            return basis_on_poles(np.full(len(poles), a), count, _mean_size(rest), outward=True)
     return basis_on_poles(poles, count, size, outward=True)
 
 

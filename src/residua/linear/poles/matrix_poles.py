@@ -12,11 +12,7 @@ from residua.linear.systems.units import system_units
 
 @cached_by_entries
 def explicit_poles(A: NDArray) -> NDArray[np.complex128]:
-    r"""Return the eigenvalues of a matrix; those that may be nothing but rounding of zero are zero.
-
-    Rounding scatters a zero of multiplicity ``m`` by :math:`|A| \epsilon^{1/m}`, and to first order any eigenvalue by
-    :math:`\epsilon |A| / |w^H v|`, with its unit eigenvectors: what is within both is zero.
-    """
+    """Return the eigenvalues of a matrix; those that may be nothing but rounding of zero are zero."""
     from scipy.sparse.csgraph import connected_components  # slow to import; parts of a cascade have their own poles
 
     count, part = connected_components(A != 0, connection="strong") if len(A) else (0, np.zeros(0, dtype=int))
@@ -31,10 +27,28 @@ def _poles_of_part(A: NDArray) -> NDArray[np.complex128]:
     balanced = scipy.linalg.matrix_balance(A / T[:, None] * T)[0]
     poles, left, right = scipy.linalg.eig(balanced, left=True, right=True)
     overlap = np.abs(np.sum(left.conj() * right, axis=0))
-    size, rounding = np.linalg.norm(balanced), 10 * len(A) * np.finfo(float).eps
-    zero = np.zeros(len(A), dtype=bool)
-    for m in range(1, len(A) + 1):
-        near = np.abs(poles) <= size * rounding ** (1 / m)
+    return np.where(is_rounding_of_zero(poles, overlap, float(np.linalg.norm(balanced))), 0.0, poles).astype(complex)
+
+
+def is_rounding_of_zero(values: NDArray, overlap: NDArray, size: float) -> NDArray[np.bool_]:
+    r"""Tell which eigenvalues of a matrix, or of a pencil ``A - sE``, may be nothing but rounding of zero.
+
+    Rounding scatters a zero of multiplicity ``m`` by :math:`|A| \epsilon^{1/m}`, and to first order any eigenvalue by
+    :math:`\epsilon |A| / |w^H E v|`, with its unit eigenvectors: what is within both is zero.
+
+    Parameters
+    ----------
+    values : ndarray of complex, shape (n,)
+    overlap : ndarray, shape (n,)
+        :math:`|w^H v|`, or :math:`|w^H E v|`.
+    size : float
+        Norm of ``A``, or of what ``A`` was computed from.
+    """
+    count = len(values)
+    rounding = 10 * count * np.finfo(float).eps
+    zero = np.zeros(count, dtype=bool)
+    for m in range(1, count + 1):
+        near = np.abs(values) <= size * rounding ** (1 / m)
         if np.count_nonzero(near) >= m:
-            zero = near & (np.abs(poles) * overlap <= rounding * size)
-    return np.where(zero, 0.0, poles).astype(complex)
+            zero = near & (np.abs(values) * overlap <= rounding * size)
+    return zero

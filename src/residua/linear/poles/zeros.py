@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
 from residua.errors import AccuracyError
+from residua.linear.poles.matrix_poles import is_rounding_of_zero
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, decide_rank
 from residua.linear.systems.balancing import balance_system, descriptor_units, power_of_two
 
@@ -180,22 +181,27 @@ def invariant_zeros(
             f"the compressed pencil is not square (D is {D.shape[0]} x {D.shape[1]}): a rank decision "
             f"with rtol={rtol:.3g} was not clear; see pencil_rank_at, or choose another rtol"
         )
-    return InvariantZeros(_finite_zeros((A, B, C, D)) * unit, rank - algebraic, tuple(decisions))
+    return InvariantZeros(_finite_zeros((A, B, C, D), scale) * unit, rank - algebraic, tuple(decisions))
 
 
-def _finite_zeros(M: Matrices) -> NDArray[np.complex128]:
-    """Return the zeros of a square system with invertible ``D``, without inverting it."""
+def _finite_zeros(M: Matrices, scale: float) -> NDArray[np.complex128]:
+    """Return the zeros of a square system with invertible ``D``, without inverting it; rounding is of ``scale``."""
     A, B, C, D = M
     k, r = A.shape[0], D.shape[0]
     if not k:
         return np.zeros(0, complex)
     if r:
         W = np.roll(np.linalg.svd(np.hstack([C, D]))[2], -r, axis=0).T[:, :k]
-        zeros = scipy.linalg.eigvals(np.hstack([A, B]) @ W, W[:k])
+        A, E = np.hstack([A, B]) @ W, W[:k]
+        zeros, left, right = scipy.linalg.eig(A, E, left=True, right=True)
     else:
-        zeros = scipy.linalg.eigvals(A)
+        E = np.eye(k)
+        zeros, left, right = scipy.linalg.eig(A, left=True, right=True)
     if not np.all(np.isfinite(zeros)):
         raise AccuracyError("a zero of the compressed pencil came out infinite: a rank decision was not clear")
+    overlap = np.abs(np.sum(left.conj() * (E @ right), axis=0))
+    overlap /= np.linalg.norm(left, axis=0) * np.linalg.norm(right, axis=0)
+    zeros = np.where(is_rounding_of_zero(zeros, overlap, scale), 0.0, zeros).astype(np.complex128)
     return zeros[np.lexsort((zeros.imag, zeros.real))]
 
 

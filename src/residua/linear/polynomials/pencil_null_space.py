@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from residua.linear.polynomials.degree_search import at_smallest_degree
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
+from residua.linear.subspaces.parts import row_parts
 from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis
 from residua.linear.systems.balancing import evened
 
@@ -103,11 +104,28 @@ def pencil_null_vectors(given: Pencil, degree: int, *, rtol: float = DEFAULT_RTO
         Orthonormal in balanced units.
     """
     T, units = _block_matrix(given, degree)
-    W, decision = left_null_basis(T, rtol=rtol)
+    W, decision = _left_null_basis(T, given, degree, rtol)
     vectors = W.T.reshape(W.shape[1], degree + 1, len(given.rows))
     size = np.abs(vectors).max(axis=(1, 2), initial=0.0)
     vectors = np.where(np.abs(vectors) > 1e-15 * size[:, None, None], vectors, 0.0)
     return PencilNullVectors(vectors * units, decision, units)
+
+
+def _left_null_basis(T: NDArray, given: Pencil, degree: int, rtol: float) -> tuple[NDArray, RankDecision]:
+    """Return the left null space of the stacked pencil, part by part where nothing connects the rows of the pencil."""
+    parts = row_parts((given.P0 != 0) | (given.P1 != 0))
+    if len(parts) < 2:
+        return left_null_basis(T, rtol=rtol)
+    whole = decide_rank(T, rtol=rtol)
+    scale = float(whole.singular_values.max(initial=0.0))
+    count, bases = len(given.rows), []
+    for part in parts:
+        rows = (np.arange(degree + 1)[:, None] * count + part).ravel()
+        found = left_null_basis(T[rows][:, np.any(T[rows], axis=0)], rtol=rtol, scale=scale)[0]
+        bases.append(np.zeros((len(T), found.shape[1])))
+        bases[-1][rows] = found
+    W = np.hstack(bases)
+    return (W, whole) if W.shape[1] == len(T) - whole.rank else left_null_basis(T, rtol=rtol)
 
 
 def shortest_pencil_null_vectors(given: Pencil, *, most: int, rtol: float = DEFAULT_RTOL) -> PencilNullVectors | None:

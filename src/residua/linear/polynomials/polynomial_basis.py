@@ -171,7 +171,7 @@ def basis_on_poles(poles: ArrayLike, count: int, size: float, *, outward: bool =
     count : int
         The number of nodes at least.
     size : float
-        What sizes are compared with when the poles do not tell: all are zero, or there is none.
+        Of the elements when the poles do not tell it: all are one, or there is none.
     outward : bool
         Whether the order of Leja is reversed: nodes far out come last. A division by all nodes, from the highest
         element down, then meets the fast modes first, and nothing that it leaves grows; that keeps the digits of
@@ -182,6 +182,9 @@ def basis_on_poles(poles: ArrayLike, count: int, size: float, *, outward: bool =
     values = np.where(np.abs(values.imag) < 1e-9 * np.abs(values), values.real, values)
     if not len(values):
         return PolynomialBasis.powers(count, size)
+    if len(values) > 1 and np.all(values == values[0]):
+        a = values[0].real
+        return PolynomialBasis(np.full(count, a), np.zeros(count), np.full(count, float(size)))
     size = float(np.median(np.abs(values))) or size
     floor = 1e-6 * size  # poles that meet would make sizes of rounding
     one = PolynomialBasis.on(values, size=size)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
 from residua.errors import AccuracyError
+from residua.linear.poles.matrix_poles import is_rounding_of_zero
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision
 from residua.linear.systems.balancing import balance_system
 from residua.linear.systems.units import system_units
@@ -184,7 +185,8 @@ def modes_with_uncertainty(
     cosine = np.abs(np.sum(left.conj() * right, axis=0))
     moved = n * _EPS * float(np.linalg.norm(A)) + perturbation
     # A defective mode has cosine 0; the floor gives it the sqrt(eps) that a double mode moves by.
-    return modes.astype(complex), moved / np.maximum(cosine, np.sqrt(_EPS))
+    zero = is_rounding_of_zero(modes, cosine, float(np.linalg.norm(A)))
+    return np.where(zero, 0.0, modes).astype(complex), moved / np.maximum(cosine, np.sqrt(_EPS))
 
 
 def _scales(A: NDArray[np.float64], C: NDArray[np.float64], rtol: float) -> tuple[float, float]:

@@ -254,7 +254,7 @@ def _normal_equations(
     edges = np.bincount(row * count + column, minlength=count * count).reshape(count, count)
     L = np.diag(np.bincount(ends, minlength=count)) - edges - edges.T
     b = np.bincount(ends, weights=np.concatenate([logarithms, -logarithms]), minlength=count)
-    return L.astype(float), b.astype(float)
+    return L.astype(float), np.asarray(b, dtype=float)
 
 
 def _origins(row: NDArray, column: NDArray, count: int) -> NDArray[np.int_]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
+from residua.decide.false_alarms import Promise, observed, promise_of
+from residua.decide.fault_free import FaultFree
 from residua.design.core.signals import stack_signals
 from residua.errors import DataError, DesignError, SettingError
 from residua.linear import StateSpace
@@ -24,10 +25,6 @@ from residua.robust.parity.insensitive_running import (
 )
 from residua.robust.parity.model_sensitivity import Equations, Model, checked_parameters, equations_of
 from residua.robust.parity.window_filter import window_filter, window_poles
-
-if TYPE_CHECKING:
-    from residua.decide.false_alarms import Promise
-    from residua.decide.fault_free import FaultFree
 
 #: What may be left of an expected change of a parameter, in units of the noise, is half of this.
 REST = 0.1
@@ -405,8 +402,6 @@ def fitted_running(
     rate : float
         Fraction of samples over the threshold of each member.
     """
-    from residua.decide.fault_free import FaultFree  # what decides stands on what is designed, elsewhere
-
     plants, time, _ = data.shape
     m = len(bare.scale)
     plain = replace(bare, scale=np.eye(m))
@@ -438,7 +433,6 @@ def fitted_running(
 
 
 def _promise(statistic: NDArray, own: NDArray, seen: FaultFree, memory: int, rate: float) -> Promise:
-    from residua.decide.false_alarms import observed, promise_of
 
     found = observed(
         statistic, seen.full, seen.usable, seen.parts, np.inf, persistence=1, release=1, window=memory, own=own

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from residua import arrays
 from residua.design.core.generator import ResidualGenerator
@@ -81,6 +82,7 @@ class _Task:
     """The plant with everything that is unwanted among its disturbances, in expected sizes."""
 
     plant: Plant
+    sizes: NDArray[np.float64]  # of its faults, then of its disturbances
     aim: Plant
     unwanted: NDArray[np.float64]
     wanted: NDArray[np.float64]
@@ -240,7 +242,7 @@ def _task(
     wanted = Bf[:, f] * size[f]
     unwanted = np.hstack([Bd[:, counted] * size[nf:][counted], Bf[:, g] * size[g], *extra])
     aim = _disturbed_by(plant.without_faults([x for x in plant.faults if x not in names]), unwanted)
-    return _Task(plant, aim, unwanted, wanted, tuple(names), constant=False)
+    return _Task(plant, size, aim, unwanted, wanted, tuple(names), constant=False)
 
 
 def _disturbed_by(plant: Plant, columns: NDArray[np.float64]) -> Plant:
@@ -266,7 +268,7 @@ def _perfect(
     seen = np.where(space.sizes.max(axis=0, initial=0.0) > space.floor, 1.0, 0.0)[order]
     p, q = _in_powers(task.plant, space)
     F = _responses(p, q, task.wanted * seen, task)
-    N = _size_of(task.plant, p, q)
+    N = _size_of(task, p, q)
     gains, combinations = best_ratios(F, N, space.count)
     terms, _ = best_ratios(_responses(np.abs(p), np.abs(q), np.abs(task.wanted * seen)), N, space.count)
     kept = gains > _BLIND * terms[0]  # less is rounding of what cancels
@@ -306,15 +308,35 @@ def _responses(p: NDArray, q: NDArray, columns: NDArray[np.float64], task: _Task
     return every.reshape(len(p), -1)
 
 
-def _size_of(plant: Plant, p: NDArray, q: NDArray) -> NDArray[np.float64]:
+def _size_of(task: _Task, p: NDArray, q: NDArray) -> NDArray[np.float64]:
     """Return what the size of a relation is: its response to the noise, or its weights in units of the outputs."""
+    plant = task.plant
     if plant.Bw.shape[1]:
         noise = _responses(p, q, np.vstack([plant.Bw, plant.Dw]))
         if np.linalg.matrix_rank(noise) == len(p):
             return noise
-    whole = plant.system(("control", "fault", "disturbance"))
-    units = descriptor_units(whole.A, whole.E, whole.B, whole.C, whole.D).outputs
-    return (q / units).reshape(len(q), -1)
+    return (q / _output_units(task)).reshape(len(q), -1)
+
+
+def _output_units(task: _Task) -> NDArray[np.float64]:
+    """Return the units of the outputs for faults and disturbances of their expected sizes.
+
+    The outputs of a part of the plant that nothing connects with another have no common unit with those of the other
+    but by what is expected there. Even units leave that open: each part takes that of its own faults and disturbances.
+    """
+    s = task.plant.system(("fault", "disturbance", "control"))
+    k = len(task.sizes)
+    size = np.concatenate([task.sizes, np.ones(s.n_inputs - k)])
+    B, D = s.B * size, s.D * size
+    u = descriptor_units(s.A, s.E, B, s.C, D)
+    n, rows = s.n_states, s.n_states + s.n_outputs
+    links = np.zeros((rows + n + s.n_inputs,) * 2, dtype=bool)
+    links[:rows, rows:] = np.block([[s.A, B], [s.C, D]]) != 0
+    links[:n, rows : rows + n] |= np.eye(n, dtype=bool) if s.E is None else s.E != 0
+    part = connected_components(links, directed=False)[1]
+    of_outputs, of_signals = part[n:rows], part[rows + n :][:k]
+    common = [np.exp2(np.mean(np.log2(u.inputs[:k][of_signals == i]))) if i in of_signals else 1.0 for i in of_outputs]
+    return u.outputs * np.array(common)
 
 
 def _made(

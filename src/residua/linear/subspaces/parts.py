@@ -1,0 +1,30 @@
+"""Parts of a matrix that nothing connects: what is computed of one must not mix with what is computed of another."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def row_parts(M: NDArray) -> list[NDArray[np.int_]]:
+    """Return the rows of a matrix in groups that share no column, each with the first of its rows first.
+
+    Parameters
+    ----------
+    M : ndarray, shape (rows, columns)
+        What counts is where the entries are that are not zero.
+    """
+    present = M != 0
+    left = np.arange(len(M))
+    parts = []
+    while left.size:
+        inside = np.zeros(len(left), dtype=bool)
+        inside[0] = True
+        while True:
+            reached = present[left][:, present[left[inside]].any(axis=0)].any(axis=1) | inside
+            if np.array_equal(reached, inside):
+                break
+            inside = reached
+        parts.append(left[inside])
+        left = left[~inside]
+    return parts

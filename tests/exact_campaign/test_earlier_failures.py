@@ -1,0 +1,50 @@
+"""Plants of the campaign that once had a wrong answer, or one that changed with units, by what was wrong."""
+
+from __future__ import annotations
+
+import pytest
+
+from exact_campaign import designs, examination
+from exact_campaign.analyses import analyses
+from exact_campaign.answers import FAILURES
+
+_EARLIER = [
+    # a fault that crosses parts of a plant without a common unit was taken for rounding
+    ("no states", 1, designs._filters),
+    # the reading of a fault kept what rounding left of an output that it does not read
+    ("no states", 3, designs._estimators),
+    # parts of a plant without a common unit were compared in units of signals, and mixed where they were equal
+    ("no states", 2, designs._parity),
+    ("no states", 20000, designs._parity),
+    ("no states", 20003, designs._parity),
+    ("dead sensors", 602, designs._parity),
+    ("dead sensors", 20007, designs._parity),
+    ("hidden modes", 20006, designs._parity),
+    # a zero at 0 of multiplicity two was scattered
+    ("delays", 301, None),
+    ("integrators", 20008, None),
+    # algebraic equations were counted twice
+    ("singular E", 20000, None),
+    # sizes of polynomials on poles that meet came of the scatter of these
+    ("repeated poles", 20001, designs._parity),
+    ("repeated poles", 20008, designs._parity),
+    # a direction of a response was taken for rounding because residuals have other units
+    ("planted zeros", 20007, designs._filters),
+    ("alike directions", 20011, designs._filters),
+    ("stiff", 20012, designs._filters),
+    ("used-up measurements", 602, designs._filters),
+    ("alike directions", 20008, designs._scheme_banks),
+    # states were read through what rounding left of nothing
+    ("singular E", 2, designs._decoupled),
+    ("singular E", 20012, designs._decoupled),
+    # states that no input reaches were judged in units of the caller
+    ("sparse", 20002, designs._perfect),
+    ("feedthrough", 20014, designs._perfect),
+]
+
+
+@pytest.mark.parametrize(("kind", "seed", "stage"), _EARLIER, ids=[f"{kind} {seed}" for kind, seed, _ in _EARLIER])
+def test_what_failed_before_holds(kind: str, seed: int, stage: examination.Stage | None) -> None:
+    asked = (analyses,) if stage is None else (analyses, stage)
+    found = [one for one in examination.examine(kind, seed, asked)[1] if one.outcome in FAILURES]
+    assert [f"{one.units}: {one.function}: {one.text}\n{one.plant}" for one in found] == []
