@@ -29,6 +29,7 @@ ROOMS = (
     *(
         "errors",
         "visible",
+        "words",
         "number_kinds",
         "arrays",
         "facade",

@@ -14,6 +14,7 @@ from residua.decide.dependence import correlation_times
 from residua.decide.whitening import whitening_matrix
 from residua.decide.window import empty_window, moving_sum
 from residua.errors import DataError
+from residua.linear.subspaces.whitening import VARIANCE_FLOOR
 
 #: With that many independent samples to each residual a covariance counts as known, and is left as it is.
 KNOWN = 10.0
@@ -21,8 +22,6 @@ KNOWN = 10.0
 FOLDS, FEW_FOLDS = 16, 4
 #: Independent samples to a residual from which on few stretches do.
 _PLENTY = 20 * KNOWN
-#: A variance after whitening that is further below one was raised by the floor, and not by rounding.
-_RAISED = 1e-8
 
 
 def oracle_approximating_intensity(correlation: NDArray[np.float64], samples: float) -> float:
@@ -204,7 +203,7 @@ class FaultFree:
         # What the first whitening raised to its floor never moved: sums of it count as those of independent samples do,
         # or the second whitening would take the floor away again.
         raised = 1 - np.sum(first * (covariance @ first), axis=0)
-        raised = np.where(raised > _RAISED, raised, 0.0)
+        raised = np.where(raised > VARIANCE_FLOOR, raised, 0.0)
         second, later = shrunk_to_one(z.T @ z / len(z) + np.diag(raised), len(z) / self.worth[1])
         return Moments(self.middle + center, first @ whitening_matrix(second), max(intensity, later))
 
