@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from residua.analysis.unknown_input import output_free_form
 from residua.arrays import index_of
+from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import Member, ResidualGenerator, make_generator
-from residua.design.core.internal_form import check_decoupling
 from residua.design.detection_filters.directional_gain import (
     DirectionalGain,
     FaultEvent,
@@ -375,13 +375,13 @@ def _stacked(
         poles=system.poles(),
         requested_poles=np.concatenate([part.evidence.requested_poles for part in parts]),
         fixed_poles=np.concatenate([part.evidence.fixed_poles for part in parts]),
-        decoupling=check_decoupling(system, plant, decoupled=observers[0].decouples),
     )
     return make_generator(
         system,
         plant,
         parts[0].method,
         evidence,
+        decouples=Decoupled(disturbances=observers[0].decouples),
         state_map=np.vstack([observer.T for observer in observers]),
         observer=observers[0],
         members=tuple(members),
