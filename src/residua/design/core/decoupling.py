@@ -29,12 +29,15 @@ class Decoupled:
         Whether the disturbances are decoupled too. A design that only attenuates them says ``False``.
     faults : tuple of str
         The faults that are decoupled as if they were disturbances.
+    apart : bool
+        Whether the evidence has the disturbances by themselves too where faults are ignored with them.
     limit : float
         Of each leak, relative to the terms that have to cancel.
     """
 
     disturbances: bool = True
     faults: tuple[str, ...] = ()
+    apart: bool = False
     limit: float = LEAK
 
     def leaks(self, system: StateSpace, plant: Plant, evidence: Evidence) -> dict[str, float]:
@@ -43,7 +46,7 @@ class Decoupled:
         watched = plant.faults_as_disturbances(self.faults) if self.faults else plant
         found, n_u = leakage_of_inputs(system, watched), len(plant.inputs)
         leaks = {"control": found[:n_u]}
-        if self.disturbances:
+        if self.disturbances and (self.apart or not self.faults):
             leaks |= {"disturbance": found[n_u : n_u + len(plant.disturbances)]}
         if self.faults:
             leaks |= {IGNORED: found[n_u:]}

@@ -272,13 +272,16 @@ def _generator(
     )
     observer = Observer(plant, F, np.eye(n), K, np.eye(n), np.zeros(K.shape), S, method, exact, evidence)
     faults = tuple(name for name in plant.faults if name in parts.names)
-    decouples = Decoupled(faults=faults) if exact else Decoupled(disturbances=False)
+    decouples = Decoupled(faults=faults, apart=True) if exact else Decoupled(disturbances=False)
     made = make_generator(system, plant, method, evidence, decouples=decouples, state_map=T, observer=observer)
-    if not exact:
-        return replace(made, evidence=made.evidence.extended(decoupling=_leaks(made, parts)))
     leaks = made.evidence.decoupling
-    everything = {} if faults or "disturbance" not in leaks else {IGNORED: leaks["disturbance"]}
-    return replace(made, evidence=made.evidence.extended(decoupling=everything))
+    own = {name: gain for name, gain in leaks.items() if name != IGNORED}
+    observer = replace(observer, evidence=evidence.extended(decoupling=own))
+    if not exact:
+        more = _leaks(made, parts)
+    else:
+        more = {} if faults or "disturbance" not in leaks else {IGNORED: leaks["disturbance"]}
+    return replace(made, observer=observer, evidence=made.evidence.extended(decoupling=more))
 
 
 def _seen_error(parts: IgnoredColumns, T: NDArray, own: NDArray, F: NDArray, Q: NDArray) -> float:
