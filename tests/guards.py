@@ -1,6 +1,6 @@
 """Guards of the evidence: every ``raise AccuracyError`` of the package, and the tests that trip them.
 
-A test says which guards it trips, and is watched while it runs, so that it fails when another one, or none, is reached::
+A test says which guards it trips, and is watched while it runs: it fails when one of them is not reached::
 
     @trips("design.core.generator:make_generator")
     def test_an_unstable_filter_cannot_be_made() -> None: ...
@@ -103,7 +103,7 @@ def reached_guards(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPat
 
 
 def changed(monkeypatch: pytest.MonkeyPatch, target: str, change: Callable[[Any], Any]) -> None:
-    """Have a function of a module of the package give a wrong result: ``module:name``, and what it makes of the right one."""
+    """Have a function, ``module:name``, give a wrong result: what a change makes of the right one."""
     module, name = target.split(":")
     owner: Any = sys.modules[f"residua.{module}"]
     *path, last = name.split(".")
