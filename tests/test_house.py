@@ -190,7 +190,7 @@ def test_no_attribute_of_a_design_by_its_spelling(house: House) -> None:
 
 
 def test_no_generator_is_made_beside_the_gate(house: House) -> None:
-    """What a residual is, its filter, its plant, its maps and subspaces, is set where it is checked, or in units alone."""
+    """What a residual is, its filter, maps and subspaces, is set where it is checked, or changed in its units alone."""
     made = []
     for module in house.modules.values():
         if module.name not in GATE:
