@@ -190,7 +190,7 @@ def _checked(generator: ResidualGenerator, where: str) -> ResidualGenerator:
 def _check_leaks(generator: ResidualGenerator, where: str) -> None:
     """Measure again, at a few frequencies, what must not reach the residual: alarms rest on it.
 
-    Of what :func:`make_generator` checks, this and the stability are checked again, which takes a millisecond or two. The
+    Of what :func:`make_generator` checks, this and the stability are checked again: a millisecond or two. The
     identities of maps and forms, and the subspaces, tell what faults do; they are as good as the checksum of the file.
     """
     promised = dict(generator.evidence.decoupling)
