@@ -18,6 +18,7 @@ from residua.analysis.unknown_input import UnknownInputExistence, unknown_input_
 from residua.arrays import matrix
 from residua.design.core.evidence import Evidence, format_pole
 from residua.design.observers.observer import Observer
+from residua.design.observers.unknown_input_observer import observer_of
 from residua.errors import AccuracyError, DesignError
 from residua.linear import is_stable_mode
 from residua.linear.poles.placement import place_observer_poles
