@@ -78,6 +78,7 @@ def diagnosis(
     residuals[start:] += 0.3 * direction / max(np.linalg.norm(direction), 1e-12)
     statistic = np.linalg.norm(residuals, axis=1) / 0.02
     groups = tuple((f,) for f in gen.faults)
+    steady = gen.steady_directions
     whitening = np.eye(n) if gen.covariance is None else whitening_matrix(gen.covariance)
     scores = np.clip(0.5 + 0.1 * rng.standard_normal((n_samples, len(groups))), 0, 1)
     scores[start:, min(1, len(groups) - 1)] = 0.99
@@ -104,6 +105,7 @@ def diagnosis(
         scores=scores,
         groups=groups,
         signatures=_signatures(gen, whitening),
+        isolation=direction_test(Directional(), gen.subspaces, steady, whitening),
         unjudged=(),
         alarms=alarms,
         resets=0,

@@ -30,6 +30,7 @@ ROOMS = (
     *(
         "errors",
         "visible",
+        "words",
         "number_kinds",
         "arrays",
         "facade",

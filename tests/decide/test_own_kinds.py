@@ -21,6 +21,7 @@ from residua.decide import (
     NormThreshold,
     ResidualTest,
     Scores,
+    Statement,
     Tested,
     TestSettings,
     Watched,
@@ -28,6 +29,7 @@ from residua.decide import (
 )
 from residua.decide.kinds import ISOLATIONS, TESTS
 from residua.errors import AccuracyError, FileFormatError, SettingError
+from residua.recording.clock import Clock
 from residua.testing import check_isolation, check_test
 from residua.testing.kinds import _generator, _recording
 
@@ -103,6 +105,10 @@ class NearestTest(Isolation):
     def run(self, state: None, block: Block, tested: Tested) -> tuple[None, Scores]:
         distance = np.linalg.norm(tested.whitened[..., None, :] - self.centroids, axis=-1)
         return None, Scores(np.where(tested.usable[..., None], 1.0 / (1.0 + distance), np.nan))
+
+    def statement(self, alarm: rs.monitor.Alarm, clock: Clock, window: int) -> Statement:
+        said = super().statement(alarm, clock, window)
+        return replace(said, headline=f"Nearest of all: {alarm.candidates[0].name}.", lines=("by its centroid",))
 
 
 @register
@@ -184,7 +190,9 @@ def test_page_and_pictures(monitor: rs.Monitor, tmp_path: Path) -> None:
     found = monitor.run(*faulty())
     assert isinstance(found, rs.Diagnosis)
     page = found.to_html(tmp_path / "page.html").read_text(encoding="utf-8")
-    assert "y1 sensor" in page
+    assert "Nearest of all: y1 sensor." in page
+    assert "signature" not in found.statement(found.alarms[0]).sentences[0], "angles are of another kind"
+    assert "\n  by its centroid\n" in str(found)
     assert "NaN" not in page.split("<script")[0]
     figure = found.plot()
     figure.savefig(tmp_path / "found.png")
