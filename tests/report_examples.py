@@ -9,6 +9,7 @@ import numpy as np
 
 from residua.decide import Directional, whitening_matrix
 from residua.decide.directional import direction_test
+from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.linear import StateSpace
@@ -53,7 +54,9 @@ def generator(n: int = 3, *, names: list[str] | None = None, noise: bool = False
         notes=("the poles were asked for",),
         references=("Chen, Patton and Zhang (1996), eqs. (2) to (8)",),
     )
-    return make_generator(system, plant, "full-order observer", evidence, state_map=np.eye(n))
+    return make_generator(
+        system, plant, "full-order observer", evidence, decouples=Decoupled(disturbances=False), state_map=np.eye(n)
+    )
 
 
 def diagnosis(

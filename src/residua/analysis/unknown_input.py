@@ -367,13 +367,13 @@ def with_equations_measured(plant: Plant) -> tuple[Plant, NDArray[np.float64]]:
 
 
 def with_needed_equations(
-    plant: Plant, *, used: list[int] | None = None, rtol: float = DEFAULT_RTOL
+    plant: Plant, *, used: list[int], rtol: float = DEFAULT_RTOL
 ) -> tuple[Plant, NDArray[np.float64]]:
     """Return a singular plant with its algebraic equations measured, but only if its state is not determined without.
 
-    By all outputs, or by those used. The equations are as in :func:`with_equations_measured`, none if not needed.
+    By those used. The equations are as in :func:`with_equations_measured`, none if not needed.
     """
-    seen = plant if used is None or len(used) == plant.n_outputs else _with_outputs(plant, used)
+    seen = plant if len(used) == plant.n_outputs else _with_outputs(plant, used)
     found = singular_decoupling(seen, output_free_form(seen, rtol=rtol), rtol=rtol)
     if found.rank.rank < plant.n_states + found.rank_D.rank:
         return with_equations_measured(plant)
@@ -410,11 +410,15 @@ class SingularDecoupling:
 
 
 def _singular_existence(plant: Plant, rtol: float) -> UnknownInputExistence:
-    even = even_plant(plant)
-    measured, equations = with_needed_equations(even.plant, rtol=rtol)
+    even, n = even_plant(plant), plant.n_states
+    measured, equations = even.plant, np.zeros((0, n))
     form = output_free_form(measured, rtol=rtol)
     decoupling = singular_decoupling(measured, form, rtol=rtol)
-    n, q = plant.n_states, decoupling.rank_D.rank
+    if decoupling.rank.rank < n + decoupling.rank_D.rank:  # the outputs do not determine the state by themselves
+        measured, equations = with_equations_measured(even.plant)
+        form = output_free_form(measured, rtol=rtol)
+        decoupling = singular_decoupling(measured, form, rtol=rtol)
+    q = decoupling.rank_D.rank
     reasons: list[str] = []
     fixed = np.zeros(0, dtype=complex)
     if decoupling.rank.rank < n + q:

@@ -104,7 +104,18 @@ def unknown_input_observer(
            [0., 0.],
            [0., 0.]])
     """
-    existence = unknown_input_observer_existence(plant, rtol=rtol)
+    return observer_of(plant, unknown_input_observer_existence(plant, rtol=rtol), poles, margin, H0, rtol)
+
+
+def observer_of(
+    plant: Plant,
+    existence: UnknownInputExistence,
+    poles: Sequence[complex] | ArrayLike | None,
+    margin: float | None,
+    H0: ArrayLike | None,
+    rtol: float,
+) -> Observer:
+    """Return the observer of an answer about its existence, by the decomposition that the answer was read from."""
     if not existence:
         raise DesignError("; ".join(existence.reasons))
     parts = existence.decomposition
