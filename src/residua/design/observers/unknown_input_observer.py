@@ -30,6 +30,7 @@ from residua.linear.subspaces.observability import staircase
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision
 from residua.linear.systems.balancing import without_rounding
 from residua.plant import Plant
+from residua.tolerances import TINY
 
 REFERENCE = "Chen, Patton and Zhang (1996), Int. J. Control 63(1), eqs. (2) to (13)"
 
@@ -251,7 +252,7 @@ def assemble(
 def _relative(missed: NDArray, terms: NDArray, *, by_column: bool = False) -> float:
     """Return what an identity is missed by, relative to the largest of its terms, or of those of each column."""
     size = terms.max(axis=0 if by_column else None, keepdims=True, initial=0.0)
-    return float(np.max(np.abs(missed) / np.maximum(size, 1e-300), initial=0.0))
+    return float(np.max(np.abs(missed) / np.maximum(size, TINY), initial=0.0))
 
 
 def _ranks(plant: Plant, existence: UnknownInputExistence) -> dict[str, RankDecision]:
