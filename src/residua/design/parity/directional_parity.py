@@ -18,7 +18,7 @@ from residua.design.parity.shortest import combinations_to_try, simplest_of_the_
 from residua.errors import AccuracyError, DesignError
 from residua.linear.polynomials.common_factor import without_common_factor
 from residua.linear.polynomials.degree_search import at_smallest_degree
-from residua.linear.polynomials.pencil_null_space import DEFAULT_RTOL
+from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis
 from residua.plant import Plant
@@ -36,7 +36,7 @@ def directional_parity(
     insensitive_to: Iterable[str | int] | str = (),
     poles: Poles | None = None,
     order: int | None = None,
-    rtol: float = DEFAULT_RTOL,
+    rtol: float = PENCIL_RTOL,
 ) -> ResidualGenerator:
     r"""Design parity relations whose residual points in a given direction for each fault, also in transients.
 

@@ -16,7 +16,7 @@ from residua.design.parity.relation_model import RelationModel, relation_model
 from residua.design.parity.relations import Poles, relations_of
 from residua.design.parity.shortest import RelationSpace, relation_space, shortest_relations
 from residua.errors import DesignError, SettingError
-from residua.linear.polynomials.pencil_null_space import DEFAULT_RTOL
+from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
 
@@ -31,7 +31,7 @@ def parity_relations(
     insensitive_to: Iterable[str | int] | str = (),
     outputs: Iterable[str | int] | str | None = None,
     poles: Poles | None = None,
-    rtol: float = DEFAULT_RTOL,
+    rtol: float = PENCIL_RTOL,
 ) -> ResidualGenerator:
     r"""Design residuals from the last samples of inputs and outputs alone.
 
@@ -113,7 +113,7 @@ def parity_orders(
     *,
     insensitive_to: Iterable[str | int] | str = (),
     most_outputs: int | None = None,
-    rtol: float = DEFAULT_RTOL,
+    rtol: float = PENCIL_RTOL,
 ) -> dict[tuple[str, ...], int]:
     """Return for each set of outputs the order of the shortest relation that reads no others.
 

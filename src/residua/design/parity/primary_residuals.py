@@ -16,7 +16,7 @@ from residua.design.parity.relations import Poles, relations_of
 from residua.design.parity.shortest import shortest_relations
 from residua.errors import DesignError
 from residua.linear import StateSpace, is_stable_mode
-from residua.linear.polynomials.pencil_null_space import DEFAULT_RTOL
+from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
@@ -92,7 +92,7 @@ def _shortest_of_each(equations: RelationModel) -> list[Relation]:
     rows, open_to_all = [], replace(equations, decouples=False)
     for name in equations.plant.outputs:
         alone = open_to_all.reading([name])
-        found = shortest_relations(alone, (), DEFAULT_RTOL)
+        found = shortest_relations(alone, (), PENCIL_RTOL)
         if found is None:
             raise DesignError(f"no relation reads {name!r} alone: algebraic equations tie it to other signals")
         rows.append(found.relation(alone, (), found.vectors[0]))

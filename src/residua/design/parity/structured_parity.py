@@ -14,7 +14,7 @@ from residua.design.parity.relation_model import relation_model
 from residua.design.parity.relations import Poles, relations_of
 from residua.design.parity.shortest import shortest_relation
 from residua.errors import AccuracyError, SettingError
-from residua.linear.polynomials.pencil_null_space import DEFAULT_RTOL
+from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
 
@@ -25,7 +25,7 @@ def structured_parity(
     *,
     poles: Poles | None = None,
     allow_missing: bool = False,
-    rtol: float = DEFAULT_RTOL,
+    rtol: float = PENCIL_RTOL,
 ) -> Bank:
     r"""Design one scalar parity relation per row of an incidence matrix, each of the smallest order there is.
 

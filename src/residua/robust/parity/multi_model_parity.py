@@ -19,15 +19,11 @@ from residua.robust.parity.best_ratios import best_ratios
 from residua.robust.parity.expected_signals import ExpectedSignals, Sizes
 from residua.robust.parity.plant_variants import plant_family, probabilities
 from residua.robust.parity.window_filter import window_filter, window_poles
-from residua.tolerances import TINY
+from residua.tolerances import RESPONSE_ROUNDING, ROUNDING, TINY
 
 _METHOD = "parity relations for several models"
 #: The entry of the evidence that says how far inputs and states reach the residual of the nominal model.
 _NOMINAL_LEAK = "leak (rms), nominal model"
-#: A relation whose leak is below this fraction of the largest has none: that is rounding.
-_ZERO = 1e-13
-#: A response below this fraction of the terms that it is the sum of is none.
-_ROUNDING = 1e-11
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,7 +275,7 @@ def _by_faults(
     U: NDArray[np.float64], s: NDArray[np.float64], F: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return relations of unit length in the order of their response to faults for their leak, with that ratio."""
-    rank = int(np.count_nonzero(s > _ZERO * s[0]))
+    rank = int(np.count_nonzero(s > ROUNDING * s[0]))
     exact = U[:, rank:]
     left, gains, _ = np.linalg.svd(exact.T @ F, full_matrices=False)
     seeing = int(np.count_nonzero(gains > 1e-9 * max(np.linalg.norm(F), TINY)))
@@ -333,7 +329,7 @@ def _steady(outputs: NDArray[np.float64], poles: NDArray[np.complex128], plant: 
     x = np.linalg.solve(np.eye(n) - plant.A, plant.Bf)
     y, parts = plant.C @ x + plant.Df, np.abs(plant.C) @ np.abs(x) + np.abs(plant.Df)
     gain, terms = outputs.sum(axis=1) @ y, np.abs(outputs).sum(axis=1) @ parts
-    return np.where(np.abs(gain) > _ROUNDING * terms, gain, 0.0) / float(np.prod(1 - poles).real)
+    return np.where(np.abs(gain) > RESPONSE_ROUNDING * terms, gain, 0.0) / float(np.prod(1 - poles).real)
 
 
 def _conditions(s: NDArray[np.float64], count: int, leak: NDArray[np.float64], nominal: int) -> dict[str, float]:

@@ -16,7 +16,7 @@ from residua.design.parity.relation_model import RelationModel, relation_model
 from residua.design.parity.relations import ParityRelations, Poles, relations_of
 from residua.design.parity.shortest import RelationSpace, relation_space
 from residua.errors import DesignError, ModelError
-from residua.linear.polynomials.pencil_null_space import DEFAULT_RTOL
+from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.systems.balancing import descriptor_units
 from residua.plant import Plant
@@ -106,7 +106,7 @@ def optimal_parity(
     correlation_time: float = 0.0,
     relations: int = 1,
     poles: Poles | None = None,
-    rtol: float = DEFAULT_RTOL,
+    rtol: float = PENCIL_RTOL,
 ) -> OptimalParity:
     r"""Design the parity relations that see most of the faults for what they see of the disturbances.
 
