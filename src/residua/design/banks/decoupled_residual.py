@@ -21,6 +21,8 @@ from residua.design.core.canonical_design import designed_in_own_units
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.internal_form import check_decoupling, frequency_grid
+from residua.design.core.method import method
+from residua.design.core.needs import FAULTS
 from residua.design.observers.observer_gain import margin_from, place, pole_evidence
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
@@ -40,6 +42,14 @@ _LITTLE = 1e-8
 _LITTLE_BESIDE_NOISE = 1e-4
 
 
+@method(
+    needs=[FAULTS],
+    exists_when="more independent outputs than unknown inputs reach; no condition on zeros",
+    order="least that sees all it can",
+    source="Massoumnia, Verghese and Willsky (1989)",
+    decouples=True,
+    singular=True,
+)
 def decoupled_residual(
     plant: Plant,
     *,

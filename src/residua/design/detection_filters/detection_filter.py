@@ -14,6 +14,8 @@ from residua.arrays import index_of
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import Member, ResidualGenerator, make_generator
 from residua.design.core.internal_form import check_decoupling
+from residua.design.core.method import method
+from residua.design.core.needs import FAULTS
 from residua.design.detection_filters.directional_gain import (
     DirectionalGain,
     FaultEvent,
@@ -47,6 +49,13 @@ REFERENCES = (
 )
 
 
+@method(
+    needs=[FAULTS],
+    exists_when="a stable filter keeps each fault to its direction or plane",
+    order="n per filter",
+    source="Chen, Patton and Zhang (1996), eqs. (14) to (18); Gertler (1991), section 5.1",
+    faults="by direction, whatever its time course",
+)
 def detection_filter(
     plant: Plant,
     *,

@@ -12,6 +12,8 @@ from residua import arrays
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.internal_form import check_decoupling, frequency_grid, internal_form
+from residua.design.core.method import method
+from residua.design.core.needs import FAULTS, groups_of_faults
 from residua.design.core.signals import sampled_filter, stack_signals
 from residua.design.estimation.fault_reading import FaultReading, read_faults
 from residua.design.observers.observer import Observer
@@ -132,6 +134,19 @@ class FaultEstimator:
         return f"FaultEstimator({', '.join(self.faults)}: {self.system.n_states} states, {kind})"
 
 
+@method(
+    needs=[FAULTS],
+    exists_when="an unknown input observer with these faults as disturbances; their effects independent",
+    order="n and one per filtered fault",
+    source="Sueur, eqs. (5) and (8)",
+    state="estimate that the faults do not reach",
+    faults="by size, several at once",
+    size=True,
+    decouples=True,
+    singular=True,
+    many=True,
+    calls=groups_of_faults,
+)
 def fault_estimator(
     plant: Plant,
     *,

@@ -6,6 +6,8 @@ import numpy as np
 
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
+from residua.design.core.method import method
+from residua.design.core.needs import NOISE
 from residua.design.observers.observer import Observer
 from residua.errors import AccuracyError, DesignError
 from residua.linear.poles.riccati import filter_riccati
@@ -15,6 +17,16 @@ from residua.plant import Plant
 _BOTH = "give both kinds, with_noise(process=..., measurement=...)"
 
 
+@method(
+    needs=[NOISE],
+    exists_when="(C, A) detectable; noise in every measurement",
+    order="n",
+    source="Gertler (1991), eqs. (3-14) to (3-17), section 5.3",
+    state="estimate of least variance",
+    faults="by direction, once a constant fault has settled",
+    noise="least",
+    time_course="constant",
+)
 def kalman_filter(plant: Plant) -> ResidualGenerator:
     r"""Use the innovations of the stationary Kalman filter as residuals.
 

@@ -13,6 +13,8 @@ from residua import arrays
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.internal_form import check_decoupling
+from residua.design.core.method import method
+from residua.design.core.needs import least_order_unless_singular
 from residua.design.core.signals import sampled_filter, signal_names, stack_signals
 from residua.design.observers.perfect_gain import PerfectGain, full_rank_gain, given_gain, least_order_gain
 from residua.errors import AccuracyError, DesignError, SettingError
@@ -281,6 +283,17 @@ class PerfectObserver:
         )
 
 
+@method(
+    needs=["singular E or disturbances, or least_order=True"],
+    exists_when="rank [sE - A, -Bd; C, Dd] = n + rank Bd for every finite s",
+    order="of its filter",
+    source="Twardy and Kaczorek, part I, eqs. (30) to (33), Theorem 4",
+    state="the state itself, without a transient; differentiates the measurements",
+    decouples=True,
+    singular=True,
+    noise="differentiated",
+    calls=least_order_unless_singular,
+)
 def perfect_observer(
     plant: Plant,
     *,

@@ -20,6 +20,7 @@ from residua.analysis.unknown_input import (
 )
 from residua.arrays import matrix
 from residua.design.core.evidence import Evidence
+from residua.design.core.method import method
 from residua.design.observers.estimate_check import check_estimate
 from residua.design.observers.observer import Observer, in_units_of_the_plant, without_measured_equations
 from residua.design.observers.observer_gain import margin_from, place, pole_evidence
@@ -34,6 +35,15 @@ from residua.plant import Plant
 REFERENCE = "Chen, Patton and Zhang (1996), Int. J. Control 63(1), eqs. (2) to (13)"
 
 
+@method(
+    needs=["disturbances (or none)"],
+    exists_when="rank [E Bd; C 0] = n + rank Bd; stable invariant zeros of (E, A, Bd, C)",
+    order="n",
+    source="Chen, Patton and Zhang (1996), eqs. (2) to (13)",
+    state="estimate, converges whatever the disturbances do",
+    decouples=True,
+    singular=True,
+)
 def unknown_input_observer(
     plant: Plant,
     *,

@@ -13,6 +13,7 @@ from residua import arrays
 from residua.design.banks.bank import Bank, Wanted, check_promise, stacked_members
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
+from residua.design.core.method import method
 from residua.errors import DesignError, ModelError, SettingError
 from residua.linear.poles.spectrum import spectral_radius
 from residua.linear.subspaces.rank import DEFAULT_RTOL
@@ -93,6 +94,15 @@ def _leaks(one: RobustEstimator) -> str:
     return f"{one.fault}: of other faults a unit adds at most: {', '.join(parts)}"
 
 
+@method(
+    designs_for="uncertain plant",
+    needs=["in closed loop", "sampled", "faults", "bounded disturbances"],
+    exists_when="every member of the set stable; each fault apart from the others, lasting; a threshold certified",
+    order="k n",
+    source="Robust l1 fault detection, eqs. (20) to (49)",
+    faults="by code: one estimator per fault; certain from a size on",
+    many=True,
+)
 def robust_l1_bank(
     loop: UncertainPlant,
     faults: Iterable[str | int] | str | None = None,

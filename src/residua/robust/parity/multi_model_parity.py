@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
+from residua.design.core.method import method
 from residua.errors import DesignError, SettingError
 from residua.linear.poles.spectrum import spectral_radius
 from residua.plant import Plant
@@ -97,6 +98,14 @@ def _listed(what: str, values: NDArray[np.float64], kept: int) -> str:
     return told + (f"; next {values[kept]:.3g}" if kept < len(values) else "")
 
 
+@method(
+    designs_for="several plants",
+    needs=["an order", "sampled"],
+    exists_when="always; every model has stationary states",
+    order="r times the order of the relations",
+    source="Lou, Willsky and Verghese (1986); Gertler (1991), eqs. (6-4), (6-5)",
+    noise="moving average",
+)
 def multi_model_parity(
     plants: Iterable[Plant | InputOutputModel],
     *,
