@@ -162,3 +162,8 @@ def show_usage(error: Exception) -> int:
 def warn(line: str) -> None:
     """Write a warning to stderr."""
     complain(f"warning: {visible(line)}")
+
+
+def note(line: str) -> None:
+    """Write to stderr what is good to know."""
+    complain(f"note: {visible(line)}")
