@@ -27,10 +27,10 @@ from residua.plant.plant_file import load_plant
 
 def _method(name: str) -> str:
     """Return the name of a method that is offered, its present one."""
-    if name in methods.FORMER:
-        note(f"--method {name} is called {methods.FORMER[name]} now, as its function is")
-        name = methods.FORMER[name]
-    known = methods.offered()
+    known, former = methods.offered(), methods.former_names()
+    if name in former:
+        note(f"--method {name} is called {former[name]} now, as its function is; the old name is deprecated")
+        name = former[name]
     if name != methods.AUTO and name not in known:
         raise typer.BadParameter(f"{name!r} is none of {', '.join([methods.AUTO, *known])}")
     return name

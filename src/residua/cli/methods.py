@@ -20,12 +20,6 @@ from residua.errors import AccuracyError, DesignError, ModelError, SettingError
 from residua.plant import Plant
 
 AUTO = "auto"
-#: Names that methods had on the command line before they were those of the functions.
-FORMER = {
-    "sensor-bank": "sensor-fault-bank",
-    "actuator-bank": "actuator-fault-bank",
-    "parity": "structured-parity",
-}
 #: Seconds for the choice of a coding set, and for the other methods after a refusal; what was found by then is taken.
 CHOICE_TIME, TRYING_TIME = 10.0, 30.0
 
@@ -51,6 +45,11 @@ def method_name(method: Method) -> str:
 def offered() -> dict[str, Method]:
     """Return the methods that a plant file and options can feed, and whose result a monitor can take, by name."""
     return {method_name(one): one for one in methods() if not in_python_only(one)}
+
+
+def former_names() -> dict[str, str]:
+    """Return the names that methods had before they were those of the functions, with these."""
+    return {former: name for name, one in offered().items() for former in one.formerly}
 
 
 def in_python_only(method: Method) -> str:

@@ -25,6 +25,7 @@ from residua.plant import Plant
     decouples=True,
     singular=True,
     many=True,
+    formerly=["actuator-bank"],
     calls=each_scheme,
 )
 def actuator_fault_bank(
@@ -69,6 +70,12 @@ def actuator_fault_bank(
     ------
     DesignError
         For each member that does not exist, which condition failed.
+
+    See Also
+    --------
+    structured_bank : Any structure, faults of any kind.
+    sensor_fault_bank : One observer per sensor.
+    fault_estimator : The size of the fault.
 
     References
     ----------

@@ -102,6 +102,12 @@ def decoupled_residual(
     AccuracyError
         If the poles or the decoupling missed their tolerance.
 
+    See Also
+    --------
+    structured_bank : One for each row of a structure.
+    eigenstructure_assignment : As an observer of the whole state.
+    parity_relations : A moving average of the last samples.
+
     Notes
     -----
     Assumes: the model is exact, linear and time-invariant.

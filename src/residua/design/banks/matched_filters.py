@@ -213,6 +213,12 @@ def matched_filters(plant: Plant, *, window: int = 40, steady: bool = False, ali
         If the plant is continuous, has no noise or no faults, the window or ``alike`` make no sense, the innovations
         answer to none of the faults, or the Kalman filter does not exist.
 
+    See Also
+    --------
+    kalman_filter : Names by the direction of settled faults.
+    fault_estimator : The size over any time course.
+    structured_bank : Names by code.
+
     Notes
     -----
     Guaranteed: for Gaussian noise, one fault at a time, and a step that arrived at a known time within the window, the

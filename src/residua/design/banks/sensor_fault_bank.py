@@ -26,6 +26,7 @@ from residua.plant import Plant
     decouples=True,
     singular=True,
     many=True,
+    formerly=["sensor-bank"],
     calls=each_scheme,
 )
 def sensor_fault_bank(
@@ -74,6 +75,12 @@ def sensor_fault_bank(
     DesignError
         For each member that does not exist, which condition failed: among others when the remaining measurements are
         all used up by the disturbances, so that its residual would be zero whatever fails.
+
+    See Also
+    --------
+    structured_bank : Any structure, faults of any kind.
+    actuator_fault_bank : One observer per actuator.
+    sensor_fault_estimators : The size of the fault of each sensor.
 
     References
     ----------

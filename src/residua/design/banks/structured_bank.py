@@ -58,6 +58,13 @@ def structured_bank(
     DesignError
         If a row is not attainable: with the faults that a residual which ignores its zeros cannot see.
 
+    See Also
+    --------
+    structured_parity : The same with parity relations.
+    sensor_fault_bank : One observer per sensor.
+    decoupled_residual : One member.
+    detection_filter : One filter that names by direction.
+
     References
     ----------
     Gertler (1991), section 4; Massoumnia, Verghese and Willsky (1989), IEEE TAC 34(3).

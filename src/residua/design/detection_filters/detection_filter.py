@@ -103,6 +103,13 @@ def detection_filter(
     DesignError
         If the pair (C, A) is not detectable, or a fault cannot be kept to a direction by a stable filter.
 
+    See Also
+    --------
+    robust_detection_filter : No disturbance reaches it.
+    directional_parity : Directions of one's choice.
+    structured_bank : Names by code where directions do not suffice.
+    kalman_filter : The least noise, for settled faults.
+
     Notes
     -----
     Assumes: the model is exact, linear and time-invariant, there are no disturbances (or none that matter),

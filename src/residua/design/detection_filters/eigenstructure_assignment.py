@@ -121,6 +121,12 @@ def eigenstructure_assignment(
     AccuracyError
         If poles, eigenvectors or decoupling missed their tolerance.
 
+    See Also
+    --------
+    decoupled_residual : Exists whenever any residual does, of a lower order.
+    unknown_input_observer : Decouples disturbances from the estimate too.
+    residual_generator_from_observer : From a gain that is there.
+
     Notes
     -----
     Assumes: the model is exact, linear and time-invariant, and all of its state is detectable from the measurements

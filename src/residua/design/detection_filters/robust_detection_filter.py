@@ -81,6 +81,12 @@ def robust_detection_filter(
         If no unknown input observer exists, the disturbances use up all measurements, they hide every
         fault, or no stable directional filter exists.
 
+    See Also
+    --------
+    detection_filter : Without disturbances.
+    structured_bank : Names by code, whenever any method does.
+    directional_parity : Directions of one's choice, with disturbances decoupled.
+
     Notes
     -----
     Assumes: the model is exact, linear and time-invariant; disturbances enter where the model says, and may be

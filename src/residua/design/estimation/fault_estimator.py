@@ -207,6 +207,12 @@ def fault_estimator(
     SettingError
         If the bandwidth is not a positive number.
 
+    See Also
+    --------
+    sensor_fault_estimators : One sensor at a time, which more plants allow.
+    matched_filters : Steps beside noise, with arrival time.
+    inverse_form_observer : The same observer in another form.
+
     Notes
     -----
     Assumes: the model is exact, linear and time-invariant, and no other fault happens. Exists exactly when

@@ -93,6 +93,11 @@ def sensor_fault_estimators(
     DesignError
         If there is none for any sensor.
 
+    See Also
+    --------
+    fault_estimator : Several faults at once.
+    sensor_fault_bank : Names the sensor.
+
     References
     ----------
     Sueur, Observer-based actuator and sensor fault estimation, eqs. (15) and (16).

@@ -68,6 +68,12 @@ def descriptor_observer(
     AccuracyError
         If poles or identities missed their tolerance.
 
+    See Also
+    --------
+    unknown_input_observer : Of full order, for singular E too.
+    perfect_observer : No transient, from derivatives.
+    reduced_order_observer : For state equations.
+
     Notes
     -----
     Assumes: the model is exact, linear and time-invariant. The pencil ``s E - A`` need not be regular.

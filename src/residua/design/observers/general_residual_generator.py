@@ -225,6 +225,12 @@ def residual_generator_from_observer(
     SettingError
         If the options do not go together, or a matrix of the general form is missing.
 
+    See Also
+    --------
+    luenberger_observer : Designs the gain.
+    unknown_input_observer : Designs the decoupling.
+    eigenstructure_assignment : Designs a gain whose residual ignores faults.
+
     References
     ----------
     Gertler (1991), eqs. (3-11), (3-13), (4-8), (4-15) to (4-20).

@@ -132,6 +132,11 @@ def inverse_form_observer(
     AccuracyError
         If the poles or the identities missed their tolerance.
 
+    See Also
+    --------
+    fault_estimator : Estimates the faults too, with fewer conditions.
+    unknown_input_observer : The same observer from its state equation.
+
     References
     ----------
     Sueur, Observer-based actuator and sensor fault estimation, eqs. (1) to (11) and properties 1 to 3.

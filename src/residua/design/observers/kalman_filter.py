@@ -53,6 +53,12 @@ def kalman_filter(plant: Plant) -> ResidualGenerator:
         If the plant has no noise, or no process noise where the filter needs it, the measurement noise is singular,
         the pair (C, A) is not detectable or a mode on the stability boundary gets no noise.
 
+    See Also
+    --------
+    matched_filters : The whole response to a step, with arrival time and size.
+    luenberger_observer : With poles of one's choice.
+    detection_filter : Directions that hold for any time course.
+
     Notes
     -----
     Assumes: the model is exact, linear and time-invariant; noise is white and Gaussian with the covariances

@@ -68,6 +68,12 @@ def luenberger_observer(
     AccuracyError
         If the poles missed their tolerance.
 
+    See Also
+    --------
+    kalman_filter : The gain follows from the noise.
+    unknown_input_observer : No disturbance reaches the estimate.
+    reduced_order_observer : Of the order n - p.
+
     Notes
     -----
     Assumes: the model is exact, linear and time-invariant.

@@ -357,6 +357,12 @@ def perfect_observer(
         If the bandwidth is not a positive number, or is given for a sampled plant, or if ``K`` is given with
         disturbances or with ``least_order``.
 
+    See Also
+    --------
+    unknown_input_observer : Converges, and differentiates nothing.
+    descriptor_observer : Of the order n - p.
+    decoupled_residual : A residual without derivatives.
+
     Notes
     -----
     Assumes: the model is exact, linear and time-invariant. Measurement noise is differentiated: where a few finite

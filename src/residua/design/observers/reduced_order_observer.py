@@ -64,6 +64,12 @@ def reduced_order_observer(
     AccuracyError
         If poles or identities missed their tolerance.
 
+    See Also
+    --------
+    luenberger_observer : Filters all measurements.
+    unknown_input_observer : Of full order, with a residual.
+    descriptor_observer : The same for singular E.
+
     Notes
     -----
     Assumes: the model is exact, linear and time-invariant.

@@ -93,6 +93,13 @@ def unknown_input_observer(
     AccuracyError
         If the poles or the decoupling missed their tolerance.
 
+    See Also
+    --------
+    decoupled_residual : A residual without the condition on zeros.
+    reduced_order_observer : Of the order n - p.
+    robust_detection_filter : Names the fault too.
+    fault_estimator : Estimates faults as unknown inputs.
+
     Notes
     -----
     Assumes: the model is exact, linear and time-invariant; disturbances enter where the model says, and may

@@ -94,6 +94,12 @@ def directional_parity(
     AccuracyError
         If the polynomials lose so many digits that directions are missed.
 
+    See Also
+    --------
+    detection_filter : The directions that the plant has.
+    structured_parity : Names by code.
+    robust_detection_filter : A filter, with disturbances decoupled.
+
     Notes
     -----
     Assumes: the model is exact, linear and time-invariant, and one fault is there at a time.

@@ -83,6 +83,13 @@ def parity_relations(
     AccuracyError
         If the coefficients miss the states: relations of high order lose digits, which ``decoupled_residual`` does not.
 
+    See Also
+    --------
+    decoupled_residual : The same as a filter, which noise harms less.
+    structured_parity : One relation per row of a structure.
+    primary_residuals : The equations of the model.
+    optimal_parity : Where disturbances cannot be decoupled.
+
     Notes
     -----
     Assumes: the model is exact, linear and time-invariant.

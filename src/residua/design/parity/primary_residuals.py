@@ -58,6 +58,12 @@ def primary_residuals(
     DesignError
         If ``form`` is neither, or ``"arma"`` is asked for an unstable plant, or with poles.
 
+    See Also
+    --------
+    parity_relations : Ignore chosen faults and all disturbances.
+    insensitive_parity : Ignore errors of parameters.
+    structured_parity : One relation per row of a structure.
+
     Notes
     -----
     Assumes: the model is exact, linear and time-invariant, and for ``"arma"`` stable.

@@ -31,6 +31,7 @@ from residua.plant.input_output_model import InputOutputModel
     singular=True,
     noise="moving average",
     many=True,
+    formerly=["parity"],
     chosen={"structure": ROWS},
 )
 def structured_parity(
@@ -75,6 +76,12 @@ def structured_parity(
         If a row is not attainable: with the faults that no relation sees which ignores its zeros.
     AccuracyError
         If a relation is too ill-conditioned: :func:`structured_bank` needs no polynomials.
+
+    See Also
+    --------
+    structured_bank : The same with filters, which noise harms less.
+    parity_relations : All relations of an order.
+    directional_parity : Names by direction.
 
     Notes
     -----

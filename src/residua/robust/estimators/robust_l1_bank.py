@@ -186,6 +186,12 @@ def robust_l1_bank(
     SettingError
         If an option makes no sense.
 
+    See Also
+    --------
+    multi_model_parity : For a list of models.
+    insensitive_parity : Takes the effect of parameters out as data arrive.
+    structured_bank : For one plant.
+
     Notes
     -----
     Assumes

@@ -257,6 +257,12 @@ def insensitive_parity(
     AccuracyError
         If derivatives by two steps disagree.
 
+    See Also
+    --------
+    primary_residuals : The same equations for parameters that are known.
+    multi_model_parity : For a list of models.
+    robust_l1_bank : Parameters in intervals, with certified thresholds.
+
     Notes
     -----
     Assumes: the model is linear in its signals; parameters change slowly, compared with the order of the equations; and

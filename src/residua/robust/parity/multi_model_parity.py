@@ -183,6 +183,12 @@ def multi_model_parity(
     SettingError
         If sizes or weights make no sense.
 
+    See Also
+    --------
+    optimal_parity : Differences of models as disturbances.
+    insensitive_parity : For parameters that drift.
+    robust_l1_bank : Thresholds that hold for a whole set.
+
     Notes
     -----
     Assumes: the plant is one of the models; signals are about as large as expected.

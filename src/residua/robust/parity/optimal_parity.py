@@ -174,6 +174,12 @@ def optimal_parity(
     ModelError
         If variants have other signals or other states.
 
+    See Also
+    --------
+    parity_relations : Where disturbances can be decoupled.
+    multi_model_parity : For a list of models.
+    insensitive_parity : For parameters that drift.
+
     Notes
     -----
     Assumes: the model is exact, linear and time-invariant; faults and disturbances of different samples are taken as
