@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from residua import __version__
 from residua.cli import plant_commands, screen
 from residua.cli.checks import check_outputs, checked_rate
-from residua.cli.design_command import design_command, thresholds
+from residua.cli.design_command import Commands, thresholds
 from residua.cli.guard import FAULT, NO_FAULT, GuardedGroup, in_cli_words, warn
 from residua.cli.recording_options import (
     Columns,
@@ -34,20 +34,6 @@ from residua.monitor import Diagnosis, Monitor
 from residua.monitor.inputs import settling_reason
 from residua.recording.recording import Recording
 from residua.recording.table_writer import write_table
-
-
-class Commands(GuardedGroup):
-    """The commands, of which ``design`` has the options of all methods that are registered when it is called."""
-
-    def list_commands(self, ctx: Any) -> list[str]:
-        """Return their names: what looks at a plant, then ``design``, then what runs."""
-        names = super().list_commands(ctx)
-        return [*names[:3], "design", *names[3:]]
-
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return a command by its name."""
-        return design_command() if cmd_name == "design" else super().get_command(ctx, cmd_name)
-
 
 app = typer.Typer(
     cls=Commands,

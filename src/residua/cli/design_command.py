@@ -12,7 +12,7 @@ import typer
 
 from residua.cli import methods, screen
 from residua.cli.checks import check_outputs, checked_positive, checked_rate
-from residua.cli.guard import in_cli_words, note
+from residua.cli.guard import GuardedGroup, in_cli_words, note
 from residua.cli.plant_commands import PlantFile
 from residua.decide import Directional, Matched, NormThreshold, Structured
 from residua.decide.isolation import IsolationSettings
@@ -128,6 +128,19 @@ def design_command() -> Any:
     single = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
     single.command("design")(command)
     return typer.main.get_command(single)
+
+
+class Commands(GuardedGroup):
+    """The commands, of which ``design`` has the options of all methods that are registered when it is called."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return their names: what looks at a plant, then ``design``, then what runs."""
+        names = super().list_commands(ctx)
+        return [*names[:3], "design", *names[3:]]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return a command by its name."""
+        return design_command() if cmd_name == "design" else super().get_command(ctx, cmd_name)
 
 
 def _parameter(one: methods.Shared) -> inspect.Parameter:

@@ -14,11 +14,11 @@ from residua.analysis.diagnosability import Diagnosability, diagnosability
 from residua.analysis.unknown_input import is_singular
 from residua.design.banks.bank import Bank
 from residua.design.banks.matched_filters import MatchedFilters
+from residua.design.catalogue import methods
 from residua.design.core.brought import PartialDesign, as_generator, brings_a_generator, for_monitor
 from residua.design.core.generator import ResidualGenerator
-from residua.design.core.method import Method, Noise, TimeCourse
+from residua.design.core.method import Chosen, Method, Noise, TimeCourse
 from residua.design.estimation.fault_estimator import FaultEstimator
-from residua.design.suggestion_candidates import Candidate, candidates
 from residua.errors import AccuracyError, DesignError, ModelError, SettingError
 from residua.plant import InputOutputModel, Plant
 from residua.robust.sets.uncertain_plant import UncertainPlant
@@ -26,6 +26,8 @@ from residua.robust.sets.uncertain_plant import UncertainPlant
 WANTS = ("name", "size", "state")
 #: Larger plants are tried with the single observers only, and the largest not at all.
 LARGE, LARGEST, MOST_FAULTS = 60, 200, 16
+#: Seconds for the choice of a coding set; what was found by then is taken.
+_CHOICE_TIME = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,6 +200,69 @@ def _checked(plant: Plant, want: str | None) -> str:
 
 
 # -------------------------------------------------------------------------- trying
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A call, and why it makes no sense here, where it makes none.
+
+    Attributes
+    ----------
+    method : Method
+    options : mapping of str to value
+        What is asked of it.
+    pointless : str
+        Why it makes no sense; empty where it does.
+    made : dict
+        Arguments that were made from the plant already, which candidates share.
+    """
+
+    method: Method
+    options: Mapping[str, Any] = field(default_factory=dict)
+    pointless: str = ""
+    made: dict[Chosen, Any] = field(default_factory=dict, repr=False)
+
+    @property
+    def call(self) -> str:
+        """The line of code."""
+        given = [one.code for one in self.method.chosen.values()]
+        given += [f"{name}={_typed(value)}" for name, value in self.options.items()]
+        return f"{self.method.called}({', '.join(['plant', *given])})"
+
+    def run(self, plant: Plant) -> Any:
+        """Make the call."""
+        chosen = {name: self._made(one, plant) for name, one in self.method.chosen.items()}
+        return self.method.function(plant, **chosen, **self.options)
+
+    def _made(self, one: Chosen, plant: Plant) -> Any:
+        if one not in self.made:
+            self.made[one] = one.make(plant, _CHOICE_TIME)
+        return self.made[one]
+
+
+def candidates(plant: Plant, known: Diagnosability | None) -> Iterator[Candidate]:
+    """Yield what could serve, the more usual first.
+
+    Parameters
+    ----------
+    plant : Plant
+    known : Diagnosability or None
+        Of this plant; ``None`` where it was not examined.
+    """
+    made: dict[Chosen, Any] = {}
+    for one in methods():
+        asked = {option.name for option in one.options if option.required} - set(one.chosen)
+        if one.takes_a_plant and not asked:
+            why = one.missing(plant, known)
+            calls = tuple(one.calls(plant, known)) or ({},)
+            yield from (Candidate(one, options, why, made) for options in calls)
+
+
+def _typed(value: Any) -> str:
+    """Return a value as it is typed."""
+    if isinstance(value, str):
+        return f'"{value}"'
+    return repr(list(value)) if isinstance(value, tuple) else repr(value)
 
 
 def _tried(one: Candidate, plant: Plant, want: str, end: float) -> Entry:
