@@ -140,6 +140,9 @@ def in_cli_words(text: str) -> str:
         option = next((option for option in options if option in _OPTIONS.get()), None)
         if option is not None:
             text = re.sub(rf"\b{name}=(?:\.\.\.|(?=[,;. )]|$))", option, text)
+    for option in _OPTIONS.get():
+        name = option.lstrip("-").replace("-", "_")
+        text = re.sub(rf"\b{name}=(?:True\b|\[\.\.\.\]|\.\.\.|(?=[,;. )]|$))", option, text)
     return text
 
 

@@ -55,9 +55,9 @@ def former_names() -> dict[str, str]:
 def in_python_only(method: Method) -> str:
     """Return why a method is not offered here; empty where it is."""
     if not method.takes_a_plant:
-        return f"for {'an' if method.designs_for[0] in 'aeo' else 'a'} {method.designs_for}".replace(
-            "a several", "several"
-        )
+        kind = method.designs_for
+        article = "" if kind.endswith("s") and "with" not in kind else "an " if kind[0] in "aeiou" else "a "
+        return f"for {article}{kind}"
     unsaid = [one.name for one in method.options if one.required and one.name not in method.chosen and not form_of(one)]
     if unsaid:
         return f"needs {', '.join(unsaid)}"
