@@ -286,7 +286,7 @@ def test_records_say_what_decouples(refused: Refused) -> None:
         assert (gain < 1e-6) == entry.method.decouples, entry.call
 
 
-def test_the_table_of_the_documentation_is_current() -> None:
+def test_the_tables_of_the_documentation_are_current() -> None:
     path = REPOSITORY / "docs" / "make_tables.py"
     spec = importlib.util.spec_from_file_location("make_tables", path)
     assert spec is not None
@@ -294,6 +294,7 @@ def test_the_table_of_the_documentation_is_current() -> None:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     assert module.METHODS.read_text(encoding="utf-8") == module.methods()
+    assert module.DESIGN_OPTIONS.read_text(encoding="utf-8") == module.design_options()
 
 
 def test_groups_are_advised_where_residuals_are_many() -> None:

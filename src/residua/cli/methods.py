@@ -127,6 +127,8 @@ class Call:
     method : Method
     given : mapping of str to value
         Options that were asked for.
+    written : mapping of str to str or bool
+        The same as they were written, for other methods to read.
     sample_time : float or None
         Of the recordings.
     settings : mapping of str to value
@@ -137,6 +139,7 @@ class Call:
 
     method: Method
     given: Mapping[str, Any]
+    written: Mapping[str, Any] = field(default_factory=dict)
     sample_time: float | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
     made: dict[Chosen, Any] = field(default_factory=dict, repr=False)
@@ -233,7 +236,7 @@ def call_of(name: str, asked: Mapping[str, Any], settings: Mapping[str, Any], sa
         if option not in own:
             raise SettingError(_not_of(option, name))
     given = {option: _read(own[option], value) for option, value in asked.items()}
-    call = Call(method, given, sample_time, settings)
+    call = Call(method, given, asked, sample_time, settings)
     if call.left_out:
         needed = next(one for one in method.options if one.name == call.left_out[0])
         form = form_of(needed)
@@ -310,11 +313,14 @@ def _alternatives(plant: Plant, failed: str, call: Call) -> str:
 
 
 def _others(failed: str, call: Call) -> Iterator[tuple[str, Call]]:
+    """Yield the other methods, with those of the options that they have and can read."""
     for name, method in offered().items():
-        own = {one.name: form_of(one) for one in method.options}
-        same = {one.name: form_of(one) for one in call.method.options}
-        given = {key: value for key, value in call.given.items() if key in own and own[key] == same[key]}
-        other = Call(method, given, call.sample_time, call.settings, call.made)
+        own = {one.name: one for one in method.options if form_of(one) is not None}
+        try:
+            given = {key: _read(own[key], text) for key, text in call.written.items() if key in own}
+        except OptionError:
+            continue
+        other = Call(method, given, call.written, call.sample_time, call.settings, call.made)
         if name != failed and not other.left_out:
             yield name, other
 
