@@ -299,3 +299,13 @@ def test_methods_that_there_is_no_time_for_are_named(
     monkeypatch.setattr(methods, "TRYING_TIME", -1.0)
     outcome = residua("design", made / "plant.toml", "-o", tmp_path / "m.json", "--method", "perfect-observer")
     assert_error(outcome, "no other method exists", "not tried for want of time: luenberger-observer, ")
+
+
+def test_options_go_to_the_others_that_are_tried(made: Path, tmp_path: Path, residua: Residua) -> None:
+    """As each of them reads what was written: a list of poles goes to those that take one by name too."""
+    command = ("design", made / "plant.toml", "-o", tmp_path / "m.json", "--method", "unknown-input-observer")
+    refused = residua(*command, "--poles", "0.3,0.3,0.3")
+    assert_error(refused, "unknown-input-observer: ")
+    assert "--method luenberger-observer" not in refused[2]  # of two states
+    assert "--method detection-filter" not in refused[2]
+    assert "--method kalman-filter" in refused[2]  # has no such option
