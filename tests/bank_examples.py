@@ -9,6 +9,7 @@ import scipy.linalg
 
 import residua as rs
 from residua.design import Member, ResidualGenerator
+from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import make_generator
 from residua.linear import StateSpace
@@ -83,6 +84,7 @@ def hand_made_bank(plant: rs.Plant, *, dedicated: bool = False) -> ResidualGener
         plant,
         "hand-made bank",
         Evidence("hand-made bank"),
+        decouples=Decoupled(disturbances=False),
         state_map=np.vstack([T for _, T in parts]),
         members=members,
         codes=codes,
@@ -103,7 +105,11 @@ def static_estimator(plant: rs.Plant, fault: str) -> ResidualGenerator:
         outputs=[f"estimate {fault}"],
     )
     evidence = Evidence("parity relation")
-    maps = {"state_map": np.zeros((0, plant.n_states)), "estimated": (fault,)}
+    maps = {
+        "decouples": Decoupled(disturbances=False),
+        "state_map": np.zeros((0, plant.n_states)),
+        "estimated": (fault,),
+    }
     return make_generator(system, plant, "parity relation", evidence, **maps)  # pyright: ignore
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from guards import reached_guards  # noqa: F401
 from refusals import pytest_configure, refused  # noqa: F401
 
 # Before NumPy is imported: with matrices of ten rows the threads of the linear algebra do nothing but wait for each

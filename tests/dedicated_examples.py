@@ -10,6 +10,7 @@ import scipy.linalg
 
 import residua as rs
 from residua.design import Member
+from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import make_generator
 from residua.linear import StateSpace, peak_norm
@@ -64,6 +65,7 @@ def dedicated_bank(*, scale: float = 1.0) -> SimpleNamespace:
         plant,
         "dedicated bank",
         Evidence("dedicated bank"),
+        decouples=Decoupled(disturbances=False),
         state_map=np.vstack([np.eye(3)] * 3),
         members=tuple(Member(name, (k,), (FAULTS[k],)) for k, name in enumerate(MEMBERS)),
         codes=np.eye(3, dtype=bool),

@@ -9,6 +9,7 @@ import numpy as np
 
 from residua.decide import Directional, whitening_matrix
 from residua.decide.directional import direction_test
+from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.linear import StateSpace
@@ -53,7 +54,9 @@ def generator(n: int = 3, *, names: list[str] | None = None, noise: bool = False
         notes=("the poles were asked for",),
         references=("Chen, Patton and Zhang (1996), eqs. (2) to (8)",),
     )
-    return make_generator(system, plant, "full-order observer", evidence, state_map=np.eye(n))
+    return make_generator(
+        system, plant, "full-order observer", evidence, decouples=Decoupled(disturbances=False), state_map=np.eye(n)
+    )
 
 
 def diagnosis(
@@ -75,6 +78,7 @@ def diagnosis(
     residuals[start:] += 0.3 * direction / max(np.linalg.norm(direction), 1e-12)
     statistic = np.linalg.norm(residuals, axis=1) / 0.02
     groups = tuple((f,) for f in gen.faults)
+    steady = gen.steady_directions
     whitening = np.eye(n) if gen.covariance is None else whitening_matrix(gen.covariance)
     scores = np.clip(0.5 + 0.1 * rng.standard_normal((n_samples, len(groups))), 0, 1)
     scores[start:, min(1, len(groups) - 1)] = 0.99
@@ -101,6 +105,7 @@ def diagnosis(
         scores=scores,
         groups=groups,
         signatures=_signatures(gen, whitening),
+        isolation=direction_test(Directional(), gen.subspaces, steady, whitening),
         unjudged=(),
         alarms=alarms,
         resets=0,

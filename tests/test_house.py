@@ -10,6 +10,7 @@ from collections import Counter, defaultdict
 
 import pytest
 
+from guards import claimed, guards
 from house_report import (
     FRAGMENT,
     LARGEST_MODULE,
@@ -30,6 +31,8 @@ ROOMS = (
     *(
         "errors",
         "visible",
+        "words",
+        "tolerances",
         "number_kinds",
         "arrays",
         "facade",
@@ -60,6 +63,10 @@ FACADES = {
     "residua.cli": "residua.cli",  # main, which says what package is missing
     "residua.cli.app": "residua.demos",  # demo
 }
+#: Where generators are made: the gate, the same in other units, and designs read from files, checked there.
+GATE = ("residua.design.core.generator", "residua.design.core.canonical_design", "residua.monitor.design_records")
+#: What of a generator was checked with it.
+PROMISED = {"system", "subspaces", "state_map", "static_map", "known_form"}
 #: Kinds of files, each of which is a file here too, whoever reads it.
 FORMATS = ("residua.recording.npz_files", "residua.recording.parquet_files")
 
@@ -179,6 +186,31 @@ def test_no_attribute_of_a_design_by_its_spelling(house: House) -> None:
                 if spelled or call.func.id == "SimpleNamespace":  # pyright: ignore
                     asked.append(module)
     assert over(by_room(asked), SPELLED) == {}, [m.name for m in asked]
+
+
+# ------------------------------------------------------ D: the only gate
+
+
+def test_no_generator_is_made_beside_the_gate(house: House) -> None:
+    """What a residual is, its filter, maps and subspaces, is set where it is checked, or changed in its units alone."""
+    made = []
+    for module in house.modules.values():
+        if module.name not in GATE:
+            for call in (n for n in ast.walk(module.tree) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)):
+                words = {word.arg for word in call.keywords}
+                changed = call.func.id == "replace" and words & PROMISED  # pyright: ignore
+                if call.func.id == "ResidualGenerator" or changed:  # pyright: ignore
+                    made.append(f"{module.name}:{call.lineno}")
+    assert made == []
+
+
+# ------------------------------------------------- G: the evidence is tested
+
+
+def test_every_guard_of_the_evidence_has_a_test_that_trips_it() -> None:
+    """The tests that say so are watched while they run (:mod:`guards`)."""
+    assert sorted(guards().keys() - claimed().keys()) == []
+    assert sorted(claimed().keys() - guards().keys()) == []
 
 
 # ---------------------------------------------------------- H: tolerances

@@ -8,6 +8,7 @@ import scipy.stats
 
 from residua.decide.norm_threshold import NormThreshold, fit_norm_test, norm_test_from_model
 from residua.decide.persistence import alarm_logic
+from residua.decide.whitened_norm import check_invertible
 from residua.errors import DataError
 
 
@@ -113,6 +114,26 @@ def test_noise_free_data_do_not_turn_rounding_into_alarms() -> None:
     )
     assert test.threshold >= 1e-11
     assert "rounding" in test.basis
+
+
+@pytest.mark.parametrize("window", [1, 5, 40])
+def test_a_combination_that_never_moved_stays_at_the_floor(window: int) -> None:
+    """Of three residuals the third is the sum of the others: what is left of it is rounding, windows or not."""
+    rng = np.random.default_rng(4)
+    two = rng.standard_normal((2000, 2))
+    data = np.column_stack([two, two @ [1.0, 1.0]]) * [1.0, 2.0**20, 2.0**-20]
+    rounding = 1e-15 * rng.standard_normal(data.shape) * np.abs(data)
+    test = fit_norm_test(
+        NormThreshold(window=window),
+        data + rounding,
+        np.ones(2000, bool),
+        false_alarm_rate=0.01,
+        covariance=None,
+        signal_size=10.0,
+    )
+    check_invertible(test.whitening)
+    in_own_units = test.whitening * data.std(axis=0)[:, None]
+    assert np.linalg.norm(in_own_units, 2) < 3e4  # the root of the floor, 1e-8 of the variance of the largest
 
 
 def test_the_model_gives_a_threshold_without_data() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 import residua as rs
+from guards import changed, trips
 from residua.decide import (
     Block,
     FaultFreeRun,
@@ -19,6 +21,7 @@ from residua.decide import (
     NormThreshold,
     ResidualTest,
     Scores,
+    Statement,
     Tested,
     TestSettings,
     Watched,
@@ -26,6 +29,7 @@ from residua.decide import (
 )
 from residua.decide.kinds import ISOLATIONS, TESTS
 from residua.errors import AccuracyError, FileFormatError, SettingError
+from residua.recording.clock import Clock
 from residua.testing import check_isolation, check_test
 from residua.testing.kinds import _generator, _recording
 
@@ -101,6 +105,10 @@ class NearestTest(Isolation):
     def run(self, state: None, block: Block, tested: Tested) -> tuple[None, Scores]:
         distance = np.linalg.norm(tested.whitened[..., None, :] - self.centroids, axis=-1)
         return None, Scores(np.where(tested.usable[..., None], 1.0 / (1.0 + distance), np.nan))
+
+    def statement(self, alarm: rs.monitor.Alarm, clock: Clock, window: int) -> Statement:
+        said = super().statement(alarm, clock, window)
+        return replace(said, headline=f"Nearest of all: {alarm.candidates[0].name}.", lines=("by its centroid",))
 
 
 @register
@@ -182,7 +190,9 @@ def test_page_and_pictures(monitor: rs.Monitor, tmp_path: Path) -> None:
     found = monitor.run(*faulty())
     assert isinstance(found, rs.Diagnosis)
     page = found.to_html(tmp_path / "page.html").read_text(encoding="utf-8")
-    assert "y1 sensor" in page
+    assert "Nearest of all: y1 sensor." in page
+    assert "signature" not in found.statement(found.alarms[0]).sentences[0], "angles are of another kind"
+    assert "\n  by its centroid\n" in str(found)
     assert "NaN" not in page.split("<script")[0]
     figure = found.plot()
     figure.savefig(tmp_path / "found.png")
@@ -216,6 +226,24 @@ class _Wrong:
             return state, replace(tested, statistic=np.nan_to_num(tested.statistic))
 
     @dataclass(frozen=True, eq=False)
+    class SaysNothing(PageHinkleyTest):
+        def run(self, state: Sums, block: Block) -> tuple[Sums, Tested]:
+            state, tested = super().run(state, block)
+            return state, replace(tested, statistic=np.full_like(tested.statistic, np.nan))
+
+    @dataclass(frozen=True, eq=False)
+    class OverInGaps(PageHinkleyTest):
+        def run(self, state: Sums, block: Block) -> tuple[Sums, Tested]:
+            state, tested = super().run(state, block)
+            return state, replace(tested, exceeded=tested.exceeded | ~tested.usable)
+
+    @dataclass(frozen=True, eq=False)
+    class OfAnotherKind(PageHinkleyTest):
+        def run(self, state: Sums, block: Block) -> tuple[Sums, Tested]:
+            state, tested = super().run(state, block)
+            return state, replace(tested, up=tested.up.astype(float))
+
+    @dataclass(frozen=True, eq=False)
     class Blind(PageHinkleyTest):
         def run(self, state: Sums, block: Block) -> tuple[Sums, Tested]:
             state, tested = super().run(state, block)
@@ -232,10 +260,13 @@ class _Wrong:
 @pytest.mark.parametrize(
     ("cls", "words"),
     [
-        (_Wrong.Forgets, "running in pieces"),
-        (_Wrong.SaysSomethingOfGaps, "must be NaN"),
-        (_Wrong.Blind, "raises no alarm"),
-        (_Wrong.AlwaysOn, "fault-free samples are in alarm"),
+        pytest.param(_Wrong.Forgets, "running in pieces", marks=trips("testing.kinds:_check_same")),
+        pytest.param(_Wrong.SaysSomethingOfGaps, "must be NaN", marks=trips("testing.kinds:_check_shapes:2")),
+        pytest.param(_Wrong.OfAnotherKind, "must be of shape", marks=trips("testing.kinds:_check_shapes:1")),
+        pytest.param(_Wrong.SaysNothing, "must be a number", marks=trips("testing.kinds:_check_shapes:3")),
+        pytest.param(_Wrong.OverInGaps, "nothing can be over", marks=trips("testing.kinds:_check_shapes:4")),
+        pytest.param(_Wrong.Blind, "raises no alarm", marks=trips("testing.kinds:_check_running:2")),
+        pytest.param(_Wrong.AlwaysOn, "fault-free samples are in alarm", marks=trips("testing.kinds:check_test:2")),
     ],
 )
 def test_what_is_wrong_with_a_test_is_said(cls: type[Any], words: str) -> None:
@@ -250,6 +281,7 @@ def test_what_is_wrong_with_a_test_is_said(cls: type[Any], words: str) -> None:
         check_test(Settings())
 
 
+@trips("testing.kinds:check_isolation:2", "testing.kinds:check_test:1", "testing.kinds:check_isolation:1")
 def test_what_is_wrong_with_an_isolation_is_said() -> None:
     @dataclass(frozen=True)
     class OfNobody(NearestCentroid):
@@ -262,6 +294,82 @@ def test_what_is_wrong_with_an_isolation_is_said() -> None:
         check_test(NearestCentroid())  # pyright: ignore[reportArgumentType]
     with pytest.raises(AccuracyError, match=r"subclass of residua\.decide\.IsolationSettings"):
         check_isolation(PageHinkley())  # pyright: ignore[reportArgumentType]
+
+
+@trips("testing.kinds:_check_frozen")
+def test_settings_that_can_be_changed_are_refused() -> None:
+    class Loose(PageHinkley):
+        """A subclass that is no dataclass of its own is frozen still."""
+
+    check_test(Loose())
+
+    class Open(TestSettings):
+        """No dataclass at all."""
+
+        def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> ResidualTest:
+            return PageHinkley().fitted(watched, run, rate)
+
+    with pytest.raises(AccuracyError, match="frozen dataclass"):
+        check_test(Open())
+
+
+@trips("testing.kinds:_made")
+def test_settings_that_no_monitor_takes_are_refused() -> None:
+    @dataclass(frozen=True)
+    class Unwilling(PageHinkley):
+        def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> ResidualTest:
+            raise SettingError("not today")
+
+    with pytest.raises(AccuracyError, match="cannot be made with it: not today"):
+        check_test(Unwilling())
+
+
+@trips("testing.kinds:_check_running:1")
+def test_data_that_are_changed_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    update = rs.Monitor.update
+
+    def overwriting(self: rs.Monitor, u: Any, y: Any) -> Any:
+        found = update(self, u, y)
+        y[0] = 0.0
+        return found
+
+    monkeypatch.setattr(rs.Monitor, "update", overwriting)
+    with pytest.raises(AccuracyError, match="data that it was given are changed"):
+        check_test(PageHinkley())
+
+
+@trips("testing.kinds:_check_running:3")
+def test_settings_that_files_do_not_know_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("residua.testing.kinds.json.loads", lambda text: {"test": {"kind": ""}})
+    with pytest.raises(AccuracyError, match="must have a kind"):
+        check_test(PageHinkley())
+
+
+@trips("testing.kinds:check_isolation:3")
+def test_a_column_of_scores_too_many_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    changed(monkeypatch, "testing.kinds:_check_running", lambda found: _with_scores(found, found.scores[..., :1]))
+    with pytest.raises(AccuracyError, match="scores have 1 columns"):
+        check_isolation(NearestCentroid(size=0.8))
+
+
+@trips("testing.kinds:check_isolation:4")
+def test_a_score_over_the_best_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    changed(monkeypatch, "testing.kinds:_check_running", lambda found: _with_scores(found, found.scores + 1.0))
+    with pytest.raises(AccuracyError, match="the best is 1"):
+        check_isolation(NearestCentroid(size=0.8))
+
+
+def _with_scores(found: Any, scores: NDArray[np.float64]) -> Any:
+    return SimpleNamespace(scores=scores)
+
+
+@trips("testing.kinds:check_isolation:5")
+def test_a_candidate_that_is_no_group_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    candidate = SimpleNamespace(faults=("somebody",))
+    told = SimpleNamespace(alarms=[SimpleNamespace(candidates=[candidate])])
+    changed(monkeypatch, "testing.kinds:Monitor.run", lambda found: told)
+    with pytest.raises(AccuracyError, match="is no group"):
+        check_isolation(NearestCentroid(size=0.8))
 
 
 def test_a_kind_belongs_to_one() -> None:

@@ -10,6 +10,7 @@ import pytest
 import residua as rs
 from generated import random_plant, simulate, singular_plant
 from refusals import Refused
+from residua.design.core.decoupling import Decoupled
 from residua.design.core.generator import make_generator
 from residua.errors import AccuracyError, DesignError, ModelError, SettingError
 
@@ -347,6 +348,7 @@ def test_a_delay_cannot_be_undone_by_a_filter() -> None:
         plant,
         "late",
         now.evidence,
+        decouples=Decoupled(),
         known_form=_late_form(now),
     )
     found = now.equivalent_to(delayed)
@@ -374,7 +376,12 @@ def test_a_zero_of_its_own_makes_a_filter() -> None:
     now = rs.design.parity_relations(plant, insensitive_to="p1")
     zero = rs.StateSpace([[0, 1], [0, 0]], [[0], [1]], [[0.25, -1]], [[1]], dt=1.0)
     made = make_generator(
-        now.system.series(zero), plant, "zero", now.evidence, known_form=now.internal_form().series(zero)
+        now.system.series(zero),
+        plant,
+        "zero",
+        now.evidence,
+        decouples=Decoupled(),
+        known_form=now.internal_form().series(zero),
     )
     found = now.equivalent_to(made)
     assert found

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import residua as rs
+from guards import trips
 from residua.design.observers.reduced_order import _check
 from residua.errors import AccuracyError, DesignError
 from residua.linear.subspaces.far_gain import refuse_far_gain
@@ -95,6 +96,7 @@ def test_a_silent_response_beside_large_terms_does_not_overflow() -> None:
     assert all(0.0 <= value < np.inf for name, value in made.evidence.conditions.items() if "rounding" in name)
 
 
+@trips("linear.subspaces.far_gain:refuse_far_gain")
 @pytest.mark.parametrize("design", [rs.design.unknown_input_observer, rs.design.detection_filter])
 def test_what_only_a_huge_gain_moves_is_refused(design: Any) -> None:
     """Two modes a ten thousand millionth apart in one output: what tells them apart may be rounding."""

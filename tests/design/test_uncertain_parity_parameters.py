@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import residua as rs
+from guards import trips
 from residua.errors import AccuracyError, DataError, DesignError, ModelError, SettingError
 from residua.robust.parity.insensitive_parity import InsensitiveParity, insensitive_parity
 from residua.robust.parity.insensitive_running import without_directions
@@ -213,6 +214,7 @@ def test_without_noise_the_units_stay_and_the_threshold_is_rounding() -> None:
     assert parity.run(u, simulated(u, k=0.501)).fired[100:].mean() > 0.9
 
 
+@trips("robust.parity.model_sensitivity:equations_of")
 def test_requests_that_cannot_be_met() -> None:
     with pytest.raises(DesignError, match="2 equations leave room for 1 ignored parameter at a time"):
         insensitive_parity(motor, NOMINAL, insensitive_to=["R", "k"])

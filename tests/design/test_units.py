@@ -7,6 +7,7 @@ import pytest
 
 import residua as rs
 from generated import random_plant
+from residua.design.core.decoupling import Decoupled
 from residua.design.core.generator import make_generator
 from residua.errors import AccuracyError, DesignError, SettingError
 
@@ -97,7 +98,14 @@ def test_an_unstable_filter_cannot_be_made() -> None:
     flt = rs.design.detection_filter(rs.library.gertler())
     assert flt.observer is not None
     with pytest.raises(AccuracyError, match="stable"):
-        make_generator(flt.system.replaced(A=flt.system.A * 4), flt.plant, "x", flt.evidence, state_map=np.eye(3))
+        make_generator(
+            flt.system.replaced(A=flt.system.A * 4),
+            flt.plant,
+            "x",
+            flt.evidence,
+            decouples=Decoupled(),
+            state_map=np.eye(3),
+        )
 
 
 def test_poles_are_said_to_be_asked_for_only_when_they_were() -> None:

@@ -7,6 +7,7 @@ import pytest
 import scipy.linalg
 
 import residua as rs
+from guards import trips
 from residua.errors import AccuracyError, DataError, ModelError, SettingError
 from residua.linear import (
     StateSpace,
@@ -161,6 +162,7 @@ def test_the_form_does_not_depend_on_units(seed: int) -> None:
     assert np.abs(np.log2(scaled.A[A != 0] / plain.A[A != 0])).max() <= 3
 
 
+@trips("linear.systems.descriptor:weierstrass_form:2")
 @pytest.mark.parametrize("exponent", [9.0, 9.3, 9.6])
 def test_a_rank_without_a_gap_is_refused(exponent: float) -> None:
     """Two small singular values of E, one on either side of the tolerance: what is kept is no more than what is not."""

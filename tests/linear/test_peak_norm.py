@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pytest
 
+from guards import trips
 from refusals import Refused
 from residua.errors import AccuracyError, MissingExtraError, ModelError, SettingError
 from residua.linear import StateSpace, peak_input, peak_norm
@@ -142,6 +143,7 @@ def test_static_and_zero_systems():
     assert peak_norm(silent).value == peak_norm(silent, kind="star").value == 0
 
 
+@trips("linear.norms.peak_norm:_too_slow")
 def test_bad_requests():
     lag = KNOWN["lag"][0]
     with pytest.raises(ModelError, match=r"sample it first, system\.discretize"):

@@ -9,6 +9,7 @@ import pytest
 import scipy.io
 import scipy.linalg
 
+from guards import trips
 from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear.poles.placement import default_margin, place_observer_margin, place_observer_poles
 from residua.linear.poles.pole_assignment import polished, robust_assignment, schur_assignment
@@ -115,6 +116,7 @@ def test_unstable_hidden_mode_is_refused(call):
         call(np.diag([-1.0, 0.5]), np.array([[1.0, 0.0]]))
 
 
+@trips("linear.poles.placement:place_observer_poles")
 def test_hopeless_request_is_not_answered_in_silence():
     rng = np.random.default_rng(0)
     with pytest.raises(AccuracyError, match=r"cannot be placed.*error"):

@@ -13,11 +13,11 @@ import pytest
 import residua as rs
 from residua.decide import NormThreshold
 from residua.decide.alarm import Alarm, Beginning
+from residua.decide.statement import began_text
 from residua.decide.whitened_norm import BAND_DEVIATIONS
 from residua.library import simulate_three_tank, three_tank, three_tank_fault
 from residua.linear import StateSpace
 from residua.monitor.beginning import MOST_DATED, with_beginnings
-from residua.monitor.naming import began_text
 from residua.monitor.outcome import compared_outputs
 from residua.recording.clock import Clock, length
 from residua.report.signals import signal_text

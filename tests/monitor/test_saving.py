@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from older_files import as_version
 from residua.decide import NormThreshold
 from residua.errors import FileFormatError
 from residua.library import three_tank
+from residua.monitor.design_records import generator_in, generator_out
 from residua.records import array_out
 
 
@@ -448,3 +449,16 @@ def test_files_that_version_6_wrote_go_on_with_the_same_bits(kind: str, tmp_path
     (tmp_path / "edited.json").write_text(json.dumps(edited))
     with pytest.raises(FileFormatError, match="checksum"):
         rs.Monitor.load(tmp_path / "edited.json")
+
+
+def test_a_design_that_leaks_is_not_loaded() -> None:
+    """The leak is measured again: neither the checksum nor the evidence of a file can promise it."""
+    good = rs.design.unknown_input_observer(rs.library.jet_engine()).residual_generator()
+    for made in (good, good.discretize(0.01)):
+        generator_in(generator_out(made), "design")
+        wrong = replace(made, system=made.system.replaced(B=1.1 * made.system.B))
+        with pytest.raises(FileFormatError, match="design: the control inputs reach the residual"):
+            generator_in(generator_out(wrong), "design")
+        wrong = replace(made, plant=made.plant.without_disturbances().with_disturbances({"gust": [0, 0, 1]}))
+        with pytest.raises(FileFormatError, match="design: the disturbance inputs reach the residual"):
+            generator_in(generator_out(wrong), "design")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import residua as rs
+from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import make_generator
 from residua.linear import StateSpace
@@ -23,7 +24,14 @@ def test_v5_d_the_printed_unknown_input_observer() -> None:
     np.testing.assert_allclose(LS @ T + LY @ plant.C, 0, atol=1e-12)
     np.testing.assert_allclose(T @ plant.Bf[:, 0], 0, atol=1e-12)
     system = StateSpace(M, np.hstack([J, N]), LS, np.hstack([[[0.0]], LY]), dt=1, outputs=["r"])
-    printed = make_generator(system, plant, "Gertler (1991), Example 2 D", Evidence(method="printed"), state_map=T)
+    printed = make_generator(
+        system,
+        plant,
+        "Gertler (1991), Example 2 D",
+        Evidence(method="printed"),
+        decouples=Decoupled(faults=("p1",)),
+        state_map=T,
+    )
     z = np.exp(1j * np.array([0.2, 1.0, 2.5]))
     denominator = (z - 0.25) * (z - 0.3)
     form = printed.internal_form().evaluate(z)[:, 0]

@@ -8,6 +8,7 @@ import scipy.signal
 
 import residua as rs
 from generated import random_plant, singular_plant
+from guards import trips
 from refusals import Refused
 from residua.errors import AccuracyError, ModelError
 from residua.linear import StateSpace
@@ -341,6 +342,7 @@ def test_plant_that_differentiates_is_refused() -> None:
         InputOutputModel.from_plant(plant)
 
 
+@trips("plant.observer_form:check_response")
 def test_too_much_for_coefficients_is_refused() -> None:
     rng = np.random.default_rng(0)
     A = rng.standard_normal((8, 8))
@@ -458,6 +460,7 @@ def test_copies_that_rounding_sets_apart_are_one() -> None:
         assert InputOutputModel.from_plant(plant).to_plant().n_states == 8
 
 
+@trips("plant.input_output_realization:_smallest_part")
 def test_unclear_order_is_refused() -> None:
     rng = np.random.default_rng(3)
     poles = -np.concatenate([np.logspace(0, 0.5, 5), 1e3 * np.logspace(0, 0.5, 5)])

@@ -19,7 +19,8 @@ from residua.report.choosing import SHOWN_FAULTS, look_alikes, shown_groups, sig
 from residua.report.contributions import averaged_residuals, inside_band, shares_of_statistic
 from residua.report.page import Section, render
 from residua.report.tables import structure_table
-from residua.report.text import escape, some, visible
+from residua.report.text import escape, visible
+from residua.words import some
 
 N = 26
 

@@ -20,12 +20,11 @@ from residua.analysis import Diagnosability
 from residua.decide import Directional, Structured
 from residua.decide.directional import direction_test
 from residua.decide.sizes import fault_unit
+from residua.decide.statement import ranked, sizes_text, tied_name
 from residua.decide.structured import codes_of
 from residua.design import MatchedFilters, ResidualGenerator
 from residua.monitor.diagnosis import Alarm, Diagnosis
-from residua.monitor.naming import ranked, tied_name
 from residua.report.tables import alarm_times
-from residua.report.text import sizes_text
 from residua.report.verdict import verdict
 from residua.visible import visible
 

@@ -13,6 +13,7 @@ from residua.decide.member_thresholds import BankTest, GroupTest
 from residua.decide.norm_threshold import NormTest, NormThreshold
 from residua.decide.peak_threshold import PeakThreshold, peak_over_window
 from residua.decide.persistence import AlarmRuns, run_alarm
+from residua.decide.statement import Statement
 from residua.decide.structured import CodeReading, CodeTest, Structured, read_code, read_codes
 from residua.decide.test import Block, FaultFreeRun, ResidualTest, Tested, TestSettings, Watched
 from residua.decide.whitening import whitening_matrix
@@ -45,6 +46,7 @@ __all__ = [
     "ResidualTest",
     "Scores",
     "Seen",
+    "Statement",
     "Structured",
     "TestSettings",
     "Tested",

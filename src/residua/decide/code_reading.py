@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 #: Pairs of faults, and nearest codes, that a text names at most.
 NAMED = 3
 #: Single faults that explain a pattern, as a text names them at most.
@@ -137,3 +140,14 @@ def _listed(items: Iterable[str]) -> str:
     entries = list(items)
     more = len(entries) - NAMED
     return "; ".join(entries[:NAMED]) + (f"; and {more} more" if more > 0 else "")
+
+
+def distinct_rows(rows: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Return how often each distinct row of a boolean matrix occurs, where first, and which one each row is."""
+    if not len(rows):
+        nothing = np.zeros(0, dtype=np.int64)
+        return nothing, nothing, nothing
+    packed = np.ascontiguousarray(np.packbits(rows, axis=1))
+    keys = packed.view(f"V{packed.shape[1]}")[:, 0] if packed.shape[1] > 1 else packed[:, 0]
+    _, first, index, counts = np.unique(keys, return_index=True, return_inverse=True, return_counts=True)
+    return counts.astype(np.int64), first.astype(np.int64), index.astype(np.int64).ravel()

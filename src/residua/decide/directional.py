@@ -9,10 +9,11 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.decide.alarm import Candidate
+from residua.decide.alarm import Alarm, Candidate
 from residua.decide.checks import check_samples
 from residua.decide.isolation import Isolation, IsolationSettings, Scores, check_groups
 from residua.decide.row_norms import row_norms
+from residua.decide.statement import Statement, angle, statement_by_score
 from residua.decide.test import Block, ResidualTest, Tested, Watched
 from residua.decide.window import WindowState, empty_window, moving_sum
 from residua.design import ResidualGenerator
@@ -20,6 +21,7 @@ from residua.errors import DataError, FileFormatError, SettingError
 from residua.linear.subspaces.rank import range_basis
 from residua.linear.systems.recursion import ordered_product
 from residua.number_kinds import FINITE, WINDOW, NumberKind
+from residua.recording.clock import Clock
 from residua.records import joined
 from residua.visible import echo
 
@@ -27,6 +29,7 @@ from residua.visible import echo
 SAME_SIGNATURE = 1e-3
 #: Bases from a file are orthonormal to that.
 _ORTHONORMAL = 1e-6
+_COSINE = "The score is the cosine of the angle between the residual and a signature, judged over the monitor's window."
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +101,10 @@ class DirectionTest(Isolation):
         """Return in words how faults are named."""
         over = f"{self.window} samples ({self.window * step:g} s)"
         return {"isolation": f"direction of the residual averaged over {over}"}
+
+    def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
+        """Return what is said of an alarm: the scores, and the angles that they stand for."""
+        return statement_by_score(alarm, clock, window, angle, _COSINE)
 
     # --------------------------------------------------------------------------- files
 

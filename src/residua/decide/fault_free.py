@@ -14,6 +14,7 @@ from residua.decide.dependence import correlation_times
 from residua.decide.whitening import whitening_matrix
 from residua.decide.window import empty_window, moving_sum
 from residua.errors import DataError
+from residua.linear.subspaces.whitening import VARIANCE_FLOOR
 
 #: With that many independent samples to each residual a covariance counts as known, and is left as it is.
 KNOWN = 10.0
@@ -199,7 +200,11 @@ class FaultFree:
             return Moments(self.middle + center, first, 1.0)
         weight = self.weights[chosen]
         z = (self.sums[chosen] - weight * center) @ first / np.sqrt(weight)
-        second, later = shrunk_to_one(z.T @ z / len(z), len(z) / self.worth[1])
+        # What the first whitening raised to its floor never moved: sums of it count as those of independent samples do,
+        # or the second whitening would take the floor away again.
+        raised = 1 - np.sum(first * (covariance @ first), axis=0)
+        raised = np.where(raised > VARIANCE_FLOOR, raised, 0.0)
+        second, later = shrunk_to_one(z.T @ z / len(z) + np.diag(raised), len(z) / self.worth[1])
         return Moments(self.middle + center, first @ whitening_matrix(second), max(intensity, later))
 
     @cached_property

@@ -20,9 +20,11 @@ from residua.decide.code_reading import CodeReading
 from residua.decide.matched_hold import Match
 from residua.decide.member_bounds import MemberBounds
 from residua.decide.sizes import sizes_over, with_sizes
+from residua.decide.statement import Statement, statement_by_score
 from residua.decide.test import Block, ResidualTest, Tested, TestSettings, Watched
 from residua.design import ResidualGenerator
 from residua.errors import FileFormatError
+from residua.recording.clock import Clock
 from residua.records import Record, values_in, values_out
 
 
@@ -206,6 +208,19 @@ class Isolation(Record, ABC):
             Seconds between samples.
         """
         return {"isolation": type(self).__name__}
+
+    def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
+        """Return what is said of an alarm: what page, screen and printed diagnosis say of it.
+
+        Parameters
+        ----------
+        alarm : Alarm
+        clock : Clock
+            How times are said.
+        window : int
+            Samples that an alarm has to last for its name to be sure.
+        """
+        return statement_by_score(alarm, clock, window)
 
     @property
     def where_missing(self) -> str:

@@ -13,15 +13,18 @@ from numpy.typing import ArrayLike, NDArray
 from residua.analysis.codes import equal_codes, strongly_isolating
 from residua.decide.alarm import Alarm, Candidate, PresentFault
 from residua.decide.checks import check_samples, is_number
-from residua.decide.code_reading import CodeReading
+from residua.decide.code_reading import CodeReading, distinct_rows
+from residua.decide.code_words import statement_by_code
 from residua.decide.isolation import Isolation, IsolationSettings, Named, Naming, Scores, Seen, check_groups, last_over
 from residua.decide.member_bounds import MemberBounds, leakage_cautions
 from residua.decide.sizes import sizes_over, with_sizes
+from residua.decide.statement import Statement
 from residua.decide.test import Block, ResidualTest, Tested, TestSettings, Watched
 from residua.decide.window import WindowState, empty_window, moving_sum
 from residua.design import ResidualGenerator
 from residua.errors import DataError, FileFormatError, ModelError, SettingError
 from residua.number_kinds import SHARE, WINDOW, NumberKind
+from residua.recording.clock import Clock
 from residua.visible import echo
 
 
@@ -238,6 +241,10 @@ class CodeTest(Isolation):
         if self.dedicated:
             return {"isolation": f"{told}; every fault has a member of its own, so several at once are all named"}
         return {"isolation": f"{told}; nearest codes up to {self.distance} off"}
+
+    def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
+        """Return what is said of an alarm: what fired, and what it reads as."""
+        return statement_by_code(alarm, clock, window, dedicated=self.dedicated)
 
     def cautions(self, bounds: Mapping[str, MemberBounds], alarms: Sequence[Alarm], seen: Seen) -> tuple[str, ...]:
         """Return for each alarm which of its residuals a single other fault may have driven over their thresholds."""
@@ -543,17 +550,6 @@ def read_codes(
     rows = patterns.reshape(-1, patterns.shape[-1])
     _, first, index = distinct_rows(rows)
     return index.reshape(patterns.shape[:-1]), tuple(test.read(rows[k]) for k in first)
-
-
-def distinct_rows(rows: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return how often each distinct row of a boolean matrix occurs, where first, and which one each row is."""
-    if not len(rows):
-        nothing = np.zeros(0, dtype=np.int64)
-        return nothing, nothing, nothing
-    packed = np.ascontiguousarray(np.packbits(rows, axis=1))
-    keys = packed.view(f"V{packed.shape[1]}")[:, 0] if packed.shape[1] > 1 else packed[:, 0]
-    _, first, index, counts = np.unique(keys, return_index=True, return_inverse=True, return_counts=True)
-    return counts.astype(np.int64), first.astype(np.int64), index.astype(np.int64).ravel()
 
 
 # ------------------------------------------------------------------ what an alarm is put down to

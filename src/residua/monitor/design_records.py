@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from residua.arrays import frozen
 from residua.design import Evidence, Member, Observer, ResidualGenerator
+from residua.design.core.decoupling import IGNORED
+from residua.design.core.internal_form import frequency_grid, leakage
 from residua.errors import FileFormatError
 from residua.linear import RankDecision, StateSpace
 from residua.number_kinds import ANY as REPORT, COMPLEX, ENTRY, NOT_NEGATIVE, STEP
@@ -30,6 +32,8 @@ from residua.records import (
     whole_in,
 )
 
+#: The largest leak that any exact design is allowed, and of how many frequencies of the design one is looked at.
+_LEAK, _EVERY = 1e-6, 12
 _SYSTEM_ENTRIES = ("A", "B", "C", "D", "dt", "inputs", "outputs", "states")
 _PLANT_ARRAYS = ("A", "C", "Bu", "Du", "Bd", "Dd", "Bf", "Df", "Bw", "Dw")
 _PLANT_TEXTS = ("name", "description")
@@ -166,6 +170,7 @@ def _checked(generator: ResidualGenerator, where: str) -> ResidualGenerator:
         record(generator.steady, joined(where, "steady"), plant.faults)
     if not system.is_stable():
         raise FileFormatError(f"{where}: the filter is not stable")
+    _check_leaks(generator, where)
     for name, rows in zip(_MAPS, (system.n_states, k), strict=True):
         M = getattr(generator, name)
         if M is not None and M.shape != (rows, plant.n_states):
@@ -180,6 +185,23 @@ def _checked(generator: ResidualGenerator, where: str) -> ResidualGenerator:
     if form is not None and (form.n_outputs != k or form.n_inputs < len(plant.faults)):
         raise FileFormatError(f"{where}: known_form does not fit the filter")
     return generator
+
+
+def _check_leaks(generator: ResidualGenerator, where: str) -> None:
+    """Measure again, at a few frequencies, what must not reach the residual: alarms rest on it.
+
+    Of what :func:`make_generator` checks, this and the stability are checked again: a millisecond or two. The
+    identities of maps and forms, and the subspaces, tell what faults do; they are as good as the checksum of the file.
+    """
+    promised = dict(generator.evidence.decoupling)
+    promised.setdefault("disturbance", promised.get(IGNORED, np.inf))
+    w = frequency_grid(generator.system, generator.plant.system(()))[::_EVERY]
+    for name, gain in leakage(generator.system, generator.plant, w).items():
+        known = max(promised.get(name, np.inf), promised.get(f"{name}, sampled", 0.0))
+        if gain > max(_LEAK, 1.01 * known):
+            raise FileFormatError(
+                f"{where}: the {name} inputs reach the residual, by {gain:.2g} of the terms that should cancel"
+            )
 
 
 def _system_out(system: StateSpace) -> dict[str, Any]:

@@ -12,25 +12,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.alarm import CLOSE_LEAD, CLOSE_MARGIN, Alarm, Beginning, Candidate, PresentFault
+from residua.decide.isolation import Isolation, NoNames
+from residua.decide.matched import NO_FIT
 from residua.decide.matched_hold import Match
 from residua.decide.sizes import estimates_of
+from residua.decide.statement import (
+    Statement,
+    alike,
+    arrival_text,
+    began_text,
+    over_thresholds,
+    ranked,
+    sizes_text,
+    tied_name,
+)
 from residua.decide.structured import CodeTest
 from residua.errors import MissingExtraError
 from residua.files import write_text
-from residua.monitor.naming import alike, arrival_text, began_text, ranked, sizes_text, tied_name
 from residua.recording.clock import Clock
+from residua.visible import echo
 
 if TYPE_CHECKING:
     from residua.design import ResidualGenerator
 
 
 __all__ = ["CLOSE_LEAD", "CLOSE_MARGIN", "NO_FIT", "Alarm", "Candidate", "Diagnosis"]
-
-#: What is said of two faults that explain nearly the same, and neither all of it.
-NO_FIT = (
-    "neither of the first two fits to within the noise, and what is left exceeds what sets them apart: an error of the "
-    "model, or a fault that is no step, may decide between them"
-)
 
 #: What is said of a fault that a single estimate found.
 NO_DIRECTION = "one estimate has no direction: any of these would look like this"
@@ -118,6 +124,8 @@ class Diagnosis:
         The moment that ``time`` counts from (ISO 8601), where the recording had dates; else empty.
     signals : ndarray, shape (T, inputs + outputs)
         What was measured, in plant units; NaN where a value was missing. No rows where it was not kept.
+    isolation : Isolation
+        What names the alarms, and says how sure the names are.
     compared : tuple of (int, int)
         Residuals that are a measured output less its prediction from all that was measured before, as pairs (residual,
         output); see ``predictions``.
@@ -160,6 +168,7 @@ class Diagnosis:
     origin: str = ""
     signals: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
     compared: tuple[tuple[int, int], ...] = field(default=(), repr=False)
+    isolation: Isolation = field(default_factory=NoNames, repr=False)
 
     # ------------------------------------------------------------------- facts
 
@@ -247,6 +256,15 @@ class Diagnosis:
         return len(best.faults) > 1 and self.generator.residual_rank == 1
 
     @property
+    def alike(self) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
+        """The groups of several faults that cannot be told apart here, each with its names as text."""
+        return alike(self.codes.groups, self.codes.settled) if self.codes else alike(self.groups)
+
+    def statement(self, alarm: Alarm) -> Statement:
+        """Return what is said of an alarm: headline, how sure it is, and what that rests on."""
+        return self.isolation.statement(alarm, self.clock, self.window)
+
+    @property
     def estimates(self) -> dict[str, NDArray[np.float64]]:
         """The estimated size of every fault that is estimated, over time, in its own unit; empty without any.
 
@@ -278,25 +296,13 @@ class Diagnosis:
             lines.append(f"alarm {k}: raised {self.clock.at(alarm.raised)}, {until}")
             lines.append(f"  {began_text(alarm, self.clock)}")
             if alarm.fired:
-                more = f" and {len(alarm.fired) - 8} more" if len(alarm.fired) > 8 else ""
-                lines.append(f"  over their thresholds: {', '.join(alarm.fired[:8])}{more}")
-            if alarm.reading is not None:
-                lines.append(f"  {alarm.reading}")
-                lines += [f"  {fault}" for fault in alarm.present if alarm.reading.together]
-            if alarm.candidates and alarm.samples < self.window:
-                lines.append(f"  shorter than the {self.window} samples that a name is judged by: not sure of its name")
-            elif alarm.doubt == "likelihood":
-                odds = f"{np.exp((alarm.lead or 0.0) / 2):.3g}"
-                lines.append(f"  a close call: the first is {odds} times as likely as the second")
-            elif alarm.doubt == "score":
-                lines.append(f"  a close call: the first two are {abs(alarm.margin or 0.0):.3f} apart")
-            elif alarm.doubt == "fit":
-                lines.append(f"  {NO_FIT}")
+                lines.append(f"  {over_thresholds(alarm, 8)}")
+            lines += [f"  {line}" for line in self.statement(alarm).lines]
             lines += self._candidate_lines(alarm)
         if len(self.alarms) > 20:
             lines.append(f"... and {len(self.alarms) - 20} more alarms")
         if self.alarms:
-            lines += [f"cannot be told apart here: {', '.join(names)}" for _, names in alike(self.groups, self.codes)]
+            lines += [f"cannot be told apart here: {', '.join(names)}" for _, names in self.alike]
         if self.unjudged:
             want = "a code" if self.codes else "a signature"
             lines.append(f"never named by this monitor, for want of {want}: {', '.join(self.unjudged)}")
@@ -312,7 +318,7 @@ class Diagnosis:
             if self.no_direction:
                 size = "".join(f"  estimated size, if it is {s.fault}: {s}" for s in candidate.sizes[:1])
             else:
-                size = f"  estimated size {sizes_text(candidate.sizes)}" if candidate.sizes else ""
+                size = f"  estimated size {sizes_text(candidate.sizes, str)}" if candidate.sizes else ""
             name = tied_name(alarm.candidates, rank)
             lines.append(f"  {rank}. {name:<40} score {candidate.score:.3f}{size}{arrival_text(candidate)}")
         return [*lines, f"  {NO_DIRECTION}"] if lines and self.no_direction else lines
@@ -371,11 +377,11 @@ class Diagnosis:
             If that package is not installed.
         """
         if backend not in ("pandas", "polars"):
-            raise ValueError(f"backend must be 'pandas' or 'polars', got {backend!r}")
+            raise ValueError(f"backend must be 'pandas' or 'polars', got {echo(backend)}")
         try:
             module = __import__(backend)
         except ImportError as error:
-            raise MissingExtraError(f"this needs the package {backend!r}: pip install {backend}") from error
+            raise MissingExtraError(f"this needs the package {echo(backend)}: pip install {backend}") from error
         return module.DataFrame(self.columns())
 
     def write_alarms(self, path: str | Path) -> None:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from residua.design import ResidualGenerator
+from residua.design.core.decoupling import Approximate, Decoupled, Promise
 from residua.design.core.generator import make_generator
 from residua.design.detection_filters.detection_filter import stack_systems
 from residua.errors import ModelError
@@ -42,13 +41,20 @@ def with_estimator(bank: ResidualGenerator, estimator: ResidualGenerator) -> Res
     system = stack_systems([bank.system, estimator.system])
     form = stack_systems([bank.internal_form(), estimator.internal_form()])
     names = [*bank.residuals, *estimator.residuals]
-    made = make_generator(
+    return make_generator(
         system.replaced(outputs=names),
         one,
         f"{bank.method}, with {estimator.method}",
         bank.evidence.extended(notes=(f"beside it, tested by no member: {estimator.method}",)),
+        decouples=_decouples(bank, estimator),
         known_form=form.replaced(outputs=names),
         members=bank.members,
         codes=bank.codes,
+        estimated=("",) * bank.n_residuals + estimator.estimated,
     )
-    return replace(made, estimated=("",) * bank.n_residuals + estimator.estimated)
+
+
+def _decouples(bank: ResidualGenerator, estimator: ResidualGenerator) -> Promise:
+    """Return what both promise: designs that were sampled are as good as their evidence says."""
+    sampled = [name for part in (bank, estimator) for name in part.evidence.decoupling if name.endswith(", sampled")]
+    return Approximate(sampled[0]) if sampled else Decoupled(disturbances="disturbance" in bank.evidence.decoupling)

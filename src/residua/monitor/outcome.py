@@ -106,6 +106,7 @@ def diagnosis_from(
         unjudged=isolation.unjudged,
         window=isolation.samples_to_be_sure(test),
         codes=isolation.coding,
+        isolation=isolation,
         tested=test.groups_of_residuals,
         member_thresholds=test.part_thresholds,
         horizon=test.horizon,

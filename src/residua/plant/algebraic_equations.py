@@ -12,6 +12,7 @@ from residua.arrays import frozen
 from residua.errors import AccuracyError, ModelError
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.linear.systems.descriptor import ScaledPencil, pencil_decision, unit_free_pencil, weierstrass_form
+from residua.tolerances import TINY
 
 if TYPE_CHECKING:
     from residua.plant.plant import Plant
@@ -126,9 +127,7 @@ def _kept_states(p: ScaledPencil, X1: NDArray, X2: NDArray, B2: NDArray) -> tupl
     r = X1.shape[1]
     terms = np.abs(X2) @ np.abs(B2)
     # A state that an input reaches at once is no function of z, and has no derivative to speak of.
-    free = np.flatnonzero(
-        np.abs(X2 @ B2).max(axis=1, initial=0.0) <= 1e-13 * np.maximum(terms.max(initial=0.0), 1e-300)
-    )
+    free = np.flatnonzero(np.abs(X2 @ B2).max(axis=1, initial=0.0) <= 1e-13 * np.maximum(terms.max(initial=0.0), TINY))
     own = [i for i in free if np.any(p.E[:, i])]
     rows = X1[own]
     if not len(own) or not r:

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.statement import size_text
 from residua.recording.clock import length
 from residua.report.charts import by_interest, residual_unit
 from residua.report.choosing import SHOWN_FAULTS, look_alikes, shown_groups
-from residua.report.codes import CODE_RULES, DEDICATED_RULES, SCORE_RULE, code_alarm_table, code_table, present_table
+from residua.report.codes import code_alarm_table, code_table, present_table
 from residua.report.contributions import contribution_html, inside_band
 from residua.report.figures import band_text, charts_html
 from residua.report.pictures import direction_picture
@@ -26,8 +27,9 @@ from residua.report.tables import (
     similarity_table,
     structure_table,
 )
-from residua.report.text import escape, listing, number, percent, score, size_text, some
-from residua.report.verdict import BEGAN_RULE, MATCH_RULES, RULES, verdict
+from residua.report.text import escape
+from residua.report.verdict import BEGAN_RULE, verdict
+from residua.words import listing, number, percent, score, some
 
 if TYPE_CHECKING:
     from residua.design.core.generator import ResidualGenerator
@@ -119,10 +121,6 @@ def diagnosis_html(diagnosis: Diagnosis, charts: dict[str, Any], *, number: int,
     tag = f' <span class="tag">{escape(v.confidence)}</span>' if v.confidence else ""
     sentences = "".join(f"<li>{escape(s)}</li>" for s in v.sentences)
     by_code = diagnosis.codes is not None
-    code_rules = DEDICATED_RULES if diagnosis.codes is not None and diagnosis.codes.dedicated else CODE_RULES
-    code_rules += f" {SCORE_RULE}" if diagnosis.candidates else ""
-    rules = code_rules if by_code and diagnosis.alarms else RULES if diagnosis.candidates else ""
-    rules = MATCH_RULES if rules and diagnosis.match is not None else rules
     link = f'<p><a href="#f{filter_number}">Filter {filter_number}, its structure and evidence</a></p>'
     return "\n".join(
         [
@@ -136,7 +134,7 @@ def diagnosis_html(diagnosis: Diagnosis, charts: dict[str, Any], *, number: int,
             code_alarm_table(diagnosis) if by_code and diagnosis.alarms else alarm_table(diagnosis),
             present_table(diagnosis),
             candidate_table(diagnosis),
-            f'<p class="muted">{escape(rules)}</p>' if rules else "",
+            f'<p class="muted">{escape(v.rules)}</p>' if v.rules else "",
             f'<p class="muted">{escape(BEGAN_RULE)}</p>' if any(a.began for a in diagnosis.alarms) else "",
             code_table(diagnosis) if by_code else _directions(diagnosis),
             _residual_table(diagnosis),

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from residua.decide.structured import column_read
 from residua.report.choosing import SHOWN_FAULTS, shown_groups
 from residua.report.tables import ALARM_TIMES, MAX_ROWS, alarm_times, html_table, time_cell
-from residua.report.text import escape, percent
+from residua.report.text import escape
+from residua.words import percent
 
 if TYPE_CHECKING:
     from residua.decide.alarm import Alarm
@@ -20,21 +21,6 @@ if TYPE_CHECKING:
 
 #: Members of a bank whose part in the codes is shown at once.
 MOST_MEMBERS = 16
-
-CODE_RULES = (
-    "A pattern of fired members is read in this order: exact, the code of one fault; degraded, the code of one fault "
-    "with members silent, and of no other (only where no code is part of another); nearest, one code nearer than all "
-    "others, within the members that may differ, and the pattern is "
-    "part of no other fault's code; else it is more than one fault, or one that the bank does not know."
-)
-
-SCORE_RULE = "The score is the fraction of the members that agree with a code."
-
-
-DEDICATED_RULES = (
-    "Every fault fires a member of its own. A member that fires names its fault, and members that fire together, or "
-    "one after the other in one alarm, name several faults; each is there since its own member fired."
-)
 
 
 def code_table(diagnosis: Diagnosis) -> str:

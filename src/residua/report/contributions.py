@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.report.tables import html_table
-from residua.report.text import escape, percent
+from residua.report.text import escape
+from residua.words import percent
 
 if TYPE_CHECKING:
     from residua.monitor.diagnosis import Diagnosis

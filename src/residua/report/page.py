@@ -15,7 +15,8 @@ from residua.files import write_text
 from residua.report.body import diagnosis_html, filter_html, summary_html
 from residua.report.charts import chart_data
 from residua.report.tables import Table, text_table
-from residua.report.text import escape, listing, safe_json
+from residua.report.text import escape, safe_json
+from residua.words import listing
 
 if TYPE_CHECKING:
     from residua.design.core.generator import ResidualGenerator

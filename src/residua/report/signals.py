@@ -8,7 +8,8 @@ import numpy as np
 
 from residua.report.choosing import signal_order
 from residua.report.decimate import Bins
-from residua.report.text import listing, rounded, some, visible
+from residua.report.text import rounded, visible
+from residua.words import listing, some
 
 if TYPE_CHECKING:
     from residua.monitor.diagnosis import Diagnosis

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.statement import angle, ranked, sizes_text, tied_name
 from residua.design.core.evidence import Evidence, format_pole
-from residua.monitor.naming import ranked, tied_name
 from residua.report.choosing import SHOWN_FAULTS
-from residua.report.text import escape, lead_text, number, score, sizes_text, some
-from residua.report.verdict import angle
+from residua.report.text import escape
+from residua.words import lead_text, number, score, some
 
 if TYPE_CHECKING:
     from residua.decide.alarm import Alarm

@@ -5,17 +5,10 @@ from __future__ import annotations
 import html
 import json
 import math
-from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-from residua.monitor import naming
-
-if TYPE_CHECKING:
-    from residua.decide.alarm import Size
-
 
 #: Characters that a screen acts on instead of showing them: controls, escapes, and those that turn text around.
 _ACTING = {
@@ -38,71 +31,9 @@ def escape(value: object) -> str:
     return html.escape(visible(value), quote=True)
 
 
-def number(value: float | None, digits: int = 4) -> str:
-    """Return a number as short text; a dash when there is none."""
-    if value is None or math.isnan(value):
-        return "–"
-    if math.isinf(value):
-        return "∞" if value > 0 else "−∞"
-    return f"{value:.{digits}g}".replace("-", "−").replace("e+", "e")
-
-
-def score(value: float) -> str:
-    """Return a correlation with three decimals; a dash when it was not judged."""
-    return f"{round(value, 3) + 0.0:.3f}" if math.isfinite(value) else "–"  # no -0
-
-
-def seconds(value: float | None) -> str:
-    """Return a time with its unit."""
-    return "–" if value is None or not math.isfinite(value) else f"{number(value, 7)} s"
-
-
-def size_text(size: Size) -> str:
-    """Return an estimated size with its unit and its last value."""
-    unit = f" {size.unit}" if size.unit else ""
-    spread = "" if size.deviation is None else f" ± {number(size.deviation, 2)}"
-    last = f" (last {number(size.last, 3)}{unit})" if math.isfinite(size.last) else ""
-    return f"{number(size.mean, 3)}{spread}{unit}{last}"
-
-
-def sizes_text(sizes: Sequence[Size]) -> str:
-    """Return the estimated sizes of one candidate, each with its fault where there are several."""
-    return naming.sizes_text(sizes, size_text)
-
-
-def lead_text(lead: float) -> str:
-    """Return a lead in twice the logarithm of the likelihood; below a tenth it means nothing."""
-    return f"{lead:.1f}" if lead < 1000 else f"{lead:,.0f}"
-
-
-def percent(part: int, whole: int) -> str:
-    """Return a share in per cent that reads 0 or 100 only where it is exactly that."""
-    share = 100 * part / whole if whole else 0.0
-    if 0 < share < 0.01:
-        return "< 0.01 %"
-    if 99.99 < share < 100:
-        return "> 99.99 %"
-    return f"{math.floor(100 * share + 1e-6) / 100:g} %"
-
-
 def with_unit(name: str, unit: str) -> str:
     """Return a name followed by its unit in brackets, where it has one."""
     return f"{name} [{unit}]" if unit else name
-
-
-def some(names: Iterable[str], most: int = 10) -> str:
-    """Return names as a phrase, the first ones and how many there are besides."""
-    items = list(names)
-    more = len(items) - most
-    return listing(items if more < 2 else [*items[:most], f"{more} more"])
-
-
-def listing(names: Iterable[str], last: str = "and") -> str:
-    """Return names as a phrase: ``a, b and c``."""
-    items = list(names)
-    if len(items) < 2:
-        return "".join(items)
-    return f"{', '.join(items[:-1])} {last} {items[-1]}"
 
 
 def rounded(values: NDArray[np.float64], relative: bool = False) -> list[float | None]:

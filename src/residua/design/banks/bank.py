@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from residua.analysis.codes import equal_codes, strongly_isolating
 from residua.analysis.coding_sets import Structure, structure_rows
 from residua.design.core.canonical_design import in_own_units, in_units_of
+from residua.design.core.decoupling import Decoupled, MeasuredBefore
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import Member, ResidualGenerator, make_generator
-from residua.design.core.internal_form import check_decoupling
 from residua.design.detection_filters.detection_filter import stack_systems
 from residua.design.observers.observer import Observer
 from residua.errors import AccuracyError, DesignError
@@ -205,12 +205,13 @@ def for_whole_plant(part: ResidualGenerator, plant: Plant) -> ResidualGenerator:
         known = known.select(inputs=_columns(part.plant, plant))
     units = canonical_units(plant)
     own = units.applied(plant)
-    scaled = in_own_units(replace(part, plant=plant, known_form=known), units, own)
+    scaled = in_own_units(part, units, own, known)
     made = make_generator(
         scaled.system,
         own,
         part.method,
         part.evidence,
+        decouples=MeasuredBefore(part.system, part.plant, part.evidence.decoupling),
         state_map=scaled.state_map,
         static_map=scaled.static_map,
         known_form=scaled.known_form,
@@ -278,12 +279,12 @@ def _stacked(parts: dict[str, ResidualGenerator], method: str, reference: str, d
         poles=system.poles(),
         requested_poles=np.concatenate([g.evidence.requested_poles for g in generators]),
         fixed_poles=np.concatenate([g.evidence.fixed_poles for g in generators]),
-        decoupling=check_decoupling(system, plant, decoupled=decoupled),
         conditions=_worst([g.evidence for g in generators]),
         notes=tuple(f"{name}: {note}" for name, g in parts.items() for note in g.evidence.notes),
         references=(reference,),
     )
     told: dict[str, Any] = {
+        "decouples": Decoupled(disturbances=decoupled),
         "members": tuple(members),
         "codes": np.array(codes, dtype=bool).reshape(len(codes), len(plant.faults)),
     }

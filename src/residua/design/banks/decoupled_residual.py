@@ -18,14 +18,14 @@ from residua.design.banks.unknown_input_quotient import (
     unknown_input_quotient,
 )
 from residua.design.core.canonical_design import designed_in_own_units
+from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
-from residua.design.core.internal_form import check_decoupling, frequency_grid
+from residua.design.core.internal_form import frequency_grid
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS
 from residua.design.observers.observer_gain import margin_from, place, pole_evidence
 from residua.errors import AccuracyError, DesignError
-from residua.linear import StateSpace
 from residua.linear.poles.placement import Placement
 from residua.linear.poles.riccati import filter_riccati
 from residua.linear.subspaces.observable_part import UndetectableError
@@ -209,24 +209,14 @@ def _assembled(
     evidence = Evidence(
         method="decoupled residual",
         **pole_evidence(placed, system.A),
-        decoupling=_checked_decoupling(system, plant, ignored),
         ranks={"unknown inputs in the outputs": quotient.direct},
         conditions={"pole error": placed.error, "norm of the gain": placed.norm},
         notes=((f"ignores {', '.join(ignored)}",) if ignored else ()) + ((note,) if note else ()),
         references=("Massoumnia, Verghese and Willsky (1989), IEEE TAC 34(3)", "Gertler (1991), section 4"),
     )
     maps = {"state_map": found.state_map, "static_map": found.static_map}
-    made = make_generator(system, plant, "decoupled residual", evidence, **maps)
-    silent = {name: np.zeros((made.n_residuals, 0)) for name in ignored}  # what is left of them has passed the check
-    return replace(made, subspaces={**made.subspaces, **silent})
-
-
-def _checked_decoupling(system: StateSpace, plant: Plant, ignored: list[str]) -> dict[str, float]:
-    """Return the leakage of controls and of everything ignored, or raise when there is one."""
-    found = check_decoupling(system, plant.faults_as_disturbances(ignored), decoupled=True)
-    if ignored and "disturbance" in found:
-        found["everything ignored"] = found.pop("disturbance")
-    return found
+    decouples = Decoupled(faults=tuple(ignored))
+    return make_generator(system, plant, "decoupled residual", evidence, decouples=decouples, **maps)
 
 
 def _attempts(

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from residua.design.core.generator import ResidualGenerator
+from residua.linear import StateSpace
 from residua.plant import Plant
 from residua.plant.canonical_units import PlantUnits, canonical_units
 
@@ -23,16 +24,20 @@ def in_units_of(plant: Plant, units: PlantUnits, made: ResidualGenerator) -> Res
     return _rescaled(made, plant, units, 1.0)
 
 
-def in_own_units(made: ResidualGenerator, units: PlantUnits, own: Plant) -> ResidualGenerator:
-    """Return a generator as one for its plant in other units, ``own``."""
-    return _rescaled(made, own, units, -1.0)
+def in_own_units(
+    made: ResidualGenerator, units: PlantUnits, own: Plant, known_form: StateSpace | None = None
+) -> ResidualGenerator:
+    """Return a generator as one for its plant in other units, ``own``; with another known form where one is given."""
+    return _rescaled(made, own, units, -1.0, known_form)
 
 
-def _rescaled(made: ResidualGenerator, plant: Plant, units: PlantUnits, power: float) -> ResidualGenerator:
+def _rescaled(
+    made: ResidualGenerator, plant: Plant, units: PlantUnits, power: float, known: StateSpace | None = None
+) -> ResidualGenerator:
     """Return a generator from scaled units to those of the plant, or the other way with a power of minus one."""
     signals = np.concatenate([1 / units.inputs, units.outputs]) ** power
     equations = units.equations**power
-    known = made.known_form
+    known = made.known_form if known is None else known
     if known is not None:
         noises = np.ones(known.n_inputs - len(units.faults) - len(units.disturbances))
         through = np.concatenate([1 / units.faults, 1 / units.disturbances, noises]) ** power

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.design.core.decoupling import Approximate, Decoupled, Promise
 from residua.design.core.evidence import Evidence, format_pole
 from residua.design.core.internal_form import (
     check_known_form,
@@ -428,6 +429,7 @@ def make_generator(
     method: str,
     evidence: Evidence,
     *,
+    decouples: Promise,
     state_map: NDArray[np.float64] | None = None,
     static_map: NDArray[np.float64] | None = None,
     known_form: StateSpace | None = None,
@@ -437,21 +439,27 @@ def make_generator(
     estimated: tuple[str, ...] = (),
     relations: ParityRelations | None = None,
 ) -> ResidualGenerator:
-    """Return a generator with its signatures, after checking that it is stable and that its identities hold.
+    """Return a generator with its signatures, after checking that it is stable, decoupled, and its identities hold.
 
-    A filter whose states are no linear function of the plant's brings its internal form, ``known_form``.
+    Every design passes here, and no other place makes a generator of a filter. ``decouples`` says what must not reach
+    the residual, which is measured here, or which entry of the evidence says how far it does. A filter whose states
+    are no linear function of the plant's brings its internal form, ``known_form``; an approximate one need not.
     """
     if not system.is_stable():
         raise AccuracyError(f"the filter is not stable: poles {', '.join(map(format_pole, system.poles()))}")
-    if known_form is not None:
-        form = known_form
-        identity = check_known_form(system, plant, known_form)
-    elif state_map is not None:
+    leaks = decouples.leaks(system, plant, evidence)
+    if state_map is not None and known_form is None:
         form = internal_form(system, plant, state_map, static_map)
         identity = check_state_map(system, plant, state_map, static_map)
     else:
-        raise TypeError("make_generator needs a state_map or a known_form")
+        if known_form is None and not isinstance(decouples, Approximate):
+            raise TypeError("make_generator needs a state_map or a known_form of an exact design")
+        # as known form of an approximate design the driven filter would say that control inputs do nothing
+        form = internal_form(system, plant) if known_form is None else known_form
+        identity = check_known_form(system, plant, form)
     bases, off = signature_bases(system, plant, form, state_map, static_map)
+    if isinstance(decouples, Decoupled):  # what is left of the faults that are ignored has passed the check
+        bases |= {name: np.zeros((system.n_outputs, 0)) for name in decouples.faults}
     conditions = {"identities": identity} | ({"response off the signatures": off} if plant.faults else {})
     if not members:
         members = (Member(method, tuple(range(system.n_outputs)), plant.faults),)
@@ -459,7 +467,7 @@ def make_generator(
         system,
         plant,
         method,
-        evidence.extended(conditions=conditions),
+        evidence.extended(decoupling=leaks, conditions=conditions),
         bases,
         observer=observer,
         members=members,

@@ -11,6 +11,7 @@ from residua.linear.subspaces.reachability import without_unobservable
 from residua.linear.systems.balancing import descriptor_units, state_units
 from residua.linear.systems.response_terms import accurate_response, in_even_units, paths, response_terms
 from residua.plant import Plant
+from residua.tolerances import TINY
 
 #: A response this far below its terms at every frequency is rounding.
 _NOTHING = 1e-13
@@ -112,19 +113,19 @@ def check_state_map(
     own = _largest(p.A, units / units[:, None]) if p.E is None else 0.0
     if generator.n_states:  # where decoupling left T = 0, all the terms are rounding of what the poles are made of
         own = max(own, 1e-3 * float(np.abs(generator.poles()).max()))
-    first /= max(_largest(terms, units / rows[:, None]), own, 1e-300)
+    first /= max(_largest(terms, units / rows[:, None]), own, TINY)
     terms = np.abs(generator.C) @ absolute_TE + np.abs(Hy) @ np.abs(p.C) + np.abs(V) @ np.abs(p.A)
     heights = np.abs(p.C) @ units
     scale = units / np.where(heights > 0, heights, 1.0)[:, None] if len(Hy) == len(p.C) else units[None, :]
     per_row = (
         np.abs(generator.C) * rows / (np.where(heights > 0, heights, 1.0)[:, None] if len(Hy) == len(p.C) else 1.0)
     )
-    floor = max(1e-6 * float(per_row.max(initial=0.0)), 1e-300)
+    floor = max(1e-6 * float(per_row.max(initial=0.0)), TINY)
     second = _largest(generator.C @ TE + Hy @ p.C + V @ p.A, scale) / max(_largest(terms, scale), floor)
     third = 0.0
     if np.any(V) and p.E is not None:  # what V reads may stand where E is zero, and meet it by rounding only
         beside = np.abs(V).max(axis=1, initial=0.0)[:, None] * np.abs(p.E).max(axis=0, initial=0.0)
-        third = _largest(VE, scale) / max(_largest(absolute_VE, scale), 1e-3 * _largest(beside, scale), 1e-300)
+        third = _largest(VE, scale) / max(_largest(absolute_VE, scale), 1e-3 * _largest(beside, scale), TINY)
     return _accepted(max(first, second, third), limit)
 
 
@@ -237,6 +238,13 @@ def leakage(generator: StateSpace, plant: Plant, w: NDArray | None = None) -> di
     dict of str to float
         ``"control"`` and ``"disturbance"``, as far as the plant has any.
     """
+    found, n_u = leakage_of_inputs(generator, plant, w), len(plant.inputs)
+    groups = {"control": found[:n_u], "disturbance": found[n_u:]}
+    return {name: float(part.max()) for name, part in groups.items() if len(part)}
+
+
+def leakage_of_inputs(generator: StateSpace, plant: Plant, w: NDArray | None = None) -> NDArray[np.float64]:
+    """Return the leakage of each control, then of each disturbance; see :func:`leakage`."""
     if w is None:
         w = frequency_grid(generator, plant.system(()))
     points = np.exp(1j * w * generator.dt) if generator.is_discrete else 1j * w
@@ -256,8 +264,7 @@ def leakage(generator: StateSpace, plant: Plant, w: NDArray | None = None) -> di
         np.where(alive, Q.values, 0.0), np.where(_alive(np.abs(P.values), P.terms), P.values, 0.0), n_u
     )[1]
     ratio = np.where(parts > 0, np.abs(total) / np.where(parts > 0, parts, 1.0), 0.0)
-    groups = {"control": ratio[..., :n_u], "disturbance": ratio[..., n_u:]}
-    return {name: float(part.max(initial=0.0)) for name, part in groups.items() if part.shape[-1]}
+    return ratio.max(axis=(0, 1), initial=0.0)
 
 
 def _with_even_rows(generator: StateSpace, inputs: NDArray) -> StateSpace:
@@ -284,17 +291,3 @@ def _products(Q: NDArray, P: NDArray, n_u: int) -> NDArray[np.float64]:
 def _alive(sizes: NDArray, terms: NDArray) -> NDArray[np.bool_]:
     """Tell which responses are more than the rounding of their terms, at some frequency."""
     return np.any(sizes > _NOTHING * terms, axis=0)
-
-
-def check_decoupling(generator: StateSpace, plant: Plant, *, decoupled: bool, limit: float = 1e-7) -> dict[str, float]:
-    """Return the leakage of a finished design, or raise when what was promised is not kept."""
-    found = leakage(generator, plant)
-    promised = {name: gain for name, gain in found.items() if name == "control" or decoupled}
-    for name, gain in promised.items():
-        if not gain <= limit:
-            raise AccuracyError(
-                f"the residual answers to the {name} inputs (by {gain:.2g} > {limit:.0e} of the terms that should "
-                "cancel): the plant is too badly conditioned for this design; ask for other poles, or use "
-                "decoupled_residual"
-            )
-    return promised

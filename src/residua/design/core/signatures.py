@@ -11,6 +11,7 @@ from residua.design.core.internal_form import frequency_grid
 from residua.linear import StateSpace
 from residua.linear.systems.response_terms import in_even_units, response_terms
 from residua.plant import Plant
+from residua.tolerances import TINY
 
 #: A response this far below its terms at every frequency is what rounding of the design has left of nothing.
 _NOTHING = 1e-9
@@ -210,7 +211,7 @@ def first_response(form: StateSpace, column: int) -> NDArray[np.float64]:
     """Return the first nonzero Markov parameter ``D, C B, C A B, ...`` of one input, up to a positive factor."""
     if np.any(form.D[:, column]):
         return form.D[:, column]
-    A = form.A / max(float(np.linalg.norm(form.A)), 1e-300)  # only the direction matters: no power overflows
+    A = form.A / max(float(np.linalg.norm(form.A)), TINY)  # only the direction matters: no power overflows
     x = form.B[:, column]
     scale = np.linalg.norm(form.C) * np.linalg.norm(x)
     for _ in range(form.n_states):

@@ -9,11 +9,11 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from residua.analysis.unknown_input import output_free_form
+from residua.analysis.unknown_input import OutputFreeForm, output_free_form
 from residua.arrays import index_of
+from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import Member, ResidualGenerator, make_generator
-from residua.design.core.internal_form import check_decoupling
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS
 from residua.design.detection_filters.directional_gain import (
@@ -164,6 +164,7 @@ def directional_filters(
     base: Evidence,
     decouples: bool,
     rtol: float,
+    form: OutputFreeForm | None = None,
 ) -> ResidualGenerator:
     """Design directional filters for the error pair ``(C, A)``: ``F = A - K C``, ``K1 = K W + offset``.
 
@@ -181,7 +182,7 @@ def directional_filters(
         bad = ", ".join(f"{z:.4g}" for z in np.atleast_1d(found.unstable_modes))
         raise DesignError(f"no stable filter exists: no measurement sees the mode {bad}; add a sensor")
     weights = even.output_weights(A, np.zeros((len(A), 0)), C)
-    units = _Units.of(A, C, event_matrices(plant, T, chosen), weights)
+    units = _Units.of(A, C, event_matrices(plant, T, chosen, form), weights)
     events, unseen = fault_events(units.A, units.C, units.events, rtol=rtol)
     directly = [name for name in chosen if _seen_directly(plant, H, W, name)]
     notes = [note for event in events for note in _shared(event.faults, directly)]
@@ -306,15 +307,17 @@ def _unit_columns(L: NDArray) -> NDArray:
     return L / np.where(size > 0, size, 1.0)
 
 
-def event_matrices(plant: Plant, T: NDArray, faults: tuple[str, ...]) -> dict[str, NDArray]:
+def event_matrices(
+    plant: Plant, T: NDArray, faults: tuple[str, ...], form: OutputFreeForm | None = None
+) -> dict[str, NDArray]:
     r"""Return what each fault does to the error equation: ``T f``, or two columns for one in the outputs.
 
     A fault with output part ``d`` acts, after the shift :math:`e + T g \eta` with :math:`C g = d`, as the
     events :math:`T g` (with its derivative) and :math:`T (f - A g)`; ``A``, ``C`` and ``d`` here after
-    disturbances have been removed from the outputs.
+    disturbances have been removed from the outputs, which is done here where no ``form`` comes with the plant.
     """
     out = {}
-    form = output_free_form(plant)
+    form = output_free_form(plant) if form is None else form
     inverse = np.linalg.pinv(form.C)
     for name in faults:
         i = plant.faults.index(name)
@@ -391,13 +394,13 @@ def _stacked(
         poles=system.poles(),
         requested_poles=np.concatenate([part.evidence.requested_poles for part in parts]),
         fixed_poles=np.concatenate([part.evidence.fixed_poles for part in parts]),
-        decoupling=check_decoupling(system, plant, decoupled=observers[0].decouples),
     )
     return make_generator(
         system,
         plant,
         parts[0].method,
         evidence,
+        decouples=Decoupled(disturbances=observers[0].decouples),
         state_map=np.vstack([observer.T for observer in observers]),
         observer=observers[0],
         members=tuple(members),

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.design.core.decoupling import IGNORED, Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
-from residua.design.core.internal_form import check_decoupling
 from residua.design.core.method import method
 from residua.design.core.needs import disturbances
 from residua.design.core.signals import signal_names
@@ -19,7 +19,6 @@ from residua.design.detection_filters.directional_gain import DirectionalGain, c
 from residua.design.detection_filters.ignored_columns import (
     Frame,
     IgnoredColumns,
-    check_ignored,
     ignored_columns,
     require_detectable,
 )
@@ -281,19 +280,23 @@ def _generator(
         poles=poles,
         requested_poles=gain.requested if exact else np.zeros(0, dtype=complex),
         fixed_poles=gain.fixed,
-        decoupling=check_decoupling(system, plant, decoupled=exact),
         ranks=ranks,
         conditions={"pole error": gain.error, "norm of K": float(np.linalg.norm(K))},
         notes=(*((f"ignores {parts.told}",) if parts.names else ()), *(note for note in notes if note)),
         references=(REFERENCE,),
     )
     observer = Observer(plant, F, np.eye(n), K, np.eye(n), np.zeros(K.shape), S, method, exact, evidence)
-    made = make_generator(system, plant, method, evidence, state_map=T, observer=observer)
+    faults = tuple(name for name in plant.faults if name in parts.names)
+    decouples = Decoupled(faults=faults, apart=True) if exact else Decoupled(disturbances=False)
+    made = make_generator(system, plant, method, evidence, decouples=decouples, state_map=T, observer=observer)
+    leaks = made.evidence.decoupling
+    own = {name: gain for name, gain in leaks.items() if name != IGNORED}
+    observer = replace(observer, evidence=evidence.extended(decoupling=own))
     if not exact:
-        return replace(made, evidence=made.evidence.extended(decoupling=_leaks(made, parts)))
-    found = check_ignored(made, parts)
-    silent = {name: np.zeros((len(S), 0)) for name in plant.faults if name in parts.names}  # as just checked
-    return replace(made, evidence=made.evidence.extended(decoupling=found), subspaces={**made.subspaces, **silent})
+        more = _leaks(made, parts)
+    else:
+        more = {} if faults or "disturbance" not in leaks else {IGNORED: leaks["disturbance"]}
+    return replace(made, observer=observer, evidence=made.evidence.extended(decoupling=more))
 
 
 def _seen_error(parts: IgnoredColumns, T: NDArray, own: NDArray, F: NDArray, Q: NDArray) -> float:

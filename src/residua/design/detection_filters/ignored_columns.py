@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua import arrays
-from residua.design.core.generator import ResidualGenerator
-from residua.design.core.internal_form import leakage
-from residua.errors import AccuracyError, DesignError
+from residua.errors import DesignError
 from residua.linear.subspaces.observability import detectability
 from residua.linear.subspaces.rank import RankDecision, decide_rank, range_basis
 from residua.linear.systems.balancing import descriptor_units, without_rounding
@@ -169,16 +167,3 @@ def require_detectable(parts: IgnoredColumns, *, rtol: float) -> None:
             f"no stable observer of the whole state ignores {parts.told}: the measurements that are left do not see "
             f"the mode {bad}; add a sensor, or use decoupled_residual, which observes only what it needs"
         )
-
-
-def check_ignored(generator: ResidualGenerator, parts: IgnoredColumns) -> dict[str, float]:
-    """Return the leakage of the ignored inputs to the residual of a generator, or raise when there is one."""
-    gain = leakage(generator.system, parts.watched).get("disturbance")
-    if gain is None:
-        return {}
-    if not gain <= _LEAK:
-        raise AccuracyError(
-            f"the residual answers to {parts.told} (relative gain {gain:.2g} > {_LEAK:.0e}): too badly conditioned for "
-            "an observer of the whole state; use decoupled_residual"
-        )
-    return {"everything ignored": gain}

@@ -143,4 +143,5 @@ def robust_detection_filter(
         base=base,
         decouples=True,
         rtol=rtol,
+        form=form,
     )

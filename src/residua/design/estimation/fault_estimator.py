@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
+from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
-from residua.design.core.internal_form import check_decoupling, frequency_grid, internal_form
+from residua.design.core.internal_form import frequency_grid, internal_form
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS, groups_of_faults
 from residua.design.core.signals import sampled_filter, stack_signals
@@ -259,14 +260,13 @@ def fault_estimator(
         poles=system.poles(),
         ranks={**observer.evidence.ranks, **reading.ranks},
         references=REFERENCES,
-        decoupling=check_decoupling(system, plant, decoupled=True),
         conditions={
             "gain from f to its estimate, off its lag": 0.0,
             **({"bandwidth (rad/s)": smoothing.rate} if smoothing.rate else {}),
         },
     )
     # by its internal form, not its state map: the latter may be zero (all states read off), and has no units then
-    generator = make_generator(system, plant, method, evidence, known_form=form, estimated=names)
+    generator = make_generator(system, plant, method, evidence, decouples=Decoupled(), known_form=form, estimated=names)
     return FaultEstimator(
         plant, names, observer, system, smoothing.lags(names, plant.dt), _with_numbers(generator, reading, smoothing)
     )

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.arrays import matrix
+from residua.design.core.decoupling import LEAK, Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
-from residua.design.core.internal_form import check_decoupling, leakage
+from residua.design.core.internal_form import leakage
 from residua.design.core.method import method
 from residua.design.core.signals import signal_names
 from residua.design.observers.general_conditions import (
@@ -33,8 +34,6 @@ from residua.linear.subspaces.observability import is_stable_mode
 from residua.linear.subspaces.rank import RankDecision, decide_rank, equilibrated
 from residua.plant import Plant
 
-#: Largest relative gain from the disturbances of a generator that ignores them.
-LEAKAGE = 1e-7
 REFERENCE = "Gertler (1991), Automatica 27(4), eqs. (3-11), (3-13), (4-8) and (4-15) to (4-20)"
 
 
@@ -328,12 +327,12 @@ def _of_matrices(plant: Plant, given: dict[str, Any], decouples: bool) -> Residu
     evidence = Evidence(
         method=method,
         poles=explicit_poles(M),
-        decoupling=check_decoupling(system, plant, decoupled=decouples),
         conditions=errors,
         references=(REFERENCE,),
     )
     V = found.V if plant.E is not None else None
-    return make_generator(system, plant, method, evidence, state_map=T, static_map=V)
+    promise = Decoupled(disturbances=decouples)
+    return make_generator(system, plant, method, evidence, decouples=promise, state_map=T, static_map=V)
 
 
 def _checked(plant: Plant, m: GeneralMatrices, decouples: bool, *, told: bool) -> dict[str, float]:
@@ -352,16 +351,18 @@ def _checked(plant: Plant, m: GeneralMatrices, decouples: bool, *, told: bool) -
 
 def _must_decouple(made: ResidualGenerator) -> ResidualGenerator:
     """Return a generator after checking that it ignores the disturbances."""
-    gain = leakage(made.system, made.plant).get("disturbance", 0.0)
-    if gain > LEAKAGE:
+    leaks = made.evidence.decoupling
+    if "disturbance" not in leaks:  # the observer does not promise it
+        leaks = leakage(made.system, made.plant)
+    gain = leaks.get("disturbance", 0.0)
+    if gain > LEAK:
         raise DesignError(
             f"the residual does not ignore the disturbances {', '.join(made.plant.disturbances)}, as decouples=True "
-            f"asks: they reach it by {gain:.2g} of the terms that would have to cancel (allowed: {LEAKAGE:.0e}); "
+            f"asks: they reach it by {gain:.2g} of the terms that would have to cancel (allowed: {LEAK:.0e}); "
             "leave decouples out to take it as it is, or have one designed, as by unknown_input_observer or "
             "decoupled_residual"
         )
-    found = check_decoupling(made.system, made.plant, decoupled=True)
-    return replace(made, evidence=made.evidence.extended(decoupling=found))
+    return replace(made, evidence=made.evidence.extended(decoupling=leaks))
 
 
 def _require_stable(F: NDArray, dt: float, name: str) -> None:

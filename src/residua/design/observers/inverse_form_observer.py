@@ -14,19 +14,20 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching, shortest_path
 
 from residua import arrays
-from residua.analysis.unknown_input import unknown_input_observer_existence
+from residua.analysis.unknown_input import UnknownInputExistence, unknown_input_observer_existence
 from residua.arrays import matrix
 from residua.design.core.evidence import Evidence, format_pole
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS
 from residua.design.observers.observer import Observer
-from residua.design.observers.unknown_input_observer import unknown_input_observer
+from residua.design.observers.unknown_input_observer import observer_of
 from residua.errors import AccuracyError, DesignError
 from residua.linear import is_stable_mode
 from residua.linear.poles.placement import place_observer_poles
 from residua.linear.poles.spectrum import spectrum_error
 from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank, equilibrated
 from residua.plant import Plant
+from residua.tolerances import TINY
 
 _INSTEAD = "fault_estimator and unknown_input_observer do not need it"
 
@@ -154,7 +155,7 @@ def inverse_form_observer(
         raise DesignError("give poles or K, not both")
     chosen = [plant.faults[i] for i in arrays.positions(faults, plant.faults, "fault")]
     plant = (plant.faults_as_disturbances(chosen) if chosen else plant).explicit()
-    _check(plant, rtol)
+    existence = _existence(plant, rtol)
     A, C, F = plant.A, plant.C, plant.Bd
     AF = np.linalg.solve(A, F)
     rows = _first_rows(C @ F, C @ AF, plant, first, rtol)
@@ -163,7 +164,7 @@ def inverse_form_observer(
     if K is not None:
         gain = matrix(K, "K", (plant.n_states, plant.n_outputs), what="states x outputs")
     else:
-        wanted = unknown_input_observer(plant, rtol=rtol).poles if poles is None else np.atleast_1d(poles)
+        wanted = observer_of(plant, existence, None, None, None, rtol).poles if poles is None else np.atleast_1d(poles)
         gain, asked = _placed(N_BO, plant, np.asarray(wanted, dtype=complex), rtol)
         asked = asked if poles is not None else np.zeros(0, dtype=complex)
     N_BF = N_BO - gain @ C
@@ -171,8 +172,8 @@ def inverse_form_observer(
     return InverseFormObserver(observer, N_BO, N_BF, gain, tuple(plant.outputs[i] for i in rows))
 
 
-def _check(plant: Plant, rtol: float) -> None:
-    """Raise unless the assumptions of section 2.1 hold."""
+def _existence(plant: Plant, rtol: float) -> UnknownInputExistence:
+    """Return the existence of the unknown input observer, or raise unless the assumptions of section 2.1 hold."""
     q = plant.Bd.shape[1]
     if not q:
         raise DesignError("this plant has no unknown input: give it disturbances, or choose faults")
@@ -193,6 +194,7 @@ def _check(plant: Plant, rtol: float) -> None:
     existence = unknown_input_observer_existence(plant, rtol=rtol)
     if not existence:
         raise DesignError("; ".join(existence.reasons))
+    return existence
 
 
 def _first_rows(
@@ -306,7 +308,7 @@ def _observer(plant: Plant, N_BF: NDArray, K: NDArray, Pi: NDArray, rows: list[i
             np.abs(T) @ np.abs(plant.A) + np.abs(gain) @ np.abs(C) + np.abs(F) @ np.abs(T),
         ),
     }
-    missed = {name: float(np.abs(M).max() / max(terms.max(), 1e-300)) for name, (M, terms) in parts.items()}
+    missed = {name: float(np.abs(M).max() / max(terms.max(), TINY)) for name, (M, terms) in parts.items()}
     if not max(missed.values()) < 1e-8:
         raise AccuracyError(
             f"the identities of the observer are missed by {max(missed.values()):.2g}: the inverse form is too badly "

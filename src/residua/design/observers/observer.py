@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.analysis.unknown_input import algebraic_equations
+from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
-from residua.design.core.internal_form import check_decoupling
 from residua.design.core.signals import sampled_filter, signal_names, stack_signals
 from residua.errors import DesignError
 from residua.linear import StateSpace
@@ -18,6 +18,7 @@ from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.systems.balancing import power_of_two
 from residua.plant import Plant
 from residua.plant.even_units import EvenPlant, even_plant
+from residua.tolerances import TINY
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -179,10 +180,9 @@ class Observer:
             inputs=signal_names(p),
             outputs=[name for name, kept in zip(self._residual_names(), keep, strict=True) if kept],
         )
-        gains = check_decoupling(system, p, decoupled=self.decouples)
-        evidence = self.evidence.extended(decoupling=gains)
+        decouples = Decoupled(disturbances=self.decouples)
         maps = {"state_map": self.T, "static_map": None if p.E is None else static}
-        return make_generator(system, p, self.method, evidence, observer=self, **maps)
+        return make_generator(system, p, self.method, self.evidence, decouples=decouples, observer=self, **maps)
 
     def __repr__(self) -> str:
         kind = f"dt={self.plant.dt:g} s" if self.plant.is_discrete else "continuous"
@@ -275,7 +275,7 @@ def _without_rounding(direct: NDArray, read: NDArray, factor: NDArray) -> NDArra
 
 def _more_than(found: NDArray, terms: NDArray) -> NDArray[np.bool_]:
     """Tell in which rows something is more than the rounding of the terms that it is made of."""
-    return np.abs(found).max(axis=1, initial=0.0) > 1e-10 * np.maximum(1e-300, terms.max(axis=1, initial=0.0))
+    return np.abs(found).max(axis=1, initial=0.0) > 1e-10 * np.maximum(TINY, terms.max(axis=1, initial=0.0))
 
 
 def _path(found: NDArray, read: NDArray, factor: NDArray) -> NDArray[np.bool_]:

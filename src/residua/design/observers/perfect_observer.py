@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
+from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
-from residua.design.core.internal_form import check_decoupling
 from residua.design.core.method import method
 from residua.design.core.needs import least_order_unless_singular
 from residua.design.core.signals import sampled_filter, signal_names, stack_signals
@@ -195,10 +195,9 @@ class PerfectObserver:
         names = [f"r {x}" for x in self.outputs] if plain else [f"r{i + 1}" for i in range(len(self.left))]
         system = self._filter(known, names, order)
         form = self._filter(hidden, names, order, p.system(("fault", "disturbance", "noise")).inputs)
-        gains = check_decoupling(system, p, decoupled=True)
         note = f"the residual takes {order} derivatives of the measurements" if not p.dt else f"late by {order} steps"
-        evidence = self.evidence.extended(decoupling=gains, notes=(note,), poles=system.poles())
-        return make_generator(system, p, self.evidence.method, evidence, known_form=form)
+        evidence = self.evidence.extended(notes=(note,), poles=system.poles())
+        return make_generator(system, p, self.evidence.method, evidence, decouples=Decoupled(), known_form=form)
 
     # --------------------------------------------------------------- coefficients
 

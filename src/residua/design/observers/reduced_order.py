@@ -25,6 +25,7 @@ from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_b
 from residua.linear.systems.balancing import descriptor_units, without_rounding
 from residua.plant import Plant
 from residua.plant.even_units import even_plant
+from residua.tolerances import TINY
 
 
 def reduced_observer(
@@ -202,7 +203,7 @@ def _check(
     TE = T if plant.E is None else T @ plant.E
     missed = (M @ TE + H @ plant.C - np.eye(plant.n_states)) * units / units[:, None]
     terms = (np.abs(M) @ np.abs(TE) + np.abs(H) @ np.abs(plant.C)) * units / units[:, None]
-    first = np.abs(missed).max(initial=0.0) / max(np.abs(terms).max(initial=0.0), 1e-300)
+    first = np.abs(missed).max(initial=0.0) / max(np.abs(terms).max(initial=0.0), TINY)
     unknown = np.abs(T @ plant.Bd - K @ plant.Dd)
     terms = _outer(T, plant.Bd) + _outer(K, plant.Dd)
     second = float(np.max(unknown / np.where(terms > 0, terms, 1.0), initial=0.0))

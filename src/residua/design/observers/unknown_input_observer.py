@@ -31,6 +31,7 @@ from residua.linear.subspaces.observability import staircase
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision
 from residua.linear.systems.balancing import without_rounding
 from residua.plant import Plant
+from residua.tolerances import TINY
 
 REFERENCE = "Chen, Patton and Zhang (1996), Int. J. Control 63(1), eqs. (2) to (13)"
 
@@ -121,7 +122,18 @@ def unknown_input_observer(
            [0., 0.],
            [0., 0.]])
     """
-    existence = unknown_input_observer_existence(plant, rtol=rtol)
+    return observer_of(plant, unknown_input_observer_existence(plant, rtol=rtol), poles, margin, H0, rtol)
+
+
+def observer_of(
+    plant: Plant,
+    existence: UnknownInputExistence,
+    poles: Sequence[complex] | ArrayLike | None,
+    margin: float | None,
+    H0: ArrayLike | None,
+    rtol: float,
+) -> Observer:
+    """Return the observer of an answer about its existence, by the decomposition that the answer was read from."""
     if not existence:
         raise DesignError("; ".join(existence.reasons))
     parts = existence.decomposition
@@ -257,7 +269,7 @@ def assemble(
 def _relative(missed: NDArray, terms: NDArray, *, by_column: bool = False) -> float:
     """Return what an identity is missed by, relative to the largest of its terms, or of those of each column."""
     size = terms.max(axis=0 if by_column else None, keepdims=True, initial=0.0)
-    return float(np.max(np.abs(missed) / np.maximum(size, 1e-300), initial=0.0))
+    return float(np.max(np.abs(missed) / np.maximum(size, TINY), initial=0.0))
 
 
 def _ranks(plant: Plant, existence: UnknownInputExistence) -> dict[str, RankDecision]:

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence, format_pole
 from residua.design.core.generator import ResidualGenerator, make_generator
-from residua.design.core.internal_form import check_decoupling
 from residua.design.core.method import method
 from residua.design.core.signals import signal_names
 from residua.design.parity.relation import Relation, synthetic_division
@@ -136,8 +136,8 @@ def _with_the_poles_of(plant: Plant, names: list[str]) -> ResidualGenerator:
     evidence = Evidence(
         method="primary residuals",
         poles=system.poles(),
-        decoupling=check_decoupling(system, plant, decoupled=False),
         notes=("the poles are those of the plant",),
         references=("Gertler (1991), eq. (3-1)",),
     )
-    return make_generator(system, plant, "primary residuals", evidence, state_map=np.eye(n))
+    decouples = Decoupled(disturbances=False)
+    return make_generator(system, plant, "primary residuals", evidence, decouples=decouples, state_map=np.eye(n))

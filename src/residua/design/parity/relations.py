@@ -12,9 +12,9 @@ import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from residua.design.core.canonical_design import in_units_of
+from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence, format_pole
 from residua.design.core.generator import ResidualGenerator, make_generator
-from residua.design.core.internal_form import check_decoupling
 from residua.design.core.signals import signal_names
 from residua.design.parity.directional_pencil import Directions, changed_together, check_directions
 from residua.design.parity.realization import Realization, pole_basis, realize_relation
@@ -210,7 +210,6 @@ class ParityRelations:
             method=method,
             poles=system.poles(),
             requested_poles=np.concatenate([np.zeros(0, dtype=np.complex128), *chosen]),
-            decoupling=check_decoupling(system, plant, decoupled=not self._disturbed(rows), limit=_LEAK),
             conditions={"states left": _accepted(rows, plant)},
             notes=(*self._told(), *notes),
             references=("Gertler (1991), sections 3.1, 3.2 and 3.5",),
@@ -220,6 +219,7 @@ class ParityRelations:
             plant,
             method,
             evidence,
+            decouples=Decoupled(disturbances=not self._disturbed(rows), limit=_LEAK),
             state_map=np.vstack([part.state_map for part in parts]),
             static_map=None if plant.E is None else np.vstack([part.static_map for part in parts]),
         )

@@ -11,6 +11,7 @@ import numpy as np
 
 from residua import arrays
 from residua.design.banks.bank import Bank, Wanted, check_promise, stacked_members
+from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.method import method
@@ -375,6 +376,7 @@ def _generator(loop: UncertainPlant, one: RobustEstimator, note: str) -> Residua
         notes=(*filter(None, (note, one.certificate.disturbances.note, one.sensitivity.note)), *left_out(loop)),
         references=(_REFERENCE,),
     )
-    generator = make_generator(one.filter, loop.nominal, _METHOD, evidence, state_map=one.state_map)
+    promise = Decoupled(disturbances=False)  # the certificate bounds what they do
+    generator = make_generator(one.filter, loop.nominal, _METHOD, evidence, decouples=promise, state_map=one.state_map)
     check_promise(generator, Wanted(one.fault, one.decoupled, (one.fault,)))
     return generator

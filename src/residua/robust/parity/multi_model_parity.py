@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.design.core.decoupling import Approximate
 from residua.design.core.evidence import Evidence
-from residua.design.core.generator import ResidualGenerator
+from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.method import method
 from residua.errors import DesignError, SettingError
 from residua.linear.poles.spectrum import spectral_radius
@@ -18,9 +19,12 @@ from residua.plant.input_output_model import InputOutputModel
 from residua.robust.parity.best_ratios import best_ratios
 from residua.robust.parity.expected_signals import ExpectedSignals, Sizes
 from residua.robust.parity.plant_variants import plant_family, probabilities
-from residua.robust.parity.window_filter import approximate_generator, window_filter, window_poles
+from residua.robust.parity.window_filter import window_filter, window_poles
+from residua.tolerances import TINY
 
 _METHOD = "parity relations for several models"
+#: The entry of the evidence that says how far inputs and states reach the residual of the nominal model.
+_NOMINAL_LEAK = "leak (rms), nominal model"
 #: A relation whose leak is below this fraction of the largest has none: that is rounding.
 _ZERO = 1e-13
 #: A response below this fraction of the terms that it is the sum of is none.
@@ -259,7 +263,7 @@ def multi_model_parity(
         ),
         references=("Lou, Willsky and Verghese (1986)", "Gertler (1991), eqs. (6-4), (6-5)"),
     )
-    generator = approximate_generator(system, plant, _METHOD, evidence)
+    generator = make_generator(system, plant, _METHOD, evidence, decouples=Approximate(_NOMINAL_LEAK))
     return MultiModelParity(generator, family, nominal, s, ratios, outputs, given, units, leak, gains)
 
 
@@ -293,7 +297,7 @@ def _by_faults(
     rank = int(np.count_nonzero(s > _ZERO * s[0]))
     exact = U[:, rank:]
     left, gains, _ = np.linalg.svd(exact.T @ F, full_matrices=False)
-    seeing = int(np.count_nonzero(gains > 1e-9 * max(np.linalg.norm(F), 1e-300)))
+    seeing = int(np.count_nonzero(gains > 1e-9 * max(np.linalg.norm(F), TINY)))
     found, ratios = (exact @ left[:, :seeing]).T, np.full(seeing, np.inf)
     some, combinations = best_ratios(U[:, :rank].T @ F, np.diag(s[:rank]), rank)
     kept = some > 1e-12 * some.max(initial=0.0)  # the others see nothing
@@ -356,4 +360,4 @@ def _conditions(s: NDArray[np.float64], count: int, leak: NDArray[np.float64], n
 
 
 def _leak_conditions(leak: NDArray[np.float64], nominal: int) -> dict[str, float]:
-    return {"leak (rms), nominal model": float(leak[nominal].max()), "leak (rms), worst model": float(leak.max())}
+    return {_NOMINAL_LEAK: float(leak[nominal].max()), "leak (rms), worst model": float(leak.max())}

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from residua.design.core.evidence import Evidence, format_pole
-from residua.design.core.generator import ResidualGenerator, make_generator
-from residua.design.core.internal_form import internal_form
+from residua.design.core.evidence import format_pole
 from residua.design.core.signals import signal_names
 from residua.design.parity.realization import pole_basis
 from residua.errors import DesignError
@@ -58,15 +55,6 @@ def window_filter(
         inputs=signal_names(plant),
         outputs=names,
     )
-
-
-def approximate_generator(system: StateSpace, plant: Plant, method: str, evidence: Evidence) -> ResidualGenerator:
-    """Return a filter as a generator although inputs and states leak into its residual.
-
-    Its internal form is that of the filter driven by the plant, with the control inputs where they are asked for.
-    """
-    made = make_generator(system, plant, method, evidence, known_form=internal_form(system, plant))
-    return replace(made, known_form=None)  # a known form says that control inputs do nothing
 
 
 def window_poles(poles: Sequence[complex] | None, order: int) -> NDArray[np.complex128]:

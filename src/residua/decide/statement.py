@@ -1,0 +1,245 @@
+"""What is said of an alarm: one wording for the page, the screen and the printed diagnosis, made where names are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from residua.decide.alarm import CLOSE_MARGIN, Alarm, Candidate, Size
+from residua.recording.clock import Clock
+from residua.words import listing, number, score, some
+
+#: A lead in score at or above this is called clear.
+CLEAR_MARGIN = 0.10
+#: Below this score no listed fault explains the residual well (it points more than 45 degrees away).
+POOR_SCORE = 0.70
+
+_SURE = {
+    "clear lead": "a clear lead",
+    "moderate lead": "a moderate lead",
+    "close call": "a close call",
+    "no good match": "neither fits",
+    "short alarm": "judged over a window that is longer than the alarm",
+}
+
+RULES = (
+    f"A lead over the next candidate of {CLEAR_MARGIN:.2f} or more is called clear, below {CLOSE_MARGIN:.2f} a close "
+    f"call; a best score below {POOR_SCORE:.2f} means that no listed fault explains the residual well."
+)
+
+
+@dataclass(frozen=True)
+class Statement:
+    """What an isolation says of one alarm.
+
+    Attributes
+    ----------
+    headline : str
+        One sentence, with the name where there is one.
+    confidence : str
+        How sure the name is, in two words: ``"clear lead"``, ``"close call"``, ``"exact code"``, ...
+    margin : float or None
+        Lead of the best candidate over the next, in score.
+    sentences : tuple of str
+        What the name rests on.
+    lines : tuple of str
+        What a printed diagnosis says of it, without full stops: what makes the name doubtful, before all else.
+    present : tuple of tuple of str
+        Several faults that are named together.
+    rules : str
+        How the numbers are to be read.
+    """
+
+    headline: str
+    confidence: str = ""
+    margin: float | None = None
+    sentences: tuple[str, ...] = ()
+    lines: tuple[str, ...] = ()
+    present: tuple[tuple[str, ...], ...] = ()
+    rules: str = ""
+
+
+def raised_text(alarm: Alarm, clock: Clock) -> str:
+    """Return when an alarm was raised."""
+    return f"alarm raised at {clock.at(alarm.raised)}"
+
+
+def capital(text: str) -> str:
+    """Return a text as the beginning of a sentence."""
+    return f"{text[:1].upper()}{text[1:]}"
+
+
+def not_isolated(alarm: Alarm, clock: Clock) -> Statement:
+    """Return what is said of an alarm that nobody is named for."""
+    headline = f"A fault was found, {raised_text(alarm, clock)}; it was not isolated."
+    return Statement(headline, "not isolated", None, ("This monitor names no candidates for it.",))
+
+
+def statement_by_score(
+    alarm: Alarm, clock: Clock, window: int, beside: Callable[[float], str] | None = None, meaning: str = ""
+) -> Statement:
+    """Return what is said of an alarm whose candidates are ranked by a score.
+
+    ``beside`` says more of each score, ``meaning`` what a score is.
+    """
+    candidates = scored(alarm)
+    if not candidates:
+        return not_isolated(alarm, clock)
+    confidence, margin = how_sure(candidates)
+    if alarm.samples < window:
+        confidence = "short alarm"
+    sentences = [_comparison(candidates, confidence, margin, beside), *not_apart(candidates[0])]
+    lines = too_short(alarm, window)
+    if not lines and alarm.doubt == "score":
+        lines = (f"a close call: the first two are {abs(alarm.margin or 0.0):.3f} apart",)
+    rules = f"{meaning} {RULES}".strip()
+    return Statement(headline_of(alarm, clock, confidence), confidence, margin, tuple(sentences), lines, rules=rules)
+
+
+def scored(alarm: Alarm) -> list[Candidate]:
+    """Return the candidates of an alarm that have a score."""
+    return [c for c in alarm.candidates if math.isfinite(c.score)]
+
+
+def how_sure(candidates: Sequence[Candidate]) -> tuple[str, float | None]:
+    """Return in two words how sure the first of some candidates is by its score, and its lead."""
+    margin = candidates[0].score - candidates[1].score if len(candidates) > 1 else None
+    if candidates[0].score < POOR_SCORE:
+        return "no good match", margin
+    if margin is None or margin >= CLEAR_MARGIN:
+        return "clear lead", margin
+    return ("close call" if margin < CLOSE_MARGIN else "moderate lead"), margin
+
+
+def headline_of(alarm: Alarm, clock: Clock, confidence: str) -> str:
+    """Return the sentence that names the best candidate as surely as it is sure."""
+    best, *others = scored(alarm)
+    when = raised_text(alarm, clock)
+    if confidence == "short alarm":
+        return f"{capital(when)}, too short to be sure of the name; nearest: {best.name}."
+    if confidence == "no good match":
+        return f"A fault was found, {when}; no listed fault explains it well. Nearest: {best.name}."
+    if confidence == "close call":
+        return f"Fault found: {best.name}, or {others[0].name} (a close call), {when}."
+    if confidence == "inexact match":
+        return f"Fault found: {best.name}, or {others[0].name} (neither fits exactly), {when}."
+    return f"Fault found: {best.name}, {when}."
+
+
+def too_short(alarm: Alarm, window: int) -> tuple[str, ...]:
+    """Return a line that says so where an alarm is too short for a sure name."""
+    if not alarm.candidates or alarm.samples >= window:
+        return ()
+    return (f"shorter than the {window} samples that a name is judged by: not sure of its name",)
+
+
+def not_apart(best: Candidate) -> list[str]:
+    """Return a sentence about the faults that a candidate stands for, where they are several."""
+    return [f"This monitor cannot tell {some(best.faults)} apart."] if len(best.faults) > 1 else []
+
+
+def _comparison(
+    candidates: Sequence[Candidate], confidence: str, margin: float | None, beside: Callable[[float], str] | None
+) -> str:
+    """Return by how much the best candidate leads."""
+    best = candidates[0]
+    text = f"Score {score(best.score)}" + (f", {beside(best.score)} off its signature" if beside else "")
+    if margin is None:
+        return f"{text}; there is no other candidate to compare with."
+    following = candidates[1]
+    next_one = score(following.score) + (f" ({beside(following.score)})" if beside else "")
+    return f"{text}; next is {following.name} with {next_one}: {_SURE[confidence]}, margin {score(margin)}."
+
+
+def angle(cosine: float) -> str:
+    """Return the angle that a score stands for, in degrees."""
+    if not math.isfinite(cosine):
+        return "–"
+    degrees = math.degrees(math.acos(min(1.0, max(0.0, cosine))))
+    return f"{degrees:.0f}°" if degrees >= 10 else f"{degrees:.1f}°"
+
+
+# ------------------------------------------------------------------------- candidates
+
+
+def ranked(candidates: tuple[Candidate, ...]) -> list[tuple[int, Candidate]]:
+    """Return the candidates with their ranks: after the first, those whose scores agree to three digits share one.
+
+    By matched filters those whose likelihood ratios agree to one decimal.
+    """
+    out: list[tuple[int, Candidate]] = []
+    for k, candidate in enumerate(candidates):
+        tied = k > 1 and _weight(candidate) == _weight(candidates[k - 1])
+        out.append((out[-1][0] if tied else k + 1, candidate))
+    return out
+
+
+def _weight(candidate: Candidate) -> float:
+    """Return what a candidate is ranked by, with the digits that are shown."""
+    return round(candidate.score, 3) if candidate.ratio is None else round(candidate.ratio, 1)
+
+
+def tied_name(candidates: tuple[Candidate, ...], rank: int) -> str:
+    """Return the first candidate of a rank as text, with how many others share it; empty where nobody has it."""
+    names = [candidate.name for place, candidate in ranked(candidates) if place == rank]
+    more = len(names) - 1
+    return f"{names[0]} (tied with {more} more)" if more > 0 else "".join(names)
+
+
+def arrival_text(candidate: Candidate) -> str:
+    """Return when a fault arrived and how likely it is, as matched filters say it; empty for anything else."""
+    if candidate.ratio is None:
+        return ""
+    when = "before the window" if candidate.arrival is None else f"{candidate.arrival:.6g} s"
+    return f"  arrived {when}  2 ln L {candidate.ratio:.1f}"
+
+
+def size_text(size: Size) -> str:
+    """Return an estimated size with its unit and its last value."""
+    unit = f" {size.unit}" if size.unit else ""
+    spread = "" if size.deviation is None else f" ± {number(size.deviation, 2)}"
+    last = f" (last {number(size.last, 3)}{unit})" if math.isfinite(size.last) else ""
+    return f"{number(size.mean, 3)}{spread}{unit}{last}"
+
+
+def sizes_text(sizes: Sequence[Size], of_one: Callable[[Size], str] = size_text) -> str:
+    """Return the estimated sizes of one candidate: each with its fault where it may be one of several."""
+    return of_one(sizes[0]) if len(sizes) == 1 else ", or ".join(f"{size.fault} {of_one(size)}" for size in sizes)
+
+
+def began_text(alarm: Alarm, clock: Clock) -> str:
+    """Return when what an alarm is about began, as an interval; never its first crossing of the threshold as a fact."""
+    began = alarm.began
+    if began is None:
+        return f"when it began cannot be told: at or before {clock.at(alarm.raised)}"
+    if began.earliest is None:
+        return f"began at or before {clock.at(began.latest)}: what was recorded before does not tell from when on"
+    between = f"began between {clock.at(began.earliest)} and {clock.at(began.latest)}"
+    return f"{between} ({100 * began.confidence:g} % confidence), most likely at {clock.at(began.estimate)}"
+
+
+def over_thresholds(alarm: Alarm, most: int = 10) -> str:
+    """Return which groups of residuals were over their thresholds, the first ones and how many there are besides."""
+    more = f" and {len(alarm.fired) - most} more" if len(alarm.fired) > most else ""
+    return f"over their thresholds: {listing(alarm.fired[:most])}{more}"
+
+
+def alike(
+    groups: Sequence[tuple[str, ...]], settled: Sequence[tuple[str, ...]] = ()
+) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
+    """Return the groups of several faults, each with its names as shown: with *once constant* where that is meant.
+
+    Parameters
+    ----------
+    groups : sequence of tuple of str
+    settled : sequence of tuple of str
+        Of each group those that are meant only once they are constant; none when omitted.
+    """
+    settled = settled or ((),) * len(groups)
+    out = []
+    always = [set(group) - set(later) for group, later in zip(groups, settled, strict=True)]
+    for group, later in zip(groups, settled, strict=True):
+        if len(group) > 1 and not (later and any(set(group) <= own for own in always)):
+            out.append((group, tuple(f"{name} once constant" if name in later else name for name in group)))
+    return out

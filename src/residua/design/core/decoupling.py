@@ -1,0 +1,116 @@
+"""What of the controls and disturbances of a plant must not reach a residual, and the check of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from residua.design.core.evidence import Evidence
+from residua.design.core.internal_form import leakage_of_inputs
+from residua.errors import AccuracyError
+from residua.linear import StateSpace
+from residua.plant import Plant
+
+#: Largest gain from what is decoupled to the residual, relative to the terms that have to cancel.
+LEAK = 1e-7
+#: The entry of the evidence for the disturbances and the faults that are ignored, together.
+IGNORED = "everything ignored"
+
+
+@dataclass(frozen=True)
+class Decoupled:
+    """An exact design: no control reaches its residual, nor the disturbances, nor the faults that it ignores.
+
+    Attributes
+    ----------
+    disturbances : bool
+        Whether the disturbances are decoupled too. A design that only attenuates them says ``False``.
+    faults : tuple of str
+        The faults that are decoupled as if they were disturbances.
+    apart : bool
+        Whether the evidence has the disturbances by themselves too where faults are ignored with them.
+    limit : float
+        Of each leak, relative to the terms that have to cancel.
+    """
+
+    disturbances: bool = True
+    faults: tuple[str, ...] = ()
+    apart: bool = False
+    limit: float = LEAK
+
+    def leaks(self, system: StateSpace, plant: Plant, evidence: Evidence) -> dict[str, float]:
+        """Return the measured leaks, by the entry of the evidence, or raise when one is too large."""
+        del evidence
+        watched = plant.faults_as_disturbances(self.faults) if self.faults else plant
+        found, n_u = leakage_of_inputs(system, watched), len(plant.inputs)
+        leaks = {"control": found[:n_u]}
+        if self.disturbances and (self.apart or not self.faults):
+            leaks |= {"disturbance": found[n_u : n_u + len(plant.disturbances)]}
+        if self.faults:
+            leaks |= {IGNORED: found[n_u:]}
+        return self._accepted({name: float(part.max()) for name, part in leaks.items() if len(part)})
+
+    def _accepted(self, leaks: dict[str, float]) -> dict[str, float]:
+        for name, gain in leaks.items():
+            if not gain <= self.limit:
+                what = f"the {name} inputs" if name != IGNORED else f"{', '.join(self.faults)}, which it should ignore"
+                raise AccuracyError(
+                    f"the residual answers to {what} (by {gain:.2g} > {self.limit:.0e} of the terms that should "
+                    "cancel): the plant is too badly conditioned for this design; ask for other poles, or use "
+                    "decoupled_residual"
+                )
+        return leaks
+
+
+@dataclass(frozen=True)
+class Approximate:
+    """A design that controls and disturbances reach a little; its evidence says how far.
+
+    Attributes
+    ----------
+    entry : str
+        The entry of ``decoupling`` or ``conditions`` that holds this number.
+    """
+
+    entry: str
+
+    def leaks(self, system: StateSpace, plant: Plant, evidence: Evidence) -> dict[str, float]:
+        """Return nothing, after checking that the evidence has the number that the design is judged by."""
+        del system, plant
+        if self.entry not in {**evidence.conditions, **evidence.decoupling}:
+            raise TypeError(f"an approximate design must say how far inputs reach its residual: no {self.entry!r}")
+        return {}
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredBefore:
+    """The filter of a design that has passed, for its plant with some disturbances as faults: its leaks stay.
+
+    Attributes
+    ----------
+    system : StateSpace
+        The same filter, in other units at most: powers of two, so that every digit is the same.
+    plant : Plant
+        What it was measured on.
+    measured : mapping of str to float
+        The leaks.
+    """
+
+    system: StateSpace
+    plant: Plant
+    measured: Mapping[str, float]
+
+    def leaks(self, system: StateSpace, plant: Plant, evidence: Evidence) -> dict[str, float]:
+        """Return what was measured, after checking that filter and signals are those that it was measured of."""
+        del evidence
+        one, other = ([np.frexp(getattr(s, name))[0] for name in "ABCD"] for s in (system, self.system))
+        signals = [sorted((*p.inputs, *p.disturbances, *p.faults)) for p in (plant, self.plant)]
+        if signals[0] != signals[1] or not all(np.array_equal(a, b) for a, b in zip(one, other, strict=True)):
+            raise TypeError("this is not the filter whose leaks were measured")
+        return dict(self.measured)
+
+
+#: What a design says of the controls and disturbances of its plant.
+Promise = Decoupled | Approximate | MeasuredBefore

@@ -1,0 +1,445 @@
+"""Every guard of the evidence of a design notices: a wrong intermediate result is refused, not handed on.
+
+Most plants here are well conditioned, so that nothing would trip by itself: one inner function is made to give a result
+that is off by a thousandth, and the guard behind it must say so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import residua as rs
+from guards import changed, trips
+from residua.design.banks.bank import Wanted, check_promise
+from residua.design.core.decoupling import Approximate, Decoupled, MeasuredBefore
+from residua.design.core.evidence import Evidence
+from residua.design.core.generator import make_generator
+from residua.design.core.responses import state_covariance
+from residua.design.observers.estimate_check import check_estimate
+from residua.design.observers.perfect_observer import perfect_observer
+from residua.design.parity.conversion import to_parity
+from residua.errors import AccuracyError
+
+#: By how much wrong results are off: small enough to look right, and far above every tolerance of the evidence.
+OFF = 1e-3
+D = rs.design
+
+
+def off(value: Any) -> Any:
+    """A matrix with its largest entry off by a thousandth: rescaling it all could leave what it promises."""
+    out = np.array(value)
+    if out.size:
+        out.flat[int(np.argmax(np.abs(out)))] *= 1 + OFF
+    return out
+
+
+def _times(value: Any, *names: str) -> Any:
+    """An object whose arrays are all a thousandth too large."""
+    return replace(value, **{name: (1 + OFF) * getattr(value, name) for name in names})
+
+
+def off_gain(placed: Any) -> Any:
+    return replace(placed, gain=off(placed.gain))
+
+
+def gertler() -> rs.Plant:
+    return rs.library.gertler()
+
+
+def engine() -> rs.Plant:
+    return rs.library.jet_engine()
+
+
+def ordinary() -> rs.Plant:
+    """Three states, two outputs, one disturbance."""
+    return rs.library.twardy()
+
+
+def algebraic() -> rs.Plant:
+    plant = rs.Plant([[1, 2], [3, 4]], [[1], [1]], [[1, 1]], E=[[1, 0], [0, 0]])
+    return plant.with_actuator_faults().with_sensor_faults()
+
+
+def estimator() -> Any:
+    return D.fault_estimator(rs.library.vtol(), faults=["collective actuator", "cyclic actuator"])
+
+
+def inverse() -> Any:
+    faults, poles = ["collective actuator", "cyclic actuator"], [-20, -25, -100 / 3, -50]
+    return D.inverse_form_observer(rs.library.vtol(), faults=faults, poles=poles)
+
+
+def directional() -> Any:
+    return D.directional_parity(gertler(), directions={"p1": [2, 1], "p2": [1, 2]})
+
+
+def assigned() -> Any:
+    return D.eigenstructure_assignment(gertler(), insensitive_to="p1", poles=[0, 0.25, 0.3])
+
+
+def ignoring() -> Any:
+    return D.decoupled_residual(gertler(), insensitive_to="p1", poles=[0.25, 0.3])
+
+
+Change = Callable[[Any], Any]
+UIO, BANK = "design.observers.unknown_input_observer", "design.banks.bank"
+
+#: The guard; the inner function that is wrong, and how; what is designed.
+WRONG = [
+    pytest.param(
+        "design.detection_filters.detection_filter:_Units.plain",
+        off_gain,
+        lambda: D.detection_filter(gertler(), poles=[0.25, 0.3, 0.6]),
+        marks=trips("design.detection_filters.detection_filter:_pole_error"),
+        id="gain of a detection filter",
+    ),
+    pytest.param(
+        "design.detection_filters.eigenstructure_assignment:right_gain",
+        off_gain,
+        assigned,
+        marks=trips("design.detection_filters.eigenstructure_assignment:_require"),
+        id="gain of assigned eigenvectors",
+    ),
+    pytest.param(
+        "design.detection_filters.eigenstructure_assignment:right_gain",
+        lambda gain: replace(gain, error=OFF),
+        assigned,
+        marks=trips("design.detection_filters.eigenstructure_assignment:_generator:1"),
+        id="poles of assigned eigenvectors",
+    ),
+    pytest.param(
+        "design.detection_filters.eigenstructure_assignment:explicit_poles",
+        lambda poles: poles + 2,
+        assigned,
+        marks=trips("design.detection_filters.eigenstructure_assignment:_generator:2"),
+        id="stability of assigned eigenvectors",
+    ),
+    pytest.param(
+        "design.estimation.fault_estimator:read_faults",
+        lambda reading: _times(reading, "static", "derivative", "dynamics"),
+        estimator,
+        marks=trips("design.estimation.fault_estimator:_with_numbers"),
+        id="reading of an estimator",
+    ),
+    pytest.param(
+        "design.estimation.fault_reading:_inverse",
+        off,
+        estimator,
+        marks=trips("design.estimation.fault_reading:read_faults"),
+        id="faults read off",
+    ),
+    pytest.param(
+        "design.observers.inverse_form_observer:_placed",
+        lambda placed: (off(placed[0]), placed[1]),
+        inverse,
+        marks=trips("design.observers.inverse_form_observer:_observer:1"),
+        id="poles of the inverse form",
+    ),
+    pytest.param(
+        "design.observers.inverse_form_observer:_without_inputs",
+        lambda found: (off(found[0]), found[1]),
+        inverse,
+        marks=trips("design.observers.inverse_form_observer:_observer:2"),
+        id="identities of the inverse form",
+    ),
+    pytest.param(
+        "design.observers.observer_gain:place_observer_poles",
+        lambda placed: replace(placed, error=OFF),
+        lambda: D.unknown_input_observer(ordinary(), poles=[-2, -2 + 1j, -2 - 1j]),
+        marks=trips("design.observers.observer_gain:place"),
+        id="poles of an observer",
+    ),
+    pytest.param(
+        "design.observers.unknown_input_observer:unknown_input_observer_existence",
+        lambda found: replace(found, decomposition=replace(found.decomposition, T=found.decomposition.T + OFF)),
+        lambda: D.unknown_input_observer(engine()),
+        marks=trips("design.observers.unknown_input_observer:assemble:1"),
+        id="T E = 0",
+    ),
+    pytest.param(
+        "design.observers.unknown_input_observer:unknown_input_observer_existence",
+        lambda found: replace(found, decomposition=replace(found.decomposition, H=off(found.decomposition.H))),
+        lambda: D.unknown_input_observer(engine()),
+        marks=trips("design.observers.unknown_input_observer:assemble:2"),
+        id="T E + H C = I",
+    ),
+    pytest.param(
+        "design.observers.reduced_order:_particular",
+        lambda found: (off(found[0]), found[1]),
+        lambda: D.reduced_order_observer(gertler()),
+        marks=trips("design.observers.reduced_order:_check:2"),
+        id="identities of a reduced order",
+    ),
+    pytest.param(
+        "design.observers.reduced_order:explicit_poles",
+        lambda poles: poles + 1e6,
+        lambda: D.reduced_order_observer(gertler()),
+        marks=trips("design.observers.reduced_order:_check:1"),
+        id="stability of a reduced order",
+    ),
+    pytest.param(
+        "design.observers.perfect_gain:_deadbeat",
+        lambda found: None,
+        lambda: perfect_observer(algebraic(), least_order=True),
+        marks=trips("design.observers.perfect_gain:least_order_gain:1"),
+        id="steps of least order",
+    ),
+    pytest.param(
+        "design.observers.perfect_gain:_finished",
+        lambda gain: replace(gain, missed=OFF),
+        lambda: perfect_observer(algebraic(), least_order=True),
+        marks=trips("design.observers.perfect_gain:least_order_gain:2"),
+        id="gain of least order",
+    ),
+    pytest.param(
+        "design.observers.perfect_gain:_attempt",
+        lambda gain: None,
+        lambda: perfect_observer(algebraic()),
+        marks=trips("design.observers.perfect_gain:full_rank_gain:1"),
+        id="steps of full rank",
+    ),
+    pytest.param(
+        "design.observers.perfect_gain:_finished",
+        lambda gain: replace(gain, missed=OFF),
+        lambda: perfect_observer(algebraic()),
+        marks=trips("design.observers.perfect_gain:full_rank_gain:2"),
+        id="gains of full rank",
+    ),
+    pytest.param(
+        "design.observers.perfect_gain:_finished",
+        lambda gain: replace(gain, missed=OFF),
+        lambda: perfect_observer(algebraic(), K=[[1], [-4]]),
+        marks=trips("design.observers.perfect_gain:given_gain"),
+        id="gain of one's own",
+    ),
+    pytest.param(
+        "design.observers.perfect_observer:full_rank_gain",
+        lambda gain: replace(gain, T=off(gain.T)),
+        lambda: perfect_observer(algebraic()),
+        marks=trips("design.observers.perfect_observer:_estimate_off"),
+        id="estimate of a perfect observer",
+    ),
+    pytest.param(
+        "design.parity.conversion:without_common_factor",
+        lambda found: (off(found[0]), *found[1:]),
+        lambda: to_parity(replace(ignoring(), relations=None)),
+        marks=trips("design.parity.conversion:_row"),
+        id="relation of a filter",
+    ),
+    pytest.param(
+        "design.parity.relations:realize_relation",
+        lambda part: replace(part, system=part.system.replaced(B=off(part.system.B))),
+        lambda: D.parity_relations(gertler(), insensitive_to="p1"),
+        marks=trips("design.core.decoupling:_accepted"),
+        id="filter of a relation",
+    ),
+    pytest.param(
+        "design.parity.relations:realize_relation",
+        lambda part: replace(part, state_map=off(part.state_map)),
+        lambda: D.parity_relations(gertler(), insensitive_to="p1"),
+        marks=trips("design.core.internal_form:_accepted"),
+        id="state map of a relation",
+    ),
+    pytest.param(
+        "design.parity.relations:ParityRelations._changed_to",
+        lambda rows: [replace(row, p=off(row.p)) for row in rows],
+        lambda: D.parity_relations(gertler(), insensitive_to="p1"),
+        marks=trips("design.parity.relations:_accepted"),
+        id="coefficients of a relation",
+    ),
+    pytest.param(
+        "design.parity.relations:digits_lost",
+        lambda lost: 17.0,
+        lambda: D.parity_relations(gertler(), insensitive_to="p1"),
+        marks=trips("design.parity.relations:_filtered"),
+        id="digits of a relation",
+    ),
+    pytest.param(
+        "design.parity.relations:digits_lost",
+        lambda lost: 17.0,
+        directional,
+        marks=trips("design.parity.directional_parity:directional_parity"),
+        id="digits of directional relations",
+    ),
+    pytest.param(
+        "design.parity.directional_parity:_solutions",
+        lambda found: replace(found, vectors=found.vectors[:0]),
+        directional,
+        marks=trips("design.parity.directional_parity:_shortest"),
+        id="solutions of directional relations",
+    ),
+]
+
+
+@pytest.mark.parametrize(("target", "change", "design"), WRONG)
+def test_a_wrong_result_is_refused(
+    target: str, change: Change, design: Callable[[], Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    design()  # nothing is refused as it is
+    changed(monkeypatch, target, change)
+    with pytest.raises(AccuracyError):
+        design()
+
+
+@trips("design.observers.estimate_check:check_estimate")
+def test_an_estimate_that_is_off_is_refused() -> None:
+    observer = D.luenberger_observer(gertler())
+    check_estimate(observer)
+    with pytest.raises(AccuracyError, match="off the state"):
+        check_estimate(replace(observer, K=off(observer.K)))
+
+
+@trips("design.core.responses:state_covariance")
+def test_a_covariance_that_misses_its_equation_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    A, Q = np.diag([0.5, 0.2]), np.eye(2)
+    np.testing.assert_allclose(state_covariance(A, Q), np.diag([4 / 3, 1 / 0.96]), rtol=1e-12)
+    changed(monkeypatch, "design.core.responses:scipy.linalg.solve_discrete_lyapunov", off)
+    with pytest.raises(AccuracyError, match="covariance"):
+        state_covariance(A, Q)
+
+
+@trips("design.banks.bank:check_promise")
+def test_a_member_that_answers_to_what_it_ignores_is_refused() -> None:
+    member = D.decoupled_residual(gertler(), insensitive_to="p1", poles=[0.25, 0.3])
+    check_promise(member, Wanted("without p1", ("p1",), ("p2",)))
+    with pytest.raises(AccuracyError, match="answers to p2"):
+        check_promise(member, Wanted("without p2", ("p2",), ()))
+
+
+@trips("design.banks.decoupled_residual:_designed")
+def test_a_residual_that_lost_a_fault_it_can_see_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    changed(monkeypatch, "design.core.generator:signature_bases", _silent)
+    with pytest.raises(AccuracyError, match="lost in rounding"):
+        ignoring()
+
+
+def _silent(found: tuple[dict[str, np.ndarray], float]) -> tuple[dict[str, np.ndarray], float]:
+    bases, off_them = found
+    return {name: basis[:, :0] for name, basis in bases.items()}, off_them
+
+
+@trips("design.detection_filters.detection_filter:_check_directions")
+def test_a_fault_that_leaves_its_direction_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    changed(monkeypatch, "design.core.generator:signature_bases", lambda found: (_whole(found[0]), found[1]))
+    with pytest.raises(AccuracyError, match="leaves its direction"):
+        D.detection_filter(gertler())
+
+
+def _whole(bases: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {name: np.eye(len(basis)) for name, basis in bases.items()}
+
+
+@trips("design.parity.structured_parity:design")
+def test_a_relation_whose_response_is_lost_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    changed(monkeypatch, "design.core.generator:signature_bases", _silent)
+    with pytest.raises(AccuracyError, match="lost in the rounding"):
+        D.structured_parity(gertler(), {"r1": ["p1"]})
+
+
+@trips("design.parity.directional_pencil:check_directions")
+def test_directional_relations_that_miss_their_directions_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    directional()
+    changed(monkeypatch, "design.core.generator:signature_bases", lambda found: (_whole(found[0]), found[1]))
+    with pytest.raises(AccuracyError, match="misses its direction"):
+        directional()
+
+
+@trips("design.parity.conversion:_denominator")
+def test_a_residual_without_a_denominator_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = replace(ignoring(), relations=None)
+    changed(monkeypatch, "design.parity.conversion:divided", lambda found: (found[0], 1.0))
+    assert to_parity(made).orders == (2,)
+    changed(monkeypatch, "design.parity.conversion:shortest_pencil_null_vectors", lambda found: None)
+    with pytest.raises(AccuracyError, match="as a fraction"):
+        to_parity(made)
+
+
+@trips("design.parity.shortest:_refusal")
+def test_a_relation_that_exists_and_is_not_found_is_no_missing_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    D.structured_parity(gertler(), {"r1": ["p2"]})
+    changed(monkeypatch, "design.parity.shortest:shortest_pencil_null_vectors", lambda found: None)
+    with pytest.raises(AccuracyError, match="is found to working precision"):
+        D.structured_parity(gertler(), {"r1": ["p2"]})
+
+
+@trips("design.parity.equivalence:realization", "design.parity.equivalence:_matched")
+def test_a_transformation_that_is_off_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    kalman = D.kalman_filter(gertler().with_noise(process=1e-2, measurement=1e-2))
+    whole = kalman.equivalent_to(D.luenberger_observer(gertler(), poles=[0.1, 0.2, 0.3]).residual_generator())
+    whole.realization()
+    changed(monkeypatch, "design.parity.equivalence:_minimal", lambda s: s.replaced(C=off(s.C)))
+    with pytest.raises(AccuracyError, match="misses its frequency response"):
+        whole.realization()
+    one, other = ignoring(), D.parity_relations(gertler(), insensitive_to="p1")
+    assert other.equivalent_to(one)
+    changed(monkeypatch, "design.parity.equivalence:_row", lambda row: replace(row, error=1.0))
+    found = other.equivalent_to(one)
+    assert not found.rows
+    assert "filters made of them miss by 1" in found.note
+
+
+# ------------------------------------------------------------------ the gate
+
+
+def _made(system: Any = None, **changes: Any) -> Any:
+    """Make the generator of an unknown input observer again, with changes."""
+    good = D.unknown_input_observer(engine()).residual_generator()
+    options = {"decouples": Decoupled(), "state_map": good.state_map, "static_map": good.static_map} | changes
+    return make_generator(
+        good.system if system is None else system(good.system), good.plant, "x", Evidence("x"), **options
+    )
+
+
+@trips("design.core.generator:make_generator")
+def test_an_unstable_filter_cannot_be_made() -> None:
+    with pytest.raises(AccuracyError, match="not stable"):
+        _made(lambda s: s.replaced(A=-s.A))
+
+
+@trips("design.core.decoupling:_accepted")
+@pytest.mark.parametrize("column", [0, 1])
+def test_a_filter_that_controls_or_disturbances_reach_cannot_be_made(column: int) -> None:
+    _made()
+    with pytest.raises(AccuracyError, match="residual answers to the"):
+        _made(lambda s: s.replaced(B=np.where(np.arange(s.n_inputs) == column, 1 + OFF, 1.0) * s.B))
+
+
+@trips("design.core.decoupling:_accepted")
+def test_a_fault_that_is_not_ignored_is_named() -> None:
+    good = ignoring()
+    with pytest.raises(AccuracyError, match="answers to p2, which it should ignore"):
+        make_generator(
+            good.system, good.plant, "x", Evidence("x"), decouples=Decoupled(faults=("p2",)), state_map=good.state_map
+        )
+
+
+@trips("design.core.internal_form:_accepted")
+@pytest.mark.parametrize("which", ["state_map", "known_form"])
+def test_maps_and_forms_of_another_filter_are_refused(which: str) -> None:
+    good = D.unknown_input_observer(engine()).residual_generator()
+    form = good.internal_form()
+    wrong = {"state_map": off(good.state_map), "known_form": form.replaced(B=off(form.B))}
+    with pytest.raises(AccuracyError, match="identities"):
+        _made(**{which: wrong[which]})
+
+
+def test_an_approximate_design_says_how_far_inputs_reach_it() -> None:
+    with pytest.raises(TypeError, match="no 'leak'"):
+        _made(decouples=Approximate("leak"), state_map=None)
+    with pytest.raises(TypeError, match="needs a state_map or a known_form"):
+        _made(state_map=None)
+
+
+def test_leaks_that_were_measured_are_those_of_the_same_filter() -> None:
+    good = D.unknown_input_observer(engine()).residual_generator()
+    before = MeasuredBefore(good.system, good.plant, {"control": 0.125})
+    assert dict(_made(decouples=before).evidence.decoupling) == {"control": 0.125}
+    with pytest.raises(TypeError, match="not the filter"):
+        _made(decouples=MeasuredBefore(good.system, gertler(), {}))
+    with pytest.raises(TypeError, match="not the filter"):
+        _made(lambda s: s.replaced(B=off(s.B)), decouples=before)

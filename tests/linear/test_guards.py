@@ -1,0 +1,189 @@
+"""Every guard of the linear algebra notices a wrong intermediate result, and does not hand it on."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from guards import changed, trips
+from residua.errors import AccuracyError
+from residua.linear import (
+    StateSpace,
+    descriptor_observability,
+    filter_riccati,
+    h2_norm,
+    hinf_norm,
+    invariant_zeros,
+    observability_form,
+    peak_norm,
+    place_observer_margin,
+    weierstrass_form,
+)
+from residua.linear.norms.impulse_terms import StableSystem, _by_triangle
+
+#: By how much wrong results are off: small enough to look right, and far above every tolerance of the evidence.
+OFF = 1e-3
+#: Two states and two outputs, with nothing special about them.
+A, B, C = np.array([[0.5, 0.3], [-0.2, 0.6]]), np.eye(2), np.array([[1.0, 0.2], [0.1, 1.0]])
+
+
+def off(M: Any) -> Any:
+    """A matrix with its largest entry off by a thousandth."""
+    out = np.array(M)
+    out.flat[int(np.argmax(np.abs(out)))] *= 1 + OFF
+    return out
+
+
+@trips("linear.norms.system_norms:_gramian")
+@pytest.mark.parametrize("dt", [0.0, 1.0])
+def test_a_gramian_that_misses_its_equation_is_refused(dt: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    M = A if dt else A - np.eye(2)
+    h2_norm(M, B, C, dt=dt)
+    changed(monkeypatch, "linear.norms.system_norms:scipy.linalg.solve_continuous_lyapunov", off)
+    monkeypatch.setattr("residua.linear.norms.system_norms.range", lambda most: [0], raising=False)  # too few doublings
+    with pytest.raises(AccuracyError, match="Lyapunov equation"):
+        h2_norm(M, B, C, dt=dt)
+
+
+@trips("linear.norms.system_norms:hinf_norm")
+def test_a_peak_that_does_not_settle_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    turn = itertools.count()
+    changed(monkeypatch, "linear.norms.system_norms:_System.gain", lambda gain: gain * 1.5 ** next(turn))
+    changed(monkeypatch, "linear.norms.system_norms:_System.crossings", lambda points: np.array([0.1, 0.2]))
+    with pytest.raises(AccuracyError, match="did not settle"):
+        hinf_norm(A, B, C, dt=1.0)
+
+
+@trips("linear.norms.peak_norm:_by_directions")
+def test_a_peak_norm_that_is_not_found_to_its_tolerance_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    changed(monkeypatch, "linear.norms.peak_norm:largest_sum", lambda found: replace(found, upper=1.1 * found.upper))
+    with pytest.raises(AccuracyError, match="lies between"):
+        peak_norm(StateSpace(A, B, C, dt=1.0), rtol=1e-4)
+
+
+@trips("linear.norms.star_norm:star_ellipsoid")
+def test_a_star_norm_without_a_solution_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    changed(monkeypatch, "linear.norms.star_norm:ellipsoid_shape", lambda Q: None)
+    with pytest.raises(AccuracyError, match="star norm was not solved"):
+        peak_norm(StateSpace(A, B, C, dt=1.0), kind="star")
+
+
+@trips("linear.norms.peak_norm_lmi:lmi_peak")
+def test_inequalities_without_a_solution_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("cvxpy")
+    system = StateSpace(A, B, C, dt=1.0)
+    peak_norm(system, kind="star")
+    monkeypatch.setattr("residua.linear.norms.peak_norm_lmi._solve", lambda *matrices: None)
+    with pytest.raises(AccuracyError, match="no matrix inequality"):
+        peak_norm(system, kind="lmi")
+
+
+@trips("linear.norms.impulse_terms:_by_triangle")
+def test_a_tail_without_a_bound_is_refused() -> None:
+    M = np.array([[0.9, 1e18], [0.0, 0.9]])
+    with pytest.raises(AccuracyError, match="contracts"):
+        _by_triangle(StableSystem(M, B, C, np.zeros((2, 2)), np.ones(2), 0.9))
+
+
+@trips("linear.poles.riccati:filter_riccati")
+@pytest.mark.parametrize("dt", [0.0, 1.0])
+def test_a_riccati_equation_that_is_missed_is_refused(dt: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert filter_riccati(A, C, np.eye(2), np.eye(2), dt=dt).residual < 1e-12
+    changed(monkeypatch, "linear.poles.riccati:_solve", off)
+    monkeypatch.setattr("residua.linear.poles.riccati._refine", lambda terms, together, *found: found[:-1])
+    with pytest.raises(AccuracyError, match="Riccati equation was not solved"):
+        filter_riccati(A, C, np.eye(2), np.eye(2), dt=dt)
+
+
+@trips("linear.poles.riccati:filter_riccati")
+def test_a_riccati_solution_that_does_not_stabilise_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    changed(monkeypatch, "linear.poles.riccati:_gain", lambda found: (0.0 * found[0], *found[1:]))
+    with pytest.raises(AccuracyError, match="Riccati equation was not solved"):
+        filter_riccati(np.diag([1.5, 0.2]), C, np.eye(2), np.eye(2), dt=1.0)
+
+
+@trips("linear.poles.placement:place_observer_margin")
+def test_a_margin_that_is_not_reached_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    place_observer_margin(A, C, 1.0)
+    changed(monkeypatch, "linear.poles.placement:_shifted_riccati", lambda L: None if L is None else 0.0 * L)
+    with pytest.raises(AccuracyError, match="no gain found"):
+        place_observer_margin(A, C, 1.0)
+
+
+@trips("linear.poles.zeros:invariant_zeros")
+def test_a_pencil_that_is_not_square_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    invariant_zeros(A, B, C, np.eye(2))
+    rows = iter((2, 1))  # the second step loses one
+    changed(monkeypatch, "linear.poles.zeros:_deflate", lambda M: _with_rows(M, next(rows)))
+    with pytest.raises(AccuracyError, match="is not square"):
+        invariant_zeros(A, B, C, np.eye(2))
+
+
+def _with_rows(M: Any, count: int) -> Any:
+    return *M[:2], *(part[:count] for part in M[2:])
+
+
+@trips("linear.poles.zeros:_finite_zeros")
+def test_an_infinite_zero_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    changed(monkeypatch, "linear.poles.zeros:scipy.linalg.eig", lambda found: (np.inf * found[0], *found[1:]))
+    with pytest.raises(AccuracyError, match="came out infinite"):
+        invariant_zeros(A, B, C, np.eye(2))
+
+
+@trips("linear.subspaces.observability:observability_form")
+def test_a_form_that_is_no_similarity_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    hidden = np.diag([0.5, 0.2])
+    observability_form(hidden, [[1.0, 0.0]])
+    turned = np.array([[1.0, OFF], [-OFF, 1.0]])
+    changed(monkeypatch, "linear.subspaces.observability:_orthogonal", lambda Q: Q @ turned)
+    with pytest.raises(AccuracyError, match="drops"):
+        observability_form(hidden, [[1.0, 0.0]])
+
+
+# ------------------------------------------------------------------ descriptor systems
+
+PENCIL = [[1.0, 2.0], [3.0, 4.0]], [[1.0, 0.0], [0.0, 0.0]]
+
+
+@trips("linear.systems.descriptor:weierstrass_form:1")
+def test_parts_that_do_not_add_up_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    changed(monkeypatch, "linear.systems.descriptor:_finite_part", lambda V: V[:, :0])
+    with pytest.raises(AccuracyError, match="finite part has 0 and the infinite part 1 of 2"):
+        weierstrass_form(*PENCIL)
+
+
+@trips("linear.systems.descriptor:_assembled:1")
+def test_parts_that_are_not_apart_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    kept: list[Any] = []
+    changed(monkeypatch, "linear.systems.descriptor:_infinite_part", lambda found: kept.append(found[0]) or found)
+    changed(monkeypatch, "linear.systems.descriptor:_finite_part", lambda V: kept[0])
+    with pytest.raises(AccuracyError, match="not apart"):
+        weierstrass_form(*PENCIL)
+
+
+@trips("linear.systems.descriptor:_assembled:2")
+def test_a_form_that_misses_its_equations_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    def tilted(V: Any) -> Any:
+        return V + OFF * V[::-1]
+
+    weierstrass_form(*PENCIL)
+    changed(monkeypatch, "linear.systems.descriptor:_finite_part", tilted)
+    with pytest.raises(AccuracyError, match="misses its equations"):
+        weierstrass_form(*PENCIL)
+
+
+@trips("linear.systems.descriptor_properties:_hidden_modes")
+def test_a_hidden_mode_that_is_no_pole_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    hidden = np.diag([-1.0, -2.0]), [[1.0, 0.0]], np.eye(2)
+    assert not descriptor_observability(*hidden)
+    changed(
+        monkeypatch,
+        "linear.systems.descriptor_properties:invariant_zeros",
+        lambda found: replace(found, zeros=found.zeros + 0.1),
+    )
+    with pytest.raises(AccuracyError, match="are not among the poles"):
+        descriptor_observability(*hidden)
