@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
@@ -23,6 +24,9 @@ from residua.files import check_input
 from residua.monitor import Monitor
 from residua.monitor.setup import chosen_isolation
 from residua.plant.plant_file import load_plant
+
+#: Methods that are listed at an option in the help, and where the first sentence of its text ends.
+_LISTED, _SENTENCE = 4, r"(?<=\.) "
 
 
 def _method(name: str) -> str:
@@ -146,7 +150,8 @@ class Commands(GuardedGroup):
 def _parameter(one: methods.Shared) -> inspect.Parameter:
     """Return an option of methods as a parameter of the command."""
     kind = bool if one.form.is_flag else str
-    told = f"{one.text} Of {', '.join(one.methods)}." if one.text else f"Of {', '.join(one.methods)}."
+    of = ", ".join(one.methods) if len(one.methods) <= _LISTED else f"{len(one.methods)} methods, see --methods"
+    told = f"{re.split(_SENTENCE, one.text)[0].rstrip('.')}. Of {of}." if one.text else f"Of {of}."
     option = partial(typer.Option, *one.flags, help=told, rich_help_panel="Options of methods", show_default=False)
     option = option() if one.form.is_flag else option(metavar=one.form.metavar)
     annotation = Annotated[kind | None, option]

@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike
 from residua.analysis.coding_sets import CodingSet
 from residua.design.core.options import Option, kinds_of
 
+_ARRAY = frozenset(kinds_of(ArrayLike))
+
 
 @dataclass(frozen=True)
 class Form:
@@ -59,7 +61,7 @@ def _single(option: Option, kinds: tuple[Any, ...]) -> Form | None:
     """Return how a value without names is written."""
     if Sequence[complex] in kinds:
         return Form("LIST", parse_poles)
-    if set(kinds_of(ArrayLike)) <= set(kinds):
+    if set(kinds) >= _ARRAY:
         return Form("MATRIX", parse_matrix)
     if bool in kinds:
         return Form("", bool, is_flag=True)

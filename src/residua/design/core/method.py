@@ -150,19 +150,24 @@ class Method:
         return annotation if isinstance(annotation, str) else getattr(annotation, "__name__", str(annotation))
 
     @cached_property
+    def signature(self) -> inspect.Signature:
+        """Its parameters and what it returns, as types."""
+        return signature_of(self.function)
+
+    @property
     def result(self) -> Any:
         """The class of what it returns."""
-        return signature_of(self.function).return_annotation
+        return self.signature.return_annotation
 
     @cached_property
     def options(self) -> tuple[Option, ...]:
         """What may be asked of it, from its signature."""
-        return options_of(self.function)
+        return options_of(self.function, self.signature)
 
     @cached_property
     def takes_a_plant(self) -> bool:
         """Whether a plant is all that it is designed for."""
-        first = next(iter(signature_of(self.function).parameters.values()))
+        first = next(iter(self.signature.parameters.values()))
         return self.designs_for == "plant" and Plant in kinds_of(first.annotation)
 
     @property

@@ -48,13 +48,10 @@ class Option:
         return kinds_of(self.annotation)
 
 
-def options_of(function: Callable[..., Any]) -> tuple[Option, ...]:
-    """Return the options of a function: all parameters after the first."""
+def options_of(function: Callable[..., Any], signature: inspect.Signature) -> tuple[Option, ...]:
+    """Return the options of a function with this signature: all parameters after the first."""
     described = parameters_in(inspect.getdoc(function) or "")
-    return tuple(
-        _option(one, *described.get(name, ("", "")))
-        for name, one in list(signature_of(function).parameters.items())[1:]
-    )
+    return tuple(_option(one, *described.get(name, ("", ""))) for name, one in list(signature.parameters.items())[1:])
 
 
 def signature_of(function: Callable[..., Any]) -> inspect.Signature:
