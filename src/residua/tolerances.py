@@ -46,6 +46,6 @@ POLYNOMIAL_LEAKAGE = 1e-6
 POLE = 1e-6
 
 
-def without_rounding(M: NDArray, size: NDArray | float, rtol: float = ROUNDING) -> NDArray:
+def above_rounding(M: NDArray, size: NDArray | float, rtol: float = ROUNDING) -> NDArray:
     """Return an array with the entries set to zero that are rounding of the terms that they are the sum of."""
     return np.where(np.abs(M) > rtol * size, M, 0.0)

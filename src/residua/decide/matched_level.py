@@ -28,7 +28,7 @@ from residua.decide.window import WindowState, empty_window, moving_sum
 from residua.design import ResidualGenerator
 from residua.errors import DataError, FileFormatError, SettingError
 from residua.records import joined, table_in
-from residua.tolerances import TINY
+from residua.tolerances import SIGNAL_ROUNDING, TINY
 from residua.visible import echo
 
 #: What makes a test of the whitening matrix that belongs to it.
@@ -333,7 +333,7 @@ def fit_matched_test(
         signal_size=signal_size,
         seams=seams,
     ).test
-    if np.sqrt(np.sum(np.var(residuals[usable], axis=0))) <= 1e-12 * signal_size:
+    if np.sqrt(np.sum(np.var(residuals[usable], axis=0))) <= SIGNAL_ROUNDING * signal_size:
         raise DataError("these data have no noise, and matched filters weigh a response against noise: add some")
     test = make(base.whitening)
     count = int(usable.sum())

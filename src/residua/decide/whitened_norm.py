@@ -20,6 +20,7 @@ from residua.decide.window import WindowState, empty_window, moving_sum
 from residua.errors import FileFormatError, SettingError
 from residua.linear.systems.recursion import ordered_product
 from residua.number_kinds import COUNT, ENTRY, PART, POSITIVE, PROBABILITY, SHARE, WINDOW, NumberKind
+from residua.tolerances import SIGNAL_ROUNDING
 from residua.visible import echo
 
 #: Largest whitened residual that is judged: the square of a sum of many still is a number.
@@ -291,7 +292,7 @@ def fit_moments(
     data = FaultFree(residuals, usable, settings.window, tuple(seams))
     k, count = residuals.shape[1], int(usable.sum())
     check_enough(count, k, settings.window)
-    rounding = 1e-12 * signal_size
+    rounding = SIGNAL_ROUNDING * signal_size
     noise_free = data.spread <= rounding
     known = None
     if settings.whiten == "none" or noise_free:

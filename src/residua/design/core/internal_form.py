@@ -11,7 +11,7 @@ from residua.linear.subspaces.reachability import without_unobservable
 from residua.linear.systems.balancing import descriptor_units, state_units
 from residua.linear.systems.response_terms import accurate_response, in_even_units, paths, response_terms
 from residua.plant import Plant
-from residua.tolerances import TINY
+from residua.tolerances import IDENTITY, TINY
 
 #: A response this far below its terms at every frequency is rounding.
 _NOTHING = 1e-13
@@ -86,7 +86,7 @@ def with_silent_inputs(form: StateSpace, names: tuple[str, ...]) -> StateSpace:
 
 
 def check_state_map(
-    generator: StateSpace, plant: Plant, T: NDArray, V: NDArray | None = None, *, limit: float = 1e-8
+    generator: StateSpace, plant: Plant, T: NDArray, V: NDArray | None = None, *, limit: float = IDENTITY
 ) -> float:
     r"""Return how far the identities of a generator are missed, or raise.
 

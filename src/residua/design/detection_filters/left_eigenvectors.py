@@ -15,7 +15,7 @@ from residua.linear.poles.pole_assignment import real_block_diagonal
 from residua.linear.subspaces.observability import observability_form
 from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis, null_basis
 from residua.linear.systems.balancing import without_rounding
-from residua.tolerances import TINY
+from residua.tolerances import TINY, above_rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +140,7 @@ def _rest(A: NDArray, K: NDArray, C: NDArray, N: NDArray) -> NDArray[np.float64]
     """Return :math:`N^T (A - K C) N` without what is rounding, which placement would take for couplings."""
     rest = N.T @ A @ N - N.T @ K @ (C @ N)
     terms = np.abs(N.T) @ (np.abs(A) + np.abs(K) @ np.abs(C)) @ np.abs(N)
-    return np.where(np.abs(rest) > 1e-13 * len(A) * terms, rest, 0.0)
+    return above_rounding(rest, len(A) * terms)
 
 
 def row_error(parts: IgnoredColumns, rows: LeftRows, K0: NDArray) -> float:
