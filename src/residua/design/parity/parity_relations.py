@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from residua import arrays
 from residua.design.core.generator import ResidualGenerator
+from residua.design.core.method import method
 from residua.design.parity.relation_model import RelationModel, relation_model
 from residua.design.parity.relations import Poles, relations_of
 from residua.design.parity.shortest import RelationSpace, relation_space, shortest_relations
@@ -24,6 +25,14 @@ from residua.plant.input_output_model import InputOutputModel
 _MOST_STATES = 300
 
 
+@method(
+    exists_when="as decoupled_residual",
+    order="sum of the orders of the relations",
+    source="Chow and Willsky (1984); Gertler (1991), eqs. (3-5) to (3-10), section 4.2",
+    decouples=True,
+    singular=True,
+    noise="moving average",
+)
 def parity_relations(
     plant: Plant | InputOutputModel,
     *,
@@ -73,6 +82,13 @@ def parity_relations(
         If there is no such relation (of that order).
     AccuracyError
         If the coefficients miss the states: relations of high order lose digits, which ``decoupled_residual`` does not.
+
+    See Also
+    --------
+    decoupled_residual : The same as a filter, which noise harms less.
+    structured_parity : One relation per row of a structure.
+    primary_residuals : The equations of the model.
+    optimal_parity : Where disturbances cannot be decoupled.
 
     Notes
     -----

@@ -9,6 +9,8 @@ import numpy as np
 from residua.analysis.coding_sets import Structure
 from residua.design.banks.bank import Bank, build_bank, wanted_rows
 from residua.design.core.generator import ResidualGenerator
+from residua.design.core.method import method
+from residua.design.core.needs import FAULTS_APART, ROWS
 from residua.design.parity.parity_relations import with_rank
 from residua.design.parity.relation_model import relation_model
 from residua.design.parity.relations import Poles, relations_of
@@ -19,6 +21,19 @@ from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
 
 
+@method(
+    needs=[FAULTS_APART],
+    exists_when="as structured_bank",
+    order="of each relation, at most n",
+    source="Gertler (1991), section 4.1, eqs. (4-1) to (4-4)",
+    faults="by code, as the structure says",
+    decouples=True,
+    singular=True,
+    noise="moving average",
+    many=True,
+    formerly=["parity"],
+    chosen={"structure": ROWS},
+)
 def structured_parity(
     plant: Plant | InputOutputModel,
     structure: Structure,
@@ -61,6 +76,12 @@ def structured_parity(
         If a row is not attainable: with the faults that no relation sees which ignores its zeros.
     AccuracyError
         If a relation is too ill-conditioned: :func:`structured_bank` needs no polynomials.
+
+    See Also
+    --------
+    structured_bank : The same with filters, which noise harms less.
+    parity_relations : All relations of an order.
+    directional_parity : Names by direction.
 
     Notes
     -----

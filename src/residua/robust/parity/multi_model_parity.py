@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from residua.design.core.decoupling import Approximate
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
+from residua.design.core.method import method
 from residua.errors import DesignError, SettingError
 from residua.linear.poles.spectrum import spectral_radius
 from residua.plant import Plant
@@ -97,6 +98,14 @@ def _listed(what: str, values: NDArray[np.float64], kept: int) -> str:
     return told + (f"; next {values[kept]:.3g}" if kept < len(values) else "")
 
 
+@method(
+    designs_for="several plants",
+    needs=["an order", "sampled"],
+    exists_when="always; every model has stationary states",
+    order="r times the order of the relations",
+    source="Lou, Willsky and Verghese (1986); Gertler (1991), eqs. (6-4), (6-5)",
+    noise="moving average",
+)
 def multi_model_parity(
     plants: Iterable[Plant | InputOutputModel],
     *,
@@ -173,6 +182,12 @@ def multi_model_parity(
         If the models have different signals.
     SettingError
         If sizes or weights make no sense.
+
+    See Also
+    --------
+    optimal_parity : Differences of models as disturbances.
+    insensitive_parity : For parameters that drift.
+    robust_l1_bank : Thresholds that hold for a whole set.
 
     Notes
     -----
