@@ -1,9 +1,9 @@
 """Guards that are made wrong on purpose: the tests that say they trip them must turn red.
 
-``python tests/mutants.py`` (``make mutants``) changes the condition of each guard of ``design/`` and ``linear/``, one change
-at a time, with the operators of Cosmic Ray: comparisons turned round, ``and`` for ``or``, ``not`` added and left out,
-other numbers; and switches the guard off. For each change the tests that trip the guard run in a process of their own, in
-which the changed module is imported: no file is written. What stays green is listed, and is a hole in the tests.
+``python tests/mutants.py`` (``make mutants``) changes the condition of each guard of ``design/`` and ``linear/``, one
+change at a time, with the operators of Cosmic Ray: comparisons turned round, ``and`` for ``or``, ``not`` added and left
+out, other numbers; and switches the guard off. For each change the tests that trip the guard run in a process of their
+own, in which the changed module is imported: no file is written. What stays green is listed: a hole in the tests.
 
 ``--off GUARD ...`` only switches guards off, which takes no package.
 """
@@ -23,7 +23,7 @@ from pathlib import Path
 from types import CodeType
 from typing import Any
 
-import numpy  # noqa: F401, ICN001 - before the processes part, so that it is read once
+import numpy  # noqa: F401 - before the processes part, so that it is read once
 import pytest
 import scipy.linalg
 import scipy.optimize  # noqa: F401
@@ -33,7 +33,14 @@ TESTS = Path(__file__).resolve().parent
 PATIENCE = 120
 #: Operators that say the same of numbers that are not equal, or that types rule out.
 SAME = {"Lt_LtE", "LtE_Lt", "Gt_GtE", "GtE_Gt", "Eq_Is", "NotEq_IsNot"}
-CHANGES = ("ReplaceComparisonOperator", "ReplaceAndWithOr", "ReplaceOrWithAnd", "AddNot", "NumberReplacer", "Delete_Not")
+CHANGES = (
+    "ReplaceComparisonOperator",
+    "ReplaceAndWithOr",
+    "ReplaceOrWithAnd",
+    "AddNot",
+    "NumberReplacer",
+    "Delete_Not",
+)
 
 
 @dataclass(frozen=True)
@@ -47,7 +54,7 @@ class Mutant:
 
 
 def condition(tree: ast.AST, line: int) -> ast.expr | None:
-    """Return the condition of the innermost ``if`` whose body, or whose ``else``, begins with the statement of a line."""
+    """Return the condition of the innermost ``if`` whose body has a statement that begins on a line."""
     found = None
     for node in ast.walk(tree):
         if isinstance(node, ast.If) and any(one.lineno == line for one in node.body):
@@ -56,7 +63,7 @@ def condition(tree: ast.AST, line: int) -> ast.expr | None:
 
 
 def switched_off(guard: str, path: str, first: int, last: int) -> Mutant | None:
-    """Return a guard whose condition never holds, or that does nothing where it has none; ``None`` if it is a result."""
+    """Return a guard whose condition never holds, or that does nothing where it has none; ``None`` for a result."""
     text = Path(path).read_text()
     test = condition(ast.parse(text), first)
     lines = text.splitlines(keepends=True)

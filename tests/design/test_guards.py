@@ -65,6 +65,11 @@ def algebraic() -> rs.Plant:
     return plant.with_actuator_faults().with_sensor_faults()
 
 
+def without_dynamics() -> rs.Plant:
+    """The second sensor reads what does not move: its fault keeps a line, where a plane is promised."""
+    return rs.Plant([[0.5, 0], [0, 0]], [[1], [0]], np.eye(2), dt=1.0).with_sensor_faults()
+
+
 def estimator() -> Any:
     return D.fault_estimator(rs.library.vtol(), faults=["collective actuator", "cyclic actuator"])
 
@@ -313,6 +318,7 @@ def test_a_member_that_answers_to_what_it_ignores_is_refused() -> None:
 
 @trips("design.banks.decoupled_residual:_designed")
 def test_a_residual_that_lost_a_fault_it_can_see_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    ignoring()
     changed(monkeypatch, "design.core.generator:signature_bases", _silent)
     with pytest.raises(AccuracyError, match="lost in rounding"):
         ignoring()
@@ -325,6 +331,8 @@ def _silent(found: tuple[dict[str, np.ndarray], float]) -> tuple[dict[str, np.nd
 
 @trips("design.detection_filters.detection_filter:_check_directions")
 def test_a_fault_that_leaves_its_direction_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    D.detection_filter(gertler())
+    D.detection_filter(without_dynamics())
     changed(monkeypatch, "design.core.generator:signature_bases", lambda found: (_whole(found[0]), found[1]))
     with pytest.raises(AccuracyError, match="leaves its direction"):
         D.detection_filter(gertler())
@@ -336,6 +344,7 @@ def _whole(bases: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 @trips("design.parity.structured_parity:design")
 def test_a_relation_whose_response_is_lost_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    D.structured_parity(gertler(), {"r1": ["p1"]})
     changed(monkeypatch, "design.core.generator:signature_bases", _silent)
     with pytest.raises(AccuracyError, match="lost in the rounding"):
         D.structured_parity(gertler(), {"r1": ["p1"]})
