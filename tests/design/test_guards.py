@@ -19,6 +19,7 @@ from residua.design.banks.bank import Wanted, check_promise
 from residua.design.core.decoupling import Approximate, Decoupled, MeasuredBefore
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import make_generator
+from residua.design.core.internal_form import check_state_map
 from residua.design.core.responses import state_covariance
 from residua.design.observers.estimate_check import check_estimate
 from residua.design.observers.perfect_observer import perfect_observer
@@ -436,6 +437,18 @@ def test_maps_and_forms_of_another_filter_are_refused(which: str) -> None:
     wrong = {"state_map": off(good.state_map), "known_form": form.replaced(B=off(form.B))}
     with pytest.raises(AccuracyError, match="identities"):
         _made(**{which: wrong[which]})
+
+
+@trips("design.core.internal_form:_accepted")
+def test_a_residual_of_small_units_does_not_hide_behind_a_large_one() -> None:
+    good = D.detection_filter(gertler())
+    small = np.array([1e-12, 1.0])[:, None]
+    system = good.system.replaced(C=small * good.system.C, D=small * good.system.D)
+    assert good.state_map is not None
+    assert check_state_map(system, good.plant, good.state_map) < 1e-12
+    wrong = system.replaced(C=np.array([1 + OFF, 1.0])[:, None] * system.C)
+    with pytest.raises(AccuracyError, match="identities"):
+        check_state_map(wrong, good.plant, good.state_map)
 
 
 def test_an_approximate_design_says_how_far_inputs_reach_it() -> None:
