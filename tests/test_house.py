@@ -31,6 +31,7 @@ ROOMS = (
         "errors",
         "visible",
         "words",
+        "tolerances",
         "number_kinds",
         "arrays",
         "facade",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import numpy as np
 import pytest
@@ -52,3 +53,25 @@ def test_the_covariance_of_sums_over_a_long_window_is_exact_and_cheap() -> None:
     assert np.isfinite(np.asarray(generator.covariance_of_sums(10**6))).all()
     short, long = generator.covariance_of_sums(20_000), generator.covariance_of_sums(2_000_000)
     np.testing.assert_allclose(np.asarray(short), np.asarray(long), rtol=1e-2)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda g, long: rs.Monitor(g, start=long),
+        lambda g, long: rs.Monitor(g, test=long),
+        lambda g, long: rs.Monitor(g, isolate=long),
+        lambda g, long: rs.Monitor(g, plausible=long),
+        lambda g, long: rs.decide.NormThreshold(whiten=long),
+        lambda g, long: rs.decide.NormThreshold(threshold=long),
+        lambda g, long: rs.decide.NormThreshold(window=long),
+        lambda g, long: rs.decide.NormThreshold(false_alarm_rate=long),
+    ],
+)
+def test_a_long_setting_is_not_repeated_whole(make: Any) -> None:
+    """Settings come from files too, and an error message is no place for a megabyte."""
+    generator = rs.design.decoupled_residual(rs.library.gertler(), insensitive_to="p1")
+    with pytest.raises(SettingError) as error:
+        make(generator, "Z" * 100_000)
+    assert "Z" * 20 in str(error.value)
+    assert len(str(error.value)) < 600

@@ -19,6 +19,7 @@ from residua.analysis.visibility import (
 from residua.errors import ModelError
 from residua.linear.subspaces.rank import DEFAULT_RTOL, check_rtol
 from residua.plant import Plant
+from residua.tolerances import TINY
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,7 +217,7 @@ def _decide(found: Visible, rtol: float) -> tuple[NDArray[np.bool_], NDArray[np.
     floor = np.maximum(found.rounding, 10 * rtol)[:, None]
     visible = (size > floor).any(axis=0)
     sines = _sines(found.columns)
-    weaker = np.maximum(np.minimum(size[:, :, None], size[:, None]), 1e-300)
+    weaker = np.maximum(np.minimum(size[:, :, None], size[:, None]), TINY)
     limit = np.clip(10 * floor[:, :, None] / weaker, 1e-7, 1e-2)
     apart = (sines > limit).any(axis=0)
     return visible, visible[:, None] & (apart | ~visible[None, :]) & ~np.eye(len(visible), dtype=bool)
@@ -224,7 +225,7 @@ def _decide(found: Visible, rtol: float) -> tuple[NDArray[np.bool_], NDArray[np.
 
 def _sines(columns: NDArray) -> NDArray[np.float64]:
     """Return the sine of the angle between every two columns at every point, shape (points, faults, faults)."""
-    unit = columns / np.maximum(np.linalg.norm(columns, axis=1, keepdims=True), 1e-300)
+    unit = columns / np.maximum(np.linalg.norm(columns, axis=1, keepdims=True), TINY)
     out = np.zeros((len(columns), columns.shape[2], columns.shape[2]))
     for k, U in enumerate(unit):
         cosines = U.conj().T @ U

@@ -19,6 +19,7 @@ from residua.analysis.visibility import (
 from residua.errors import DesignError
 from residua.linear.subspaces.rank import check_rtol
 from residua.plant import Plant
+from residua.tolerances import TINY
 
 #: Two columns closer than this are the same, as for diagnosability.
 LEAST_SINE = 1e-7
@@ -72,7 +73,7 @@ class FaultSpace:
     def distances(self, basis: Sequence[int]) -> NDArray[np.float64]:
         """Return how far each column is outside the span of independent ones: the sine of the angle over its limit."""
         sines, limits = _outside(self.generic, basis)
-        ratio = np.where(np.isfinite(limits), sines / np.maximum(limits, 1e-300), 0.0).max(axis=0, initial=0.0)
+        ratio = np.where(np.isfinite(limits), sines / np.maximum(limits, TINY), 0.0).max(axis=0, initial=0.0)
         return np.where(self.visible, ratio, 0.0)
 
     def basis(self, chosen: Iterable[int]) -> list[int]:
@@ -174,8 +175,8 @@ def _directions(found: Visible, rtol: float) -> _Directions:
     """Return the columns with unit length, and the doubt that rounding leaves about each."""
     size = np.linalg.norm(found.columns, axis=1)
     floor = np.maximum(found.rounding, 10 * rtol)[:, None]
-    unit = found.columns / np.maximum(size, 1e-300)[:, None]
-    doubt = np.clip(10 * floor / np.maximum(size, 1e-300), LEAST_SINE, 1e-2)
+    unit = found.columns / np.maximum(size, TINY)[:, None]
+    doubt = np.clip(10 * floor / np.maximum(size, TINY), LEAST_SINE, 1e-2)
     return _Directions(unit, np.where(size > floor, doubt, np.inf), size)
 
 
@@ -190,4 +191,4 @@ def _outside(columns: _Directions, basis: Sequence[int]) -> tuple[NDArray[np.flo
         left = left - U @ (U.conj().transpose(0, 2, 1) @ left)
     doubt = np.maximum(columns.doubt, columns.doubt[:, chosen].max(axis=1, keepdims=True))
     least = s[:, -1:] if len(chosen) <= columns.unit.shape[1] else np.zeros((len(s), 1))
-    return np.linalg.norm(left, axis=1), doubt / np.maximum(least, 1e-300)
+    return np.linalg.norm(left, axis=1), doubt / np.maximum(least, TINY)

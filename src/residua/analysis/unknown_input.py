@@ -23,6 +23,7 @@ from residua.linear.systems.balancing import descriptor_units, evened, without_r
 from residua.plant import OperatingPoint, Plant
 from residua.plant.disturbances import factor_disturbance
 from residua.plant.even_units import EvenPlant, even_plant
+from residua.tolerances import TINY
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,12 +76,12 @@ def output_free_form(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> OutputFreeF
 
 def _units(F: NDArray, n_states: int) -> tuple[NDArray, NDArray]:
     """Return factors for the outputs and for the disturbances that make their entries comparable."""
-    columns = 1.0 / np.maximum(np.abs(F).max(axis=0, initial=0.0), 1e-300)
+    columns = 1.0 / np.maximum(np.abs(F).max(axis=0, initial=0.0), TINY)
     heights = np.abs(F[n_states:] * columns).max(axis=1, initial=0.0)
     rows = 1.0 / np.where(heights > 0, heights, 1.0)
-    columns = 1.0 / np.maximum(np.abs(rows[:, None] * F[n_states:]).max(axis=0, initial=0.0), 1e-300)
+    columns = 1.0 / np.maximum(np.abs(rows[:, None] * F[n_states:]).max(axis=0, initial=0.0), TINY)
     silent = ~np.any(F[n_states:], axis=0)
-    return rows, np.where(silent, 1.0 / np.maximum(np.abs(F).max(axis=0, initial=0.0), 1e-300), columns)
+    return rows, np.where(silent, 1.0 / np.maximum(np.abs(F).max(axis=0, initial=0.0), TINY), columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +162,7 @@ def unknown_input_observer_existence(plant: Plant, *, rtol: float = DEFAULT_RTOL
     even = even_plant(plant, explicit=True)
     form = output_free_form(even.plant, rtol=rtol)
     q = form.E.shape[1]
-    basis, _ = range_basis(form.E / np.maximum(np.linalg.norm(form.E, axis=0), 1e-300), rtol=0)  # of full rank
+    basis, _ = range_basis(form.E / np.maximum(np.linalg.norm(form.E, axis=0), TINY), rtol=0)  # of full rank
     rank_CE = _product_rank(form.C, basis, rtol)
     useful = len(form.W) > q
     if rank_CE.rank < q:
@@ -343,7 +344,7 @@ def algebraic_equations(plant: Plant, *, undisturbed: bool = False) -> NDArray[n
     D = D / np.where(size > 0, size, 1.0) if undisturbed else D[:, :0]
     N = left_null_basis(np.hstack([E / (np.linalg.norm(E) or 1.0), D]))[0].T
     N = np.where(np.abs(N) > 1e-14, N, 0.0) * u.equations
-    return N / np.maximum(np.abs(N).max(axis=1, keepdims=True, initial=0.0), 1e-300)
+    return N / np.maximum(np.abs(N).max(axis=1, keepdims=True, initial=0.0), TINY)
 
 
 def with_equations_measured(plant: Plant) -> tuple[Plant, NDArray[np.float64]]:

@@ -11,6 +11,7 @@ from residua.errors import ModelError
 from residua.linear.subspaces.rank import decide_rank, equilibrated
 from residua.plant import Plant
 from residua.plant.canonical_units import canonical_units
+from residua.tolerances import TINY
 
 #: Vectors of unit length that begin with less than this begin with nothing.
 _NOTHING = 1e-6
@@ -115,7 +116,7 @@ def _left_vectors(M: NDArray) -> tuple[NDArray, NDArray[np.float64]]:
 
 def _rounding(smallest: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return what rounding may have put into a projection; too much where the pencil is nearly singular for all."""
-    return np.minimum(1e3 * np.finfo(float).eps / np.maximum(smallest, 1e-300), 1e-6)
+    return np.minimum(1e3 * np.finfo(float).eps / np.maximum(smallest, TINY), 1e-6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +151,7 @@ def _parts(plant: Plant) -> _Parts:
     size = float(np.abs(generic_points(plant)).max())
     row = _row_units(plant, size)[:, None]
     Fd, Ff = (row * np.vstack([B, D]) for B, D in ((plant.Bd, plant.Dd), (plant.Bf, plant.Df)))
-    Fd, Ff = (F / np.maximum(np.linalg.norm(F, axis=0), 1e-300) for F in (Fd, Ff))
+    Fd, Ff = (F / np.maximum(np.linalg.norm(F, axis=0), TINY) for F in (Fd, Ff))
     return _Parts(row * np.vstack([plant.A, plant.C]), row[:n] * E, Fd, Ff, size)
 
 

@@ -7,6 +7,7 @@ from math import isfinite
 import numpy as np
 
 from residua.errors import SettingError
+from residua.visible import echo
 
 
 def is_number(value: object) -> bool:
@@ -17,10 +18,10 @@ def is_number(value: object) -> bool:
 def check_samples(value: object, name: str, *, least: int = 1) -> None:
     """Raise unless a setting is a whole number of samples."""
     if not is_number(value) or int(value) != value or value < least:  # pyright: ignore
-        raise SettingError(f"{name} must be a whole number of samples, at least {least}, got {value!r}")
+        raise SettingError(f"{name} must be a whole number of samples, at least {least}, got {echo(value)}")
 
 
 def check_rate(rate: float) -> None:
     """Raise unless ``rate`` is a usable false alarm rate."""
     if not is_number(rate) or not 0 < rate < 1:
-        raise SettingError(f"false_alarm_rate must lie between 0 and 1, got {rate!r}")
+        raise SettingError(f"false_alarm_rate must lie between 0 and 1, got {echo(rate)}")

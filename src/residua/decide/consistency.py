@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua.analysis.codes import equal_codes
 from residua.decide.code_reading import NAMED, quoted
 from residua.errors import DataError, SettingError
+from residua.visible import echo
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ class Explanation:
     def credible(self, level: float = 0.95) -> tuple[ConsistentFault, ...]:
         """Return the most likely candidates, as many as reach this probability together."""
         if not 0 < level < 1:
-            raise SettingError(f"level must lie between 0 and 1, got {level!r}")
+            raise SettingError(f"level must lie between 0 and 1, got {echo(level)}")
         total, out = 0.0, []
         for one in self.candidates:
             if total >= level:
@@ -279,7 +280,7 @@ def _probabilities(given: ArrayLike, members: int, name: str) -> NDArray[np.floa
     except (TypeError, ValueError) as error:
         raise SettingError(f"{name} must be one number or one per member ({members}): {error}") from error
     if not ((out > 0) & (out < 1)).all():
-        raise SettingError(f"{name} must lie between 0 and 1, got {given!r}")
+        raise SettingError(f"{name} must lie between 0 and 1, got {echo(given)}")
     return np.asarray(out)
 
 

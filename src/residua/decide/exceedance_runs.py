@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.exceedance_tail import Tail, depths, slope_of
+from residua.tolerances import TINY
 
 #: Runs over a level from which on their course is known, and runs of a length from which on their number is.
 _KNOWN, _COUNTED = 20, 16
@@ -98,7 +99,7 @@ class RunModel:
         if count < 2:
             return np.inf
         by_turns = float(np.sqrt((count - 1) / count * np.sum((found - found.mean()) ** 2)))
-        return float(np.hypot(by_turns, self.tail.spread(max(self.tail.fraction(level), 1e-300))))
+        return float(np.hypot(by_turns, self.tail.spread(max(self.tail.fraction(level), TINY))))
 
     @cached_property
     def limit(self) -> float:
@@ -138,8 +139,8 @@ class RunModel:
             )
             factor = factor / np.maximum(seen, 1)
             B, raised = B * factor, raised * factor
-        time_up = np.maximum(1 - B, 1e-300) / np.maximum(raised, 1e-300)
-        time_down = np.maximum(1 - C, 1e-300) / np.maximum(ended, 1e-300)
+        time_up = np.maximum(1 - B, TINY) / np.maximum(raised, TINY)
+        time_down = np.maximum(1 - C, TINY) / np.maximum(ended, TINY)
         return time_down / (time_down + time_up)
 
     def _over(self, level: float, left: Callable[[NDArray], NDArray[np.float64]]) -> NDArray[np.float64]:

@@ -28,6 +28,7 @@ from residua.decide.window import WindowState, empty_window, moving_sum
 from residua.design import ResidualGenerator
 from residua.errors import DataError, FileFormatError, SettingError
 from residua.records import joined, table_in
+from residua.tolerances import SIGNAL_ROUNDING, TINY
 from residua.visible import echo
 
 #: What makes a test of the whitening matrix that belongs to it.
@@ -255,7 +256,7 @@ def _bound(level: float, links: NDArray[np.float64], singles: int) -> float:
     from scipy.special import ndtr, owens_t
 
     tail = float(ndtr(-level))
-    same, opposite = (owens_t(level, np.sqrt((1 - r) / np.maximum(1 + r, 1e-300))) for r in (links, -links))
+    same, opposite = (owens_t(level, np.sqrt((1 - r) / np.maximum(1 + r, TINY))) for r in (links, -links))
     return 2 * tail * singles + float(np.sum(np.maximum(4 * (same + opposite) - 2 * tail, 0.0)))
 
 
@@ -332,7 +333,7 @@ def fit_matched_test(
         signal_size=signal_size,
         seams=seams,
     ).test
-    if np.sqrt(np.sum(np.var(residuals[usable], axis=0))) <= 1e-12 * signal_size:
+    if np.sqrt(np.sum(np.var(residuals[usable], axis=0))) <= SIGNAL_ROUNDING * signal_size:
         raise DataError("these data have no noise, and matched filters weigh a response against noise: add some")
     test = make(base.whitening)
     count = int(usable.sum())

@@ -39,6 +39,7 @@ from residua.decide.window import empty_window, moving_sum
 from residua.errors import FileFormatError, ModelError, SettingError
 from residua.linear.systems.recursion import ordered_product
 from residua.number_kinds import COUNT, ENTRY, POSITIVE, NumberKind
+from residua.tolerances import SIGNAL_ROUNDING
 
 #: Groups of residuals: ``"each"`` by itself, names with the residuals of each, or none.
 Groups = str | tuple[tuple[str, tuple[str, ...]], ...] | None
@@ -524,7 +525,7 @@ def fit_group_test(
         seams=seams,
     )
     data = FaultFree(residuals, usable, settings.window, tuple(seams))
-    if settings.whiten == "none" or data.spread <= 1e-12 * max(signal_sizes):
+    if settings.whiten == "none" or data.spread <= SIGNAL_ROUNDING * max(signal_sizes):
         whole = np.eye(residuals.shape[1])
     elif settings.whiten == "model" and covariance is not None:
         whole = whitening_matrix(covariance)

@@ -184,7 +184,7 @@ def _checked_groups(given: object) -> Groups:
         names = tuple(str(one) for one in members)
         label = ", ".join(names) if name is None else str(name)
         if label in out:
-            raise SettingError(f"two groups are called {label!r}")
+            raise SettingError(f"two groups are called {echo(label)}")
         out[label] = names
     if not out:
         raise SettingError(f"{wanted}, got none")

@@ -20,6 +20,7 @@ from residua.decide.whitened_norm import Fitted, NormTest, with_threshold
 from residua.errors import DataError, FileFormatError, SettingError
 from residua.number_kinds import COUNT, POSITIVE, PROBABILITY
 from residua.records import field_names, float_in, joined, record, values_in, values_out, whole_in
+from residua.tolerances import SIGNAL_ROUNDING
 from residua.visible import echo
 
 #: How the basis of a test begins whose thresholds the design has certified, or the user has given.
@@ -555,7 +556,7 @@ def _observed(
     seen = observed(
         norms, data.full, usable, data.parts, np.inf, persistence=1, release=settings.window, window=settings.window
     )
-    rounding = 1e-12 * signal_size
+    rounding = SIGNAL_ROUNDING * signal_size
     return Fitted(_blank(settings, residuals.shape[1]), seen, count, rounding if norms.max() <= rounding else None)
 
 

@@ -20,6 +20,8 @@ from residua.decide.window import WindowState, empty_window, moving_sum
 from residua.errors import FileFormatError, SettingError
 from residua.linear.systems.recursion import ordered_product
 from residua.number_kinds import COUNT, ENTRY, PART, POSITIVE, PROBABILITY, SHARE, WINDOW, NumberKind
+from residua.tolerances import SIGNAL_ROUNDING
+from residua.visible import echo
 
 #: Largest whitened residual that is judged: the square of a sum of many still is a number.
 _LARGEST = 1e120
@@ -50,13 +52,13 @@ class NormSettings(TestSettings):
     def __post_init__(self) -> None:
         """Check the settings."""
         if self.threshold is not None and not (is_number(self.threshold) and self.threshold > 0):
-            raise SettingError(f"threshold must be a positive number, got {self.threshold!r}")
+            raise SettingError(f"threshold must be a positive number, got {echo(self.threshold)}")
         for name in ("persistence", "window"):
             check_samples(getattr(self, name), name)
         if self.release is not None:
             check_samples(self.release, "release")
         if self.whiten not in ("auto", "data", "model", "none"):
-            raise SettingError(f"whiten must be 'auto', 'data', 'model' or 'none', got {self.whiten!r}")
+            raise SettingError(f"whiten must be 'auto', 'data', 'model' or 'none', got {echo(self.whiten)}")
         check_rate(self.false_alarm_rate)
         for name in ("persistence", "release", "window"):  # plain numbers, whatever they came as
             value = getattr(self, name)
@@ -290,7 +292,7 @@ def fit_moments(
     data = FaultFree(residuals, usable, settings.window, tuple(seams))
     k, count = residuals.shape[1], int(usable.sum())
     check_enough(count, k, settings.window)
-    rounding = 1e-12 * signal_size
+    rounding = SIGNAL_ROUNDING * signal_size
     noise_free = data.spread <= rounding
     known = None
     if settings.whiten == "none" or noise_free:

@@ -31,9 +31,10 @@ from residua.records import (
     texts_in,
     whole_in,
 )
+from residua.tolerances import POLYNOMIAL_LEAKAGE
 
-#: The largest leak that any exact design is allowed, and of how many frequencies of the design one is looked at.
-_LEAK, _EVERY = 1e-6, 12
+#: Of so many frequencies of the design one is looked at when it is loaded.
+_EVERY = 12
 _SYSTEM_ENTRIES = ("A", "B", "C", "D", "dt", "inputs", "outputs", "states")
 _PLANT_ARRAYS = ("A", "C", "Bu", "Du", "Bd", "Dd", "Bf", "Df", "Bw", "Dw")
 _PLANT_TEXTS = ("name", "description")
@@ -198,7 +199,7 @@ def _check_leaks(generator: ResidualGenerator, where: str) -> None:
     w = frequency_grid(generator.system, generator.plant.system(()))[::_EVERY]
     for name, gain in leakage(generator.system, generator.plant, w).items():
         known = max(promised.get(name, np.inf), promised.get(f"{name}, sampled", 0.0))
-        if gain > max(_LEAK, 1.01 * known):
+        if gain > max(POLYNOMIAL_LEAKAGE, 1.01 * known):
             raise FileFormatError(
                 f"{where}: the {name} inputs reach the residual, by {gain:.2g} of the terms that should cancel"
             )

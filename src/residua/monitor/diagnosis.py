@@ -30,6 +30,7 @@ from residua.decide.structured import CodeTest
 from residua.errors import MissingExtraError
 from residua.files import write_text
 from residua.recording.clock import Clock
+from residua.visible import echo
 
 if TYPE_CHECKING:
     from residua.design import ResidualGenerator
@@ -376,11 +377,11 @@ class Diagnosis:
             If that package is not installed.
         """
         if backend not in ("pandas", "polars"):
-            raise ValueError(f"backend must be 'pandas' or 'polars', got {backend!r}")
+            raise ValueError(f"backend must be 'pandas' or 'polars', got {echo(backend)}")
         try:
             module = __import__(backend)
         except ImportError as error:
-            raise MissingExtraError(f"this needs the package {backend!r}: pip install {backend}") from error
+            raise MissingExtraError(f"this needs the package {echo(backend)}: pip install {backend}") from error
         return module.DataFrame(self.columns())
 
     def write_alarms(self, path: str | Path) -> None:

@@ -16,6 +16,7 @@ from residua.linear.systems.balancing import state_units
 from residua.plant import Plant
 from residua.recording.recording import Recording, recording_from_frame
 from residua.recording.time_axis import regular_step, seconds_from_dates
+from residua.visible import echo
 
 #: What is left of the slowest pole once a filter counts as settled: where thresholds come from data or a noise model,
 #: and where they are bounds that are known or certified, to the digits that these are computed to.
@@ -87,7 +88,7 @@ def signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, source: st
             u = recording_from_frame(u, plant, dt=dt, source=source or "data frame")
         return Signals(u.u, u.y, u.time, u.dt, source or u.source, u.notes, u.origin)
     if dt is not None and not (np.isfinite(dt) and dt > 0):
-        raise DataError(f"dt must be a positive step in seconds, got {dt!r}")
+        raise DataError(f"dt must be a positive step in seconds, got {echo(dt)}")
     u, y = _by_name(u, plant.inputs, "u"), _by_name(y, plant.outputs, "y")
     if time is None:
         return Signals(u, y, None, dt, source)

@@ -42,6 +42,7 @@ from residua.monitor.setup import (
 )
 from residua.monitor.specification import Specification
 from residua.monitor.starting import checked_start
+from residua.tolerances import SAME
 
 #: Samples per piece when a recording is run: bounds memory and lets progress be shown.
 PIECE = 100_000
@@ -166,7 +167,7 @@ class Monitor:
         self._spec: Specification | None = None
         self._state: State | None = None
         if generator.system.is_discrete:
-            if dt is not None and abs(dt - generator.dt) > 1e-9 * dt:
+            if dt is not None and abs(dt - generator.dt) > SAME * dt:
                 raise ModelError(f"the generator has dt={generator.dt:g} s, dt={dt:g} s was given")
             self._use(generator)
         elif dt is not None:

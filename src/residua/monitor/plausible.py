@@ -11,6 +11,7 @@ from residua.decide.checks import is_number
 from residua.decide.test import ResidualTest
 from residua.design import ResidualGenerator
 from residua.errors import SettingError
+from residua.visible import echo, listed
 
 #: Sizes of a signal in a fault-free recording that its plausible values reach from the middle, unless set otherwise.
 #: Far above what a sensor reads that fails to the end of its scale: that is a fault, which must be seen.
@@ -34,7 +35,7 @@ def checked_plausible(value: object, channels: Sequence[str]) -> Plausible:
     if not is_number(value) or not 1 < value < np.inf:  # pyright: ignore[reportOperatorIssue]
         raise SettingError(
             "plausible must be a number over 1 (how many times its size in the fault-free recording a signal may be "
-            f"away from its middle), limits by channel such as {{'level': (0, 10)}}, or None, got {value!r}"
+            f"away from its middle), limits by channel such as {{'level': (0, 10)}}, or None, got {echo(value)}"
         )
     return float(value)  # pyright: ignore[reportArgumentType]
 
@@ -42,14 +43,14 @@ def checked_plausible(value: object, channels: Sequence[str]) -> Plausible:
 def _limits(name: object, limits: object, channels: Sequence[str]) -> tuple[float, float]:
     """Return the limits of one channel."""
     if name not in channels:
-        raise SettingError(f"plausible: the plant has no channel {name!r}; it has {', '.join(channels)}")
+        raise SettingError(f"plausible: the plant has no channel {echo(name)}; it has {listed(channels)}")
     try:
         low, high = (float(limit) for limit in limits)  # pyright: ignore[reportGeneralTypeIssues]
     except (TypeError, ValueError):
         low, high = np.nan, np.nan
     if not low < high:
         raise SettingError(
-            f"plausible[{name!r}] must be (smallest, largest), the first below the other, got {limits!r}"
+            f"plausible[{echo(name)}] must be (smallest, largest), the first below the other, got {echo(limits)}"
         )
     return low, high
 

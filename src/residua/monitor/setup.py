@@ -21,6 +21,7 @@ from residua.monitor.inputs import settling_samples
 from residua.monitor.partial_update import partial_update
 from residua.monitor.specification import Specification
 from residua.monitor.starting import start_fit
+from residua.visible import echo
 
 #: Numbers that the windows of a monitor may keep for each plant; more is a mistake in the window.
 _MOST_NUMBERS = 10**7
@@ -52,7 +53,7 @@ def chosen_isolation(isolate: Any, generator: ResidualGenerator, design: Any = N
     if isolate is None:
         return NoIsolation()
     if not isinstance(isolate, IsolationSettings):
-        raise SettingError(f"{_KINDS}, got {isolate!r}")
+        raise SettingError(f"{_KINDS}, got {echo(isolate)}")
     isolate.check(generator)
     return isolate
 
@@ -66,7 +67,7 @@ def chosen_test(
     """
     if test is not None and not isinstance(test, TestSettings):
         raise SettingError(
-            f"test must be NormThreshold(...), PeakThreshold(...), or TestSettings of your own, got {test!r}"
+            f"test must be NormThreshold(...), PeakThreshold(...), or TestSettings of your own, got {echo(test)}"
         )
     certified: dict[str, float] = {}
     if test is None or test.takes_certified:

@@ -16,6 +16,7 @@ from residua.decide.test import ResidualTest
 from residua.design import ResidualGenerator
 from residua.errors import SettingError
 from residua.linear.systems.recursion import ordered_product
+from residua.visible import echo
 
 #: How a filter starts: from rest at the first sample, or with the state that its first residuals show.
 STARTS = ("estimated", "rest")
@@ -93,7 +94,7 @@ class StartFit:
 def checked_start(value: object) -> str:
     """Return the setting ``start`` of a monitor."""
     if value not in STARTS:
-        raise SettingError(f"start must be 'estimated' or 'rest', got {value!r}")
+        raise SettingError(f"start must be 'estimated' or 'rest', got {echo(value)}")
     return str(value)
 
 

@@ -12,6 +12,7 @@ from residua.arrays import frozen
 from residua.errors import AccuracyError, ModelError
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.linear.systems.descriptor import ScaledPencil, pencil_decision, unit_free_pencil, weierstrass_form
+from residua.tolerances import IDENTITY, ROUNDING, TINY
 
 if TYPE_CHECKING:
     from residua.plant.plant import Plant
@@ -127,7 +128,7 @@ def _kept_states(p: ScaledPencil, X1: NDArray, X2: NDArray, B2: NDArray) -> tupl
     terms = np.abs(X2) @ np.abs(B2)
     # A state that an input reaches at once is no function of z, and has no derivative to speak of.
     free = np.flatnonzero(
-        np.abs(X2 @ B2).max(axis=1, initial=0.0) <= 1e-13 * np.maximum(terms.max(initial=0.0), 1e-300)
+        np.abs(X2 @ B2).max(axis=1, initial=0.0) <= ROUNDING * np.maximum(terms.max(initial=0.0), TINY)
     )
     own = [i for i in free if np.any(p.E[:, i])]
     rows = X1[own]
@@ -168,7 +169,7 @@ def _check_elimination(
     B: NDArray,
     whole_B: NDArray,
     floors: tuple[NDArray, NDArray],
-    limit: float = 1e-8,
+    limit: float = IDENTITY,
 ) -> None:
     """Check ``E X A = A X`` and ``E X B = A direct + B``, each relative to the terms that it is made of.
 

@@ -11,6 +11,7 @@ from residua.arrays import index_of, matrix
 from residua.errors import ModelError
 from residua.linear.systems.sampling import exponentials, noise_covariance
 from residua.plant.channels import number
+from residua.tolerances import TINY
 
 
 def covariance(
@@ -101,7 +102,7 @@ def joint_factors(
     spread = np.sqrt(np.maximum(np.diag(W), 0.0)), np.sqrt(np.maximum(np.diag(V), 0.0))
     bound = np.outer(*spread)
     i, j = np.unravel_index(
-        int(np.argmax(np.where(S == 0, 0.0, np.abs(S) / np.where(bound > 0, bound, 1e-300)))), S.shape
+        int(np.argmax(np.where(S == 0, 0.0, np.abs(S) / np.where(bound > 0, bound, TINY)))), S.shape
     )
     if abs(S[i, j]) > (1 + 1e-8) * bound[i, j]:
         raise ModelError(

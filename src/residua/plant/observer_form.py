@@ -14,6 +14,7 @@ from residua.linear.subspaces.rank import RankDecision, decide_rank, equilibrate
 from residua.linear.systems.balancing import power_of_two, state_units
 from residua.linear.systems.descriptor import weierstrass_form
 from residua.linear.systems.state_space import StateSpace
+from residua.tolerances import TINY
 
 #: Points, in the unit of the variable, at which the determinant is tried: it vanishes at finitely many only.
 _POINTS = np.array([0.31, 1.0, 3.7, 0.9, 1.3]) * np.exp(1j * np.array([0.4, 1.1, 1.9, 2.6, 3.0]))
@@ -163,7 +164,7 @@ def _without_infinite_part(
         terms = np.abs(C[:, k:]) @ size
         impulse = form.N @ impulse
         found = np.abs(C[:, k:] @ impulse)
-        wrong = np.flatnonzero(np.any(found > _IMPULSE * max(float(terms.max(initial=0.0)), 1e-300), axis=1))
+        wrong = np.flatnonzero(np.any(found > _IMPULSE * max(float(terms.max(initial=0.0)), TINY), axis=1))
         if len(wrong):
             raise _improper(outputs[wrong[0]], dt, f"the power {power} of the variable acts on the inputs")
     return form.A1, B[:k], C[:, :k], D

@@ -37,12 +37,12 @@ class ReadOptions:
     def __post_init__(self) -> None:
         """Check what was asked for."""
         if self.decimal not in (".", ","):
-            raise SettingError(f"decimal must be '.' or ',', got {self.decimal!r}")
+            raise SettingError(f"decimal must be '.' or ',', got {echo(self.decimal)}")
         if self.dt is not None and not (np.isfinite(self.dt) and self.dt > 0):
-            raise DataError(f"dt must be a positive step in seconds, got {self.dt!r}")
+            raise DataError(f"dt must be a positive step in seconds, got {echo(self.dt)}")
         if self.tolerance is not None and not 0 < self.tolerance < (0.5 if self.fill_gaps else np.inf):
             least = "between 0 and 0.5" if self.fill_gaps else "over 0"
-            raise SettingError(f"tolerance is a fraction of the step {least}, got {self.tolerance!r}")
+            raise SettingError(f"tolerance is a fraction of the step {least}, got {echo(self.tolerance)}")
 
     @property
     def near(self) -> float:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from residua.errors import DataError, FileFormatError, missing_extra
 from residua.files import replacing
+from residua.visible import echo
 
 
 def write_table(path: str | Path, columns: Mapping[str, Iterable[float] | NDArray]) -> Path:
@@ -57,7 +58,7 @@ def write_table(path: str | Path, columns: Mapping[str, Iterable[float] | NDArra
         with replacing(path) as temporary:
             parquet.write_table(pyarrow.table(arrays), temporary)
     else:
-        raise FileFormatError(f"{path.name}: tables are written as .csv or .parquet, not {suffix!r}")
+        raise FileFormatError(f"{path.name}: tables are written as .csv or .parquet, not {echo(suffix)}")
     return path
 
 

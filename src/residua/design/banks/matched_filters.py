@@ -14,9 +14,8 @@ from residua.design.core.responses import steady_responses
 from residua.design.observers.kalman_filter import kalman_filter
 from residua.errors import DesignError
 from residua.plant import Plant
+from residua.tolerances import RESPONSE_ROUNDING, above_rounding
 
-#: Entries of a response below this fraction of the terms they are made of are rounding.
-_ROUNDING = 1e-12
 #: A response that far from where it settles, as a fraction of its peak, is still under way.
 _SETTLED = 0.1
 #: Numbers in the table of responses; more is a mistake in the window.
@@ -269,7 +268,7 @@ def step_responses(generator: ResidualGenerator, window: int) -> tuple[NDArray[n
         terms = np.maximum(terms, np.abs(form.C) @ np.abs(x) + np.abs(D))
         x = form.A @ x + B
     settled = steady_responses(form.select(inputs=range(n)))
-    return np.where(np.abs(responses) > _ROUNDING * terms, responses, 0.0), settled
+    return above_rounding(responses, terms, RESPONSE_ROUNDING), settled
 
 
 def alike_faults(responses: NDArray[np.float64], alike: float) -> list[list[int]]:

@@ -12,9 +12,8 @@ from residua.design.core.internal_form import leakage_of_inputs
 from residua.errors import AccuracyError
 from residua.linear import StateSpace
 from residua.plant import Plant
+from residua.tolerances import LEAKAGE
 
-#: Largest gain from what is decoupled to the residual, relative to the terms that have to cancel.
-LEAK = 1e-7
 #: The entry of the evidence for the disturbances and the faults that are ignored, together.
 IGNORED = "everything ignored"
 
@@ -38,7 +37,7 @@ class Decoupled:
     disturbances: bool = True
     faults: tuple[str, ...] = ()
     apart: bool = False
-    limit: float = LEAK
+    limit: float = LEAKAGE
 
     def leaks(self, system: StateSpace, plant: Plant, evidence: Evidence) -> dict[str, float]:
         """Return the measured leaks, by the entry of the evidence, or raise when one is too large."""

@@ -27,15 +27,12 @@ from residua.errors import AccuracyError
 from residua.linear import StateSpace, decide_rank
 from residua.linear.systems.response_terms import in_even_units
 from residua.plant import Plant
+from residua.tolerances import POLYNOMIAL_LEAKAGE
 
 if TYPE_CHECKING:
     from residua.design.observers.observer import Observer
     from residua.design.parity.equivalence import Equivalence
     from residua.design.parity.relations import ParityRelations, Poles
-
-
-#: A generator that leaks less of the controls, relative to what cancels, is exact.
-_EXACT = 1e-6
 
 
 @dataclass(frozen=True)
@@ -231,7 +228,7 @@ class ResidualGenerator:
         if own and not controls:
             return self._internal_form
         plant = self.plant if plant is None else plant
-        if own and self.known_form is not None and self.evidence.decoupling.get("control", 0.0) < _EXACT:
+        if own and self.known_form is not None and self.evidence.decoupling.get("control", 0.0) < POLYNOMIAL_LEAKAGE:
             return with_silent_inputs(self.known_form, plant.inputs)
         maps = (self.state_map, self.static_map) if own else (None, None)
         return internal_form(self.system, plant, *maps, with_controls=controls)

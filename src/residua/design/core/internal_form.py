@@ -11,6 +11,7 @@ from residua.linear.subspaces.reachability import without_unobservable
 from residua.linear.systems.balancing import descriptor_units, state_units
 from residua.linear.systems.response_terms import accurate_response, in_even_units, paths, response_terms
 from residua.plant import Plant
+from residua.tolerances import IDENTITY, TINY
 
 #: A response this far below its terms at every frequency is rounding.
 _NOTHING = 1e-13
@@ -85,7 +86,7 @@ def with_silent_inputs(form: StateSpace, names: tuple[str, ...]) -> StateSpace:
 
 
 def check_state_map(
-    generator: StateSpace, plant: Plant, T: NDArray, V: NDArray | None = None, *, limit: float = 1e-8
+    generator: StateSpace, plant: Plant, T: NDArray, V: NDArray | None = None, *, limit: float = IDENTITY
 ) -> float:
     r"""Return how far the identities of a generator are missed, or raise.
 
@@ -112,23 +113,23 @@ def check_state_map(
     own = _largest(p.A, units / units[:, None]) if p.E is None else 0.0
     if generator.n_states:  # where decoupling left T = 0, all the terms are rounding of what the poles are made of
         own = max(own, 1e-3 * float(np.abs(generator.poles()).max()))
-    first /= max(_largest(terms, units / rows[:, None]), own, 1e-300)
+    first /= max(_largest(terms, units / rows[:, None]), own, TINY)
     terms = np.abs(generator.C) @ absolute_TE + np.abs(Hy) @ np.abs(p.C) + np.abs(V) @ np.abs(p.A)
     heights = np.abs(p.C) @ units
     scale = units / np.where(heights > 0, heights, 1.0)[:, None] if len(Hy) == len(p.C) else units[None, :]
     per_row = (
         np.abs(generator.C) * rows / (np.where(heights > 0, heights, 1.0)[:, None] if len(Hy) == len(p.C) else 1.0)
     )
-    floor = max(1e-6 * float(per_row.max(initial=0.0)), 1e-300)
+    floor = max(1e-6 * float(per_row.max(initial=0.0)), TINY)
     missed = generator.C @ TE + Hy @ p.C + V @ p.A
     second = _largest(missed, scale) / max(_largest(terms, scale), floor)
     # no residual hides behind another in larger units
     own_terms = np.maximum((terms * scale).max(axis=1, initial=0.0), 1e-6 * per_row.max(axis=1, initial=0.0))
-    each = (np.abs(missed) * scale).max(axis=1, initial=0.0) / np.maximum(own_terms, 1e-300)
+    each = (np.abs(missed) * scale).max(axis=1, initial=0.0) / np.maximum(own_terms, TINY)
     third = 0.0
     if np.any(V) and p.E is not None:  # what V reads may stand where E is zero, and meet it by rounding only
         beside = np.abs(V).max(axis=1, initial=0.0)[:, None] * np.abs(p.E).max(axis=0, initial=0.0)
-        third = _largest(VE, scale) / max(_largest(absolute_VE, scale), 1e-3 * _largest(beside, scale), 1e-300)
+        third = _largest(VE, scale) / max(_largest(absolute_VE, scale), 1e-3 * _largest(beside, scale), TINY)
     worst = max(first, second, third)
     _accepted(max(worst, float(each.max(initial=0.0))), limit)
     return worst

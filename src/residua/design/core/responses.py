@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from residua.errors import AccuracyError
 from residua.linear import StateSpace
 from residua.linear.systems.response_terms import in_even_units
+from residua.tolerances import IDENTITY, TINY
 
 
 def steady_responses(form: StateSpace) -> NDArray[np.float64]:
@@ -37,8 +38,8 @@ def state_covariance(A: NDArray, Q: NDArray) -> NDArray[np.float64]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # ill-conditioning shows in the residual below
         X = scipy.linalg.solve_discrete_lyapunov(A, Q)
-    missed = float(np.linalg.norm(X - A @ X @ A.T - Q) / max(np.linalg.norm(X), 1e-300))
-    if not missed < 1e-8:
+    missed = float(np.linalg.norm(X - A @ X @ A.T - Q) / max(np.linalg.norm(X), TINY))
+    if not missed < IDENTITY:
         raise AccuracyError(f"the covariance of the residual misses its equation by {missed:.2g}: rescale the plant")
     return X * units[:, None] * units
 

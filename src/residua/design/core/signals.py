@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua.errors import DataError, ModelError
 from residua.linear import StateSpace
 from residua.plant import Plant
+from residua.tolerances import SAME
 
 
 def signal_names(plant: Plant) -> list[str]:
@@ -24,7 +25,7 @@ def sampled_filter(system: StateSpace, plant: Plant, dt: float | None) -> StateS
                 "or design for the sampled plant, plant.discretize(dt)"
             )
         return discretized_filter(system, plant, dt, "linear")
-    if dt is not None and abs(dt - system.dt) > 1e-9 * system.dt:
+    if dt is not None and abs(dt - system.dt) > SAME * system.dt:
         raise DataError(f"the filter has dt={system.dt:g} s, the recording {dt:g} s")
     return system
 

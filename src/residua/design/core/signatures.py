@@ -11,9 +11,8 @@ from residua.design.core.internal_form import frequency_grid
 from residua.linear import StateSpace
 from residua.linear.systems.response_terms import in_even_units, response_terms
 from residua.plant import Plant
+from residua.tolerances import DESIGN_ROUNDING, TINY
 
-#: A response this far below its terms at every frequency is what rounding of the design has left of nothing.
-_NOTHING = 1e-9
 #: Of the largest terms of a row and of a column, wherever they stand: what stands elsewhere leaves eps of rounding.
 _ELSEWHERE = 1e-4
 #: Frequencies at which a response is this far below its largest say nothing about its direction.
@@ -93,7 +92,7 @@ def fault_responses(
     found = response_terms(scaled, points, B, D)
     Q = np.abs(generator.frequency_response(w)[:, :, n_u:]) * own.outputs[:, None] / p.outputs
     driven = _largest(Q, np.abs(p.system.frequency_response(w)))
-    reached = np.any(np.abs(found.values) > _NOTHING * (found.terms + driven), axis=0)
+    reached = np.any(np.abs(found.values) > DESIGN_ROUNDING * (found.terms + driven), axis=0)
     terms = found.terms + driven if T is None else found.terms
     return FaultResponses(scaled, np.where(reached, found.values, 0.0), terms, reached, own.outputs)
 
@@ -210,7 +209,7 @@ def first_response(form: StateSpace, column: int) -> NDArray[np.float64]:
     """Return the first nonzero Markov parameter ``D, C B, C A B, ...`` of one input, up to a positive factor."""
     if np.any(form.D[:, column]):
         return form.D[:, column]
-    A = form.A / max(float(np.linalg.norm(form.A)), 1e-300)  # only the direction matters: no power overflows
+    A = form.A / max(float(np.linalg.norm(form.A)), TINY)  # only the direction matters: no power overflows
     x = form.B[:, column]
     scale = np.linalg.norm(form.C) * np.linalg.norm(x)
     for _ in range(form.n_states):

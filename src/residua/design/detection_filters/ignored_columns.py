@@ -15,9 +15,6 @@ from residua.linear.subspaces.rank import RankDecision, decide_rank, range_basis
 from residua.linear.systems.balancing import descriptor_units, without_rounding
 from residua.plant import Plant
 
-#: Largest gain from what is ignored to the residual, relative to the terms that have to cancel.
-_LEAK = 1e-7
-
 
 @dataclass(frozen=True, eq=False)
 class IgnoredColumns:

@@ -15,6 +15,7 @@ from residua.linear.poles.pole_assignment import real_block_diagonal
 from residua.linear.subspaces.observability import observability_form
 from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis, null_basis
 from residua.linear.systems.balancing import without_rounding
+from residua.tolerances import TINY, above_rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +66,7 @@ def left_rows(parts: IgnoredColumns, *, approximate: bool, rtol: float) -> LeftR
     N, rank_C = null_basis(C, rtol=rtol)
     missed = H @ A @ N
     size = float(np.linalg.norm(H @ A, 2)) if H.size else 0.0
-    found, decision = left_null_basis(missed, rtol=rtol, scale=max(size, 1e-300))
+    found, decision = left_null_basis(missed, rtol=rtol, scale=max(size, TINY))
     rows = found.T
     ranks = {"rank C": rank_C}
     exact = bool(len(rows)) or not k
@@ -74,11 +75,11 @@ def left_rows(parts: IgnoredColumns, *, approximate: bool, rtol: float) -> LeftR
         rows = u[:, [len(distances) - 1]].T
         h = rows @ H
         ranks["rank [C; h A]"] = decide_rank(np.vstack([C, h @ A]), rtol=rtol)
-        distance = float(np.linalg.norm(h @ A @ N) / max(np.linalg.norm(h @ A), 1e-300))
+        distance = float(np.linalg.norm(h @ A @ N) / max(np.linalg.norm(h @ A), TINY))
         if not approximate:
             raise _not_implementable(parts, h, ranks, distance, bool(len(still)))
     else:
-        distance = float(np.linalg.norm(rows @ missed)) / max(size, 1e-300)
+        distance = float(np.linalg.norm(rows @ missed)) / max(size, TINY)
         ranks["rank [C; h A]"] = decide_rank(np.vstack([C, rows @ H @ A]), rtol=rtol) if len(rows) else rank_C
         ranks["h A off the rows of C"] = decision
     S0 = rows @ (U[:, :k].T / sizes[:k, None]) @ blind
@@ -139,7 +140,7 @@ def _rest(A: NDArray, K: NDArray, C: NDArray, N: NDArray) -> NDArray[np.float64]
     """Return :math:`N^T (A - K C) N` without what is rounding, which placement would take for couplings."""
     rest = N.T @ A @ N - N.T @ K @ (C @ N)
     terms = np.abs(N.T) @ (np.abs(A) + np.abs(K) @ np.abs(C)) @ np.abs(N)
-    return np.where(np.abs(rest) > 1e-13 * len(A) * terms, rest, 0.0)
+    return above_rounding(rest, len(A) * terms)
 
 
 def row_error(parts: IgnoredColumns, rows: LeftRows, K0: NDArray) -> float:
@@ -150,7 +151,7 @@ def row_error(parts: IgnoredColumns, rows: LeftRows, K0: NDArray) -> float:
     image = H @ parts.A - (H @ K0) @ parts.C
     off = image - (image @ np.linalg.pinv(H)) @ H
     terms = np.abs(H) @ np.abs(parts.A) + np.abs(H @ K0) @ np.abs(parts.C)
-    return float(np.abs(off).max(initial=0.0) / max(float(terms.max(initial=0.0)), 1e-300))
+    return float(np.abs(off).max(initial=0.0) / max(float(terms.max(initial=0.0)), TINY))
 
 
 def left_frame(parts: IgnoredColumns, rows: LeftRows) -> Frame:

@@ -22,6 +22,7 @@ from residua.linear.subspaces.detection_space import (
 from residua.linear.subspaces.observability import is_stable_mode, observability_form
 from residua.linear.subspaces.rank import left_null_basis, range_basis
 from residua.linear.subspaces.reachability import reachable_basis
+from residua.tolerances import TINY
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +186,7 @@ def column_error(parts: IgnoredColumns, confined: Confinement, S0: NDArray, K0: 
 
 
 def _ratio(off: NDArray, terms: NDArray) -> float:
-    return float(np.abs(off).max(initial=0.0) / max(float(terms.max(initial=0.0)), 1e-300))
+    return float(np.abs(off).max(initial=0.0) / max(float(terms.max(initial=0.0)), TINY))
 
 
 def right_frame(parts: IgnoredColumns, confined: Confinement) -> Frame:

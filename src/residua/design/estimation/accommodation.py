@@ -17,6 +17,7 @@ from residua.errors import DesignError, ModelError, SettingError
 from residua.linear import StateSpace
 from residua.linear.systems.balancing import descriptor_units
 from residua.plant import Plant
+from residua.tolerances import TINY
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,7 +217,7 @@ def _connected(
     L[s, y], L[s, xh], L[s, u] = reads
     M[u, own_x], L[u, s], L[u, fh], N[u, :m] = -K.C, -K.D, -Gamma, np.eye(m)
     loop = np.eye(total) - L
-    scale = np.maximum(np.abs(loop).max(axis=1), 1e-300)
+    scale = np.maximum(np.abs(loop).max(axis=1), TINY)
     condition = float(np.linalg.cond(loop / scale[:, None]))
     if not condition < 1e12:
         raise DesignError(

@@ -11,6 +11,7 @@ from residua.errors import AccuracyError, DesignError
 from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis, null_basis
 from residua.linear.systems.balancing import descriptor_units
 from residua.plant import Plant
+from residua.tolerances import ROUNDING
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +118,7 @@ def _reading_what_it_needs(first: NDArray, second: NDArray, M: NDArray, wanted: 
     """
     X, terms = first @ second, np.abs(first) @ np.abs(second)
     for i, row in enumerate(X):
-        kept = np.abs(row) > 1e-13 * terms[i]
+        kept = np.abs(row) > ROUNDING * terms[i]
         if not kept.all():
             fewer = np.zeros(len(row))
             fewer[kept] = wanted[i] @ _inverse(M[kept], rtol)

@@ -9,6 +9,7 @@ import numpy as np
 from residua.design.core.internal_form import frequency_grid
 from residua.errors import AccuracyError, ModelError
 from residua.linear import StateSpace
+from residua.tolerances import TINY
 
 if TYPE_CHECKING:
     from residua.design.observers.observer import Observer
@@ -54,12 +55,12 @@ def check_estimate(observer: Observer, *, limit: float = 3e-7) -> float:
     off = np.abs(direct + Q[:, :, n_u:] @ Y - X).max(axis=0)
     terms = (np.abs(direct) + np.abs(Q[:, :, n_u:]) @ np.abs(Y) + np.abs(X)).max(axis=0)
     # an input that hardly reaches a state is judged by what others do to it: what rounding left of nothing is not off
-    rows = np.maximum(terms.max(axis=1, keepdims=True), 1e-300)
+    rows = np.maximum(terms.max(axis=1, keepdims=True), TINY)
     terms = np.maximum(terms, 1e-6 * rows * (terms / rows).max(axis=0))
     # nor is a path that is itself what rounding left of nothing, as that of a measurement that is not used
     paths = np.abs(Q[:, :, n_u:]).max(axis=(0, 2))[:, None] * np.abs(Y).max(axis=(0, 1))[None, :]
     terms = np.maximum(terms, 1e-9 * paths)
-    worst = float(np.max(off / np.maximum(terms, 1e-300)))
+    worst = float(np.max(off / np.maximum(terms, TINY)))
     if not worst <= limit:
         raise AccuracyError(
             f"the estimate is off the state by {worst:.2g} (relative, limit {limit:.0e}): the measurements see "

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.arrays import matrix
-from residua.design.core.decoupling import LEAK, Decoupled
+from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.internal_form import leakage
@@ -32,6 +32,7 @@ from residua.linear.poles.spectrum import describe_modes
 from residua.linear.subspaces.observability import is_stable_mode
 from residua.linear.subspaces.rank import RankDecision, decide_rank, equilibrated
 from residua.plant import Plant
+from residua.tolerances import LEAKAGE
 
 REFERENCE = "Gertler (1991), Automatica 27(4), eqs. (3-11), (3-13), (4-8) and (4-15) to (4-20)"
 
@@ -339,10 +340,10 @@ def _must_decouple(made: ResidualGenerator) -> ResidualGenerator:
     if "disturbance" not in leaks:  # the observer does not promise it
         leaks = leakage(made.system, made.plant)
     gain = leaks.get("disturbance", 0.0)
-    if gain > LEAK:
+    if gain > LEAKAGE:
         raise DesignError(
             f"the residual does not ignore the disturbances {', '.join(made.plant.disturbances)}, as decouples=True "
-            f"asks: they reach it by {gain:.2g} of the terms that would have to cancel (allowed: {LEAK:.0e}); "
+            f"asks: they reach it by {gain:.2g} of the terms that would have to cancel (allowed: {LEAKAGE:.0e}); "
             "leave decouples out to take it as it is, or have one designed, as by unknown_input_observer or "
             "decoupled_residual"
         )

@@ -25,6 +25,7 @@ from residua.linear.poles.placement import place_observer_poles
 from residua.linear.poles.spectrum import spectrum_error
 from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank, equilibrated
 from residua.plant import Plant
+from residua.tolerances import IDENTITY, TINY
 
 _INSTEAD = "fault_estimator and unknown_input_observer do not need it"
 
@@ -289,8 +290,8 @@ def _observer(plant: Plant, N_BF: NDArray, K: NDArray, Pi: NDArray, rows: list[i
             np.abs(T) @ np.abs(plant.A) + np.abs(gain) @ np.abs(C) + np.abs(F) @ np.abs(T),
         ),
     }
-    missed = {name: float(np.abs(M).max() / max(terms.max(), 1e-300)) for name, (M, terms) in parts.items()}
-    if not max(missed.values()) < 1e-8:
+    missed = {name: float(np.abs(M).max() / max(terms.max(), TINY)) for name, (M, terms) in parts.items()}
+    if not max(missed.values()) < IDENTITY:
         raise AccuracyError(
             f"the identities of the observer are missed by {max(missed.values()):.2g}: the inverse form is too badly "
             "conditioned here; use fault_estimator"

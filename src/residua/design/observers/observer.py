@@ -18,6 +18,7 @@ from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.systems.balancing import power_of_two
 from residua.plant import Plant
 from residua.plant.even_units import EvenPlant, even_plant
+from residua.tolerances import TINY, above_rounding
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -269,12 +270,12 @@ def _without_rounding(direct: NDArray, read: NDArray, factor: NDArray) -> NDArra
     largest = np.abs(read).max(axis=1, initial=0.0)[:, None] * np.abs(factor).max(axis=0, initial=0.0)
     terms = (np.abs(direct) + largest).max(axis=1, keepdims=True, initial=0.0)
     found = direct + read @ factor
-    return np.where(np.abs(found) > 1e-13 * (1 + read.shape[1]) * terms, found, 0.0)
+    return above_rounding(found, (1 + read.shape[1]) * terms)
 
 
 def _more_than(found: NDArray, terms: NDArray) -> NDArray[np.bool_]:
     """Tell in which rows something is more than the rounding of the terms that it is made of."""
-    return np.abs(found).max(axis=1, initial=0.0) > 1e-10 * np.maximum(1e-300, terms.max(axis=1, initial=0.0))
+    return np.abs(found).max(axis=1, initial=0.0) > 1e-10 * np.maximum(TINY, terms.max(axis=1, initial=0.0))
 
 
 def _path(found: NDArray, read: NDArray, factor: NDArray) -> NDArray[np.bool_]:

@@ -11,12 +11,11 @@ from residua.errors import AccuracyError, DesignError
 from residua.linear.subspaces.observability import staircase
 from residua.linear.subspaces.rank import decide_rank, null_basis, range_basis
 from residua.linear.systems.descriptor import scaled_pencil
+from residua.tolerances import IDENTITY, ROUNDING
 
 Matrix = NDArray[np.float64]
 #: Largest relative variation of det(sN - I), which has to be constant, over the tried s.
 VARIATION = 1e-6
-#: What T [A Bd] + L [C Dd] = I and the zeros of the nilpotent form may be missed by, in scaled units.
-IDENTITY = 1e-8
 #: A square T beyond this condition counts as singular: K = T^-1 L would be all rounding.
 CONDITION = 1e8
 _ATTEMPTS = 12
@@ -165,7 +164,7 @@ def nilpotency_index(N: Matrix) -> int:
     """Return the smallest ``k`` with ``N^k = 0``; entries count as zero against the terms that they are sums of."""
     power, terms = np.eye(len(N)), np.eye(len(N))
     for k in range(len(N) + 1):
-        if not np.any(np.abs(power) > 1e-13 * terms):
+        if not np.any(np.abs(power) > ROUNDING * terms):
             return k
         power, terms = power @ N, terms @ np.abs(N)
     return len(N) + 1

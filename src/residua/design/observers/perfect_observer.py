@@ -24,14 +24,11 @@ from residua.linear.systems.balancing import descriptor_units
 from residua.linear.systems.descriptor import scaled_pencil
 from residua.linear.systems.response_terms import response_terms
 from residua.plant import Plant
+from residua.tolerances import RESPONSE_ROUNDING, above_rounding
 
 REFERENCE = "Twardy and Kaczorek, part I, eqs. (30) to (33), Theorem 4, Procedure 2"
 #: States of a filter beyond which its peak gain is not computed.
 MOST_STATES = 300
-#: A coefficient below this fraction of the terms that it is the sum of is rounding.
-_ROUNDING = 1e-13
-#: A response this far below its terms is rounding of nothing.
-_NOTHING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -423,7 +420,7 @@ def trimmed(
     rtol : float
         Coefficients below this fraction of what their row and their column are made of count as rounding.
     """
-    out = [np.where(np.abs(P) > _ROUNDING * size, P, 0.0) for P, size in zip(coefficients, sizes, strict=True)]
+    out = [above_rounding(P, size) for P, size in zip(coefficients, sizes, strict=True)]
     total = sum(rate**i * size for i, size in enumerate(sizes))
     columns = np.max(total, axis=0, keepdims=True, initial=0.0)
     columns = np.where(columns > 0, columns, 1.0)
@@ -619,7 +616,7 @@ def _estimate_off(o: PerfectObserver, system: StateSpace, limit: float = 1e-6) -
     units = descriptor_units(driven.A, driven.E, driven.B, driven.C, driven.D).inputs
     points = np.exp(1j * np.array([0.2, 0.9, 2.3])) if p.dt else 1j * o.bandwidth * np.array([0.043, 0.21, 0.93])
     reached = response_terms(driven.replaced(C=np.eye(n), D=np.zeros((n, m)), outputs=None), points)
-    X = np.where(np.abs(reached.values) > _NOTHING * reached.terms, reached.values, 0.0)
+    X = above_rounding(reached.values, reached.terms, RESPONSE_ROUNDING)
     Q, P = system.evaluate(points), driven.evaluate(points)
     found = Q[..., n_u:] @ P
     found[..., :n_u] += Q[..., :n_u]

@@ -25,6 +25,7 @@ from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_b
 from residua.linear.systems.balancing import descriptor_units, without_rounding
 from residua.plant import Plant
 from residua.plant.even_units import even_plant
+from residua.tolerances import IDENTITY, RESIDUE, ROUNDING, TINY, above_rounding
 
 
 def reduced_observer(
@@ -130,7 +131,7 @@ def _particular(EQ: NDArray, D: NDArray, order: int, plant: Plant, rtol: float) 
 
 def _without_noise(M: NDArray) -> NDArray[np.float64]:
     """Return a matrix without the entries that are the rounding of the largest of their row."""
-    return np.where(np.abs(M) > 1e-14 * np.abs(M).max(axis=1, keepdims=True, initial=0.0), M, 0.0)
+    return above_rounding(M, np.abs(M).max(axis=1, keepdims=True, initial=0.0), RESIDUE)
 
 
 def _placed(C: NDArray, A: NDArray, poles: object, margin: float | None, plant: Plant, rtol: float) -> Placement:
@@ -153,7 +154,7 @@ def _full_rank_columns(D: NDArray, terms: NDArray, rtol: float) -> NDArray:
     What is rounding of the terms that a column is made of is no disturbance.
     """
     size = np.linalg.norm(D, axis=0)
-    real = size > 1e-13 * np.linalg.norm(terms, axis=0)
+    real = size > ROUNDING * np.linalg.norm(terms, axis=0)
     D = D[:, real] / size[real]
     U, s, _ = np.linalg.svd(D, full_matrices=False)
     return U[:, s > rtol]
@@ -202,11 +203,11 @@ def _check(
     TE = T if plant.E is None else T @ plant.E
     missed = (M @ TE + H @ plant.C - np.eye(plant.n_states)) * units / units[:, None]
     terms = (np.abs(M) @ np.abs(TE) + np.abs(H) @ np.abs(plant.C)) * units / units[:, None]
-    first = np.abs(missed).max(initial=0.0) / max(np.abs(terms).max(initial=0.0), 1e-300)
+    first = np.abs(missed).max(initial=0.0) / max(np.abs(terms).max(initial=0.0), TINY)
     unknown = np.abs(T @ plant.Bd - K @ plant.Dd)
     terms = _outer(T, plant.Bd) + _outer(K, plant.Dd)
     second = float(np.max(unknown / np.where(terms > 0, terms, 1.0), initial=0.0))
-    if not max(first, second) < 1e-8:
+    if not max(first, second) < IDENTITY:
         raise AccuracyError(
             f"M T E + H C = I is missed by {first:.2g} and T E_d = K D_d by {second:.2g} (relative): the plant is too "
             "badly conditioned for an observer of reduced order; use unknown_input_observer"

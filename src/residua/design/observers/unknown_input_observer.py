@@ -30,6 +30,7 @@ from residua.linear.subspaces.observability import staircase
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision
 from residua.linear.systems.balancing import without_rounding
 from residua.plant import Plant
+from residua.tolerances import IDENTITY, TINY, above_rounding
 
 REFERENCE = "Chen, Patton and Zhang (1996), Int. J. Control 63(1), eqs. (2) to (13)"
 
@@ -188,7 +189,7 @@ def decoupling_gain(form: OutputFreeForm, H0: ArrayLike | None = None) -> NDArra
     for _ in range(2):  # channels in very different units make one pseudoinverse inexact
         H = H + (form.E - H @ CE) @ inverse
     # what rounding left of nothing would couple states that nothing couples, in some units strongly
-    H = np.where(np.abs(H) > 1e-13 * p * (np.abs(form.E) @ np.abs(inverse)), H, 0.0)
+    H = above_rounding(H, p * (np.abs(form.E) @ np.abs(inverse)))
     if H0 is not None:
         n = len(form.A)
         free = matrix(H0, "H0", (n, form.W.shape[1]), what="states x outputs") @ form.W.T
@@ -212,14 +213,14 @@ def assemble(
     sizes = max(1.0, float(np.linalg.norm(T))), float(np.linalg.norm(K))
     terms = sizes[0] * np.linalg.norm(plant.Bd, axis=0) + sizes[1] * np.linalg.norm(plant.Dd, axis=0)
     identity = _relative(T @ plant.Bd - K @ plant.Dd, terms[None, :], by_column=True)
-    if not identity < 1e-8:
+    if not identity < IDENTITY:
         raise AccuracyError(
             f"the disturbances are not decoupled: |T E| / |E| = {identity:.2g}; the outputs see them too weakly "
             "beside one another; add a sensor, or decouple fewer disturbances"
         )
     TE = T if plant.E is None else T @ plant.E
     whole = _relative(TE + H @ plant.C - np.eye(plant.n_states), np.abs(TE) + np.abs(H) @ np.abs(plant.C))
-    if not whole < 1e-8:
+    if not whole < IDENTITY:
         raise AccuracyError(
             f"T E + H C = I is missed by {whole:.2g} (relative): the outputs see the disturbances too weakly beside "
             "one another; add a sensor, or decouple fewer disturbances"
@@ -251,7 +252,7 @@ def assemble(
 def _relative(missed: NDArray, terms: NDArray, *, by_column: bool = False) -> float:
     """Return what an identity is missed by, relative to the largest of its terms, or of those of each column."""
     size = terms.max(axis=0 if by_column else None, keepdims=True, initial=0.0)
-    return float(np.max(np.abs(missed) / np.maximum(size, 1e-300), initial=0.0))
+    return float(np.max(np.abs(missed) / np.maximum(size, TINY), initial=0.0))
 
 
 def _ranks(plant: Plant, existence: UnknownInputExistence) -> dict[str, RankDecision]:

@@ -16,9 +16,8 @@ from residua.linear.polynomials.common_factor import without_common_factor
 from residua.linear.polynomials.pencil_null_space import DEFAULT_RTOL, pencil, shortest_pencil_null_vectors
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.reachability import without_unobservable
+from residua.tolerances import LEAKAGE
 
-#: How far a residual may be from a relation, relative to the terms that have to cancel.
-_EXACT = 1e-7
 #: What a division may leave, relative to the terms that have to cancel.
 _DIVIDED = 1e-10
 
@@ -85,11 +84,11 @@ def _row(generator: ResidualGenerator, i: int, rtol: float) -> RowFraction:
     x, zeros, _ = without_common_factor(np.hstack([p, q]), basis)
     relation = Relation(x[:, :n], x[:, n:], basis, np.zeros((n + plant.n_outputs, 0)), zeros)
     missed = relation.missed(plant)
-    if not missed <= _EXACT:
+    if not missed <= LEAKAGE:
         why = "it only approximates one, as a sampled continuous design does" if T is None else "too ill-conditioned"
         raise AccuracyError(
             f"residual {generator.residuals[i]!r} is no exact parity relation "
-            f"(off by {missed:.2g} > {_EXACT:.0e}): {why}"
+            f"(off by {missed:.2g} > {LEAKAGE:.0e}): {why}"
         )
     return RowFraction(relation, zeros, poles)
 

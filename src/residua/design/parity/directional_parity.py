@@ -23,6 +23,7 @@ from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
+from residua.tolerances import TINY
 
 #: A response, or a singular value of what is read, below this fraction of the largest possible counts as none.
 _SEEN = 1e-9
@@ -311,7 +312,7 @@ def _solutions(joint: DirectionalPencil, generic: _Generic, degree: int, rtol: f
     X, gammas = joint.balanced(y)
     n = joint.equations - joint.outputs
     elements = joint.reduced.basis.values(generic.points, degree)
-    elements = elements / np.maximum(np.linalg.norm(elements, axis=1, keepdims=True), 1e-300)
+    elements = elements / np.maximum(np.linalg.norm(elements, axis=1, keepdims=True), TINY)
     read = np.einsum("pk,nkij->npij", elements, X[..., n:])
     return _Solutions(y, gammas, read, generic.rank, decision)
 

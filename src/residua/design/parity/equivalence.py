@@ -19,6 +19,7 @@ from residua.linear import StateSpace, decide_rank
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.reachability import without_unobservable
 from residua.linear.systems.balancing import descriptor_units
+from residua.tolerances import TINY
 
 #: Two responses are parallel when they miss each other by less than this, relative, at every frequency.
 _PARALLEL = 1e-6
@@ -175,7 +176,7 @@ class Equivalence:
         made = _minimal(back.series(b)).replaced(inputs=a.outputs, outputs=b.outputs)
         w = frequency_grid(a, b)
         wanted = self.transformation(w)
-        missed = np.abs(made.frequency_response(w) - wanted).max() / max(np.abs(wanted).max(), 1e-300)
+        missed = np.abs(made.frequency_response(w) - wanted).max() / max(np.abs(wanted).max(), TINY)
         if not missed < 1e-5:
             raise AccuracyError(f"the transformation as a filter misses its frequency response by {missed:.2g}")
         return made
@@ -342,9 +343,9 @@ def _row(
     dt = first.system.dt
     filtered = Qa[:, i] * shape.evaluate(np.exp(1j * w * dt) if dt else 1j * w)[:, None]
     size = np.linalg.norm(filtered, axis=1)
-    weight = 1 / np.maximum(size, 1e-300)[:, None] ** 2
+    weight = 1 / np.maximum(size, TINY)[:, None] ** 2
     gain = float((weight * (filtered.conj() * Qb[:, j])).sum().real / (weight * np.abs(filtered) ** 2).sum())
-    off = np.linalg.norm(gain * filtered - Qb[:, j], axis=1) / np.maximum(np.linalg.norm(Qb[:, j], axis=1), 1e-300)
+    off = np.linalg.norm(gain * filtered - Qb[:, j], axis=1) / np.maximum(np.linalg.norm(Qb[:, j], axis=1), TINY)
     return RowTransformation(shape.first, shape.second, gain, zeros, poles, float(max(error, np.median(off))))
 
 
@@ -368,13 +369,13 @@ def _missed(Qa: NDArray, Qb: NDArray) -> float:
     size = np.linalg.norm(Qb, axis=2)
     loud = size > _FAINT * size.max(axis=0, initial=0.0)
     left = Qb - _transformation(Qa, Qb) @ Qa
-    share = np.linalg.norm(left, axis=2) / np.maximum(size, 1e-300)
+    share = np.linalg.norm(left, axis=2) / np.maximum(size, TINY)
     return float(np.max(np.where(loud, share, 0.0), initial=0.0))
 
 
 def _transformation(Qa: NDArray, Qb: NDArray) -> NDArray[np.complex128]:
     """Return the least-squares ``V`` with ``V Qa = Qb`` at every frequency, in units of the rows."""
-    rows = np.maximum(np.linalg.norm(Qa, axis=2), 1e-300)
+    rows = np.maximum(np.linalg.norm(Qa, axis=2), TINY)
     unit = Qa / rows[:, :, None]
     return Qb @ np.linalg.pinv(unit, rcond=1e-9) / rows[:, None, :]
 

@@ -17,6 +17,7 @@ from residua.linear.polynomials.pencil_null_space import pencil, refined
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.rank import left_null_basis
 from residua.plant import Plant
+from residua.tolerances import TINY
 
 #: Terms below this fraction of the largest, in balanced units, may be nothing but rounding.
 _TAKES_PART = 1e-6
@@ -107,7 +108,7 @@ def divided(
             total, terms = total + links[j + 1] * p[j + 1], terms + np.abs(links[j + 1] * p[j + 1])
         if j:
             p[j - 1] = total / basis.sizes[j - 1]
-    return p, float(np.abs(total).max(initial=0.0) / max(float(terms.max(initial=0.0)), 1e-300))
+    return p, float(np.abs(total).max(initial=0.0) / max(float(terms.max(initial=0.0)), TINY))
 
 
 def digits_lost(rows: Sequence[Relation], generator: ResidualGenerator) -> float | None:
@@ -130,7 +131,7 @@ def digits_lost(rows: Sequence[Relation], generator: ResidualGenerator) -> float
         seen = generator.structure[i]
         share = np.median(response / np.where(terms > 0, terms, 1.0), axis=0)[seen]
         worst = min(worst, float(share.min(initial=1.0)))
-    return float(-np.log10(max(worst, 1e-300))) if plant.faults else None
+    return float(-np.log10(max(worst, TINY))) if plant.faults else None
 
 
 def plant_rate(plant: Plant) -> float:

@@ -25,12 +25,11 @@ from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.systems.balancing import descriptor_units
 from residua.plant import Plant
 from residua.plant.canonical_units import PlantUnits, canonical_units
+from residua.tolerances import POLYNOMIAL_LEAKAGE, above_rounding
 
 #: What the states may be missed by, relative to the terms that have to cancel.
 _REMAINDER = 1e-8
 _LOST = "digits lost to cancellation"
-#: In a filter of polynomials up to ten digits of sixteen may cancel, and the evidence says how many do.
-_LEAK = 1e-6
 #: Measurements seldom have more digits than this.
 _MANY = 6.0
 #: A moving average in which more digits cancel is made only for those who ask for its poles, all zero.
@@ -117,7 +116,7 @@ class ParityRelations:
         k = max(self.orders, default=0)
         P, Q = self.state_rows.padded(k), self.output_rows.padded(k)
         value, terms = P @ B + Q @ D, np.abs(P) @ np.abs(B) + np.abs(Q) @ np.abs(D)
-        return PolynomialMatrix(np.where(np.abs(value) > 1e-13 * terms.max(axis=0, initial=0.0), value, 0.0))
+        return PolynomialMatrix(above_rounding(value, terms.max(axis=0, initial=0.0)))
 
     @cached_property
     def _in_powers(self) -> tuple[PolynomialMatrix, PolynomialMatrix]:
@@ -219,7 +218,7 @@ class ParityRelations:
             plant,
             method,
             evidence,
-            decouples=Decoupled(disturbances=not self._disturbed(rows), limit=_LEAK),
+            decouples=Decoupled(disturbances=not self._disturbed(rows), limit=POLYNOMIAL_LEAKAGE),
             state_map=np.vstack([part.state_map for part in parts]),
             static_map=None if plant.E is None else np.vstack([part.static_map for part in parts]),
         )

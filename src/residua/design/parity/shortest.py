@@ -22,6 +22,7 @@ from residua.linear.polynomials.pencil_null_space import (
 )
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.rank import RankDecision
+from residua.tolerances import POLYNOMIAL_LEAKAGE
 
 #: A fault is seen by a relation when more than this of the largest response that its size allows is left.
 _SEEN = 1e-9
@@ -30,8 +31,6 @@ _SEEN = 1e-9
 _OF_DATA = 1e-10
 #: Those that count as zero must be this far below the others then, ...
 _GAP = 1e3
-#: ... and what they leave of anything this far below the response to a fault.
-_LEAK = 1e-6
 #: Combinations of equally short relations that are tried for the best view of the faults.
 _TRIES = 30
 
@@ -227,7 +226,7 @@ class _Search:
         s = found.decision.singular_values
         smallest = found.decision.smallest_kept / s[0] if len(s) and found.decision.rank else 1.0
         dropped = found.decision.largest_dropped / s[0] if len(s) and s[0] else 0.0
-        floor = max(_SEEN, 100 * np.finfo(float).eps / smallest, dropped / _LEAK)
+        floor = max(_SEEN, 100 * np.finfo(float).eps / smallest, dropped / POLYNOMIAL_LEAKAGE)
         return RelationSpace(vectors * self.units, self.pencil.basis, found.decision, responses, floor)
 
 

@@ -18,6 +18,7 @@ from residua.linear.subspaces.far_gain import refuse_far_gain
 from residua.linear.subspaces.observability import is_stable_mode
 from residua.linear.subspaces.observable_part import ObservablePart, observable_part
 from residua.linear.subspaces.rank import DEFAULT_RTOL
+from residua.tolerances import POLE
 
 Matrix = NDArray[np.float64]
 _EPS = float(np.finfo(float).eps)
@@ -92,7 +93,7 @@ def _movable(poles: Poles, problem: ObservablePart, tolerance: float) -> Poles:
         raise DesignError(f"got {poles.size} poles for {n} states, of which {k} are observable{hint}")
     order = match_poles(fixed, poles)
     scale = np.ones(fixed.size) if problem.dt else np.maximum(np.abs(fixed), np.finfo(float).tiny)
-    missed = np.abs(poles[order] - fixed) > max(tolerance, 1e-6) * scale
+    missed = np.abs(poles[order] - fixed) > max(tolerance, POLE) * scale
     rest = np.delete(poles, order)
     if missed.any() or not np.allclose(np.sort_complex(rest), np.sort_complex(rest.conj())):
         raise DesignError(
@@ -151,7 +152,7 @@ def place_observer_poles(
     *,
     dt: float = 0,
     rtol: float = DEFAULT_RTOL,
-    tolerance: float = 1e-6,
+    tolerance: float = POLE,
 ) -> Placement:
     r"""Find a gain that puts the observable poles of ``A - K C`` where they are asked for.
 

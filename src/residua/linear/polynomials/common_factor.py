@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from residua.errors import ModelError
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
+from residua.tolerances import TINY
 
 #: A common factor is divided out when what is left of the division is below this fraction.
 _DIVISION = 1e-9
@@ -141,8 +142,8 @@ def _circle(basis: PolynomialBasis, degree: int) -> NDArray[np.complex128]:
 def _parallel(V: NDArray[np.complex128], values: NDArray[np.complex128], rtol: float) -> NDArray[np.float64]:
     """Return a basis, as columns, of the polynomial vectors of a degree that are multiples of ``V`` everywhere."""
     width = V.shape[1]
-    unit = V / np.maximum(np.linalg.norm(V, axis=1, keepdims=True), 1e-300)
-    level = np.maximum(np.abs(values).max(axis=0), 1e-300)
+    unit = V / np.maximum(np.linalg.norm(V, axis=1, keepdims=True), TINY)
+    level = np.maximum(np.abs(values).max(axis=0), TINY)
     blocks = []
     for v, elements in zip(unit, values / level, strict=True):
         off = np.eye(width) - np.outer(v, v.conj())  # annihilates what is parallel to v, from the left
@@ -161,7 +162,7 @@ def _factor(
     center = float(points.mean().real)
     radius = float(np.abs(points - center).max())
     at = ((points - center) / radius)[:, None] ** np.arange(degree + 1)
-    c = (W.conj() * V).sum(axis=1) / np.maximum((np.abs(W) ** 2).sum(axis=1), 1e-300)
+    c = (W.conj() * V).sum(axis=1) / np.maximum((np.abs(W) ** 2).sum(axis=1), TINY)
     whole = np.vstack([at.real, at.imag])
     fitted = np.asarray(np.linalg.lstsq(whole, np.concatenate([c.real, c.imag]), rcond=None)[0], dtype=float)
     error = float(np.abs(V - (at @ fitted)[:, None] * W).max())

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.linear.systems.array_cache import cached_by_entries
-from residua.linear.systems.units import RESIDUE, matrix_units, pencil_units, system_units, without_residue
+from residua.linear.systems.units import matrix_units, pencil_units, system_units, without_residue
+from residua.tolerances import RESIDUE, above_rounding
 
 #: Couplings this far below the largest may have been scaled away.
 _VANISHED = 1e-5
@@ -76,7 +77,7 @@ def without_rounding(*factors: NDArray[np.float64]) -> NDArray[np.float64]:
     product, terms = factors[0], np.abs(factors[0])
     for factor in factors[1:]:
         product, terms = product @ factor, terms @ np.abs(factor)
-    return np.where(np.abs(product) > 1e-13 * terms.shape[1] * terms, product, 0.0)
+    return above_rounding(product, terms.shape[1] * terms)
 
 
 def evened(

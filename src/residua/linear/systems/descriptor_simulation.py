@@ -15,6 +15,7 @@ from residua.linear.systems.descriptor import WeierstrassForm, weierstrass_form
 from residua.linear.systems.recursion import run_filter
 from residua.linear.systems.sampling import exponentials
 from residua.linear.systems.state_space import StateSpace
+from residua.tolerances import SAME
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,7 +250,7 @@ def simulate_descriptor(
 
 def _step(system: StateSpace, dt: float | None) -> float:
     if system.is_discrete:
-        if dt is not None and abs(dt - system.dt) > 1e-9 * system.dt:
+        if dt is not None and abs(dt - system.dt) > SAME * system.dt:
             raise DataError(f"the system has dt={system.dt:g} s, the inputs {dt:g} s")
         return system.dt
     step = 0.0 if dt is None else arrays.sample_step(dt)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from residua import arrays
 from residua.errors import ModelError
 from residua.linear.systems.state_space import StateSpace
+from residua.tolerances import TINY
 
 HOLDS = ("zero", "linear")
 
@@ -87,7 +88,7 @@ def noise_covariance(A: NDArray, Q: NDArray, dt: float) -> NDArray:
     n = A.shape[0]
     if n == 0:
         return np.zeros((0, 0))
-    doublings = max(0, int(np.ceil(np.log2(max(np.linalg.norm(A, 1) * dt, 1e-300)))))
+    doublings = max(0, int(np.ceil(np.log2(max(np.linalg.norm(A, 1) * dt, TINY)))))
     h = dt / 2**doublings
     M = np.zeros((2 * n, 2 * n))
     M[:n, :n] = -A * h

@@ -19,10 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.linear.systems.array_cache import cached_by_entries
+from residua.tolerances import RESIDUE
 
-#: Entries this far below both the largest of their row and of their column, in the units that this file finds, are
-#: rounding residue; scaling must not promote them to data.
-RESIDUE = 64 * np.finfo(float).eps
 #: Logarithms are rounded as if they were larger by this: averages of few whole numbers, of which the logarithms of
 #: simple models are made, are never halfway between two powers of two then.
 _OFF_TIES = 0.01371

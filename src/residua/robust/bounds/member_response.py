@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from residua.linear.poles.spectrum import spectral_radius
 from residua.linear.systems.balancing import power_of_two, state_units
 from residua.robust.sets.uncertain_system import UncertainSystem
+from residua.tolerances import RESPONSE_ROUNDING
 
 #: Real where every frequency is zero.
 Array = NDArray
-#: Relative rounding of a response, of the sizes that cancel in it.
-ROUNDING = 1e-12
 #: Sweeps from balanced units of states to units of what reaches them.
 _SWEEPS = 4
 
@@ -102,7 +101,7 @@ class MemberResponse:
         # of every input alone: the weakest combination of them is where they cancel
         size, states = np.abs(v), np.abs(R @ B) @ np.abs(v)
         terms = np.abs(C @ R) @ ((abs(z) + np.abs(A)) @ states + np.abs(B) @ size) + np.abs(C) @ states
-        return weak @ (T @ v), weak @ slopes, ROUNDING * float(np.linalg.norm(terms + np.abs(D) @ size))
+        return weak @ (T @ v), weak @ slopes, RESPONSE_ROUNDING * float(np.linalg.norm(terms + np.abs(D) @ size))
 
 
 def member_response(system: UncertainSystem, *, constant: bool) -> MemberResponse:

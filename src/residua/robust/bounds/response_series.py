@@ -8,7 +8,8 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from residua.robust.bounds.member_response import ROUNDING, Array, MemberResponse, solved
+from residua.robust.bounds.member_response import Array, MemberResponse, solved
+from residua.tolerances import RESPONSE_ROUNDING
 
 Real = NDArray[np.float64]
 #: Modal coordinates are used up to this condition of the eigenvectors, those of Schur beyond.
@@ -79,8 +80,8 @@ def centre(response: MemberResponse, low: Real, high: Real) -> Centre:
         relative = relative + condition
         if response.dt:
             radii[:, -1] = np.tan(radii[:, -1] / 2)
-    relative = np.where(regular, ROUNDING * relative, 1.0)
-    return Centre(T, M12, M22, M21, radii, select, ROUNDING * (error + np.abs(U @ response.Dzw @ V)), relative)
+    relative = np.where(regular, RESPONSE_ROUNDING * relative, 1.0)
+    return Centre(T, M12, M22, M21, radii, select, RESPONSE_ROUNDING * (error + np.abs(U @ response.Dzw @ V)), relative)
 
 
 def _with_frequency(
@@ -124,7 +125,7 @@ def inverse(c: Centre) -> Centre:
     """
     m = c.T.shape[2]
     s = c.T[:, np.arange(m), np.arange(m)]
-    exists = s[:, -1:] > ROUNDING / _UNRELIABLE * s[:, :1]
+    exists = s[:, -1:] > RESPONSE_ROUNDING / _UNRELIABLE * s[:, :1]
     s = np.where(exists, s, 1.0)
     M12, M21 = c.M12[:, :m] / s[:, :, None], c.M21 / s[:, None, :]
     return Centre(

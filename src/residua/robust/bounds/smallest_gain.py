@@ -15,6 +15,7 @@ from residua.robust.bounds.lowest_gain import LowestGain, check_stable, descende
 from residua.robust.bounds.member_response import MemberResponse, member_response
 from residua.robust.bounds.response_expansion import Expansion, expand
 from residua.robust.sets.uncertain_system import UncertainSystem
+from residua.tolerances import SAME
 
 Points = NDArray[np.float64]
 #: Boxes bounded at a time, and about the numbers held for them.
@@ -171,7 +172,7 @@ def _last_frequency(system: UncertainSystem, band: float) -> float:
         last = np.nan
     if isinstance(band, bool) or not 0 <= last < np.inf:
         raise SettingError(f"band must be a frequency in rad/s, or 0 for constant inputs, got {band!r}")
-    if last * system.dt > np.pi * (1 + 1e-9):
+    if last * system.dt > np.pi * (1 + SAME):
         raise SettingError(
             f"band = {last:g} rad/s lies beyond pi / dt = {np.pi / system.dt:g}, the fastest of a sampled system"
         )

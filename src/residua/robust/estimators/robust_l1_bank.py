@@ -29,6 +29,7 @@ from residua.robust.estimators.robust_estimator import RobustEstimator
 from residua.robust.estimators.sampled_cost import Weights
 from residua.robust.sets.uncertain_loop import check_members_stable
 from residua.robust.sets.uncertain_plant import UncertainPlant
+from residua.tolerances import SAME
 
 _METHOD = "robust l1 estimators"
 _REFERENCE = "Robust l1 fault detection, eqs. (27)-(49)"
@@ -314,7 +315,7 @@ def _radii(loop: UncertainPlant, settling: float | None) -> tuple[float, ...]:
         return tuple(dict.fromkeys(max(own**power, fastest) for power in _POWERS))
     if not (isinstance(settling, Real) and np.isfinite(settling) and settling > 0):
         raise SettingError(f"settling must be a positive time in seconds, got {settling!r}")
-    if settling < loop.nominal.dt * (1 - 1e-9):
+    if settling < loop.nominal.dt * (1 - SAME):
         raise SettingError(
             f"settling = {settling:g} s is shorter than one sample, {loop.nominal.dt:g} s: no filter is that fast; "
             "give a few samples at least"

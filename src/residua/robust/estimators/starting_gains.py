@@ -15,6 +15,7 @@ from residua.linear.norms.peak_norm import peak_norm
 from residua.linear.norms.peak_norm_lmi import root
 from residua.linear.poles.riccati import filter_riccati
 from residua.robust.estimators.estimator_family import EstimatorFamily
+from residua.tolerances import TINY
 
 Matrix = NDArray[np.float64]
 #: How much noise is taken to drive the states, relative to the disturbances of the loop.
@@ -143,7 +144,7 @@ def _scaled(s: ErrorSystem, gains: list[Matrix]) -> _Scaled | None:
         if ellipsoid is None or not np.any(ellipsoid):
             continue
         T = root(ellipsoid, 1e-6)
-        size = max(float(np.linalg.norm(s.C @ T, 2)), float(np.linalg.norm(s.D, 2)), 1e-300)
+        size = max(float(np.linalg.norm(s.C @ T, 2)), float(np.linalg.norm(s.D, 2)), TINY)
         back = np.linalg.inv(T)
         return _Scaled(back @ s.A @ T, back @ s.B, s.C @ T / size, s.D / size, T, size)
     return None

@@ -19,6 +19,7 @@ from residua.robust.parity.best_ratios import best_ratios
 from residua.robust.parity.expected_signals import ExpectedSignals, Sizes
 from residua.robust.parity.plant_variants import plant_family, probabilities
 from residua.robust.parity.window_filter import window_filter, window_poles
+from residua.tolerances import TINY
 
 _METHOD = "parity relations for several models"
 #: The entry of the evidence that says how far inputs and states reach the residual of the nominal model.
@@ -281,7 +282,7 @@ def _by_faults(
     rank = int(np.count_nonzero(s > _ZERO * s[0]))
     exact = U[:, rank:]
     left, gains, _ = np.linalg.svd(exact.T @ F, full_matrices=False)
-    seeing = int(np.count_nonzero(gains > 1e-9 * max(np.linalg.norm(F), 1e-300)))
+    seeing = int(np.count_nonzero(gains > 1e-9 * max(np.linalg.norm(F), TINY)))
     found, ratios = (exact @ left[:, :seeing]).T, np.full(seeing, np.inf)
     some, combinations = best_ratios(U[:, :rank].T @ F, np.diag(s[:rank]), rank)
     kept = some > 1e-12 * some.max(initial=0.0)  # the others see nothing

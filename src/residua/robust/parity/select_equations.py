@@ -20,6 +20,7 @@ from residua.design.parity.relation_model import relation_model
 from residua.errors import AccuracyError, DesignError, ModelError, SettingError
 from residua.plant import Plant
 from residua.robust.parity.model_sensitivity import Model, checked_parameters
+from residua.tolerances import TINY
 
 Respond = Callable[[Plant], NDArray[np.float64]]
 #: Thresholds that are taken from the noise of the plant, in standard deviations.
@@ -278,7 +279,7 @@ def _cheapest(
     cover: Cover, costs: NDArray[np.float64], allowed: NDArray[np.bool_], time_limit: float
 ) -> tuple[NDArray[np.int64], bool]:
     """Return the rows with the smallest sum of costs that meet all demands; of equal sums few rows."""
-    few = 1e-6 * float(costs.max(initial=0.0)) + 1e-300
+    few = 1e-6 * float(costs.max(initial=0.0)) + TINY
     aim = (costs + few) / (costs.max(initial=0.0) + few)
     constraints = [(cover.demands.astype(float), 1.0, np.inf)]
     result = integer_program(aim, constraints, allowed.astype(float), np.ones(len(costs)), time_limit)

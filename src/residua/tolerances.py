@@ -1,0 +1,51 @@
+"""The tolerances that several files share, each with its reason; any other stands beside the test that needs it.
+
+Each is relative, and compared in units that do not depend on those of the user: to the terms that a number is the sum
+of, or to the largest entry of a row in comparable units.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: Nothing is divided by less, so that a size of zero is no error: what it is compared with is zero as well then.
+TINY = 1e-300
+
+#: An entry this far below the largest of its row, in comparable units, is what a factorisation leaves of nothing.
+RESIDUE = 64 * float(np.finfo(float).eps)
+
+#: A sum this far below its terms is rounding of them: some hundred operations, each of half a unit in the last place.
+ROUNDING = 1e-13
+
+#: A response this far below the terms that it is made of is rounding: it has a solved system in it, so ten times more.
+RESPONSE_ROUNDING = 1e-12
+
+#: What is left of nothing after a design, whose gain is known to less than its responses are.
+DESIGN_ROUNDING = 1e-9
+
+#: Residuals whose fault-free part is this far below the signals that they are differences of hold no noise.
+SIGNAL_ROUNDING = 1e-12
+
+#: Singular values this far below the largest are zero where a rank of a model is decided, in comparable units.
+RANK = 1e-10
+
+#: Two numbers that a user wrote, such as steps of time, are the same to this.
+SAME = 1e-9
+
+#: An identity that defines a design, such as ``T E = 0``, holds to this, relative to its terms.
+IDENTITY = 1e-8
+
+#: What must not reach a residual reaches it by less, relative to the terms that cancel there.
+LEAKAGE = 1e-7
+
+#: The same for filters of polynomials, in which up to ten digits of sixteen may cancel.
+POLYNOMIAL_LEAKAGE = 1e-6
+
+#: Poles are where they were asked for to this, relative to their size.
+POLE = 1e-6
+
+
+def above_rounding(M: NDArray, size: NDArray | float, rtol: float = ROUNDING) -> NDArray:
+    """Return an array with the entries set to zero that are rounding of the terms that they are the sum of."""
+    return np.where(np.abs(M) > rtol * size, M, 0.0)
