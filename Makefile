@@ -13,7 +13,7 @@ PLANTS ?= 100000
 WORKERS ?= $(shell nproc)
 RECORD ?= campaign
 
-.PHONY: help demo quick test docs bench campaign exact-campaign dist clean
+.PHONY: help demo quick test docs bench campaign exact-campaign mutants dist clean
 
 help:
 	@echo "make demo      diagnose a simulated jet engine and leave a report page"
@@ -22,6 +22,7 @@ help:
 	@echo "make docs      the documentation, into docs/_build/html"
 	@echo "make bench     measured speed, against other packages"
 	@echo "make campaign  the long runs that make test leaves out"
+	@echo "make mutants   guards of the evidence made wrong on purpose: what no test notices is listed, in half an hour"
 	@echo "make dist      wheel and source distribution, tried out where there is no compiler"
 	@echo "make clean     remove what was built (the environment $(VENV) stays)"
 	@echo "make exact-campaign PLANTS=100000   generated plants against exact arithmetic; resumed where it stopped"
@@ -38,6 +39,7 @@ $(BIN)/python:
 $(VENV)/.made-demo: EXTRAS := cli,plot
 $(VENV)/.made-test: EXTRAS := test
 $(VENV)/.made-docs: EXTRAS := docs
+$(VENV)/.made-mutants: EXTRAS := test,mutants
 $(VENV)/.made-dist: EXTRAS := dist
 $(VENV)/.made-%: $(BIN)/python $(DEFINITION)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[$(EXTRAS)]'
@@ -69,6 +71,9 @@ campaign: $(VENV)/.made-test
 exact-campaign: $(VENV)/.made-test
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=src:tests $(BIN)/python -m exact_campaign \
 	  --plants $(PLANTS) --workers $(WORKERS) --out $(RECORD) --tables docs/data
+
+mutants: $(VENV)/.made-mutants
+	$(BIN)/python tests/mutants.py
 
 dist: $(VENV)/.made-dist
 	rm -rf dist

@@ -19,6 +19,7 @@ from residua.design.banks.bank import Wanted, check_promise
 from residua.design.core.decoupling import Approximate, Decoupled, MeasuredBefore
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import make_generator
+from residua.design.core.internal_form import check_state_map
 from residua.design.core.responses import state_covariance
 from residua.design.observers.estimate_check import check_estimate
 from residua.design.observers.perfect_observer import perfect_observer
@@ -63,6 +64,11 @@ def ordinary() -> rs.Plant:
 def algebraic() -> rs.Plant:
     plant = rs.Plant([[1, 2], [3, 4]], [[1], [1]], [[1, 1]], E=[[1, 0], [0, 0]])
     return plant.with_actuator_faults().with_sensor_faults()
+
+
+def without_dynamics() -> rs.Plant:
+    """The second sensor reads what does not move: its fault keeps a line, where a plane is promised."""
+    return rs.Plant([[0.5, 0], [0, 0]], [[1], [0]], np.eye(2), dt=1.0).with_sensor_faults()
 
 
 def estimator() -> Any:
@@ -313,6 +319,7 @@ def test_a_member_that_answers_to_what_it_ignores_is_refused() -> None:
 
 @trips("design.banks.decoupled_residual:_designed")
 def test_a_residual_that_lost_a_fault_it_can_see_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    ignoring()
     changed(monkeypatch, "design.core.generator:signature_bases", _silent)
     with pytest.raises(AccuracyError, match="lost in rounding"):
         ignoring()
@@ -325,6 +332,8 @@ def _silent(found: tuple[dict[str, np.ndarray], float]) -> tuple[dict[str, np.nd
 
 @trips("design.detection_filters.detection_filter:_check_directions")
 def test_a_fault_that_leaves_its_direction_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    D.detection_filter(gertler())
+    D.detection_filter(without_dynamics())
     changed(monkeypatch, "design.core.generator:signature_bases", lambda found: (_whole(found[0]), found[1]))
     with pytest.raises(AccuracyError, match="leaves its direction"):
         D.detection_filter(gertler())
@@ -336,6 +345,7 @@ def _whole(bases: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 @trips("design.parity.structured_parity:design")
 def test_a_relation_whose_response_is_lost_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    D.structured_parity(gertler(), {"r1": ["p1"]})
     changed(monkeypatch, "design.core.generator:signature_bases", _silent)
     with pytest.raises(AccuracyError, match="lost in the rounding"):
         D.structured_parity(gertler(), {"r1": ["p1"]})
@@ -397,6 +407,7 @@ def _made(system: Any = None, **changes: Any) -> Any:
 
 @trips("design.core.generator:make_generator")
 def test_an_unstable_filter_cannot_be_made() -> None:
+    _made()
     with pytest.raises(AccuracyError, match="not stable"):
         _made(lambda s: s.replaced(A=-s.A))
 
@@ -426,6 +437,18 @@ def test_maps_and_forms_of_another_filter_are_refused(which: str) -> None:
     wrong = {"state_map": off(good.state_map), "known_form": form.replaced(B=off(form.B))}
     with pytest.raises(AccuracyError, match="identities"):
         _made(**{which: wrong[which]})
+
+
+@trips("design.core.internal_form:_accepted")
+def test_a_residual_of_small_units_does_not_hide_behind_a_large_one() -> None:
+    good = D.detection_filter(gertler())
+    small = np.array([1e-12, 1.0])[:, None]
+    system = good.system.replaced(C=small * good.system.C, D=small * good.system.D)
+    assert good.state_map is not None
+    assert check_state_map(system, good.plant, good.state_map) < 1e-12
+    wrong = system.replaced(C=np.array([1 + OFF, 1.0])[:, None] * system.C)
+    with pytest.raises(AccuracyError, match="identities"):
+        check_state_map(wrong, good.plant, good.state_map)
 
 
 def test_an_approximate_design_says_how_far_inputs_reach_it() -> None:

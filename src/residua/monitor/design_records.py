@@ -33,7 +33,7 @@ from residua.records import (
 )
 from residua.tolerances import POLYNOMIAL_LEAKAGE
 
-#: Of how many frequencies of the design one is looked at.
+#: Of so many frequencies of the design one is looked at when it is loaded.
 _EVERY = 12
 _SYSTEM_ENTRIES = ("A", "B", "C", "D", "dt", "inputs", "outputs", "states")
 _PLANT_ARRAYS = ("A", "C", "Bu", "Du", "Bd", "Dd", "Bf", "Df", "Bw", "Dw")

@@ -89,7 +89,7 @@ def check_state_map(
     r"""Return how far the identities of a generator are missed, or raise.
 
     :math:`T A - G_y C = A_g T E`, :math:`C_g T E + H_y C + V A = 0` and :math:`V E = 0`, in balanced units,
-    relative to the terms that have to cancel.
+    relative to the terms that have to cancel; the second also for each residual by its own terms.
     """
     n_u = len(plant.inputs)
     p = plant.system(("control", "disturbance", "fault"))
@@ -119,12 +119,18 @@ def check_state_map(
         np.abs(generator.C) * rows / (np.where(heights > 0, heights, 1.0)[:, None] if len(Hy) == len(p.C) else 1.0)
     )
     floor = max(1e-6 * float(per_row.max(initial=0.0)), TINY)
-    second = _largest(generator.C @ TE + Hy @ p.C + V @ p.A, scale) / max(_largest(terms, scale), floor)
+    missed = generator.C @ TE + Hy @ p.C + V @ p.A
+    second = _largest(missed, scale) / max(_largest(terms, scale), floor)
+    # no residual hides behind another in larger units
+    own_terms = np.maximum((terms * scale).max(axis=1, initial=0.0), 1e-6 * per_row.max(axis=1, initial=0.0))
+    each = (np.abs(missed) * scale).max(axis=1, initial=0.0) / np.maximum(own_terms, TINY)
     third = 0.0
     if np.any(V) and p.E is not None:  # what V reads may stand where E is zero, and meet it by rounding only
         beside = np.abs(V).max(axis=1, initial=0.0)[:, None] * np.abs(p.E).max(axis=0, initial=0.0)
         third = _largest(VE, scale) / max(_largest(absolute_VE, scale), 1e-3 * _largest(beside, scale), TINY)
-    return _accepted(max(first, second, third), limit)
+    worst = max(first, second, third)
+    _accepted(max(worst, float(each.max(initial=0.0))), limit)
+    return worst
 
 
 def check_known_form(generator: StateSpace, plant: Plant, form: StateSpace, *, limit: float = 1e-7) -> float:

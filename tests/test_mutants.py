@@ -1,0 +1,33 @@
+"""Switching off a central guard turns a test red; ``make mutants`` does more, for every guard."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+TESTS = Path(__file__).resolve().parent
+#: Decoupling, T E = 0, T E + H C = I, the Riccati equation, directions, poles, and identities of maps and forms.
+CENTRAL = (
+    "design.core.decoupling:_accepted",
+    "design.observers.unknown_input_observer:assemble:1",
+    "design.observers.unknown_input_observer:assemble:2",
+    "linear.poles.riccati:filter_riccati",
+    "design.detection_filters.detection_filter:_check_directions",
+    "design.parity.directional_pencil:check_directions",
+    "design.observers.observer_gain:place",
+    "design.detection_filters.detection_filter:_pole_error",
+    "design.core.internal_form:_accepted",
+)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="each mutant runs in a process that forks")
+def test_switching_off_a_central_guard_turns_a_test_red() -> None:
+    """Among them none that was green: the first is run unchanged too."""
+    command = [sys.executable, str(TESTS / "mutants.py"), "--off", *CENTRAL]
+    found = subprocess.run(command, capture_output=True, text=True, check=False, cwd=TESTS.parent)
+    assert found.stdout == f"{len(CENTRAL)} mutants of {len(CENTRAL)} guards, 0 survive\n", found.stderr
+    assert found.returncode == 0
