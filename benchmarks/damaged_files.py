@@ -38,11 +38,13 @@ from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent))  # for whoever imports this file from elsewhere
+for _folder in (Path(__file__).parent, Path(__file__).parent.parent / "tests"):
+    sys.path.insert(0, str(_folder))  # for whoever imports this file from elsewhere
 
 from damage import LONG, damaged_bytes, damaged_table, damaged_text
 
 import residua as rs
+from older_files import as_version
 from residua.decide import Directional, NormThreshold, Structured
 from residua.design import GeneticSearch
 from residua.errors import ResiduaError
@@ -163,9 +165,7 @@ def edited(content: bytes) -> bytes:
 
 def of_version_5(content: bytes) -> bytes:
     """Return the file of a monitor as it was before there were checksums."""
-    table = json.loads(content) | {"version": 5}
-    del table["checksum"]
-    return json.dumps(table).encode()
+    return json.dumps(as_version(5, json.loads(content))).encode()
 
 
 FAULTY = signals(60, 3, fault=0.5)

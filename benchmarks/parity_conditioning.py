@@ -30,7 +30,7 @@ from residua.design.parity.relation_model import relation_model
 from residua.design.parity.relations import ParityRelations, relations_of
 from residua.design.parity.shortest import shortest_relation
 from residua.errors import AccuracyError, DesignError
-from residua.linear.polynomials.pencil_null_space import DEFAULT_RTOL
+from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL
 
 OUTPUT = Path(__file__).resolve().parent.parent / "docs" / "data"
 ORDERS = (2, 4, 6, 8, 10, 12, 15, 20, 25, 30)
@@ -121,7 +121,7 @@ def textbook(plant: rs.Plant) -> Made:
 def relation(plant: rs.Plant) -> ParityRelations:
     """Return the shortest relation, before it is given any poles."""
     model = relation_model(plant)
-    vector, space = shortest_relation(model, ["ignored"], ["seen"], DEFAULT_RTOL)
+    vector, space = shortest_relation(model, ["ignored"], ["seen"], PENCIL_RTOL)
     return relations_of(plant, [space.relation(model, ["ignored"], vector)])
 
 

@@ -1,10 +1,11 @@
 """Make tables of the documentation from what they repeat.
 
-- ``data/methods.csv``, the table of design functions, from their records in the package;
+- ``data/methods.csv``, the table of design functions, from what they declare of themselves;
+- ``data/design_options.csv``, the options of ``residua design`` that methods have, from their signatures and docstrings;
 - ``data/robust_norms_by_size.csv``, one row per size, from ``data/robust_norms.csv``;
 - ``data/false_alarm_rates.csv`` and ``data/false_alarm_rates_by_samples.csv``, from ``data/false_alarm_rates_all.csv``.
 
-Run it after a change of ``residua.design.catalogue``, and after ``benchmarks/robust_norms.py`` or ``false_alarm_rates.py``:
+Run it after a change of a design function's declaration, signature or parameters, and after ``benchmarks/robust_norms.py`` or ``false_alarm_rates.py``:
 ``python docs/make_tables.py``. Tests compare the files with what they are made of.
 """
 
@@ -15,10 +16,12 @@ import io
 from collections.abc import Iterable
 from pathlib import Path
 
+from residua.cli.methods import in_plain_words, offered, option_name
+from residua.cli.option_types import form_of
 from residua.design.catalogue import HEADER, table
 
 DATA = Path(__file__).resolve().parent / "data"
-METHODS = DATA / "methods.csv"
+METHODS, DESIGN_OPTIONS = DATA / "methods.csv", DATA / "design_options.csv"
 ROBUST_NORMS, ROBUST_NORMS_BY_SIZE = DATA / "robust_norms.csv", DATA / "robust_norms_by_size.csv"
 RATES, RATES_BY_PERSISTENCE = DATA / "false_alarm_rates_all.csv", DATA / "false_alarm_rates.csv"
 RATES_BY_SAMPLES = DATA / "false_alarm_rates_by_samples.csv"
@@ -27,6 +30,20 @@ RATES_BY_SAMPLES = DATA / "false_alarm_rates_by_samples.csv"
 def methods() -> str:
     """Return the table of design functions as text."""
     return _text([HEADER, *table()])
+
+
+def design_options() -> str:
+    """Return the options of methods on the command line as text: a row for each thing that is said of one."""
+    rows: dict[tuple[str, str], list[str]] = {}
+    for name, method in offered().items():
+        for option in method.options:
+            form = form_of(option)
+            if form is not None:
+                written = f"``{option_name(form.name or option.name)}{' ' if form.metavar else ''}{form.metavar}``"
+                rows.setdefault((written, in_plain_words(option.text)), []).append(name)
+    order = list(dict.fromkeys(written.split()[0] for written, _ in rows))
+    lines = sorted(rows.items(), key=lambda row: order.index(row[0][0].split()[0]))
+    return _text([("option", "what it says", "of"), *((*key, ", ".join(names)) for key, names in lines)])
 
 
 def robust_norms_by_size() -> str:
@@ -96,6 +113,7 @@ if __name__ == "__main__":
     DATA.mkdir(exist_ok=True)
     made = (
         (METHODS, methods()),
+        (DESIGN_OPTIONS, design_options()),
         (ROBUST_NORMS_BY_SIZE, robust_norms_by_size()),
         (RATES_BY_PERSISTENCE, false_alarm_rates()),
         (RATES_BY_SAMPLES, false_alarm_rates_by_samples()),

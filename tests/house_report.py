@@ -121,13 +121,25 @@ def mixins(house: House) -> list[str]:
     return sorted(out)
 
 
-def methods(house: House) -> list[str]:
+def offered(house: House) -> list[str]:
     """Return the functions that the facade of the designs offers."""
     facade = house.modules["residua.design"].tree
     for node in ast.walk(facade):
         if isinstance(node, ast.Assign) and any(isinstance(t, ast.Name) and t.id == "__all__" for t in node.targets):
             return [name for name in ast.literal_eval(node.value) if name[0].islower()]
     return []
+
+
+def methods(house: House) -> list[str]:
+    """Return the functions that declare themselves methods; in a house of before that, all that are offered."""
+    declared = [
+        function.name
+        for module in house.modules.values()
+        for function in module.functions
+        for mark in function.decorator_list
+        if isinstance(mark, ast.Call) and isinstance(mark.func, ast.Name) and mark.func.id == "method"
+    ]
+    return declared or offered(house)
 
 
 def files_naming(house: House, *names: str) -> list[Module]:

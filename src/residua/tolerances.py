@@ -27,6 +27,9 @@ DESIGN_ROUNDING = 1e-9
 #: Residuals whose fault-free part is this far below the signals that they are differences of hold no noise.
 SIGNAL_ROUNDING = 1e-12
 
+#: Recorded values this far below the largest of their signal are rounding of it: a signal that stands still.
+DATA_ROUNDING = 1e-9
+
 #: Singular values this far below the largest are zero where a rank of a model is decided, in comparable units.
 RANK = 1e-10
 

@@ -14,7 +14,7 @@ from exact_answers import Exact
 from residua.design.parity.relation_model import relation_model
 from residua.design.parity.shortest import shortest_relation
 from residua.errors import AccuracyError
-from residua.linear.polynomials.pencil_null_space import DEFAULT_RTOL
+from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL
 from residua.plant.algebraic_equations import without_algebraic_equations
 from whole_number_plants import KINDS, in_other_units, whole_number_plant
 
@@ -146,7 +146,7 @@ def test_the_shortest_relation_of_an_aircraft_whose_model_holds_residue(shared_d
     assert plant.n_states == 32
     assert rs.coding.attainable(plant, ["11110000"])
     ignored, seen = plant.faults[4:], plant.faults[:4]
-    _, space = shortest_relation(relation_model(plant), ignored, seen, DEFAULT_RTOL)
+    _, space = shortest_relation(relation_model(plant), ignored, seen, PENCIL_RTOL)
     assert space.order == 5
     with pytest.raises(AccuracyError, match="should cancel"):  # as a filter it loses ten digits; it is not denied
         rs.design.structured_parity(plant, ["11110000"])

@@ -13,7 +13,7 @@ import pytest
 import residua as rs
 from cli_examples import DISTURBED, PLANT, Residua, assert_error, simulate, write_csv
 from residua.cli.guard import in_cli_words
-from residua.cli.methods import parse_poles
+from residua.cli.option_types import parse_poles
 from residua.design.core.evidence import format_pole
 
 # ------------------------------------------------------------------ the whole way
@@ -69,13 +69,16 @@ def test_run_and_its_file_count_the_same_samples(made: Path, tmp_path: Path, res
 
 def test_options_of_banks(made: Path, tmp_path: Path, residua: Residua) -> None:
     design = ("design", made / "plant.toml", "-o", tmp_path / "m.json", "--method")
-    status, out, _ = residua(*design, "sensor-bank", "--scheme", "dedicated", "--observer", "minimal")
+    status, out, _ = residua(*design, "sensor-fault-bank", "--scheme", "dedicated", "--observer", "minimal")
     assert status == 0
     assert "only level 1" in out
-    assert_error(residua(*design, "kalman-filter", "--scheme", "dedicated"), "--scheme is for --method sensor-bank")
+    assert_error(
+        residua(*design, "kalman-filter", "--scheme", "dedicated"),
+        "--scheme is for --method actuator-fault-bank and sensor-fault-bank, not for kalman-filter",
+    )
     plant = rs.Plant(np.diag([0.9, 0.8, 0.7]) + 0.1, np.ones((3, 1)), np.eye(3), dt=1.0).with_sensor_faults()
     plant.with_disturbances({"inflow": {"x1": 1.0}}).to_toml(tmp_path / "three.toml")
-    disturbed = ("design", tmp_path / "three.toml", "-o", tmp_path / "m.json", "--method", "sensor-bank")
+    disturbed = ("design", tmp_path / "three.toml", "-o", tmp_path / "m.json", "--method", "sensor-fault-bank")
     status, out, err = residua(*disturbed)
     assert status == 2
     assert "1 of 3 members of the bank do not exist: 'without y1'" in err
@@ -257,8 +260,8 @@ def test_design_auto_says_what_and_why(made: Path, tmp_path: Path, residua: Resi
         "unknown-input-observer",
         "kalman-filter",
         "luenberger-observer",
-        "sensor-bank",
-        "actuator-bank",
+        "sensor-fault-bank",
+        "actuator-fault-bank",
     ],
 )
 def test_design_by_each_method(made: Path, tmp_path: Path, method: str, residua: Residua) -> None:
@@ -276,7 +279,7 @@ TWO_SENSORS = PLANT.split("[[faults]]")[0] + "".join(
 
 def test_a_bank_names_by_code(made: Path, tmp_path: Path, residua: Residua) -> None:
     (tmp_path / "two.toml").write_text(TWO_SENSORS)
-    options = ("--method", "sensor-bank", "--persistence", "10", "--false-alarm-rate", "0.01")
+    options = ("--method", "sensor-fault-bank", "--persistence", "10", "--false-alarm-rate", "0.01")
     status, out, _ = residua("design", tmp_path / "two.toml", "-o", tmp_path / "bank.json", *options)
     assert status == 0
     assert re.search(r"^fault +without level 1 +without level 2 +cannot be told from$", out, flags=re.MULTILINE)
@@ -300,7 +303,7 @@ def test_a_bank_names_by_code(made: Path, tmp_path: Path, residua: Residua) -> N
 
 def test_two_faults_are_both_named(made: Path, tmp_path: Path, residua: Residua) -> None:
     (tmp_path / "two.toml").write_text(TWO_SENSORS)
-    residua("design", tmp_path / "two.toml", "-o", tmp_path / "bank.json", "--method", "sensor-bank")
+    residua("design", tmp_path / "two.toml", "-o", tmp_path / "bank.json", "--method", "sensor-fault-bank")
     rows = simulate(400, 3, sensor=3.0, from_=200)
     rows[200:, -1] += 2.0
     both = write_csv(tmp_path / "both.csv", rows)
@@ -324,8 +327,8 @@ def test_an_estimator_tells_the_size(made: Path, tmp_path: Path, residua: Residu
     assert "estimated size" in out
     line = json.loads((tmp_path / "a.jsonl").read_text().splitlines()[-1])
     assert line["sizes"][0]["mean"] == pytest.approx(float(found[1]), abs=0.01)
-    wrong = design(made, tmp_path, residua, "plant.toml", "--method", "sensor-bank", "--faults", "leak")
-    assert_error(wrong, "--faults says what --method fault-estimator estimates")
+    wrong = design(made, tmp_path, residua, "plant.toml", "--method", "sensor-fault-bank", "--faults", "leak")
+    assert_error(wrong, "fault-estimator, not for sensor-fault-bank")
     assert_error(design(made, tmp_path, residua, "plant.toml", *options[:3], "nothing"), "nothing")
 
 
@@ -368,7 +371,7 @@ def test_design_samples_a_continuous_plant(made: Path, tmp_path: Path, residua: 
 @pytest.mark.parametrize(
     ("options", "part"),
     [
-        (("--method", "kalman-filter", "--poles", "0.3,0.3"), "leave out --poles"),
+        (("--method", "kalman-filter", "--poles", "0.3,0.3"), "fault-estimator, not for kalman-filter"),
         (("--method", "detection-filter", "--poles", "0.3+0.1j,0.3"), "conjugate"),
         (("--method", "detection-filter", "--poles", "1.3,0.3"), "stable"),
         (("--sample-time", "2.0"), "dt"),
@@ -450,5 +453,5 @@ def test_a_pole_at_zero_is_a_zero(made: Path, tmp_path: Path, residua: Residua) 
         "-0.5",
         "0.1+0.2i",
     ]
-    _, out, _ = residua("design", made / "plant.toml", "-o", tmp_path / "p.json", "--method", "parity")
+    _, out, _ = residua("design", made / "plant.toml", "-o", tmp_path / "p.json", "--method", "structured-parity")
     assert re.search(r"^  poles: 0(, 0)*$", out, flags=re.MULTILINE)

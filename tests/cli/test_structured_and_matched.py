@@ -12,7 +12,7 @@ import pytest
 from cli_examples import PLANT, Residua, assert_error
 from residua.analysis import coding
 from residua.cli import screen
-from residua.cli.methods import parse_rows
+from residua.cli.option_types import parse_rows
 
 
 def design(made: Path, tmp_path: Path, residua: Residua, method: str, *options: str) -> tuple[int, str, str]:
@@ -69,7 +69,7 @@ def test_codes_says_what_it_does_when_that_takes_long(
 
 
 def test_a_slip_in_the_rows_names_no_other_methods(made: Path, tmp_path: Path, residua: Residua) -> None:
-    for method in ("structured-bank", "parity"):
+    for method in ("structured-bank", "structured-parity"):
         told = design(made, tmp_path, residua, method, "--rows", "01,10")
         assert_error(told, "row '01': expected 3 digits 0 or 1, one per fault")
         assert "exist" not in told[2]
@@ -92,8 +92,8 @@ def test_codes_chooses_weakly_when_asked(made: Path, residua: Residua) -> None:
 
 
 def test_rows_as_text() -> None:
-    assert parse_rows("011,101") == ("011", "101")
-    assert parse_rows(" 01 1 ,101") == ("011", "101")
+    assert parse_rows("011,101") == ["011", "101"]
+    assert parse_rows(" 01 1 ,101") == ["011", "101"]
     for text in ("", "012", "01,1", "0111,,0111", "0x1"):
         with pytest.raises(ValueError, match="are no rows"):
             parse_rows(text)
@@ -120,7 +120,7 @@ def test_a_structured_bank_names_by_a_chosen_code(made: Path, tmp_path: Path, re
 
 def test_parity_relations_with_rows_of_ones_own(made: Path, tmp_path: Path, residua: Residua) -> None:
     options = ("--rows", "111,100", "--false-alarm-rate", "0.01", "--average", "20")
-    status, out, _ = design(made, tmp_path, residua, "parity", *options)
+    status, out, _ = design(made, tmp_path, residua, "structured-parity", *options)
     assert status == 0
     assert "structured parity relations\n  poles: 0, 0" in out
     assert re.search(r"^level 1 sensor +x +x +-$", out, flags=re.MULTILINE)
@@ -132,7 +132,7 @@ def test_parity_relations_with_rows_of_ones_own(made: Path, tmp_path: Path, resi
 
 
 def test_rows_that_are_not_attainable_are_refused_or_left_out(made: Path, tmp_path: Path, residua: Residua) -> None:
-    for method in ("parity", "structured-bank"):
+    for method in ("structured-parity", "structured-bank"):
         refused = design(made, tmp_path, residua, method, "--rows", "011,110")
         assert refused[0] == 2
         assert "--allow-missing" in refused[2]
@@ -145,14 +145,22 @@ def test_rows_that_are_not_attainable_are_refused_or_left_out(made: Path, tmp_pa
 @pytest.mark.parametrize(
     ("method", "options", "part"),
     [
-        ("kalman-filter", ("--rows", "011"), "--rows is for --method structured-bank and parity"),
-        ("parity", ("--margin", "0.1"), "parity relations have no margin"),
-        ("structured-bank", ("--poles", "0.3,0.3"), "give --margin instead of --poles"),
-        ("parity", ("--poles", "0.3,0.3,0.3"), "parity: "),
-        ("parity", ("--scheme", "dedicated"), "--scheme is for --method sensor-bank and actuator-bank"),
-        ("matched-filters", ("--allow-missing",), "--allow-missing is for banks"),
+        (
+            "kalman-filter",
+            ("--rows", "011"),
+            "--rows is for --method structured-bank and structured-parity, not for kalman-filter",
+        ),
+        ("structured-parity", ("--margin", "0.1"), "fault-estimator, not for structured-parity"),
+        ("structured-bank", ("--poles", "0.3,0.3"), "fault-estimator, not for structured-bank"),
+        ("structured-parity", ("--poles", "0.3,0.3,0.3"), "structured-parity: "),
+        (
+            "structured-parity",
+            ("--scheme", "dedicated"),
+            "--scheme is for --method actuator-fault-bank and sensor-fault-bank",
+        ),
+        ("matched-filters", ("--allow-missing",), "--allow-missing is for --method actuator-fault-bank"),
         ("matched-filters", ("--average", "3"), "leave out --average"),
-        ("matched-filters", ("--poles", "0.3,0.3"), "leave out --poles"),
+        ("matched-filters", ("--poles", "0.3,0.3"), "fault-estimator, not for matched-filters"),
     ],
 )
 def test_options_that_do_not_go_together(
@@ -185,5 +193,5 @@ def test_matched_filters_of_a_continuous_plant_need_the_step(tmp_path: Path, res
     text = PLANT.replace("dt = 1.0", "").replace("[[0.9, 0.05], [0.05, 0.8]]", "[[-1.0, 0.1], [0.1, -2.0]]")
     (tmp_path / "c.toml").write_text(text)
     command = ("design", tmp_path / "c.toml", "-o", tmp_path / "out.json", "--method", "matched-filters")
-    assert_error(residua(*command), "matched-filters: matched filters count samples: give --sample-time")
+    assert_error(residua(*command), "matched-filters: it counts samples: give --sample-time")
     assert residua(*command, "--sample-time", "0.1")[0] == 0

@@ -23,7 +23,7 @@ from residua.linear.systems.balancing import descriptor_units, evened, without_r
 from residua.plant import OperatingPoint, Plant
 from residua.plant.disturbances import factor_disturbance
 from residua.plant.even_units import EvenPlant, even_plant
-from residua.tolerances import TINY
+from residua.tolerances import RESIDUE, TINY, above_rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,7 +317,7 @@ def singular_decoupling(plant: Plant, form: OutputFreeForm, *, rtol: float = DEF
     level = np.linalg.norm(whole[:, :n], axis=0)  # time has units too: E may be small against C
     whole[:, :n] /= np.where(level > 0, level, 1.0)
     found = np.linalg.pinv(whole, rcond=rtol)[:n]
-    found = np.where(np.abs(found) > 1e-14 * np.abs(found).max(initial=0.0), found, 0.0)  # rounding is no coupling
+    found = above_rounding(found, np.abs(found).max(initial=0.0), RESIDUE)  # rounding is no coupling
     found = found / np.where(level > 0, level, 1.0)[:, None]
     T, H = S[:, None] * found[:, :n] * u.equations, S[:, None] * found[:, n:] * u.outputs
     free = left_null_basis(whole, rtol=rtol, scale=1.0)[0].T
@@ -343,7 +343,7 @@ def algebraic_equations(plant: Plant, *, undisturbed: bool = False) -> NDArray[n
     size = np.linalg.norm(D, axis=0)
     D = D / np.where(size > 0, size, 1.0) if undisturbed else D[:, :0]
     N = left_null_basis(np.hstack([E / (np.linalg.norm(E) or 1.0), D]))[0].T
-    N = np.where(np.abs(N) > 1e-14, N, 0.0) * u.equations
+    N = above_rounding(N, 1.0, RESIDUE) * u.equations
     return N / np.maximum(np.abs(N).max(axis=1, keepdims=True, initial=0.0), TINY)
 
 

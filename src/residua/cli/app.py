@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -10,10 +9,10 @@ from typing import Annotated
 import typer
 
 from residua import __version__
-from residua.cli import methods, plant_commands, screen
+from residua.cli import plant_commands, screen
+from residua.cli.checks import check_outputs, checked_rate
+from residua.cli.design_command import Commands, thresholds
 from residua.cli.guard import FAULT, NO_FAULT, GuardedGroup, in_cli_words, warn
-from residua.cli.methods import MemberKind, Method, Scheme
-from residua.cli.plant_commands import PlantFile, Rows
 from residua.cli.recording_options import (
     Columns,
     DayFirst,
@@ -28,19 +27,16 @@ from residua.cli.recording_options import (
     Transpose,
     Variable,
 )
-from residua.decide import Directional, Matched, NormThreshold, Structured
 from residua.demos import Outcome
-from residua.design import MatchedFilters, ResidualGenerator
-from residua.errors import AccuracyError, DataError, ModelError, SettingError
-from residua.files import check_input, check_output, real, special
+from residua.errors import AccuracyError, DataError
+from residua.files import check_input, real
 from residua.monitor import Diagnosis, Monitor
 from residua.monitor.inputs import settling_reason
-from residua.plant.plant_file import load_plant
 from residua.recording.recording import Recording
 from residua.recording.table_writer import write_table
 
 app = typer.Typer(
-    cls=GuardedGroup,
+    cls=Commands,
     help="Model-based fault detection and isolation: from a plant file and a recording to the faulty component.",
     epilog="Exit status: 0 done, or no alarm; 1 an alarm was raised; 2 error. "
     "RESIDUA_TRACEBACK=1 shows where an error comes from.",
@@ -57,27 +53,6 @@ def _version(wanted: bool) -> None:
     if wanted:
         typer.echo(f"residua {__version__}")
         raise typer.Exit
-
-
-def _poles(text: str | None) -> str | None:
-    if text is not None:
-        try:
-            methods.parse_poles(text)
-        except ValueError as error:
-            raise typer.BadParameter(str(error)) from None
-    return text
-
-
-def _rate(value: float | None) -> float | None:
-    if value is not None and not 0 < value < 1:
-        raise typer.BadParameter(f"must lie between 0 and 1, got {value:g}")
-    return value
-
-
-def _positive(value: float | None) -> float | None:
-    if value is not None and not 0 < value < float("inf"):
-        raise typer.BadParameter(f"must be positive, got {value:g}")
-    return value
 
 
 MonitorFile = Annotated[Path, typer.Argument(metavar="MONITOR.json", help="What design or fit wrote.")]
@@ -98,125 +73,6 @@ app.command()(plant_commands.suggest)
 
 
 @app.command()
-def design(
-    plant: PlantFile,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="OUT.json", help="Monitor to write.")],
-    method: Annotated[
-        Method, typer.Option(help="auto: by what the plant file has of disturbances and noise.")
-    ] = Method.auto,
-    poles: Annotated[
-        str | None,
-        typer.Option(callback=_poles, metavar="LIST", help="Poles, such as -3,-3,-3 or -1+2j,-1-2j,-3."),
-    ] = None,
-    margin: Annotated[
-        float | None,
-        typer.Option(callback=_positive, metavar="RATE", help="Stability margin when no poles are given, in 1/s."),
-    ] = None,
-    sample_time: Annotated[
-        float | None,
-        typer.Option(callback=_positive, metavar="S", help="Step of the recordings, for a continuous plant."),
-    ] = None,
-    scheme: Annotated[
-        Scheme | None, typer.Option(help="Of a bank: what each member leaves out; generalized when omitted.")
-    ] = None,
-    observer: Annotated[
-        MemberKind | None, typer.Option(help="Of a bank: what its members are; unknown-input when omitted.")
-    ] = None,
-    allow_missing: Annotated[
-        bool, typer.Option("--allow-missing", help="Of a bank: leave out the members that do not exist.")
-    ] = False,
-    rows: Rows = None,
-    faults: Annotated[
-        str | None,
-        typer.Option(metavar="LIST", help="What fault-estimator estimates, with commas; all faults when omitted."),
-    ] = None,
-    false_alarm_rate: Annotated[
-        float, typer.Option(callback=_rate, metavar="RATE", help="Fraction of fault-free samples in alarm.")
-    ] = 1e-4,
-    persistence: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Samples in a row over the threshold that raise an alarm.")
-    ] = 3,
-    average: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Samples over which the residual is summed before its test.")
-    ] = 1,
-    window: Annotated[
-        int,
-        typer.Option(
-            min=1,
-            metavar="N",
-            help="Samples over which the direction of the residual, the code of a bank, or an arrival is judged.",
-        ),
-    ] = 50,
-) -> None:
-    """Design a monitor and print what it proves about itself."""
-    check_input(plant, "a plant file")
-    check_outputs([output], [plant])
-    model = load_plant(plant)
-    chosen, why = (method, "") if method is not Method.auto else methods.choose(model)
-    names = None if faults is None else tuple(name.strip() for name in faults.split(","))
-    options = methods.DesignOptions(
-        methods.parse_poles(poles) if poles else None,
-        margin,
-        sample_time,
-        names,
-        scheme,
-        observer,
-        allow_missing,
-        methods.parse_rows(rows) if rows else None,
-        window,
-    )
-    made = methods.make(model, chosen, options, why=why)
-    if isinstance(made, MatchedFilters) and average != 1:
-        raise SettingError("matched filters sum over their --window by themselves: leave out --average")
-    monitor = Monitor(
-        made,
-        test=NormThreshold(persistence=persistence, window=average, false_alarm_rate=false_alarm_rate),
-        isolate=_isolation(made, window),
-        dt=sample_time,
-    )
-    monitor.save(output)
-    screen.say(f"method: {chosen.value}" + (f", because {why}" if why else ""), in_cli_words(str(_evidence(monitor))))
-    if isinstance(made, MatchedFilters):
-        screen.show_responses(made)
-    elif isinstance(monitor.isolate, Structured):
-        screen.show_codes(made, monitor.isolate)
-    elif model.faults and isinstance(monitor.isolate, Directional):
-        screen.show_signatures(made, monitor.isolate)
-    screen.say(_readiness(monitor, output), f"written: {output}")
-
-
-def _isolation(made: ResidualGenerator | MatchedFilters, window: int) -> Directional | Structured | Matched:
-    if isinstance(made, MatchedFilters):
-        return Matched(made.window, made.steady, made.alike)
-    return Directional(window=window) if made.codes is None else Structured(window=window)
-
-
-def _evidence(monitor: Monitor) -> object:
-    """Return the evidence of what will run: the sampled filter, where the step is known."""
-    try:
-        return monitor.generator.evidence
-    except ModelError:  # a continuous design whose step is not known yet
-        return monitor.design.evidence
-
-
-def _readiness(monitor: Monitor, path: Path) -> str:
-    if monitor.is_fitted:
-        test = monitor.norm_test
-        what = _thresholds(monitor).replace("threshold: ", "threshold ")
-        return f"{what}: {test.basis}; 'residua fit' sets it from fault-free data"
-    return f"no threshold yet: residua fit {path} NORMAL.csv -o {path}"
-
-
-def _thresholds(monitor: Monitor) -> str:
-    """Return the threshold, or those of the members of a bank."""
-    test = monitor.norm_test
-    if not test.part_names:
-        return f"threshold: {test.threshold:.6g}"
-    limits = zip(test.part_names, test.part_thresholds, strict=True)
-    return f"thresholds: {', '.join(f'{name} {limit:.6g}' for name, limit in limits)}"
-
-
-@app.command()
 def fit(
     monitor: MonitorFile,
     normal: Annotated[
@@ -225,7 +81,7 @@ def fit(
     output: Annotated[Path, typer.Option("--output", "-o", metavar="OUT.json", help="Monitor to write.")],
     false_alarm_rate: Annotated[
         float | None,
-        typer.Option(callback=_rate, metavar="RATE", help="Fraction in alarm; that of the design when omitted."),
+        typer.Option(callback=checked_rate, metavar="RATE", help="Fraction in alarm; that of the design when omitted."),
     ] = None,
     time: TimeColumn = None,
     dt: Step = None,
@@ -257,7 +113,7 @@ def fit(
     judged = sum(int(one.decided.sum()) for one in found)
     alarmed = sum(float((one.alarm & one.decided).sum()) for one in found)
     screen.say(
-        _thresholds(watch),
+        thresholds(watch),
         f"basis: {watch.norm_test.basis}",
         _fitted_samples(found, judged),
         f"fraction in alarm: {alarmed / max(1, judged):.3g} ({_asked(found[0], rate)})",
@@ -409,25 +265,3 @@ def _folder(path: Path) -> None:
     if path.exists() and not path.is_dir():
         raise DataError(f"{path} is a file; the demo needs a folder")
     path.mkdir(parents=True, exist_ok=True)
-
-
-def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path] = ()) -> None:
-    """Raise unless every output can be written.
-
-    Parameters
-    ----------
-    outputs : iterable of Path or None
-        ``None`` stands for an output that was not asked for.
-    inputs : iterable of Path
-        Files that must not be overwritten.
-    """
-    taken = {real(path): "is read by this command" for path in inputs}
-    for path in outputs:
-        if path is None:
-            continue
-        check_output(path)
-        if special(path):
-            continue
-        if real(path) in taken:
-            raise DataError(f"{path} {taken[real(path)]}; give the output another name")
-        taken[real(path)] = "is given for two outputs"

@@ -140,6 +140,9 @@ def in_cli_words(text: str) -> str:
         option = next((option for option in options if option in _OPTIONS.get()), None)
         if option is not None:
             text = re.sub(rf"\b{name}=(?:\.\.\.|(?=[,;. )]|$))", option, text)
+    for option in _OPTIONS.get():
+        name = option.lstrip("-").replace("-", "_")
+        text = re.sub(rf"\b{name}=(?:True\b|\[\.\.\.\]|\.\.\.|(?=[,;. )]|$))", option, text)
     return text
 
 
@@ -162,3 +165,8 @@ def show_usage(error: Exception) -> int:
 def warn(line: str) -> None:
     """Write a warning to stderr."""
     complain(f"warning: {visible(line)}")
+
+
+def note(line: str) -> None:
+    """Write to stderr what is good to know."""
+    complain(f"note: {visible(line)}")

@@ -1,103 +1,197 @@
-"""Which design method, and why; poles and rows as text."""
+"""Which design method, with which options, and why: from the registry of methods."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from enum import StrEnum
+import re
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
-from residua import design
 from residua.analysis import coding
-from residua.design import Bank, MatchedFilters, ResidualGenerator
-from residua.design.estimation.fault_estimator import fault_estimator
-from residua.errors import AccuracyError, DesignError, SettingError
+from residua.cli.option_types import Form, form_of
+from residua.design.catalogue import methods
+from residua.design.core.brought import brings_a_generator, for_monitor
+from residua.design.core.method import Chosen, Method
+from residua.design.core.needs import NOISE, ROWS, SAMPLED
+from residua.design.core.options import Option
+from residua.errors import AccuracyError, DesignError, ModelError, SettingError
 from residua.plant import Plant
 
-#: Seconds for the choice of a coding set; what was found by then is taken.
-CHOICE_TIME = 10.0
+AUTO = "auto"
+#: Seconds for the choice of a coding set, and for the other methods after a refusal; what was found by then is taken.
+CHOICE_TIME, TRYING_TIME = 10.0, 30.0
 
 
-class Scheme(StrEnum):
-    """Which sensors or actuators a member of a bank leaves to the others."""
+class OptionError(ValueError):
+    """An option whose text says nothing: which one, and what is wrong."""
 
-    generalized = "generalized"
-    dedicated = "dedicated"
-
-
-class MemberKind(StrEnum):
-    """What the members of a bank are."""
-
-    unknown_input = "unknown-input"
-    reduced_order = "reduced-order"
-    perfect = "perfect"
-    minimal = "minimal"
+    def __init__(self, option: str, why: str) -> None:
+        super().__init__(f"{option}: {why}")
+        self.option, self.why = option, why
 
 
-class Method(StrEnum):
-    """The design methods of the command line."""
+def option_name(name: str) -> str:
+    """Return how the command line calls an argument; letters of the literature stay as they are."""
+    return f"--{name.replace('_', '-')}"
 
-    auto = "auto"
-    robust_detection_filter = "robust-detection-filter"
-    detection_filter = "detection-filter"
-    kalman_filter = "kalman-filter"
-    unknown_input_observer = "unknown-input-observer"
-    luenberger_observer = "luenberger-observer"
-    sensor_bank = "sensor-bank"
-    actuator_bank = "actuator-bank"
-    structured_bank = "structured-bank"
-    parity = "parity"
-    matched_filters = "matched-filters"
-    fault_estimator = "fault-estimator"
+
+def method_name(method: Method) -> str:
+    """Return how the command line calls a method."""
+    return method.name.replace("_", "-")
+
+
+def offered() -> dict[str, Method]:
+    """Return the methods that a plant file and options can feed, and whose result a monitor can take, by name."""
+    return {method_name(one): one for one in methods() if not in_python_only(one)}
+
+
+def former_names() -> dict[str, str]:
+    """Return the names that methods had before they were those of the functions, with these."""
+    return {former: name for name, one in offered().items() for former in one.formerly}
+
+
+def in_python_only(method: Method) -> str:
+    """Return why a method is not offered here; empty where it is."""
+    if not method.takes_a_plant:
+        kind = method.designs_for
+        article = "" if kind.endswith("s") and "with" not in kind else "an " if kind[0] in "aeiou" else "a "
+        return f"for {article}{kind}"
+    unsaid = [one.name for one in method.options if one.required and one.name not in method.chosen and not form_of(one)]
+    if unsaid:
+        return f"needs {', '.join(unsaid)}"
+    return "" if brings_a_generator(method.result) else f"a monitor cannot run {method.returns}"
 
 
 @dataclass(frozen=True)
-class DesignOptions:
-    """What was asked of a design.
+class Shared:
+    """An option of the command line that one or more methods have.
 
     Attributes
     ----------
-    poles : tuple of complex or None
-    margin : float or None
-    sample_time : float or None
-    faults : tuple of str or None
-        What a fault estimator estimates.
-    scheme, observer : str or None
-        Of a bank of observers; its own when omitted.
-    allow_missing : bool
-        Whether a bank leaves out members that do not exist.
-    rows : tuple of str or None
-        Who fires when what fails, ``"0111"``, for structured residuals; a chosen coding set when omitted.
-    window : int
-        Arrival times that matched filters tell apart, in samples.
+    name : str
+        Of the argument.
+    flags : tuple of str
+        What is written.
+    form : Form
+        Of the first method that has it.
+    text : str
+        What most of the methods say of it.
+    methods : tuple of str
+        Which have it.
     """
 
-    poles: tuple[complex, ...] | None = None
-    margin: float | None = None
+    name: str
+    flags: tuple[str, ...]
+    form: Form
+    text: str
+    methods: tuple[str, ...]
+
+
+def options(taken: Iterable[str] = ()) -> list[Shared]:
+    """Return every option of every method, but for names that are taken."""
+    found: dict[str, list[tuple[str, Option, Form]]] = {}
+    for name, method in offered().items():
+        for option in method.options:
+            form = form_of(option)
+            if form is not None and option.name not in taken:
+                found.setdefault(option.name, []).append((name, option, form))
+    return [_shared(name, holders) for name, holders in found.items()]
+
+
+def _shared(name: str, holders: list[tuple[str, Option, Form]]) -> Shared:
+    form = holders[0][2]
+    texts = Counter(one.text for _, one, _ in holders)
+    text = max(texts, key=lambda one: (bool(one), texts[one], len(one)))
+    flag = option_name(form.name or name)
+    flags = (f"{flag}/--no-{flag[2:]}",) if form.is_flag else (flag,)
+    if any(other.is_flag != form.is_flag for _, _, other in holders):  # of one name and two kinds: each reads its text
+        form, flags = Form("TEXT", str), (flag,)
+    return Shared(name, flags, form, in_plain_words(text), tuple(one for one, _, _ in holders))
+
+
+def in_plain_words(text: str) -> str:
+    """Return a description from a docstring without its markup."""
+    text = re.sub(r":\w+:`~?(?:[\w.]*\.)?(\w+)`", r"\1", text)
+    text = re.sub(r":math:`([^`]*)`", r"\1", text).replace("``", "")
+    return text.replace("[", "(").replace("]", ")")  # screens take brackets for markup
+
+
+@dataclass(frozen=True)
+class Call:
+    """A design: a method with what is asked of it.
+
+    Attributes
+    ----------
+    method : Method
+    given : mapping of str to value
+        Options that were asked for.
+    written : mapping of str to str or bool
+        The same as they were written, for other methods to read.
+    sample_time : float or None
+        Of the recordings.
+    settings : mapping of str to value
+        Of the monitor: a method takes those that it has an option for.
+    made : dict
+        Arguments that were made from the plant, which other calls share.
+    """
+
+    method: Method
+    given: Mapping[str, Any]
+    written: Mapping[str, Any] = field(default_factory=dict)
     sample_time: float | None = None
-    faults: tuple[str, ...] | None = None
-    scheme: str | None = None
-    observer: str | None = None
-    allow_missing: bool = False
-    rows: tuple[str, ...] | None = None
-    window: int = 40
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    made: dict[Chosen, Any] = field(default_factory=dict, repr=False)
 
     @property
-    def of_banks(self) -> dict[str, Any]:
-        """What was asked of a bank, as arguments of its function."""
-        given = {"scheme": self.scheme, "observer": self.observer, "allow_missing": self.allow_missing or None}
-        return {name: value for name, value in given.items() if value is not None}
+    def asked(self) -> dict[str, Any]:
+        """Its arguments, beside those that are made from the plant."""
+        names = {one.name for one in self.method.options}
+        return {**self.given, **{name: value for name, value in self.settings.items() if name in names}}
 
-    def for_method(self, method: Method) -> DesignOptions:
-        """Return the options without those that a method does not have."""
-        kept = self if method in _BANKS else replace(self, scheme=None, observer=None)
-        kept = kept if method in _BANKS + _STRUCTURED else replace(kept, allow_missing=False)
-        kept = kept if method in _STRUCTURED else replace(kept, rows=None)
-        kept = kept if method is Method.fault_estimator else replace(kept, faults=None)
-        return replace(kept, poles=None, margin=None) if method in _OF_THE_NOISE else kept
+    @property
+    def left_out(self) -> list[str]:
+        """Arguments that it needs and nobody gave."""
+        chosen = {*self.asked, *self.method.chosen}
+        return [one.name for one in self.method.options if one.required and one.name not in chosen]
+
+    def run(self, plant: Plant) -> Any:
+        """Make the call, and return what a monitor takes of it."""
+        asked = self.asked
+        for name, chosen in self.method.chosen.items():
+            if name not in asked:
+                if chosen not in self.made:
+                    self.made[chosen] = chosen.make(plant, CHOICE_TIME)
+                asked[name] = self.made[chosen]
+        return for_monitor(self.method.function(self._of_the_time(plant), **asked))
+
+    def _sampled(self, plant: Plant) -> bool:
+        """Whether the plant is sampled first: the best filter of that, rather than the continuous one, sampled."""
+        needs = self.method.requirements
+        noise = NOISE in needs and bool(plant.Bw.shape[1])
+        return self.sample_time is not None and not plant.is_discrete and (noise or SAMPLED in needs)
+
+    def _of_the_time(self, plant: Plant) -> Plant:
+        if self.sample_time is not None and self._sampled(plant):
+            return plant.discretize(self.sample_time)
+        if SAMPLED in self.method.requirements and not plant.is_discrete:
+            raise DesignError("it counts samples: give --sample-time, the step of the recordings")
+        return plant
+
+    def code(self, plant: Plant) -> str:
+        """Return the same in Python, for a plant called ``plant``."""
+        sampled = f"plant.discretize({self.sample_time!r})" if self._sampled(plant) else "plant"
+        made = [
+            f"{name}={one.limited.format(seconds=CHOICE_TIME)}"
+            for name, one in self.method.chosen.items()
+            if name not in self.given
+        ]
+        given = [f"{name}={value!r}" for name, value in self.asked.items()]
+        return f"{self.method.called}({', '.join([sampled, *made, *given])})"
 
 
-def choose(plant: Plant) -> tuple[Method, str]:
+def choose(plant: Plant) -> tuple[str, str]:
     """Return the method that fits what is known about a plant, and why.
 
     Parameters
@@ -106,235 +200,147 @@ def choose(plant: Plant) -> tuple[Method, str]:
 
     Returns
     -------
-    tuple of Method and str
+    tuple of str
     """
     if plant.disturbances:
         names = ", ".join(plant.disturbances)
-        return Method.robust_detection_filter, f"the plant has disturbances to be decoupled: {names}"
+        return "robust-detection-filter", f"the plant has disturbances to be decoupled: {names}"
     if plant.Bw.shape[1]:
-        return Method.kalman_filter, "the plant has noise and no disturbances"
-    return Method.detection_filter, "the plant has neither disturbances nor noise"
+        return "kalman-filter", "the plant has noise and no disturbances"
+    return "detection-filter", "the plant has neither disturbances nor noise"
 
 
-def make(plant: Plant, method: Method, options: DesignOptions, *, why: str = "") -> ResidualGenerator | MatchedFilters:
+def call_of(name: str, asked: Mapping[str, Any], settings: Mapping[str, Any], sample_time: float | None) -> Call:
+    """Return a method with what was asked of it.
+
+    Parameters
+    ----------
+    name : str
+    asked : mapping of str to str or bool
+        Options as they were written.
+    settings : mapping of str to value
+        Of the monitor: a method takes those that it has too.
+    sample_time : float or None
+
+    Raises
+    ------
+    SettingError
+        If the method does not have an option, or needs one that is not there.
+    OptionError
+        If a text says nothing.
+    """
+    known = offered()
+    method = known[name]
+    own = {one.name: one for one in method.options if form_of(one) is not None}
+    for option in asked:
+        if option not in own:
+            raise SettingError(_not_of(option, name))
+    given = {option: _read(own[option], value) for option, value in asked.items()}
+    call = Call(method, given, asked, sample_time, settings)
+    if call.left_out:
+        needed = next(one for one in method.options if one.name == call.left_out[0])
+        form = form_of(needed)
+        assert form is not None
+        said = in_plain_words(needed.text)
+        raise SettingError(f"{name} needs {option_name(form.name or needed.name)} {form.metavar}: {said}")
+    return call
+
+
+def _not_of(option: str, name: str) -> str:
+    one = next(one for one in options() if one.name == option)
+    flag = one.flags[0].partition("/")[0]
+    return f"{flag} is for --method {_listed(one.methods)}, not for {name}"
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def _read(option: Option, value: Any) -> Any:
+    form = form_of(option)
+    assert form is not None
+    try:
+        return form.read(value)
+    except ValueError as error:
+        raise OptionError(option_name(form.name or option.name), str(error)) from None
+
+
+def make(plant: Plant, name: str, call: Call, *, why: str = "") -> Any:
     """Design by one method, or say why that is impossible and which other methods would work.
 
     Parameters
     ----------
     plant : Plant
-    method : Method
-        Not ``auto``: see :func:`choose`.
-    options : DesignOptions
+    name : str
+        Of the method.
+    call : Call
     why : str
         Why the method was chosen, for the message.
 
     Returns
     -------
-    ResidualGenerator or MatchedFilters
+    ResidualGenerator, or a design that has one
 
     Raises
     ------
     DesignError
     """
-    if options.faults is not None and method is not Method.fault_estimator:
-        raise DesignError(f"--faults says what --method fault-estimator estimates, and does not go with {method.value}")
-    if options.rows is not None and method not in _STRUCTURED:
-        raise DesignError(f"--rows is for --method structured-bank and parity, not for {method.value}")
-    given = [name for name in options.of_banks if name not in options.for_method(method).of_banks]
-    if given:
-        names = ", ".join(f"--{name.replace('_', '-')}" for name in given)
-        which = "banks" if given == ["allow_missing"] else "--method sensor-bank and actuator-bank"
-        raise DesignError(f"{names} is for {which}, not for {method.value}")
-    if options.rows is not None:
-        coding.CodingSet.of(list(options.rows), plant.faults)  # a slip in these says nothing about other methods
+    for option, chosen in call.method.chosen.items():
+        if chosen is ROWS and option in call.given:  # a slip in these says nothing about other methods
+            coding.CodingSet.of(call.given[option], plant.faults)
     try:
-        return _DESIGNS[method](plant, options)
+        return call.run(plant)
     except (DesignError, AccuracyError) as error:
-        chosen = f"{method.value} (chosen because {why})" if why else method.value
-        raise type(error)(f"{chosen}: {error}; {_alternatives(plant, method, options)}") from error
+        chosen = f"{name} (chosen because {why})" if why else name
+        raise type(error)(f"{chosen}: {error}; {_alternatives(plant, name, call)}") from error
     except SettingError as error:  # an option is wrong: that says nothing about other methods
-        raise SettingError(f"{method.value}: {error}") from error
+        raise SettingError(f"{name}: {error}") from error
 
 
-def _alternatives(plant: Plant, failed: Method, options: DesignOptions) -> str:
-    """Return which of the other methods exist for this plant."""
-    possible = []
-    for method, build in _DESIGNS.items():
-        if method is failed:
-            continue
-        try:
-            build(plant, options.for_method(method))
-        except (DesignError, AccuracyError, SettingError):
-            continue
-        note = ""
-        if plant.disturbances and method in _NOT_DECOUPLED:
-            note = " (does not decouple the disturbances)"
-        possible.append(f"--method {method.value}{note}")
+def _alternatives(plant: Plant, failed: str, call: Call) -> str:
+    """Return which of the other methods exist for this plant, with those of the options that they have."""
+    possible, late, end = [], [], time.monotonic() + TRYING_TIME
+    for name, other in _others(failed, call):
+        if time.monotonic() > end:
+            late.append(name)
+        elif _exists(other, plant):
+            exposed = plant.disturbances and not other.method.decouples
+            possible.append(f"--method {name}{' (does not decouple the disturbances)' if exposed else ''}")
+    untried = f"; not tried for want of time: {', '.join(late)}" if late else ""
     if possible:
-        return f"what exists for this plant: {', '.join(possible)}"
-    return "no other method exists for this plant with these options either"
+        return f"what exists for this plant: {', '.join(possible)}{untried}"
+    return f"no other method exists for this plant with these options either{untried}"
 
 
-def _directional(build: Callable[..., ResidualGenerator]) -> Callable[[Plant, DesignOptions], ResidualGenerator]:
-    def design_it(plant: Plant, options: DesignOptions) -> ResidualGenerator:
-        return build(plant, poles=options.poles, margin=options.margin)
-
-    return design_it
-
-
-def _kalman(plant: Plant, options: DesignOptions) -> ResidualGenerator:
-    return design.kalman_filter(_sampled(plant, options))
-
-
-def _matched(plant: Plant, options: DesignOptions) -> MatchedFilters:
-    if not plant.is_discrete and options.sample_time is None:
-        raise DesignError("matched filters count samples: give --sample-time, the step of the recordings")
-    return design.matched_filters(_sampled(plant, options), window=options.window)
-
-
-def _sampled(plant: Plant, options: DesignOptions) -> Plant:
-    """Return the sampled plant: the optimal filter of that, rather than the continuous one, sampled."""
-    if options.poles is not None or options.margin is not None:
-        raise DesignError("the poles of a Kalman filter follow from the noise: leave out --poles and --margin")
-    if options.sample_time is None or plant.is_discrete or not plant.Bw.shape[1]:
-        return plant
-    return plant.discretize(options.sample_time)
-
-
-def _inner(build: Callable[..., Any]) -> Callable[[Plant, DesignOptions], ResidualGenerator]:
-    """Return a design whose result is an observer, which has a residual generator."""
-
-    def design_it(plant: Plant, options: DesignOptions) -> ResidualGenerator:
-        return build(plant, poles=options.poles, margin=options.margin).residual_generator()
-
-    return design_it
-
-
-def _bank(build: Callable[..., Bank]) -> Callable[[Plant, DesignOptions], ResidualGenerator]:
-    def design_it(plant: Plant, options: DesignOptions) -> ResidualGenerator:
-        return _of_bank(build(plant, poles=options.poles, margin=options.margin, **options.of_banks))
-
-    return design_it
-
-
-def _of_bank(bank: Bank) -> ResidualGenerator:
-    """Return the generator of a bank, whose evidence says which members were left out."""
-    left_out = tuple(f"no member {name!r}: {reason}" for name, reason in bank.failures.items())
-    made = bank.generator
-    return replace(made, evidence=made.evidence.extended(notes=left_out)) if left_out else made
-
-
-def _structured_bank(plant: Plant, options: DesignOptions) -> ResidualGenerator:
-    if options.poles is not None:
-        raise DesignError("members of a structured bank have poles of their own: give --margin instead of --poles")
-    rows = _rows(plant, options)
-    return _of_bank(design.structured_bank(plant, rows, margin=options.margin, allow_missing=options.allow_missing))
-
-
-def _parity(plant: Plant, options: DesignOptions) -> ResidualGenerator:
-    if options.margin is not None:
-        raise DesignError("parity relations have no margin: give --poles, as many as their order, or neither")
-    rows = _rows(plant, options)
-    return _of_bank(design.structured_parity(plant, rows, poles=options.poles, allow_missing=options.allow_missing))
-
-
-def _rows(plant: Plant, options: DesignOptions) -> coding.CodingSet | list[str]:
-    """Return the rows that were given, or a good choice of those that are attainable."""
-    return coding.choose(plant, time_limit=CHOICE_TIME) if options.rows is None else list(options.rows)
-
-
-def _estimator(plant: Plant, options: DesignOptions) -> ResidualGenerator:
-    found = fault_estimator(plant, faults=options.faults, poles=options.poles, margin=options.margin)
-    return found.residual_generator()
-
-
-#: Methods that do not decouple disturbances.
-_NOT_DECOUPLED = (
-    Method.kalman_filter,
-    Method.matched_filters,
-    Method.detection_filter,
-    Method.luenberger_observer,
-)
-
-_BANKS = (Method.sensor_bank, Method.actuator_bank)
-_STRUCTURED = (Method.structured_bank, Method.parity)
-_OF_THE_NOISE = (Method.kalman_filter, Method.matched_filters)
-
-_DESIGNS: dict[Method, Callable[[Plant, DesignOptions], ResidualGenerator | MatchedFilters]] = {
-    Method.robust_detection_filter: _directional(design.robust_detection_filter),
-    Method.detection_filter: _directional(design.detection_filter),
-    Method.kalman_filter: _kalman,
-    Method.unknown_input_observer: _inner(design.unknown_input_observer),
-    Method.luenberger_observer: _inner(design.luenberger_observer),
-    Method.sensor_bank: _bank(design.sensor_fault_bank),
-    Method.actuator_bank: _bank(design.actuator_fault_bank),
-    Method.structured_bank: _structured_bank,
-    Method.parity: _parity,
-    Method.matched_filters: _matched,
-    Method.fault_estimator: _estimator,
-}
-
-
-def parse_poles(text: str) -> tuple[complex, ...]:
-    """Return poles from text such as ``-3,-3`` or ``-1+2j, -1-2j`` (``i`` stands for ``j`` too).
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    tuple of complex
-
-    Raises
-    ------
-    ValueError
-        If an entry is no number.
-
-    Examples
-    --------
-    >>> from residua.cli.methods import parse_poles
-    >>> parse_poles("-3, -1+2i, -1-2i")
-    ((-3+0j), (-1+2j), (-1-2j))
-    """
-    poles = []
-    for entry in text.split(","):
-        plain = "".join(entry.split())
+def _others(failed: str, call: Call) -> Iterator[tuple[str, Call]]:
+    """Yield the other methods, with those of the options that they have and can read."""
+    for name, method in offered().items():
+        own = {one.name: one for one in method.options if form_of(one) is not None}
         try:
-            pole = complex(plain[:-1] + "j" if plain.endswith(("i", "I")) else plain)
-        except ValueError:
-            pole = complex("nan")
-        if not (abs(pole) < float("inf")):
-            raise ValueError(
-                f"{entry.strip()!r} is no pole: give numbers with commas between them, such as -3,-3 or -1+2j,-1-2j"
-            )
-        poles.append(pole)
-    return tuple(poles)
+            given = {key: _read(own[key], text) for key, text in call.written.items() if key in own}
+        except OptionError:
+            continue
+        other = Call(method, given, call.written, call.sample_time, call.settings, call.made)
+        if name != failed and not other.left_out:
+            yield name, other
 
 
-def parse_rows(text: str) -> tuple[str, ...]:
-    """Return the rows of a structure from text such as ``011,101,110``.
+def _exists(call: Call, plant: Plant) -> bool:
+    try:
+        call.run(plant)
+    except (DesignError, AccuracyError, SettingError, ModelError):
+        return False
+    return True
 
-    Parameters
-    ----------
-    text : str
 
-    Returns
-    -------
-    tuple of str
+HEADER = ("method", "needs", "exists when", "options")
 
-    Raises
-    ------
-    ValueError
-        If an entry has other characters than 0 and 1, or the lengths differ.
 
-    Examples
-    --------
-    >>> from residua.cli.methods import parse_rows
-    >>> parse_rows("011, 101")
-    ('011', '101')
-    """
-    rows = tuple("".join(entry.split()) for entry in text.split(","))
-    if any(not row or set(row) - set("01") for row in rows) or len({len(row) for row in rows}) > 1:
-        raise ValueError(f"{text!r} are no rows: give zeros and ones, one for each fault, such as 011,101,110")
+def table() -> list[tuple[str, ...]]:
+    """Return what each method needs and which options it has, as rows under :data:`HEADER`."""
+    rows = []
+    for name, method in offered().items():
+        forms = ((one, form_of(one)) for one in method.options)
+        flags = [option_name(form.name or one.name) for one, form in forms if form is not None]
+        rows.append((name, method.needs, method.condition, " ".join(flags)))
     return rows

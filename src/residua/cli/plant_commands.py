@@ -11,8 +11,10 @@ from typing import Annotated
 import typer
 
 from residua.analysis import coding, diagnosability
-from residua.cli import methods, screen
+from residua.cli import screen
 from residua.cli.guard import in_cli_words
+from residua.cli.methods import CHOICE_TIME
+from residua.cli.option_types import parse_rows
 from residua.design.suggestion import suggest as suggestion
 from residua.files import check_input
 from residua.plant.plant_file import load_plant
@@ -31,7 +33,7 @@ class Quality(StrEnum):
 def _rows(text: str | None) -> str | None:
     if text is not None:
         try:
-            methods.parse_rows(text)
+            parse_rows(text)
         except ValueError as error:
             raise typer.BadParameter(str(error)) from None
     return text
@@ -75,7 +77,7 @@ def codes(
     check_input(plant, "a plant file")
     model = load_plant(plant)
     if rows:
-        found = coding.attainable(model, list(methods.parse_rows(rows)), constant=constant)
+        found = coding.attainable(model, parse_rows(rows), constant=constant)
         screen.say(str(found), "", str(coding.CodingSet(found.structure, found.faults, found.residuals)))
         return
     with screen.patience(f"looking for the rows of {model.name}"):
@@ -84,8 +86,8 @@ def codes(
         screen.say(f"{model.name}: {len(found.residuals)} rows are attainable; --rows tells about those that you name")
     else:  # r1, r2, ... are the residuals of the choice, and of a bank that is made of it
         screen.say(str(replace(found, residuals=tuple(f"row {k + 1}" for k in range(len(found.residuals))))))
-    with screen.patience(f"choosing among {len(found.residuals)} rows, for {methods.CHOICE_TIME:g} s at most"):
-        chosen = coding.choose(model, quality=quality.value, constant=constant, time_limit=methods.CHOICE_TIME)
+    with screen.patience(f"choosing among {len(found.residuals)} rows, for {CHOICE_TIME:g} s at most"):
+        chosen = coding.choose(model, quality=quality.value, constant=constant, time_limit=CHOICE_TIME)
     screen.say("", in_cli_words(str(chosen)), f"as an option: --rows {','.join(chosen.digits)}")
 
 

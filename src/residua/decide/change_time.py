@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.tolerances import DATA_ROUNDING
+
 #: 95 % quantile of the likelihood ratio of a jump's time, ``(1 - exp(-x / 2))**2 = 0.95`` (Yao 1987); that of the
 #: corner that a ramp begins with is chi-squared with one degree of freedom, 3.84, and smaller.
 JUMP_QUANTILE = -2.0 * float(np.log(1.0 - np.sqrt(0.95)))
@@ -20,8 +22,6 @@ LEAST_EVIDENCE, ENOUGH_EVIDENCE = 30.0, 60.0
 LEAST_BEFORE, MOST_TOGETHER = 40, 4096
 #: Largest order of the noise model.
 _MOST_LAGS = 8
-#: What is below this fraction of the largest value is rounding.
-_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -94,8 +94,8 @@ def _with_enough(signal: NDArray[np.float64], quiet: int, last: int) -> ChangeTi
     if quiet < LEAST_BEFORE or last >= len(signal):
         return None
     level = np.median(signal[:quiet])
-    if np.abs(signal[:quiet] - level).max() <= _ROUNDING * np.abs(signal - level).max():
-        moved = np.flatnonzero(np.abs(signal - level) > _ROUNDING * np.abs(signal - level).max())
+    if np.abs(signal[:quiet] - level).max() <= DATA_ROUNDING * np.abs(signal - level).max():
+        moved = np.flatnonzero(np.abs(signal - level) > DATA_ROUNDING * np.abs(signal - level).max())
         first = min(int(moved[0]), last)
         return ChangeTime(first, first, first)
     more = 1
@@ -180,7 +180,7 @@ def _profile(
         g = np.convolve(shape, whiten)[:m]
         along = np.fft.irfft(spectrum * np.conj(np.fft.rfft(g, size)), size)[:m]
         energy = (np.cumsum(g**2) - np.cumsum(g) ** 2 / m)[::-1]  # less what a baseline takes
-        usable = (along > 0) & (energy > _ROUNDING * energy.max())
+        usable = (along > 0) & (energy > DATA_ROUNDING * energy.max())
         gain = np.full(n, -np.inf)
         gain[p:] = np.where(usable, along**2 / np.where(usable, energy, 1.0), 0.0)
         gain[last + 1 :] = -np.inf

@@ -10,6 +10,7 @@ from residua.design.banks.sensor_fault_bank import sensor_fault_bank
 from residua.design.banks.structured_bank import structured_bank
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import Member, ResidualGenerator
+from residua.design.core.method import Method, method
 from residua.design.detection_filters.detection_filter import detection_filter
 from residua.design.detection_filters.eigenstructure_assignment import eigenstructure_assignment
 from residua.design.detection_filters.robust_detection_filter import robust_detection_filter
@@ -66,6 +67,7 @@ __all__ = [
     "InverseFormObserver",
     "MatchedFilters",
     "Member",
+    "Method",
     "MultiModelParity",
     "Observer",
     "OptimalParity",
@@ -95,6 +97,7 @@ __all__ = [
     "kalman_filter",
     "luenberger_observer",
     "matched_filters",
+    "method",
     "model_spread",
     "multi_model_parity",
     "optimal_parity",

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +14,11 @@ from residua.analysis.diagnosability import Diagnosability, diagnosability
 from residua.analysis.unknown_input import is_singular
 from residua.design.banks.bank import Bank
 from residua.design.banks.matched_filters import MatchedFilters
-from residua.design.catalogue import Method, method
+from residua.design.catalogue import methods
+from residua.design.core.brought import PartialDesign, as_generator, brings_a_generator, for_monitor
 from residua.design.core.generator import ResidualGenerator
+from residua.design.core.method import Chosen, Method, Noise, TimeCourse
 from residua.design.estimation.fault_estimator import FaultEstimator
-from residua.design.suggestion_candidates import Candidate, candidates
 from residua.errors import AccuracyError, DesignError, ModelError, SettingError
 from residua.plant import InputOutputModel, Plant
 from residua.robust.sets.uncertain_plant import UncertainPlant
@@ -25,6 +26,8 @@ from residua.robust.sets.uncertain_plant import UncertainPlant
 WANTS = ("name", "size", "state")
 #: Larger plants are tried with the single observers only, and the largest not at all.
 LARGE, LARGEST, MOST_FAULTS = 60, 200, 16
+#: Seconds for the choice of a coding set; what was found by then is taken.
+_CHOICE_TIME = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,31 +202,95 @@ def _checked(plant: Plant, want: str | None) -> str:
 # -------------------------------------------------------------------------- trying
 
 
+@dataclass(frozen=True)
+class Candidate:
+    """A call, and why it makes no sense here, where it makes none.
+
+    Attributes
+    ----------
+    method : Method
+    options : mapping of str to value
+        What is asked of it.
+    pointless : str
+        Why it makes no sense; empty where it does.
+    made : dict
+        Arguments that were made from the plant already, which candidates share.
+    """
+
+    method: Method
+    options: Mapping[str, Any] = field(default_factory=dict)
+    pointless: str = ""
+    made: dict[Chosen, Any] = field(default_factory=dict, repr=False)
+
+    @property
+    def call(self) -> str:
+        """The line of code."""
+        given = [one.code for one in self.method.chosen.values()]
+        given += [f"{name}={_typed(value)}" for name, value in self.options.items()]
+        return f"{self.method.called}({', '.join(['plant', *given])})"
+
+    def run(self, plant: Plant) -> Any:
+        """Make the call."""
+        chosen = {name: self._made(one, plant) for name, one in self.method.chosen.items()}
+        return self.method.function(plant, **chosen, **self.options)
+
+    def _made(self, one: Chosen, plant: Plant) -> Any:
+        if one not in self.made:
+            self.made[one] = one.make(plant, _CHOICE_TIME)
+        return self.made[one]
+
+
+def candidates(plant: Plant, known: Diagnosability | None) -> Iterator[Candidate]:
+    """Yield what could serve, the more usual first.
+
+    Parameters
+    ----------
+    plant : Plant
+    known : Diagnosability or None
+        Of this plant; ``None`` where it was not examined.
+    """
+    made: dict[Chosen, Any] = {}
+    for one in methods():
+        asked = {option.name for option in one.options if option.required} - set(one.chosen)
+        if one.takes_a_plant and not asked:
+            why = one.missing(plant, known)
+            calls = tuple(one.calls(plant, known)) or ({},)
+            yield from (Candidate(one, options, why, made) for options in calls)
+
+
+def _typed(value: Any) -> str:
+    """Return a value as it is typed."""
+    if isinstance(value, str):
+        return f'"{value}"'
+    return repr(list(value)) if isinstance(value, tuple) else repr(value)
+
+
 def _tried(one: Candidate, plant: Plant, want: str, end: float) -> Entry:
-    record = method(one.function)
-    why = one.pointless or _too_much(one, plant, end)
+    record = one.method
+    why = one.pointless or _too_much(record, plant, end)
     if why:
         return Entry(one.call, record, None, why)
     try:
         made = one.run(plant)
-        return _told(one, record, made, plant)
+        return _told(one, made, plant)
     except (DesignError, AccuracyError, ModelError) as error:
         return Entry(one.call, record, False, str(error))
 
 
-def _too_much(one: Candidate, plant: Plant, end: float) -> str:
+def _too_much(record: Method, plant: Plant, end: float) -> str:
     n = plant.n_states
     if n > LARGEST:
         return f"{n} states are more than the {LARGEST} that are tried here; call it, it may take minutes"
-    if one.many and n > LARGE:
+    if record.many and n > LARGE:
         return f"{n} states are more than the {LARGE} for which banks and estimators are tried here"
-    if one.many and len(plant.faults) > MOST_FAULTS:
+    if record.many and len(plant.faults) > MOST_FAULTS:
         return f"{len(plant.faults)} faults are more than the {MOST_FAULTS} for which banks are tried here"
     return "the time for trying is used up: suggest(plant, seconds=...)" if time.monotonic() > end else ""
 
 
-def _told(one: Candidate, record: Method, made: Any, plant: Plant) -> Entry:
+def _told(one: Candidate, made: Any, plant: Plant) -> Entry:
     """Return the entry of a design that works, with what it tells about faults."""
+    record = one.method
     if isinstance(made, FaultEstimator):
         late = ", ".join(f"{name} {lag:.3g} s late" for name, lag in made.lag.items() if lag)
         reason = f"estimates {_listed(made.faults)}, and the state" + (f"; {late}" if late else "")
@@ -236,13 +303,18 @@ def _told(one: Candidate, record: Method, made: Any, plant: Plant) -> Entry:
         )
         exposed = "; disturbances reach it" if plant.disturbances else ""
         return Entry(one.call, record, True, reason + exposed, names, seen, made.generator.system.n_states, made)
+    if isinstance(made, Mapping):
+        left_out = made.failures if isinstance(made, PartialDesign) else ()
+        missing = f"; none for {_listed(tuple(left_out))}" if left_out else ""
+        reason = f"{record.state}: {_listed(tuple(made)) if made else 'none'}{missing}"
+        return Entry(one.call, record, True, reason, order=sum(_order(part) for part in made.values()), made=made)
     generator, blind = _generator_of(made)
-    order = (generator or made).system.n_states
+    order = _order(generator or made)
     if isinstance(made, Bank):
         names = tuple(group[0] for group in made.groups if len(group) == 1)
         reason = f"{len(made.members)} members; " + (f"names {_listed(names)}" if names else "its codes name no fault")
         return Entry(one.call, record, True, reason, names, (), order, made)
-    names = _named_by_direction(generator, settled=one.function == "kalman_filter") if generator else ()
+    names = _named_by_direction(generator, settled=record.time_course == "constant") if generator else ()
     parts = [f"order {order}"]
     if record.state:
         parts.insert(0, record.state)
@@ -250,18 +322,22 @@ def _told(one: Candidate, record: Method, made: Any, plant: Plant) -> Entry:
         seen = [name for name, basis in generator.subspaces.items() if basis.shape[1]]
         parts.append(f"names {_listed(names)}" if names else f"detects {_listed(tuple(seen)) if seen else 'no fault'}")
     if blind:
-        parts.append("no residual: it uses all measurements")
+        parts.append("no residual: it uses all measurements" if brings_a_generator(type(made)) else "no residual")
     if plant.disturbances and not record.decouples:
         parts.append("disturbances reach it")
     return Entry(one.call, record, True, "; ".join(parts), names, (), order, made)
 
 
+def _order(made: Any) -> int:
+    """Return the number of states of what was made, or of the observer in it."""
+    return (made if hasattr(made, "system") else made.observer).system.n_states
+
+
 def _generator_of(made: Any) -> tuple[ResidualGenerator | None, str]:
-    if isinstance(made, ResidualGenerator):
-        return made, ""
+    """Return what a monitor would run, or why there is nothing."""
     try:
-        return made.residual_generator(), ""
-    except (DesignError, AccuracyError) as error:
+        return as_generator(for_monitor(made)), ""
+    except (DesignError, AccuracyError, ModelError) as error:
         return None, str(error)
 
 
@@ -291,24 +367,14 @@ def _apart(a: NDArray, b: NDArray, sine: float = 1e-3) -> bool:
 
 # ------------------------------------------------------------------- ranking, telling
 
-#: For the state: what filters noise before what does not, and what converges before what differentiates.
-_STATE_ORDER = (
-    "kalman_filter",
-    "luenberger_observer",
-    "unknown_input_observer",
-    "reduced_order_observer",
-    "descriptor_observer",
-    "perfect_observer",
-    "fault_estimator",
-)
-
-#: Among equals, what holds for any time course comes before what is for steps, and that before settled faults.
-_ASSUMES = {"matched_filters": 1, "kalman_filter": 2}
+#: Among equals, what holds for any time course comes before what is for steps, and that before settled faults; for the
+#: state, what filters noise comes before what does not, and what converges before what differentiates.
+_ASSUMES, _LOUDER = get_args(TimeCourse), get_args(Noise)
 
 
 def _gives(entry: Entry, want: str) -> bool:
     if want == "state":
-        return bool(entry.method.state) and not isinstance(entry.made, Bank)
+        return bool(entry.method.state) and not isinstance(entry.made, (Bank, Mapping))
     return bool(entry.estimates if want == "size" else entry.names)
 
 
@@ -318,13 +384,13 @@ def _rank(entry: Entry, plant: Plant, want: str) -> tuple[float, ...]:
         return (1 if entry.works is False else 2,)
     gives = _gives(entry, want)
     exposed = bool(plant.disturbances) and not entry.method.decouples
+    noise = _LOUDER.index(entry.method.noise)
     if want == "state":
-        name = entry.method.name
-        place = _STATE_ORDER.index(name) if name in _STATE_ORDER else len(_STATE_ORDER)
-        return (0, not gives, exposed, place, len(entry.estimates), entry.order)
+        return (0, not gives, exposed, entry.method.size, noise, len(entry.estimates), entry.order)
     count = len(entry.estimates if want == "size" else entry.names)
-    assumes = _ASSUMES.get(entry.method.name, 0)
-    return (0, not gives, exposed, -count, assumes, isinstance(entry.made, Bank), entry.order)
+    assumes = _ASSUMES.index(entry.method.time_course)
+    moving_average = entry.method.noise == "moving average"
+    return (0, not gives, exposed, -count, assumes, moving_average, isinstance(entry.made, Bank), entry.order)
 
 
 def _notes(plant: Plant, known: Diagnosability | None, entries: list[Entry]) -> Iterator[str]:

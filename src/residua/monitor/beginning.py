@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from residua.decide.alarm import Alarm, Beginning
 from residua.decide.change_time import CONFIDENCE, LEAST_BEFORE, ChangeTime, change_time
+from residua.tolerances import DATA_ROUNDING
 
 #: Alarms of one recording that are dated at most, the longest first.
 MOST_DATED = 20
@@ -19,8 +20,6 @@ APART = 200
 _MOST_ALARM = 2000
 #: Least squared distance that the residual has moved, in units of what noise alone moves it, to know its direction.
 CLEAR_DIRECTION = 10.0
-#: What is below this fraction of the largest value of a residual is rounding.
-_ROUNDING = 1e-9
 
 
 def with_beginnings(
@@ -75,13 +74,13 @@ def _along_change(residuals: NDArray[np.float64], quiet: int, last: int) -> NDAr
     """
     before = residuals[:quiet]
     level = before.mean(axis=0)
-    scale = np.maximum(before.std(axis=0), _ROUNDING * np.abs(residuals).max(axis=0))
+    scale = np.maximum(before.std(axis=0), DATA_ROUNDING * np.abs(residuals).max(axis=0))
     z = (residuals - level) / np.where(scale > 0, scale, 1.0)
     k = z.shape[1]
     shrunk = min(1.0, k / quiet)  # few samples know a covariance badly
     steps = np.diff(z[:quiet], axis=0)  # in which the beginning of a drift does not count
     size = np.mean(steps**2) / 2
-    noise = (1 - shrunk) * (steps.T @ steps) / (2 * len(steps)) + (shrunk * size + _ROUNDING) * np.eye(k)
+    noise = (1 - shrunk) * (steps.T @ steps) / (2 * len(steps)) + (shrunk * size + DATA_ROUNDING) * np.eye(k)
     noise /= size if size > 0 else 1.0
     slow = float(np.clip(np.mean(z[1:quiet] * z[: quiet - 1]), 0.0, 0.99))  # noise that lasts counts for less
     half = last + (len(z) - last) // 2

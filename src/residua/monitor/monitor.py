@@ -14,6 +14,7 @@ from residua.decide.checks import check_rate, check_samples
 from residua.decide.isolation import IsolationSettings, NoIsolation
 from residua.decide.test import ResidualTest, TestSettings, Watched
 from residua.design import ResidualGenerator
+from residua.design.core.brought import as_generator
 from residua.design.core.signals import stack_signals
 from residua.errors import DataError, ModelError, NotFittedError, SettingError
 from residua.monitor.decision import Decision, decision_from
@@ -32,7 +33,6 @@ from residua.monitor.plausible import (
 )
 from residua.monitor.running import Decisions, State, initial_state, joined_decisions, run_block
 from residua.monitor.setup import (
-    as_generator,
     blank_test,
     brought_bounds,
     check_windows,

@@ -15,7 +15,7 @@ from residua.decide.norm_threshold import NormTest, NormThreshold
 from residua.decide.peak_threshold import PeakThreshold
 from residua.decide.test import ResidualTest, TestSettings, Watched
 from residua.design import ResidualGenerator
-from residua.design.core.brought import BoundedDesign, CertifiedDesign, Design, Watcher
+from residua.design.core.brought import BoundedDesign, CertifiedDesign
 from residua.errors import ModelError, SettingError
 from residua.monitor.inputs import settling_samples
 from residua.monitor.partial_update import partial_update
@@ -27,22 +27,6 @@ from residua.visible import echo
 _MOST_NUMBERS = 10**7
 #: What is asked for where ``isolate`` is none of these.
 _KINDS = "isolate must be 'auto', Directional(...), Structured(...), Matched(...), one of your own, or None"
-
-
-def as_generator(design: Any) -> ResidualGenerator:
-    """Return the generator that was handed over, or the ``generator`` of a bank or an estimator.
-
-    Other objects that could give one, such as observers, are refused: which of their residuals is meant is the
-    caller's to say.
-    """
-    if isinstance(design, ResidualGenerator):
-        return design
-    if isinstance(design, Design) and isinstance(design.generator, ResidualGenerator) and not isinstance(design, type):
-        return design.generator
-    raise ModelError(
-        f"a monitor runs a residual generator, got {type(design).__name__}"
-        + ("; use its residual_generator()" if isinstance(design, Watcher) else "")
-    )
 
 
 def chosen_isolation(isolate: Any, generator: ResidualGenerator, design: Any = None) -> IsolationSettings:

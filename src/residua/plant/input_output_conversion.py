@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import AccuracyError
-from residua.linear.polynomials.pencil_null_space import DEFAULT_RTOL, pencil, refined, shortest_pencil_null_vectors
+from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL, pencil, refined, shortest_pencil_null_vectors
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis, basis_on_poles
 from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
 from residua.linear.subspaces.rank import DEFAULT_RTOL as RANK_RTOL
@@ -18,10 +18,9 @@ from residua.plant.algebraic_equations import without_algebraic_equations
 from residua.plant.input_output_model import InputOutputModel
 from residua.plant.observer_form import check_proper, check_response, response_error, response_points, state_terms
 from residua.plant.plant import Plant
+from residua.tolerances import RESIDUE
 
 _ROLES = ("control", "disturbance", "fault")
-#: Coefficients below this fraction of what they are computed from are rounding, where powers weigh the same.
-_ROUNDING = 1e-14
 #: How many times better than another a row must fit the response to be the better one. Where poles crowd together,
 #: powers hold few digits of the response: all rows fit it to what that leaves, and luck makes a factor of two.
 _CLEARLY = 5.0
@@ -32,7 +31,7 @@ _LOWER_ORDER = (
 
 
 def input_output_from_plant(
-    plant: Plant, *, common_denominator: bool = False, rtol: float = DEFAULT_RTOL, tolerance: float = 1e-6
+    plant: Plant, *, common_denominator: bool = False, rtol: float = PENCIL_RTOL, tolerance: float = 1e-6
 ) -> InputOutputModel:
     r"""Return one equation per output of a plant, each of the smallest order.
 
@@ -211,10 +210,10 @@ def _equation(
     w, h = -size * x[:, :n], x[:, n]
     if p.explicit:
         w = np.vstack([w[:-1], np.zeros((1, n))])  # its highest power meets nothing but E, which is invertible
-    h = np.where(np.abs(h) > _ROUNDING * np.abs(h).max(), h, 0.0)
+    h = np.where(np.abs(h) > RESIDUE * np.abs(h).max(), h, 0.0)
     g = w @ p.B + np.outer(h, direct)
     terms = np.abs(w).max() * np.abs(p.B).sum(axis=0) + np.abs(h).max() * np.abs(direct)
-    return h, np.where(np.abs(g) > _ROUNDING * terms, g, 0.0)
+    return h, np.where(np.abs(g) > RESIDUE * terms, g, 0.0)
 
 
 def _common_rows(p: _Scaled) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
@@ -229,7 +228,7 @@ def _common_rows(p: _Scaled) -> list[tuple[NDArray[np.float64], NDArray[np.float
     for k in range(n + 1):
         parts = [h[j] * markov[k - j] for j in range(k + 1)]
         total, terms = np.sum(parts, axis=0), np.sum(np.abs(parts), axis=0)
-        G[n - k] = np.where(np.abs(total) > _ROUNDING * terms, total, 0.0)
+        G[n - k] = np.where(np.abs(total) > RESIDUE * terms, total, 0.0)
     return [(h[::-1], G[:, i]) for i in range(len(p.D))]
 
 

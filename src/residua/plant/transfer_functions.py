@@ -20,9 +20,8 @@ from residua.plant.input_output_conversion import as_matrices
 from residua.plant.input_output_entries import polynomial
 from residua.plant.input_output_model import InputOutputModel
 from residua.plant.observer_form import check_response, response_error, response_points, unit_of_variable
+from residua.tolerances import RESIDUE
 
-#: Coefficients below this fraction of the largest of their polynomial are rounding, at the size of the poles.
-_ROUNDING = 1e-14
 #: Poles closer than this, of the unit disk or of their size, are copies of one, as for equations.
 _COPY = 1e-4
 Entry = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -141,8 +140,8 @@ def _least_common_row(row: Sequence[Entry], unit: float, rtol: float) -> tuple[N
     size = np.abs(h).max()
     if not size:
         raise AccuracyError("the least common denominator came out zero: choose another rtol")
-    g = np.where(np.abs(scaled[:, 1:]) > _ROUNDING * np.abs(scaled[:, 1:]).max(axis=0), scaled[:, 1:], 0.0)
-    h = np.where(np.abs(h) > _ROUNDING * size, h, 0.0)
+    g = np.where(np.abs(scaled[:, 1:]) > RESIDUE * np.abs(scaled[:, 1:]).max(axis=0), scaled[:, 1:], 0.0)
+    h = np.where(np.abs(h) > RESIDUE * size, h, 0.0)
     powers = unit ** -np.arange(found.degree + 1.0)
     return h * powers, g * powers[:, None]
 

@@ -8,11 +8,26 @@ from numpy.typing import ArrayLike
 
 from residua.design.banks.bank import Bank, build_bank, wanted_by_scheme
 from residua.design.banks.member_design import advice_for, member_design
+from residua.design.core.method import method
+from residua.design.core.needs import ACTUATOR_FAULTS, each_scheme
 from residua.errors import DesignError
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 
 
+@method(
+    needs=[ACTUATOR_FAULTS],
+    exists_when="an observer that ignores each actuator (dedicated: all others)",
+    order="k n",
+    source="Chen and Patton (1999), section 3.5; Twardy and Kaczorek, part II",
+    state="one estimate per member",
+    faults="by code: one actuator at a time (generalized), several (dedicated)",
+    decouples=True,
+    singular=True,
+    many=True,
+    formerly=["actuator-bank"],
+    calls=each_scheme,
+)
 def actuator_fault_bank(
     plant: Plant,
     *,
@@ -55,6 +70,12 @@ def actuator_fault_bank(
     ------
     DesignError
         For each member that does not exist, which condition failed.
+
+    See Also
+    --------
+    structured_bank : Any structure, faults of any kind.
+    sensor_fault_bank : One observer per sensor.
+    fault_estimator : The size of the fault.
 
     References
     ----------

@@ -22,6 +22,8 @@ from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.internal_form import frequency_grid
+from residua.design.core.method import method
+from residua.design.core.needs import FAULTS
 from residua.design.observers.observer_gain import margin_from, place, pole_evidence
 from residua.errors import AccuracyError, DesignError
 from residua.linear.poles.placement import Placement
@@ -40,6 +42,14 @@ _LITTLE = 1e-8
 _LITTLE_BESIDE_NOISE = 1e-4
 
 
+@method(
+    needs=[FAULTS],
+    exists_when="more independent outputs than unknown inputs reach; no condition on zeros",
+    order="least that sees all it can",
+    source="Massoumnia, Verghese and Willsky (1989)",
+    decouples=True,
+    singular=True,
+)
 def decoupled_residual(
     plant: Plant,
     *,
@@ -91,6 +101,12 @@ def decoupled_residual(
         If no such residual exists: all measurements are used up; or if poles, margin and gain do not go together.
     AccuracyError
         If the poles or the decoupling missed their tolerance.
+
+    See Also
+    --------
+    structured_bank : One for each row of a structure.
+    eigenstructure_assignment : As an observer of the whole state.
+    parity_relations : A moving average of the last samples.
 
     Notes
     -----

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.design.core.generator import ResidualGenerator
+from residua.design.core.method import method
+from residua.design.core.needs import FAULTS, NOISE, SAMPLED
 from residua.design.core.responses import steady_responses
 from residua.design.observers.kalman_filter import kalman_filter
 from residua.errors import DesignError
@@ -151,6 +153,16 @@ class MatchedFilters:
         return "\n".join(lines)
 
 
+@method(
+    needs=[NOISE, FAULTS, SAMPLED],
+    exists_when="as kalman_filter",
+    order="n",
+    source="Gertler (1991), section 5.3, eqs. (5-19) to (5-21)",
+    faults="by expected response, with arrival time; one step at a time",
+    size=True,
+    noise="least",
+    time_course="step",
+)
 def matched_filters(plant: Plant, *, window: int = 40, steady: bool = False, alike: float = 0.999) -> MatchedFilters:
     r"""Match the innovations of a Kalman filter with the responses to every fault and every arrival time.
 
@@ -199,6 +211,12 @@ def matched_filters(plant: Plant, *, window: int = 40, steady: bool = False, ali
     DesignError
         If the plant is continuous, has no noise or no faults, the window or ``alike`` make no sense, the innovations
         answer to none of the faults, or the Kalman filter does not exist.
+
+    See Also
+    --------
+    kalman_filter : Names by the direction of settled faults.
+    fault_estimator : The size over any time course.
+    structured_bank : Names by code.
 
     Notes
     -----

@@ -9,11 +9,26 @@ from numpy.typing import ArrayLike
 
 from residua.design.banks.bank import Bank, build_bank, wanted_by_scheme
 from residua.design.banks.member_design import advice_for, member_design
+from residua.design.core.method import method
+from residua.design.core.needs import SENSOR_FAULTS, each_scheme
 from residua.errors import DesignError
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 
 
+@method(
+    needs=[SENSOR_FAULTS],
+    exists_when="an observer without (dedicated: with only) each sensor",
+    order="k n",
+    source="Chen and Patton (1999), section 3.4; Twardy and Kaczorek, part II",
+    state="one estimate per member",
+    faults="by code: one sensor at a time (generalized), several (dedicated)",
+    decouples=True,
+    singular=True,
+    many=True,
+    formerly=["sensor-bank"],
+    calls=each_scheme,
+)
 def sensor_fault_bank(
     plant: Plant,
     *,
@@ -60,6 +75,12 @@ def sensor_fault_bank(
     DesignError
         For each member that does not exist, which condition failed: among others when the remaining measurements are
         all used up by the disturbances, so that its residual would be zero whatever fails.
+
+    See Also
+    --------
+    structured_bank : Any structure, faults of any kind.
+    actuator_fault_bank : One observer per actuator.
+    sensor_fault_estimators : The size of the fault of each sensor.
 
     References
     ----------

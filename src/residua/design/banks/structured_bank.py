@@ -5,10 +5,23 @@ from __future__ import annotations
 from residua.analysis.coding_sets import Structure
 from residua.design.banks.bank import Bank, build_bank, wanted_rows
 from residua.design.banks.decoupled_residual import decoupled_residual
+from residua.design.core.method import method
+from residua.design.core.needs import FAULTS_APART, ROWS
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 
 
+@method(
+    needs=[FAULTS_APART],
+    exists_when="every row attainable: rank conditions of diagnosability",
+    order="least for each member",
+    source="Gertler (1991), section 4",
+    faults="by code, as the structure says",
+    decouples=True,
+    singular=True,
+    many=True,
+    chosen={"structure": ROWS},
+)
 def structured_bank(
     plant: Plant,
     structure: Structure,
@@ -44,6 +57,13 @@ def structured_bank(
     ------
     DesignError
         If a row is not attainable: with the faults that a residual which ignores its zeros cannot see.
+
+    See Also
+    --------
+    structured_parity : The same with parity relations.
+    sensor_fault_bank : One observer per sensor.
+    decoupled_residual : One member.
+    detection_filter : One filter that names by direction.
 
     References
     ----------

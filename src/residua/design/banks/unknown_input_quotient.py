@@ -14,6 +14,7 @@ from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_b
 from residua.linear.subspaces.reachability import reachable_basis
 from residua.linear.systems.balancing import descriptor_units, without_rounding
 from residua.plant import Plant
+from residua.tolerances import RESIDUE, ROUNDING, above_rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,13 +167,13 @@ def quotient_filter(plant: Plant, parts: ExplicitParts, quotient: Quotient, gain
 
 def _without_rounding(M: NDArray) -> NDArray:
     """Return a matrix without the entries that are rounding against the largest of their row."""
-    return np.where(np.abs(M) > 1e-14 * np.abs(M).max(axis=1, keepdims=True, initial=0.0), M, 0.0)
+    return above_rounding(M, np.abs(M).max(axis=1, keepdims=True, initial=0.0), RESIDUE)
 
 
 def _above_rounding(M: NDArray) -> NDArray[np.bool_]:
     """Tell which columns are more than what rounding leaves of nothing: an output that is not used has none."""
     size = np.abs(M).max(axis=0, initial=0.0)
-    return size > 1e-13 * size.max(initial=0.0)
+    return size > ROUNDING * size.max(initial=0.0)
 
 
 def _unobservable(A: NDArray, C: NDArray, rtol: float) -> NDArray:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Protocol, SupportsFloat, runtime_checkable
+from dataclasses import replace
+from typing import Any, Protocol, SupportsFloat, runtime_checkable
 
 from residua.design.core.generator import ResidualGenerator
+from residua.errors import ModelError
 
 
 @runtime_checkable
@@ -47,3 +49,60 @@ class Watcher(Protocol):
     def residual_generator(self) -> ResidualGenerator:
         """Return one."""
         ...
+
+
+@runtime_checkable
+class PartialDesign(Protocol):
+    """A design whose members need not all exist."""
+
+    @property
+    def failures(self) -> Mapping[str, str]:
+        """By name of the member that could not be designed, why."""
+        ...
+
+
+def brings_a_generator(cls: Any) -> bool:
+    """Whether what a design function returns is something that a monitor can take: by its class, before any design."""
+    if not isinstance(cls, type):
+        return False
+    declared = {name for base in cls.__mro__ for name in vars(base).get("__annotations__", {})} | set(dir(cls))
+    return issubclass(cls, ResidualGenerator) or bool(declared & {"generator", "residual_generator"})
+
+
+def as_generator(design: Any) -> ResidualGenerator:
+    """Return the generator that was handed over, or the ``generator`` of a bank or an estimator.
+
+    Other objects that could give one, such as observers, are refused: which of their residuals is meant is the
+    caller's to say.
+    """
+    if isinstance(design, ResidualGenerator):
+        return design
+    if isinstance(design, Design) and isinstance(design.generator, ResidualGenerator) and not isinstance(design, type):
+        return design.generator
+    raise ModelError(
+        f"a monitor runs a residual generator, got {type(design).__name__}"
+        + ("; use its residual_generator()" if isinstance(design, Watcher) else "")
+    )
+
+
+def for_monitor(made: Any) -> Any:
+    """Return what a monitor takes of what a design function returned.
+
+    What makes a generator makes it, and its evidence says which members do not exist; what has one, such as matched
+    filters, stays as it is.
+
+    Raises
+    ------
+    ModelError
+        If it is, has and makes no generator.
+    """
+    if isinstance(made, ResidualGenerator):
+        return made
+    if isinstance(made, Watcher):
+        generator = made.residual_generator()
+        missing = made.failures if isinstance(made, PartialDesign) else {}
+        notes = tuple(f"no member {name!r}: {reason}" for name, reason in missing.items())
+        return replace(generator, evidence=generator.evidence.extended(notes=notes)) if notes else generator
+    if isinstance(made, Design):
+        return made
+    raise ModelError(f"no monitor can take {type(made).__name__}: it is, has and makes no residual generator")

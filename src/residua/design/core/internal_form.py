@@ -11,12 +11,10 @@ from residua.linear.subspaces.reachability import without_unobservable
 from residua.linear.systems.balancing import descriptor_units, state_units
 from residua.linear.systems.response_terms import accurate_response, in_even_units, paths, response_terms
 from residua.plant import Plant
-from residua.tolerances import IDENTITY, TINY
+from residua.tolerances import IDENTITY, ROUNDING, TINY
 
-#: A response this far below its terms at every frequency is rounding.
-_NOTHING = 1e-13
 #: Rounding in a response, relative to its terms; measured: below 2e-16 for up to 30 states.
-_ROUNDING = 1e-15
+_MEASURED = 1e-15
 #: Rounding of the responses that could hide or feign a leak of this size is taken out by more digits.
 _UNSURE = 1e-10
 
@@ -259,7 +257,7 @@ def leakage_of_inputs(generator: StateSpace, plant: Plant, w: NDArray | None = N
     system = _with_even_rows(generator, np.concatenate([driven.inputs[:n_u], 1 / driven.outputs]))
     Q, P = response_terms(system, points), response_terms(driven.system, points)
     total, parts = _cancelling(Q.values, P.values, n_u)
-    rounding = _ROUNDING * (_products(Q.terms, np.abs(P.values), n_u) + _products(np.abs(Q.values), P.terms, n_u))
+    rounding = _MEASURED * (_products(Q.terms, np.abs(P.values), n_u) + _products(np.abs(Q.values), P.terms, n_u))
     unsure = np.flatnonzero((rounding > _UNSURE * parts).any(axis=(1, 2)))
     if unsure.size:
         better = accurate_response(system, points[unsure]), accurate_response(driven.system, points[unsure])
@@ -296,4 +294,4 @@ def _products(Q: NDArray, P: NDArray, n_u: int) -> NDArray[np.float64]:
 
 def _alive(sizes: NDArray, terms: NDArray) -> NDArray[np.bool_]:
     """Tell which responses are more than the rounding of their terms, at some frequency."""
-    return np.any(sizes > _NOTHING * terms, axis=0)
+    return np.any(sizes > ROUNDING * terms, axis=0)

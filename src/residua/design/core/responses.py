@@ -13,6 +13,9 @@ from residua.linear import StateSpace
 from residua.linear.systems.response_terms import in_even_units
 from residua.tolerances import IDENTITY, TINY
 
+#: Windows of more samples are summed by doubling: what they cost grows with the logarithm of their length.
+_LONG = 4096
+
 
 def steady_responses(form: StateSpace) -> NDArray[np.float64]:
     """Return what a system settles to for constant inputs of size one, exactly zero where that is rounding.
@@ -53,6 +56,9 @@ def covariance_of_sums(form: StateSpace, window: int) -> NDArray[np.float64]:
     X = state_covariance(A, B @ B.T)
     S = C @ X @ C.T + D @ D.T
     step = A @ X @ C.T + B @ D.T
+    if window > _LONG:
+        R = C @ _weighted_powers(A, window) @ step
+        return (S + S.T) / 2 + R + R.T
     for k in range(1, window):
         if not step.any():  # nothing is left: a long window costs no more than the memory of the system
             break
@@ -60,3 +66,17 @@ def covariance_of_sums(form: StateSpace, window: int) -> NDArray[np.float64]:
         S = S + (1 - k / window) * (R + R.T)
         step = A @ step
     return (S + S.T) / 2
+
+
+def _weighted_powers(A: NDArray, window: int) -> NDArray[np.float64]:
+    """Return the sum of ``(1 - k / window) A^(k-1)`` for ``k`` from one below ``window``, by doubling."""
+    n, count = len(A), window - 1
+    power, plain, weighted = np.eye(n), np.zeros((n, n)), np.zeros((n, n))  # A^m, sum of A^j and of j A^j, for j < m
+    m = 0
+    for bit in bin(count)[2:]:
+        plain, weighted = plain + power @ plain, weighted + power @ (weighted + m * plain)
+        power, m = power @ power, 2 * m
+        if bit == "1":
+            plain, weighted = plain + power, weighted + m * power
+            power, m = power @ A, m + 1
+    return (1 - 1 / window) * plain - weighted / window

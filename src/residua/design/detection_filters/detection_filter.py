@@ -14,6 +14,8 @@ from residua.arrays import index_of
 from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import Member, ResidualGenerator, make_generator
+from residua.design.core.method import method
+from residua.design.core.needs import FAULTS
 from residua.design.detection_filters.directional_gain import (
     DirectionalGain,
     FaultEvent,
@@ -47,6 +49,13 @@ REFERENCES = (
 )
 
 
+@method(
+    needs=[FAULTS],
+    exists_when="a stable filter keeps each fault to its direction or plane",
+    order="n per filter",
+    source="Chen, Patton and Zhang (1996), eqs. (14) to (18); Gertler (1991), section 5.1",
+    faults="by direction, whatever its time course",
+)
 def detection_filter(
     plant: Plant,
     *,
@@ -93,6 +102,13 @@ def detection_filter(
     ------
     DesignError
         If the pair (C, A) is not detectable, or a fault cannot be kept to a direction by a stable filter.
+
+    See Also
+    --------
+    robust_detection_filter : No disturbance reaches it.
+    directional_parity : Directions of one's choice.
+    structured_bank : Names by code where directions do not suffice.
+    kalman_filter : The least noise, for settled faults.
 
     Notes
     -----

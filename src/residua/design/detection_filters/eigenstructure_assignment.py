@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from residua.design.core.decoupling import IGNORED, Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
+from residua.design.core.method import method
+from residua.design.core.needs import disturbances
 from residua.design.core.signals import signal_names
 from residua.design.detection_filters.directional_gain import DirectionalGain, checked_options
 from residua.design.detection_filters.ignored_columns import (
@@ -44,6 +46,13 @@ REFERENCE = "Gertler (1991), Automatica 27(4), section 4.3, eqs. (4-5) to (4-14)
 _POLE_ERROR, _VECTOR_ERROR = 1e-6, 1e-8
 
 
+@method(
+    needs=[disturbances("faults to ignore, or disturbances", "name the faults to ignore, insensitive_to=[...]")],
+    exists_when="their columns can be eigenvectors of A - K C: stable zeros (left: first-order residuals, rare)",
+    order="at most n",
+    source="Gertler (1991), section 4.3, eqs. (4-5) to (4-14)",
+    decouples=True,
+)
 def eigenstructure_assignment(
     plant: Plant,
     *,
@@ -110,6 +119,12 @@ def eigenstructure_assignment(
         message has the numbers.
     AccuracyError
         If poles, eigenvectors or decoupling missed their tolerance.
+
+    See Also
+    --------
+    decoupled_residual : Exists whenever any residual does, of a lower order.
+    unknown_input_observer : Decouples disturbances from the estimate too.
+    residual_generator_from_observer : From a gain that is there.
 
     Notes
     -----

@@ -14,6 +14,7 @@ from residua.linear.subspaces.observability import detectability
 from residua.linear.subspaces.rank import RankDecision, decide_rank, range_basis
 from residua.linear.systems.balancing import descriptor_units, without_rounding
 from residua.plant import Plant
+from residua.tolerances import RESIDUE, above_rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +78,7 @@ class IgnoredColumns:
 
         Their first entry is positive.
         """
-        S0 = np.where(np.abs(S0) > 1e-14 * np.abs(S0).max(axis=1, keepdims=True, initial=0.0), S0, 0.0)
+        S0 = above_rounding(S0, np.abs(S0).max(axis=1, keepdims=True, initial=0.0), RESIDUE)
         S = S0 @ self.W * self.outputs
         lead = np.argmax(np.abs(S) > 1e-9 * np.abs(S).max(axis=1, keepdims=True, initial=0.0), axis=1)
         return S0 * (np.sign(S[np.arange(len(S)), lead]) / np.linalg.norm(S, axis=1))[:, None]
@@ -123,7 +124,7 @@ def ignored_columns(plant: Plant, insensitive_to: Iterable[str | int] | str, *, 
         G, W, left = np.zeros((n, len(C))), np.eye(len(C)), unknown[:n]
     else:
         G = without_rounding(unknown[:n], Vh[:k].T / s[:k], U[:, :k].T)
-        W = np.where(np.abs(U[:, k:].T) > 1e-15, U[:, k:].T, 0.0)
+        W = above_rounding(U[:, k:].T, 1.0, RESIDUE)
         left = without_rounding(unknown[:n], np.eye(unknown.shape[1]) - Vh[:k].T @ Vh[:k])
     columns = _columns(left, np.any(unknown[n:], axis=0), watched.disturbances, rtol)
     if not len(W):

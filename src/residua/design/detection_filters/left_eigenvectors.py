@@ -83,7 +83,7 @@ def left_rows(parts: IgnoredColumns, *, approximate: bool, rtol: float) -> LeftR
         ranks["rank [C; h A]"] = decide_rank(np.vstack([C, rows @ H @ A]), rtol=rtol) if len(rows) else rank_C
         ranks["h A off the rows of C"] = decision
     S0 = rows @ (U[:, :k].T / sizes[:k, None]) @ blind
-    S0 = np.where(np.abs(S0) > 1e-13 * np.abs(S0).max(axis=1, keepdims=True, initial=0.0), S0, 0.0)
+    S0 = above_rounding(S0, np.abs(S0).max(axis=1, keepdims=True, initial=0.0))
     return LeftRows(S0, without_rounding(S0, C), still, distance, exact, ranks)
 
 

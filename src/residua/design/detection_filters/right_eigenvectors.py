@@ -22,7 +22,7 @@ from residua.linear.subspaces.detection_space import (
 from residua.linear.subspaces.observability import is_stable_mode, observability_form
 from residua.linear.subspaces.rank import left_null_basis, range_basis
 from residua.linear.subspaces.reachability import reachable_basis
-from residua.tolerances import TINY
+from residua.tolerances import TINY, above_rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,5 +195,5 @@ def right_frame(parts: IgnoredColumns, confined: Confinement) -> Frame:
     R = left_null_basis(V)[0] if V.shape[1] else np.eye(len(V))
     for _ in range(2):  # what rounding left of the columns in R would be a response to them
         R = R - parts.stacked @ (np.linalg.pinv(parts.stacked) @ R)
-        R = np.where(np.abs(R) > 1e-13 * np.abs(R).max(axis=0, initial=0.0), R, 0.0)
+        R = above_rounding(R, np.abs(R).max(axis=0, initial=0.0))
     return Frame(np.hstack([R, V]).T, np.hstack([R, V]), R.shape[1])

@@ -15,6 +15,8 @@ from residua.analysis.unknown_input import (
 )
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
+from residua.design.core.method import method
+from residua.design.core.needs import FAULTS, disturbances
 from residua.design.detection_filters.detection_filter import REFERENCES, directional_filters
 from residua.design.detection_filters.directional_gain import Poles
 from residua.design.observers.unknown_input_observer import REFERENCE, decoupling_gain
@@ -25,6 +27,14 @@ from residua.plant import Plant
 from residua.plant.even_units import given_units
 
 
+@method(
+    needs=[FAULTS, disturbances("disturbances", "detection_filter is the same")],
+    exists_when="as unknown_input_observer and detection_filter",
+    order="n per filter",
+    source="Chen, Patton and Zhang (1996), eqs. (19) to (25)",
+    faults="by direction, whatever its time course",
+    decouples=True,
+)
 def robust_detection_filter(
     plant: Plant,
     *,
@@ -70,6 +80,12 @@ def robust_detection_filter(
     DesignError
         If no unknown input observer exists, the disturbances use up all measurements, they hide every
         fault, or no stable directional filter exists.
+
+    See Also
+    --------
+    detection_filter : Without disturbances.
+    structured_bank : Names by code, whenever any method does.
+    directional_parity : Directions of one's choice, with disturbances decoupled.
 
     Notes
     -----

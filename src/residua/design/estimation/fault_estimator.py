@@ -13,6 +13,8 @@ from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.internal_form import frequency_grid, internal_form
+from residua.design.core.method import method
+from residua.design.core.needs import FAULTS, groups_of_faults
 from residua.design.core.signals import sampled_filter, stack_signals
 from residua.design.estimation.fault_reading import FaultReading, read_faults
 from residua.design.observers.observer import Observer
@@ -133,6 +135,19 @@ class FaultEstimator:
         return f"FaultEstimator({', '.join(self.faults)}: {self.system.n_states} states, {kind})"
 
 
+@method(
+    needs=[FAULTS],
+    exists_when="an unknown input observer with these faults as disturbances; their effects independent",
+    order="n and one per filtered fault",
+    source="Sueur, eqs. (5) and (8)",
+    state="estimate that the faults do not reach",
+    faults="by size, several at once",
+    size=True,
+    decouples=True,
+    singular=True,
+    many=True,
+    calls=groups_of_faults,
+)
 def fault_estimator(
     plant: Plant,
     *,
@@ -192,6 +207,12 @@ def fault_estimator(
         If the result missed its check.
     SettingError
         If the bandwidth is not a positive number.
+
+    See Also
+    --------
+    sensor_fault_estimators : One sensor at a time, which more plants allow.
+    matched_filters : Steps beside noise, with arrival time.
+    inverse_form_observer : The same observer in another form.
 
     Notes
     -----

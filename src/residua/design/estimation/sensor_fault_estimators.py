@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from numpy.typing import ArrayLike
 
 from residua import arrays
+from residua.design.core.method import method
 from residua.design.estimation.fault_estimator import FaultEstimator, fault_estimator
 from residua.errors import AccuracyError, DesignError
 from residua.linear.subspaces.rank import DEFAULT_RTOL
@@ -47,6 +48,18 @@ class SensorFaultEstimators(Mapping[str, FaultEstimator]):
         return "\n".join(lines + [f"{name}: none, {reason}" for name, reason in self.failures.items()])
 
 
+@method(
+    needs=["sensors"],
+    exists_when="as fault_estimator, one sensor at a time",
+    order="k n",
+    source="Sueur, eqs. (15) and (16)",
+    state="one estimate per sensor",
+    faults="by size, one at a time",
+    size=True,
+    decouples=True,
+    singular=True,
+    many=True,
+)
 def sensor_fault_estimators(
     plant: Plant,
     *,
@@ -79,6 +92,11 @@ def sensor_fault_estimators(
     ------
     DesignError
         If there is none for any sensor.
+
+    See Also
+    --------
+    fault_estimator : Several faults at once.
+    sensor_fault_bank : Names the sensor.
 
     References
     ----------

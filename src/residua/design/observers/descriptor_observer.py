@@ -6,12 +6,23 @@ from collections.abc import Iterable, Sequence
 
 from numpy.typing import ArrayLike
 
+from residua.design.core.method import method
 from residua.design.observers.observer import Observer
 from residua.design.observers.reduced_order import reduced_observer
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 
 
+@method(
+    needs=["nothing more; made for singular E"],
+    exists_when="as unknown_input_observer",
+    order="n - p",
+    source="Twardy and Kaczorek, part I, eqs. (18) to (29)",
+    state="estimate, converges; measurements enter unfiltered",
+    decouples=True,
+    singular=True,
+    noise="unfiltered",
+)
 def descriptor_observer(
     plant: Plant,
     *,
@@ -56,6 +67,12 @@ def descriptor_observer(
         of the disturbances) is not stable; with the numbers.
     AccuracyError
         If poles or identities missed their tolerance.
+
+    See Also
+    --------
+    unknown_input_observer : Of full order, for singular E too.
+    perfect_observer : No transient, from derivatives.
+    reduced_order_observer : For state equations.
 
     Notes
     -----

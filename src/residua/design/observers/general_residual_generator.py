@@ -14,6 +14,7 @@ from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.internal_form import leakage
+from residua.design.core.method import method
 from residua.design.core.signals import signal_names
 from residua.design.observers.general_conditions import (
     CONDITIONS,
@@ -156,6 +157,15 @@ def _form(plant: Plant, m: GeneralMatrices) -> GeneralForm:
     return GeneralForm(m.T, m.M, m.J, m.N, m.Ls, m.Lu, m.Ly, m.V, condition_errors(plant, m), rank_TF, rank_F, through)
 
 
+@method(
+    designs_for="observer",
+    needs=["its gain, or the matrices of the general form"],
+    exists_when="these are stable and fulfil the conditions of a residual generator",
+    order="that of the observer",
+    source="Gertler (1991), eqs. (3-11), (3-13), (4-15) to (4-20)",
+    decouples=True,
+    singular=True,
+)
 def residual_generator_from_observer(
     source: Plant | Observer,
     *,
@@ -214,6 +224,12 @@ def residual_generator_from_observer(
         If a condition fails, with its name and the number, or the observer is not stable.
     SettingError
         If the options do not go together, or a matrix of the general form is missing.
+
+    See Also
+    --------
+    luenberger_observer : Designs the gain.
+    unknown_input_observer : Designs the decoupling.
+    eigenstructure_assignment : Designs a gain whose residual ignores faults.
 
     References
     ----------

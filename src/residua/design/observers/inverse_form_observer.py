@@ -17,6 +17,8 @@ from residua import arrays
 from residua.analysis.unknown_input import UnknownInputExistence, unknown_input_observer_existence
 from residua.arrays import matrix
 from residua.design.core.evidence import Evidence, format_pole
+from residua.design.core.method import method
+from residua.design.core.needs import FAULTS
 from residua.design.observers.observer import Observer
 from residua.design.observers.unknown_input_observer import observer_of
 from residua.errors import AccuracyError, DesignError
@@ -70,6 +72,17 @@ class InverseFormObserver:
         return self.observer.evidence
 
 
+@method(
+    needs=[FAULTS],
+    exists_when="as fault_estimator, A and H A^-1 F invertible, no fault in the outputs",
+    order="n",
+    source="Sueur, eqs. (1) to (11)",
+    state="estimate that the faults do not reach",
+    faults="by size, several at once",
+    size=True,
+    decouples=True,
+    many=True,
+)
 def inverse_form_observer(
     plant: Plant,
     *,
@@ -119,6 +132,11 @@ def inverse_form_observer(
         unknown input observer exists, or a given ``K`` makes it unstable.
     AccuracyError
         If the poles or the identities missed their tolerance.
+
+    See Also
+    --------
+    fault_estimator : Estimates the faults too, with fewer conditions.
+    unknown_input_observer : The same observer from its state equation.
 
     References
     ----------

@@ -6,6 +6,8 @@ import numpy as np
 
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
+from residua.design.core.method import method
+from residua.design.core.needs import NOISE
 from residua.design.observers.observer import Observer
 from residua.errors import AccuracyError, DesignError
 from residua.linear.poles.riccati import filter_riccati
@@ -15,6 +17,16 @@ from residua.plant import Plant
 _BOTH = "give both kinds, with_noise(process=..., measurement=...)"
 
 
+@method(
+    needs=[NOISE],
+    exists_when="(C, A) detectable; noise in every measurement",
+    order="n",
+    source="Gertler (1991), eqs. (3-14) to (3-17), section 5.3",
+    state="estimate of least variance",
+    faults="by direction, once a constant fault has settled",
+    noise="least",
+    time_course="constant",
+)
 def kalman_filter(plant: Plant) -> ResidualGenerator:
     r"""Use the innovations of the stationary Kalman filter as residuals.
 
@@ -40,6 +52,12 @@ def kalman_filter(plant: Plant) -> ResidualGenerator:
     DesignError
         If the plant has no noise, or no process noise where the filter needs it, the measurement noise is singular,
         the pair (C, A) is not detectable or a mode on the stability boundary gets no noise.
+
+    See Also
+    --------
+    matched_filters : The whole response to a step, with arrival time and size.
+    luenberger_observer : With poles of one's choice.
+    detection_filter : Directions that hold for any time course.
 
     Notes
     -----

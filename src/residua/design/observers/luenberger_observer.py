@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from residua import arrays
 from residua.analysis.unknown_input import is_singular
 from residua.design.core.evidence import Evidence
+from residua.design.core.method import method
 from residua.design.observers.estimate_check import check_estimate
 from residua.design.observers.observer import Observer, in_units_of_the_plant
 from residua.design.observers.observer_gain import place, pole_evidence
@@ -20,6 +21,12 @@ from residua.plant import Plant
 from residua.plant.even_units import even_plant
 
 
+@method(
+    exists_when="(C, A) detectable",
+    order="n",
+    source="Twardy and Kaczorek, part I, Theorems 1 and 2",
+    state="estimate, converges",
+)
 def luenberger_observer(
     plant: Plant,
     *,
@@ -60,6 +67,12 @@ def luenberger_observer(
         If a mode that no measurement sees is not stable; the message names it.
     AccuracyError
         If the poles missed their tolerance.
+
+    See Also
+    --------
+    kalman_filter : The gain follows from the noise.
+    unknown_input_observer : No disturbance reaches the estimate.
+    reduced_order_observer : Of the order n - p.
 
     Notes
     -----

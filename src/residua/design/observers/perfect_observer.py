@@ -13,6 +13,8 @@ from residua import arrays
 from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
+from residua.design.core.method import method
+from residua.design.core.needs import least_order_unless_singular
 from residua.design.core.signals import sampled_filter, signal_names, stack_signals
 from residua.design.observers.perfect_gain import PerfectGain, full_rank_gain, given_gain, least_order_gain
 from residua.errors import AccuracyError, DesignError, SettingError
@@ -277,6 +279,17 @@ class PerfectObserver:
         )
 
 
+@method(
+    needs=["singular E or disturbances, or least_order=True"],
+    exists_when="rank [sE - A, -Bd; C, Dd] = n + rank Bd for every finite s",
+    order="of its filter",
+    source="Twardy and Kaczorek, part I, eqs. (30) to (33), Theorem 4",
+    state="the state itself, without a transient; differentiates the measurements",
+    decouples=True,
+    singular=True,
+    noise="differentiated",
+    calls=least_order_unless_singular,
+)
 def perfect_observer(
     plant: Plant,
     *,
@@ -339,6 +352,12 @@ def perfect_observer(
     SettingError
         If the bandwidth is not a positive number, or is given for a sampled plant, or if ``K`` is given with
         disturbances or with ``least_order``.
+
+    See Also
+    --------
+    unknown_input_observer : Converges, and differentiates nothing.
+    descriptor_observer : Of the order n - p.
+    decoupled_residual : A residual without derivatives.
 
     Notes
     -----

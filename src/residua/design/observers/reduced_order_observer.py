@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from numpy.typing import ArrayLike
 
 from residua.analysis.unknown_input import is_singular
+from residua.design.core.method import method
 from residua.design.observers.observer import Observer
 from residua.design.observers.reduced_order import reduced_observer
 from residua.errors import DesignError
@@ -14,6 +15,14 @@ from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 
 
+@method(
+    exists_when="as unknown_input_observer",
+    order="n - p",
+    source="Twardy and Kaczorek, part I, eqs. (3), (18) to (29)",
+    state="estimate, converges; measurements enter unfiltered",
+    decouples=True,
+    noise="unfiltered",
+)
 def reduced_order_observer(
     plant: Plant,
     *,
@@ -54,6 +63,12 @@ def reduced_order_observer(
         If no such observer exists; the message says which condition failed, with its numbers.
     AccuracyError
         If poles or identities missed their tolerance.
+
+    See Also
+    --------
+    luenberger_observer : Filters all measurements.
+    unknown_input_observer : Of full order, with a residual.
+    descriptor_observer : The same for singular E.
 
     Notes
     -----

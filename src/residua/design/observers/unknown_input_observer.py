@@ -20,6 +20,7 @@ from residua.analysis.unknown_input import (
 )
 from residua.arrays import matrix
 from residua.design.core.evidence import Evidence
+from residua.design.core.method import method
 from residua.design.observers.estimate_check import check_estimate
 from residua.design.observers.observer import Observer, in_units_of_the_plant, without_measured_equations
 from residua.design.observers.observer_gain import margin_from, place, pole_evidence
@@ -35,6 +36,15 @@ from residua.tolerances import IDENTITY, TINY, above_rounding
 REFERENCE = "Chen, Patton and Zhang (1996), Int. J. Control 63(1), eqs. (2) to (13)"
 
 
+@method(
+    needs=["disturbances (or none)"],
+    exists_when="rank [E Bd; C 0] = n + rank Bd; stable invariant zeros of (E, A, Bd, C)",
+    order="n",
+    source="Chen, Patton and Zhang (1996), eqs. (2) to (13)",
+    state="estimate, converges whatever the disturbances do",
+    decouples=True,
+    singular=True,
+)
 def unknown_input_observer(
     plant: Plant,
     *,
@@ -83,6 +93,13 @@ def unknown_input_observer(
         If no such observer exists; the message says which condition failed, with its numbers.
     AccuracyError
         If the poles or the decoupling missed their tolerance.
+
+    See Also
+    --------
+    decoupled_residual : A residual without the condition on zeros.
+    reduced_order_observer : Of the order n - p.
+    robust_detection_filter : Names the fault too.
+    fault_estimator : Estimates faults as unknown inputs.
 
     Notes
     -----

@@ -13,7 +13,7 @@ from residua.design.parity.relations import ParityRelations, relations_of
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
 from residua.linear.polynomials.common_factor import without_common_factor
-from residua.linear.polynomials.pencil_null_space import DEFAULT_RTOL, pencil, shortest_pencil_null_vectors
+from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL, pencil, shortest_pencil_null_vectors
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.reachability import without_unobservable
 from residua.tolerances import LEAKAGE
@@ -39,7 +39,7 @@ class RowFraction:
     poles: NDArray[np.complex128]
 
 
-def to_parity(generator: ResidualGenerator, *, rtol: float = DEFAULT_RTOL) -> ParityRelations:
+def to_parity(generator: ResidualGenerator, *, rtol: float = PENCIL_RTOL) -> ParityRelations:
     """Return the parity relations of a generator: what is left when poles and common zeros are taken from it.
 
     See :meth:`ResidualGenerator.to_parity`.
@@ -52,7 +52,7 @@ def to_parity(generator: ResidualGenerator, *, rtol: float = DEFAULT_RTOL) -> Pa
     return relations_of(generator.plant, [row.relation for row in rows], generator.residuals)
 
 
-def row_fractions(generator: ResidualGenerator, *, rtol: float = DEFAULT_RTOL) -> list[RowFraction]:
+def row_fractions(generator: ResidualGenerator, *, rtol: float = PENCIL_RTOL) -> list[RowFraction]:
     r"""Return each residual of a generator as a relation and the filter that it goes through.
 
     For :math:`\dot\xi = M \xi + N v, r = L \xi + D v`, the shortest polynomials with :math:`a (zI - M) = d L` give

@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
 from residua.design.core.generator import ResidualGenerator
+from residua.design.core.method import method
+from residua.design.core.needs import FAULTS
 from residua.design.parity.directional_pencil import DirectionalPencil, Directions, directional_pencil
 from residua.design.parity.relation import Relation
 from residua.design.parity.relation_model import RelationModel, basis_for, relation_model, state_pencil
@@ -18,7 +20,7 @@ from residua.design.parity.shortest import combinations_to_try, simplest_of_the_
 from residua.errors import AccuracyError, DesignError
 from residua.linear.polynomials.common_factor import without_common_factor
 from residua.linear.polynomials.degree_search import at_smallest_degree
-from residua.linear.polynomials.pencil_null_space import DEFAULT_RTOL
+from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis
 from residua.plant import Plant
@@ -29,6 +31,16 @@ from residua.tolerances import TINY
 _SEEN = 1e-9
 
 
+@method(
+    needs=[FAULTS, "a direction for each"],
+    exists_when="in general: s (r - 1) < r (p - q), for s directions of r components and q signals ignored",
+    order="r times the order of the relations",
+    source="Gertler (1991), section 5.2, eqs. (5-9) to (5-18)",
+    faults="by direction, whatever its time course",
+    decouples=True,
+    singular=True,
+    noise="moving average",
+)
 def directional_parity(
     plant: Plant | InputOutputModel,
     *,
@@ -36,7 +48,7 @@ def directional_parity(
     insensitive_to: Iterable[str | int] | str = (),
     poles: Poles | None = None,
     order: int | None = None,
-    rtol: float = DEFAULT_RTOL,
+    rtol: float = PENCIL_RTOL,
 ) -> ResidualGenerator:
     r"""Design parity relations whose residual points in a given direction for each fault, also in transients.
 
@@ -82,6 +94,12 @@ def directional_parity(
         the fault whose response must vanish; if the order is too low; if poles differ between the residuals.
     AccuracyError
         If the polynomials lose so many digits that directions are missed.
+
+    See Also
+    --------
+    detection_filter : The directions that the plant has.
+    structured_parity : Names by code.
+    robust_detection_filter : A filter, with disturbances decoupled.
 
     Notes
     -----

@@ -13,13 +13,12 @@ from residua.design.core.internal_form import frequency_grid
 from residua.design.parity.relation import Relation
 from residua.design.parity.relation_model import state_pencil
 from residua.errors import AccuracyError
-from residua.linear.polynomials.pencil_null_space import DEFAULT_RTOL, Pencil, pencil_null_vectors, refined
+from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL, Pencil, pencil_null_vectors, refined
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.rank import RankDecision, left_null_basis
 from residua.plant import Plant
+from residua.tolerances import RESIDUE
 
-#: Coefficients below this fraction of the largest, in balanced units, are rounding.
-_ROUNDING = 1e-15
 #: A response may be this far from its direction, relative to its peak over frequency.
 _OFF = 1e-6
 
@@ -81,7 +80,7 @@ class DirectionalPencil:
     def relations(self, y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the coefficients of the relations, shape (degree + 1, residuals, equations), in their own units."""
         X, _ = self.balanced(y)
-        X = np.where(np.abs(X) > _ROUNDING * np.abs(X).max(initial=0.0), X, 0.0)
+        X = np.where(np.abs(X) > RESIDUE * np.abs(X).max(initial=0.0), X, 0.0)
         return X * self.rows[: X[0].size].reshape(X.shape[1:])
 
     def null_vectors(self, degree: int, rtol: float) -> tuple[NDArray[np.float64], RankDecision]:
@@ -100,7 +99,7 @@ def directional_pencil(
     directions: Directions,
     basis: PolynomialBasis,
     *,
-    rtol: float = DEFAULT_RTOL,
+    rtol: float = PENCIL_RTOL,
 ) -> DirectionalPencil:
     """Return the equations of relations that ignore constant columns and keep faults to directions."""
     chosen = [plant.faults.index(name) for name in directions.faults]

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from residua import arrays
 from residua.design.core.generator import ResidualGenerator
+from residua.design.core.method import method
 from residua.design.parity.relation_model import RelationModel, relation_model
 from residua.design.parity.relations import Poles, relations_of
 from residua.design.parity.shortest import RelationSpace, relation_space, shortest_relations
 from residua.errors import DesignError, SettingError
-from residua.linear.polynomials.pencil_null_space import DEFAULT_RTOL
+from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
 
@@ -24,6 +25,14 @@ from residua.plant.input_output_model import InputOutputModel
 _MOST_STATES = 300
 
 
+@method(
+    exists_when="as decoupled_residual",
+    order="sum of the orders of the relations",
+    source="Chow and Willsky (1984); Gertler (1991), eqs. (3-5) to (3-10), section 4.2",
+    decouples=True,
+    singular=True,
+    noise="moving average",
+)
 def parity_relations(
     plant: Plant | InputOutputModel,
     *,
@@ -31,7 +40,7 @@ def parity_relations(
     insensitive_to: Iterable[str | int] | str = (),
     outputs: Iterable[str | int] | str | None = None,
     poles: Poles | None = None,
-    rtol: float = DEFAULT_RTOL,
+    rtol: float = PENCIL_RTOL,
 ) -> ResidualGenerator:
     r"""Design residuals from the last samples of inputs and outputs alone.
 
@@ -74,6 +83,13 @@ def parity_relations(
     AccuracyError
         If the coefficients miss the states: relations of high order lose digits, which ``decoupled_residual`` does not.
 
+    See Also
+    --------
+    decoupled_residual : The same as a filter, which noise harms less.
+    structured_parity : One relation per row of a structure.
+    primary_residuals : The equations of the model.
+    optimal_parity : Where disturbances cannot be decoupled.
+
     Notes
     -----
     Assumes: the model is exact, linear and time-invariant.
@@ -113,7 +129,7 @@ def parity_orders(
     *,
     insensitive_to: Iterable[str | int] | str = (),
     most_outputs: int | None = None,
-    rtol: float = DEFAULT_RTOL,
+    rtol: float = PENCIL_RTOL,
 ) -> dict[tuple[str, ...], int]:
     """Return for each set of outputs the order of the shortest relation that reads no others.
 

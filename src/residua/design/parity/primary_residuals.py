@@ -9,6 +9,7 @@ import numpy as np
 from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence, format_pole
 from residua.design.core.generator import ResidualGenerator, make_generator
+from residua.design.core.method import method
 from residua.design.core.signals import signal_names
 from residua.design.parity.relation import Relation, synthetic_division
 from residua.design.parity.relation_model import RelationModel, relation_model
@@ -16,12 +17,19 @@ from residua.design.parity.relations import Poles, relations_of
 from residua.design.parity.shortest import shortest_relations
 from residua.errors import DesignError
 from residua.linear import StateSpace, is_stable_mode
-from residua.linear.polynomials.pencil_null_space import DEFAULT_RTOL
+from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
 
 
+@method(
+    exists_when="always; form='arma': a stable plant",
+    order="sum of the orders of the equations",
+    source="Gertler (1991), eqs. (3-1), (3-2)",
+    singular=True,
+    noise="moving average",
+)
 def primary_residuals(
     model: InputOutputModel | Plant, *, form: str = "ma", poles: Poles | None = None
 ) -> ResidualGenerator:
@@ -49,6 +57,12 @@ def primary_residuals(
     ------
     DesignError
         If ``form`` is neither, or ``"arma"`` is asked for an unstable plant, or with poles.
+
+    See Also
+    --------
+    parity_relations : Ignore chosen faults and all disturbances.
+    insensitive_parity : Ignore errors of parameters.
+    structured_parity : One relation per row of a structure.
 
     Notes
     -----
@@ -92,7 +106,7 @@ def _shortest_of_each(equations: RelationModel) -> list[Relation]:
     rows, open_to_all = [], replace(equations, decouples=False)
     for name in equations.plant.outputs:
         alone = open_to_all.reading([name])
-        found = shortest_relations(alone, (), DEFAULT_RTOL)
+        found = shortest_relations(alone, (), PENCIL_RTOL)
         if found is None:
             raise DesignError(f"no relation reads {name!r} alone: algebraic equations tie it to other signals")
         rows.append(found.relation(alone, (), found.vectors[0]))

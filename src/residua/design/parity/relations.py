@@ -25,7 +25,7 @@ from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.systems.balancing import descriptor_units
 from residua.plant import Plant
 from residua.plant.canonical_units import PlantUnits, canonical_units
-from residua.tolerances import POLYNOMIAL_LEAKAGE, above_rounding
+from residua.tolerances import POLYNOMIAL_LEAKAGE, RESIDUE, above_rounding
 
 #: What the states may be missed by, relative to the terms that have to cancel.
 _REMAINDER = 1e-8
@@ -131,7 +131,7 @@ class ParityRelations:
         powers = self.size ** np.arange(most + 1.0)[:, None, None]
         units = descriptor_units(self.plant.A, self.plant.E, self.plant.Bu, self.plant.C, self.plant.Du).outputs
         heights = np.abs(Q) * powers / units
-        rounding = heights < 1e-14 * heights.max(axis=(0, 2), initial=0.0)[:, None]
+        rounding = heights < RESIDUE * heights.max(axis=(0, 2), initial=0.0)[:, None]
         return PolynomialMatrix(P), PolynomialMatrix(np.where(rounding, 0.0, Q))
 
     @property

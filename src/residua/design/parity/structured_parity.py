@@ -9,23 +9,38 @@ import numpy as np
 from residua.analysis.coding_sets import Structure
 from residua.design.banks.bank import Bank, build_bank, wanted_rows
 from residua.design.core.generator import ResidualGenerator
+from residua.design.core.method import method
+from residua.design.core.needs import FAULTS_APART, ROWS
 from residua.design.parity.parity_relations import with_rank
 from residua.design.parity.relation_model import relation_model
 from residua.design.parity.relations import Poles, relations_of
 from residua.design.parity.shortest import shortest_relation
 from residua.errors import AccuracyError, SettingError
-from residua.linear.polynomials.pencil_null_space import DEFAULT_RTOL
+from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
 
 
+@method(
+    needs=[FAULTS_APART],
+    exists_when="as structured_bank",
+    order="of each relation, at most n",
+    source="Gertler (1991), section 4.1, eqs. (4-1) to (4-4)",
+    faults="by code, as the structure says",
+    decouples=True,
+    singular=True,
+    noise="moving average",
+    many=True,
+    formerly=["parity"],
+    chosen={"structure": ROWS},
+)
 def structured_parity(
     plant: Plant | InputOutputModel,
     structure: Structure,
     *,
     poles: Poles | None = None,
     allow_missing: bool = False,
-    rtol: float = DEFAULT_RTOL,
+    rtol: float = PENCIL_RTOL,
 ) -> Bank:
     r"""Design one scalar parity relation per row of an incidence matrix, each of the smallest order there is.
 
@@ -61,6 +76,12 @@ def structured_parity(
         If a row is not attainable: with the faults that no relation sees which ignores its zeros.
     AccuracyError
         If a relation is too ill-conditioned: :func:`structured_bank` needs no polynomials.
+
+    See Also
+    --------
+    structured_bank : The same with filters, which noise harms less.
+    parity_relations : All relations of an order.
+    directional_parity : Names by direction.
 
     Notes
     -----

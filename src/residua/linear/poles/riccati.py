@@ -16,10 +16,9 @@ from residua.linear.poles.spectrum import describe_modes
 from residua.linear.subspaces.observability import detectability, is_stable_mode, observability_form
 from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank, without_rounded_gains
 from residua.linear.systems.balancing import balance_system, power_of_two
+from residua.tolerances import RESIDUE
 
 Matrix = NDArray[np.float64]
-#: What the solution of an equation is known to, relative to the sizes of the states.
-_ROUNDING = 1e-14
 #: Largest relative residual of an equation that counts as solved.
 _RESIDUAL_LIMIT = 1e-6
 
@@ -147,7 +146,7 @@ def filter_riccati(
 def _without_rounding(P: Matrix, K: Matrix) -> tuple[Matrix, Matrix]:
     """Return covariance and gain, in even units, without what rounding leaves of correlations that there are not."""
     size = np.sqrt(np.abs(np.diag(P)))
-    P = np.where(np.abs(P) > _ROUNDING * np.outer(size, size), P, 0.0)
+    P = np.where(np.abs(P) > RESIDUE * np.outer(size, size), P, 0.0)
     return P, without_rounded_gains(K)
 
 

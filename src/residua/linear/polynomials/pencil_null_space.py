@@ -12,10 +12,11 @@ from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.parts import row_parts
 from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis
 from residua.linear.systems.balancing import evened
+from residua.tolerances import RESIDUE, above_rounding
 
 #: Singular values below this fraction of the largest count as zero. No rounding accumulates before the singular values
 #: are taken, and what is zero comes out near 1e-16: a larger one would take a nearly exact relation for an exact one.
-DEFAULT_RTOL = 1e-13
+PENCIL_RTOL = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +81,7 @@ def pencil(
     return Pencil(P0, P1, basis, rows, columns)
 
 
-def pencil_null_vectors(given: Pencil, degree: int, *, rtol: float = DEFAULT_RTOL) -> PencilNullVectors:
+def pencil_null_vectors(given: Pencil, degree: int, *, rtol: float = PENCIL_RTOL) -> PencilNullVectors:
     r"""Return all polynomial rows ``x(z)`` of at most a degree with ``x(z) (P_0 + z P_1) = 0``.
 
     With coefficients in Newton's basis, :math:`z N_j = \rho_j N_{j+1} + a_j N_j - \beta_j N_{j-1}`, the coefficient of
@@ -107,7 +108,7 @@ def pencil_null_vectors(given: Pencil, degree: int, *, rtol: float = DEFAULT_RTO
     W, decision = _left_null_basis(T, given, degree, rtol)
     vectors = W.T.reshape(W.shape[1], degree + 1, len(given.rows))
     size = np.abs(vectors).max(axis=(1, 2), initial=0.0)
-    vectors = np.where(np.abs(vectors) > 1e-15 * size[:, None, None], vectors, 0.0)
+    vectors = above_rounding(vectors, size[:, None, None], RESIDUE)
     return PencilNullVectors(vectors * units, decision, units)
 
 
@@ -128,7 +129,7 @@ def _left_null_basis(T: NDArray, given: Pencil, degree: int, rtol: float) -> tup
     return (W, whole) if W.shape[1] == len(T) - whole.rank else left_null_basis(T, rtol=rtol)
 
 
-def shortest_pencil_null_vectors(given: Pencil, *, most: int, rtol: float = DEFAULT_RTOL) -> PencilNullVectors | None:
+def shortest_pencil_null_vectors(given: Pencil, *, most: int, rtol: float = PENCIL_RTOL) -> PencilNullVectors | None:
     """Return the polynomial rows of the smallest degree that annihilate a pencil; ``None`` when none is up to ``most``.
 
     Parameters
@@ -153,7 +154,7 @@ def shortest_pencil_null_vectors(given: Pencil, *, most: int, rtol: float = DEFA
     return pencil_null_vectors(given, smallest, rtol=rtol)
 
 
-def refined(given: Pencil, x: NDArray[np.float64], *, rtol: float = DEFAULT_RTOL) -> NDArray[np.float64]:
+def refined(given: Pencil, x: NDArray[np.float64], *, rtol: float = PENCIL_RTOL) -> NDArray[np.float64]:
     """Return the null vector nearest to one that rounding, such as that of a change of basis, has moved."""
     k = len(x) - 1
     T, units = _block_matrix(given, k)

@@ -11,6 +11,7 @@ from residua.linear.polynomials.degree_search import at_smallest_degree
 from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, decide_rank, left_null_basis
 from residua.linear.systems.balancing import evened
+from residua.tolerances import RESIDUE, above_rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +116,7 @@ def _null_vectors(
     powers = variable ** -np.arange(degree + 1.0)
     vectors = W.T.reshape(W.shape[1], degree + 1, len(units))
     size = np.abs(vectors).max(axis=(1, 2), initial=0.0)
-    vectors = np.where(np.abs(vectors) > 1e-15 * size[:, None, None], vectors, 0.0)
+    vectors = above_rounding(vectors, size[:, None, None], RESIDUE)
     return NullVectors(vectors * powers[:, None] * units, decision, units)
 
 

@@ -18,6 +18,7 @@ from residua.linear.subspaces.rank import (
 )
 from residua.linear.subspaces.reachability import reachable_basis
 from residua.linear.systems.balancing import without_rounding
+from residua.tolerances import RESIDUE, above_rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,4 +197,4 @@ def split_blocks(A: NDArray, C: NDArray, spaces: list[DetectionSpace], *, rtol: 
 def _inverse(M: NDArray) -> NDArray[np.float64]:
     """Return the pseudo-inverse of a matrix of comparable columns, exactly zero where only rounding is left."""
     found = np.linalg.pinv(M, rcond=1e-12)
-    return np.where(np.abs(found) > 1e-14 * np.abs(found).max(initial=0.0), found, 0.0)
+    return above_rounding(found, np.abs(found).max(initial=0.0), RESIDUE)

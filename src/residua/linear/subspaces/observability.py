@@ -20,7 +20,7 @@ from residua.linear.systems.units import system_units
 _NEAR_ZERO = 1e-5
 _EPS = float(np.finfo(float).eps)
 #: How much of ``norm(A)`` the staircase may drop in the caller's coordinates before it is called a failure.
-_RESIDUAL_LIMIT = 1e-5
+_MOST_DROPPED = 1e-5
 #: What a hidden mode must be inside the stability region by: a slower one does not die out in any time that counts.
 _INSIDE = 1e-10
 
@@ -317,7 +317,7 @@ def observability_form(A: ArrayLike, C: ArrayLike, *, rtol: float = DEFAULT_RTOL
         if M.size
     ]
     residual = max(lost, default=0.0)
-    if residual > max(_RESIDUAL_LIMIT, 10 * rtol):
+    if residual > max(_MOST_DROPPED, 10 * rtol):
         raise AccuracyError(
             f"the observability form drops {residual:.3g} of the norm of (A, C) with rtol={rtol:.3g}; "
             "scale the states to comparable units"

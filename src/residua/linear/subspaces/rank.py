@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import SettingError
+from residua.tolerances import RANK, RESIDUE
 
 #: Singular values below this fraction of the scale count as zero, unless the caller says otherwise. The
 #: staircase algorithms lose about three digits at order 30, so this stays well above rounding.
-DEFAULT_RTOL = 1e-10
-#: A singular vector is known to some roundings of its length; smaller entries would be couplings that there are not.
-_NOISE = 1e-14
+DEFAULT_RTOL = RANK
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +114,7 @@ def decide_rank(M: ArrayLike, *, rtol: float = DEFAULT_RTOL, scale: float | None
     return RankDecision(int(np.count_nonzero(s > tolerance)), s, tolerance)
 
 
-def equilibrated(M: ArrayLike, *, residue: float = 1e-14) -> NDArray:
+def equilibrated(M: ArrayLike, *, residue: float = RESIDUE) -> NDArray:
     """Return ``M`` with rows and columns scaled to about unit size, so that its rank shows whatever its units.
 
     Rows and columns below ``residue`` of the largest entry can only be rounding and are left as they are.
@@ -152,7 +151,7 @@ def left_null_basis(
 
 def without_noise(basis: NDArray) -> NDArray:
     """Return an orthonormal basis with exact zeros where its vectors, known to rounding of their length, have none."""
-    return np.where(np.abs(basis) > _NOISE, basis, 0.0)
+    return np.where(np.abs(basis) > RESIDUE, basis, 0.0)
 
 
 def without_rounded_gains(K: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -160,4 +159,4 @@ def without_rounded_gains(K: NDArray[np.float64]) -> NDArray[np.float64]:
 
     A gain of 1e-17 beside one of size one would couple parts of a plant that nothing couples.
     """
-    return np.where(np.abs(K) > _NOISE * np.abs(K).max(axis=1, keepdims=True, initial=0.0), K, 0.0)
+    return np.where(np.abs(K) > RESIDUE * np.abs(K).max(axis=1, keepdims=True, initial=0.0), K, 0.0)

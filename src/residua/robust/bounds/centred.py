@@ -28,6 +28,7 @@ from residua.linear.norms.peak_norm import peak_norm
 from residua.linear.poles.spectrum import spectral_radius
 from residua.robust.bounds.reached_middle import ReachedMiddle, reached_middle
 from residua.robust.sets.uncertain_system import UncertainSystem
+from residua.tolerances import RESPONSE_ROUNDING
 
 Matrix = NDArray[np.float64]
 Real = NDArray[np.float64]
@@ -39,8 +40,6 @@ _TERMS, _STORED = 1_000_000, 20_000_000
 _CORNERS, _CORNERS_OF_MANY = 10, 4
 #: Numbers of the responses at corners that are held at a time.
 _CHUNK = 4_000_000
-#: What rounding does to a response of second or third order, relative to the norms of its factors.
-_ROUNDING = 1e-12
 #: What rounding of sums of responses may do to the bound.
 _ROUNDED = 1 + 1e-9
 
@@ -207,7 +206,7 @@ class _Expansion:
         for H, _ in response_blocks(A, np.vstack([c.Bw, np.zeros_like(c.Bw)]), C, 2 * g.terms):
             z.append(H[:, :p])
             q += np.linalg.norm(H[:, p:], axis=2).sum(axis=0)
-        missed = g.tail * (g.qw[own].sum() + g.qp[:, own].sum(axis=1)) + _ROUNDING * (g.qp[:, own] @ g.qw[own])
+        missed = g.tail * (g.qw[own].sum() + g.qp[:, own].sum(axis=1)) + RESPONSE_ROUNDING * (g.qp[:, own] @ g.qw[own])
         return np.concatenate(z), q + missed
 
     def _front(self, i: int) -> Matrix:
@@ -219,14 +218,14 @@ class _Expansion:
         for H, _ in response_blocks(A, np.vstack([c.Bp, np.zeros_like(c.Bp)]), C, 2 * g.terms):
             norms += np.abs(H).sum(axis=0)
         tail = g.tail * (g.zp[:, own].sum(axis=1)[:, None] + g.qp[own].sum(axis=0))
-        return norms + tail + _ROUNDING * (g.zp[:, own] @ g.qp[own])
+        return norms + tail + RESPONSE_ROUNDING * (g.zp[:, own] @ g.qp[own])
 
     def _linear(self, first: list[Real]) -> float:
         """Bound ``T_zw w + T_zp Phi T_qw w`` over the corners."""
         g, missed = self.gains, self.gains.tail
         for h, own in zip(self.half, self.owned, strict=True):
             zp, qw = g.zp[:, own], g.qw[own]
-            missed += h * float(np.linalg.norm(g.tail * (qw.sum() + zp.sum(axis=1)) + _ROUNDING * (zp @ qw)))
+            missed += h * float(np.linalg.norm(g.tail * (qw.sum() + zp.sum(axis=1)) + RESPONSE_ROUNDING * (zp @ qw)))
         centre = np.zeros_like(first[0])
         centre[: g.terms] = g.zw
         parts = [h * z for h, z in zip(self.half, first, strict=True)]
@@ -263,7 +262,7 @@ class _Expansion:
         g, own = self.gains, self.owned[i]
         # either the last factor is cut off, or one of those that made q
         made = norms[own].sum() + g.zp[:, own].sum(axis=1) * (g.qw.sum() + g.qp[own].sum())
-        return float(np.linalg.norm(g.tail * made + _ROUNDING * (g.zp[:, own] @ (g.qp[own] @ g.qw))))
+        return float(np.linalg.norm(g.tail * made + RESPONSE_ROUNDING * (g.zp[:, own] @ (g.qp[own] @ g.qw))))
 
     def _weights(self, around: Matrix) -> Real:
         """Return about how much each parameter is to blame for gains that are too large."""

@@ -22,10 +22,9 @@ from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 from residua.robust.bounds.member_response import reached_units
 from residua.robust.sets.uncertain_system import UncertainSystem
+from residua.tolerances import RESPONSE_ROUNDING
 
 Matrix = NDArray[np.float64]
-#: A steady response is zero below this part of the terms that cancel in it.
-_ROUNDING = 1e-10
 #: Units of states that are no farther apart than this power of two are left as they are.
 _EVEN = 10
 
@@ -169,7 +168,7 @@ def check_lasting(family: EstimatorFamily) -> None:
     R, one = np.linalg.inv(np.eye(p.n_states) - p.A), np.eye(p.n_states)
     reached = np.abs(R) @ (one + (one + np.abs(p.A)) @ np.abs(R)) @ np.abs(p.Bf[:, i])
     left = np.abs(p.C @ R @ p.Bf[:, i] + p.Df[:, i])
-    if not np.any(left > _ROUNDING * (np.abs(p.C) @ reached + np.abs(p.Df[:, i]))):
+    if not np.any(left > RESPONSE_ROUNDING * (np.abs(p.C) @ reached + np.abs(p.Df[:, i]))):
         raise DesignError(
             f"a lasting {family.target!r} leaves the outputs of the nominal loop as they are without it: their steady "
             "response to it is zero. Integral action does that: where the controller integrates, it moves the plant "
@@ -181,7 +180,7 @@ def check_lasting(family: EstimatorFamily) -> None:
     # e' = A e + b - Z r with r = C e + d is at rest with r = 0, whatever Z, where that can be solved for e
     M, v = np.vstack([np.eye(family.order) - q.A, q.C]), np.concatenate([b, -d])
     e = np.linalg.lstsq(M, v, rcond=None)[0]
-    if not np.any(np.abs(v - M @ e) > _ROUNDING * (np.abs(M) @ np.abs(e) + np.abs(v)).max(initial=0.0)):
+    if not np.any(np.abs(v - M @ e) > RESPONSE_ROUNDING * (np.abs(M) @ np.abs(e) + np.abs(v)).max(initial=0.0)):
         raise DesignError(
             f"no estimator that ignores {', '.join(family.decoupled) or 'nothing'} sees {family.target!r} while it "
             "lasts: once they have settled, the outputs answer to it as to what is ignored; decouple fewer faults "

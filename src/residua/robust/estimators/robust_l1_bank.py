@@ -14,6 +14,7 @@ from residua.design.banks.bank import Bank, Wanted, check_promise, stacked_membe
 from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
+from residua.design.core.method import method
 from residua.errors import DesignError, ModelError, SettingError
 from residua.linear.poles.spectrum import spectral_radius
 from residua.linear.subspaces.rank import DEFAULT_RTOL
@@ -95,6 +96,15 @@ def _leaks(one: RobustEstimator) -> str:
     return f"{one.fault}: of other faults a unit adds at most: {', '.join(parts)}"
 
 
+@method(
+    designs_for="uncertain plant",
+    needs=["in closed loop", "sampled", "faults", "bounded disturbances"],
+    exists_when="every member of the set stable; each fault apart from the others, lasting; a threshold certified",
+    order="k n",
+    source="Robust l1 fault detection, eqs. (20) to (49)",
+    faults="by code: one estimator per fault; certain from a size on",
+    many=True,
+)
 def robust_l1_bank(
     loop: UncertainPlant,
     faults: Iterable[str | int] | str | None = None,
@@ -177,6 +187,12 @@ def robust_l1_bank(
         if no threshold is certified (a NoCertificateError).
     SettingError
         If an option makes no sense.
+
+    See Also
+    --------
+    multi_model_parity : For a list of models.
+    insensitive_parity : Takes the effect of parameters out as data arrive.
+    structured_bank : For one plant.
 
     Notes
     -----

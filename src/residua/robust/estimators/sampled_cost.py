@@ -19,7 +19,7 @@ _TAIL = 1e-4
 _DENSE, _PER_OCTAVE = 128, 64
 #: What the time to settle counts, at the longest allowed: of gains that cost the same the fastest is taken.
 _HASTE = 2e-3
-_ROUNDING = 1e-7
+_NO_RESPONSE = 1e-7
 #: Cost of an estimator that is not stable, or too slow, or blind; its spectral radius is added. No other costs as much.
 PENALTY = 1e6
 
@@ -174,7 +174,7 @@ class SampledCost:
                 filtered, direct = np.einsum("ki,ki->k", g, inner @ q.C.T), g @ v
                 r = np.abs(filtered + direct)
                 # what is rounding against the two terms that cancel is nothing
-                r = np.where(r > _ROUNDING * (np.abs(filtered) + np.abs(direct)), r, 0.0)
+                r = np.where(r > _NO_RESPONSE * (np.abs(filtered) + np.abs(direct)), r, 0.0)
                 smallest = np.minimum(smallest, r)
         return smallest
 

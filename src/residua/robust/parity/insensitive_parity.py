@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua import arrays
 from residua.decide.false_alarms import Promise, observed, promise_of
 from residua.decide.fault_free import FaultFree
+from residua.design.core.method import method
 from residua.design.core.signals import stack_signals
 from residua.errors import DataError, DesignError, SettingError
 from residua.linear import StateSpace
@@ -186,6 +187,15 @@ class InsensitiveParity:
         return "\n".join(lines)
 
 
+@method(
+    designs_for="model with parameters",
+    needs=["sampled", "parameters with nominal values"],
+    exists_when="fewer parameters ignored at a time than equations",
+    order="sum of the orders of the equations",
+    source="Gertler (1991), eqs. (6-7) to (6-13)",
+    faults="by code: which parameter has changed",
+    noise="moving average",
+)
 def insensitive_parity(
     model: Model,
     parameters: Mapping[str, float],
@@ -246,6 +256,12 @@ def insensitive_parity(
         If the model is continuous or its signals depend on the parameters.
     AccuracyError
         If derivatives by two steps disagree.
+
+    See Also
+    --------
+    primary_residuals : The same equations for parameters that are known.
+    multi_model_parity : For a list of models.
+    robust_l1_bank : Parameters in intervals, with certified thresholds.
 
     Notes
     -----

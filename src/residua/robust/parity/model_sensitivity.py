@@ -18,7 +18,7 @@ _STEP = 0.05
 #: Derivatives by two steps may differ by this fraction of the largest coefficient.
 _AGREE = 1e-3
 #: An expected change that moves a coefficient by less than this, for the largest of its signal, moves it by rounding.
-_ROUNDING = 1e-9
+_UNMOVED = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ def equations_of(model: Model, values: Mapping[str, float], changes: Mapping[str
     for name in values:
         far, near = (_difference(model, values, name, s * _STEP * changes[name], nominal, order) for s in (1.0, 0.5))
         slope = (4 * near - far) / 3  # the terms of second order cancel
-        slope = np.where(np.abs(slope) * changes[name] > _ROUNDING * largest, slope, 0.0)
+        slope = np.where(np.abs(slope) * changes[name] > _UNMOVED * largest, slope, 0.0)
         size = float(np.abs(slope).max())
         if not size:
             raise DesignError(f"parameter {name!r} changes no equation: it cannot be seen, and need not be ignored")

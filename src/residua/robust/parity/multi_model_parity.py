@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from residua.design.core.decoupling import Approximate
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
+from residua.design.core.method import method
 from residua.errors import DesignError, SettingError
 from residua.linear.poles.spectrum import spectral_radius
 from residua.plant import Plant
@@ -19,15 +20,11 @@ from residua.robust.parity.best_ratios import best_ratios
 from residua.robust.parity.expected_signals import ExpectedSignals, Sizes
 from residua.robust.parity.plant_variants import plant_family, probabilities
 from residua.robust.parity.window_filter import window_filter, window_poles
-from residua.tolerances import TINY
+from residua.tolerances import RESPONSE_ROUNDING, ROUNDING, TINY
 
 _METHOD = "parity relations for several models"
 #: The entry of the evidence that says how far inputs and states reach the residual of the nominal model.
 _NOMINAL_LEAK = "leak (rms), nominal model"
-#: A relation whose leak is below this fraction of the largest has none: that is rounding.
-_ZERO = 1e-13
-#: A response below this fraction of the terms that it is the sum of is none.
-_ROUNDING = 1e-11
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +98,14 @@ def _listed(what: str, values: NDArray[np.float64], kept: int) -> str:
     return told + (f"; next {values[kept]:.3g}" if kept < len(values) else "")
 
 
+@method(
+    designs_for="several plants",
+    needs=["an order", "sampled"],
+    exists_when="always; every model has stationary states",
+    order="r times the order of the relations",
+    source="Lou, Willsky and Verghese (1986); Gertler (1991), eqs. (6-4), (6-5)",
+    noise="moving average",
+)
 def multi_model_parity(
     plants: Iterable[Plant | InputOutputModel],
     *,
@@ -177,6 +182,12 @@ def multi_model_parity(
         If the models have different signals.
     SettingError
         If sizes or weights make no sense.
+
+    See Also
+    --------
+    optimal_parity : Differences of models as disturbances.
+    insensitive_parity : For parameters that drift.
+    robust_l1_bank : Thresholds that hold for a whole set.
 
     Notes
     -----
@@ -279,7 +290,7 @@ def _by_faults(
     U: NDArray[np.float64], s: NDArray[np.float64], F: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return relations of unit length in the order of their response to faults for their leak, with that ratio."""
-    rank = int(np.count_nonzero(s > _ZERO * s[0]))
+    rank = int(np.count_nonzero(s > ROUNDING * s[0]))
     exact = U[:, rank:]
     left, gains, _ = np.linalg.svd(exact.T @ F, full_matrices=False)
     seeing = int(np.count_nonzero(gains > 1e-9 * max(np.linalg.norm(F), TINY)))
@@ -333,7 +344,7 @@ def _steady(outputs: NDArray[np.float64], poles: NDArray[np.complex128], plant: 
     x = np.linalg.solve(np.eye(n) - plant.A, plant.Bf)
     y, parts = plant.C @ x + plant.Df, np.abs(plant.C) @ np.abs(x) + np.abs(plant.Df)
     gain, terms = outputs.sum(axis=1) @ y, np.abs(outputs).sum(axis=1) @ parts
-    return np.where(np.abs(gain) > _ROUNDING * terms, gain, 0.0) / float(np.prod(1 - poles).real)
+    return np.where(np.abs(gain) > RESPONSE_ROUNDING * terms, gain, 0.0) / float(np.prod(1 - poles).real)
 
 
 def _conditions(s: NDArray[np.float64], count: int, leak: NDArray[np.float64], nominal: int) -> dict[str, float]:

@@ -11,12 +11,14 @@ from scipy.sparse.csgraph import connected_components
 
 from residua import arrays
 from residua.design.core.generator import ResidualGenerator
+from residua.design.core.method import method
+from residua.design.core.needs import FAULTS
 from residua.design.parity.relation import Relation, plant_rate
 from residua.design.parity.relation_model import RelationModel, relation_model
 from residua.design.parity.relations import ParityRelations, Poles, relations_of
 from residua.design.parity.shortest import RelationSpace, relation_space
 from residua.errors import DesignError, ModelError
-from residua.linear.polynomials.pencil_null_space import DEFAULT_RTOL
+from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.systems.balancing import descriptor_units
 from residua.plant import Plant
@@ -90,6 +92,14 @@ class _Task:
     constant: bool
 
 
+@method(
+    needs=[FAULTS, "an order"],
+    exists_when="relations of this order that see a fault",
+    order="r times the order of the relations",
+    source="Frank and Wuennenberg (1989); Gertler (1991), eq. (6-6)",
+    singular=True,
+    noise="moving average",
+)
 def optimal_parity(
     plant: Plant | InputOutputModel,
     *,
@@ -106,7 +116,7 @@ def optimal_parity(
     correlation_time: float = 0.0,
     relations: int = 1,
     poles: Poles | None = None,
-    rtol: float = DEFAULT_RTOL,
+    rtol: float = PENCIL_RTOL,
 ) -> OptimalParity:
     r"""Design the parity relations that see most of the faults for what they see of the disturbances.
 
@@ -163,6 +173,12 @@ def optimal_parity(
         If there is no relation of this order, none sees a fault, or there are fewer than asked for.
     ModelError
         If variants have other signals or other states.
+
+    See Also
+    --------
+    parity_relations : Where disturbances can be decoupled.
+    multi_model_parity : For a list of models.
+    insensitive_parity : For parameters that drift.
 
     Notes
     -----

@@ -1,0 +1,47 @@
+"""Checks of values and paths that are written as options."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import typer
+
+from residua.errors import DataError
+from residua.files import check_output, real, special
+
+
+def checked_rate(value: float | None) -> float | None:
+    """Return a rate, or raise unless it lies between 0 and 1."""
+    if value is not None and not 0 < value < 1:
+        raise typer.BadParameter(f"must lie between 0 and 1, got {value:g}")
+    return value
+
+
+def checked_positive(value: float | None) -> float | None:
+    """Return a positive finite number, or raise."""
+    if value is not None and not 0 < value < float("inf"):
+        raise typer.BadParameter(f"must be positive, got {value:g}")
+    return value
+
+
+def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path] = ()) -> None:
+    """Raise unless every output can be written.
+
+    Parameters
+    ----------
+    outputs : iterable of Path or None
+        ``None`` stands for an output that was not asked for.
+    inputs : iterable of Path
+        Files that must not be overwritten.
+    """
+    taken = {real(path): "is read by this command" for path in inputs}
+    for path in outputs:
+        if path is None:
+            continue
+        check_output(path)
+        if special(path):
+            continue
+        if real(path) in taken:
+            raise DataError(f"{path} {taken[real(path)]}; give the output another name")
+        taken[real(path)] = "is given for two outputs"

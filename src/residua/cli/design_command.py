@@ -1,0 +1,190 @@
+"""The command ``design``: its options are those of the methods in the registry."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from dataclasses import fields, replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from residua.cli import methods, screen
+from residua.cli.checks import check_outputs, checked_positive, checked_rate
+from residua.cli.guard import GuardedGroup, in_cli_words, note
+from residua.cli.plant_commands import PlantFile
+from residua.decide import Directional, Matched, NormThreshold, Structured
+from residua.decide.isolation import IsolationSettings
+from residua.design import MatchedFilters
+from residua.design.core.brought import as_generator
+from residua.errors import ModelError, SettingError
+from residua.files import check_input
+from residua.monitor import Monitor
+from residua.monitor.setup import chosen_isolation
+from residua.plant.plant_file import load_plant
+
+#: Methods that are listed at an option in the help, and where the first sentence of its text ends.
+_LISTED, _SENTENCE = 4, r"(?<=\.) "
+
+
+def _method(name: str) -> str:
+    """Return the name of a method that is offered, its present one."""
+    known, former = methods.offered(), methods.former_names()
+    if name in former:
+        note(f"--method {name} is called {former[name]} now, as its function is; the old name is deprecated")
+        name = former[name]
+    if name != methods.AUTO and name not in known:
+        raise typer.BadParameter(f"{name!r} is none of {', '.join([methods.AUTO, *known])}")
+    return name
+
+
+def _list_methods(wanted: bool) -> None:
+    if wanted:
+        screen.show_table(methods.HEADER, methods.table())
+        beside = {one.name: methods.in_python_only(one) for one in methods.methods()}
+        screen.say(f"in Python only: {'; '.join(f'{name}, {why}' for name, why in beside.items() if why)}")
+        raise typer.Exit
+
+
+def design(
+    plant: PlantFile,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="OUT.json", help="Monitor to write.")],
+    method: Annotated[
+        str,
+        typer.Option(callback=_method, metavar="NAME", help="auto: by disturbances and noise of the plant."),
+    ] = methods.AUTO,
+    list_methods: Annotated[
+        bool,
+        typer.Option("--methods", callback=_list_methods, is_eager=True, help="List the methods: what each needs."),
+    ] = False,
+    show_call: Annotated[bool, typer.Option("--show-call", help="Print the same design as a line of Python.")] = False,
+    sample_time: Annotated[
+        float | None,
+        typer.Option(callback=checked_positive, metavar="S", help="Step of the recordings, for a continuous plant."),
+    ] = None,
+    false_alarm_rate: Annotated[
+        float, typer.Option(callback=checked_rate, metavar="RATE", help="Fraction of fault-free samples in alarm.")
+    ] = 1e-4,
+    persistence: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Samples in a row over the threshold that raise an alarm.")
+    ] = 3,
+    average: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Samples over which the residual is summed before its test.")
+    ] = 1,
+    window: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            metavar="N",
+            help="Samples over which the direction of the residual, the code of a bank, or an arrival is judged.",
+        ),
+    ] = 50,
+    **asked: Any,
+) -> None:
+    """Design a monitor and print what it proves about itself."""
+    check_input(plant, "a plant file")
+    check_outputs([output], [plant])
+    model = load_plant(plant)
+    name, why = (method, "") if method != methods.AUTO else methods.choose(model)
+    try:
+        call = methods.call_of(name, _given(asked), {"window": window}, sample_time)
+    except methods.OptionError as error:
+        raise typer.BadParameter(error.why, param_hint=error.option) from None
+    made = methods.make(model, name, call, why=why)
+    if isinstance(made, MatchedFilters) and average != 1:
+        raise SettingError("matched filters sum over their --window by themselves: leave out --average")
+    isolate = _isolation(made, window)
+    test = NormThreshold(persistence=persistence, window=average, false_alarm_rate=false_alarm_rate)
+    monitor = Monitor(made, test=test, isolate=isolate, dt=sample_time)
+    monitor.save(output)
+    screen.say(f"method: {name}" + (f", because {why}" if why else ""), in_cli_words(str(_evidence(monitor))))
+    if show_call:
+        screen.say(f"call: {call.code(model)}")
+    if isinstance(isolate, Matched):
+        screen.show_responses(made)
+    elif isinstance(isolate, Structured):
+        screen.show_codes(as_generator(made), isolate)
+    elif model.faults and isinstance(isolate, Directional):
+        screen.show_signatures(as_generator(made), isolate)
+    screen.say(_readiness(monitor, output), f"written: {output}")
+
+
+def _given(asked: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in asked.items() if value is not None}
+
+
+def design_command() -> Any:
+    """Return the command, with an option for every option of a method that is registered now."""
+    written = inspect.signature(design, eval_str=True).parameters.values()
+    fixed = [one for one in written if one.kind is not one.VAR_KEYWORD]
+    of_methods = [_parameter(one) for one in methods.options({one.name for one in fixed})]
+    at = next(k for k, one in enumerate(fixed) if one.name == "false_alarm_rate")
+
+    def command(**given: Any) -> None:
+        design(**given)
+
+    parameters = [*fixed[:at], *of_methods, *fixed[at:]]
+    command.__signature__ = inspect.Signature([one.replace(kind=one.KEYWORD_ONLY) for one in parameters])  # pyright: ignore
+    command.__annotations__ = {one.name: one.annotation for one in parameters}
+    command.__doc__ = design.__doc__
+    single = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    single.command("design")(command)
+    return typer.main.get_command(single)
+
+
+class Commands(GuardedGroup):
+    """The commands, of which ``design`` has the options of all methods that are registered when it is called."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return their names: what looks at a plant, then ``design``, then what runs."""
+        names = super().list_commands(ctx)
+        return [*names[:3], "design", *names[3:]]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return a command by its name."""
+        return design_command() if cmd_name == "design" else super().get_command(ctx, cmd_name)
+
+
+def _parameter(one: methods.Shared) -> inspect.Parameter:
+    """Return an option of methods as a parameter of the command."""
+    kind = bool if one.form.is_flag else str
+    of = ", ".join(one.methods) if len(one.methods) <= _LISTED else f"{len(one.methods)} methods, see --methods"
+    told = f"{re.split(_SENTENCE, one.text)[0].rstrip('.')}. Of {of}." if one.text else f"Of {of}."
+    option = partial(typer.Option, *one.flags, help=told, rich_help_panel="Options of methods", show_default=False)
+    option = option() if one.form.is_flag else option(metavar=one.form.metavar)
+    annotation = Annotated[kind | None, option]
+    return inspect.Parameter(one.name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
+
+
+def _isolation(made: Any, window: int) -> IsolationSettings:
+    """Return how faults are named: as the design is made to be read, over so many samples."""
+    isolate = chosen_isolation("auto", as_generator(made), made)
+    has_window = any(one.name == "window" for one in fields(isolate))  # pyright: ignore[reportArgumentType]
+    return replace(isolate, window=window) if has_window else isolate  # pyright: ignore
+
+
+def _evidence(monitor: Monitor) -> object:
+    """Return the evidence of what will run: the sampled filter, where the step is known."""
+    try:
+        return monitor.generator.evidence
+    except ModelError:  # a continuous design whose step is not known yet
+        return monitor.design.evidence
+
+
+def _readiness(monitor: Monitor, path: Path) -> str:
+    if monitor.is_fitted:
+        test = monitor.norm_test
+        what = thresholds(monitor).replace("threshold: ", "threshold ")
+        return f"{what}: {test.basis}; 'residua fit' sets it from fault-free data"
+    return f"no threshold yet: residua fit {path} NORMAL.csv -o {path}"
+
+
+def thresholds(monitor: Monitor) -> str:
+    """Return the threshold, or those of the members of a bank."""
+    test = monitor.norm_test
+    if not test.part_names:
+        return f"threshold: {test.threshold:.6g}"
+    limits = zip(test.part_names, test.part_thresholds, strict=True)
+    return f"thresholds: {', '.join(f'{name} {limit:.6g}' for name, limit in limits)}"

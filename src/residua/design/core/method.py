@@ -1,0 +1,324 @@
+"""The registry of methods: what a design function needs and promises is declared where the function is.
+
+A design is what maps measurements to residuals or estimates. A function is one, and declares itself, when what it
+returns does so (``run``, ``estimate``), or has or makes what does (``generator``, ``residual_generator()``,
+``observer``, the values of a mapping). Functions that return matrices, orders, thresholds, forms, a closed loop or a
+choice among equations are tools beside them.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args
+
+from residua.design.core.options import Option, kinds_of, options_of, signature_of
+from residua.errors import SettingError
+from residua.plant import Plant
+from residua.visible import echo
+
+if TYPE_CHECKING:
+    from residua.analysis.diagnosability import Diagnosability
+
+#: What is designed for; only for a plant alone a function is tried by ``suggest``, and offered on the command line.
+Subject = Literal["plant", "uncertain plant", "several plants", "model with parameters", "observer"]
+#: What becomes of the noise of measurements, from the least that is left of it to the most.
+Noise = Literal["least", "filtered", "unfiltered", "differentiated", "moving average"]
+#: The time course of a fault for which its name holds.
+TimeCourse = Literal["any", "step", "constant"]
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+Calls = Callable[[Plant, "Diagnosability | None"], Iterable[Mapping[str, Any]]]
+
+
+@dataclass(frozen=True)
+class Need:
+    """Something that a plant must have for a method to make sense.
+
+    Attributes
+    ----------
+    text : str
+        Its name.
+    missing : callable
+        Tells from a plant, and what is known of its faults, why the method makes no sense; empty where it does.
+    """
+
+    text: str
+    missing: Callable[[Plant, Diagnosability | None], str]
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """An argument that is made from the plant when none is given.
+
+    Attributes
+    ----------
+    make : callable
+        Takes the plant and a time limit in seconds.
+    code : str
+        The same as a line of code.
+    limited : str
+        The same with a time limit, ``{seconds}``.
+    """
+
+    make: Callable[[Plant, float], Any]
+    code: str
+    limited: str
+
+
+def one_call(plant: Plant, known: Diagnosability | None) -> Iterable[Mapping[str, Any]]:
+    """Return the options to try for a plant: none."""
+    return ({},)
+
+
+@dataclass(frozen=True, eq=False)
+class Method:
+    """A design function, with what it needs and promises.
+
+    Attributes
+    ----------
+    function : callable
+    designs_for : {"plant", "uncertain plant", "several plants", "model with parameters", "observer"}
+        What it is a design for.
+    requirements : tuple of Need or str
+        What that must have.
+    condition : str
+        When the design exists.
+    order : str
+        Number of states: ``n`` states, ``p`` independent outputs, ``k`` members, ``r`` residuals.
+    source : str
+        Where the method is from.
+    state : str
+        What it says about the state; empty when nothing.
+    faults : str
+        How it tells which fault it is; empty when it does not by itself.
+    size : bool
+        Whether it estimates how large a fault is.
+    decouples : bool
+        Whether the disturbances of the plant do not reach it.
+    singular : bool
+        Whether ``E`` may be singular.
+    noise : {"least", "filtered", "unfiltered", "differentiated", "moving average"}
+        What becomes of the noise of measurements.
+    time_course : {"any", "step", "constant"}
+        The time course of a fault for which its name holds.
+    many : bool
+        Whether it designs many filters, so that it takes long for a large plant.
+    formerly : tuple of str
+        Names that it had on the command line before.
+    chosen : mapping of str to Chosen
+        Arguments that are made from the plant when none is given.
+    calls : callable
+        The options with which it is tried for a plant.
+    """
+
+    function: Callable[..., Any] = field(repr=False)
+    designs_for: Subject
+    requirements: tuple[Need | str, ...] = field(repr=False)
+    condition: str = field(repr=False)
+    order: str = field(repr=False)
+    source: str = field(repr=False)
+    state: str = field(default="", repr=False)
+    faults: str = field(default="", repr=False)
+    size: bool = field(default=False, repr=False)
+    decouples: bool = field(default=False, repr=False)
+    singular: bool = field(default=False, repr=False)
+    noise: Noise = field(default="filtered", repr=False)
+    time_course: TimeCourse = field(default="any", repr=False)
+    many: bool = field(default=False, repr=False)
+    formerly: tuple[str, ...] = field(default=(), repr=False)
+    chosen: Mapping[str, Chosen] = field(default_factory=dict, repr=False)
+    calls: Calls = field(default=one_call, repr=False)
+
+    @property
+    def name(self) -> str:
+        """The name of the function."""
+        return self.function.__name__
+
+    @property
+    def needs(self) -> str:
+        """What the plant must have, in words."""
+        listed = ", ".join(one if isinstance(one, str) else one.text for one in self.requirements)
+        return listed or "nothing more"
+
+    @property
+    def returns(self) -> str:
+        """The name of the class of what it returns."""
+        annotation = self.function.__annotations__.get("return", "")
+        return annotation if isinstance(annotation, str) else getattr(annotation, "__name__", str(annotation))
+
+    @cached_property
+    def signature(self) -> inspect.Signature:
+        """Its parameters and what it returns, as types."""
+        return signature_of(self.function)
+
+    @property
+    def result(self) -> Any:
+        """The class of what it returns."""
+        return self.signature.return_annotation
+
+    @cached_property
+    def options(self) -> tuple[Option, ...]:
+        """What may be asked of it, from its signature."""
+        return options_of(self.function, self.signature)
+
+    @cached_property
+    def takes_a_plant(self) -> bool:
+        """Whether a plant is all that it is designed for."""
+        first = next(iter(self.signature.parameters.values()))
+        return self.designs_for == "plant" and Plant in kinds_of(first.annotation)
+
+    @property
+    def called(self) -> str:
+        """How it is called in a line of code."""
+        own = self.function.__module__.split(".")[0] == __name__.split(".")[0]
+        return f"rs.design.{self.name}" if own else self.name
+
+    @property
+    def place(self) -> tuple[Any, ...]:
+        """Where it stands among others: observers, plain residuals, names, sizes; then the least noise first."""
+        gives = 3 if self.size else 2 if self.faults else 0 if self.state else 1
+        noise = get_args(Noise).index(self.noise)
+        return self.designs_for != "plant", gives, noise, self.singular, self.name
+
+    def missing(self, plant: Plant, known: Diagnosability | None = None) -> str:
+        """Return why it makes no sense for a plant; empty where it does."""
+        needs = (one for one in self.requirements if isinstance(one, Need))
+        return next((why for why in (one.missing(plant, known) for one in needs) if why), "")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return recorded, (self.name,)
+
+
+#: All methods by name, as far as their modules are imported; :func:`residua.design.catalogue.methods` has them all.
+METHODS: dict[str, Method] = {}
+
+
+def recorded(name: str) -> Method:
+    """Return the method of a name that is registered."""
+    return METHODS[name]
+
+
+def method(
+    *,
+    exists_when: str,
+    order: str,
+    source: str,
+    needs: Iterable[Need | str] = (),
+    designs_for: Subject = "plant",
+    state: str = "",
+    faults: str = "",
+    size: bool = False,
+    decouples: bool = False,
+    singular: bool = False,
+    noise: Noise = "filtered",
+    time_course: TimeCourse = "any",
+    many: bool = False,
+    formerly: Iterable[str] = (),
+    chosen: Mapping[str, Chosen] | None = None,
+    calls: Calls = one_call,
+) -> Callable[[Function], Function]:
+    """Declare a design function: it is then in the tables, tried by ``suggest``, and offered on the command line.
+
+    Use it as a decorator. The function itself is returned, not changed: what it returns, its options and their texts
+    are read from its annotations and its numpydoc. On the command line stands what is designed for a plant alone and
+    gives a :class:`residua.design.ResidualGenerator`, has one (``generator``) or makes one (``residual_generator()``).
+
+    Parameters
+    ----------
+    exists_when : str
+        The condition for its existence.
+    order : str
+        Number of states, in words.
+    source : str
+        Where the method is from.
+    needs : sequence of Need or str
+        What the plant must have: in words, or one of ``residua.design.core.needs``, which can be asked of a plant.
+    designs_for : {"plant", "uncertain plant", "several plants", "model with parameters", "observer"}
+        Only what is for a plant alone is tried by ``suggest`` and offered on the command line.
+    state : str
+        What it says about the state; empty when nothing.
+    faults : str
+        How it tells which fault it is; empty when it does not by itself.
+    size, decouples, singular : bool
+        Whether it estimates the size of a fault, keeps disturbances out, and takes a singular ``E``.
+    noise : {"least", "filtered", "unfiltered", "differentiated", "moving average"}
+        What becomes of the noise of measurements.
+    time_course : {"any", "step", "constant"}
+        The time course of a fault for which its name holds.
+    many : bool
+        Whether it designs many filters.
+    formerly : sequence of str
+        Names that it had on the command line before, which go on with a note.
+    chosen : mapping of str to Chosen, optional
+        Arguments that are made from the plant when none is given.
+    calls : callable
+        From a plant, and what is known of its faults, the options with which ``suggest`` tries it.
+
+    Returns
+    -------
+    callable
+        The decorator.
+
+    Raises
+    ------
+    SettingError
+        If another function has the name already, or the function takes nothing.
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> from residua.design.catalogue import forget
+    >>> @rs.design.method(exists_when="(C, A) detectable", order="n", source="this page", state="estimate")
+    ... def slow_observer(plant: rs.Plant, *, margin: float = 0.1) -> rs.design.Observer:
+    ...     return rs.design.luenberger_observer(plant, margin=margin)
+    >>> any(entry.method.name == "slow_observer" for entry in rs.suggest(rs.library.vtol()).entries)
+    True
+    >>> forget("slow_observer")
+    """
+
+    def declare(function: Function) -> Function:
+        record = Method(
+            function,
+            designs_for,
+            tuple(needs),
+            exists_when,
+            order,
+            source,
+            state,
+            faults,
+            size,
+            decouples,
+            singular,
+            noise,
+            time_course,
+            many,
+            tuple(formerly),
+            dict(chosen or {}),
+            calls,
+        )
+        _check(record)
+        METHODS[record.name] = record
+        return function
+
+    return declare
+
+
+def _check(record: Method) -> None:
+    """Raise where a function cannot be a method of this name."""
+    function, other = record.function, METHODS.get(record.name)
+    if not inspect.signature(function).parameters:
+        raise SettingError(
+            f"{record.name} takes nothing: a design function takes a plant, or what it is designed for, first"
+        )
+    if record.designs_for not in get_args(Subject):
+        raise SettingError(f"designs_for must be one of {', '.join(get_args(Subject))}, got {echo(record.designs_for)}")
+    same = other is None or (other.function.__module__, other.function.__qualname__) == (
+        function.__module__,
+        function.__qualname__,
+    )
+    if not same:
+        assert other is not None
+        raise SettingError(f"the name {record.name!r} is that of {other.function.__module__}: take another")

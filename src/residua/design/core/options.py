@@ -1,0 +1,98 @@
+"""The options of a function, from its signature and the numpydoc of its parameters."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import types
+import typing
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+#: The beginning of a parameter in numpydoc: names, and what they are.
+_HEAD = re.compile(r"^(?P<names>\w+(?:, \w+)*)(?: : (?P<kind>.*))?$")
+
+
+@dataclass(frozen=True)
+class Option:
+    """A parameter of a design function beside the plant.
+
+    Attributes
+    ----------
+    name : str
+    annotation : type
+        What it may be.
+    default : object
+        ``inspect.Parameter.empty`` where there is none.
+    text : str
+        What its docstring says of it.
+    choices : tuple of str
+        The texts that it may be, where only some are.
+    """
+
+    name: str
+    annotation: Any
+    default: Any
+    text: str
+    choices: tuple[str, ...]
+
+    @property
+    def required(self) -> bool:
+        """Whether it has no default."""
+        return self.default is inspect.Parameter.empty
+
+    @property
+    def kinds(self) -> tuple[Any, ...]:
+        """The types that it may be, each by itself."""
+        return kinds_of(self.annotation)
+
+
+def options_of(function: Callable[..., Any], signature: inspect.Signature) -> tuple[Option, ...]:
+    """Return the options of a function with this signature: all parameters after the first."""
+    described = parameters_in(inspect.getdoc(function) or "")
+    return tuple(_option(one, *described.get(name, ("", ""))) for name, one in list(signature.parameters.items())[1:])
+
+
+def signature_of(function: Callable[..., Any]) -> inspect.Signature:
+    """Return the signature of a function, its annotations as types."""
+    return inspect.signature(function, eval_str=True)
+
+
+def _option(one: inspect.Parameter, kind: str, text: str) -> Option:
+    braces = re.match(r"\{(.*?)\}", kind)
+    choices = tuple(re.findall(r'"([^"]*)"', braces[1])) if braces else ()
+    for part in kinds_of(one.annotation):
+        if typing.get_origin(part) is typing.Literal:
+            choices += tuple(value for value in typing.get_args(part) if isinstance(value, str))
+    return Option(one.name, one.annotation, one.default, text, choices)
+
+
+def kinds_of(annotation: Any) -> tuple[Any, ...]:
+    """Return the members of a union, those of its members too; any other type by itself."""
+    annotation = getattr(annotation, "__value__", annotation)  # an alias by ``type``
+    if isinstance(annotation, types.UnionType) or typing.get_origin(annotation) is typing.Union:
+        return tuple(kind for part in typing.get_args(annotation) for kind in kinds_of(part))
+    return (annotation,)
+
+
+def parameters_in(docstring: str) -> Mapping[str, tuple[str, str]]:
+    """Return what a docstring says under ``Parameters``: by name, the kind and the description."""
+    lines = docstring.splitlines()
+    title = next(
+        (k for k in range(len(lines) - 1) if lines[k] == "Parameters" and lines[k + 1].startswith("---")), None
+    )
+    found: dict[str, tuple[str, str]] = {}
+    if title is None:
+        return found
+    names: tuple[str, ...] = ()
+    for k in range(title + 2, len(lines)):
+        if k + 1 < len(lines) and lines[k + 1].startswith("---"):
+            break
+        head = _HEAD.match(lines[k])
+        if head:
+            names = tuple(head["names"].split(", "))
+            found |= dict.fromkeys(names, (head["kind"] or "", ""))
+        elif lines[k].strip():
+            found |= {name: (found[name][0], f"{found[name][1]} {lines[k].strip()}".strip()) for name in names}
+    return found
