@@ -154,13 +154,13 @@ def attainable(
         names = tuple(f"r{i + 1}" for i in range(len(rows)))
         fine = np.ones(len(rows), dtype=bool)
         return Attainability(plant, plant.faults, names, rows, fine, {}, space.dimension, constant)
-    given = structure_rows(structure, plant.faults)
-    why = {name: _failure(space, row, constant) for name, row in given.items()}
+    named = structure_rows(structure, plant.faults)
+    why = {name: _failure(space, row, constant) for name, row in named.items()}
     return Attainability(
         plant,
         plant.faults,
-        tuple(given),
-        np.array(list(given.values()), dtype=bool),
+        tuple(named),
+        np.array(list(named.values()), dtype=bool),
         np.array([not reason for reason in why.values()]),
         {name: reason for name, reason in why.items() if reason},
         space.dimension,

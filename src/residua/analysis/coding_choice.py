@@ -242,11 +242,11 @@ def _search(
 
     Every program leaves some time to those that follow it: a limit is met only after the step that reaches it.
     """
-    strong, told = quality == "strong", []
+    strong, remarks = quality == "strong", []
     cover, stuck = task.cover(strong)
     first = fewest(cover, clock.share(0.6 if strong and max_residuals is not None else _FIRST))
     if strong and max_residuals is not None and len(first.chosen) > max_residuals:
-        told.append(
+        remarks.append(
             f"weakly isolating only: strongly takes {_number(first)} residuals, and no more than {max_residuals} "
             "were allowed"
         )
@@ -259,14 +259,14 @@ def _search(
             f"weakly: that takes {_number(first)}; allow more, or leave faults out with require= or ignore="
         )
     for j, k in stuck:
-        told.append(
+        remarks.append(
             f"weakly isolating only: no attainable row sees {_group(task, k)} and ignores {_group(task, j)}, so that "
             f"the code of {_group(task, j)} always becomes that of {_group(task, k)} when residuals stay silent"
         )
     chosen = first.chosen
     even = even_cover(cover, chosen, clock.share(0.4))
     far = far_cover(cover, even.chosen, clock.share(0.7))
-    notes = [*told, _fewest_in_words(task, first, strong and not stuck, clock.limit)]
+    notes = [*remarks, _fewest_in_words(task, first, strong and not stuck, clock.limit)]
     if even.bound is not None:
         notes.append("the time limit was reached before it was proved that no choice is more even")
     if far.bound is not None:
@@ -302,18 +302,18 @@ def _once_constant(space: FaultSpace, rows: NDArray[np.bool_], most: int, clock:
     )
 
 
-def _number(found: Found) -> str:
-    if found.bound is None:
-        return f"{len(found.chosen)}"
-    return f"{found.bound} to {len(found.chosen)} (the time limit was reached)"
+def _number(cover: Found) -> str:
+    if cover.bound is None:
+        return f"{len(cover.chosen)}"
+    return f"{cover.bound} to {len(cover.chosen)} (the time limit was reached)"
 
 
-def _fewest_in_words(task: ChoiceTask, found: Found, strong: bool, time_limit: float) -> str:
+def _fewest_in_words(task: ChoiceTask, cover: Found, strong: bool, time_limit: float) -> str:
     """Return whether the number of residuals is the fewest."""
     rows = counted(len(task.rows), "attainable row")
-    if found.bound is not None:
+    if cover.bound is not None:
         return (
-            f"chosen from {rows}; between {found.bound} and {len(found.chosen)} residuals are the fewest: the time "
+            f"chosen from {rows}; between {cover.bound} and {len(cover.chosen)} residuals are the fewest: the time "
             f"limit of {time_limit:g} s was reached before that was decided"
         )
     everyone = len(task.required) == len(task.names)

@@ -211,12 +211,12 @@ def group_twins(
     return tuple(tuple(faults[i] for i in group) for group in groups)
 
 
-def _decide(found: Visible, rtol: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _decide(seen: Visible, rtol: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return who is visible and who can be told from whom, the best over the test points."""
-    size = np.linalg.norm(found.columns, axis=1)
-    floor = np.maximum(found.rounding, 10 * rtol)[:, None]
+    size = np.linalg.norm(seen.columns, axis=1)
+    floor = np.maximum(seen.rounding, 10 * rtol)[:, None]
     visible = (size > floor).any(axis=0)
-    sines = _sines(found.columns)
+    sines = _sines(seen.columns)
     weaker = np.maximum(np.minimum(size[:, :, None], size[:, None]), TINY)
     limit = np.clip(10 * floor[:, :, None] / weaker, 1e-7, 1e-2)
     apart = (sines > limit).any(axis=0)

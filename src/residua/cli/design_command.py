@@ -122,8 +122,8 @@ def design_command() -> Any:
     of_methods = [_parameter(one) for one in methods.options({one.name for one in fixed})]
     at = next(k for k, one in enumerate(fixed) if one.name == "false_alarm_rate")
 
-    def command(**given: Any) -> None:
-        design(**given)
+    def command(**options: Any) -> None:
+        design(**options)
 
     parameters = [*fixed[:at], *of_methods, *fixed[at:]]
     command.__signature__ = inspect.Signature([one.replace(kind=one.KEYWORD_ONLY) for one in parameters])  # pyright: ignore
@@ -151,8 +151,8 @@ def _parameter(one: methods.Shared) -> inspect.Parameter:
     """Return an option of methods as a parameter of the command."""
     kind = bool if one.form.is_flag else str
     of = ", ".join(one.methods) if len(one.methods) <= _LISTED else f"{len(one.methods)} methods, see --methods"
-    told = f"{re.split(_SENTENCE, one.text)[0].rstrip('.')}. Of {of}." if one.text else f"Of {of}."
-    option = partial(typer.Option, *one.flags, help=told, rich_help_panel="Options of methods", show_default=False)
+    text = f"{re.split(_SENTENCE, one.text)[0].rstrip('.')}. Of {of}." if one.text else f"Of {of}."
+    option = partial(typer.Option, *one.flags, help=text, rich_help_panel="Options of methods", show_default=False)
     option = option() if one.form.is_flag else option(metavar=one.form.metavar)
     annotation = Annotated[kind | None, option]
     return inspect.Parameter(one.name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)

@@ -43,10 +43,10 @@ class GuardedGroup(TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the command that was asked for."""
-        found = super().resolve_command(ctx, args)
-        if found[1] is not None:
-            _OPTIONS.set(frozenset(name for parameter in found[1].params for name in parameter.opts))
-        return found
+        resolved = super().resolve_command(ctx, args)
+        if resolved[1] is not None:
+            _OPTIONS.set(frozenset(name for parameter in resolved[1].params for name in parameter.opts))
+        return resolved
 
     def invoke(self, ctx: Any) -> Any:
         """Run the chosen command."""

@@ -91,13 +91,13 @@ class Shared:
 
 def options(taken: Iterable[str] = ()) -> list[Shared]:
     """Return every option of every method, but for names that are taken."""
-    found: dict[str, list[tuple[str, Option, Form]]] = {}
+    holders_of: dict[str, list[tuple[str, Option, Form]]] = {}
     for name, method in offered().items():
         for option in method.options:
             form = form_of(option)
             if form is not None and option.name not in taken:
-                found.setdefault(option.name, []).append((name, option, form))
-    return [_shared(name, holders) for name, holders in found.items()]
+                holders_of.setdefault(option.name, []).append((name, option, form))
+    return [_shared(name, holders) for name, holders in holders_of.items()]
 
 
 def _shared(name: str, holders: list[tuple[str, Option, Form]]) -> Shared:
@@ -187,8 +187,8 @@ class Call:
             for name, one in self.method.chosen.items()
             if name not in self.given
         ]
-        given = [f"{name}={value!r}" for name, value in self.asked.items()]
-        return f"{self.method.called}({', '.join([sampled, *made, *given])})"
+        arguments = [f"{name}={value!r}" for name, value in self.asked.items()]
+        return f"{self.method.called}({', '.join([sampled, *made, *arguments])})"
 
 
 def choose(plant: Plant) -> tuple[str, str]:
@@ -235,8 +235,8 @@ def call_of(name: str, asked: Mapping[str, Any], settings: Mapping[str, Any], sa
     for option in asked:
         if option not in own:
             raise SettingError(_not_of(option, name))
-    given = {option: _read(own[option], value) for option, value in asked.items()}
-    call = Call(method, given, asked, sample_time, settings)
+    values = {option: _read(own[option], value) for option, value in asked.items()}
+    call = Call(method, values, asked, sample_time, settings)
     if call.left_out:
         needed = next(one for one in method.options if one.name == call.left_out[0])
         form = form_of(needed)
@@ -317,10 +317,10 @@ def _others(failed: str, call: Call) -> Iterator[tuple[str, Call]]:
     for name, method in offered().items():
         own = {one.name: one for one in method.options if form_of(one) is not None}
         try:
-            given = {key: _read(own[key], text) for key, text in call.written.items() if key in own}
+            values = {key: _read(own[key], text) for key, text in call.written.items() if key in own}
         except OptionError:
             continue
-        other = Call(method, given, call.written, call.sample_time, call.settings, call.made)
+        other = Call(method, values, call.written, call.sample_time, call.settings, call.made)
         if name != failed and not other.left_out:
             yield name, other
 

@@ -78,15 +78,15 @@ def change_time(signal: NDArray[np.float64], quiet: int, last: int) -> ChangeTim
         start = max(0, quiet - width * MOST_TOGETHER) // width * width
         part = signal[start:]
         part = part[: len(part) // width * width].reshape(-1, width).mean(axis=1)
-        found = _with_enough(part, (quiet - start) // width, min((last - start) // width, len(part) - 1))
-        if found is None or found.earliest is not None or start == 0:
+        change = _with_enough(part, (quiet - start) // width, min((last - start) // width, len(part) - 1))
+        if change is None or change.earliest is not None or start == 0:
             break
         width *= 4
-    if found is None:
+    if change is None:
         return None
-    first = None if found.earliest is None else start + found.earliest * width
-    latest = min(start + found.latest * width + width - 1, last)
-    return ChangeTime(first, min(start + found.estimate * width, latest), latest)
+    first = None if change.earliest is None else start + change.earliest * width
+    latest = min(start + change.latest * width + width - 1, last)
+    return ChangeTime(first, min(start + change.estimate * width, latest), latest)
 
 
 def _with_enough(signal: NDArray[np.float64], quiet: int, last: int) -> ChangeTime | None:
@@ -100,9 +100,9 @@ def _with_enough(signal: NDArray[np.float64], quiet: int, last: int) -> ChangeTi
         return ChangeTime(first, first, first)
     more = 1
     while True:
-        found, evidence = _dated(signal[: last + 1 + more], quiet, last)
+        moment, evidence = _dated(signal[: last + 1 + more], quiet, last)
         if evidence >= ENOUGH_EVIDENCE or last + 1 + more >= len(signal) or more > MOST_TOGETHER:
-            return found
+            return moment
         more = 2 * more + 1
 
 
@@ -128,8 +128,8 @@ def _dated(signal: NDArray[np.float64], quiet: int, last: int) -> tuple[ChangeTi
         return None, float(profile[begin] / noise)
     likely = np.flatnonzero(profile >= profile[begin] - JUMP_QUANTILE * noise)
     earliest = int(likely[0])
-    found = ChangeTime(None if earliest < LEAST_BEFORE else earliest, begin, int(likely[-1]))
-    return found, float(profile[begin] / noise)
+    moment = ChangeTime(None if earliest < LEAST_BEFORE else earliest, begin, int(likely[-1]))
+    return moment, float(profile[begin] / noise)
 
 
 def _shapes(n: int) -> list[NDArray[np.float64]]:

@@ -93,14 +93,14 @@ class Promise:
         return self.promised <= TOLERATED * self.asked * (1 + 1e-6)
 
     def __str__(self) -> str:
-        told = f"about {self.aimed:.2g} of them in alarm"
+        text = f"about {self.aimed:.2g} of them in alarm"
         if self.extended:
-            told += f" (too few to see that: {self.extended})"
+            text += f" (too few to see that: {self.extended})"
         if self.promised >= 1:
-            return f"{told}; {self.asked:g} was asked for, and these data promise no rate: give more"
-        told += f", with 95 % confidence at most {self.promised:.2g} on other data"
+            return f"{text}; {self.asked:g} was asked for, and these data promise no rate: give more"
+        text += f", with 95 % confidence at most {self.promised:.2g} on other data"
         return (
-            told if self.holds else f"{told}; {self.asked:g} was asked for, which these data cannot promise: give more"
+            text if self.holds else f"{text}; {self.asked:g} was asked for, which these data cannot promise: give more"
         )
 
 
@@ -192,7 +192,7 @@ def observed(
     )
 
 
-def promise_of(found: Observed, asked: float) -> Promise:
+def promise_of(seen: Observed, asked: float) -> Promise:
     """Return the threshold for a rate, and what can be promised of it.
 
     Where thirty independent exceedances or more are seen at that rate, it is read off the levels. Elsewhere the
@@ -202,31 +202,31 @@ def promise_of(found: Observed, asked: float) -> Promise:
     time in turn. Where that allows for more than 1.5 times what was asked, the threshold is set for less, down to 0.6
     of it; where that does not suffice, the promise says so.
     """
-    direct = tail_of(found.levels[found.counted], _lasting(found, asked), found.scale, asked, highest=asked)
+    direct = tail_of(seen.levels[seen.counted], _lasting(seen, asked), seen.scale, asked, highest=asked)
     if direct.worth >= ENOUGH:
-        least = quantile(np.sort(found.own[found.counted]), asked)  # nor more than that on these data themselves
+        least = quantile(np.sort(seen.own[seen.counted]), asked)  # nor more than that on these data themselves
         return _promise(lambda rate: max(direct.level(rate), least), lambda rate: _known(direct, rate), asked, "")
-    plain = tail_of(found.statistic[found.counted], found.blocks[found.counted], found.scale, asked)
-    if found.persistence == found.release == 1:
-        told = f"extended from a rate of {plain.rate:.2g} by the tail of the data" if plain.rate > asked else ""
-        return _promise(plain.level, lambda rate: _known(plain, rate), asked, told)
-    model = RunModel.of(found.statistic, found.counted, found.begins, _grouped(found.blocks), plain,
-                        found.persistence, found.release)  # fmt: skip
-    told = f"extended from a rate of {model.seen(asked):.2g} by the tail of the data and a model of runs"
-    return _promise(model.level, lambda rate: (model.spread(model.level(rate)), model.worth), asked, told)
+    plain = tail_of(seen.statistic[seen.counted], seen.blocks[seen.counted], seen.scale, asked)
+    if seen.persistence == seen.release == 1:
+        origin = f"extended from a rate of {plain.rate:.2g} by the tail of the data" if plain.rate > asked else ""
+        return _promise(plain.level, lambda rate: _known(plain, rate), asked, origin)
+    model = RunModel.of(seen.statistic, seen.counted, seen.begins, _grouped(seen.blocks), plain,
+                        seen.persistence, seen.release)  # fmt: skip
+    origin = f"extended from a rate of {model.seen(asked):.2g} by the tail of the data and a model of runs"
+    return _promise(model.level, lambda rate: (model.spread(model.level(rate)), model.worth), asked, origin)
 
 
-def _lasting(found: Observed, rate: float) -> NDArray[np.int64]:
+def _lasting(seen: Observed, rate: float) -> NDArray[np.int64]:
     """Return stretches of time of the samples that count in which alarms, which may last long, are independent too."""
-    level = quantile(np.sort(found.levels[found.counted]), rate)
-    over = np.where(found.counted, (found.levels > level) - rate, 0.0)[:, None]
-    edges = [*np.flatnonzero(found.begins).tolist(), len(over)]
+    level = quantile(np.sort(seen.levels[seen.counted]), rate)
+    over = np.where(seen.counted, (seen.levels > level) - rate, 0.0)[:, None]
+    edges = [*np.flatnonzero(seen.begins).tolist(), len(over)]
     parts = [slice(a, b) for a, b in pairwise(edges)]
     length = int(np.ceil(2 * correlation_times(over, parts)[0]))
     own = np.concatenate([np.arange(part.stop - part.start) // length for part in parts])
-    first = np.cumsum(found.begins | np.concatenate([[False], own[1:] != own[:-1]])) - 1
-    longer = length > np.bincount(found.blocks).mean()
-    return (first if longer else found.blocks)[found.counted]
+    first = np.cumsum(seen.begins | np.concatenate([[False], own[1:] != own[:-1]])) - 1
+    longer = length > np.bincount(seen.blocks).mean()
+    return (first if longer else seen.blocks)[seen.counted]
 
 
 def _known(tail: Tail, rate: float) -> tuple[float, float]:

@@ -103,8 +103,8 @@ class Named:
     def of_alarm(self) -> dict[str, Any]:
         """Return what an :class:`residua.monitor.Alarm` takes over."""
         names = ("candidates", "sizes", "arrival", "reading", "read_share", "present", "fired")
-        found = {name: getattr(self, name) for name in names}
-        return found if self.onset is None else found | {"onset": self.onset}
+        fields = {name: getattr(self, name) for name in names}
+        return fields if self.onset is None else fields | {"onset": self.onset}
 
 
 #: Says what an alarm is put down to: from its first sample, that after it, and the last over the threshold.
@@ -163,8 +163,8 @@ class Isolation(Record, ABC):
         if seen.test.part_names:
             share = seen.tested.fired[start : max(stop, start + 1)].sum(axis=0)
             fired = tuple(seen.test.part_names[m] for m in np.argsort(-share, kind="stable") if share[m])
-        found = with_sizes(self.candidates(seen.scores.scores[last]), sizes)
-        return Named(candidates=found, sizes=sizes, fired=fired)
+        candidates = with_sizes(self.candidates(seen.scores.scores[last]), sizes)
+        return Named(candidates=candidates, sizes=sizes, fired=fired)
 
     def name_now(self, seen: Seen) -> Named:
         """Return what the alarm that stands is put down to; ``seen`` is the latest sample."""

@@ -108,9 +108,9 @@ class MatchedNames(Isolation):
         """Return what a standing alarm is put down to, and how much of what exceeds the noise each group explains."""
         seen = tested.likelihood
         assert isinstance(seen, Likelihoods)
-        found = seen.found
-        match, state = hold_block(self.matched.window, state, found, tested.alarm, tested.exceeded, block.count)
-        return state, Scores(match_scores(self.matched, found["ratios"], seen.sums, tested.usable), match=match)
+        likelihoods = seen.found
+        match, state = hold_block(self.matched.window, state, likelihoods, tested.alarm, tested.exceeded, block.count)
+        return state, Scores(match_scores(self.matched, likelihoods["ratios"], seen.sums, tested.usable), match=match)
 
     def name(self, seen: Seen, start: int, stop: int, last: int) -> Named:
         """Return what an alarm is put down to at its end, with arrival and onset where they are known."""
@@ -151,9 +151,9 @@ class MatchedNames(Isolation):
         first, last = parts[0], parts[-1]
         dated = [part for part in parts if part.arrival is not None and part.arrival <= first.raised]
         who = longest(dated or [part for part in parts if part.arrival is None])
-        found = name(first.start, who.stop, last_over(exceeded, last.start, last.stop))
-        if found.candidates[0].faults == leader(first):
-            return found
+        named = name(first.start, who.stop, last_over(exceeded, last.start, last.stop))
+        if named.candidates[0].faults == leader(first):
+            return named
         return name(first.start, who.stop, last_over(exceeded, who.start, who.stop))  # the name that all parts agree on
 
     # ----------------------------------------------- what the rest of a monitor asks for
@@ -342,8 +342,8 @@ def matched_test(
     """
     white = np.einsum("kmf,mr->krf", responses, whitening)
     steady = whitening.T @ settled
-    found = alike_faults(steady[None] if settings.steady else white, settings.alike)
-    groups = tuple(tuple(faults[j] for j in group) for group in found)
+    alike = alike_faults(steady[None] if settings.steady else white, settings.alike)
+    groups = tuple(tuple(faults[j] for j in group) for group in alike)
     seen = {name for group in groups for name in group}
     return MatchedTest(
         settings.window,
@@ -414,7 +414,7 @@ def candidates_of_match(
         best = max(columns, key=lambda j: ratios[j])
         age = int(match.ages[sources[best], best])
         score = float(scores[shown, g])
-        told = tuple(
+        sizes = tuple(
             Size(
                 test.faults[j],
                 float(match.sizes[sources[j], j]),
@@ -426,7 +426,7 @@ def candidates_of_match(
         )
         distance = float(np.sqrt(max(0.0, 1.0 - score**2)))
         arrival = clock(int(sources[best]) - age) if age >= 0 else None
-        out.append(Candidate(test.groups[g], score, distance, told, arrival, float(ratios[best])))
+        out.append(Candidate(test.groups[g], score, distance, sizes, arrival, float(ratios[best])))
     return tuple(sorted(out, key=lambda c: -(c.ratio or 0.0)))
 
 

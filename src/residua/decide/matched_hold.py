@@ -78,7 +78,7 @@ class HeldState(Record):
 def hold_block(
     window: int,
     state: HeldState,
-    found: dict[str, NDArray],
+    likelihoods: dict[str, NDArray],
     alarm: NDArray[np.bool_],
     over: NDArray[np.bool_],
     count: int,
@@ -96,7 +96,7 @@ def hold_block(
     window : int
         In samples.
     state : HeldState
-    found : dict
+    likelihoods : dict
         From :func:`residua.decide.matched_responses.match_block`.
     alarm, over : ndarray of bool, shape (plants, time)
         Whether the alarm is on, and whether the statistic of a usable sample is over its threshold.
@@ -105,8 +105,8 @@ def hold_block(
     """
     time, was = alarm.shape[1], state.on
     now = count + np.arange(time)
-    best = np.argmax(found["ratios"], axis=2)
-    age = np.take_along_axis(found["ages"], best[..., None], axis=2)[..., 0]
+    best = np.argmax(likelihoods["ratios"], axis=2)
+    age = np.take_along_axis(likelihoods["ages"], best[..., None], axis=2)[..., 0]
     # one column before the block: what an alarm that goes on was put down to
     held = np.where(was[:, None], state.held, np.nan)
     at = np.arange(time + 1)
@@ -118,7 +118,7 @@ def hold_block(
     begun = np.concatenate([on[:, :1], on[:, 1:] & ~on[:, :-1]], axis=1)
     start = np.maximum.accumulate(np.where(begun, at, 0), axis=1)
     raised = np.where(start > 0, count + start - 1, held[:, 4:5])
-    ratio = np.take_along_axis(found["ratios"], best[..., None], axis=2)[..., 0]
+    ratio = np.take_along_axis(likelihoods["ratios"], best[..., None], axis=2)[..., 0]
     ratio = np.where(judged, np.concatenate([held[:, 5:6], ratio], axis=1), 0.0)
     peak = _peak(ratio, start)
     dated = judged & (arrival <= raised) & (ratio >= peak - FALLEN * np.sqrt(peak))
@@ -139,7 +139,7 @@ def hold_block(
         last = np.stack([x[:, -1] for x in (fault, arrival, origin, final.astype(float), raised, peak)], axis=1)
         state = HeldState(np.where(on[:, -1:], last, np.nan), alarm[:, -1].copy())
     match = Match(
-        **found,
+        **likelihoods,
         fault=np.where(put_down, fault, -1)[:, 1:].astype(np.int64),
         arrival=arrival[:, 1:],
         source=np.where(put_down, origin, -1)[:, 1:].astype(np.int64),

@@ -129,7 +129,7 @@ def match_block(
 
     Returns
     -------
-    found : dict
+    likelihoods : dict
         ``ratios``, ``ages``, ``sizes``, ``deviations`` and ``settled_sizes`` of :class:`Match`.
     state : MatchState
     """
@@ -175,22 +175,22 @@ def _match_pass(
                 steps[:, p, k] = _squares(R[:-1])
             weights, known = _along_arrivals(steps, state.weights)
         state = replace(state, sums=before, weights=known)
-        found = _likelihood(products, weights)
-        best = np.argmax(found[0], axis=0)
-        own = [np.take_along_axis(values, best[None], axis=0)[0] for values in found]
+        likelihoods = _likelihood(products, weights)
+        best = np.argmax(likelihoods[0], axis=0)
+        own = [np.take_along_axis(values, best[None], axis=0)[0] for values in likelihoods]
         younger = own[0] > ratios * (1 + 1e-9)  # a response that never changes cannot tell when it began
         ratios, sizes, deviations = (
             np.where(younger, a, b) for a, b in zip(own, (ratios, sizes, deviations), strict=True)
         )
         ages = np.where(younger, best, -1)
-    found = {
+    likelihoods = {
         "ratios": ratios,
         "ages": ages,
         "sizes": sizes,
         "deviations": deviations,
         "settled_sizes": settled_sizes,
     }
-    return found, state
+    return likelihoods, state
 
 
 def _products(test: MatchedTest, q: NDArray) -> NDArray[np.float64]:

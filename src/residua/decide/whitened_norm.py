@@ -318,19 +318,19 @@ def with_threshold(base: Fitted, rate: float) -> NormTest:
     """Return a test with its threshold for a rate of false alarms."""
     if base.seen is None:
         return base.test
-    found = promise_of(base.seen, rate)
-    threshold, basis = found.threshold, f"fitted to {base.count} fault-free samples, {found}"
+    promise = promise_of(base.seen, rate)
+    threshold, basis = promise.threshold, f"fitted to {base.count} fault-free samples, {promise}"
     if base.test.shrinkage:
         basis += f"; covariance of too few samples, drawn by {base.test.shrinkage:.2g} towards a simpler one"
     if base.rounding is not None:
         threshold, basis = above_rounding(threshold, base.rounding, basis)
-    return replace(base.test, threshold=float(threshold), basis=basis, promised=float(found.promised))
+    return replace(base.test, threshold=float(threshold), basis=basis, promised=float(promise.promised))
 
 
 def above_rounding(threshold: float, rounding: float, basis: str) -> tuple[float, str]:
     """Return a threshold fitted to data without noise, raised to the rounding of the signals, and its basis."""
-    told = f"{basis}; no noise in these data: the threshold is at rounding level"
-    return max(threshold, rounding, np.finfo(float).tiny), told
+    sentence = f"{basis}; no noise in these data: the threshold is at rounding level"
+    return max(threshold, rounding, np.finfo(float).tiny), sentence
 
 
 def whitened_residuals(

@@ -164,13 +164,13 @@ def suggest(plant: Plant, *, want: str | None = None, seconds: float = 30.0) -> 
     return Suggestion(plant, want, tuple(entries), tuple(_notes(plant, known, entries)))
 
 
-def _no_plant(given: object) -> str:
+def _no_plant(value: object) -> str:
     """Return what to do with what is no plant."""
-    if isinstance(given, InputOutputModel):
+    if isinstance(value, InputOutputModel):
         return "suggest looks at a plant: suggest(model.to_plant())"
-    if not isinstance(given, UncertainPlant):
-        return f"suggest looks at a residua.Plant, got {type(given).__name__}"
-    if given.nominal.inputs:
+    if not isinstance(value, UncertainPlant):
+        return f"suggest looks at a residua.Plant, got {type(value).__name__}"
+    if value.nominal.inputs:
         serves = (
             "with its controller, loop = plant.in_closed_loop(controller) and rs.design.robust_l1_bank(loop), whose "
             "thresholds hold for all of the set; without one, rs.design.multi_model_parity([plant.member(v) for v in "
@@ -178,7 +178,7 @@ def _no_plant(given: object) -> str:
         )
     else:
         sampled = (
-            "" if given.nominal.is_discrete else " (sampled first, plant.discretize(dt), before the loop is closed)"
+            "" if value.nominal.is_discrete else " (sampled first, plant.discretize(dt), before the loop is closed)"
         )
         serves = f"rs.design.robust_l1_bank(plant){sampled}, whose thresholds hold for all of the set"
     return (
@@ -225,9 +225,9 @@ class Candidate:
     @property
     def call(self) -> str:
         """The line of code."""
-        given = [one.code for one in self.method.chosen.values()]
-        given += [f"{name}={_typed(value)}" for name, value in self.options.items()]
-        return f"{self.method.called}({', '.join(['plant', *given])})"
+        arguments = [one.code for one in self.method.chosen.values()]
+        arguments += [f"{name}={_typed(value)}" for name, value in self.options.items()]
+        return f"{self.method.called}({', '.join(['plant', *arguments])})"
 
     def run(self, plant: Plant) -> Any:
         """Make the call."""

@@ -267,10 +267,10 @@ class Monitor:
         """
         rate = self.test.false_alarm_rate if false_alarm_rate is None else float(false_alarm_rate)
         check_rate(rate)
-        given = several_signals(u, y, time, dt, self.design.plant)
-        for one in given:
+        parts = several_signals(u, y, time, dt, self.design.plant)
+        for one in parts:
             self._learn_step(one.dt)
-        recordings = [self._block(one.u, one.y) for one in given]
+        recordings = [self._block(one.u, one.y) for one in parts]
         blank = blank_test(self.generator)
         samples = np.concatenate([data.reshape(-1, data.shape[2]) for data in recordings])
         ranges = fitted_ranges(self.plausible, samples, guarded_ranges(self.generator, blank))
@@ -327,9 +327,9 @@ class Monitor:
         The state afterwards is that at the end of the recording: :meth:`step` and :meth:`update` go on
         from there. Until then the state of the monitor is not touched, so that several threads may run at once.
         """
-        given = signals(u, y, time, dt, source, self.design.plant)
-        self._learn_step(given.dt)
-        data = self._block(given.u, given.y)
+        measured = signals(u, y, time, dt, source, self.design.plant)
+        self._learn_step(measured.dt)
+        data = self._block(measured.u, measured.y)
         generator, spec = self.generator, self._specification()
         state = initial_state(spec, len(data))
         parts: list[Decisions] = []
@@ -339,15 +339,15 @@ class Monitor:
             if progress is not None:
                 progress(min(start + PIECE, data.shape[1]), data.shape[1])
         self._state = state
-        clock = generator.dt * np.arange(data.shape[1]) if given.time is None else given.time
-        found, compared = joined_decisions(parts), compared_outputs(self.design)
-        notes = (*self.notes, *given.notes)
+        clock = generator.dt * np.arange(data.shape[1]) if measured.time is None else measured.time
+        decisions, compared = joined_decisions(parts), compared_outputs(self.design)
+        notes = (*self.notes, *measured.notes)
         whole = []
         for p in range(len(data)):
-            recorded = Recorded(clock, data[p], given.source, given.origin, compared)
-            diagnosis = diagnosis_from(found.of(p), recorded, spec, generator, state.filter, p, notes, self._bounds)
+            recorded = Recorded(clock, data[p], measured.source, measured.origin, compared)
+            diagnosis = diagnosis_from(decisions.of(p), recorded, spec, generator, state.filter, p, notes, self._bounds)
             whole.append(diagnosis)
-        return whole if np.ndim(given.y) == 3 else whole[0]
+        return whole if np.ndim(measured.y) == 3 else whole[0]
 
     def update(self, u: ArrayLike | None, y: ArrayLike) -> Decisions:
         """Go on with a block of samples.
@@ -383,8 +383,8 @@ class Monitor:
         Decision
         """
         u_ = None if u is None else np.atleast_1d(np.asarray(u, dtype=float))[None]
-        found, state = self._go_on(u_, np.atleast_1d(np.asarray(y, dtype=float))[None])
-        return decision_from(found, self._specification(), self.generator, state)
+        decisions, state = self._go_on(u_, np.atleast_1d(np.asarray(y, dtype=float))[None])
+        return decision_from(decisions, self._specification(), self.generator, state)
 
     def reset(self) -> None:
         """Forget all data seen so far; thresholds stay."""
@@ -442,9 +442,9 @@ class Monitor:
                 raise DataError(
                     f"the monitor follows {len(state.filter.x)} plants, the block has {len(data)}; reset() first"
                 )
-            state, found = run_block(spec, state, data)
+            state, decisions = run_block(spec, state, data)
             self._state = state
-        return found, state
+        return decisions, state
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the lock, which belongs to the object: a copy has one of its own."""

@@ -114,12 +114,12 @@ def missing_columns(absent: list[str], names: Sequence[str], source: str) -> str
     )
 
 
-def settled_step(found: float | None, options: ReadOptions, source: str) -> float:
+def settled_step(read: float | None, options: ReadOptions, source: str) -> float:
     """Return the step that times, caller and plant agree on."""
-    given, own = options.dt, options.plant.dt if options.plant else 0.0
+    asked, own = options.dt, options.plant.dt if options.plant else 0.0
     known = [
         (value, what)
-        for value, what in ((found, "its times are"), (given, "dt= says"), (own or None, "the plant is sampled at"))
+        for value, what in ((read, "its times are"), (asked, "dt= says"), (own or None, "the plant is sampled at"))
         if value is not None
     ]
     if not known:

@@ -210,8 +210,8 @@ def _from_headless(table: CsvTable, options: ReadOptions, source: str) -> Record
         )
     block = np.column_stack(list(table.numbers(table.names).values()))
     block = block.T if options.transpose else block
-    found = table_from_arrays({"column": block}, (), (), variable="column", names=options.matrix_names, source=source)
-    made = _from_arrays(found, options, source, first_row=table.above + 1)
+    columns = table_from_arrays({"column": block}, (), (), variable="column", names=options.matrix_names, source=source)
+    made = _from_arrays(columns, options, source, first_row=table.above + 1)
     named = "named as asked" if options.matrix_names is not None else f"called column1 to column{block.shape[1]}"
     return replace(made, notes=(f"no header: every line is data, the columns are {named}", *made.notes))
 

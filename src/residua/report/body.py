@@ -44,7 +44,7 @@ _MARKS = {"fault": "⚠", "none": "✓", "undecided": "?"}
 
 def summary_html(entries: Sequence[tuple[int, str, Diagnosis, tuple[str, ...] | None]]) -> str:
     """Return the table that sums up several diagnoses: section number, heading, diagnosis, real faults."""
-    told = any(actual is not None for *_, actual in entries)
+    truth = any(actual is not None for *_, actual in entries)
     rows = []
     for k, heading, diagnosis, actual in entries:
         v = verdict(diagnosis)
@@ -60,7 +60,7 @@ def summary_html(entries: Sequence[tuple[int, str, Diagnosis, tuple[str, ...] | 
         else:
             named = "a fault, not isolated" if v.kind == "fault" else v.headline.rstrip(".")
         row = [f'<a href="#s{k}">{escape(heading or f"Diagnosis {k}")}</a>']
-        if told:
+        if truth:
             row.append("–" if actual is None else escape(listing(actual)) or "nothing")
         several = actual is not None and len(actual) > 1 and v.confidence == "no code"  # as the verdict says
         faults = actual if several and actual else best.faults if best else ()
@@ -79,7 +79,7 @@ def summary_html(entries: Sequence[tuple[int, str, Diagnosis, tuple[str, ...] | 
         rows.append([*row, escape(v.confidence) or "–"])
     header = [
         "Case",
-        *(["Really failed"] if told else []),
+        *(["Really failed"] if truth else []),
         "Diagnosis",
         *ALARM_TIMES[:2],
         "Score",
@@ -312,8 +312,8 @@ def look_table(diagnosis: Diagnosis) -> str:
     if not faults:
         return ""
     shown = [plant.fault_list[plant.faults.index(name)] for name in faults[:SHOWN_FAULTS]]
-    told = {size.fault: size for size in main.sizes}
-    sizes = [size_text(told[fault.name]) if fault.name in told else "" for fault in shown]
+    size_of = {size.fault: size for size in main.sizes}
+    sizes = [size_text(size_of[fault.name]) if fault.name in size_of else "" for fault in shown]
     columns: list[tuple[str, list[str]]] = [
         ("Fault", [f'<td class="name">{escape(fault.name)}</td>' for fault in shown]),
         ("Component", [escape(fault.component) for fault in shown]),

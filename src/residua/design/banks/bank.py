@@ -184,12 +184,12 @@ def build_bank(
         if part.observer is not None:
             observers[one.name] = part.observer
     if failures and (not allow_missing or not parts):
-        told = "; ".join(f"'{name}': {reason}" for name, reason in list(failures.items())[:3])
-        told += f"; and {len(failures) - 3} more" if len(failures) > 3 else ""
+        reasons = "; ".join(f"'{name}': {reason}" for name, reason in list(failures.items())[:3])
+        reasons += f"; and {len(failures) - 3} more" if len(failures) > 3 else ""
         hint = "" if not parts else "; allow_missing=True builds the bank without them"
         missing = "do not exist" if DesignError in kinds else "missed their tolerance"
         kind = DesignError if DesignError in kinds else AccuracyError
-        raise kind(f"{len(failures)} of {len(wanted)} members of the bank {missing}: {told}{hint}{advice}")
+        raise kind(f"{len(failures)} of {len(wanted)} members of the bank {missing}: {reasons}{hint}{advice}")
     generator = stacked_members(parts, method, reference)
     codes = generator.codes
     assert codes is not None  # stacked_members gives them
@@ -283,7 +283,7 @@ def _stacked(parts: dict[str, ResidualGenerator], method: str, reference: str, d
         notes=tuple(f"{name}: {note}" for name, g in parts.items() for note in g.evidence.notes),
         references=(reference,),
     )
-    told: dict[str, Any] = {
+    options: dict[str, Any] = {
         "decouples": Decoupled(disturbances=decoupled),
         "members": tuple(members),
         "codes": np.array(codes, dtype=bool).reshape(len(codes), len(plant.faults)),
@@ -291,12 +291,12 @@ def _stacked(parts: dict[str, ResidualGenerator], method: str, reference: str, d
     maps = [g.state_map for g in generators if g.state_map is not None]
     if len(maps) < len(generators):
         form = _named(stack_systems([g.internal_form() for g in generators]), parts)
-        return make_generator(system, plant, method, evidence, known_form=form, **told)
+        return make_generator(system, plant, method, evidence, known_form=form, **options)
     static = None
     if any(g.static_map is not None for g in generators):
         none = [np.zeros((g.n_residuals, plant.n_states)) for g in generators]
         static = np.vstack([z if g.static_map is None else g.static_map for z, g in zip(none, generators, strict=True)])
-    return make_generator(system, plant, method, evidence, state_map=np.vstack(maps), static_map=static, **told)
+    return make_generator(system, plant, method, evidence, state_map=np.vstack(maps), static_map=static, **options)
 
 
 def _code(generator: ResidualGenerator) -> list[bool]:

@@ -204,8 +204,8 @@ def _assembled(
     plant: Plant, parts: ExplicitParts, quotient: Quotient, placed: Placement, ignored: list[str], note: str
 ) -> ResidualGenerator:
     """Return the generator of a gain on the quotient, in the units of the plant."""
-    found = quotient_filter(plant, parts, quotient, placed.gain)
-    system = found.system
+    whole = quotient_filter(plant, parts, quotient, placed.gain)
+    system = whole.system
     evidence = Evidence(
         method="decoupled residual",
         **pole_evidence(placed, system.A),
@@ -214,7 +214,7 @@ def _assembled(
         notes=((f"ignores {', '.join(ignored)}",) if ignored else ()) + ((note,) if note else ()),
         references=("Massoumnia, Verghese and Willsky (1989), IEEE TAC 34(3)", "Gertler (1991), section 4"),
     )
-    maps = {"state_map": found.state_map, "static_map": found.static_map}
+    maps = {"state_map": whole.state_map, "static_map": whole.static_map}
     decouples = Decoupled(faults=tuple(ignored))
     return make_generator(system, plant, "decoupled residual", evidence, decouples=decouples, **maps)
 
@@ -261,9 +261,9 @@ def _attempts(
 def _kalman_gain(quotient: Quotient, plant: Plant) -> Placement:
     """Return the gain of the Kalman filter of the quotient."""
     G, J = quotient.process_noise, quotient.measurement_noise
-    found = filter_riccati(quotient.A, quotient.C, G @ G.T, J @ J.T, G @ J.T, dt=plant.dt)
-    none, K = np.zeros(0, dtype=complex), np.asarray(found.gain)
-    return Placement(K, none, np.asarray(found.poles, dtype=complex), none, 0.0, 1.0, float(np.linalg.norm(K)))
+    riccati = filter_riccati(quotient.A, quotient.C, G @ G.T, J @ J.T, G @ J.T, dt=plant.dt)
+    none, K = np.zeros(0, dtype=complex), np.asarray(riccati.gain)
+    return Placement(K, none, np.asarray(riccati.poles, dtype=complex), none, 0.0, 1.0, float(np.linalg.norm(K)))
 
 
 def rounding_share(generator: ResidualGenerator) -> float:

@@ -145,9 +145,9 @@ class MatchedFilters:
         width = max(map(len, self.faults))
         lines.append(f"{'':{width}}  deviation of the size after {self.window // 2} and {self.window} samples")
         for name in self.faults:
-            told = "  vanishes once constant" if name in self.vanishing else ""
-            told = "  not seen" if name in self.unseen else told
-            lines.append(f"{name:{width}}  {half[name]:.3g}, {whole[name]:.3g}{told}")
+            remark = "  vanishes once constant" if name in self.vanishing else ""
+            remark = "  not seen" if name in self.unseen else remark
+            lines.append(f"{name:{width}}  {half[name]:.3g}, {whole[name]:.3g}{remark}")
         lines += [f"alike: {', '.join(group)}" for group in self.groups if len(group) > 1]
         lines += _window_notes(self)
         return "\n".join(lines)

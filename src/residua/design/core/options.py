@@ -82,9 +82,9 @@ def parameters_in(docstring: str) -> Mapping[str, tuple[str, str]]:
     title = next(
         (k for k in range(len(lines) - 1) if lines[k] == "Parameters" and lines[k + 1].startswith("---")), None
     )
-    found: dict[str, tuple[str, str]] = {}
+    table: dict[str, tuple[str, str]] = {}
     if title is None:
-        return found
+        return table
     names: tuple[str, ...] = ()
     for k in range(title + 2, len(lines)):
         if k + 1 < len(lines) and lines[k + 1].startswith("---"):
@@ -92,7 +92,7 @@ def parameters_in(docstring: str) -> Mapping[str, tuple[str, str]]:
         head = _HEAD.match(lines[k])
         if head:
             names = tuple(head["names"].split(", "))
-            found |= dict.fromkeys(names, (head["kind"] or "", ""))
+            table |= dict.fromkeys(names, (head["kind"] or "", ""))
         elif lines[k].strip():
-            found |= {name: (found[name][0], f"{found[name][1]} {lines[k].strip()}".strip()) for name in names}
-    return found
+            table |= {name: (table[name][0], f"{table[name][1]} {lines[k].strip()}".strip()) for name in names}
+    return table

@@ -59,20 +59,20 @@ def fault_events(
     A: NDArray, C: NDArray, events: Mapping[str, NDArray], *, rtol: float = DEFAULT_RTOL
 ) -> tuple[list[FaultEvent], list[str]]:
     """Return the detection space of each fault, twins merged, and the faults that no output sees."""
-    found: list[FaultEvent] = []
+    merged: list[FaultEvent] = []
     unseen: list[str] = []
     for name, L in events.items():
         space = detection_space(A, C, L, rtol=rtol) if np.any(L) else None
         if space is None or space.outputs.shape[1] == 0:
             unseen.append(name)
             continue
-        for k, other in enumerate(found):
+        for k, other in enumerate(merged):
             if _same_space(other.space, space):
-                found[k] = FaultEvent((*other.faults, name), other.space)
+                merged[k] = FaultEvent((*other.faults, name), other.space)
                 break
         else:
-            found.append(FaultEvent((name,), space))
-    return found, unseen
+            merged.append(FaultEvent((name,), space))
+    return merged, unseen
 
 
 def _same_space(a: DetectionSpace, b: DetectionSpace) -> bool:

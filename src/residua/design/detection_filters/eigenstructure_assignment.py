@@ -186,12 +186,12 @@ def _right_ways(
     parts: IgnoredColumns, poles: Any, margin: float | None, combine: bool, rtol: float
 ) -> list[Callable[[], ResidualGenerator]]:
     """Return the designs to try with right eigenvectors: the columns themselves, then combinations."""
-    S0, found = confinements(parts, combine=combine, rtol=rtol)
+    S0, confinement = confinements(parts, combine=combine, rtol=rtol)
     require_detectable(parts, rtol=rtol)
     ranks = {"ignored in the outputs": parts.direct}
 
     def way(k: int, distance: float, lowered: str) -> ResidualGenerator:
-        confined = found[k]
+        confined = confinement[k]
         gain = right_gain(parts, confined, poles, margin, distance, _first(parts, distance), rtol=rtol)
         _require(column_error(parts, confined, S0, gain.gain), "columns")
         notes = (confined.note, lowered)
@@ -200,7 +200,7 @@ def _right_ways(
     S0 = parts.with_rows_of_length_one(S0)
     return [
         lambda k=k, d=distance, note=note: way(k, d, note)
-        for k in range(len(found))
+        for k in range(len(confinement))
         for distance, note in _margins(parts, margin)
     ]
 

@@ -158,9 +158,9 @@ def _columns(left: NDArray, direct: NDArray, names: tuple[str, ...], rtol: float
 
 def require_detectable(parts: IgnoredColumns, *, rtol: float) -> None:
     """Raise when no observer that uses the outputs left over is stable."""
-    found = detectability(parts.A, parts.C, dt=parts.plant.dt, rtol=rtol)
-    if not found:
-        bad = ", ".join(f"{z:.4g}" for z in np.atleast_1d(found.unstable_modes))
+    answer = detectability(parts.A, parts.C, dt=parts.plant.dt, rtol=rtol)
+    if not answer:
+        bad = ", ".join(f"{z:.4g}" for z in np.atleast_1d(answer.unstable_modes))
         raise DesignError(
             f"no stable observer of the whole state ignores {parts.told}: the measurements that are left do not see "
             f"the mode {bad}; add a sensor, or use decoupled_residual, which observes only what it needs"

@@ -66,8 +66,8 @@ def left_rows(parts: IgnoredColumns, *, approximate: bool, rtol: float) -> LeftR
     N, rank_C = null_basis(C, rtol=rtol)
     missed = H @ A @ N
     size = float(np.linalg.norm(H @ A, 2)) if H.size else 0.0
-    found, decision = left_null_basis(missed, rtol=rtol, scale=max(size, TINY))
-    rows = found.T
+    basis, decision = left_null_basis(missed, rtol=rtol, scale=max(size, TINY))
+    rows = basis.T
     ranks = {"rank C": rank_C}
     exact = bool(len(rows)) or not k
     if not exact:

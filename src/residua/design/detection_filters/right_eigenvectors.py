@@ -66,26 +66,26 @@ def confinements(parts: IgnoredColumns, *, combine: bool, rtol: float) -> tuple[
             "add a sensor or ignore less"
         )
     hidden = detection_space(A, C, parts.stacked, rtol=rtol) if parts.columns else _unseen(A, C, rtol)
-    found: list[Confinement] = []
+    ways: list[Confinement] = []
     events = _chains(parts, scale, rtol)
     spaces = [event.space for event in events]
     if not spaces or separation(spaces).separable:
         long = [" or ".join(e.faults) for e in events if e.space.dimension > 1]
         note = f"C f = 0: eigenvector chains f, A f, ... for {', '.join(long)}" if long else ""
-        found.append(Confinement(events, hidden.basis, True, note))
+        ways.append(Confinement(events, hidden.basis, True, note))
     elif outputs.shape[1]:
         note = (
             f"the outputs of the {len(events)} columns are dependent (rank {outputs.shape[1]}): they lie in one "
             f"invariant space of dimension {together.shape[1]}, of which they are no eigenvectors"
         )
-        found.append(Confinement([_all(parts, DetectionSpace(together, outputs))], hidden.basis, False, note))
+        ways.append(Confinement([_all(parts, DetectionSpace(together, outputs))], hidden.basis, False, note))
     if combine and outputs.shape[1] and hidden.dimension > together.shape[1]:
         note = (
             f"the ignored columns are combinations of {hidden.dimension} eigenvectors (5-5), so that their "
             "invariant zeros are no fixed poles"
         )
-        found.append(Confinement([_all(parts, hidden)], hidden.basis, False, note))
-    return S0, found
+        ways.append(Confinement([_all(parts, hidden)], hidden.basis, False, note))
+    return S0, ways
 
 
 def _unseen(A: NDArray, C: NDArray, rtol: float) -> DetectionSpace:
@@ -162,11 +162,11 @@ def right_gain(
             f"eigenvectors, and {which}; allow combine=True, or use decoupled_residual, whose poles are all free"
         )
     if confined.chains and (poles is None or isinstance(poles, Mapping)):
-        given = {} if poles is None else dict(poles)
+        by_fault = {} if poles is None else dict(poles)
         for event in confined.events:
-            if not set(event.faults) & set(given):
-                given[event.faults[0]] = [first] * event.space.dimension
-        poles = given
+            if not set(event.faults) & set(by_fault):
+                by_fault[event.faults[0]] = [first] * event.space.dimension
+        poles = by_fault
     return block_gain(parts.A, parts.C, confined.events, poles, distance, dt, rtol=rtol)
 
 

@@ -375,10 +375,10 @@ def _with_numbers(generator: ResidualGenerator, reading: FaultReading, smoothing
     form = generator.internal_form()
     w = frequency_grid(form, generator.system)
     columns = [plant.faults.index(name) for name in names]
-    found = form.frequency_response(w)[:, :, columns]
+    response = form.frequency_response(w)[:, :, columns]
     points = np.exp(1j * w * plant.dt) if plant.is_discrete else 1j * w
     wanted = smoothing.expected(points, plant.dt)[:, :, None] * np.eye(len(names))
-    missed = float(np.abs((found - wanted) / reading.units[:, None] * reading.units).max())
+    missed = float(np.abs((response - wanted) / reading.units[:, None] * reading.units).max())
     if not missed < 1e-6:
         raise AccuracyError(
             f"the estimates are off the faults by {missed:.2g} (relative): the plant is too badly scaled or "

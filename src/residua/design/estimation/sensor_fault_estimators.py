@@ -127,6 +127,6 @@ def sensor_fault_estimators(
         except (DesignError, AccuracyError) as error:
             failures[name] = str(error)
     if not members:
-        told = "; ".join(f"{name}: {reason}" for name, reason in failures.items())
-        raise DesignError(f"no fault of a sensor can be estimated: {told}")
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in failures.items())
+        raise DesignError(f"no fault of a sensor can be estimated: {reasons}")
     return SensorFaultEstimators(members, failures)

@@ -250,15 +250,15 @@ def _inverse(A: NDArray) -> NDArray:
 
     A state that is matched to an equation follows from the right-hand sides of those that it is reached from alone.
     """
-    found = np.linalg.inv(A)
+    inverse = np.linalg.inv(A)
     equation = maximum_bipartite_matching(csr_array(A.T != 0), perm_type="column")
     if np.any(equation < 0):
-        return found
+        return inverse
     depends = A[equation] != 0  # row i: what the state i is computed from
     distance = shortest_path(csr_array(depends.astype(float)), unweighted=True)
     mask = np.zeros(A.shape, dtype=bool)
     mask[:, equation] = np.isfinite(distance)
-    return np.where(mask, found, 0.0)
+    return np.where(mask, inverse, 0.0)
 
 
 def _rounded(M: NDArray, terms: NDArray) -> NDArray:
@@ -287,8 +287,8 @@ def _observer(plant: Plant, N_BF: NDArray, K: NDArray, Pi: NDArray, rows: list[i
     F = np.linalg.inv(N_BF)
     poles = np.linalg.eigvals(F).astype(complex)
     if not is_stable_mode(poles, plant.dt).all():
-        told = ", ".join(format_pole(pole) for pole in poles)
-        raise DesignError(f"K gives the poles {told}, which are not stable; give poles=[...] instead")
+        listed = ", ".join(format_pole(pole) for pole in poles)
+        raise DesignError(f"K gives the poles {listed}, which are not stable; give poles=[...] instead")
     H = -F @ K
     T = np.eye(n) - H @ C
     gain = F @ H

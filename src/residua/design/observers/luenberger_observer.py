@@ -94,7 +94,7 @@ def luenberger_observer(
             "Luenberger's observer needs state equations, and E is singular: use descriptor_observer, or "
             "unknown_input_observer, which also serves singular plants without disturbances"
         )
-    given, even = plant.explicit(), even_plant(plant, explicit=True)
+    original, even = plant.explicit(), even_plant(plant, explicit=True)
     plant = even.plant
     used = arrays.positions(outputs, plant.outputs, "output")
     placed = place(plant.A, plant.C[used], poles, margin, plant.dt, rtol)
@@ -111,4 +111,4 @@ def luenberger_observer(
     )
     made = Observer(plant, F, np.eye(n), K, np.eye(n), np.zeros(K.shape), W, evidence.method, False, evidence)
     evidence = evidence.extended(conditions={"estimate off the state": check_estimate(made)})
-    return in_units_of_the_plant(replace(made, evidence=evidence), given, even)
+    return in_units_of_the_plant(replace(made, evidence=evidence), original, even)

@@ -269,15 +269,15 @@ def _without_rounding(direct: NDArray, read: NDArray, factor: NDArray) -> NDArra
     """
     largest = np.abs(read).max(axis=1, initial=0.0)[:, None] * np.abs(factor).max(axis=0, initial=0.0)
     terms = (np.abs(direct) + largest).max(axis=1, keepdims=True, initial=0.0)
-    found = direct + read @ factor
-    return above_rounding(found, (1 + read.shape[1]) * terms)
+    total = direct + read @ factor
+    return above_rounding(total, (1 + read.shape[1]) * terms)
 
 
-def _more_than(found: NDArray, terms: NDArray) -> NDArray[np.bool_]:
+def _more_than(values: NDArray, terms: NDArray) -> NDArray[np.bool_]:
     """Tell in which rows something is more than the rounding of the terms that it is made of."""
-    return np.abs(found).max(axis=1, initial=0.0) > 1e-10 * np.maximum(TINY, terms.max(axis=1, initial=0.0))
+    return np.abs(values).max(axis=1, initial=0.0) > 1e-10 * np.maximum(TINY, terms.max(axis=1, initial=0.0))
 
 
-def _path(found: NDArray, read: NDArray, factor: NDArray) -> NDArray[np.bool_]:
+def _path(direct: NDArray, read: NDArray, factor: NDArray) -> NDArray[np.bool_]:
     """Tell in which rows ``read`` times a factor, in a residual, is more than rounding."""
-    return _more_than(found, np.abs(found + read @ factor) + np.abs(read) @ np.abs(factor))
+    return _more_than(direct, np.abs(direct + read @ factor) + np.abs(read) @ np.abs(factor))

@@ -162,8 +162,8 @@ class PerfectObserver:
         Each is an array of shape (order + 1, residuals); in sampled time of ``f`` now, one step later, and so on.
         """
         p = self.plant
-        found = self.residual_polynomial(p.Bf, p.Df, own=False)
-        return {name: np.array([P[:, i] for P in found]) for i, name in enumerate(p.faults)}
+        coefficients = self.residual_polynomial(p.Bf, p.Df, own=False)
+        return {name: np.array([P[:, i] for P in coefficients]) for i, name in enumerate(p.faults)}
 
     def residual_generator(self) -> ResidualGenerator:
         r"""Return the output error ``r = W (y - D u - C xh - Dd dh)`` of the outputs that drive it, filtered alike.
@@ -407,10 +407,12 @@ def perfect_observer(
         gain = full_rank_gain(R, S, n, rtol=rtol, bandwidth=scale, seed=seed)
     left = gain.W if least_order else output_error_rows(gain, len(rows))
     blank = Evidence("perfect observer")
-    found = PerfectObserver(plant, names, gain.T, gain.L, gain.N, gain.index, width, not least_order, blank, gain, left)
+    observer = PerfectObserver(
+        plant, names, gain.T, gain.L, gain.N, gain.index, width, not least_order, blank, gain, left
+    )
     if len(left) and (q or least_order):
-        found = replace(found, left=reduced_rows(found))
-    return replace(found, evidence=perfect_evidence(found, R, rtol))
+        observer = replace(observer, left=reduced_rows(observer))
+    return replace(observer, evidence=perfect_evidence(observer, R, rtol))
 
 
 def _bandwidth(bandwidth: float | None, form: WeierstrassForm, plant: Plant) -> float:
@@ -527,17 +529,17 @@ def check_existence(plant: Plant, rows: list[int], rtol: float) -> None:
             f"no perfect observer: {len(rows)} outputs cannot tell {q} disturbances apart; add sensors, or decouple "
             "fewer disturbances"
         )
-    found = invariant_zeros(plant.A, plant.Bd, plant.C[rows], plant.Dd[rows], plant.E, rtol=rtol)
-    if found.normal_rank < q:
+    zeros = invariant_zeros(plant.A, plant.Bd, plant.C[rows], plant.Dd[rows], plant.E, rtol=rtol)
+    if zeros.normal_rank < q:
         raise DesignError(
-            f"no perfect observer: the {q} disturbances reach the outputs with rank {found.normal_rank} only (the "
+            f"no perfect observer: the {q} disturbances reach the outputs with rank {zeros.normal_rank} only (the "
             "pencil [sE-A -Bd; C Dd] lacks column rank at every s); add a sensor, or merge disturbances that act alike"
         )
-    if found.zeros.size:
+    if zeros.zeros.size:
         what = "of (A, Bd, C, Dd), where a disturbance stays unseen," if q else "where a mode stays unseen,"
         raise DesignError(
             f"no perfect observer: the pencil [sE-A -Bd; C Dd] loses column rank at the finite zero(s) s = "
-            f"{describe_modes(found.zeros)} {what} and no gain removes them; add a sensor"
+            f"{describe_modes(zeros.zeros)} {what} and no gain removes them; add a sensor"
             + (
                 ", decouple other disturbances, or take unknown_input_observer if they are stable"
                 if q
@@ -563,8 +565,8 @@ def reduced_rows(o: PerfectObserver) -> NDArray[np.float64]:
     counted at the bandwidth, is one.
     """
     p = o.plant
-    found = o.residual_polynomial(p.Bu, p.Du, own=True)
-    P = np.array([o.bandwidth**i * M[:, len(p.inputs) :] for i, M in enumerate(found)])
+    coefficients = o.residual_polynomial(p.Bu, p.Du, own=True)
+    P = np.array([o.bandwidth**i * M[:, len(p.inputs) :] for i, M in enumerate(coefficients)])
     units = np.abs(P).max(axis=(0, 1), initial=0.0)
     units = np.where(units > 0, units, 1.0)
     P = P / units
@@ -637,13 +639,13 @@ def _estimate_off(o: PerfectObserver, system: StateSpace, limit: float = 1e-6) -
     reached = response_terms(driven.replaced(C=np.eye(n), D=np.zeros((n, m)), outputs=None), points)
     X = above_rounding(reached.values, reached.terms, RESPONSE_ROUNDING)
     Q, P = system.evaluate(points), driven.evaluate(points)
-    found = Q[..., n_u:] @ P
-    found[..., :n_u] += Q[..., :n_u]
+    product = Q[..., n_u:] @ P
+    product[..., :n_u] += Q[..., :n_u]
     late = (1 / points if p.dt else 1 / (points / o.bandwidth + 1)) ** o.derivatives
     wanted = late[:, None, None] * X
     terms = np.abs(Q[..., n_u:]) @ np.abs(P)
     terms[..., :n_u] += np.abs(Q[..., :n_u])
-    missed, size, terms = ((np.abs(M) * units).max(axis=0) for M in (found - wanted, wanted, terms))
+    missed, size, terms = ((np.abs(M) * units).max(axis=0) for M in (product - wanted, wanted, terms))
     size = np.maximum(size, 1e-6 * size.max(axis=1, keepdims=True, initial=0.0))
     size = np.where(size.max(axis=1, keepdims=True, initial=0.0) > 0, size, terms)
     worst = float(np.max(missed / np.where(size > 0, size, 1.0), initial=0.0))

@@ -135,8 +135,8 @@ def directional_parity(
     basis = basis_for(model.plant, most + 1)
     joint = directional_pencil(model.plant, model.ignored_columns(ignored), wanted, basis, rtol=rtol)
     generic = _attainable(model, joint, wanted, ignored, rtol)
-    found = _shortest(joint, generic, most, rtol) if order is None else _of_order(joint, generic, order, most, rtol)
-    X = joint.relations(found.best_combination())
+    solutions = _shortest(joint, generic, most, rtol) if order is None else _of_order(joint, generic, order, most, rtol)
+    X = joint.relations(solutions.best_combination())
     rows = _relations(model, X, basis, ignored, divide=order is not None)
     relations = relations_of(model.plant, rows, directions=wanted)
     notes = (*model.notes, *((f"ignores {', '.join(ignored)}",) if ignored else ()), *_free(model, wanted, ignored))
@@ -148,11 +148,11 @@ def directional_parity(
             f"as relations of order {k} with these poles, {error}; give {k} poles near those of the plant, or ask for "
             "fewer directions"
         ) from error
-    ranks = {**made.evidence.ranks, "directions and ignored signals": joint.decision, "states": found.decision}
-    told = (*made.evidence.references, "Gertler (1991), section 5.2, eqs. (5-9) to (5-18)")
+    ranks = {**made.evidence.ranks, "directions and ignored signals": joint.decision, "states": solutions.decision}
+    references = (*made.evidence.references, "Gertler (1991), section 5.2, eqs. (5-9) to (5-18)")
     r = made.n_residuals
     short = (f"only {generic.rank} of the {r} residuals are independent",) if generic.rank < r else ()
-    return replace(made, evidence=made.evidence.extended(ranks=ranks, references=told, notes=short))
+    return replace(made, evidence=made.evidence.extended(ranks=ranks, references=references, notes=short))
 
 
 @dataclass(frozen=True, eq=False)
@@ -339,8 +339,8 @@ def _shortest(joint: DirectionalPencil, generic: _Generic, most: int, rtol: floa
     """Return the solutions of the smallest degree that serve: doubled until some do, then halved."""
     low, degree = 0, min(1, most)
     while True:
-        found = _solutions(joint, generic, degree, rtol)
-        if found.serves:
+        solutions = _solutions(joint, generic, degree, rtol)
+        if solutions.serves:
             break
         if degree >= most:
             raise AccuracyError(
@@ -353,16 +353,16 @@ def _shortest(joint: DirectionalPencil, generic: _Generic, most: int, rtol: floa
         tried = _solutions(joint, generic, middle, rtol)
         return tried if tried.serves else None
 
-    return at_smallest_degree(serving, low, degree, found)
+    return at_smallest_degree(serving, low, degree, solutions)
 
 
 def _of_order(joint: DirectionalPencil, generic: _Generic, order: int, most: int, rtol: float) -> _Solutions:
     """Return the solutions of an order, or say which is the smallest."""
-    found = _solutions(joint, generic, int(order), rtol)
-    if not found.serves:
+    solutions = _solutions(joint, generic, int(order), rtol)
+    if not solutions.serves:
         smallest = _shortest(joint, generic, most, rtol).vectors.shape[1] - 1
         raise DesignError(f"no relations of order {order} have these directions: the smallest order is {smallest}")
-    return found
+    return solutions
 
 
 def _relations(

@@ -97,8 +97,8 @@ def relation_model(source: Plant | InputOutputModel) -> RelationModel:
     if isinstance(source, InputOutputModel):
         realized = source.realization()
         if len(realized.removed_modes):
-            told = ", ".join(map(format_pole, realized.removed_modes))
-            notes = (f"the equations of the model share factors without effect, which were divided out: roots {told}",)
+            roots = ", ".join(map(format_pole, realized.removed_modes))
+            notes = (f"the equations of the model share factors without effect, which were divided out: roots {roots}",)
         source = realized.plant
     if not isinstance(source, Plant):
         raise ModelError(f"parity relations are made from a Plant or an InputOutputModel, got {type(source).__name__}")
@@ -141,5 +141,5 @@ def basis_for(plant: Plant, count: int) -> PolynomialBasis:
 
 def _mean_size(M: NDArray[np.float64]) -> float:
     """Return the geometric mean of the entries that are not zero: units of states hardly change it."""
-    found = np.abs(M[M != 0])
-    return float(np.exp(np.mean(np.log(found)))) if found.size else 1.0
+    sizes = np.abs(M[M != 0])
+    return float(np.exp(np.mean(np.log(sizes)))) if sizes.size else 1.0

@@ -233,8 +233,8 @@ class ParityRelations:
                 f"as a moving average of order {max(self.orders)}, {_cancelling(lost)}; or ask for it all the same, "
                 f"with poles of zero, {max(self.orders)} of them"
             )
-        told = (_cancelling(lost),) if lost > _MANY else ()
-        return replace(made, evidence=made.evidence.extended(conditions={_LOST: lost}, notes=told))
+        remarks = (_cancelling(lost),) if lost > _MANY else ()
+        return replace(made, evidence=made.evidence.extended(conditions={_LOST: lost}, notes=remarks))
 
     def stacked_with(self, others: Sequence[ParityRelations], names: Sequence[str]) -> ParityRelations:
         """Return these and further relations of the same plant as one set, with new names."""
@@ -269,11 +269,11 @@ class ParityRelations:
                         else f"none for {missing[0]!r}"
                     )
                 )
-            given = [poles.get(name, ()) for name in self.names]
+            shares = [poles.get(name, ()) for name in self.names]
         else:
-            given = [poles for _ in self.names]
+            shares = [poles for _ in self.names]
         chosen = [
-            _checked_poles(p, k, name, self.plant) for p, k, name in zip(given, self.orders, self.names, strict=True)
+            _checked_poles(p, k, name, self.plant) for p, k, name in zip(shares, self.orders, self.names, strict=True)
         ]
         if self.directions is not None:
             for name, one in zip(self.names, chosen, strict=True):
@@ -298,8 +298,8 @@ class ParityRelations:
         """Yield what was divided out silently elsewhere."""
         for name, roots in zip(self.names, self.divided, strict=False):
             if len(roots):
-                told = f"root{'s' * (len(roots) > 1)} {', '.join(map(format_pole, roots))}"
-                yield f"{name}: a factor common to all signals was divided out, with {told}"
+                words = f"root{'s' * (len(roots) > 1)} {', '.join(map(format_pole, roots))}"
+                yield f"{name}: a factor common to all signals was divided out, with {words}"
 
     # -------------------------------------------------------------------- texts
 

@@ -129,8 +129,8 @@ def relation_space(model: RelationModel, ignored: Sequence[str | int], order: in
 def shortest_relations(model: RelationModel, ignored: Sequence[str | int], rtol: float) -> RelationSpace | None:
     """Return the relations of the smallest order that ignore some faults and all disturbances, if there are any."""
     search = _search(model, ignored)
-    found = shortest_pencil_null_vectors(search.pencil, most=model.most, rtol=rtol)
-    return None if found is None else search.space(found)
+    vectors = shortest_pencil_null_vectors(search.pencil, most=model.most, rtol=rtol)
+    return None if vectors is None else search.space(vectors)
 
 
 def shortest_relation(
@@ -150,18 +150,18 @@ def shortest_relation(
     exact = _shortest_seeing(search, faults, model.most, rtol)
     most = model.most if exact is None else exact.order - 1
     near = _shortest_seeing(search, faults, most, max(rtol, _OF_DATA)) if most >= 0 else None
-    found = exact if near is None or not near.clear else near
-    if found is not None:
-        return found.best_combination(faults), found
+    space = exact if near is None or not near.clear else near
+    if space is not None:
+        return space.best_combination(faults), space
     raise _refusal(model, search, ignored, seen, rtol)
 
 
 def _shortest_seeing(search: _Search, faults: Sequence[int], most: int, rtol: float) -> RelationSpace | None:
     """Return the relations of the smallest order that answer to some faults; ``None`` when there are none."""
-    found = shortest_pencil_null_vectors(search.pencil, most=most, rtol=rtol)
-    if found is None:
+    vectors = shortest_pencil_null_vectors(search.pencil, most=most, rtol=rtol)
+    if vectors is None:
         return None
-    first = search.space(found)
+    first = search.space(vectors)
     if first.seen[faults].all():
         return first
 
@@ -217,17 +217,17 @@ class _Search:
     faults: NDArray[np.float64]
     units: NDArray[np.float64]
 
-    def space(self, found: PencilNullVectors) -> RelationSpace:
+    def space(self, null: PencilNullVectors) -> RelationSpace:
         """Return null vectors as relations, in the units of the model, with their responses to the faults."""
-        vectors = np.zeros((len(found.vectors), found.degree + 1, len(self.faults)))
-        vectors[:, :, self.used] = found.vectors
-        level = np.sqrt(((found.units[:, :, None] * self.faults[self.used]) ** 2).sum(axis=1))
+        vectors = np.zeros((len(null.vectors), null.degree + 1, len(self.faults)))
+        vectors[:, :, self.used] = null.vectors
+        level = np.sqrt(((null.units[:, :, None] * self.faults[self.used]) ** 2).sum(axis=1))
         responses = vectors @ self.faults / np.where(level > 0, level, 1.0)
-        s = found.decision.singular_values
-        smallest = found.decision.smallest_kept / s[0] if len(s) and found.decision.rank else 1.0
-        dropped = found.decision.largest_dropped / s[0] if len(s) and s[0] else 0.0
+        s = null.decision.singular_values
+        smallest = null.decision.smallest_kept / s[0] if len(s) and null.decision.rank else 1.0
+        dropped = null.decision.largest_dropped / s[0] if len(s) and s[0] else 0.0
         floor = max(_SEEN, 100 * np.finfo(float).eps / smallest, dropped / POLYNOMIAL_LEAKAGE)
-        return RelationSpace(vectors * self.units, self.pencil.basis, found.decision, responses, floor)
+        return RelationSpace(vectors * self.units, self.pencil.basis, null.decision, responses, floor)
 
 
 def _search(model: RelationModel, ignored: Sequence[str | int]) -> _Search:

@@ -189,8 +189,8 @@ def _halved(terms: _Terms, cones: Matrix, values: Matrix) -> tuple[Matrix, Matri
     row = np.arange(count)
     middle = cones[row, i] + cones[row, j]
     middle /= np.linalg.norm(middle, axis=1, keepdims=True)
-    found = np.concatenate([terms.values(part.T) for part in np.array_split(middle, max(1, count // 512))])
+    at_middle = np.concatenate([terms.values(part.T) for part in np.array_split(middle, max(1, count // 512))])
     first, second, f1, f2 = cones.copy(), cones.copy(), values.copy(), values.copy()
     first[row, i], second[row, j] = middle, middle
-    f1[row, i], f2[row, j] = found, found
+    f1[row, i], f2[row, j] = at_middle, at_middle
     return np.concatenate([first, second]), np.concatenate([f1, f2])

@@ -61,8 +61,8 @@ def star_ellipsoid(system: StableSystem, *, xtol: float = 1e-10) -> Ellipsoid:
 
     from scipy.optimize import minimize_scalar  # slow to import, and not needed to run a monitor
 
-    found = minimize_scalar(size, bounds=(-12.0, 25.0), method="bounded", options={"xatol": xtol**0.5})
-    rate = rate_of(float(found.x))
+    minimum = minimize_scalar(size, bounds=(-12.0, 25.0), method="bounded", options={"xatol": xtol**0.5})
+    rate = rate_of(float(minimum.x))
     Q = ellipsoid_shape(system.A, system.B, rate)
     if Q is None:  # a search that begins where nothing is solved does not find its way out
         rate = rate_of(min(np.linspace(-12.0, 25.0, 75), key=size))

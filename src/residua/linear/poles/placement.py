@@ -59,17 +59,17 @@ class Placement:
 
 def _checked_poles(poles: ArrayLike, dt: float) -> Poles:
     """Return poles that are finite, stable and exactly closed under conjugation."""
-    given: Poles = np.atleast_1d(np.asarray(poles, dtype=complex)).ravel()
-    if not np.all(np.isfinite(given)):
-        raise ModelError(f"pole {describe_modes(given[~np.isfinite(given)][:1])} is not finite")
-    unstable = given[~is_stable_mode(given, dt)]
+    requested: Poles = np.atleast_1d(np.asarray(poles, dtype=complex)).ravel()
+    if not np.all(np.isfinite(requested)):
+        raise ModelError(f"pole {describe_modes(requested[~np.isfinite(requested)][:1])} is not finite")
+    unstable = requested[~is_stable_mode(requested, dt)]
     if unstable.size:
         where = "abs(z) < 1" if dt else "Re(s) < 0"
         raise DesignError(f"pole {describe_modes(unstable[:1])} is not stable: every pole needs {where}")
-    given = np.where(np.abs(np.imag(given)) <= 1e-12 * np.abs(given), np.real(given) + 0j, given)
-    waiting = [p for p in given if p.imag < 0]
+    requested = np.where(np.abs(np.imag(requested)) <= 1e-12 * np.abs(requested), np.real(requested) + 0j, requested)
+    waiting = [p for p in requested if p.imag < 0]
     out: list[complex] = []
-    for p in (p for p in given if p.imag >= 0):
+    for p in (p for p in requested if p.imag >= 0):
         out.append(p)
         if p.imag > 0:
             partner = min(waiting, key=lambda q: abs(q - np.conj(p)), default=None)
@@ -109,8 +109,8 @@ def _candidates(problem: ObservablePart, poles: Poles) -> list[Matrix]:
     if H.shape[0] == problem.order:
         # Every state is seen: F - L H = Lambda is solved exactly.
         return [(F - real_block_diagonal(poles)) @ H.T]
-    found = [robust_assignment(F, H, poles), schur_assignment(F, H, poles)]
-    return [polished(F, H, L, poles) for L in found if L is not None and np.all(np.isfinite(L))]
+    gains = [robust_assignment(F, H, poles), schur_assignment(F, H, poles)]
+    return [polished(F, H, L, poles) for L in gains if L is not None and np.all(np.isfinite(L))]
 
 
 def _direct_gain(problem: ObservablePart, poles: Poles) -> Matrix:
@@ -223,7 +223,7 @@ def place_observer_poles(
         if best is None or rank < best[0]:
             best = (rank, placed)
     if best is None or best[0][0]:
-        told = (
+        reason = (
             "every method broke down"
             if best is None
             else (
@@ -232,7 +232,7 @@ def place_observer_poles(
             )
         )
         raise AccuracyError(
-            f"the poles {describe_modes(wanted)} cannot be placed to the tolerance: {told}; ask for poles nearer to "
+            f"the poles {describe_modes(wanted)} cannot be placed to the tolerance: {reason}; ask for poles nearer to "
             "those of the plant or further apart, for a margin (place_observer_margin), or add a sensor"
         )
     return best[1]

@@ -125,7 +125,7 @@ class PolynomialBasis:
 
 
 def _leja(
-    values: NDArray[np.complex128], given: float
+    values: NDArray[np.complex128], before: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return real parts, imaginary parts and sizes of nodes in the order of Leja."""
     upper = values[values.imag >= 0]
@@ -134,7 +134,7 @@ def _leja(
     log_size = np.zeros(len(upper))  # of the current element at each node
     center = upper.mean().real if len(upper) else 0.0
     real, imaginary, sizes = [], [], []
-    previous = given
+    previous = before
     while rest:
         far = np.abs(upper[rest] - center) if not real else log_size[rest]
         pick = rest.pop(int(np.argmax(far)))

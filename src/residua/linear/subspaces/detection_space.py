@@ -196,5 +196,5 @@ def split_blocks(A: NDArray, C: NDArray, spaces: list[DetectionSpace], *, rtol: 
 
 def _inverse(M: NDArray) -> NDArray[np.float64]:
     """Return the pseudo-inverse of a matrix of comparable columns, exactly zero where only rounding is left."""
-    found = np.linalg.pinv(M, rcond=1e-12)
-    return above_rounding(found, np.abs(found).max(initial=0.0), RESIDUE)
+    inverse = np.linalg.pinv(M, rcond=1e-12)
+    return above_rounding(inverse, np.abs(inverse).max(initial=0.0), RESIDUE)

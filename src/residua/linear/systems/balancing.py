@@ -223,11 +223,11 @@ def descriptor_units(A: NDArray, E: NDArray | None, B: NDArray, C: NDArray, D: N
     """
     n = len(A)
     if E is None:
-        found = balance_system(A, B, C, D)
-        if not found.has_units:
+        balanced = balance_system(A, B, C, D)
+        if not balanced.has_units:
             u = system_units(A, B, C, D)
             return DescriptorUnits(1 / u.states, u.states, u.inputs, u.outputs, 1.0)
-        return DescriptorUnits(1 / found.states, found.states, found.inputs, found.outputs, 1.0)
+        return DescriptorUnits(1 / balanced.states, balanced.states, balanced.inputs, balanced.outputs, 1.0)
     whole = np.block([[A, B], [C, D]]).astype(float)
     dynamic = np.zeros_like(whole)
     dynamic[:n, :n] = E

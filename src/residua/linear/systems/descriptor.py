@@ -104,10 +104,10 @@ def pencil_decision(p: ScaledPencil, rtol: float) -> RankDecision:
     for s in _POINTS:
         values = np.asarray(np.linalg.svd(s * p.E - p.A, compute_uv=False) if p.A.size else np.zeros(0), dtype=float)
         tolerance = rtol * (float(values[0]) if values.size else 0.0)
-        found = RankDecision(int(np.count_nonzero(values > tolerance)), values, tolerance)
+        decision = RankDecision(int(np.count_nonzero(values > tolerance)), values, tolerance)
         gap = float(values[-1] / values[0]) if values.size and values[0] else 0.0
-        if best is None or (found.rank, gap) > best[0]:
-            best = ((found.rank, gap), found)
+        if best is None or (decision.rank, gap) > best[0]:
+            best = ((decision.rank, gap), decision)
     assert best is not None
     return best[1]
 
@@ -282,9 +282,9 @@ def _preimage(M: Matrix, X: Matrix, rtol: float, decisions: list[RankDecision]) 
     basis, decided = range_basis(X, rtol=rtol, scale=1.0)
     decisions.append(decided)
     rest = M - basis @ (basis.T @ M)
-    found, decided = null_basis(rest, rtol=rtol, scale=max(float(np.linalg.norm(M, 2)), np.finfo(float).tiny))
+    preimage, decided = null_basis(rest, rtol=rtol, scale=max(float(np.linalg.norm(M, 2)), np.finfo(float).tiny))
     decisions.append(decided)
-    return found
+    return preimage
 
 
 def _infinite_part(p: ScaledPencil, rtol: float, decisions: list[RankDecision]) -> tuple[Matrix, list[int]]:

@@ -95,13 +95,13 @@ def consistent_state(
     """
     form = weierstrass_form(system.A, system.E, rtol=rtol)
     m, n = system.n_inputs, system.n_states
-    given = [np.zeros(m) if v is None else _vector(v, m, "v")]
-    given += [_vector(d, m, "derivatives") for d in derivatives]
+    inputs = [np.zeros(m) if v is None else _vector(v, m, "v")]
+    inputs += [_vector(d, m, "derivatives") for d in derivatives]
     start = _vector(x0, n, "x0")
     needed = input_order(form, system)
     if v is None:
-        given += [np.zeros(m)] * max(0, needed + 1 - len(given))
-    fast = _fast_part(form, system, [g[None] for g in given])[0]
+        inputs += [np.zeros(m)] * max(0, needed + 1 - len(inputs))
+    fast = _fast_part(form, system, [g[None] for g in inputs])[0]
     k = form.n_finite
     z = form.Q_inverse @ start
     state = form.Q @ np.concatenate([z[:k], fast])
@@ -274,10 +274,10 @@ def _slow_start(
 ) -> NDArray[np.float64]:
     if x0 is None or not first:
         return np.zeros(form.n_finite)
-    found = consistent_state(system, x0, first[0], derivatives=first[1:], rtol=rtol)
-    if not found:
+    start = consistent_state(system, x0, first[0], derivatives=first[1:], rtol=rtol)
+    if not start:
         raise DataError(
-            f"x0 is not consistent with the algebraic equations and the first input (off by {found.distance:.2g}, "
+            f"x0 is not consistent with the algebraic equations and the first input (off by {start.distance:.2g}, "
             "relative): start at consistent_state(system, x0, v[0]).state"
         )
     return form.Q_inverse[: form.n_finite] @ np.asarray(x0, dtype=float).ravel()

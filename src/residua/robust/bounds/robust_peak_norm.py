@@ -198,8 +198,8 @@ def robust_peak_norm(
     task = Task(used, worst, rate, searches)
     parts = _cut(system, task, most, worst.attained * (1 + rtol) + atol)
     if method is None and parts[0].bound > _FAR * worst.attained + atol:
-        found, note = _by_inequalities(system, replace(task, method="lifted"))
-        parts = [found] if found.bound < parts[0].bound else parts
+        lifted, note = _by_inequalities(system, replace(task, method="lifted"))
+        parts = [lifted] if lifted.bound < parts[0].bound else parts
     top = parts[0]
     if not np.isfinite(top.bound):
         raise _none(task, method, len(parts), most)

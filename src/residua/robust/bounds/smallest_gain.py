@@ -244,34 +244,34 @@ class _Search:
         """Tell whether the bound is still too small, and not because of a box that cannot be cut."""
         return bool(self.open) and self.open[0][0] < min(self.target, self.closed)
 
-    def _lower(self, found: LowestGain) -> None:
-        zero = found.gain <= found.rounding
-        self.attained, self.worst = 0.0 if zero else found.gain, found.point
+    def _lower(self, lowest: LowestGain) -> None:
+        zero = lowest.gain <= lowest.rounding
+        self.attained, self.worst = 0.0 if zero else lowest.gain, lowest.point
 
     def _add(self, bound: float, low: Points, high: Points) -> None:
         heapq.heappush(self.open, (bound, next(self.number), low, high))
 
     def _bound(self, parts: list[tuple[float, int, Points, Points]]) -> None:
         low, high = np.array([part[2] for part in parts]), np.array([part[3] for part in parts])
-        found = expand(self.response, low, high)
+        expansion = expand(self.response, low, high)
         self.boxes += len(parts)
-        self._visit((low + high) / 2, found)
+        self._visit((low + high) / 2, expansion)
         for i, part in enumerate(parts):
-            bound = max(part[0], float(found.bound[i]))
-            end = found.end[i] * (high[i] > low[i])
+            bound = max(part[0], float(expansion.bound[i]))
+            end = expansion.end[i] * (high[i] > low[i])
             if bound >= self.target:
                 self.closed = min(self.closed, bound)
             elif end.any():
                 self._add(bound, np.where(end > 0, high[i], low[i]), np.where(end < 0, low[i], high[i]))
             else:
-                self._cut(bound, low[i], high[i], found.share[i])
+                self._cut(bound, low[i], high[i], expansion.share[i])
 
-    def _visit(self, centres: Points, found: Expansion) -> None:
+    def _visit(self, centres: Points, expansion: Expansion) -> None:
         """Descend from the best centre if it is better than what is known."""
-        self.unresolved = not found.resolved.all()
+        self.unresolved = not expansion.resolved.all()
         if self.unresolved:
-            check_stable(self.response, centres[~found.resolved, :-1])
-        gains = np.where(found.resolved, found.gain, np.inf)
+            check_stable(self.response, centres[~expansion.resolved, :-1])
+        gains = np.where(expansion.resolved, expansion.gain, np.inf)
         best = int(np.argmin(gains))
         if gains[best] < self.attained * (1 - 0.1 * self.rtol):
             self._lower(descended(self.response, self.low, self.high, centres[best], float(gains[best])))

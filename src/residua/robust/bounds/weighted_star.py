@@ -102,14 +102,14 @@ def common_ellipsoid(s: ScaledProblem) -> CommonEllipsoid | None:
     for _ in range(200):
         trial = a ** (1 - step) * wanted**step
         trial = trial * np.sum(1 / trial)
-        found = _evaluate(sums, trial)
-        if found is None or found[0] > bound * (1 + 1e-12):
+        solution = _evaluate(sums, trial)
+        if solution is None or solution[0] > bound * (1 + 1e-12):
             step /= 2
             if step < 1e-3:
                 break
             continue
-        moved = bound - found[0]
-        a, (bound, Q, wanted) = trial, found
+        moved = bound - solution[0]
+        a, (bound, Q, wanted) = trial, solution
         step = min(1.0, 1.5 * step)
         if moved <= 1e-9 * bound:
             break

@@ -72,7 +72,7 @@ class CertifiedThreshold:
     @property
     def leakage(self) -> dict[str, float]:
         """Bound of what a fault of size one that is not to be seen adds to the residual."""
-        return {name: found.bound for name, found in self.faults.items()}
+        return {name: bound.bound for name, bound in self.faults.items()}
 
     def __float__(self) -> float:
         return self.value
@@ -84,8 +84,10 @@ class CertifiedThreshold:
 
     def __repr__(self) -> str:
         leaks = ", ".join(f"{name} {bound:.3g}" for name, bound in self.leakage.items())
-        told = f", leakage: {leaks}" if leaks else ""
-        return f"CertifiedThreshold({self.value:.6g}, attained {self.attained:.6g}, {self.disturbances.method!r}{told})"
+        ending = f", leakage: {leaks}" if leaks else ""
+        return (
+            f"CertifiedThreshold({self.value:.6g}, attained {self.attained:.6g}, {self.disturbances.method!r}{ending})"
+        )
 
 
 def left_out(loop: UncertainPlant) -> tuple[str, ...]:
@@ -179,14 +181,14 @@ class _Task:
         scale = rounding_scale(self.loop.nominal, self.filter, signals)
         close["atol"] = max(close.get("atol", 0.0), _DECOUPLED * scale)
         try:
-            found = _bound(system, self.method, **close)
+            norm = _bound(system, self.method, **close)
         except DesignError:
             check_members_stable(self.loop)  # that error names deviations from the nominal values
             raise
-        worst = loop_parameters(self.loop, found.worst)
+        worst = loop_parameters(self.loop, norm.worst)
         # signals may reach the outputs by way of the uncertainty only
         scale = max(scale, rounding_scale(self.loop.member(worst), self.filter, signals))
-        return replace(found, worst=worst, bound=float(max(found.bound, _ROUNDED * scale))), scale
+        return replace(norm, worst=worst, bound=float(max(norm.bound, _ROUNDED * scale))), scale
 
 
 def _bound(

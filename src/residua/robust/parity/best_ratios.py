@@ -33,12 +33,12 @@ def best_ratios(
     combinations : ndarray, shape (rank, rows)
         With :math:`|c^T D| = 1`.
     """
-    found = [_singular_rows(unwanted, part) for part in row_parts(np.hstack([wanted, unwanted]))]
-    sizes = np.concatenate([s for _, s in found])
+    pairs = [_singular_rows(unwanted, part) for part in row_parts(np.hstack([wanted, unwanted]))]
+    sizes = np.concatenate([s for _, s in pairs])
     kept = np.zeros(len(sizes), dtype=bool)
     kept[np.argsort(-sizes, kind="stable")[:rank]] = True
     ratios, combinations, at = [], [], 0
-    for U, s in found:
+    for U, s in pairs:
         chosen = kept[at : at + len(s)]
         at += len(s)
         scaled = U[:, chosen] / s[chosen]

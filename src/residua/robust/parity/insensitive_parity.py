@@ -132,11 +132,11 @@ class InsensitiveParity:
         data = stack_signals(self.plant, u, y)
         whole = data if data.ndim == 3 else data[None]
         n_u = len(self.plant.inputs)
-        _, found = self.block(self.initial_state(len(whole)), whole[..., :n_u] if n_u else None, whole[..., n_u:])
+        _, outcome = self.block(self.initial_state(len(whole)), whole[..., :n_u] if n_u else None, whole[..., n_u:])
         if data.ndim == 3:
-            return found
+            return outcome
         return ParameterResiduals(
-            found.primary[0], found.sensitivities[0], found.residuals[0], found.statistic[0], found.fired[0]
+            outcome.primary[0], outcome.sensitivities[0], outcome.residuals[0], outcome.statistic[0], outcome.fired[0]
         )
 
     def fit(self, u: ArrayLike | None, y: ArrayLike, *, false_alarm_rate: float = 1e-4) -> InsensitiveParity:
@@ -169,13 +169,13 @@ class InsensitiveParity:
         running, promises, count = fitted_running(
             self.running, data if data.ndim == 3 else data[None], false_alarm_rate
         )
-        told = "; ".join(f"{name}: {one}" for name, one in zip(self.members, promises, strict=True))
+        listed = "; ".join(f"{name}: {one}" for name, one in zip(self.members, promises, strict=True))
         return replace(
             self,
             running=running,
             thresholds=running.thresholds,
             promised=np.array([one.promised for one in promises]),
-            basis=f"fitted to {count} fault-free samples, {promises[0] if len(promises) == 1 else told}",
+            basis=f"fitted to {count} fault-free samples, {promises[0] if len(promises) == 1 else listed}",
         )
 
     def __str__(self) -> str:
@@ -295,13 +295,13 @@ def insensitive_parity(
     """
     values, sizes = checked_parameters(parameters, changes)
     names = tuple(values)
-    drifts, told = (
+    drifts, isolated = (
         [names[i] for i in arrays.positions(chosen, names, "parameter")] for chosen in (insensitive_to, isolate)
     )
     equations = equations_of(model, values, sizes)
-    if not drifts and not told:
-        told = list(names)
-    members, ignored = _members(drifts, told, len(equations.model.outputs))
+    if not drifts and not isolated:
+        isolated = list(names)
+    members, ignored = _members(drifts, isolated, len(equations.model.outputs))
     if memory != int(memory) or memory < 1:
         raise SettingError(f"memory must be a whole number of samples, at least 1, got {memory!r}")
     plant = equations.model.to_plant()
@@ -318,12 +318,12 @@ def insensitive_parity(
     )  # fmt: skip
 
 
-def _members(drifts: list[str], told: list[str], m: int) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
+def _members(drifts: list[str], isolated: list[str], m: int) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
     """Return the names of the residuals and what each ignores."""
-    both = [name for name in told if name in drifts]
+    both = [name for name in isolated if name in drifts]
     if both:
         raise DesignError(f"parameter {both[0]!r} is to be ignored always and to be told: leave it out of one")
-    ignored = [tuple(drifts), *((*drifts, name) for name in told)]
+    ignored = [tuple(drifts), *((*drifts, name) for name in isolated)]
     longest = max(ignored, key=len)
     if len(longest) > m - 1:
         raise DesignError(
@@ -440,8 +440,8 @@ def fitted_running(
             if len(inside):
                 first, last = int(inside[0]), int(inside[-1]) + 1
                 begin = max(0, first - bare.settle - reach)
-                found = turn.block(turn.initial_state(1), data[p : p + 1, begin:last])[1].statistic[0]
-                statistic[part][first:last] = found[first - begin :]
+                values = turn.block(turn.initial_state(1), data[p : p + 1, begin:last])[1].statistic[0]
+                statistic[part][first:last] = values[first - begin :]
     own, statistic = np.nan_to_num(own), np.nan_to_num(statistic)
     promises = [_promise(statistic[:, j], own[:, j], seen, bare.memory, rate) for j in range(len(bare.ignored))]
     thresholds = np.array([one.threshold for one in promises])
@@ -450,10 +450,10 @@ def fitted_running(
 
 def _promise(statistic: NDArray, own: NDArray, seen: FaultFree, memory: int, rate: float) -> Promise:
 
-    found = observed(
+    statistics = observed(
         statistic, seen.full, seen.usable, seen.parts, np.inf, persistence=1, release=1, window=memory, own=own
     )
-    return promise_of(found, rate)
+    return promise_of(statistics, rate)
 
 
 def fitted_scale(

@@ -196,16 +196,16 @@ def _model(model: Model, values: Mapping[str, float], generator: ResidualGenerat
     return plant
 
 
-def _thresholds(generator: ResidualGenerator, given: ArrayLike | None) -> NDArray[np.float64]:
+def _thresholds(generator: ResidualGenerator, thresholds: ArrayLike | None) -> NDArray[np.float64]:
     n = generator.n_residuals
-    if given is None:
+    if thresholds is None:
         covariance = generator.covariance
         if covariance is None:
             raise SettingError("give thresholds, one per residual, or the plant noise, plant.with_noise(...)")
-        given = _DEVIATIONS * np.sqrt(np.diag(covariance))
-    eta = np.asarray(given, dtype=float)
+        thresholds = _DEVIATIONS * np.sqrt(np.diag(covariance))
+    eta = np.asarray(thresholds, dtype=float)
     if eta.shape not in ((), (n,)) or not np.isfinite(eta).all() or np.any(eta <= 0):
-        raise SettingError(f"thresholds must be {n} positive numbers, one per residual, got {given!r}")
+        raise SettingError(f"thresholds must be {n} positive numbers, one per residual, got {thresholds!r}")
     return np.broadcast_to(eta, (n,))
 
 

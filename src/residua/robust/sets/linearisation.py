@@ -149,8 +149,8 @@ def uncertain_plant_from_parameters(
         channels += [i] * blocks[-1][0].shape[1]
     made = make_uncertain_plant(nominal, known, tuple(channels), blocks)
     points = visited_values(made, _INSIDE, seed)
-    found = _compare(made, [evaluate(v) for v in points], points, rtol)
-    return make_uncertain_plant(nominal, known, tuple(channels), blocks, linearisation=found, function=function)
+    comparison = _compare(made, [evaluate(v) for v in points], points, rtol)
+    return make_uncertain_plant(nominal, known, tuple(channels), blocks, linearisation=comparison, function=function)
 
 
 def _parameter(name: str, values: Sequence[float]) -> UncertainParameter:
@@ -315,10 +315,10 @@ def uncertain_plant_from_plants(plants: Iterable[Plant]) -> UncertainPlant:
         blocks.append(_channels_of(np.where(varies, axis.reshape(unit.shape) * unit, 0.0), nominal))
         channels += [i] * blocks[-1][0].shape[1]
     made = make_uncertain_plant(nominal, tuple(known), tuple(channels), blocks)
-    found = _compare(made, list(family), coordinates, 1e-9)
-    if not found.exact:
+    check = _compare(made, list(family), coordinates, 1e-9)
+    if not check.exact:
         raise AccuracyError(
-            f"the box of principal axes misses the plants by {found._share()} an entry's range: the entries of the "
+            f"the box of principal axes misses the plants by {check._share()} an entry's range: the entries of the "
             "plants differ by too many orders of magnitude; write them in units of even size"
         )
-    return make_uncertain_plant(nominal, tuple(known), tuple(channels), blocks, linearisation=found, plants=family)
+    return make_uncertain_plant(nominal, tuple(known), tuple(channels), blocks, linearisation=check, plants=family)

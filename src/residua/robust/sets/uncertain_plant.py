@@ -121,7 +121,7 @@ class UncertainPlant:
         if not isinstance(nominal, Plant):
             raise ModelError(f"nominal must be a Plant, got {type(nominal).__name__}")
         blocks, labels = [], []
-        found: dict[str, UncertainParameter] = {}
+        entries: dict[str, UncertainParameter] = {}
         counts: dict[str, int] = dict.fromkeys(MATRICES, 0)
         for delta in deltas:
             if not isinstance(delta, Perturbation):
@@ -132,14 +132,14 @@ class UncertainPlant:
             names = delta.names or tuple(f"{delta.matrix}{start + i + 1}" for i in range(len(delta.low)))
             for name, low, high in zip(names, delta.low, delta.high, strict=True):
                 entry = UncertainParameter(name, float(low), float(high))
-                if found.setdefault(name, entry) != entry:
+                if entries.setdefault(name, entry) != entry:
                     raise ModelError(
                         f"the parameter {name!r} is given bounds [{low:g}, {high:g}] in d{delta.matrix} and "
-                        f"[{found[name].low:g}, {found[name].high:g}] before"
+                        f"[{entries[name].low:g}, {entries[name].high:g}] before"
                     )
                 labels.append(name)
-        order = {name: i for i, name in enumerate(found)}
-        _assign(self, nominal, tuple(found.values()), tuple(order[name] for name in labels), blocks)
+        order = {name: i for i, name in enumerate(entries)}
+        _assign(self, nominal, tuple(entries.values()), tuple(order[name] for name in labels), blocks)
 
     @classmethod
     def from_parameters(
@@ -269,10 +269,10 @@ class UncertainPlant:
         of = self.member if self.function is None else self.function
         bounds = {p.name: (p.low, p.nominal, p.high) for p in self.parameters}
         made = type(self).from_parameters(lambda values: of(values).discretize(dt), bounds)
-        before, found = self.linearisation, made.linearisation
-        if self.function is not None or before is None or before.exact or found is None:
+        before, after = self.linearisation, made.linearisation
+        if self.function is not None or before is None or before.exact or after is None:
             return made
-        both = replace(found, exact=False, before=before)
+        both = replace(after, exact=False, before=before)
         block = ChannelBlock(made.Hx, made.Hy, made.Gx, made.Gu, made.Gd, made.Gf)
         return make_uncertain_plant(
             made.nominal, made.parameters, made.channels, [block], linearisation=both, function=made.function
@@ -333,8 +333,8 @@ def _assign(
     n, p = nominal.n_states, nominal.n_outputs
 
     def right(part: str, columns: int) -> Matrix:
-        given = ((getattr(b, part), len(b.Gx)) for b in made)
-        rows = [np.zeros((k, columns)) if G is None else G for G, k in given]
+        parts = ((getattr(b, part), len(b.Gx)) for b in made)
+        rows = [np.zeros((k, columns)) if G is None else G for G, k in parts]
         return frozen(np.vstack([np.zeros((0, columns)), *rows]))
 
     fields = {
