@@ -175,7 +175,7 @@ class ResidualTest(Record, ABC):
 
     @property
     def is_bound(self) -> bool:
-        """Whether thresholds are bounds, certified or from the user, that no fault-free run exceeds: then it waits longer."""
+        """Whether no fault-free run exceeds the thresholds, certified or the user's: then the test waits longer."""
         return False
 
     @property
