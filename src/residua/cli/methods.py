@@ -20,7 +20,8 @@ from residua.errors import AccuracyError, DesignError, ModelError, SettingError
 from residua.plant import Plant
 
 AUTO = "auto"
-#: Seconds for the choice of a coding set, and for the other methods after a refusal; what was found by then is taken.
+#: Seconds for the choice of a coding set, whose search then takes the best one so far; and for the other methods after
+#: a refusal.
 CHOICE_TIME, TRYING_TIME = 10.0, 30.0
 
 
@@ -125,7 +126,7 @@ class Call:
     Attributes
     ----------
     method : Method
-    given : mapping of str to value
+    values : mapping of str to value
         Options that were asked for.
     written : mapping of str to str or bool
         The same as they were written, for other methods to read.
@@ -138,7 +139,7 @@ class Call:
     """
 
     method: Method
-    given: Mapping[str, Any]
+    values: Mapping[str, Any]
     written: Mapping[str, Any] = field(default_factory=dict)
     sample_time: float | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -148,7 +149,7 @@ class Call:
     def asked(self) -> dict[str, Any]:
         """Its arguments, beside those that are made from the plant."""
         names = {one.name for one in self.method.options}
-        return {**self.given, **{name: value for name, value in self.settings.items() if name in names}}
+        return {**self.values, **{name: value for name, value in self.settings.items() if name in names}}
 
     @property
     def left_out(self) -> list[str]:
@@ -185,7 +186,7 @@ class Call:
         made = [
             f"{name}={one.limited.format(seconds=CHOICE_TIME)}"
             for name, one in self.method.chosen.items()
-            if name not in self.given
+            if name not in self.values
         ]
         arguments = [f"{name}={value!r}" for name, value in self.asked.items()]
         return f"{self.method.called}({', '.join([sampled, *made, *arguments])})"
@@ -286,8 +287,8 @@ def make(plant: Plant, name: str, call: Call, *, why: str = "") -> Any:
     DesignError
     """
     for option, chosen in call.method.chosen.items():
-        if chosen is ROWS and option in call.given:  # a slip in these says nothing about other methods
-            coding.CodingSet.of(call.given[option], plant.faults)
+        if chosen is ROWS and option in call.values:  # a slip in these says nothing about other methods
+            coding.CodingSet.of(call.values[option], plant.faults)
     try:
         return call.run(plant)
     except (DesignError, AccuracyError) as error:

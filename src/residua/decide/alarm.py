@@ -184,7 +184,7 @@ class Alarm:
     present : tuple of PresentFault
         By the code of a dedicated bank: every fault that was read and when its own member fired, the first one first.
     began : Beginning or None
-        When the change began that raised the alarm, as an interval; ``None`` where that cannot be told: it was before
+        When the change began that raised the alarm, as an interval; ``None`` if the data do not show it: it was before
         ``raised``. Of the twenty longest alarms of a recording.
     fired : tuple of str
         Where groups of residuals are tested by themselves: those that were in alarm, the longest first.
@@ -208,7 +208,8 @@ class Alarm:
     def named(self) -> tuple[tuple[str, ...], ...]:
         """The faults that the alarm is put down to: the best candidate, or all of several at once by code.
 
-        Those that cannot be told apart are one group, of which one fault or more is there. Empty where nobody is named.
+        Faults that cannot be distinguished are one group, of which one fault or more is there. Empty without a
+        named fault.
         """
         return put_down_to(self.reading, self.candidates)
 

@@ -117,7 +117,7 @@ class Isolation(Record, ABC):
     Attributes
     ----------
     groups : tuple of tuple of str
-        Faults that cannot be told apart are one group; one column of the scores each.
+        Faults that cannot be distinguished are one group; one column of the scores each.
     unjudged : tuple of str
         Faults that are never named.
     """

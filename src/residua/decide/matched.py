@@ -108,7 +108,7 @@ class MatchedNames(Isolation):
         """Return what a standing alarm is put down to, and how much of what exceeds the noise each group explains."""
         seen = tested.likelihood
         assert isinstance(seen, Likelihoods)
-        likelihoods = seen.found
+        likelihoods = seen.values
         match, state = hold_block(self.matched.window, state, likelihoods, tested.alarm, tested.exceeded, block.count)
         return state, Scores(match_scores(self.matched, likelihoods["ratios"], seen.sums, tested.usable), match=match)
 
@@ -225,7 +225,7 @@ class Matched(IsolationSettings):
     Parameters
     ----------
     window : int
-        Arrival times ``t - window`` to ``t`` are told apart.
+        Arrival times ``t - window`` to ``t`` are distinguished.
     steady : bool
         Only the settled response of each fault, averaged over ``window + 1`` samples: no arrival times, and wrong
         names while the residual turns.

@@ -19,7 +19,7 @@ FALLEN = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Match:
-    """What the test found; every array starts with (plants, time), or (time,) for one plant.
+    """The result of the test; every array starts with (plants, time), or (time,) for one plant.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Match:
     arrival : ndarray, shape (...)
         When it arrived, as a number of samples from the start of the run; NaN when that was before the window.
     source : ndarray of int, shape (...)
-        The sample at which both were found, counted likewise; -1 without an alarm.
+        The sample from which both come, counted likewise; -1 without an alarm.
     """
 
     ratios: NDArray[np.float64]
@@ -58,7 +58,7 @@ class HeldState(Record):
     Attributes
     ----------
     held : ndarray, shape (plants, 6)
-        Fault, arrival, the sample that they were found at, whether they are final, the sample of its raising and the
+        Fault, arrival, the sample from which they come, whether they are final, the sample of its raising and the
         largest likelihood ratio so far; NaN without one.
     on : ndarray of bool, shape (plants,)
         Whether one stands.

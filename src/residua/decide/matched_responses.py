@@ -29,7 +29,7 @@ class MatchedTest(Record):
     faults : tuple of str
         The columns of the responses.
     groups : tuple of tuple of str
-        Faults that cannot be told apart are one group.
+        Faults that cannot be distinguished are one group.
     responses : ndarray, shape (window + 1, residuals, faults)
         Of a fault that arrived 0 to ``window`` samples ago; with no rows, only settled faults are looked for.
     settled : ndarray, shape (residuals, faults)

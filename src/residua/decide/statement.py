@@ -71,7 +71,7 @@ def capital(text: str) -> str:
 
 
 def not_isolated(alarm: Alarm, clock: Clock) -> Statement:
-    """Return what is said of an alarm that nobody is named for."""
+    """Return the words for an alarm without a named fault."""
     headline = f"A fault was found, {raised_text(alarm, clock)}; it was not isolated."
     return Statement(headline, "not isolated", None, ("This monitor names no candidates for it.",))
 

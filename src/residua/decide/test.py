@@ -175,7 +175,7 @@ class ResidualTest(Record, ABC):
 
     @property
     def is_bound(self) -> bool:
-        """Whether thresholds are bounds, certified or given, that no fault-free run exceeds: then it waits longer."""
+        """Whether no fault-free run exceeds the thresholds, certified or the user's: then the test waits longer."""
         return False
 
     @property
@@ -272,7 +272,7 @@ class TestSettings(Record, ABC):
     makes : type
         What runs: a :class:`ResidualTest`.
     false_alarm_rate : float
-        Fraction of fault-free samples in alarm that is aimed at, unless ``fit`` is told otherwise.
+        Intended fraction of fault-free samples in alarm, unless ``fit`` gets another one.
     """
 
     __test__: ClassVar[bool] = False  # no test of pytest's

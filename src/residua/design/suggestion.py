@@ -26,7 +26,7 @@ from residua.robust.sets.uncertain_plant import UncertainPlant
 WANTS = ("name", "size", "state")
 #: Larger plants are tried with the single observers only, and the largest not at all.
 LARGE, LARGEST, MOST_FAULTS = 60, 200, 16
-#: Seconds for the choice of a coding set; what was found by then is taken.
+#: Seconds for the choice of a coding set; the search then takes the best one so far.
 _CHOICE_TIME = 5.0
 
 
@@ -80,7 +80,7 @@ class Suggestion:
     entries : tuple of Entry
         All that was considered: what works, from the best down, then what was refused, then what was not tried.
     notes : tuple of str
-        What can be told about the plant at all, and what to mind.
+        What can be said about the plant at all, and what to mind.
     """
 
     plant: Plant
@@ -111,7 +111,7 @@ def suggest(plant: Plant, *, want: str | None = None, seconds: float = 30.0) -> 
     """Tell which design functions apply to a plant and which to prefer, by trying them.
 
     Guaranteed: what is said to work has been designed and has passed its own checks (``entry.made``); what is said to
-    be refused has been refused, for the reason given.
+    be refused has been refused, for the reason that stands beside it.
 
     Parameters
     ----------

@@ -68,7 +68,7 @@ class Decision:
 
     @property
     def named(self) -> tuple[tuple[str, ...], ...]:
-        """The faults that are named now, one or several, each with those that cannot be told from it; else empty."""
+        """The faults that are named now, one or several, each with its indistinguishable ones; else empty."""
         return put_down_to(self.reading, self.candidates)
 
 

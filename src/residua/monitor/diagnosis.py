@@ -38,13 +38,13 @@ if TYPE_CHECKING:
 
 __all__ = ["CLOSE_LEAD", "CLOSE_MARGIN", "NO_FIT", "Alarm", "Candidate", "Diagnosis"]
 
-#: What is said of a fault that a single estimate found.
+#: The words for a fault that a single estimate shows.
 NO_DIRECTION = "one estimate has no direction: any of these would look like this"
 
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """What a monitor found in a recording. Prints as a table.
+    """The result of a monitor on a recording. Prints as a table.
 
     Attributes
     ----------
@@ -197,7 +197,7 @@ class Diagnosis:
 
     @property
     def clock(self) -> Clock:
-        """How times are told: by the clock of the recording where it has dates."""
+        """The clock for times: that of the recording if it has dates."""
         return Clock(self.origin, self.generator.dt)
 
     @property
@@ -225,7 +225,7 @@ class Diagnosis:
     def named(self) -> tuple[tuple[str, ...], ...]:
         """The faults that the longest alarm is put down to, one or several; empty where nobody is named.
 
-        Each with those that cannot be told from it.
+        Each with the faults that look the same.
         """
         return self.main_alarm.named if self.main_alarm else ()
 
@@ -249,7 +249,7 @@ class Diagnosis:
 
     @property
     def no_direction(self) -> bool:
-        """Whether a single estimate found a fault: then it cannot tell what it estimates from anything else."""
+        """Whether a single estimate shows a fault: then it cannot tell what it estimates from anything else."""
         if self.codes is not None or not any(self.generator.estimated) or not self.candidates:
             return False
         best, *_ = self.candidates
@@ -257,7 +257,7 @@ class Diagnosis:
 
     @property
     def alike(self) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
-        """The groups of several faults that cannot be told apart here, each with its names as text."""
+        """The groups of several faults that look the same here, each with its names as text."""
         return alike(self.codes.groups, self.codes.settled) if self.codes else alike(self.groups)
 
     def statement(self, alarm: Alarm) -> Statement:
@@ -399,7 +399,7 @@ class Diagnosis:
 
         Returns
         -------
-        matplotlib Figure, or the Axes that were given
+        matplotlib Figure, or the Axes of the call
         """
         from residua.report.plots import plot_diagnosis
 

@@ -61,7 +61,7 @@ def plot_diagnosis(diagnosis: Diagnosis, ax: Axes | None = None, *, figure: Figu
 
     Returns
     -------
-    matplotlib Figure, or the Axes that were given
+    matplotlib Figure, or the Axes of the call
 
     Raises
     ------

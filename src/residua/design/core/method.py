@@ -51,7 +51,7 @@ class Need:
 
 @dataclass(frozen=True)
 class Chosen:
-    """An argument that is made from the plant when none is given.
+    """An argument that is made from the plant when the user omits it.
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ class Method:
     formerly : tuple of str
         Names that it had on the command line before.
     chosen : mapping of str to Chosen
-        Arguments that are made from the plant when none is given.
+        Arguments that are made from the plant when the user omits them.
     calls : callable
         The options with which it is tried for a plant.
     """
@@ -253,7 +253,7 @@ def method(
     formerly : sequence of str
         Names that it had on the command line before, which go on with a note.
     chosen : mapping of str to Chosen, optional
-        Arguments that are made from the plant when none is given.
+        Arguments that are made from the plant when the user omits them.
     calls : callable
         From a plant, and what is known of its faults, the options with which ``suggest`` tries it.
 

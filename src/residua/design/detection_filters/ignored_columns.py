@@ -60,7 +60,7 @@ class IgnoredColumns:
         return self.watched.disturbances
 
     @property
-    def told(self) -> str:
+    def text(self) -> str:
         """The same in words."""
         return ", ".join(f"'{name}'" for name in self.names) or "nothing"
 
@@ -162,6 +162,6 @@ def require_detectable(parts: IgnoredColumns, *, rtol: float) -> None:
     if not answer:
         bad = ", ".join(f"{z:.4g}" for z in np.atleast_1d(answer.unstable_modes))
         raise DesignError(
-            f"no stable observer of the whole state ignores {parts.told}: the measurements that are left do not see "
+            f"no stable observer of the whole state ignores {parts.text}: the measurements that are left do not see "
             f"the mode {bad}; add a sensor, or use decoupled_residual, which observes only what it needs"
         )

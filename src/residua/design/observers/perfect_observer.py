@@ -350,7 +350,7 @@ def perfect_observer(
     AccuracyError
         If no gain passes the checks: relative variation of the determinant below 1e-6.
     SettingError
-        If the bandwidth is not a positive number, or is given for a sampled plant, or if ``K`` is given with
+        If the bandwidth is not a positive number, or the plant is sampled, or if ``K`` comes with
         disturbances or with ``least_order``.
 
     See Also

@@ -135,7 +135,7 @@ def digits_lost(rows: Sequence[Relation], generator: ResidualGenerator) -> float
 
 
 def plant_rate(plant: Plant) -> float:
-    """Return the rate at which the poles of a continuous filter are put when none are given, in 1/s."""
+    """Return the rate in 1/s at which a continuous filter has its poles when the user lists none."""
     try:
         return own_rate(plant)
     except ModelError:  # a singular plant may have no poles

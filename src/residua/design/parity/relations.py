@@ -173,7 +173,7 @@ class ParityRelations:
             If the number of poles does not fit, they are not closed under conjugation, or not stable; or if they differ
             between residuals that keep directions together, which would bend them.
         AccuracyError
-            If rounding in the coefficients shows in the residual, or, where no poles are given, more than ten digits
+            If rounding in the coefficients shows in the residual, or, without ``poles``, more than ten digits
             cancel in the moving average.
 
         References

@@ -92,7 +92,7 @@ def _largest(M: Matrix) -> float:
 
 @dataclass(frozen=True, eq=False)
 class TriangularTailBound:
-    r"""A bound by absolute values of a triangular form, where no norm was found in which ``A`` contracts.
+    r"""A bound by absolute values of a triangular form, for want of a norm in which ``A`` contracts.
 
     With the Schur form :math:`A = Q T Q^H` and :math:`N \ge |Q^H A Q|`, for every ``X``,
 

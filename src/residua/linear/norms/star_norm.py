@@ -11,7 +11,7 @@ from residua.errors import AccuracyError
 from residua.linear.norms.impulse_terms import StableSystem
 
 Matrix = NDArray[np.float64]
-#: In place of the logarithm of a size that was not found.
+#: In place of the logarithm of a size that does not exist.
 _TOO_LARGE = 1e3
 
 
@@ -22,7 +22,7 @@ class Ellipsoid:
     Attributes
     ----------
     Q : ndarray, shape (n, n)
-        ``Q = A Q A' / (1 - rate) + B B' / rate``, in the units of the system that was given.
+        ``Q = A Q A' / (1 - rate) + B B' / rate``, in the units of the original system.
     rate : float
         ``1 - 1 / a`` of the star norm.
     bound : float

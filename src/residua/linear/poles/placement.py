@@ -34,7 +34,7 @@ class Placement:
     gain : ndarray, shape (n, p)
         ``K``; the poles are those of ``A - K C``. It ignores the left null directions of ``C``: ``K = K C C^+``.
     requested : ndarray of complex
-        Poles asked for on the observable part, in the order given; empty when a margin was asked for.
+        Poles asked for on the observable part, in that order; empty when a margin was asked for.
     achieved : ndarray of complex
         Poles reached on the observable part, in the order of ``requested``.
     fixed : ndarray of complex

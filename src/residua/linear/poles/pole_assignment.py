@@ -16,7 +16,7 @@ _SIMPLE = 1e8
 
 
 def real_block_diagonal(poles: NDArray[np.complex128]) -> Matrix:
-    """Return a real matrix with the given poles: 1 x 1 blocks, and ``[[a, b], [-b, a]]`` for a pair.
+    """Return a real matrix with these poles: 1 x 1 blocks, and ``[[a, b], [-b, a]]`` for a pair.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def _nearest(block: Matrix, reals: list[float], pairs: list[complex]) -> tuple[f
 
 
 def _block_gain(block: Matrix, G: Matrix, target: tuple[float, float, float]) -> Matrix | None:
-    """Return the smallest found ``f`` with ``eig(block + G f)`` on target, or None when ``G`` cannot reach it."""
+    """Return the smallest known ``f`` with ``eig(block + G f)`` on target, or None when ``G`` cannot reach it."""
     trace, determinant, pole = target
     U, s, Vh = np.linalg.svd(G)
     if s[0] == 0:
@@ -208,7 +208,7 @@ def _block_gain(block: Matrix, G: Matrix, target: tuple[float, float, float]) ->
 
 
 def _targets(block: Matrix, trace: float, determinant: float) -> list[Matrix]:
-    """Return 2 x 2 matrices with the wanted trace and determinant, near to a given one."""
+    """Return 2 x 2 matrices with the wanted trace and determinant, near to ``block``."""
     centre = trace / 2
     product = centre**2 - determinant  # of the off-diagonal entries, when the diagonal is (centre, centre)
     out = []

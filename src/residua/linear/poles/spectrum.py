@@ -30,7 +30,7 @@ def spectral_radius(A: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def match_poles(wanted: Poles, achieved: Poles) -> NDArray[np.intp]:
-    """Return for each wanted pole the index of a found one, each used at most once, nearest in sum.
+    """Return for each wanted pole the index of an achieved one, each used at most once, nearest in sum.
 
     Parameters
     ----------

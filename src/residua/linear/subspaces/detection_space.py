@@ -39,7 +39,7 @@ class DetectionSpace:
 
     @property
     def dimension(self) -> int:
-        """Number of poles that can be given to the fault."""
+        """Number of poles that the fault can have."""
         return self.basis.shape[1]
 
 

@@ -55,7 +55,7 @@ class ObservablePart:
 
     @property
     def pseudo_inverse(self) -> Matrix:
-        """A right factor ``X`` with ``C X C = C``, found in balanced units."""
+        """A right factor ``X`` with ``C X C = C``, from balanced units."""
         form = self.form
         seen = form.Q[:, : self.order] @ (self.H.T @ self.to_outputs)
         return form.states[:, None] * seen * form.outputs

@@ -32,7 +32,7 @@ from residua.tolerances import RESPONSE_ROUNDING
 
 Matrix = NDArray[np.float64]
 Real = NDArray[np.float64]
-#: What is cut off of the impulse responses, in units of what is reached; and where a bound by them is given up.
+#: What is cut off of the impulse responses, in units of what is reached; and from where on there is no bound by them.
 _TAIL, _LARGEST_TAIL = 1e-8, 1e-3
 #: Terms of impulse responses that are computed, and numbers of them that are kept.
 _TERMS, _STORED = 1_000_000, 20_000_000

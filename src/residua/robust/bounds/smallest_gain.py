@@ -34,7 +34,7 @@ class SmallestGain:
     bound : float
         No member has a smaller gain. 0 where no positive bound was proved.
     attained : float
-        The smallest gain found: no bound can be larger.
+        The smallest gain of a visited member: no bound can be larger.
     values : dict of str to float
         The parameters of the member that has it.
     frequency : float
@@ -140,8 +140,8 @@ def smallest_gain(
     --------
     >>> from residua.linear import UncertainSystem, smallest_gain
     >>> lag = UncertainSystem([[0.5]], [[1.0]], [[1.0]], [[1.0]], [[1.0]], low=[-0.1], high=[0.3], dt=1.0)
-    >>> found = smallest_gain(lag)  # 1 / (1 - pole)
-    >>> round(found.bound, 4), round(found.attained, 4), found.values
+    >>> gain = smallest_gain(lag)  # 1 / (1 - pole)
+    >>> round(gain.bound, 4), round(gain.attained, 4), gain.values
     (1.6667, 1.6667, {'f1': -0.1})
     """
     last = _last_frequency(system, band)

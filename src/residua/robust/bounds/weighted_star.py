@@ -45,7 +45,7 @@ class CommonEllipsoid:
 
 
 class _Sums:
-    """The equation of ``Q`` for given weights, in a vector of the entries of a symmetric matrix."""
+    """The equation of ``Q`` for some weights, in a vector of the entries of a symmetric matrix."""
 
     def __init__(self, s: ScaledProblem) -> None:
         half = [0.5 * s.B[:, list(g)] @ s.C[list(g)] for g in s.groups]
@@ -150,7 +150,7 @@ def _start(sums: _Sums) -> NDArray[np.float64] | None:
     """Return weights with which the states die out: a guess from sizes, or those with the least spectral radius."""
     sizes = np.sqrt([max(float(np.linalg.norm(K)), np.finfo(float).tiny) for K in sums.terms])
     k = len(sizes)
-    # a slow system leaves little room: what its own decay needs is not to be given away
+    # a slow system leaves little room: what its own decay needs must be kept
     for uncertain in sums.room * np.array(_SHARES) if k > 1 else (0.0,):
         parts = np.concatenate([[1 - uncertain], uncertain * sizes[1:] / max(sizes[1:].sum(), np.finfo(float).tiny)])
         a = _feasible(sums, parts)

@@ -347,7 +347,7 @@ def _one_sample_later(
 
 
 def loop_parameters(loop: UncertainPlant, deviations: Mapping[str, float] | ArrayLike) -> dict[str, float]:
-    """Return the parameters that have given deviations from the nominal values of an uncertain plant.
+    """Return the parameters with these deviations from the nominal values of an uncertain plant.
 
     Norms of :func:`residual_over_set` and :func:`estimator_residual` name their members by deviations.
 
