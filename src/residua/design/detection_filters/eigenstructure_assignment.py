@@ -36,7 +36,7 @@ from residua.linear.norms.system_norms import hinf_norm
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.poles.placement import default_margin
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.subspaces.observability import is_stable_mode
+from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision
 from residua.linear.systems.balancing import without_rounding
 from residua.plant import Plant

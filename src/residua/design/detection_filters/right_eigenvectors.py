@@ -12,6 +12,7 @@ from residua.design.detection_filters.directional_gain import DirectionalGain, F
 from residua.design.detection_filters.ignored_columns import Frame, IgnoredColumns
 from residua.errors import DesignError
 from residua.linear.poles.spectrum import describe_modes
+from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.detection_space import (
     DetectionSpace,
     conditioned_invariant_basis,
@@ -19,7 +20,7 @@ from residua.linear.subspaces.detection_space import (
     separation,
     split_blocks,
 )
-from residua.linear.subspaces.observability import is_stable_mode, observability_form
+from residua.linear.subspaces.observability import observability_form
 from residua.linear.subspaces.rank import left_null_basis, range_basis
 from residua.linear.subspaces.reachability import reachable_basis
 from residua.tolerances import TINY, above_rounding

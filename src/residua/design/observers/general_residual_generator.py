@@ -30,7 +30,7 @@ from residua.errors import DesignError, SettingError
 from residua.linear import StateSpace
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.subspaces.observability import is_stable_mode
+from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.rank import RankDecision, decide_rank, equilibrated
 from residua.plant import Plant
 from residua.tolerances import LEAKAGE

@@ -19,8 +19,8 @@ from residua.errors import AccuracyError, DesignError
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.poles.placement import Placement
 from residua.linear.poles.spectrum import describe_modes
+from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.far_gain import refuse_far_gain
-from residua.linear.subspaces.observability import is_stable_mode
 from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis, without_noise
 from residua.linear.systems.balancing import descriptor_units, without_rounding
 from residua.plant import Plant

@@ -14,8 +14,8 @@ from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.poles.pole_assignment import polished, real_block_diagonal, robust_assignment, schur_assignment
 from residua.linear.poles.spectrum import describe_modes, match_poles, spectrum_error
+from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.far_gain import refuse_far_gain
-from residua.linear.subspaces.observability import is_stable_mode
 from residua.linear.subspaces.observable_part import ObservablePart, observable_part
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.tolerances import POLE

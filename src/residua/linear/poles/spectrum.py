@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.linear.subspaces.observability import modes_with_uncertainty
+from residua.linear.poles.stability import modes_with_uncertainty
 
 Poles = NDArray[np.complex128]
 _EPS = float(np.finfo(float).eps)

@@ -12,7 +12,7 @@ from residua.arrays import frozen
 from residua.errors import DesignError, ModelError
 from residua.linear import StateSpace
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.subspaces.observability import is_stable_mode
+from residua.linear.poles.stability import is_stable_mode
 from residua.plant.plant import Plant
 from residua.robust.sets.uncertain_plant import ChannelBlock, UncertainPlant, make_uncertain_plant, visited_values
 from residua.robust.sets.uncertain_system import UncertainSystem, parameter_values
