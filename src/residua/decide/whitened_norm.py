@@ -102,10 +102,10 @@ class NormTest(ResidualTest):
         window is ``release``.
     promised : float or None
         Fraction of fault-free samples in alarm that the data of the fit promise not to be exceeded on other data, with
-        95 % confidence: 1 where they are too few to say anything; ``None`` where the threshold is not from data.
+        95 % confidence: 1 if they are too few to say anything; ``None`` if the threshold is not from data.
     shrinkage : float or None
         How far the covariance was drawn towards a simpler one, between 0 and 1, because the data were too few for it;
-        ``None`` where it is not from data.
+        ``None`` if it is not from data.
     """
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {**RUNS, **FITTED, "threshold": POSITIVE}

@@ -70,7 +70,7 @@ def _along_change(residuals: NDArray[np.float64], quiet: int, last: int) -> NDAr
     """Return the residual along the direction in which it has moved, up to the samples that show the direction.
 
     That is taken from the second half of the alarm, as noise would otherwise point along itself where the alarm begins;
-    from all of it where it is clear beyond that. ``None`` where it is not known well.
+    from all of it if it is clear beyond that. ``None`` if it is not known well.
     """
     before = residuals[:quiet]
     level = before.mean(axis=0)

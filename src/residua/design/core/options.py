@@ -24,7 +24,7 @@ class Option:
     annotation : type
         What it may be.
     default : object
-        ``inspect.Parameter.empty`` where there is none.
+        ``inspect.Parameter.empty`` without one.
     text : str
         What its docstring says of it.
     choices : tuple of str

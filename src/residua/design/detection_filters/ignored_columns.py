@@ -99,7 +99,7 @@ def ignored_columns(plant: Plant, insensitive_to: Iterable[str | int] | str, *, 
     Raises
     ------
     DesignError
-        If nothing of the measurements is left, or an unstable mode is not seen by what is left.
+        If no measurement is left, or those left do not see an unstable mode.
     """
     if plant.E is not None and decide_rank(plant.E).rank < plant.n_states:
         raise DesignError(
@@ -146,7 +146,7 @@ def ignored_columns(plant: Plant, insensitive_to: Iterable[str | int] | str, *, 
 
 
 def _columns(left: NDArray, direct: NDArray, names: tuple[str, ...], rtol: float) -> dict[str, NDArray[np.float64]]:
-    """Return what is left in the state equation, as unit columns.
+    """Return the columns left in the state equation, as unit columns.
 
     One for each input that does not enter the outputs; of the others, which the outputs express in part, a basis.
     """

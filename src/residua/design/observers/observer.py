@@ -189,7 +189,7 @@ class Observer:
         return f"Observer({self.method} of {self.plant.name!r}: order {self.order}, {kind})"
 
     def _residual_names(self) -> list[str]:
-        """Return the output that a residual is the error of, where it is one, and numbers elsewhere."""
+        """Return the names of residuals: those of the outputs whose errors they are, if all differ; else numbers."""
         V = np.zeros((len(self.W), 1)) if self.V is None else self.V
         names = []
         for row, others in zip(self.W, V, strict=True):
@@ -262,7 +262,7 @@ def without_measured_equations(observer: Observer, plant: Plant, N: NDArray) -> 
 
 
 def _without_rounding(direct: NDArray, read: NDArray, factor: NDArray) -> NDArray[np.float64]:
-    """Return ``direct + read factor``, exactly zero where it is nothing beside the largest term of its row.
+    """Return ``direct + read factor``, exactly zero if it is nothing beside the largest term of its row.
 
     An estimate is known to the rounding of its largest part: what is left of a measurement that the estimate
     reproduces is no residual, however small its own terms are.

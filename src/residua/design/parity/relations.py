@@ -56,7 +56,7 @@ class ParityRelations:
     names : tuple of str
         Of the residuals.
     directions : Directions or None
-        The directions that the residuals keep together, where they were made to.
+        The directions that the residuals keep together, if the design asked for that.
 
     References
     ----------

@@ -59,7 +59,7 @@ class CentredBound:
     blame : ndarray, shape (parameters,)
         About what each parameter adds to the last two.
     gain : float
-        The spectral radius of the gains around the parameters: below 1 where there is a bound.
+        The spectral radius of the gains around the parameters: below 1 if there is a bound.
     """
 
     linear: float
@@ -277,7 +277,7 @@ class _Expansion:
 
 
 def _solved(gains: Matrix, once: Real) -> Real | None:
-    """Return ``x >= once + gains x``, or None where there is none to be had."""
+    """Return ``x >= once + gains x``, or None without one."""
     if not len(once):
         return once
     x = np.linalg.solve(np.eye(len(gains)) - gains, np.column_stack([once, np.ones(len(once))]))

@@ -146,7 +146,7 @@ def robust_peak_norm(
     searches : int
         How many rates are tried for each inequality.
     samples : int
-        Members drawn inside of the set for the check, and corners where there are too many.
+        Members drawn inside of the set for the check, and corners if there are too many.
     seed : int
         Of these.
 

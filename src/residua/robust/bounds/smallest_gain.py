@@ -96,7 +96,7 @@ def smallest_gain(
     rtol : float
         How far the bound may stay below what is attained, relatively.
     most_boxes : int
-        How many boxes are bounded; the bound also holds where these are not enough, which ``note`` tells.
+        How many boxes are bounded; the bound also holds if these are not enough, and ``note`` says so.
     samples : int
         Members drawn inside of the set, besides its corners (up to 12 parameters; beyond, some of them at random).
     seed : int
@@ -267,7 +267,7 @@ class _Search:
                 self._cut(bound, low[i], high[i], expansion.share[i])
 
     def _visit(self, centres: Points, expansion: Expansion) -> None:
-        """Descend from the best centre if it is better than what is known."""
+        """Descend from the best centre if it is better than the known ones."""
         self.unresolved = not expansion.resolved.all()
         if self.unresolved:
             check_stable(self.response, centres[~expansion.resolved, :-1])

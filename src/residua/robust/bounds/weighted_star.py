@@ -91,7 +91,7 @@ class _Sums:
 
 
 def common_ellipsoid(s: ScaledProblem) -> CommonEllipsoid | None:
-    """Return the best ellipsoid, or None where there is none of this form."""
+    """Return the best ellipsoid, or None if there is none of this form."""
     sums = _Sums(s)
     a = _start(sums)
     best = None if a is None else _evaluate(sums, a)
