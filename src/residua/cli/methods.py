@@ -72,11 +72,11 @@ class Shared:
     Attributes
     ----------
     name : str
-        Of the argument.
+        The name of the argument.
     flags : tuple of str
-        What is written.
+        The words on the command line.
     form : Form
-        Of the first method that has it.
+        The form in the first method that has it.
     text : str
         What most of the methods say of it.
     methods : tuple of str

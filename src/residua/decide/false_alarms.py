@@ -74,9 +74,9 @@ class Promise:
     asked : float
         Fraction of samples in alarm that was asked for.
     aimed : float
-        That is expected with this threshold.
+        The fraction expected with this threshold.
     promised : float
-        That is not exceeded, with 95 % confidence; 1 where the data say nothing.
+        The fraction not exceeded, with 95 % confidence; 1 if the data say nothing.
     extended : str
         By what the rate is extended if the data are too few to show it; else empty.
     """
@@ -269,7 +269,7 @@ def coincidence(members: Sequence[Observed], share: float) -> float:
     Parameters
     ----------
     members : sequence of Observed
-        Of the same samples.
+        The members' levels, of the same samples.
     share : float
         Rate of every member.
     """

@@ -254,7 +254,7 @@ class IsolationSettings(Record, ABC):
     Attributes
     ----------
     kind : str
-        What its records are marked with in files.
+        The mark of its records in files.
     makes : type
         What runs: an :class:`Isolation`.
     """

@@ -609,9 +609,9 @@ def named_pattern(
 ) -> tuple[NDArray[np.bool_], float]:
     """Return the members that an alarm of a dedicated bank names, and the fraction of its samples with just these.
 
-    Those of the pattern that stood the longest, and every other that counted as fired for an isolation window in all: a
-    fault that came later has its member too, and a false alarm of a member is shorter. By a peak test every member that
-    fired: one sample over its threshold declares the fault, and its own window holds it.
+    They are those of the pattern that stood the longest, and every other that counted as fired for an isolation window
+    in all: a fault that came later has its member too, and a false alarm of a member is shorter. By a peak test they
+    are all members that fired: one sample over its threshold declares the fault, and its own window holds it.
     ``code`` and ``fired``, of shape (time, members), and ``usable`` are those of the samples of the alarm.
     """
     if codes.at_once:

@@ -268,7 +268,7 @@ class TestSettings(Record, ABC):
     Attributes
     ----------
     kind : str
-        What its records are marked with in files.
+        The mark of its records in files.
     makes : type
         What runs: a :class:`ResidualTest`.
     false_alarm_rate : float

@@ -98,7 +98,7 @@ class NormTest(ResidualTest):
     basis : str
         Where threshold and covariance come from, in words.
     kind : {"norm", "peak"}
-        What it was made of: :class:`residua.decide.NormThreshold`, or :class:`residua.decide.PeakThreshold`, whose
+        Of its settings: :class:`residua.decide.NormThreshold`, or :class:`residua.decide.PeakThreshold`, whose
         window is ``release``.
     promised : float or None
         Fraction of fault-free samples in alarm that the data of the fit promise not to be exceeded on other data, with

@@ -43,7 +43,7 @@ class Entry:
     works : bool or None
         ``None`` when it was not tried.
     reason : str
-        What it gives; or why it was refused, or not tried.
+        The result; or why the method was refused, or not tried.
     names : tuple of str
         The faults that it tells from all others.
     estimates : tuple of str

@@ -186,7 +186,7 @@ class Diagnosis:
     def onset(self) -> float | None:
         """When the longest alarm first crossed its threshold, in seconds; ``None`` without an alarm.
 
-        What it is about began earlier, as a rule: ``began``.
+        The change behind it began earlier, as a rule: ``began``.
         """
         return self.main_alarm.onset if self.main_alarm else None
 

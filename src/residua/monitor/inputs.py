@@ -36,7 +36,7 @@ class Signals:
     dt : float or None
     source : str
     notes : tuple of str
-        What was done to the rows when they were read.
+        The changes to the rows at reading.
     origin : str
         The moment that ``time`` counts from, where the recording had dates.
     """

@@ -81,7 +81,7 @@ class Method:
     ----------
     function : callable
     designs_for : {"plant", "uncertain plant", "several plants", "model with parameters", "observer"}
-        What it is a design for.
+        The kind of input that it takes.
     requirements : tuple of Need or str
         What that must have.
     condition : str

@@ -35,7 +35,7 @@ class IgnoredColumns:
     A, C : ndarray
         ``A0`` and ``C0``.
     columns : dict of str to ndarray, shape (n, 1)
-        What is left to be ignored in the state equation: unit vectors, one for each ignored input that has such.
+        Directions left to be ignored in the state equation: unit vectors, one for each ignored input that has such.
     G, W : ndarray
     states, outputs : ndarray
         The units: states are ``x / states``, outputs ``outputs * y``.

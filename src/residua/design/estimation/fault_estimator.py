@@ -47,9 +47,9 @@ class FaultEstimator:
     Attributes
     ----------
     plant : Plant
-        What it was designed for, with all its faults.
+        The plant of the design, with all its faults.
     faults : tuple of str
-        What it estimates.
+        The faults that it estimates.
     observer : Observer
         The state estimate, of the plant in which these faults are unknown inputs.
     system : StateSpace

@@ -52,7 +52,7 @@ class RobustPeakNorm:
     unit : float
         What outputs are divided by in scaled coordinates: ``bound = unit * sqrt(g1 + g2)``.
     eigenvalues : dict of str to float
-        What has to be positive, as computed after solving: the smallest eigenvalue of each matrix that has to be
+        Numbers that have to be positive, computed after solving: the smallest eigenvalue of each matrix that has to be
         definite, scaled to a unit diagonal; ``"centred"``: one less the spectral radius of the gains.
     boxes : int
         Parts that the set was cut into, each with a certificate; those here are of the part with the largest
@@ -148,7 +148,7 @@ def robust_peak_norm(
     samples : int
         Members drawn inside of the set for the check, and corners if there are too many.
     seed : int
-        Of these.
+        Seed of the draw of these members.
 
     Returns
     -------

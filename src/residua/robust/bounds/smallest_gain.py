@@ -100,7 +100,7 @@ def smallest_gain(
     samples : int
         Members drawn inside of the set, besides its corners (up to 12 parameters; beyond, some of them at random).
     seed : int
-        Of these.
+        Seed of the draw of these members.
 
     Returns
     -------
@@ -127,7 +127,7 @@ def smallest_gain(
     Sizes that cancel are taken to be off by 1e-12: a gain below that is zero. Of sampled systems, ``A - I`` and
     ``z - 1`` are such sizes, so that slow poles cancel nothing.
 
-    What it takes grows fast with the number of parameters of a large set: a dozen are settled in tens of milliseconds,
+    The time grows fast with the number of parameters of a large set: a dozen are settled in tens of milliseconds,
     dozens only where together they change the gain by less than about a half; else the bound may stay at 0.
 
     References
