@@ -54,7 +54,7 @@ def former_names() -> dict[str, str]:
 
 
 def in_python_only(method: Method) -> str:
-    """Return why a method is not offered here; empty where it is."""
+    """Return why a method is not offered here; empty if it is."""
     if not method.takes_a_plant:
         kind = method.designs_for
         article = "" if kind.endswith("s") and "with" not in kind else "an " if kind[0] in "aeiou" else "a "

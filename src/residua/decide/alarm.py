@@ -126,7 +126,7 @@ class Beginning:
     Attributes
     ----------
     earliest : float or None
-        In seconds; ``None`` where the recording does not reach back far enough to tell: at or before ``latest``.
+        In seconds; ``None`` if the recording does not reach back far enough to tell: at or before ``latest``.
     estimate : float
         The most likely time.
     latest : float
@@ -165,7 +165,7 @@ class Alarm:
         Best first, judged over the isolation window that ends with the last sample over the threshold (of the
         longest part, where alarms were joined). By matched filters arrivals and sizes are those of the longest part
         whose arrival is not after ``raised``, and no candidate arrives after it. By code: the group that was read, then
-        the others by the number of members that agree; empty where the reading is unknown, or several faults, which are
+        the others by the number of members that agree; empty if the reading is unknown, or several faults, which are
         no alternatives of each other: ``named`` has them.
     start, stop : int
         Sample numbers of ``raised`` and of the first sample after the alarm.
@@ -224,7 +224,7 @@ class Alarm:
 
     @property
     def doubt(self) -> str:
-        """What makes the first name doubtful against the second one; empty where nothing does.
+        """What makes the first name doubtful against the second one; empty if nothing does.
 
         ``"score"``: the scores are a close call. By matched filters instead ``"likelihood"``: the second is not 20
         times less likely; or ``"fit"``: both explain nearly the same, and neither explains the data to within the

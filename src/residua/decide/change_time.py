@@ -31,7 +31,7 @@ class ChangeTime:
     Attributes
     ----------
     earliest : int or None
-        First sample that the change may have reached; ``None`` where the data do not reach back far enough to tell.
+        First sample that the change may have reached; ``None`` if the data do not reach back far enough to tell.
     estimate : int
         The most likely one.
     latest : int

@@ -91,7 +91,7 @@ class Moments:
     center : ndarray, shape (k,)
     whitening : ndarray, shape (k, k)
     intensity : float
-        How far the covariance was drawn towards a simpler one; 0 where the data sufficed.
+        How far the covariance was drawn towards a simpler one; 0 if the data sufficed.
     """
 
     center: NDArray[np.float64]

@@ -129,7 +129,7 @@ class Isolation(Record, ABC):
     def start(self, plants: int) -> Any:
         """Return the state before the first sample: a frozen dataclass of arrays with a row per plant, and numbers.
 
-        ``None`` where nothing is remembered.
+        ``None`` if nothing is remembered.
         """
 
     @abstractmethod
@@ -347,7 +347,7 @@ def check_groups(groups: Sequence[Sequence[str]], unjudged: Sequence[str], where
 
 
 def leader(alarm: Alarm) -> tuple[str, ...]:
-    """Return the best candidate of an alarm; empty where nobody is named."""
+    """Return the best candidate of an alarm; empty if nobody is named."""
     return alarm.candidates[0].faults if alarm.candidates else ()
 
 

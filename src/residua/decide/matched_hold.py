@@ -26,7 +26,7 @@ class Match:
     ratios : ndarray, shape (..., faults)
         Twice the logarithm of the generalised likelihood ratio of each fault, at its most likely arrival.
     ages : ndarray of int, shape (..., faults)
-        That arrival, in samples ago; -1 where it lies before the window, and the fault has settled.
+        That arrival, in samples ago; -1 if it lies before the window, and the fault has settled.
     sizes, deviations : ndarray, shape (..., faults)
         Most likely size with that arrival, in units of the fault, and its standard deviation; NaN and infinity where
         nothing can be said.

@@ -181,7 +181,7 @@ def _weight(candidate: Candidate) -> float:
 
 
 def tied_name(candidates: tuple[Candidate, ...], rank: int) -> str:
-    """Return the first candidate of a rank as text, with how many others share it; empty where nobody has it."""
+    """Return the first candidate of a rank as text, with how many others share it; empty if nobody has it."""
     names = [candidate.name for place, candidate in ranked(candidates) if place == rank]
     more = len(names) - 1
     return f"{names[0]} (tied with {more} more)" if more > 0 else "".join(names)

@@ -33,7 +33,7 @@ class Watched:
         Sampled.
     parts : mapping of str to tuple of int, or None
         Residual numbers of what has to be tested by itself, by name, for an isolation that asks which of them fired:
-        the members of a bank. ``None`` where the residual is tested as a whole.
+        the members of a bank. ``None`` if the residual is tested as a whole.
     certified : mapping of str to float
         Thresholds that the design has certified, by member; empty for a design that brings none.
     """
@@ -151,7 +151,7 @@ class ResidualTest(Record, ABC):
     def start(self, plants: int) -> Any:
         """Return the state before the first sample: a frozen dataclass of arrays with a row per plant, and numbers.
 
-        ``None`` where nothing is remembered.
+        ``None`` if nothing is remembered.
         """
 
     @abstractmethod
@@ -205,7 +205,7 @@ class ResidualTest(Record, ABC):
 
     @property
     def part_names(self) -> tuple[str, ...]:
-        """Names of what is tested by itself; empty where the residual is tested as a whole."""
+        """Names of what is tested by itself; empty if the residual is tested as a whole."""
         return ()
 
     @property

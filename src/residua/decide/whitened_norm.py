@@ -266,7 +266,7 @@ class Fitted:
     test : NormTest
         Its threshold is infinite, or the one of the settings.
     seen : Observed or None
-        Its cross-fitted statistic on fault-free data; ``None`` where the threshold is set.
+        Its cross-fitted statistic on fault-free data; ``None`` if the threshold is set.
     count : int
         Fault-free samples.
     rounding : float or None

@@ -99,7 +99,7 @@ def checked_start(value: object) -> str:
 
 
 def start_fit(generator: ResidualGenerator, test: ResidualTest, settle: int) -> StartFit | None:
-    """Return what estimates a start from the samples in which the filter settles; ``None`` where nothing can."""
+    """Return what estimates a start from the samples in which the filter settles; ``None`` if nothing can."""
     system = generator.system
     n = system.n_states
     samples = min(settle, MOST_SAMPLES, max(n, _MOST_WORK // max(1, len(system.C) * n * n)))

@@ -18,7 +18,7 @@ _LONG = 4096
 
 
 def steady_responses(form: StateSpace) -> NDArray[np.float64]:
-    """Return what a system settles to for constant inputs of size one, exactly zero if that is rounding.
+    """Return what a system settles to for constant inputs of size one, exactly zero where that is rounding.
 
     Rounding is judged by the terms of the same response: each residual and each fault has its own units.
     """

@@ -262,7 +262,7 @@ def without_measured_equations(observer: Observer, plant: Plant, N: NDArray) -> 
 
 
 def _without_rounding(direct: NDArray, read: NDArray, factor: NDArray) -> NDArray[np.float64]:
-    """Return ``direct + read factor``, exactly zero if it is nothing beside the largest term of its row.
+    """Return ``direct + read factor``, exactly zero where it is nothing beside the largest term of its row.
 
     An estimate is known to the rounding of its largest part: what is left of a measurement that the estimate
     reproduces is no residual, however small its own terms are.

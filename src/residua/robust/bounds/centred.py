@@ -75,7 +75,7 @@ class CentredBound:
 
 
 def centred_bound(system: UncertainSystem) -> CentredBound | None:
-    """Bound the output of all members for inputs of unit size; None where the responses are too long for it."""
+    """Bound the output of all members for inputs of unit size; None if the responses are too long for it."""
     if not np.any((system.high - system.low)[list(system.channels)]):
         alone = peak_norm(system.member((system.low + system.high) / 2), rtol=1e-4).value
         return CentredBound(alone, 0.0, 0.0, np.zeros(system.n_parameters), 0.0)

@@ -129,7 +129,7 @@ def _mixed(c: Centre, t: Series) -> tuple[Real, Real]:
 
 
 def _least_eigenvalue(squares: Real, mixed: Real) -> Real:
-    """Return a lower bound of the eigenvalues of Hermitian matrices; 0 if none is positive.
+    """Return a lower bound of the eigenvalues of Hermitian matrices; 0 where none is positive.
 
     With diagonals of at least ``squares`` and entries beside them of at most ``mixed``, the least eigenvalue of
     ``S = diag(squares) - mixed`` is a bound; of it, for any positive ``x``, the least ``(S x)_j / x_j``.

@@ -35,7 +35,7 @@ class Centre:
     radii : ndarray, shape (boxes, coordinates)
         The largest deviations.
     select : ndarray, shape (channels, coordinates)
-        1 where a channel belongs to a coordinate.
+        1 if a channel belongs to a coordinate.
     error : ndarray, shape (boxes, p, m)
         Rounding of ``T``.
     relative : ndarray, shape (boxes,)
@@ -157,7 +157,7 @@ class Series:
     resolved : ndarray of bool, shape (boxes,)
         Whether the series converges all over the box; else nothing else holds.
     weight : ndarray, shape (boxes, coordinates)
-        About how much each coordinate is to blame if it does not; 0 if rounding is.
+        About how much each coordinate is to blame if it does not; 0 where rounding is.
     """
 
     first: Array

@@ -76,7 +76,7 @@ class RobustPeakNorm:
 
     @property
     def ratio(self) -> float:
-        """The bound over what is attained: at least 1, and 1 where the bound cannot be improved."""
+        """The bound over what is attained: at least 1, and 1 if the bound cannot be improved."""
         return self.bound / self.attained if self.attained else 1.0
 
     def __float__(self) -> float:

@@ -32,7 +32,7 @@ class SmallestGain:
     Attributes
     ----------
     bound : float
-        No member has a smaller gain. 0 where no positive bound was proved.
+        No member has a smaller gain. 0 if no positive bound was proved.
     attained : float
         The smallest gain of a visited member: no bound can be larger.
     values : dict of str to float
@@ -57,7 +57,7 @@ class SmallestGain:
 
     @property
     def ratio(self) -> float:
-        """The bound over what is attained: at most 1, and 1 where the bound cannot be improved."""
+        """The bound over what is attained: at most 1, and 1 if the bound cannot be improved."""
         return self.bound / self.attained if self.attained else 1.0
 
     def __float__(self) -> float:

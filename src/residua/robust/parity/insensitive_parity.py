@@ -70,7 +70,7 @@ class InsensitiveParity:
         How far derivatives by two steps are apart, relative to the largest.
     promised : ndarray or None, shape (members,)
         Fraction of fault-free samples over each threshold that the data of :meth:`fit` promise not to be exceeded on
-        other data, with 95 % confidence; 1 where they are too few to say anything.
+        other data, with 95 % confidence; 1 if they are too few to say anything.
     """
 
     plant: Plant = field(repr=False)
