@@ -21,8 +21,8 @@ from residua.linear.subspaces.rank import (
 )
 from residua.linear.systems.balancing import descriptor_units, evened, without_rounding
 from residua.plant import OperatingPoint, Plant
+from residua.plant.comparable_units import EvenPlant, even_plant
 from residua.plant.disturbances import factor_disturbance
-from residua.plant.even_units import EvenPlant, even_plant
 from residua.tolerances import RESIDUE, TINY, above_rounding
 
 

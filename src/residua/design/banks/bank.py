@@ -20,7 +20,7 @@ from residua.design.observers.observer import Observer
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
 from residua.plant import Plant
-from residua.plant.canonical_units import canonical_units
+from residua.plant.comparable_units import canonical_units
 
 #: Designs one member: takes its name, and the plant in which what the member ignores are disturbances.
 MemberDesign = Callable[[str, Plant], ResidualGenerator]

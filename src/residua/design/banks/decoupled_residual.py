@@ -31,7 +31,7 @@ from residua.linear.poles.riccati import filter_riccati
 from residua.linear.subspaces.observable_part import UndetectableError
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
-from residua.plant.even_units import even_plant
+from residua.plant.comparable_units import even_plant
 
 _EPS = float(np.finfo(float).eps)
 

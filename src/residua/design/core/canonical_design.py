@@ -10,7 +10,7 @@ import numpy as np
 from residua.design.core.generator import ResidualGenerator
 from residua.linear import StateSpace
 from residua.plant import Plant
-from residua.plant.canonical_units import PlantUnits, canonical_units
+from residua.plant.comparable_units import PlantUnits, canonical_units
 
 
 def designed_in_own_units(plant: Plant, design: Callable[[Plant], ResidualGenerator]) -> ResidualGenerator:

@@ -38,7 +38,7 @@ from residua.linear.subspaces.observability import detectability
 from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank
 from residua.linear.systems.balancing import balance_system
 from residua.plant import Plant
-from residua.plant.even_units import EvenPlant, even_plant
+from residua.plant.comparable_units import EvenPlant, even_plant
 
 #: What a fault does to the error, relative to the terms that it is the sum of, is rounding below this.
 _NO_EVENT = 1e-11

@@ -24,7 +24,7 @@ from residua.errors import DesignError
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.linear.systems.balancing import without_rounding
 from residua.plant import Plant
-from residua.plant.even_units import given_units
+from residua.plant.comparable_units import own_units
 
 
 @method(
@@ -117,7 +117,7 @@ def robust_detection_filter(
     assert isinstance(parts, OrdinaryDecoupling)
     even, form, T, H = parts.even, parts.form, parts.T, parts.H
     if H0 is not None:  # as the equations say, in the units of the plant
-        even, form = given_units(plant), output_free_form(plant, rtol=rtol)
+        even, form = own_units(plant), output_free_form(plant, rtol=rtol)
         H = decoupling_gain(form, H0)
         T = decoupling_map(H, plant.C)
     p, q = len(form.W), form.E.shape[1]

@@ -18,7 +18,7 @@ from residua.design.observers.observer_gain import place, pole_evidence
 from residua.errors import DesignError
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
-from residua.plant.even_units import even_plant
+from residua.plant.comparable_units import even_plant
 
 
 @method(

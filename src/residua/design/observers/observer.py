@@ -17,7 +17,7 @@ from residua.linear import StateSpace
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.systems.balancing import power_of_two
 from residua.plant import Plant
-from residua.plant.even_units import EvenPlant, even_plant
+from residua.plant.comparable_units import EvenPlant, even_plant
 from residua.tolerances import TINY, above_rounding
 
 

@@ -24,7 +24,7 @@ from residua.linear.subspaces.observability import is_stable_mode
 from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis, without_noise
 from residua.linear.systems.balancing import descriptor_units, without_rounding
 from residua.plant import Plant
-from residua.plant.even_units import even_plant
+from residua.plant.comparable_units import even_plant
 from residua.tolerances import IDENTITY, RESIDUE, ROUNDING, TINY, above_rounding
 
 

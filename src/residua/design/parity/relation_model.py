@@ -14,7 +14,7 @@ from residua.errors import ModelError
 from residua.linear.polynomials.pencil_null_space import Pencil, pencil
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis, basis_on_poles
 from residua.plant import Plant
-from residua.plant.canonical_units import PlantUnits, canonical_units
+from residua.plant.comparable_units import PlantUnits, canonical_units
 from residua.plant.input_output_model import InputOutputModel
 
 #: Poles below this fraction of the size of the plant's dynamics are zero.

@@ -24,7 +24,7 @@ from residua.linear import PolynomialMatrix, StateSpace, is_stable_mode
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.systems.balancing import descriptor_units
 from residua.plant import Plant
-from residua.plant.canonical_units import PlantUnits, canonical_units
+from residua.plant.comparable_units import PlantUnits, canonical_units
 from residua.tolerances import POLYNOMIAL_LEAKAGE, RESIDUE, above_rounding
 
 #: What the states may be missed by, relative to the terms that have to cancel.
