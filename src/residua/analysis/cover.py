@@ -59,7 +59,7 @@ class Cover:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Chosen rows; ``bound`` is what the aim might still reach, ``None`` where it was proved to be reached."""
+    """Chosen rows; ``bound`` is what the aim might still reach, ``None`` if it was proved to be reached."""
 
     chosen: NDArray[np.int64]
     bound: int | None

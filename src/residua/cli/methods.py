@@ -54,7 +54,7 @@ def former_names() -> dict[str, str]:
 
 
 def in_python_only(method: Method) -> str:
-    """Return why a method is not offered here; empty where it is."""
+    """Return why a method is not offered here; empty if it is."""
     if not method.takes_a_plant:
         kind = method.designs_for
         article = "" if kind.endswith("s") and "with" not in kind else "an " if kind[0] in "aeiou" else "a "
@@ -72,11 +72,11 @@ class Shared:
     Attributes
     ----------
     name : str
-        Of the argument.
+        The name of the argument.
     flags : tuple of str
-        What is written.
+        The words on the command line.
     form : Form
-        Of the first method that has it.
+        The form in the first method that has it.
     text : str
         What most of the methods say of it.
     methods : tuple of str

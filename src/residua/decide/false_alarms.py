@@ -74,11 +74,11 @@ class Promise:
     asked : float
         Fraction of samples in alarm that was asked for.
     aimed : float
-        That is expected with this threshold.
+        The fraction expected with this threshold.
     promised : float
-        That is not exceeded, with 95 % confidence; 1 where the data say nothing.
+        The fraction not exceeded, with 95 % confidence; 1 if the data say nothing.
     extended : str
-        By what the rate is extended where the data are too few to show it; empty where they do.
+        By what the rate is extended if the data are too few to show it; else empty.
     """
 
     threshold: float
@@ -200,7 +200,7 @@ def promise_of(seen: Observed, asked: float) -> Promise:
     where an alarm needs several in a row, that of samples in alarm follows by a model of runs
     (:class:`residua.decide.exceedance_runs.RunModel`). How well the rate is known is seen by leaving out stretches of
     time in turn. Where that allows for more than 1.5 times what was asked, the threshold is set for less, down to 0.6
-    of it; where that does not suffice, the promise says so.
+    of it; if that does not suffice, the promise says so.
     """
     direct = tail_of(seen.levels[seen.counted], _lasting(seen, asked), seen.scale, asked, highest=asked)
     if direct.worth >= ENOUGH:
@@ -269,7 +269,7 @@ def coincidence(members: Sequence[Observed], share: float) -> float:
     Parameters
     ----------
     members : sequence of Observed
-        Of the same samples.
+        The members' levels, of the same samples.
     share : float
         Rate of every member.
     """

@@ -1,4 +1,4 @@
-"""What an alarm is put down to: the most likely fault and arrival, held once the window has passed them."""
+"""The attribution of an alarm: the most likely fault and arrival, held once the window has passed them."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ class Match:
     ratios : ndarray, shape (..., faults)
         Twice the logarithm of the generalised likelihood ratio of each fault, at its most likely arrival.
     ages : ndarray of int, shape (..., faults)
-        That arrival, in samples ago; -1 where it lies before the window, and the fault has settled.
+        That arrival, in samples ago; -1 if it lies before the window, and the fault has settled.
     sizes, deviations : ndarray, shape (..., faults)
         Most likely size with that arrival, in units of the fault, and its standard deviation; NaN and infinity where
         nothing can be said.
     settled_sizes : ndarray, shape (..., faults)
         Size by the steady response alone, over the window; NaN where that vanishes.
     fault : ndarray of int, shape (...)
-        Number of the fault that the standing alarm is put down to; -1 without an alarm. Refined as long as its
+        Number of the fault that explains the standing alarm; -1 without an alarm. Refined as long as its
         arrival lies within the window, final thereafter.
     arrival : ndarray, shape (...)
         When it arrived, as a number of samples from the start of the run; NaN when that was before the window.
@@ -107,7 +107,7 @@ def hold_block(
     now = count + np.arange(time)
     best = np.argmax(likelihoods["ratios"], axis=2)
     age = np.take_along_axis(likelihoods["ages"], best[..., None], axis=2)[..., 0]
-    # one column before the block: what an alarm that goes on was put down to
+    # one column before the block: the attribution of an alarm that goes on
     held = np.where(was[:, None], state.held, np.nan)
     at = np.arange(time + 1)
     on = np.concatenate([was[:, None], alarm], axis=1)

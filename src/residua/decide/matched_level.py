@@ -161,7 +161,7 @@ class LikelihoodThreshold(TestSettings):
 
     @property
     def remedy(self) -> str:
-        """How a threshold can be had."""
+        """How to get a threshold."""
         return self.settings.remedy
 
     def check(self, watched: Watched) -> None:

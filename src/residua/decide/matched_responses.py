@@ -82,7 +82,7 @@ class MatchState:
         For each arrival: the products with the expected response so far, and the squared size of that response.
     extra : ndarray, shape (plants, window + 1, 2 faults)
         For each of the last samples what faults that arrived before the window add there to the products with their
-        settled responses, and to the squared size of these, where they have other responses.
+        settled responses, and to the squared size of these, if they have other responses.
     """
 
     sums: NDArray[np.float64]

@@ -111,7 +111,7 @@ class NormThreshold(NormSettings):
 
     @property
     def remedy(self) -> str:
-        """How a threshold can be had."""
+        """How to get a threshold."""
         return f"{super().remedy}, give the plant noise (with_noise), or set NormThreshold(threshold=...)"
 
     @property
@@ -128,7 +128,7 @@ class NormThreshold(NormSettings):
     # --------------------------------------------------------------------------- files
 
     def to_record(self) -> dict[str, Any]:
-        """Return the settings as a record; ``groups`` are an entry where there are any."""
+        """Return the settings as a record; ``groups`` are an entry if there are any."""
         content = values_out(self)
         groups = content.pop("groups")
         if self.groups is not None:

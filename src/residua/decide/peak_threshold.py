@@ -34,7 +34,7 @@ _TOLD = 8
 
 
 def told_sample(sample: int, seams: Sequence[int]) -> str:
-    """Say which sample that is, and of which recording where there are several."""
+    """Say which sample that is, and of which recording if there are several."""
     if not seams:
         return f"sample {sample}"
     before = [0, *(int(s) for s in seams)]
@@ -322,7 +322,7 @@ class PeakThreshold(TestSettings):
 
     @property
     def remedy(self) -> str:
-        """How a threshold can be had."""
+        """How to get a threshold."""
         return f"{super().remedy}, or set PeakThreshold(thresholds=...)"
 
     # --------------------------------------------------------------------------- files
@@ -580,7 +580,7 @@ def checked_peak_test(
     members : sequence of str
         Names of the members of a bank.
     seams : sequence of int
-        The first sample of each further recording, where there are several in a row.
+        The first sample of each further recording, if there are several in a row.
 
     Returns
     -------

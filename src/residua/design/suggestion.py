@@ -43,7 +43,7 @@ class Entry:
     works : bool or None
         ``None`` when it was not tried.
     reason : str
-        What it gives; or why it was refused, or not tried.
+        The result; or why the method was refused, or not tried.
     names : tuple of str
         The faults that it tells from all others.
     estimates : tuple of str
@@ -210,9 +210,9 @@ class Candidate:
     ----------
     method : Method
     options : mapping of str to value
-        What is asked of it.
+        The options of the call.
     pointless : str
-        Why it makes no sense; empty where it does.
+        Why it makes no sense; empty if it does.
     made : dict
         Arguments that were made from the plant already, which candidates share.
     """
@@ -247,7 +247,7 @@ def candidates(plant: Plant, known: Diagnosability | None) -> Iterator[Candidate
     ----------
     plant : Plant
     known : Diagnosability or None
-        Of this plant; ``None`` where it was not examined.
+        Of this plant; ``None`` if it was not examined.
     """
     made: dict[Chosen, Any] = {}
     for one in methods():

@@ -1,4 +1,4 @@
-"""The outcome of a monitor on data: what was seen, when, and who is to blame."""
+"""The outcome of a monitor on data: the alarms, their times, and the faults to blame."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ class Diagnosis:
         Which members count as fired over the window that ends there: what is read.
     match : Match or None
         Of matched filters: likelihood ratio, arrival and size of every fault at every sample, and what a standing
-        alarm is put down to; see :class:`residua.decide.Match`.
+        alarm is attributed to; see :class:`residua.decide.Match`.
     horizon : int
         Samples of the window of a finite-horizon test (:class:`residua.decide.PeakThreshold`); 0 for any other.
     certified : bool
@@ -123,7 +123,7 @@ class Diagnosis:
     origin : str
         The moment that ``time`` counts from (ISO 8601), where the recording had dates; else empty.
     signals : ndarray, shape (T, inputs + outputs)
-        What was measured, in plant units; NaN where a value was missing. No rows where it was not kept.
+        The measurements, in plant units; NaN for a missing value. No rows if they were not kept.
     isolation : Isolation
         What names the alarms, and says how sure the names are.
     compared : tuple of (int, int)
@@ -186,13 +186,13 @@ class Diagnosis:
     def onset(self) -> float | None:
         """When the longest alarm first crossed its threshold, in seconds; ``None`` without an alarm.
 
-        What it is about began earlier, as a rule: ``began``.
+        The change behind it began earlier, as a rule: ``began``.
         """
         return self.main_alarm.onset if self.main_alarm else None
 
     @property
     def began(self) -> Beginning | None:
-        """When the longest alarm's change of the residual began, as an interval; ``None`` where that is not known."""
+        """When the longest alarm's change of the residual began, as an interval; ``None`` if that is not known."""
         return self.main_alarm.began if self.main_alarm else None
 
     @property
@@ -223,7 +223,7 @@ class Diagnosis:
 
     @property
     def named(self) -> tuple[tuple[str, ...], ...]:
-        """The faults that the longest alarm is put down to, one or several; empty where nobody is named.
+        """The faults that explain the longest alarm, one or several; empty without a named fault.
 
         Each with the faults that look the same.
         """
@@ -261,7 +261,7 @@ class Diagnosis:
         return alike(self.codes.groups, self.codes.settled) if self.codes else alike(self.groups)
 
     def statement(self, alarm: Alarm) -> Statement:
-        """Return what is said of an alarm: headline, how sure it is, and what that rests on."""
+        """Return the statement about an alarm: headline, confidence, and the reasons."""
         return self.isolation.statement(alarm, self.clock, self.window)
 
     @property

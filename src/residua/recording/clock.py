@@ -32,7 +32,7 @@ class Clock:
 
     @cached_property
     def moment(self) -> datetime | None:
-        """The moment that seconds count from, without its time zone; ``None`` where there is none."""
+        """The moment that seconds count from, without its time zone; ``None`` if there is none."""
         try:
             return datetime.fromisoformat(self.origin.strip()[:32]).replace(tzinfo=None) if self.origin else None
         except ValueError:
@@ -40,7 +40,7 @@ class Clock:
 
     @cached_property
     def zone(self) -> str:
-        """Offset from UTC as the recording has it; empty where it has none."""
+        """Offset from UTC as the recording has it; empty if it has none."""
         if self.moment is None:
             return ""
         offset = datetime.fromisoformat(self.origin.strip()[:32]).strftime("%z")

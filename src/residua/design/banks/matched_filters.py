@@ -374,7 +374,7 @@ def _check_request(plant: Plant, window: object, alike: object) -> None:
 
 
 def _notes(made: MatchedFilters) -> tuple[str, ...]:
-    """Return what a reader should know: who is alike, who vanishes, and whether the window is long enough."""
+    """Return notes for the reader: faults that are alike, that vanish, and whether the window is long enough."""
     notes = [f"not told apart within the window: {_listed(group)}" for group in made.groups if len(group) > 1]
     if made.unseen:
         notes.append(f"not seen: {_listed(made.unseen)}")

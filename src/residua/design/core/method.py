@@ -42,7 +42,7 @@ class Need:
     text : str
         Its name.
     missing : callable
-        Tells from a plant, and what is known of its faults, why the method makes no sense; empty where it does.
+        Tells from a plant, and what is known of its faults, why the method makes no sense; empty if it does.
     """
 
     text: str
@@ -81,7 +81,7 @@ class Method:
     ----------
     function : callable
     designs_for : {"plant", "uncertain plant", "several plants", "model with parameters", "observer"}
-        What it is a design for.
+        The kind of input that it takes.
     requirements : tuple of Need or str
         What that must have.
     condition : str
@@ -161,7 +161,7 @@ class Method:
 
     @cached_property
     def options(self) -> tuple[Option, ...]:
-        """What may be asked of it, from its signature."""
+        """Its options, from its signature."""
         return options_of(self.function, self.signature)
 
     @cached_property
@@ -184,7 +184,7 @@ class Method:
         return self.designs_for != "plant", gives, noise, self.singular, self.name
 
     def missing(self, plant: Plant, known: Diagnosability | None = None) -> str:
-        """Return why it makes no sense for a plant; empty where it does."""
+        """Return why it makes no sense for a plant; empty if it does."""
         needs = (one for one in self.requirements if isinstance(one, Need))
         return next((why for why in (one.missing(plant, known) for one in needs) if why), "")
 

@@ -47,9 +47,9 @@ class FaultEstimator:
     Attributes
     ----------
     plant : Plant
-        What it was designed for, with all its faults.
+        The plant of the design, with all its faults.
     faults : tuple of str
-        What it estimates.
+        The faults that it estimates.
     observer : Observer
         The state estimate, of the plant in which these faults are unknown inputs.
     system : StateSpace
@@ -190,7 +190,7 @@ def fault_estimator(
         :math:`1/\tau` in rad/s: a wider one follows faults faster and passes more noise (see the evidence). With
         one, all estimates are filtered with it (a sampled plant: by a pole at :math:`e^{-dt/\tau}`). When
         omitted, only those of a continuous plant that need it, with the geometric mean of the sizes of the poles of
-        the error, or of the plant where that is larger.
+        the error, or of the plant if that is larger.
     rtol : float
         Relative tolerance of every rank decision.
 

@@ -171,7 +171,7 @@ def _error_with(plant: Plant, m: GeneralMatrices, T: NDArray, *, decouples: bool
 
 
 def _sylvester(M: NDArray, A: NDArray, G: NDArray) -> NDArray[np.float64] | None:
-    """Return ``T`` with ``T A - M T = G``, or None where the spectra meet."""
+    """Return ``T`` with ``T A - M T = G``, or None if the spectra meet."""
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")  # the outcome is checked

@@ -257,7 +257,7 @@ def full_rank_gain(R: Matrix, S: Matrix, n: int, *, rtol: float, bandwidth: floa
 
 
 def _attempt(p: _Problem, Q: Matrix, k: int, t: int, rng: np.random.Generator, attempt: int) -> PerfectGain | None:
-    """Return one gain of `full_rank_gain`, or None where the deadbeat steps break down."""
+    """Return one gain of `full_rank_gain`, or None if the deadbeat steps break down."""
     c, count = len(p.M), len(p.H)
     Qo, Qu = Q[:, :k], Q[:, k:]
     Ho = p.H @ Qo

@@ -522,7 +522,7 @@ def check_singular(plant: Plant, rtol: float) -> None:
 
 
 def check_existence(plant: Plant, rows: list[int], rtol: float) -> None:
-    """Raise unless the pencil has full column rank at every finite ``s``, with the ``s`` where it has not."""
+    """Raise, with the values of ``s``, unless the pencil has full column rank at every finite ``s``."""
     q = len(plant.disturbances)
     if len(rows) < q:
         raise DesignError(

@@ -151,7 +151,7 @@ def _placed(C: NDArray, A: NDArray, poles: object, margin: float | None, plant: 
 def _full_rank_columns(D: NDArray, terms: NDArray, rtol: float) -> NDArray:
     """Return an orthonormal basis of the range of the disturbances, each first brought to unit size.
 
-    What is rounding of the terms that a column is made of is no disturbance.
+    Rounding of the terms of a column is no disturbance.
     """
     size = np.linalg.norm(D, axis=0)
     real = size > ROUNDING * np.linalg.norm(terms, axis=0)

@@ -109,7 +109,7 @@ class Equivalence:
         return self.equivalent
 
     def transformation(self, w: NDArray[np.float64]) -> NDArray[np.complex128]:
-        r"""Return :math:`V(j\omega)` with :math:`Q_b = V Q_a`, of least norm where it is not unique.
+        r"""Return :math:`V(j\omega)` with :math:`Q_b = V Q_a`, of least norm if it is not unique.
 
         Parameters
         ----------

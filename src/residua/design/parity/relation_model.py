@@ -42,7 +42,7 @@ class RelationModel:
     most : int
         No relation of a shortest set is longer.
     notes : tuple of str
-        What was done to the model before.
+        The changes to the model before.
     decouples : bool
         Whether relations ignore the disturbances.
     """

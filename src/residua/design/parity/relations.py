@@ -56,7 +56,7 @@ class ParityRelations:
     names : tuple of str
         Of the residuals.
     directions : Directions or None
-        The directions that the residuals keep together, where they were made to.
+        The directions that the residuals keep together, if the design asked for that.
 
     References
     ----------
@@ -329,7 +329,7 @@ def relations_of(
 ) -> ParityRelations:
     """Return relations as one set, each scaled so that the newest sample of an output has coefficient one.
 
-    Those that keep directions together are of one order, and all scaled by the factor of the first.
+    Relations that keep directions together are of one order, and all scaled by the factor of the first.
     """
     factors = []
     for row in rows:

@@ -80,7 +80,7 @@ def _spread(C: Matrix, Q: Matrix) -> float:
 
 
 def ellipsoid_shape(A: Matrix, B: Matrix, rate: float) -> Matrix | None:
-    """Return ``Q = A Q A' / (1 - rate) + B B' / rate`` by doubling, or None where it was not solved."""
+    """Return ``Q = A Q A' / (1 - rate) + B B' / rate`` by doubling, or None if it was not solved."""
     W, first = B @ B.T / rate, A / np.sqrt(1 - rate)
     Q = _doubled(first, W)
     for _ in range(3):
@@ -102,7 +102,7 @@ def ellipsoid_shape(A: Matrix, B: Matrix, rate: float) -> Matrix | None:
 
 
 def _doubled(power: Matrix, W: Matrix) -> Matrix | None:
-    """Return ``sum power^k W power'^k`` by squaring, or None where it grows without end."""
+    """Return ``sum power^k W power'^k`` by squaring, or None if it grows without end."""
     Q = W
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(60):

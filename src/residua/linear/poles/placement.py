@@ -366,7 +366,7 @@ def place_observer_margin(
 
 
 def _shifted_riccati(problem: ObservablePart, margin: float, weight: float) -> Matrix | None:
-    """Return the gain of the filter for the shifted plant, or None where the equation is not solved."""
+    """Return the gain of the filter for the shifted plant, or None if the equation is not solved."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the caller checks the outcome

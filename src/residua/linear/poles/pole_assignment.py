@@ -32,7 +32,7 @@ def real_block_diagonal(poles: NDArray[np.complex128]) -> Matrix:
 
 
 def robust_assignment(F: Matrix, H: Matrix, poles: NDArray[np.complex128]) -> Matrix | None:
-    """Return ``L`` with ``eig(F - L H) = poles`` and well-conditioned eigenvectors, or None where it fails.
+    """Return ``L`` with ``eig(F - L H) = poles`` and well-conditioned eigenvectors, or None if it fails.
 
     Kautsky, Nichols and Van Dooren's method as improved by Tits and Yang; it exists only when no pole occurs more
     often than there are rows in ``H``. With more than 79 states it is not tried: it would take minutes. The caller must
@@ -100,7 +100,7 @@ def _sweeps(order: int) -> int:
 
 
 def schur_assignment(F: Matrix, H: Matrix, poles: NDArray[np.complex128]) -> Matrix | None:
-    """Return ``L`` with ``eig(F - L H) = poles`` for poles of any multiplicity, or None where it breaks down.
+    """Return ``L`` with ``eig(F - L H) = poles`` for poles of any multiplicity, or None if it breaks down.
 
     One block of the real Schur form is moved at a time, to the pole nearest to it, with the smallest
     gain that does it.

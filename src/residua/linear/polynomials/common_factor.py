@@ -24,7 +24,7 @@ class PrimitivePart:
     Attributes
     ----------
     matrix : PolynomialMatrix
-        What is left.
+        The matrix without the factor.
     factor : ndarray
         Coefficients of the common factor, monic, highest power first; ``[1]`` when there is none.
     roots : ndarray

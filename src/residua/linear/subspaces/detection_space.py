@@ -151,7 +151,7 @@ class Blocks:
     pairs : list of (A_i, C_i)
         One per detection space; observable, all poles free.
     rest : (A_0, C_0)
-        What is left; its unobservable modes are poles that no gain can move: invariant zeros of
+        The rest; its unobservable modes are poles that no gain can move: invariant zeros of
         ``(A, F, C)`` that belong to no single fault, and unobservable modes of ``(C, A)``.
     """
 

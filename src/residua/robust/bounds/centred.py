@@ -59,7 +59,7 @@ class CentredBound:
     blame : ndarray, shape (parameters,)
         About what each parameter adds to the last two.
     gain : float
-        The spectral radius of the gains around the parameters: below 1 where there is a bound.
+        The spectral radius of the gains around the parameters: below 1 if there is a bound.
     """
 
     linear: float
@@ -75,7 +75,7 @@ class CentredBound:
 
 
 def centred_bound(system: UncertainSystem) -> CentredBound | None:
-    """Bound the output of all members for inputs of unit size; None where the responses are too long for it."""
+    """Bound the output of all members for inputs of unit size; None if the responses are too long for it."""
     if not np.any((system.high - system.low)[list(system.channels)]):
         alone = peak_norm(system.member((system.low + system.high) / 2), rtol=1e-4).value
         return CentredBound(alone, 0.0, 0.0, np.zeros(system.n_parameters), 0.0)
@@ -277,7 +277,7 @@ class _Expansion:
 
 
 def _solved(gains: Matrix, once: Real) -> Real | None:
-    """Return ``x >= once + gains x``, or None where there is none to be had."""
+    """Return ``x >= once + gains x``, or None without one."""
     if not len(once):
         return once
     x = np.linalg.solve(np.eye(len(gains)) - gains, np.column_stack([once, np.ones(len(once))]))

@@ -52,7 +52,7 @@ class RobustPeakNorm:
     unit : float
         What outputs are divided by in scaled coordinates: ``bound = unit * sqrt(g1 + g2)``.
     eigenvalues : dict of str to float
-        What has to be positive, as computed after solving: the smallest eigenvalue of each matrix that has to be
+        Numbers that have to be positive, computed after solving: the smallest eigenvalue of each matrix that has to be
         definite, scaled to a unit diagonal; ``"centred"``: one less the spectral radius of the gains.
     boxes : int
         Parts that the set was cut into, each with a certificate; those here are of the part with the largest
@@ -76,7 +76,7 @@ class RobustPeakNorm:
 
     @property
     def ratio(self) -> float:
-        """The bound over what is attained: at least 1, and 1 where the bound cannot be improved."""
+        """The bound over what is attained: at least 1, and 1 if the bound cannot be improved."""
         return self.bound / self.attained if self.attained else 1.0
 
     def __float__(self) -> float:
@@ -146,9 +146,9 @@ def robust_peak_norm(
     searches : int
         How many rates are tried for each inequality.
     samples : int
-        Members drawn inside of the set for the check, and corners where there are too many.
+        Members drawn inside of the set for the check, and corners if there are too many.
     seed : int
-        Of these.
+        Seed of the draw of these members.
 
     Returns
     -------

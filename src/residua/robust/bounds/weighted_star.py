@@ -75,7 +75,7 @@ class _Sums:
         return full * (self._weight[:, None] * self._weight / 2)
 
     def solve(self, a: NDArray[np.float64]) -> tuple[Matrix, object, Matrix] | None:
-        """Return ``Q``, the factors of the equation, and its answer to a source of one; None where it grows without
+        """Return ``Q``, the factors of the equation, and its answer to a source of one; None if it grows without
         end with these weights.
         """
         M = np.eye(len(self.source)) - sum(w * K for w, K in zip(a[:-1], self.terms, strict=True))
@@ -91,7 +91,7 @@ class _Sums:
 
 
 def common_ellipsoid(s: ScaledProblem) -> CommonEllipsoid | None:
-    """Return the best ellipsoid, or None where there is none of this form."""
+    """Return the best ellipsoid, or None if there is none of this form."""
     sums = _Sums(s)
     a = _start(sums)
     best = None if a is None else _evaluate(sums, a)
@@ -172,7 +172,7 @@ def _start(sums: _Sums) -> NDArray[np.float64] | None:
 
 
 def _feasible(sums: _Sums, shares: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return weights with these shares of what the inputs leave, or None where the states do not die out."""
+    """Return weights with these shares of what the inputs leave, or None if the states do not die out."""
     for own in sums.room * np.array(_SHARES):
         a = 1 / np.append(np.maximum(shares, 1e-12) * (1 - own), own)
         a *= np.sum(1 / a)

@@ -125,7 +125,7 @@ def certified_threshold(
         Largest sizes of faults that the threshold covers; those of different faults are reached at once.
     method : str, optional
         Of :func:`residua.linear.robust_peak_norm`; its default when omitted, within 1 per cent of what is attained
-        where that can be had. What is only reported is known to 10 per cent. ``method`` is used for the whole
+        if that is possible. What is only reported is known to 10 per cent. ``method`` is used for the whole
         set, and for parts of it where it has no answer for the whole.
     """
     sized = {name: float(size) for name, size in (sizes or {}).items() if size}

@@ -70,7 +70,7 @@ class InsensitiveParity:
         How far derivatives by two steps are apart, relative to the largest.
     promised : ndarray or None, shape (members,)
         Fraction of fault-free samples over each threshold that the data of :meth:`fit` promise not to be exceeded on
-        other data, with 95 % confidence; 1 where they are too few to say anything.
+        other data, with 95 % confidence; 1 if they are too few to say anything.
     """
 
     plant: Plant = field(repr=False)
@@ -230,9 +230,9 @@ def insensitive_parity(
     parameters : mapping of str to float
         Names and nominal values of all parameters that are ignored or isolated.
     insensitive_to : sequence of str
-        Those that may drift: no residual answers to them.
+        Parameters that may drift: no residual answers to them.
     isolate : sequence of str
-        Those of which a change is a fault: for each there is a residual that ignores it, besides the one that ignores
+        Parameters whose change is a fault: for each there is a residual that ignores it, besides the one that ignores
         the drifts alone. When both are omitted: all of them, as far as there are equations.
     changes : mapping of str to float, optional
         Expected changes; a tenth of the nominal value when omitted.

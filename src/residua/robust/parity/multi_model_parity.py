@@ -334,9 +334,9 @@ def _leaks(system, driven, windows, W, names, *, moving_average: bool) -> tuple[
 
 
 def _steady(outputs: NDArray[np.float64], poles: NDArray[np.complex128], plant: Plant) -> NDArray[np.float64]:
-    """Return what the residual settles to for constant faults on a model; NaN where the model does not settle.
+    """Return what the residual settles to for constant faults on a model; NaN if the model does not settle.
 
-    Exactly zero where that is rounding of what cancels.
+    Exactly zero where that is rounding of terms that cancel.
     """
     n = plant.n_states
     if spectral_radius(plant.A) >= 1:

@@ -140,7 +140,7 @@ def optimal_parity(
     faults : sequence of str, optional
         Those to see; all but ``insensitive_to`` when omitted.
     disturbances : sequence of str, optional
-        Those that count; all when omitted. None of the others is held back.
+        The disturbances that count; all when omitted. None of the others is held back.
     insensitive_to : sequence of str
         Faults that count as disturbances.
     sizes : mapping of str to float, optional

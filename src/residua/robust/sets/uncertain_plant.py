@@ -73,7 +73,7 @@ class UncertainPlant:
     linearisation : Linearisation or None
         What the form above leaves out of the plants that it was made from; None if the form itself was the input.
     plants : tuple of Plant
-        Those of :meth:`from_plants`.
+        The plants of :meth:`from_plants`.
     function : callable or None
         That of :meth:`from_parameters`, from which sampled plants are made. Not kept when the object is pickled.
 

@@ -1,4 +1,4 @@
-"""Members of an uncertain system that are visited: corners of its parameters, and what is said of unstable ones."""
+"""Members of an uncertain system that are visited: corners of its parameters, and the error for unstable ones."""
 
 from __future__ import annotations
 
