@@ -202,6 +202,10 @@ def test_an_option_that_a_method_needs_is_asked_for(
         ("directional-parity", ("--directions", "1,2"), "has no names"),
         ("directional-parity", ("--directions", "p1=1,2;3"), "has no '='"),
         ("structured-bank", ("--rows", "012"), "are no rows"),
+        ("structured-bank", ("--rows", "01,10,0 1"), "'01' is there twice"),
+        ("directional-parity", ("--directions", "p1=1,2;p2=2,1; p1=3,1"), "'p1' is there twice"),
+        ("primary-residuals", ("--poles", "e1=0.5;e1=0.4"), "'e1' is there twice"),
+        ("luenberger-observer", ("--outputs", "y1,y1"), "'y1' is there twice"),
     ],
 )
 def test_texts_that_say_nothing_are_usage_errors(

@@ -308,5 +308,5 @@ def test_wrong_poles_are_not_said_to_be_a_matter_of_the_plant(options: dict, mes
 
 def test_a_plant_without_such_an_observer_is_refused_whatever_the_poles() -> None:
     plant = rs.library.gertler().with_sensor_faults()
-    with pytest.raises(DesignError, match="no observer of the state ignores p1, p2, .*estimate fewer faults at once"):
+    with pytest.raises(DesignError, match=r"no observer of the state ignores p1, p2, .*estimate fewer faults at once"):
         fault_estimator(plant, poles=[0.2])
