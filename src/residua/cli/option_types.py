@@ -14,6 +14,8 @@ from numpy.typing import ArrayLike
 from residua.analysis.coding_sets import CodingSet
 from residua.design.core.options import Option, kinds_of
 
+#: The argument that is a relative tolerance in every design function.
+_TOLERANCE = "rtol"
 _ARRAY = frozenset(kinds_of(ArrayLike))
 
 
@@ -69,6 +71,8 @@ def _single(option: Option, kinds: tuple[Any, ...]) -> Form | None:
     if any(typing.get_origin(kind) in (Iterable, Sequence) and str in _members(kind) for kind in kinds):
         return Form("LIST", parse_names)
     if float in kinds:
+        if option.name == _TOLERANCE:
+            return Form("NUMBER", parse_tolerance)
         rate = "1/s" in option.text or "rad/s" in option.text
         return Form("RATE", parse_rate) if rate else Form("NUMBER", parse_number)
     if int in kinds:
@@ -133,6 +137,14 @@ def parse_rate(text: str) -> float:
     if rate <= 0:
         raise ValueError(f"must be positive, got {text}")
     return rate
+
+
+def parse_tolerance(text: str) -> float:
+    """Return a relative tolerance, which lies between 0 and 1, from text."""
+    tolerance = parse_number(text)
+    if not 0 < tolerance < 1:
+        raise ValueError(f"a tolerance must lie between 0 and 1, got {text}")
+    return tolerance
 
 
 def parse_whole(text: str) -> int:
