@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import control
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 import residua as rs
 from generated import random_plant, simulate, singular_plant
 from residua.design import Observer
-from residua.errors import DesignError
+from residua.errors import DesignError, ModelError
 
 
 def identities(observer: Observer) -> float:
@@ -219,3 +220,19 @@ def test_the_algebraic_equations_are_residuals_too() -> None:
     generator = rs.design.unknown_input_observer(plant).residual_generator()
     assert generator.residual_rank == 2
     np.testing.assert_array_equal(generator.structure.any(axis=0), rs.diagnosability(plant).detectable)
+
+
+@pytest.mark.parametrize(
+    "design",
+    [
+        rs.design.luenberger_observer,
+        rs.design.reduced_order_observer,
+        rs.design.descriptor_observer,
+        rs.design.perfect_observer,
+        rs.design.sensor_fault_estimators,
+        rs.design.parity_relations,
+    ],
+)
+def test_an_output_that_is_chosen_twice_is_refused(design: Any) -> None:
+    with pytest.raises(ModelError, match="outputs: the name 'y1' occurs twice"):
+        design(rs.library.gertler(), outputs=["y1", 0])

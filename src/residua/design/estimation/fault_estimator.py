@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
+from residua.analysis.unknown_input import unknown_input_observer_existence
 from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
@@ -202,7 +203,8 @@ def fault_estimator(
     ------
     DesignError
         If the faults cannot be estimated together: they cannot be distinguished, or no observer exists that
-        ignores them; the message says which condition failed, with its numbers.
+        ignores them; the message says which condition failed, with its numbers. If the poles are too many or too
+        few, or not stable.
     AccuracyError
         If the result missed its check.
     SettingError
@@ -242,9 +244,12 @@ def fault_estimator(
         raise SettingError(f"bandwidth must be a positive number in rad/s, got {bandwidth}")
     if poles is None and margin is None:
         margin = own_rate(plant)
+    disturbed = plant.faults_as_disturbances(names)
     try:
-        observer = unknown_input_observer(plant.faults_as_disturbances(names), poles=poles, margin=margin, rtol=rtol)
+        observer = unknown_input_observer(disturbed, poles=poles, margin=margin, rtol=rtol)
     except DesignError as error:
+        if unknown_input_observer_existence(disturbed, rtol=rtol):  # the poles or the margin are wrong, not the plant
+            raise
         raise DesignError(
             f"no observer of the state ignores {', '.join(names)} as unknown inputs: {error}; "
             "to estimate fewer faults at once may help"

@@ -109,7 +109,7 @@ def sensor_fault_estimators(
     >>> list(bank)
     ['v_horizontal', 'v_vertical', 'pitch']
     """
-    names = [plant.outputs[i] for i in arrays.positions(outputs, plant.outputs, "output")]
+    names = [plant.outputs[i] for i in arrays.different_positions(outputs, plant.outputs, "output")]
     faults: dict[str, str] = {}
     for name in names:
         own = [f.name for f in plant.fault_list if f.kind == "sensor" and f.component == name]

@@ -96,7 +96,7 @@ def luenberger_observer(
         )
     original, even = plant.explicit(), even_plant(plant, explicit=True)
     plant = even.plant
-    used = arrays.positions(outputs, plant.outputs, "output")
+    used = arrays.different_positions(outputs, plant.outputs, "output")
     placed = place(plant.A, plant.C[used], poles, margin, plant.dt, rtol)
     n, W = plant.n_states, np.eye(plant.n_outputs)[used]
     K = placed.gain @ W

@@ -381,9 +381,8 @@ def perfect_observer(
     array([[0.        ],
            [0.33333333]])
     """
-    rows = arrays.positions(outputs, plant.outputs, "output")
+    rows = arrays.different_positions(outputs, plant.outputs, "output")
     names = tuple(plant.outputs[i] for i in rows)
-    arrays.unique(names, "outputs")
     E = np.eye(plant.n_states) if plant.E is None else plant.E
     C, Dd = plant.C[rows], plant.Dd[rows]
     form = weierstrass_form(plant.A, plant.E, rtol=rtol)

@@ -46,7 +46,7 @@ def reduced_observer(
     ordinary observer for the pair :math:`(N A Q, X_0 A Q)`.
     """
     even = even_plant(plant)
-    chosen = arrays.positions(outputs, plant.outputs, "output")
+    chosen = arrays.different_positions(outputs, plant.outputs, "output")
     if plant.E is not None:
         measured, N = with_needed_equations(even.plant, used=chosen, rtol=rtol)
         chosen += range(plant.n_outputs, measured.n_outputs)

@@ -79,7 +79,7 @@ class RelationModel:
         """Return the model of relations that read some of the outputs only."""
         if outputs is None:
             return self
-        chosen = arrays.positions(outputs, self.plant.outputs, "output")
+        chosen = arrays.different_positions(outputs, self.plant.outputs, "output")
         n = self.plant.n_states
         others = [n + i for i in range(self.plant.n_outputs) if i not in chosen]
         return replace(self, excluded=np.hstack([self.excluded, np.eye(n + self.plant.n_outputs)[:, others]]))
