@@ -207,6 +207,10 @@ class MatchedNames(Isolation):
 
     # --------------------------------------------------------------------------- files
 
+    def check_state(self, state: HeldState, count: int) -> None:
+        """Raise where a state from a file cannot be one."""
+        state.check("state.isolation.held", len(self.matched.faults), self.matched.window, count)
+
     def to_record(self) -> dict[str, Any]:
         """Return nothing: the test has the responses."""
         return {}

@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.errors import FileFormatError
 from residua.number_kinds import KNOWN_OR_NOT, NumberKind
 from residua.records import Record
 
@@ -73,6 +74,23 @@ class HeldState(Record):
     def empty(plants: int) -> HeldState:
         """Return the state before the first sample."""
         return HeldState(np.full((plants, 6), np.nan), np.zeros(plants, dtype=bool))
+
+    def check(self, where: str, faults: int, window: int, count: int) -> None:
+        """Raise where a state from a file is not that of an alarm of so many faults, within so many samples."""
+        fault, arrival, source, final, raised, peak = self.held[self.on].T
+        known = ~np.isnan(fault)
+        right = (
+            np.isnan(self.held[~self.on]).all()
+            and _are_whole(fault[known], 0, faults)
+            and np.array_equal(known, ~np.isnan(source))
+            and _are_whole(source[known], 0, count)
+            and _are_whole(arrival[~np.isnan(arrival)], -window, count)
+            and _are_whole(final, 0, 2)
+            and _are_whole(raised, 0, count)
+            and np.all((peak >= 0) & np.isfinite(peak))
+        )
+        if not right:
+            raise FileFormatError(f"{where}: no alarm within {count} samples is put down to a fault like that")
 
 
 def hold_block(
@@ -145,6 +163,11 @@ def hold_block(
         source=np.where(put_down, origin, -1)[:, 1:].astype(np.int64),
     )
     return match, state
+
+
+def _are_whole(values: NDArray[np.float64], first: int, stop: int) -> bool:
+    """Tell whether numbers are whole and in a range."""
+    return bool(np.all((values == np.floor(values)) & (values >= first) & (values < stop)))
 
 
 def _latest(which: NDArray[np.bool_]) -> NDArray[np.int64]:
