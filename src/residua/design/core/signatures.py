@@ -32,7 +32,7 @@ class FaultResponses:
     form : StateSpace
         The internal form from the faults, in even units.
     values : ndarray of complex, shape (k, residuals, faults)
-        Exactly zero if a fault does not reach a residual.
+        Exactly zero where a fault does not reach a residual.
     terms : ndarray, shape (k, residuals, faults)
         In the internal form.
     reached : ndarray of bool, shape (residuals, faults)

@@ -246,7 +246,7 @@ def _without_inputs(inverse: NDArray, AF: NDArray, C1: NDArray) -> tuple[NDArray
 
 
 def _inverse(A: NDArray) -> NDArray:
-    """Return the inverse, exactly zero if the pattern of ``A`` makes it so, whatever the values.
+    """Return the inverse, exactly zero where the pattern of ``A`` makes it so, whatever the values.
 
     A state that is matched to an equation follows from the right-hand sides of those that it is reached from alone.
     """

@@ -30,7 +30,7 @@ class ResponseTerms:
     Attributes
     ----------
     values : ndarray of complex, shape (k, outputs, inputs)
-        Exactly zero if no chain of couplings leads from the input to the output.
+        Exactly zero where no chain of couplings leads from the input to the output.
     terms : ndarray, shape (k, outputs, inputs)
     """
 

@@ -35,7 +35,7 @@ class Centre:
     radii : ndarray, shape (boxes, coordinates)
         The largest deviations.
     select : ndarray, shape (channels, coordinates)
-        1 if a channel belongs to a coordinate.
+        1 where a channel belongs to a coordinate.
     error : ndarray, shape (boxes, p, m)
         Rounding of ``T``.
     relative : ndarray, shape (boxes,)
