@@ -332,3 +332,39 @@ def test_other_methods_are_tried_with_the_defaults_of_their_options(
     plain, with_option = residua(*command), residua(*command, "--rtol", "1e-8")
     assert_error(plain, "what exists for this plant: ", "--method luenberger-observer", "--method kalman-filter")
     assert with_option == plain
+
+
+def test_a_method_may_be_written_as_its_function(made: Path, tmp_path: Path, residua: Residua) -> None:
+    outcomes = [
+        residua("design", made / "plant.toml", "-o", tmp_path / "m.json", "--method", name)
+        for name in ("kalman_filter", "kalman-filter")
+    ]
+    assert outcomes[0] == outcomes[1]
+    assert outcomes[0][0] == 0
+
+
+def test_the_nearest_method_is_suggested(made: Path, tmp_path: Path, residua: Residua) -> None:
+    status, _, err = residua("design", made / "plant.toml", "-o", tmp_path / "m.json", "--method", "kalman_filtr")
+    assert status == 2
+    assert "(did you mean 'kalman-filter'?)" in " ".join(re.sub("[│╭╮╰╯─]", " ", err).split())
+
+
+def test_the_call_alone_needs_no_output(made: Path, residua: Residua) -> None:
+    command = ("design", made / "plant.toml", "--method", "luenberger-observer", "--poles", "0.3, 0.2")
+    status, out, err = residua(*command, "--show-call")
+    assert (status, err) == (0, "")
+    assert out == ("method: luenberger-observer\ncall: rs.design.luenberger_observer(plant, poles=(0.3, 0.2))\n")
+    _, out, _ = residua(*command[:-1], "0.3+0.1j,0.3-0.1j", "--show-call")
+    assert "poles=((0.3+0.1j), (0.3-0.1j))" in out
+    _, out, _ = residua(*command[:3], "primary-residuals", "--poles", "e1=0.5", "--show-call")
+    assert out.endswith("poles={'e1': (0.5,)})\n")
+    status, out, err = residua(*command)
+    assert (status, out) == (2, "")
+    assert "--output" in err
+
+
+def test_another_step_than_that_of_the_plant_is_refused(made: Path, tmp_path: Path, residua: Residua) -> None:
+    command = ("design", made / "plant.toml", "-o", tmp_path / "m.json", "--sample-time")
+    assert_error(residua(*command, "0.1"), "the plant is sampled, dt=1 s, and --sample-time is 0.1 s")
+    assert not list(tmp_path.iterdir())
+    assert residua(*command, "1")[0] == 0

@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.analysis.coding_sets import CodingSet, Structure, counted, structure_rows
+from residua.analysis.coding_sets import CodingSet, Structure, structure_rows
 from residua.analysis.diagnosability import group_twins
 from residua.analysis.fault_space import FaultSpace, fault_space
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
+from residua.visible import counted
 
 #: Attainable rows that are listed, unless the caller says otherwise.
 MOST_ROWS = 5000

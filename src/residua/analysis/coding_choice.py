@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from residua import arrays
 from residua.analysis.attainability import MOST_ROWS, all_rows
 from residua.analysis.codes import equal_codes, strongly_isolating
-from residua.analysis.coding_sets import CodingSet, counted
+from residua.analysis.coding_sets import CodingSet
 from residua.analysis.cover import Cover, Found, even_cover, far_cover, fewest
 from residua.analysis.fault_space import FaultSpace, fault_space
 from residua.errors import DesignError, SettingError
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
+from residua.visible import counted
 
 #: Seconds that the choice may take, unless the caller says otherwise.
 TIME_LIMIT = 30.0

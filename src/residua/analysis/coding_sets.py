@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua import arrays
 from residua.analysis.codes import equal_codes, strongly_isolating
 from residua.errors import DesignError
+from residua.visible import counted
 
 #: Codes that may become others, as a text names them at most.
 NAMED = 6
@@ -344,11 +345,6 @@ def _rows_of_set(coding: CodingSet, faults: tuple[str, ...]) -> dict[str, NDArra
 def _range(values: NDArray) -> str:
     low, high = int(values.min()), int(values.max())
     return f"{low}" if low == high else f"{low} to {high}"
-
-
-def counted(count: int, noun: str) -> str:
-    """Return a number with its noun."""
-    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def either(names: Sequence[str]) -> str:

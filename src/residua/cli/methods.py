@@ -191,8 +191,17 @@ class Call:
             for name, one in self.method.chosen.items()
             if name not in self.values
         ]
-        arguments = [f"{name}={value!r}" for name, value in self.asked.items()]
+        arguments = [f"{name}={_with_real_numbers(value)!r}" for name, value in self.asked.items()]
         return f"{self.method.called}({', '.join([sampled, *made, *arguments])})"
+
+
+def _with_real_numbers(value: Any) -> Any:
+    """Return a value, or a list or mapping of values, in which complex numbers without an imaginary part are real."""
+    if isinstance(value, Mapping):
+        return {name: _with_real_numbers(one) for name, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return type(value)(_with_real_numbers(one) for one in value)
+    return value.real if isinstance(value, complex) and not value.imag else value
 
 
 def choose(plant: Plant) -> tuple[str, str]:

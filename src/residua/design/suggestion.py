@@ -22,6 +22,7 @@ from residua.design.estimation.fault_estimator import FaultEstimator
 from residua.errors import AccuracyError, DesignError, ModelError, SettingError
 from residua.plant import InputOutputModel, Plant
 from residua.robust.sets.uncertain_plant import UncertainPlant
+from residua.visible import counted
 
 WANTS = ("name", "size", "state")
 #: Larger plants are tried with the single observers only, and the largest not at all.
@@ -312,7 +313,9 @@ def _told(one: Candidate, made: Any, plant: Plant) -> Entry:
     order = _order(generator or made)
     if isinstance(made, Bank):
         names = tuple(group[0] for group in made.groups if len(group) == 1)
-        reason = f"{len(made.members)} members; " + (f"names {_listed(names)}" if names else "its codes name no fault")
+        reason = f"{counted(len(made.members), 'member')}; " + (
+            f"names {_listed(names)}" if names else "its codes name no fault"
+        )
         return Entry(one.call, record, True, reason, names, (), order, made)
     names = _named_by_direction(generator, settled=record.time_course == "constant") if generator else ()
     parts = [f"order {order}"]

@@ -29,6 +29,7 @@ from residua.report.tables import (
 )
 from residua.report.text import escape
 from residua.report.verdict import BEGAN_RULE, verdict
+from residua.visible import counted
 from residua.words import listing, number, percent, score, some
 
 if TYPE_CHECKING:
@@ -284,10 +285,11 @@ def filter_html(generator: ResidualGenerator, *, number: int, several: bool, use
     plant = generator.plant
     title = f"Filter {number}: {generator.method}" if several else "The filter"
     used = f"<p>Used in: {escape(used_by)}.</p>" if used_by else ""
-    bank = f"{len(generator.members)} members, " if generator.codes is not None else ""
+    bank = f"{counted(len(generator.members), 'member')}, " if generator.codes is not None else ""
+    states, residuals = counted(generator.system.n_states, "state"), counted(generator.n_residuals, "residual")
     facts = [
         ("Method", generator.method),
-        ("Filter", f"{bank}{generator.system.n_states} states, {generator.n_residuals} residuals"),
+        ("Filter", f"{bank}{states}, {residuals}"),
         ("Sample step", length(generator.dt) if generator.dt else "continuous"),
         ("Plant", f"{plant.name}, {plant.n_states} states"),
         ("Inputs", some(plant.inputs, 20) or "none"),

@@ -21,6 +21,7 @@ from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
 from residua.plant import Plant
 from residua.plant.comparable_units import canonical_units
+from residua.visible import counted
 
 #: Designs one member: takes its name, and the plant in which what the member ignores are disturbances.
 MemberDesign = Callable[[str, Plant], ResidualGenerator]
@@ -88,11 +89,12 @@ class Bank:
         return self.generator
 
     def __repr__(self) -> str:
-        return f"Bank({self.generator.method}: {len(self.members)} members, {len(self.faults)} faults)"
+        members, faults = counted(len(self.members), "member"), counted(len(self.faults), "fault")
+        return f"Bank({self.generator.method}: {members}, {faults})"
 
     def __str__(self) -> str:
         width = max([len(name) for name in self.members], default=0) + 2
-        lines = [f"{self.generator.method}, {len(self.members)} members"]
+        lines = [f"{self.generator.method}, {counted(len(self.members), 'member')}"]
         columns = [f"{k + 1}" for k in range(len(self.faults))]
         lines.append(" " * width + " ".join(f"{c:>2}" for c in columns))
         for name, row in zip(self.members, self.structure, strict=True):

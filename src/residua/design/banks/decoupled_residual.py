@@ -32,6 +32,7 @@ from residua.linear.subspaces.observable_part import UndetectableError
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 from residua.plant.comparable_units import even_plant
+from residua.visible import used_up
 
 _EPS = float(np.finfo(float).eps)
 
@@ -142,8 +143,7 @@ def _designed(
     if not quotient.read.shape[0]:
         names = ", ".join(f"'{name}'" for name in (*plant.disturbances, *ignored))
         raise DesignError(
-            f"no residual ignores {names or 'nothing'}: the {plant.n_outputs} measurements are all used up; "
-            "add a sensor or ignore less"
+            f"no residual ignores {names or 'nothing'}: the {used_up(plant.n_outputs)}; add a sensor or ignore less"
         )
     failure: AccuracyError | None = None
     best: tuple[int, float, ResidualGenerator] | None = None

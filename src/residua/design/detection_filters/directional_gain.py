@@ -16,6 +16,7 @@ from residua.linear.subspaces.detection_space import DetectionSpace, detection_s
 from residua.linear.subspaces.far_gain import refuse_far_gain
 from residua.linear.subspaces.observability import detectability, observability_form
 from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank
+from residua.visible import counted
 
 Poles = Sequence[complex] | ArrayLike | Mapping[str, Sequence[complex]] | None
 
@@ -271,7 +272,7 @@ def _without(wanted: NDArray, fixed: NDArray) -> NDArray:
         if abs(left[nearest] - z) > 1e-6 * max(1.0, abs(z)):
             raise DesignError(
                 f"the pole {z:.6g} cannot be moved and is not among those given; "
-                f"give the other {len(wanted) - len(fixed)} poles"
+                f"give the other {counted(len(wanted) - len(fixed), 'pole')}"
             )
         left.pop(nearest)
     return np.asarray(left, dtype=complex)

@@ -25,6 +25,7 @@ from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.linear.systems.balancing import without_rounding
 from residua.plant import Plant
 from residua.plant.comparable_units import own_units
+from residua.visible import counted, used_up
 
 
 @method(
@@ -110,7 +111,7 @@ def robust_detection_filter(
         raise DesignError("; ".join(existence.reasons))
     if not existence.useful:
         raise DesignError(
-            f"{plant.n_outputs} measurements are all used up to decouple {len(plant.disturbances)} disturbances: "
+            f"{used_up(plant.n_outputs)} to decouple {counted(len(plant.disturbances), 'disturbance')}: "
             "nothing is left to see faults with; add a sensor or decouple fewer disturbances"
         )
     parts = existence.decomposition
@@ -121,11 +122,12 @@ def robust_detection_filter(
         H = decoupling_gain(form, H0)
         T = decoupling_map(H, plant.C)
     p, q = len(form.W), form.E.shape[1]
+    used = f"{q} {'is' if q == 1 else 'are'}"
     base = Evidence(
         method="robust detection filter",
         ranks={"rank(CE)": existence.rank_CE, "rank(E)": existence.rank_E} if q else {},
         conditions={"|T E|": float(np.linalg.norm(T @ form.E))},
-        notes=(f"{p - q} of the {p} residuals are independent, {q} are used up by decoupling",) if q else (),
+        notes=(f"{p - q} of the {p} residuals are independent, {used} used up by decoupling",) if q else (),
         references=(REFERENCE, *REFERENCES),
     )
     return directional_filters(

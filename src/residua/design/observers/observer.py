@@ -19,6 +19,7 @@ from residua.linear.systems.balancing import power_of_two
 from residua.plant import Plant
 from residua.plant.comparable_units import EvenPlant, even_plant
 from residua.tolerances import TINY, above_rounding
+from residua.visible import counted, used_up
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -205,10 +206,11 @@ class Observer:
                 "the residual is zero whatever fails: this observer reproduces the measurements that it uses; "
                 "leave some out of the estimate, outputs=[...], and their errors become the residual"
             )
-        used = [f"{len(p.disturbances)} disturbances are decoupled"] if p.disturbances else []
+        q = len(p.disturbances)
+        used = [f"{counted(q, 'disturbance')} {'is' if q == 1 else 'are'} decoupled"] if q else []
         used += ["states have no equation of their own"] if p.E is not None else []
         return (
-            f"the residual is zero whatever fails: the {p.n_outputs} measurements are all used up "
+            f"the residual is zero whatever fails: the {used_up(p.n_outputs)} "
             f"({' and '.join(used)}); add a sensor or decouple fewer disturbances"
         )
 

@@ -27,6 +27,7 @@ from residua.linear.systems.descriptor import scaled_pencil
 from residua.linear.systems.response_terms import response_terms
 from residua.plant import Plant
 from residua.tolerances import RESPONSE_ROUNDING, above_rounding
+from residua.visible import counted, used_up
 
 REFERENCE = "Twardy and Kaczorek, part I, eqs. (30) to (33), Theorem 4, Procedure 2"
 #: States of a filter beyond which its peak gain is not computed.
@@ -180,8 +181,8 @@ class PerfectObserver:
         p = self.plant
         if not len(self.left):
             raise DesignError(
-                f"the residual is zero whatever fails: {len(self.outputs)} measurements are all used up by "
-                f"{len(p.disturbances)} disturbances; add a sensor or decouple fewer disturbances"
+                f"the residual is zero whatever fails: {used_up(len(self.outputs))} by "
+                f"{counted(len(p.disturbances), 'disturbance')}; add a sensor or decouple fewer disturbances"
             )
         B = np.hstack([p.Bf, 0.0 * p.Bd, p.Bw])
         D = np.hstack([p.Df, 0.0 * p.Dd, p.Dw])
@@ -525,13 +526,14 @@ def check_existence(plant: Plant, rows: list[int], rtol: float) -> None:
     q = len(plant.disturbances)
     if len(rows) < q:
         raise DesignError(
-            f"no perfect observer: {len(rows)} outputs cannot tell {q} disturbances apart; add sensors, or decouple "
-            "fewer disturbances"
+            f"no perfect observer: {counted(len(rows), 'output')} cannot tell "
+            f"{counted(q, 'disturbance')} apart; add sensors, or decouple fewer disturbances"
         )
     zeros = invariant_zeros(plant.A, plant.Bd, plant.C[rows], plant.Dd[rows], plant.E, rtol=rtol)
     if zeros.normal_rank < q:
         raise DesignError(
-            f"no perfect observer: the {q} disturbances reach the outputs with rank {zeros.normal_rank} only (the "
+            f"no perfect observer: the {counted(q, 'disturbance')} {'reaches' if q == 1 else 'reach'} "
+            f"the outputs with rank {zeros.normal_rank} only (the "
             "pencil [sE-A -Bd; C Dd] lacks column rank at every s); add a sensor, or merge disturbances that act alike"
         )
     if zeros.zeros.size:

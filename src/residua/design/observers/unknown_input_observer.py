@@ -32,6 +32,7 @@ from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision
 from residua.linear.systems.balancing import without_rounding
 from residua.plant import Plant
 from residua.tolerances import IDENTITY, TINY, above_rounding
+from residua.visible import counted
 
 REFERENCE = "Chen, Patton and Zhang (1996), Int. J. Control 63(1), eqs. (2) to (13)"
 
@@ -247,7 +248,7 @@ def assemble(
     if q and p > q and plant.E is None:
         notes = (
             f"{p - q} of the {p} residuals are independent: the others are filtered copies, the price of "
-            f"decoupling {q} disturbances",
+            f"decoupling {counted(q, 'disturbance')}",
         )
     evidence = Evidence(
         method=method,

@@ -17,7 +17,7 @@ from residua.design.parity.relation import Relation
 from residua.design.parity.relation_model import RelationModel, basis_for, relation_model, state_pencil
 from residua.design.parity.relations import Poles, relations_of
 from residua.design.parity.shortest import combinations_to_try, simplest_of_the_best
-from residua.errors import AccuracyError, DesignError
+from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear.polynomials.common_factor import without_common_factor
 from residua.linear.polynomials.degree_search import at_smallest_degree
 from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL
@@ -26,6 +26,7 @@ from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_b
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
 from residua.tolerances import TINY
+from residua.visible import counted
 
 #: A response, or a singular value of what is read, below this fraction of the largest possible counts as none.
 _SEEN = 1e-9
@@ -92,6 +93,8 @@ def directional_parity(
     DesignError
         If the directions are too many, or do not go with this plant: with the numbers of conditions and unknowns, or
         the fault whose response must vanish; if the order is too low; if poles differ between the residuals.
+    SettingError
+        If the directions are of different lengths.
     AccuracyError
         If the polynomials lose so many digits that directions are missed.
 
@@ -145,8 +148,8 @@ def directional_parity(
     except AccuracyError as error:
         k = relations.orders[0]
         raise AccuracyError(
-            f"as relations of order {k} with these poles, {error}; give {k} poles near those of the plant, or ask for "
-            "fewer directions"
+            f"as relations of order {k} with these poles, {error}; give {counted(k, 'pole')} near those of "
+            "the plant, or ask for fewer directions"
         ) from error
     ranks = {**made.evidence.ranks, "directions and ignored signals": joint.decision, "states": solutions.decision}
     references = (*made.evidence.references, "Gertler (1991), section 5.2, eqs. (5-9) to (5-18)")
@@ -237,7 +240,7 @@ def _checked(directions: Mapping[str, ArrayLike], plant: Plant) -> Directions:
         columns.append(vector)
     lengths = sorted({len(column) for column in columns})
     if len(lengths) > 1:
-        raise DesignError(f"directions must have one entry per residual, all the same number: got {lengths}")
+        raise SettingError(f"directions must have one entry per residual, all the same number: got {lengths}")
     return Directions(faults, np.column_stack(columns))
 
 

@@ -26,6 +26,7 @@ from residua.linear.systems.balancing import descriptor_units
 from residua.plant import Plant
 from residua.plant.comparable_units import PlantUnits, canonical_units
 from residua.tolerances import POLYNOMIAL_LEAKAGE, RESIDUE, above_rounding
+from residua.visible import counted
 
 #: What the states may be missed by, relative to the terms that have to cancel.
 _REMAINDER = 1e-8
@@ -385,7 +386,7 @@ def _checked_poles(poles: Any, order: int, name: str, plant: Plant) -> NDArray[n
         raise SettingError(f"poles must be numbers: {error}") from error
     if values.shape != (order,):
         raise SettingError(
-            f"relation {name!r} is of order {order}: give {order} poles, not {values.size}, "
+            f"relation {name!r} is of order {order}: give {counted(order, 'pole')}, not {values.size}, "
             "by name of the residual where orders differ"
         )
     if not np.isfinite(values).all():

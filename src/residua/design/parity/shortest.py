@@ -23,6 +23,7 @@ from residua.linear.polynomials.pencil_null_space import (
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.rank import RankDecision
 from residua.tolerances import POLYNOMIAL_LEAKAGE
+from residua.visible import used_up
 
 #: A fault is seen by a relation when more than this of the largest response that its size allows is left.
 _SEEN = 1e-9
@@ -183,8 +184,7 @@ def _refusal(
     hidden = space.closure(space.basis([model.plant.faults.index(name) for name in ignored]))
     if longest.count == 0 and not space.leaves(ignored):
         return DesignError(
-            f"no parity relation ignores {what}: the {model.plant.n_outputs} measurements are all used up; "
-            "add a sensor or ignore less"
+            f"no parity relation ignores {what}: the {used_up(model.plant.n_outputs)}; add a sensor or ignore less"
         )
     blind = [name for name in seen if hidden[model.plant.faults.index(name)]]
     if blind:

@@ -19,6 +19,7 @@ from residua.linear.subspaces.far_gain import refuse_far_gain
 from residua.linear.subspaces.observable_part import ObservablePart, observable_part
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.tolerances import POLE
+from residua.visible import counted
 
 Matrix = NDArray[np.float64]
 _EPS = float(np.finfo(float).eps)
@@ -88,9 +89,12 @@ def _movable(poles: Poles, problem: ObservablePart, tolerance: float) -> Poles:
     n = k + fixed.size
     if poles.size == k:
         return poles
-    hint = f"; give the {k} poles of the observable part" if fixed.size else ""
+    hint = f"; give the {counted(k, 'pole')} of the observable part" if fixed.size else ""
     if poles.size != n:
-        raise DesignError(f"got {poles.size} poles for {n} states, of which {k} are observable{hint}")
+        are = "is" if k == 1 else "are"
+        raise DesignError(
+            f"got {counted(poles.size, 'pole')} for {counted(n, 'state')}, of which {k} {are} observable{hint}"
+        )
     order = match_poles(fixed, poles)
     scale = np.ones(fixed.size) if problem.dt else np.maximum(np.abs(fixed), np.finfo(float).tiny)
     missed = np.abs(poles[order] - fixed) > max(tolerance, POLE) * scale
