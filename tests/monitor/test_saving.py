@@ -17,6 +17,7 @@ import pytest
 import residua as rs
 from older_files import as_version
 from residua.decide import NormThreshold
+from residua.decide.matched_hold import HeldState
 from residua.errors import FileFormatError
 from residua.library import three_tank
 from residua.monitor.design_records import generator_in, generator_out
@@ -334,6 +335,32 @@ def test_whitening_that_leaves_a_residual_out_is_refused(tmp_path: Path) -> None
     path.write_text(json.dumps(content))
     with pytest.raises(FileFormatError, match="whitening must be invertible"):
         rs.Monitor.load(path)
+
+
+def test_whitening_that_overflows_is_refused(tmp_path: Path) -> None:
+    """It would judge no sample, without a word."""
+    path = tmp_path / "m.json"
+    fitted().save(path)
+    content = json.loads(path.read_text())
+    content["fitted"]["whitening"]["float"][0] = 1e100
+    path.write_text(json.dumps(content))
+    with pytest.raises(FileFormatError, match="no residual is known so well"):
+        rs.Monitor.load(path)
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [(0, 99.0), (0, 0.5), (1, 1e300), (2, -1.0), (2, float("nan")), (3, 0.5), (4, 1e9), (5, -1.0), (5, float("nan"))],
+)
+def test_a_standing_alarm_that_cannot_be_is_refused(place: int, value: float) -> None:
+    """Fault, arrival, sample that they come from, whether they are final, raising, likelihood."""
+    row = np.array([[0.0, 15.0, 19.0, 1.0, 16.0, 556.6]])
+    on = np.array([True])
+    HeldState(row, on).check("held", faults=2, window=40, count=30)
+    row[0, place] = value
+    with pytest.raises(FileFormatError, match="no alarm within 30 samples"):
+        HeldState(row, on).check("held", faults=2, window=40, count=30)
+    HeldState.empty(3).check("held", faults=2, window=40, count=0)
 
 
 def test_a_number_that_changed_without_a_word_is_refused(tmp_path: Path) -> None:

@@ -30,6 +30,8 @@ BAND_SHARE, BAND_DEVIATIONS = 0.999, 3.2905267314918945
 #: Columns of a whitening matrix this near to being dependent, in units of their own rows, see some residuals no more;
 #: what is fitted stays above 1e-5.
 _DEPENDENT = 1e-10
+#: Weights above this overflow when they are squared twice.
+_HEAVIEST = 1e75
 
 #: What the numbers of tests and their settings may be.
 RUNS: Mapping[str, NumberKind] = {"persistence": COUNT, "release": COUNT, "window": WINDOW}
@@ -366,6 +368,10 @@ def is_selection(whitening: NDArray[np.float64]) -> bool:
 def check_invertible(whitening: NDArray[np.float64], *, of_some: bool = False) -> None:
     """Raise where a whitening matrix leaves out a residual, or a combination of them; ``of_some`` are those it has."""
     rows = np.abs(whitening).max(axis=1, initial=0.0)
+    if rows.max(initial=0.0) > _HEAVIEST:
+        raise FileFormatError(
+            f"fitted.whitening holds {rows.max():.3g}: no residual is known so well that it weighs that"
+        )
     part = whitening[rows > 0] / rows[rows > 0, None]
     columns = np.sqrt(np.sum(part**2, axis=0))
     sizes = np.linalg.svd(part / np.where(columns > 0, columns, 1.0), compute_uv=False)
