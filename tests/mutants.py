@@ -5,7 +5,7 @@ change at a time, with the operators of Cosmic Ray: comparisons turned round, ``
 out, other numbers; and switches the guard off. For each change the tests that trip the guard run in a process of their
 own, in which the changed module is imported: no file is written. What stays green is listed: a hole in the tests.
 
-``--off GUARD ...`` only switches guards off, which takes no package.
+``--off`` only switches guards off, which takes no package; guards may be named.
 """
 
 from __future__ import annotations
@@ -169,11 +169,14 @@ def found_guards() -> tuple[dict[str, tuple[str, int, int]], dict[str, list[str]
 def main() -> int:
     """Make the mutants and return how many survive."""
     parser = argparse.ArgumentParser(prog="mutants", description=__doc__)
-    parser.add_argument("--off", nargs="+", metavar="GUARD", help="switch these guards off, and no more")
+    parser.add_argument(
+        "guards", nargs="*", help="guards, as tests/guards.py calls them; those of the folders by default"
+    )
+    parser.add_argument("--off", action="store_true", help="switch the guards off, and no more")
     parser.add_argument("--in", dest="folders", nargs="+", default=["design", "linear"], help="folders of guards")
     asked = parser.parse_args()
     guards, claimed = found_guards()
-    chosen = asked.off or [name for name in guards if name.split(".")[0] in asked.folders]
+    chosen = asked.guards or [name for name in guards if name.split(".")[0] in asked.folders]
     count, left = 0, []
     for name in chosen:
         path, first, last = guards[name]

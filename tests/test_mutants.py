@@ -27,7 +27,7 @@ CENTRAL = (
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="each mutant runs in a process that forks")
 def test_switching_off_a_central_guard_turns_a_test_red() -> None:
     """Among them none that was green: the first is run unchanged too."""
-    command = [sys.executable, str(TESTS / "mutants.py"), "--off", *CENTRAL]
+    command = [sys.executable, str(TESTS / "mutants.py"), *CENTRAL, "--off"]
     found = subprocess.run(command, capture_output=True, text=True, check=False, cwd=TESTS.parent)
     assert found.stdout == f"{len(CENTRAL)} mutants of {len(CENTRAL)} guards, 0 survive\n", found.stderr
     assert found.returncode == 0

@@ -127,6 +127,13 @@ def index_of(name: str | int, known: tuple[str, ...], what: str) -> int:
     raise ModelError(f"unknown {what} {echo(name)}; known: {listed(known)}")
 
 
+def different_positions(chosen: Iterable[str | int] | str | int | None, known: tuple[str, ...], what: str) -> list[int]:
+    """Return the positions of the chosen channels (all when ``None``), or raise when one is chosen twice."""
+    numbers = positions(chosen, known, what)
+    unique(tuple(known[i] for i in numbers), f"{what}s")
+    return numbers
+
+
 def positions(chosen: Iterable[str | int] | str | int | None, known: tuple[str, ...], what: str) -> list[int]:
     """Return the positions of the chosen channels (all when ``None``)."""
     if chosen is None:

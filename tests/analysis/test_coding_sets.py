@@ -116,8 +116,8 @@ def test_attainable_rows_are_a_structure() -> None:
     assert isolation_quality(found) == isolation_quality(["0111", "1101"])
 
 
-@pytest.mark.parametrize("wrong", [-1e-12, -1, float("nan"), "x", None])
-def test_a_tolerance_below_zero_is_refused(wrong: object) -> None:
+@pytest.mark.parametrize("wrong", [-1e-12, -1, 1, 5.0, float("inf"), float("nan"), "x", None])
+def test_a_tolerance_below_zero_or_over_one_is_refused(wrong: object) -> None:
     plant = rs.library.gertler(sensor_faults=True)
     for ask in (rs.coding.attainable, rs.coding.choose, rs.coding.mutually_isolable):
         with pytest.raises(SettingError, match="rtol must be"):

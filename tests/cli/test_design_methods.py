@@ -202,6 +202,13 @@ def test_an_option_that_a_method_needs_is_asked_for(
         ("directional-parity", ("--directions", "1,2"), "has no names"),
         ("directional-parity", ("--directions", "p1=1,2;3"), "has no '='"),
         ("structured-bank", ("--rows", "012"), "are no rows"),
+        ("detection-filter", ("--rtol", "-1"), "must lie between 0 and 1, got -1"),
+        ("luenberger-observer", ("--rtol", "0"), "must lie between 0 and 1, got 0"),
+        ("structured-parity", ("--rtol", "5"), "must lie between 0 and 1, got 5"),
+        ("structured-bank", ("--rows", "01,10,0 1"), "'01' is there twice"),
+        ("directional-parity", ("--directions", "p1=1,2;p2=2,1; p1=3,1"), "'p1' is there twice"),
+        ("primary-residuals", ("--poles", "e1=0.5;e1=0.4"), "'e1' is there twice"),
+        ("luenberger-observer", ("--outputs", "y1,y1"), "'y1' is there twice"),
     ],
 )
 def test_texts_that_say_nothing_are_usage_errors(
@@ -299,11 +306,65 @@ def test_methods_that_there_is_no_time_for_are_named(
     assert_error(outcome, "no other method exists", "not tried for want of time: luenberger-observer, ")
 
 
-def test_options_go_to_the_others_that_are_tried(made: Path, tmp_path: Path, residua: Residua) -> None:
-    """As each of them reads what was written: a list of poles goes to those that take one by name too."""
-    command = ("design", made / "plant.toml", "-o", tmp_path / "m.json", "--method", "unknown-input-observer")
-    refused = residua(*command, "--poles", "0.3,0.3,0.3")
-    assert_error(refused, "unknown-input-observer: ")
-    assert "--method luenberger-observer" not in refused[2]  # of two states
-    assert "--method detection-filter" not in refused[2]
-    assert "--method kalman-filter" in refused[2]  # has no such option
+@pytest.mark.parametrize(
+    ("name", "options", "part"),
+    [
+        ("unknown-input-observer", ("--poles", "0.3,0.3,0.3"), "got 3 poles for 2 states"),
+        ("detection-filter", ("--poles", "1.5,0.2"), "pole 1.5 is not stable"),
+        ("unknown-input-observer", ("--poles", "1.5,0.2", "--rtol", "1e-9"), "pole 1.5 is not stable"),
+    ],
+)
+def test_an_option_that_is_in_the_way_is_named_and_no_other_method(
+    name: str, options: tuple[str, ...], part: str, made: Path, tmp_path: Path, residua: Residua
+) -> None:
+    """The plant has this design with other poles: that says nothing about other methods."""
+    refused = residua("design", made / "plant.toml", "-o", tmp_path / "m.json", "--method", name, *options)
+    flags = " and ".join(sorted(one for one in options if one.startswith("--")))
+    assert_error(refused, f"{name}: ", part, f"; without {flags} {name} exists for this plant")
+    assert "--method" not in refused[2]
+
+
+def test_other_methods_are_tried_with_the_defaults_of_their_options(
+    made: Path, tmp_path: Path, residua: Residua
+) -> None:
+    """Where the plant is refused, three poles say nothing of observers for two states."""
+    command = ("design", made / "plant.toml", "-o", tmp_path / "m.json", "--method", "perfect-observer")
+    plain, with_option = residua(*command), residua(*command, "--rtol", "1e-8")
+    assert_error(plain, "what exists for this plant: ", "--method luenberger-observer", "--method kalman-filter")
+    assert with_option == plain
+
+
+def test_a_method_may_be_written_as_its_function(made: Path, tmp_path: Path, residua: Residua) -> None:
+    outcomes = [
+        residua("design", made / "plant.toml", "-o", tmp_path / "m.json", "--method", name)
+        for name in ("kalman_filter", "kalman-filter")
+    ]
+    assert outcomes[0] == outcomes[1]
+    assert outcomes[0][0] == 0
+
+
+def test_the_nearest_method_is_suggested(made: Path, tmp_path: Path, residua: Residua) -> None:
+    status, _, err = residua("design", made / "plant.toml", "-o", tmp_path / "m.json", "--method", "kalman_filtr")
+    assert status == 2
+    assert "(did you mean 'kalman-filter'?)" in " ".join(re.sub("[│╭╮╰╯─]", " ", err).split())
+
+
+def test_the_call_alone_needs_no_output(made: Path, residua: Residua) -> None:
+    command = ("design", made / "plant.toml", "--method", "luenberger-observer", "--poles", "0.3, 0.2")
+    status, out, err = residua(*command, "--show-call")
+    assert (status, err) == (0, "")
+    assert out == ("method: luenberger-observer\ncall: rs.design.luenberger_observer(plant, poles=(0.3, 0.2))\n")
+    _, out, _ = residua(*command[:-1], "0.3+0.1j,0.3-0.1j", "--show-call")
+    assert "poles=((0.3+0.1j), (0.3-0.1j))" in out
+    _, out, _ = residua(*command[:3], "primary-residuals", "--poles", "e1=0.5", "--show-call")
+    assert out.endswith("poles={'e1': (0.5,)})\n")
+    status, out, err = residua(*command)
+    assert (status, out) == (2, "")
+    assert "--output" in err
+
+
+def test_another_step_than_that_of_the_plant_is_refused(made: Path, tmp_path: Path, residua: Residua) -> None:
+    command = ("design", made / "plant.toml", "-o", tmp_path / "m.json", "--sample-time")
+    assert_error(residua(*command, "0.1"), "the plant is sampled, dt=1 s, and --sample-time is 0.1 s")
+    assert not list(tmp_path.iterdir())
+    assert residua(*command, "1")[0] == 0

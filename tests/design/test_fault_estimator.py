@@ -290,3 +290,23 @@ def test_sueurs_form_and_the_unknown_input_observer_estimate_the_same_state(seed
             Q = one.system.evaluate(points)
             missed = Q @ np.concatenate([U, P], axis=1) - X
             assert np.abs(missed).max() < 1e-8 * scale * (1 + np.abs(P).max())
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"poles": [0.1, 0.2, 0.3, 0.4]}, "^got 4 poles for 3 states"),
+        ({"poles": [0.2, 1.5]}, "^pole 1.5 is not stable"),
+        ({"margin": -1.0}, "^margin must be"),
+    ],
+)
+def test_wrong_poles_are_not_said_to_be_a_matter_of_the_plant(options: dict, message: str) -> None:
+    with pytest.raises(DesignError, match=message) as refusal:
+        fault_estimator(rs.library.gertler(), **options)
+    assert "fewer faults" not in str(refusal.value)
+
+
+def test_a_plant_without_such_an_observer_is_refused_whatever_the_poles() -> None:
+    plant = rs.library.gertler().with_sensor_faults()
+    with pytest.raises(DesignError, match=r"no observer of the state ignores p1, p2, .*estimate fewer faults at once"):
+        fault_estimator(plant, poles=[0.2])

@@ -24,6 +24,7 @@ from residua.design.core.responses import state_covariance
 from residua.design.observers.estimate_check import check_estimate
 from residua.design.observers.perfect_observer import perfect_observer
 from residua.design.parity.conversion import to_parity
+from residua.design.parity.directional_pencil import check_directions
 from residua.errors import AccuracyError
 
 #: By how much wrong results are off: small enough to look right, and far above every tolerance of the evidence.
@@ -352,11 +353,24 @@ def test_a_relation_whose_response_is_lost_is_refused(monkeypatch: pytest.Monkey
 
 
 @trips("design.parity.directional_pencil:check_directions")
-def test_directional_relations_that_miss_their_directions_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    directional()
-    changed(monkeypatch, "design.core.generator:signature_bases", lambda found: (_whole(found[0]), found[1]))
+@pytest.mark.parametrize("wrong", ["direction", "response", "plane", "nothing"])
+def test_directional_relations_that_miss_their_directions_are_refused(
+    wrong: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = directional()
+    wanted = made.relations.directions
+    assert check_directions(made, wanted) < 1e-9
+    if wrong == "direction":
+        wanted = replace(wanted, vectors=off(wanted.vectors))
+    elif wrong == "response":
+        changed(
+            monkeypatch, "linear.systems.state_space:StateSpace.frequency_response", lambda response: 0.0 * response
+        )
+    else:
+        basis = np.eye(made.n_residuals) if wrong == "plane" else np.zeros((made.n_residuals, 0))
+        made = replace(made, subspaces=dict.fromkeys(made.faults, basis))
     with pytest.raises(AccuracyError, match="misses its direction"):
-        directional()
+        check_directions(made, wanted)
 
 
 @trips("design.parity.conversion:_denominator")
@@ -386,7 +400,7 @@ def test_a_transformation_that_is_off_is_refused(monkeypatch: pytest.MonkeyPatch
     with pytest.raises(AccuracyError, match="misses its frequency response"):
         whole.realization()
     one, other = ignoring(), D.parity_relations(gertler(), insensitive_to="p1")
-    assert other.equivalent_to(one)
+    assert len(other.equivalent_to(one).rows) == 1
     changed(monkeypatch, "design.parity.equivalence:_row", lambda row: replace(row, error=1.0))
     found = other.equivalent_to(one)
     assert not found.rows

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import control
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 import residua as rs
 from generated import random_plant, simulate, singular_plant
 from residua.design import Observer
-from residua.errors import DesignError
+from residua.errors import DesignError, ModelError
 
 
 def identities(observer: Observer) -> float:
@@ -219,3 +220,33 @@ def test_the_algebraic_equations_are_residuals_too() -> None:
     generator = rs.design.unknown_input_observer(plant).residual_generator()
     assert generator.residual_rank == 2
     np.testing.assert_array_equal(generator.structure.any(axis=0), rs.diagnosability(plant).detectable)
+
+
+@pytest.mark.parametrize(
+    "design",
+    [
+        rs.design.luenberger_observer,
+        rs.design.reduced_order_observer,
+        rs.design.descriptor_observer,
+        rs.design.perfect_observer,
+        rs.design.sensor_fault_estimators,
+        rs.design.parity_relations,
+    ],
+)
+def test_an_output_that_is_chosen_twice_is_refused(design: Any) -> None:
+    with pytest.raises(ModelError, match="outputs: the name 'y1' occurs twice"):
+        design(rs.library.gertler(), outputs=["y1", 0])
+
+
+def test_one_of_a_kind_is_said_in_the_singular() -> None:
+    plant = rs.Plant([[0.5]], [[1.0]], [[1.0]], dt=1.0).with_disturbances({"inflow": [1.0]})
+    with pytest.raises(DesignError, match=r"the 1 measurement is used up \(1 disturbance is decoupled\)"):
+        rs.design.unknown_input_observer(plant).residual_generator()
+    with pytest.raises(DesignError, match=r"got 2 poles for 1 state, of which 1 is observable"):
+        rs.design.luenberger_observer(plant, poles=[0.1, 0.2])
+    with pytest.raises(DesignError, match=r"got 1 pole for 3 states, of which 3 are observable"):
+        rs.design.luenberger_observer(rs.library.gertler(), poles=[0.1])
+    with pytest.raises(DesignError, match=r"^1 measurement is used up to decouple 1 disturbance:"):
+        rs.design.robust_detection_filter(plant)
+    made = rs.design.robust_detection_filter(rs.library.gertler().with_disturbances({"d": [1.0, 0.0, 0.0]}))
+    assert any("residuals are independent, 1 is used up by decoupling" in note for note in made.evidence.notes)

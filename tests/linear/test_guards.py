@@ -21,6 +21,7 @@ from residua.linear import (
     observability_form,
     peak_norm,
     place_observer_margin,
+    place_observer_poles,
     weierstrass_form,
 )
 from residua.linear.norms.impulse_terms import StableSystem, _by_triangle
@@ -60,6 +61,7 @@ def test_a_peak_that_does_not_settle_is_refused(monkeypatch: pytest.MonkeyPatch)
 
 @trips("linear.norms.peak_norm:_by_directions")
 def test_a_peak_norm_that_is_not_found_to_its_tolerance_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    peak_norm(StateSpace(A, B, C, dt=1.0), rtol=1e-4)
     changed(monkeypatch, "linear.norms.peak_norm:largest_sum", lambda found: replace(found, upper=1.1 * found.upper))
     with pytest.raises(AccuracyError, match="lies between"):
         peak_norm(StateSpace(A, B, C, dt=1.0), rtol=1e-4)
@@ -84,9 +86,13 @@ def test_inequalities_without_a_solution_are_refused(monkeypatch: pytest.MonkeyP
 
 @trips("linear.norms.impulse_terms:_by_triangle")
 def test_a_tail_without_a_bound_is_refused() -> None:
-    M = np.array([[0.9, 1e18], [0.0, 0.9]])
+    def system(coupling: float) -> StableSystem:
+        M = np.array([[0.9, coupling], [0.0, 0.9]])
+        return StableSystem(M, B, C, np.zeros((2, 2)), np.ones(2), 0.9)
+
+    assert _by_triangle(system(1.0)).beyond(np.eye(2)) >= 10  # 0.9^k sums to 10
     with pytest.raises(AccuracyError, match="contracts"):
-        _by_triangle(StableSystem(M, B, C, np.zeros((2, 2)), np.ones(2), 0.9))
+        _by_triangle(system(1e18))
 
 
 @trips("linear.poles.riccati:filter_riccati")
@@ -106,6 +112,14 @@ def test_a_riccati_solution_that_does_not_stabilise_is_refused(monkeypatch: pyte
         filter_riccati(np.diag([1.5, 0.2]), C, np.eye(2), np.eye(2), dt=1.0)
 
 
+@trips("linear.poles.placement:place_observer_poles")
+def test_poles_that_are_not_reached_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    place_observer_poles(A, C, [0.1, 0.2], dt=1.0)
+    changed(monkeypatch, "linear.poles.placement:spectrum_error", lambda found: (OFF, found[1], False))
+    with pytest.raises(AccuracyError, match="cannot be placed"):
+        place_observer_poles(A, C, [0.1, 0.2], dt=1.0)
+
+
 @trips("linear.poles.placement:place_observer_margin")
 def test_a_margin_that_is_not_reached_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     place_observer_margin(A, C, 1.0)
@@ -115,16 +129,18 @@ def test_a_margin_that_is_not_reached_is_refused(monkeypatch: pytest.MonkeyPatch
 
 
 @trips("linear.poles.zeros:invariant_zeros")
-def test_a_pencil_that_is_not_square_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("cut", ["rows", "columns"])
+def test_a_pencil_that_is_not_square_is_refused(cut: str, monkeypatch: pytest.MonkeyPatch) -> None:
     invariant_zeros(A, B, C, np.eye(2))
-    rows = iter((2, 1))  # the second step loses one
-    changed(monkeypatch, "linear.poles.zeros:_deflate", lambda M: _with_rows(M, next(rows)))
+    kept = iter((2, 1))  # the second step loses one
+    changed(monkeypatch, "linear.poles.zeros:_deflate", lambda M: _fewer(M, next(kept), cut))
     with pytest.raises(AccuracyError, match="is not square"):
         invariant_zeros(A, B, C, np.eye(2))
 
 
-def _with_rows(M: Any, count: int) -> Any:
-    return *M[:2], *(part[:count] for part in M[2:])
+def _fewer(M: Any, count: int, cut: str) -> Any:
+    A, B, C, D = M
+    return (A, B, C[:count], D[:count]) if cut == "rows" else (A, B[:, :count], C, D[:, :count])
 
 
 @trips("linear.poles.zeros:_finite_zeros")
@@ -150,14 +166,17 @@ PENCIL = [[1.0, 2.0], [3.0, 4.0]], [[1.0, 0.0], [0.0, 0.0]]
 
 
 @trips("linear.systems.descriptor:weierstrass_form:1")
-def test_parts_that_do_not_add_up_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    changed(monkeypatch, "linear.systems.descriptor:_finite_part", lambda V: V[:, :0])
-    with pytest.raises(AccuracyError, match="finite part has 0 and the infinite part 1 of 2"):
+@pytest.mark.parametrize("finite", [0, 2])
+def test_parts_that_do_not_add_up_are_refused(finite: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    weierstrass_form(*PENCIL)
+    changed(monkeypatch, "linear.systems.descriptor:_finite_part", lambda V: np.eye(2)[:, :finite])
+    with pytest.raises(AccuracyError, match=f"finite part has {finite} and the infinite part 1 of 2"):
         weierstrass_form(*PENCIL)
 
 
 @trips("linear.systems.descriptor:_assembled:1")
 def test_parts_that_are_not_apart_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    weierstrass_form(*PENCIL)
     kept: list[Any] = []
     changed(monkeypatch, "linear.systems.descriptor:_infinite_part", lambda found: kept.append(found[0]) or found)
     changed(monkeypatch, "linear.systems.descriptor:_finite_part", lambda V: kept[0])

@@ -88,7 +88,7 @@ def test_fixed_modes_may_be_named_and_must_be_when_all_poles_are_given():
     np.testing.assert_allclose(placed.achieved, [-1, -2], rtol=1e-9)
     with pytest.raises(DesignError, match=r"-5.*give the 2 poles"):
         place_observer_poles(A, C, [-1, -2, -3])
-    with pytest.raises(DesignError, match="got 1 poles for 3 states, of which 2"):
+    with pytest.raises(DesignError, match="got 1 pole for 3 states, of which 2"):
         place_observer_poles(A, C, [-1])
 
 

@@ -251,6 +251,12 @@ def test_missing_columns_are_listed_with_what_is_there(tmp_path: Path) -> None:
         read_recording(path, PLANT, columns={"Q2": "q2", "h2": "H_2"}, time="clock")
 
 
+def test_a_column_that_is_matched_is_not_what_was_meant_by_another(tmp_path: Path) -> None:
+    path = write_csv(tmp_path / "data.csv", names=("Q1", "Q2", "h1", "x", "h3"))
+    with pytest.raises(DataError, match=r"missing column 'h2'; there are: 'time'"):
+        read_recording(path, PLANT)
+
+
 def test_missing_arrays_are_listed(tmp_path: Path) -> None:
     path = tmp_path / "data.npz"
     np.savez(path, **{name: columns()[name] for name in ("Q1", "Q2", "h1", "h3")})

@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.analysis.coding_sets import CodingSet, Structure, counted, structure_rows
+from residua.analysis.coding_sets import CodingSet, Structure, structure_rows
 from residua.analysis.diagnosability import group_twins
 from residua.analysis.fault_space import FaultSpace, fault_space
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
+from residua.visible import counted
 
 #: Attainable rows that are listed, unless the caller says otherwise.
 MOST_ROWS = 5000
@@ -154,13 +155,13 @@ def attainable(
         names = tuple(f"r{i + 1}" for i in range(len(rows)))
         fine = np.ones(len(rows), dtype=bool)
         return Attainability(plant, plant.faults, names, rows, fine, {}, space.dimension, constant)
-    given = structure_rows(structure, plant.faults)
-    why = {name: _failure(space, row, constant) for name, row in given.items()}
+    named = structure_rows(structure, plant.faults)
+    why = {name: _failure(space, row, constant) for name, row in named.items()}
     return Attainability(
         plant,
         plant.faults,
-        tuple(given),
-        np.array(list(given.values()), dtype=bool),
+        tuple(named),
+        np.array(list(named.values()), dtype=bool),
         np.array([not reason for reason in why.values()]),
         {name: reason for name, reason in why.items() if reason},
         space.dimension,
@@ -245,7 +246,7 @@ class MutualIsolability:
 
 
 def mutually_isolable(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> MutualIsolability:
-    r"""Tell which pairs of faults can be told apart by residuals, whatever the method.
+    r"""Tell which pairs of faults residuals can separate, whatever the method.
 
     Two faults are not mutually isolable when their columns :math:`g_i, g_j`, after the disturbances are divided out,
     are dependent over the polynomials, :math:`c_i(z) g_i(z) + c_j(z) g_j(z) = 0`: then no residual answers to one and

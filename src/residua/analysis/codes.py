@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 def equal_codes(codes: NDArray[np.bool_]) -> list[list[int]]:
     """Return the columns of a structure in groups of equal ones; those without any entry are left out."""
-    found: dict[bytes, list[int]] = {}
+    groups: dict[bytes, list[int]] = {}
     for j, code in enumerate(codes.T):
         if code.any():
-            found.setdefault(code.tobytes(), []).append(j)
-    return list(found.values())
+            groups.setdefault(code.tobytes(), []).append(j)
+    return list(groups.values())
 
 
 def strongly_isolating(codes: NDArray[np.bool_], faults: Sequence[tuple[str, ...]] | None = None) -> bool:

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from residua import arrays
 from residua.analysis.attainability import MOST_ROWS, all_rows
 from residua.analysis.codes import equal_codes, strongly_isolating
-from residua.analysis.coding_sets import CodingSet, counted
+from residua.analysis.coding_sets import CodingSet
 from residua.analysis.cover import Cover, Found, even_cover, far_cover, fewest
 from residua.analysis.fault_space import FaultSpace, fault_space
 from residua.errors import DesignError, SettingError
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
+from residua.visible import counted
 
 #: Seconds that the choice may take, unless the caller says otherwise.
 TIME_LIMIT = 30.0
@@ -57,8 +58,8 @@ def choose(
     quality : {"strong", "weak"}
     max_residuals : int, optional
     require : sequence of str, optional
-        Faults that must be told from every other one; the rest need only be seen. When omitted, every fault is told
-        from every other as far as any method can.
+        Faults that must be isolated from every other one; the rest need only be seen. When omitted, every fault is
+        isolated from every other as far as any method can do it.
     ignore : sequence of str
         Faults that all residuals ignore, as if they were disturbances.
     constant : bool
@@ -87,7 +88,7 @@ def choose(
     -----
     Assumes: the model is exact, linear and time-invariant, and one fault is there at a time.
 
-    A strongly isolating set always exists for the faults that can be told apart: the rows that each ignore one of them
+    A strongly isolating set always exists for the faults that can be isolated: the rows that each ignore one of them
     see all others. It takes at least so many residuals ``s`` that :math:`\binom{s}{\lfloor s/2 \rfloor}` is no less
     than the number of faults (Sperner).
 
@@ -194,7 +195,7 @@ class ChoiceTask:
     required: set[int]
 
     def pairs(self) -> list[tuple[int, int]]:
-        """Return the pairs of groups that must be told apart."""
+        """Return the pairs of groups that must be isolated from each other."""
         n = len(self.names)
         return [(j, k) for j in range(n) for k in range(j + 1, n) if {j, k} & self.required]
 
@@ -242,11 +243,11 @@ def _search(
 
     Every program leaves some time to those that follow it: a limit is met only after the step that reaches it.
     """
-    strong, told = quality == "strong", []
+    strong, remarks = quality == "strong", []
     cover, stuck = task.cover(strong)
     first = fewest(cover, clock.share(0.6 if strong and max_residuals is not None else _FIRST))
     if strong and max_residuals is not None and len(first.chosen) > max_residuals:
-        told.append(
+        remarks.append(
             f"weakly isolating only: strongly takes {_number(first)} residuals, and no more than {max_residuals} "
             "were allowed"
         )
@@ -259,14 +260,14 @@ def _search(
             f"weakly: that takes {_number(first)}; allow more, or leave faults out with require= or ignore="
         )
     for j, k in stuck:
-        told.append(
+        remarks.append(
             f"weakly isolating only: no attainable row sees {_group(task, k)} and ignores {_group(task, j)}, so that "
             f"the code of {_group(task, j)} always becomes that of {_group(task, k)} when residuals stay silent"
         )
     chosen = first.chosen
     even = even_cover(cover, chosen, clock.share(0.4))
     far = far_cover(cover, even.chosen, clock.share(0.7))
-    notes = [*told, _fewest_in_words(task, first, strong and not stuck, clock.limit)]
+    notes = [*remarks, _fewest_in_words(task, first, strong and not stuck, clock.limit)]
     if even.bound is not None:
         notes.append("the time limit was reached before it was proved that no choice is more even")
     if far.bound is not None:
@@ -302,18 +303,18 @@ def _once_constant(space: FaultSpace, rows: NDArray[np.bool_], most: int, clock:
     )
 
 
-def _number(found: Found) -> str:
-    if found.bound is None:
-        return f"{len(found.chosen)}"
-    return f"{found.bound} to {len(found.chosen)} (the time limit was reached)"
+def _number(cover: Found) -> str:
+    if cover.bound is None:
+        return f"{len(cover.chosen)}"
+    return f"{cover.bound} to {len(cover.chosen)} (the time limit was reached)"
 
 
-def _fewest_in_words(task: ChoiceTask, found: Found, strong: bool, time_limit: float) -> str:
+def _fewest_in_words(task: ChoiceTask, cover: Found, strong: bool, time_limit: float) -> str:
     """Return whether the number of residuals is the fewest."""
     rows = counted(len(task.rows), "attainable row")
-    if found.bound is not None:
+    if cover.bound is not None:
         return (
-            f"chosen from {rows}; between {found.bound} and {len(found.chosen)} residuals are the fewest: the time "
+            f"chosen from {rows}; between {cover.bound} and {len(cover.chosen)} residuals are the fewest: the time "
             f"limit of {time_limit:g} s was reached before that was decided"
         )
     everyone = len(task.required) == len(task.names)

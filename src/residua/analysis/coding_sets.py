@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua import arrays
 from residua.analysis.codes import equal_codes, strongly_isolating
 from residua.errors import DesignError
+from residua.visible import counted
 
 #: Codes that may become others, as a text names them at most.
 NAMED = 6
@@ -189,12 +190,12 @@ class CodingSet:
         lines += [f"no method tells apart: {', '.join(group)}" for group in self.inseparable]
         known = {frozenset(group) for group in self.inseparable}
         lines += [f"same code: {', '.join(group)}" for group in self.equal if frozenset(group) not in known]
-        told = [
+        pairs = [
             f"the code of '{name}' becomes that of {either(others)} when residuals stay silent"
             for name, others in self.degradations.items()
         ]
-        more = [f"and {len(told) - NAMED} more codes that become others"] if len(told) > NAMED else []
-        return lines + told[:NAMED] + more
+        more = [f"and {len(pairs) - NAMED} more codes that become others"] if len(pairs) > NAMED else []
+        return lines + pairs[:NAMED] + more
 
 
 class HasCodingSet(Protocol):
@@ -251,14 +252,14 @@ def isolation_quality(structure: Structure) -> str:
     >>> [coding.isolation_quality(S) for S in (["110", "111", "111"], ["110", "101", "111"], ["110", "101", "011"])]
     ['none', 'weak', 'strong']
     """
-    given = CodingSet.of(structure)
-    if not given.structure.size:
-        rows, columns = given.structure.shape
+    coding = CodingSet.of(structure)
+    if not coding.structure.size:
+        rows, columns = coding.structure.shape
         raise DesignError(
             f"the structure has {counted(rows, 'residual')} and {counted(columns, 'fault')}: "
             "there is nothing to isolate"
         )
-    return given.quality
+    return coding.quality
 
 
 def structure_rows(structure: Structure, faults: tuple[str, ...]) -> dict[str, NDArray[np.bool_]]:
@@ -275,7 +276,7 @@ def structure_rows(structure: Structure, faults: tuple[str, ...]) -> dict[str, N
 
 
 def _plain(structure: Any) -> Any:
-    """Return what was given, or its ``coding_set`` where it has one: that of the attainable rows."""
+    """Return the structure, or its ``coding_set`` if it has one: that of the attainable rows."""
     return getattr(structure, "coding_set", structure)
 
 
@@ -307,16 +308,16 @@ def _named_rows(structure: Structure, faults: tuple[str, ...]) -> dict[str, NDAr
             rows[str(name)] = np.zeros(len(faults), dtype=bool)
             rows[str(name)][arrays.positions(seen, faults, "fault")] = True
         return rows
-    given: Any = [structure] if isinstance(structure, str) else structure
-    if isinstance(given, Sequence) and given and all(isinstance(row, str) for row in given):
-        wrong = [row for row in given if set(row) - {"0", "1"} or len(row) != len(faults)]
+    listed: Any = [structure] if isinstance(structure, str) else structure
+    if isinstance(listed, Sequence) and listed and all(isinstance(row, str) for row in listed):
+        wrong = [row for row in listed if set(row) - {"0", "1"} or len(row) != len(faults)]
         if wrong:
             raise DesignError(f"row {wrong[0]!r}: expected {len(faults)} digits 0 or 1, one per fault")
-        given = [[digit == "1" for digit in row] for row in given]
+        listed = [[digit == "1" for digit in row] for row in listed]
     try:
-        M = np.atleast_2d(np.asarray(given, dtype=float))
+        M = np.atleast_2d(np.asarray(listed, dtype=float))
     except (TypeError, ValueError) as error:
-        raise DesignError(f"{_WANTED}{_uneven(given)}") from error
+        raise DesignError(f"{_WANTED}{_uneven(listed)}") from error
     if M.ndim != 2 or M.shape[1] != len(faults) or not np.isin(M, (0, 1)).all():
         raise DesignError(
             f"structure must be 0 or 1, residuals x {len(faults)} faults ({', '.join(faults)}), got shape {M.shape}"
@@ -332,23 +333,18 @@ def _uneven(rows: Any) -> str:
     return f"; the rows have {', '.join(map(str, lengths[:-1]))} and {lengths[-1]} entries"
 
 
-def _rows_of_set(given: CodingSet, faults: tuple[str, ...]) -> dict[str, NDArray[np.bool_]]:
+def _rows_of_set(coding: CodingSet, faults: tuple[str, ...]) -> dict[str, NDArray[np.bool_]]:
     """Return the rows of a coding set with its columns in the order of the faults."""
-    if set(given.faults) != set(faults):
-        other = ", ".join(sorted(set(given.faults) ^ set(faults)))
+    if set(coding.faults) != set(faults):
+        other = ", ".join(sorted(set(coding.faults) ^ set(faults)))
         raise DesignError(f"the coding set is for other faults than the plant's: {other}; choose one for this plant")
-    order = [given.faults.index(name) for name in faults]
-    return {name: row[order] for name, row in zip(given.residuals, given.structure, strict=True)}
+    order = [coding.faults.index(name) for name in faults]
+    return {name: row[order] for name, row in zip(coding.residuals, coding.structure, strict=True)}
 
 
 def _range(values: NDArray) -> str:
     low, high = int(values.min()), int(values.max())
     return f"{low}" if low == high else f"{low} to {high}"
-
-
-def counted(count: int, noun: str) -> str:
-    """Return a number with its noun."""
-    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def either(names: Sequence[str]) -> str:

@@ -59,7 +59,7 @@ class Cover:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Chosen rows; ``bound`` is what the aim might still reach, ``None`` where it was proved to be reached."""
+    """Chosen rows; ``bound`` is what the aim might still reach, ``None`` if it was proved to be reached."""
 
     chosen: NDArray[np.int64]
     bound: int | None
@@ -177,8 +177,8 @@ def _unevenness(rows: NDArray[np.bool_]) -> int:
 def _cuts(cover: Cover) -> tuple[NDArray, NDArray]:
     """Return inequalities that all choices meet and fractions of rows do not: right-hand sides and weights.
 
-    A column that must be told from several others by zeros (or by ones) needs one row that does it for all of them,
-    or two rows. Without these the fractional problem lets one row do half of both.
+    A column that zeros (or ones) must separate from several others needs one row that does it for all of
+    them, or two rows. Without these inequalities the fractional problem lets one row do half of both.
     """
     R = cover.rows
     sides, weights = [], []
@@ -186,11 +186,11 @@ def _cuts(cover: Cover) -> tuple[NDArray, NDArray]:
         for k in range(R.shape[1]):
             others = [j for pair in cover.pairs if k in pair for j in pair if j != k]
             for own in (R, ~R):
-                told = own[:, [k]] & ~own[:, others]
-                told = told[:, told.any(axis=0)]
-                if told.shape[1] > 1:
+                cut = own[:, [k]] & ~own[:, others]
+                cut = cut[:, cut.any(axis=0)]
+                if cut.shape[1] > 1:
                     sides.append(2.0)
-                    weights.append(told.any(axis=1).astype(float) + told.all(axis=1))
+                    weights.append(cut.any(axis=1).astype(float) + cut.all(axis=1))
     return np.array(sides), np.array(weights).reshape(len(sides), len(R))
 
 
@@ -211,10 +211,10 @@ def integer_program(aim: NDArray, constraints: list, upper: NDArray, integral: N
     from scipy.optimize import Bounds, LinearConstraint, milp  # slow to import, and needed only here
     from scipy.sparse import csr_array
 
-    given = [LinearConstraint(csr_array(M), low, high) for M, low, high in constraints if len(M)]  # pyright: ignore
+    linear = [LinearConstraint(csr_array(M), low, high) for M, low, high in constraints if len(M)]  # pyright: ignore
     return milp(
         aim,
-        constraints=given,
+        constraints=linear,
         bounds=Bounds(np.zeros(len(aim)), upper),  # pyright: ignore
         integrality=integral,
         options={"time_limit": max(limit, 0.05)},

@@ -131,8 +131,8 @@ class FaultSpace:
         whole = len(self.basis(visible))
         if not whole:
             return []
-        found = [(~self.visible, [])]
-        level: list[tuple[NDArray[np.bool_], list[int]]] = list(found)
+        known = [(~self.visible, [])]
+        level: list[tuple[NDArray[np.bool_], list[int]]] = list(known)
         for _ in range(whole - 1):
             above: dict[bytes, tuple[NDArray[np.bool_], list[int]]] = {}
             for flat, basis in level:
@@ -145,15 +145,15 @@ class FaultSpace:
                     covered |= closed
                     if not closed.all():
                         above.setdefault(closed.tobytes(), (closed, larger))
-                if len(found) + len(above) > most:
+                if len(known) + len(above) > most:
                     raise DesignError(
                         f"more than {most} rows are attainable with {len(visible)} faults and {whole} independent "
                         "residuals: ask about the rows you mean (structure=...), watch fewer faults at a time "
                         "(plant.without_faults), or allow more with most="
                     )
             level = list(above.values())
-            found += level
-        return found
+            known += level
+        return known
 
 
 def fault_space(plant: Plant, *, rtol: float) -> FaultSpace:
@@ -164,18 +164,18 @@ def fault_space(plant: Plant, *, rtol: float) -> FaultSpace:
     model = in_canonical_units(plant)
     points = generic_points(model)
     check_regular(model, points)
-    found = visible_columns(model, points, rtol)
-    generic = _directions(found, rtol)
-    limit = _directions(limit_columns(model, rtol, found.rank), rtol)
+    columns = visible_columns(model, points, rtol)
+    generic = _directions(columns, rtol)
+    limit = _directions(limit_columns(model, rtol, columns.rank), rtol)
     visible = np.asarray(np.isfinite(generic.doubt).any(axis=0))
-    return FaultSpace(plant.faults, visible, found.columns.shape[1], generic, limit, model, found.rank, rtol)
+    return FaultSpace(plant.faults, visible, columns.columns.shape[1], generic, limit, model, columns.rank, rtol)
 
 
-def _directions(found: Visible, rtol: float) -> _Directions:
+def _directions(visible: Visible, rtol: float) -> _Directions:
     """Return the columns with unit length, and the doubt that rounding leaves about each."""
-    size = np.linalg.norm(found.columns, axis=1)
-    floor = np.maximum(found.rounding, 10 * rtol)[:, None]
-    unit = found.columns / np.maximum(size, TINY)[:, None]
+    size = np.linalg.norm(visible.columns, axis=1)
+    floor = np.maximum(visible.rounding, 10 * rtol)[:, None]
+    unit = visible.columns / np.maximum(size, TINY)[:, None]
     doubt = np.clip(10 * floor / np.maximum(size, TINY), LEAST_SINE, 1e-2)
     return _Directions(unit, np.where(size > floor, doubt, np.inf), size)
 

@@ -21,8 +21,8 @@ from residua.linear.subspaces.rank import (
 )
 from residua.linear.systems.balancing import descriptor_units, evened, without_rounding
 from residua.plant import OperatingPoint, Plant
+from residua.plant.comparable_units import EvenPlant, even_plant
 from residua.plant.disturbances import factor_disturbance
-from residua.plant.even_units import EvenPlant, even_plant
 from residua.tolerances import RESIDUE, TINY, above_rounding
 
 
@@ -316,18 +316,18 @@ def singular_decoupling(plant: Plant, form: OutputFreeForm, *, rtol: float = DEF
     whole = np.block([[R * E * S, D], [Y * form.C * S, np.zeros((p, q))]])
     level = np.linalg.norm(whole[:, :n], axis=0)  # time has units too: E may be small against C
     whole[:, :n] /= np.where(level > 0, level, 1.0)
-    found = np.linalg.pinv(whole, rcond=rtol)[:n]
-    found = above_rounding(found, np.abs(found).max(initial=0.0), RESIDUE)  # rounding is no coupling
-    found = found / np.where(level > 0, level, 1.0)[:, None]
-    T, H = S[:, None] * found[:, :n] * u.equations, S[:, None] * found[:, n:] * u.outputs
+    inverse = np.linalg.pinv(whole, rcond=rtol)[:n]
+    inverse = above_rounding(inverse, np.abs(inverse).max(initial=0.0), RESIDUE)  # rounding is no coupling
+    inverse = inverse / np.where(level > 0, level, 1.0)[:, None]
+    T, H = S[:, None] * inverse[:, :n] * u.equations, S[:, None] * inverse[:, n:] * u.outputs
     free = left_null_basis(whole, rtol=rtol, scale=1.0)[0].T
     N, M = free[:, :n] * u.equations, free[:, n:] * u.outputs
     return Decoupling(T, H, N, M, decide_rank(whole, rtol=rtol, scale=1.0), decide_rank(D, rtol=rtol, scale=1.0))
 
 
-def error_pair(found: Decoupling, form: OutputFreeForm) -> tuple[NDArray, NDArray]:
+def error_pair(decoupling: Decoupling, form: OutputFreeForm) -> tuple[NDArray, NDArray]:
     """Return the pair whose poles are placed: ``T A`` and the measurements ``[C; N A]``."""
-    return without_rounding(found.T, form.A), np.vstack([form.C, without_rounding(found.N, form.A)])
+    return without_rounding(decoupling.T, form.A), np.vstack([form.C, without_rounding(decoupling.N, form.A)])
 
 
 def algebraic_equations(plant: Plant, *, undisturbed: bool = False) -> NDArray[np.float64]:
@@ -375,8 +375,8 @@ def with_needed_equations(
     By those used. The equations are as in :func:`with_equations_measured`, none if not needed.
     """
     seen = plant if len(used) == plant.n_outputs else _with_outputs(plant, used)
-    found = singular_decoupling(seen, output_free_form(seen, rtol=rtol), rtol=rtol)
-    if found.rank.rank < plant.n_states + found.rank_D.rank:
+    decoupling = singular_decoupling(seen, output_free_form(seen, rtol=rtol), rtol=rtol)
+    if decoupling.rank.rank < plant.n_states + decoupling.rank_D.rank:
         return with_equations_measured(plant)
     return plant, np.zeros((0, plant.n_states))
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from residua.errors import ModelError
 from residua.linear.subspaces.rank import decide_rank, equilibrated
 from residua.plant import Plant
-from residua.plant.canonical_units import canonical_units
+from residua.plant.comparable_units import canonical_units
 from residua.tolerances import TINY
 
 #: Vectors of unit length that begin with less than this begin with nothing.

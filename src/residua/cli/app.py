@@ -107,17 +107,17 @@ def fit(
     data = [reading.read(path, watch) for path in normal]
     rate = watch.test.false_alarm_rate if false_alarm_rate is None else false_alarm_rate
     watch.fit(data if len(data) > 1 else data[0], false_alarm_rate=rate)
-    found = [_run(watch, one) for one in data]
+    runs = [_run(watch, one) for one in data]
     watch.reset()
     watch.save(output)
-    judged = sum(int(one.decided.sum()) for one in found)
-    alarmed = sum(float((one.alarm & one.decided).sum()) for one in found)
+    judged = sum(int(one.decided.sum()) for one in runs)
+    alarmed = sum(float((one.alarm & one.decided).sum()) for one in runs)
     screen.say(
         thresholds(watch),
         f"basis: {watch.norm_test.basis}",
-        _fitted_samples(found, judged),
-        f"fraction in alarm: {alarmed / max(1, judged):.3g} ({_asked(found[0], rate)})",
-        _expected_alarms(watch, rate, sum(len(one.alarms) for one in found)),
+        _fitted_samples(runs, judged),
+        f"fraction in alarm: {alarmed / max(1, judged):.3g} ({_asked(runs[0], rate)})",
+        _expected_alarms(watch, rate, sum(len(one.alarms) for one in runs)),
         *(f"{one.source}: {note}" for one in data for note in one.notes),
         f"written: {output}",
     )
@@ -128,19 +128,19 @@ def fit(
         )
 
 
-def _fitted_samples(found: list[Diagnosis], judged: int) -> str:
+def _fitted_samples(runs: list[Diagnosis], judged: int) -> str:
     """Say how many samples a fit has seen, and what became of them."""
-    number, span = sum(len(one.time) for one in found), sum(map(_span, found))
-    several = f" in {len(found)} recordings" if len(found) > 1 else ""
-    incomplete = sum(one.n_missing for one in found)
+    number, span = sum(len(one.time) for one in runs), sum(map(_span, runs))
+    several = f" in {len(runs)} recordings" if len(runs) > 1 else ""
+    incomplete = sum(one.n_missing for one in runs)
     return (
         f"fault-free samples: {number}{several} over {span:.6g} s, {judged} judged "
         f"({incomplete} incomplete, the rest while the filter settles)"
     )
 
 
-def _asked(found: Diagnosis, rate: float) -> str:
-    return "thresholds certified by the design" if found.certified else f"asked for: at most {rate:g}"
+def _asked(diagnosis: Diagnosis, rate: float) -> str:
+    return "thresholds certified by the design" if diagnosis.certified else f"asked for: at most {rate:g}"
 
 
 def _expected_alarms(watch: Monitor, rate: float, here: int) -> str:
@@ -187,30 +187,30 @@ def run(
     watch.norm_test  # noqa: B018 (a monitor without a threshold says so before a long file is read)
     reading = Reading(time, dt, variable, fill_gaps, tolerance, day_first, time_format, decimal, columns, transpose)
     data = reading.read(recording, watch)
-    found = _run(watch, data)
-    written = _write(found, report=report, alarms=alarms, residuals=residuals)
+    diagnosis = _run(watch, data)
+    written = _write(diagnosis, report=report, alarms=alarms, residuals=residuals)
     if not quiet:
-        screen.show_diagnosis(found)
+        screen.show_diagnosis(diagnosis)
         if data.origin:
             screen.say(f"times count from {data.origin}")
         screen.say(*(f"written: {path}" for path in written))
-    if not found.decided.any():
+    if not diagnosis.decided.any():
         raise DataError(
-            f"{recording}: no sample could be judged, so this is not a verdict: {len(found.time)} samples, "
-            f"{found.n_missing} of them incomplete; {settling_reason(watch.generator, watch.settling_samples)}"
+            f"{recording}: no sample could be judged, so this is not a verdict: {len(diagnosis.time)} samples, "
+            f"{diagnosis.n_missing} of them incomplete; {settling_reason(watch.generator, watch.settling_samples)}"
         )
-    raise typer.Exit(FAULT if found.fault_detected else NO_FAULT)
+    raise typer.Exit(FAULT if diagnosis.fault_detected else NO_FAULT)
 
 
 def _run(watch: Monitor, data: Recording) -> Diagnosis:
     with screen.progress() as bar:
-        found = watch.run(data, progress=bar)
-    assert isinstance(found, Diagnosis)
-    return replace(found, notes=tuple(map(in_cli_words, found.notes)))
+        diagnosis = watch.run(data, progress=bar)
+    assert isinstance(diagnosis, Diagnosis)
+    return replace(diagnosis, notes=tuple(map(in_cli_words, diagnosis.notes)))
 
 
-def _span(found: Diagnosis) -> float:
-    return float(found.time[-1] - found.time[0]) if len(found.time) else 0.0
+def _span(diagnosis: Diagnosis) -> float:
+    return float(diagnosis.time[-1] - diagnosis.time[0]) if len(diagnosis.time) else 0.0
 
 
 def _check_table(path: Path | None) -> None:
@@ -218,14 +218,14 @@ def _check_table(path: Path | None) -> None:
         raise DataError(f"{path}: residuals are written as .csv or .parquet, by the ending of the name")
 
 
-def _write(found: Diagnosis, *, report: Path | None, alarms: Path | None, residuals: Path | None) -> list[Path]:
+def _write(diagnosis: Diagnosis, *, report: Path | None, alarms: Path | None, residuals: Path | None) -> list[Path]:
     """Write what was asked for and return the paths."""
     if report is not None:
-        found.to_html(report)
+        diagnosis.to_html(report)
     if alarms is not None:
-        found.write_alarms(alarms)
+        diagnosis.write_alarms(alarms)
     if residuals is not None:
-        write_table(residuals, found.columns())
+        write_table(residuals, diagnosis.columns())
     return [path for path in (report, alarms, residuals) if path is not None]
 
 

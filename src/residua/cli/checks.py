@@ -7,8 +7,9 @@ from pathlib import Path
 
 import typer
 
-from residua.errors import DataError
+from residua.errors import DataError, SettingError
 from residua.files import check_output, real, special
+from residua.tolerances import SAME
 
 
 def checked_rate(value: float | None) -> float | None:
@@ -23,6 +24,15 @@ def checked_positive(value: float | None) -> float | None:
     if value is not None and not 0 < value < float("inf"):
         raise typer.BadParameter(f"must be positive, got {value:g}")
     return value
+
+
+def check_sample_time(sample_time: float | None, dt: float) -> None:
+    """Raise where a step of recordings is said to be another than that of a sampled plant."""
+    if sample_time is not None and dt and abs(sample_time - dt) > SAME * dt:
+        raise SettingError(
+            f"the plant is sampled, dt={dt:g} s, and --sample-time is {sample_time:g} s: leave it out, or give a "
+            "plant file for that step"
+        )
 
 
 def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path] = ()) -> None:

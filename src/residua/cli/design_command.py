@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from residua.cli import methods, screen
-from residua.cli.checks import check_outputs, checked_positive, checked_rate
+from residua.cli.checks import check_outputs, check_sample_time, checked_positive, checked_rate
 from residua.cli.guard import GuardedGroup, in_cli_words, note
 from residua.cli.plant_commands import PlantFile
 from residua.decide import Directional, Matched, NormThreshold, Structured
@@ -24,6 +24,7 @@ from residua.files import check_input
 from residua.monitor import Monitor
 from residua.monitor.setup import chosen_isolation
 from residua.plant.plant_file import load_plant
+from residua.plant.toml_entry import suggestion
 
 #: Methods that are listed at an option in the help, and where the first sentence of its text ends.
 _LISTED, _SENTENCE = 4, r"(?<=\.) "
@@ -31,12 +32,13 @@ _LISTED, _SENTENCE = 4, r"(?<=\.) "
 
 def _method(name: str) -> str:
     """Return the name of a method that is offered, its present one."""
-    known, former = methods.offered(), methods.former_names()
+    known, former, name = methods.offered(), methods.former_names(), name.replace("_", "-")
     if name in former:
         note(f"--method {name} is called {former[name]} now, as its function is; the old name is deprecated")
         name = former[name]
     if name != methods.AUTO and name not in known:
-        raise typer.BadParameter(f"{name!r} is none of {', '.join([methods.AUTO, *known])}")
+        names = [methods.AUTO, *known]
+        raise typer.BadParameter(f"{suggestion(name, names).strip()} is none of {', '.join(names)}")
     return name
 
 
@@ -50,7 +52,7 @@ def _list_methods(wanted: bool) -> None:
 
 def design(
     plant: PlantFile,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="OUT.json", help="Monitor to write.")],
+    output: Annotated[Path | None, typer.Option("--output", "-o", metavar="OUT.json", help="Monitor to write.")] = None,
     method: Annotated[
         str,
         typer.Option(callback=_method, metavar="NAME", help="auto: by disturbances and noise of the plant."),
@@ -59,7 +61,9 @@ def design(
         bool,
         typer.Option("--methods", callback=_list_methods, is_eager=True, help="List the methods: what each needs."),
     ] = False,
-    show_call: Annotated[bool, typer.Option("--show-call", help="Print the same design as a line of Python.")] = False,
+    show_call: Annotated[
+        bool, typer.Option("--show-call", help="Print the design as a line of Python; without --output no more.")
+    ] = False,
     sample_time: Annotated[
         float | None,
         typer.Option(callback=checked_positive, metavar="S", help="Step of the recordings, for a continuous plant."),
@@ -85,13 +89,20 @@ def design(
 ) -> None:
     """Design a monitor and print what it proves about itself."""
     check_input(plant, "a plant file")
+    if output is None and not show_call:
+        raise typer.BadParameter("give the monitor a name, OUT.json", param_hint="'--output' / '-o'")
     check_outputs([output], [plant])
     model = load_plant(plant)
+    check_sample_time(sample_time, model.dt)
     name, why = (method, "") if method != methods.AUTO else methods.choose(model)
     try:
         call = methods.call_of(name, _given(asked), {"window": window}, sample_time)
     except methods.OptionError as error:
         raise typer.BadParameter(error.why, param_hint=error.option) from None
+    chosen = f"method: {name}" + (f", because {why}" if why else "")
+    if output is None:
+        screen.say(chosen, f"call: {call.code(model)}")
+        return
     made = methods.make(model, name, call, why=why)
     if isinstance(made, MatchedFilters) and average != 1:
         raise SettingError("matched filters sum over their --window by themselves: leave out --average")
@@ -99,7 +110,7 @@ def design(
     test = NormThreshold(persistence=persistence, window=average, false_alarm_rate=false_alarm_rate)
     monitor = Monitor(made, test=test, isolate=isolate, dt=sample_time)
     monitor.save(output)
-    screen.say(f"method: {name}" + (f", because {why}" if why else ""), in_cli_words(str(_evidence(monitor))))
+    screen.say(chosen, in_cli_words(str(_evidence(monitor))))
     if show_call:
         screen.say(f"call: {call.code(model)}")
     if isinstance(isolate, Matched):
@@ -122,8 +133,8 @@ def design_command() -> Any:
     of_methods = [_parameter(one) for one in methods.options({one.name for one in fixed})]
     at = next(k for k, one in enumerate(fixed) if one.name == "false_alarm_rate")
 
-    def command(**given: Any) -> None:
-        design(**given)
+    def command(**options: Any) -> None:
+        design(**options)
 
     parameters = [*fixed[:at], *of_methods, *fixed[at:]]
     command.__signature__ = inspect.Signature([one.replace(kind=one.KEYWORD_ONLY) for one in parameters])  # pyright: ignore
@@ -151,8 +162,8 @@ def _parameter(one: methods.Shared) -> inspect.Parameter:
     """Return an option of methods as a parameter of the command."""
     kind = bool if one.form.is_flag else str
     of = ", ".join(one.methods) if len(one.methods) <= _LISTED else f"{len(one.methods)} methods, see --methods"
-    told = f"{re.split(_SENTENCE, one.text)[0].rstrip('.')}. Of {of}." if one.text else f"Of {of}."
-    option = partial(typer.Option, *one.flags, help=told, rich_help_panel="Options of methods", show_default=False)
+    text = f"{re.split(_SENTENCE, one.text)[0].rstrip('.')}. Of {of}." if one.text else f"Of {of}."
+    option = partial(typer.Option, *one.flags, help=text, rich_help_panel="Options of methods", show_default=False)
     option = option() if one.form.is_flag else option(metavar=one.form.metavar)
     annotation = Annotated[kind | None, option]
     return inspect.Parameter(one.name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)

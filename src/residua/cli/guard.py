@@ -34,7 +34,7 @@ _OPTIONS: ContextVar[frozenset[str]] = ContextVar("options", default=frozenset()
 
 
 class GuardedGroup(TyperGroup):
-    """A group of commands none of which ends in a traceback, nor with the status of a found fault by accident."""
+    """A group of commands none of which ends in a traceback, nor by accident with the status of a fault."""
 
     def make_context(self, *args: Any, **kwargs: Any) -> Any:
         """Read the arguments; options such as ``--version`` print at once."""
@@ -43,10 +43,10 @@ class GuardedGroup(TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the command that was asked for."""
-        found = super().resolve_command(ctx, args)
-        if found[1] is not None:
-            _OPTIONS.set(frozenset(name for parameter in found[1].params for name in parameter.opts))
-        return found
+        resolved = super().resolve_command(ctx, args)
+        if resolved[1] is not None:
+            _OPTIONS.set(frozenset(name for parameter in resolved[1].params for name in parameter.opts))
+        return resolved
 
     def invoke(self, ctx: Any) -> Any:
         """Run the chosen command."""

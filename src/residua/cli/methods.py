@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,7 +20,8 @@ from residua.errors import AccuracyError, DesignError, ModelError, SettingError
 from residua.plant import Plant
 
 AUTO = "auto"
-#: Seconds for the choice of a coding set, and for the other methods after a refusal; what was found by then is taken.
+#: Seconds for the choice of a coding set, whose search then takes the best one so far; and for the other methods after
+#: a refusal.
 CHOICE_TIME, TRYING_TIME = 10.0, 30.0
 
 
@@ -35,6 +36,12 @@ class OptionError(ValueError):
 def option_name(name: str) -> str:
     """Return how the command line calls an argument; letters of the literature stay as they are."""
     return f"--{name.replace('_', '-')}"
+
+
+def flag(option: Option) -> str:
+    """Return how an option of a method is written on the command line."""
+    form = form_of(option)
+    return option_name(form.name if form and form.name else option.name)
 
 
 def method_name(method: Method) -> str:
@@ -53,7 +60,7 @@ def former_names() -> dict[str, str]:
 
 
 def in_python_only(method: Method) -> str:
-    """Return why a method is not offered here; empty where it is."""
+    """Return why a method is not offered here; empty if it is."""
     if not method.takes_a_plant:
         kind = method.designs_for
         article = "" if kind.endswith("s") and "with" not in kind else "an " if kind[0] in "aeiou" else "a "
@@ -71,11 +78,11 @@ class Shared:
     Attributes
     ----------
     name : str
-        Of the argument.
+        The name of the argument.
     flags : tuple of str
-        What is written.
+        The words on the command line.
     form : Form
-        Of the first method that has it.
+        The form in the first method that has it.
     text : str
         What most of the methods say of it.
     methods : tuple of str
@@ -91,23 +98,23 @@ class Shared:
 
 def options(taken: Iterable[str] = ()) -> list[Shared]:
     """Return every option of every method, but for names that are taken."""
-    found: dict[str, list[tuple[str, Option, Form]]] = {}
+    holders_of: dict[str, list[tuple[str, Option, Form]]] = {}
     for name, method in offered().items():
         for option in method.options:
             form = form_of(option)
             if form is not None and option.name not in taken:
-                found.setdefault(option.name, []).append((name, option, form))
-    return [_shared(name, holders) for name, holders in found.items()]
+                holders_of.setdefault(option.name, []).append((name, option, form))
+    return [_shared(name, holders) for name, holders in holders_of.items()]
 
 
 def _shared(name: str, holders: list[tuple[str, Option, Form]]) -> Shared:
     form = holders[0][2]
     texts = Counter(one.text for _, one, _ in holders)
     text = max(texts, key=lambda one: (bool(one), texts[one], len(one)))
-    flag = option_name(form.name or name)
-    flags = (f"{flag}/--no-{flag[2:]}",) if form.is_flag else (flag,)
+    plain = option_name(form.name or name)
+    flags = (f"{plain}/--no-{plain[2:]}",) if form.is_flag else (plain,)
     if any(other.is_flag != form.is_flag for _, _, other in holders):  # of one name and two kinds: each reads its text
-        form, flags = Form("TEXT", str), (flag,)
+        form, flags = Form("TEXT", str), (plain,)
     return Shared(name, flags, form, in_plain_words(text), tuple(one for one, _, _ in holders))
 
 
@@ -125,10 +132,8 @@ class Call:
     Attributes
     ----------
     method : Method
-    given : mapping of str to value
+    values : mapping of str to value
         Options that were asked for.
-    written : mapping of str to str or bool
-        The same as they were written, for other methods to read.
     sample_time : float or None
         Of the recordings.
     settings : mapping of str to value
@@ -138,8 +143,7 @@ class Call:
     """
 
     method: Method
-    given: Mapping[str, Any]
-    written: Mapping[str, Any] = field(default_factory=dict)
+    values: Mapping[str, Any]
     sample_time: float | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
     made: dict[Chosen, Any] = field(default_factory=dict, repr=False)
@@ -148,7 +152,7 @@ class Call:
     def asked(self) -> dict[str, Any]:
         """Its arguments, beside those that are made from the plant."""
         names = {one.name for one in self.method.options}
-        return {**self.given, **{name: value for name, value in self.settings.items() if name in names}}
+        return {**self.values, **{name: value for name, value in self.settings.items() if name in names}}
 
     @property
     def left_out(self) -> list[str]:
@@ -185,10 +189,19 @@ class Call:
         made = [
             f"{name}={one.limited.format(seconds=CHOICE_TIME)}"
             for name, one in self.method.chosen.items()
-            if name not in self.given
+            if name not in self.values
         ]
-        given = [f"{name}={value!r}" for name, value in self.asked.items()]
-        return f"{self.method.called}({', '.join([sampled, *made, *given])})"
+        arguments = [f"{name}={_with_real_numbers(value)!r}" for name, value in self.asked.items()]
+        return f"{self.method.called}({', '.join([sampled, *made, *arguments])})"
+
+
+def _with_real_numbers(value: Any) -> Any:
+    """Return a value, or a list or mapping of values, in which complex numbers without an imaginary part are real."""
+    if isinstance(value, Mapping):
+        return {name: _with_real_numbers(one) for name, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return type(value)(_with_real_numbers(one) for one in value)
+    return value.real if isinstance(value, complex) and not value.imag else value
 
 
 def choose(plant: Plant) -> tuple[str, str]:
@@ -235,21 +248,20 @@ def call_of(name: str, asked: Mapping[str, Any], settings: Mapping[str, Any], sa
     for option in asked:
         if option not in own:
             raise SettingError(_not_of(option, name))
-    given = {option: _read(own[option], value) for option, value in asked.items()}
-    call = Call(method, given, asked, sample_time, settings)
+    values = {option: _read(own[option], value) for option, value in asked.items()}
+    call = Call(method, values, sample_time, settings)
     if call.left_out:
         needed = next(one for one in method.options if one.name == call.left_out[0])
         form = form_of(needed)
         assert form is not None
-        said = in_plain_words(needed.text)
-        raise SettingError(f"{name} needs {option_name(form.name or needed.name)} {form.metavar}: {said}")
+        raise SettingError(f"{name} needs {flag(needed)} {form.metavar}: {in_plain_words(needed.text)}")
     return call
 
 
 def _not_of(option: str, name: str) -> str:
     one = next(one for one in options() if one.name == option)
-    flag = one.flags[0].partition("/")[0]
-    return f"{flag} is for --method {_listed(one.methods)}, not for {name}"
+    written = one.flags[0].partition("/")[0]
+    return f"{written} is for --method {_listed(one.methods)}, not for {name}"
 
 
 def _listed(names: tuple[str, ...]) -> str:
@@ -262,7 +274,7 @@ def _read(option: Option, value: Any) -> Any:
     try:
         return form.read(value)
     except ValueError as error:
-        raise OptionError(option_name(form.name or option.name), str(error)) from None
+        raise OptionError(flag(option), str(error)) from None
 
 
 def make(plant: Plant, name: str, call: Call, *, why: str = "") -> Any:
@@ -286,43 +298,48 @@ def make(plant: Plant, name: str, call: Call, *, why: str = "") -> Any:
     DesignError
     """
     for option, chosen in call.method.chosen.items():
-        if chosen is ROWS and option in call.given:  # a slip in these says nothing about other methods
-            coding.CodingSet.of(call.given[option], plant.faults)
+        if chosen is ROWS and option in call.values:  # a slip in these says nothing about other methods
+            coding.CodingSet.of(call.values[option], plant.faults)
     try:
         return call.run(plant)
     except (DesignError, AccuracyError) as error:
         chosen = f"{name} (chosen because {why})" if why else name
-        raise type(error)(f"{chosen}: {error}; {_alternatives(plant, name, call)}") from error
+        raise type(error)(f"{chosen}: {error}; {_remedy(plant, name, call)}") from error
     except SettingError as error:  # an option is wrong: that says nothing about other methods
         raise SettingError(f"{name}: {error}") from error
 
 
+def _remedy(plant: Plant, name: str, call: Call) -> str:
+    """Return which options are in the way where the method works without them, or which other methods exist."""
+    kept = {option.name for option in call.method.options if option.required} - set(call.method.chosen)
+    dropped = [option for option in call.method.options if option.name in call.values and option.name not in kept]
+    if dropped and _exists(_without_options(call, call.method, kept), plant):
+        return f"without {_listed(tuple(flag(one) for one in dropped))} {name} exists for this plant"
+    return _alternatives(plant, name, call)
+
+
+def _without_options(call: Call, method: Method, kept: Iterable[str] = ()) -> Call:
+    """Return a call of a method with the defaults of its options, but for those that are kept."""
+    values = {name: value for name, value in call.values.items() if name in kept}
+    return Call(method, values, call.sample_time, call.settings, call.made)
+
+
 def _alternatives(plant: Plant, failed: str, call: Call) -> str:
-    """Return which of the other methods exist for this plant, with those of the options that they have."""
+    """Return which of the other methods exist for this plant, with the defaults of their options."""
     possible, late, end = [], [], time.monotonic() + TRYING_TIME
-    for name, other in _others(failed, call):
+    for name, method in offered().items():
+        other = _without_options(call, method)
+        if name == failed or other.left_out:
+            continue
         if time.monotonic() > end:
             late.append(name)
         elif _exists(other, plant):
-            exposed = plant.disturbances and not other.method.decouples
+            exposed = plant.disturbances and not method.decouples
             possible.append(f"--method {name}{' (does not decouple the disturbances)' if exposed else ''}")
     untried = f"; not tried for want of time: {', '.join(late)}" if late else ""
     if possible:
         return f"what exists for this plant: {', '.join(possible)}{untried}"
-    return f"no other method exists for this plant with these options either{untried}"
-
-
-def _others(failed: str, call: Call) -> Iterator[tuple[str, Call]]:
-    """Yield the other methods, with those of the options that they have and can read."""
-    for name, method in offered().items():
-        own = {one.name: one for one in method.options if form_of(one) is not None}
-        try:
-            given = {key: _read(own[key], text) for key, text in call.written.items() if key in own}
-        except OptionError:
-            continue
-        other = Call(method, given, call.written, call.sample_time, call.settings, call.made)
-        if name != failed and not other.left_out:
-            yield name, other
+    return f"no other method exists for this plant either{untried}"
 
 
 def _exists(call: Call, plant: Plant) -> bool:
@@ -340,7 +357,6 @@ def table() -> list[tuple[str, ...]]:
     """Return what each method needs and which options it has, as rows under :data:`HEADER`."""
     rows = []
     for name, method in offered().items():
-        forms = ((one, form_of(one)) for one in method.options)
-        flags = [option_name(form.name or one.name) for one, form in forms if form is not None]
+        flags = [flag(one) for one in method.options if form_of(one) is not None]
         rows.append((name, method.needs, method.condition, " ".join(flags)))
     return rows

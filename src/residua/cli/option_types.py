@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import typing
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -13,6 +14,8 @@ from numpy.typing import ArrayLike
 from residua.analysis.coding_sets import CodingSet
 from residua.design.core.options import Option, kinds_of
 
+#: The argument that is a relative tolerance in every design function.
+_TOLERANCE = "rtol"
 _ARRAY = frozenset(kinds_of(ArrayLike))
 
 
@@ -68,6 +71,8 @@ def _single(option: Option, kinds: tuple[Any, ...]) -> Form | None:
     if any(typing.get_origin(kind) in (Iterable, Sequence) and str in _members(kind) for kind in kinds):
         return Form("LIST", parse_names)
     if float in kinds:
+        if option.name == _TOLERANCE:
+            return Form("NUMBER", parse_tolerance)
         rate = "1/s" in option.text or "rad/s" in option.text
         return Form("RATE", parse_rate) if rate else Form("NUMBER", parse_number)
     if int in kinds:
@@ -91,7 +96,15 @@ def _named_or_not(each: Form, single: Callable[[str], Any] | None, text: str) ->
     bare = next((name for name, sign, _ in entries if not sign), None)
     if bare is not None:
         raise ValueError(f"{bare.strip()!r} has no '=': give 'first=...; second=...'")
+    _check_different([name.strip() for name, _, _ in entries])
     return {name.strip(): each.read(value) for name, _, value in entries}
+
+
+def _check_different(entries: Sequence[str]) -> None:
+    """Raise when an entry is there twice."""
+    twice = next((one for one, count in Counter(entries).items() if count > 1), None)
+    if twice is not None:
+        raise ValueError(f"{twice!r} is there twice")
 
 
 def _choice(choices: tuple[str, ...], text: str) -> str:
@@ -102,7 +115,9 @@ def _choice(choices: tuple[str, ...], text: str) -> str:
 
 def parse_names(text: str) -> tuple[str, ...]:
     """Return names from text with commas between them."""
-    return tuple(name.strip() for name in text.split(","))
+    names = tuple(name.strip() for name in text.split(","))
+    _check_different(names)
+    return names
 
 
 def parse_number(text: str) -> float:
@@ -122,6 +137,14 @@ def parse_rate(text: str) -> float:
     if rate <= 0:
         raise ValueError(f"must be positive, got {text}")
     return rate
+
+
+def parse_tolerance(text: str) -> float:
+    """Return a relative tolerance, which lies between 0 and 1, from text."""
+    tolerance = parse_number(text)
+    if not 0 < tolerance < 1:
+        raise ValueError(f"a tolerance must lie between 0 and 1, got {text}")
+    return tolerance
 
 
 def parse_whole(text: str) -> int:
@@ -200,7 +223,7 @@ def parse_rows(text: str) -> list[str]:
     Raises
     ------
     ValueError
-        If an entry has other characters than 0 and 1, or the lengths differ.
+        If an entry has other characters than 0 and 1, or the lengths differ, or a row is there twice.
 
     Examples
     --------
@@ -211,4 +234,5 @@ def parse_rows(text: str) -> list[str]:
     rows = ["".join(entry.split()) for entry in text.split(",")]
     if any(not row or set(row) - set("01") for row in rows) or len({len(row) for row in rows}) > 1:
         raise ValueError(f"{text!r} are no rows: give zeros and ones, one for each fault, such as 011,101,110")
+    _check_different(rows)
     return rows

@@ -56,11 +56,11 @@ def analyze(
 ) -> None:
     """Tell which faults can be detected and told apart, and why the others cannot."""
     check_input(plant, "a plant file")
-    found = diagnosability(load_plant(plant))
+    answer = diagnosability(load_plant(plant))
     if as_json:
-        typer.echo(json.dumps(screen.diagnosability_values(found), indent=2))
+        typer.echo(json.dumps(screen.diagnosability_values(answer), indent=2))
     else:
-        screen.show_diagnosability(found)
+        screen.show_diagnosability(answer)
 
 
 def codes(
@@ -77,16 +77,16 @@ def codes(
     check_input(plant, "a plant file")
     model = load_plant(plant)
     if rows:
-        found = coding.attainable(model, parse_rows(rows), constant=constant)
-        screen.say(str(found), "", str(coding.CodingSet(found.structure, found.faults, found.residuals)))
+        space = coding.attainable(model, parse_rows(rows), constant=constant)
+        screen.say(str(space), "", str(coding.CodingSet(space.structure, space.faults, space.residuals)))
         return
     with screen.patience(f"looking for the rows of {model.name}"):
-        found = coding.attainable(model, constant=constant)
-    if len(found.residuals) > _LISTED:
-        screen.say(f"{model.name}: {len(found.residuals)} rows are attainable; --rows tells about those that you name")
+        space = coding.attainable(model, constant=constant)
+    if len(space.residuals) > _LISTED:
+        screen.say(f"{model.name}: {len(space.residuals)} rows are attainable; --rows tells about those that you name")
     else:  # r1, r2, ... are the residuals of the choice, and of a bank that is made of it
-        screen.say(str(replace(found, residuals=tuple(f"row {k + 1}" for k in range(len(found.residuals))))))
-    with screen.patience(f"choosing among {len(found.residuals)} rows, for {CHOICE_TIME:g} s at most"):
+        screen.say(str(replace(space, residuals=tuple(f"row {k + 1}" for k in range(len(space.residuals))))))
+    with screen.patience(f"choosing among {len(space.residuals)} rows, for {CHOICE_TIME:g} s at most"):
         chosen = coding.choose(model, quality=quality.value, constant=constant, time_limit=CHOICE_TIME)
     screen.say("", in_cli_words(str(chosen)), f"as an option: --rows {','.join(chosen.digits)}")
 

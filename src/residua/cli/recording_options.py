@@ -135,7 +135,7 @@ class Reading:
             None if self.columns is None else parse_columns(self.columns)
         )
         with screen.reading(path), _in_words_of_options():
-            found = read_recording(
+            recording = read_recording(
                 path,
                 plant,
                 time=self.time,
@@ -149,7 +149,7 @@ class Reading:
                 decimal=self.decimal.mark,
                 transpose=self.transpose,
             )
-        return replace(found, notes=tuple(map(reading_words, found.notes)))
+        return replace(recording, notes=tuple(map(reading_words, recording.notes)))
 
 
 #: What is said in Python about reading, as a pattern, and the same for the command line.

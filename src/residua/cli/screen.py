@@ -107,9 +107,9 @@ def _count(number: int, thing: str) -> str:
 # ----------------------------------------------------------------- diagnosability
 
 
-def show_diagnosability(found: Diagnosability) -> None:
-    """Print what can be told about the faults of a plant, and why the rest cannot."""
-    plant = found.plant
+def show_diagnosability(answer: Diagnosability) -> None:
+    """Print which faults of a plant can be detected and isolated, and why the others cannot."""
+    plant = answer.plant
     time = f"sampled at {plant.dt:g} s" if plant.is_discrete else "continuous"
     say(
         f"{plant.name}: {_count(plant.n_states, 'state')}, {_count(len(plant.inputs), 'input')}, "
@@ -131,20 +131,20 @@ def show_diagnosability(found: Diagnosability) -> None:
                 name,
                 plant.fault_kinds[i],
                 plant.fault_components[i],
-                found.detectable[i],
-                found.strongly_detectable[i],
-                ", ".join(_twins(found.groups, name)),
-                ", ".join(found.constant_twins(name)),
+                answer.detectable[i],
+                answer.strongly_detectable[i],
+                ", ".join(_twins(answer.groups, name)),
+                ", ".join(answer.constant_twins(name)),
             ]
-            for i, name in enumerate(found.faults)
+            for i, name in enumerate(answer.faults)
         ],
     )
-    why = [f"{name}: {reason}" for name, reason in found.reasons().items()]
+    why = [f"{name}: {reason}" for name, reason in answer.reasons().items()]
     say(*(why or ["every fault can be detected, also when constant, and told from every other"]))
-    if found.unknown_input_observer is None:
+    if answer.unknown_input_observer is None:
         say("unknown input observer: not examined, E is singular")
     elif plant.disturbances:
-        say(str(found.unknown_input_observer))
+        say(str(answer.unknown_input_observer))
     else:
         say("no disturbances: an ordinary observer will do")
 
@@ -154,9 +154,9 @@ def _twins(groups: Iterable[tuple[str, ...]], name: str) -> list[str]:
     return [other for group in groups if name in group for other in group if other != name]
 
 
-def diagnosability_values(found: Diagnosability) -> dict[str, Any]:
+def diagnosability_values(answer: Diagnosability) -> dict[str, Any]:
     """Return the same as plain values for JSON."""
-    plant, reasons, existence = found.plant, found.reasons(), found.unknown_input_observer
+    plant, reasons, existence = answer.plant, answer.reasons(), answer.unknown_input_observer
     return {
         "plant": plant.name,
         "dt": plant.dt,
@@ -169,18 +169,18 @@ def diagnosability_values(found: Diagnosability) -> dict[str, Any]:
                 "name": name,
                 "kind": plant.fault_kinds[i],
                 "component": plant.fault_components[i],
-                "detectable": bool(found.detectable[i]),
-                "strongly_detectable": bool(found.strongly_detectable[i]),
-                "visibility": float(found.visibility[i]),
-                "not_isolable_from": _twins(found.groups, name),
-                "not_isolable_when_constant_from": list(found.constant_twins(name)),
+                "detectable": bool(answer.detectable[i]),
+                "strongly_detectable": bool(answer.strongly_detectable[i]),
+                "visibility": float(answer.visibility[i]),
+                "not_isolable_from": _twins(answer.groups, name),
+                "not_isolable_when_constant_from": list(answer.constant_twins(name)),
                 "reason": reasons.get(name),
             }
-            for i, name in enumerate(found.faults)
+            for i, name in enumerate(answer.faults)
         ],
-        "isolable": found.isolable.tolist(),
-        "strongly_isolable": found.strongly_isolable.tolist(),
-        "groups": [list(group) for group in found.groups],
+        "isolable": answer.isolable.tolist(),
+        "strongly_isolable": answer.strongly_isolable.tolist(),
+        "groups": [list(group) for group in answer.groups],
         "unknown_input_observer": None
         if existence is None
         else {
@@ -255,14 +255,14 @@ def show_responses(matched: MatchedFilters) -> None:
 
 
 def show_diagnosis(diagnosis: Diagnosis) -> None:
-    """Print what was found in a recording.
+    """Print the diagnosis of a recording.
 
     Parameters
     ----------
     diagnosis : Diagnosis
     """
-    found, window = verdict(diagnosis), diagnosis.window
-    say(found.headline)
+    words, window = verdict(diagnosis), diagnosis.window
+    say(words.headline)
     if diagnosis.alarms:
         shown = diagnosis.alarms[:MAX_ALARMS]
         show_table(
@@ -283,7 +283,7 @@ def show_diagnosis(diagnosis: Diagnosis) -> None:
             ],
             title="candidates of the longest alarm" if len(diagnosis.alarms) > 1 else "",
         )
-    say(*found.sentences)
+    say(*words.sentences)
     if diagnosis.n_missing:
         say(f"{diagnosis.missing_text}.")
     say(*diagnosis.notes)

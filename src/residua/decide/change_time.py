@@ -31,7 +31,7 @@ class ChangeTime:
     Attributes
     ----------
     earliest : int or None
-        First sample that the change may have reached; ``None`` where the data do not reach back far enough to tell.
+        First sample that the change may have reached; ``None`` if the data do not reach back far enough to tell.
     estimate : int
         The most likely one.
     latest : int
@@ -51,7 +51,7 @@ def change_time(signal: NDArray[np.float64], quiet: int, last: int) -> ChangeTim
     samples, a ramp, or the square of time. The interval has all times ``tau`` whose largest likelihood over shape,
     size and baseline comes within ``JUMP_QUANTILE`` of the largest of all (twice the logarithm). Only so many samples
     after the alarm are used that the change is beyond doubt: whatever a change looks like later, it begins like one of
-    these, and the response of a filter does not matter. Where what is left after the change still is more than the
+    these, and the response of a filter does not matter. If the rest after the change still is more than the
     noise before it, no shape fits, and the interval grows by as much.
 
     Parameters
@@ -66,7 +66,7 @@ def change_time(signal: NDArray[np.float64], quiet: int, last: int) -> ChangeTim
     Returns
     -------
     ChangeTime or None
-        ``None`` where there is too little before the change, or too little of it, to tell.
+        ``None`` if there is too little before the change, or too little of it, to tell.
 
     References
     ----------
@@ -78,15 +78,15 @@ def change_time(signal: NDArray[np.float64], quiet: int, last: int) -> ChangeTim
         start = max(0, quiet - width * MOST_TOGETHER) // width * width
         part = signal[start:]
         part = part[: len(part) // width * width].reshape(-1, width).mean(axis=1)
-        found = _with_enough(part, (quiet - start) // width, min((last - start) // width, len(part) - 1))
-        if found is None or found.earliest is not None or start == 0:
+        change = _with_enough(part, (quiet - start) // width, min((last - start) // width, len(part) - 1))
+        if change is None or change.earliest is not None or start == 0:
             break
         width *= 4
-    if found is None:
+    if change is None:
         return None
-    first = None if found.earliest is None else start + found.earliest * width
-    latest = min(start + found.latest * width + width - 1, last)
-    return ChangeTime(first, min(start + found.estimate * width, latest), latest)
+    first = None if change.earliest is None else start + change.earliest * width
+    latest = min(start + change.latest * width + width - 1, last)
+    return ChangeTime(first, min(start + change.estimate * width, latest), latest)
 
 
 def _with_enough(signal: NDArray[np.float64], quiet: int, last: int) -> ChangeTime | None:
@@ -100,14 +100,14 @@ def _with_enough(signal: NDArray[np.float64], quiet: int, last: int) -> ChangeTi
         return ChangeTime(first, first, first)
     more = 1
     while True:
-        found, evidence = _dated(signal[: last + 1 + more], quiet, last)
+        moment, evidence = _dated(signal[: last + 1 + more], quiet, last)
         if evidence >= ENOUGH_EVIDENCE or last + 1 + more >= len(signal) or more > MOST_TOGETHER:
-            return found
+            return moment
         more = 2 * more + 1
 
 
 def _dated(signal: NDArray[np.float64], quiet: int, last: int) -> tuple[ChangeTime | None, float]:
-    """Return the change and its evidence, twice the log likelihood ratio; the noise model is fitted to what is left."""
+    """Return the change and its evidence, twice the log likelihood ratio; the noise model is fitted to the rest."""
     shapes, left = _shapes(len(signal)), signal[:quiet] - signal[:quiet].mean()
     profile, lags, begin = np.zeros(len(signal)), np.zeros(0), 0
     for _ in range(3):
@@ -128,8 +128,8 @@ def _dated(signal: NDArray[np.float64], quiet: int, last: int) -> tuple[ChangeTi
         return None, float(profile[begin] / noise)
     likely = np.flatnonzero(profile >= profile[begin] - JUMP_QUANTILE * noise)
     earliest = int(likely[0])
-    found = ChangeTime(None if earliest < LEAST_BEFORE else earliest, begin, int(likely[-1]))
-    return found, float(profile[begin] / noise)
+    moment = ChangeTime(None if earliest < LEAST_BEFORE else earliest, begin, int(likely[-1]))
+    return moment, float(profile[begin] / noise)
 
 
 def _shapes(n: int) -> list[NDArray[np.float64]]:

@@ -89,9 +89,11 @@ class Explanation:
         fired = [name for name, on in zip(self.members, self.pattern, strict=True) if on]
         if not fired:
             return "no member fired: no fault"
-        told = ", ".join(fired[: 2 * NAMED]) + (f" and {len(fired) - 2 * NAMED} more" if len(fired) > 2 * NAMED else "")
+        names = ", ".join(fired[: 2 * NAMED]) + (
+            f" and {len(fired) - 2 * NAMED} more" if len(fired) > 2 * NAMED else ""
+        )
         against = "no fault" if self.evidence < 0 else "a fault"
-        lines = [f"fired: {told}; {against} is 10^{abs(self.evidence):.1f} times likelier than {_other(against)}"]
+        lines = [f"fired: {names}; {against} is 10^{abs(self.evidence):.1f} times likelier than {_other(against)}"]
         return "\n".join([*lines, *(f"  {one}" for one in self.candidates)])
 
 
@@ -259,12 +261,12 @@ def code_likelihoods(
 
 def _booleans(values: ArrayLike, name: str) -> NDArray[np.bool_]:
     """Return an array of booleans from one of booleans, or of zeros and ones."""
-    given = np.asarray(values)
-    if given.dtype == bool:
-        return given
-    if given.dtype.kind not in "iuf" or not np.isin(given, (0, 1)).all():
+    array = np.asarray(values)
+    if array.dtype == bool:
+        return array
+    if array.dtype.kind not in "iuf" or not np.isin(array, (0, 1)).all():
         raise DataError(f"{name} must be true or false, or 0 or 1")
-    return given.astype(bool)
+    return array.astype(bool)
 
 
 def _table(codes: ArrayLike, faults: Sequence[str]) -> NDArray[np.bool_]:
@@ -274,13 +276,13 @@ def _table(codes: ArrayLike, faults: Sequence[str]) -> NDArray[np.bool_]:
     return table
 
 
-def _probabilities(given: ArrayLike, members: int, name: str) -> NDArray[np.float64]:
+def _probabilities(values: ArrayLike, members: int, name: str) -> NDArray[np.float64]:
     try:
-        out = np.broadcast_to(np.asarray(given, dtype=float), (members,))
+        out = np.broadcast_to(np.asarray(values, dtype=float), (members,))
     except (TypeError, ValueError) as error:
         raise SettingError(f"{name} must be one number or one per member ({members}): {error}") from error
     if not ((out > 0) & (out < 1)).all():
-        raise SettingError(f"{name} must lie between 0 and 1, got {echo(given)}")
+        raise SettingError(f"{name} must lie between 0 and 1, got {echo(values)}")
     return np.asarray(out)
 
 

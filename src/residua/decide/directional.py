@@ -103,7 +103,7 @@ class DirectionTest(Isolation):
         return {"isolation": f"direction of the residual averaged over {over}"}
 
     def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
-        """Return what is said of an alarm: the scores, and the angles that they stand for."""
+        """Return the statement about an alarm: the scores, and the angles that they stand for."""
         return statement_by_score(alarm, clock, window, angle, _COSINE)
 
     # --------------------------------------------------------------------------- files
@@ -266,11 +266,11 @@ def direction_test(
     of that dimension holds every residual and tells nothing.
     """
     n = len(whitening) if rank is None else rank
-    found = {
+    bases = {
         fault: _signature(settings.signature, subspace, steady.get(fault), whitening, n)
         for fault, subspace in subspaces.items()
     }
-    judged = {fault: basis for fault, basis in found.items() if basis is not None}
+    judged = {fault: basis for fault, basis in bases.items() if basis is not None}
     groups = _grouped(judged)
     if settings.signature == "auto":
         lines = {
@@ -283,7 +283,7 @@ def direction_test(
         settings.window,
         tuple(tuple(faults) for faults, _ in groups),
         tuple(basis for _, basis in groups),
-        tuple(fault for fault, basis in found.items() if basis is None),
+        tuple(fault for fault, basis in bases.items() if basis is None),
     )
 
 

@@ -94,11 +94,11 @@ class RunModel:
 
         With that of the fraction of samples over the threshold besides: a few stretches show too little of it.
         """
-        found = np.log(self._fractions(level, whole=False))
-        count = len(found)
+        logarithms = np.log(self._fractions(level, whole=False))
+        count = len(logarithms)
         if count < 2:
             return np.inf
-        by_turns = float(np.sqrt((count - 1) / count * np.sum((found - found.mean()) ** 2)))
+        by_turns = float(np.sqrt((count - 1) / count * np.sum((logarithms - logarithms.mean()) ** 2)))
         return float(np.hypot(by_turns, self.tail.spread(max(self.tail.fraction(level), TINY))))
 
     @cached_property

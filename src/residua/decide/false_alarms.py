@@ -15,7 +15,7 @@ from residua.decide.exceedance_tail import HIGHEST, Scale, Tail, quantile, scale
 
 #: How sure a promise is.
 CONFIDENCE = 0.95
-#: Over this multiple of the rate that was asked for, a promise is told as one.
+#: Over this multiple of the rate that was asked for, it is reported as a promise of its own.
 TOLERATED = 1.5
 #: Where the data cannot tell, the threshold is set for at least this share of the rate.
 _LEAST_AIM = 0.6
@@ -74,11 +74,11 @@ class Promise:
     asked : float
         Fraction of samples in alarm that was asked for.
     aimed : float
-        That is expected with this threshold.
+        The fraction expected with this threshold.
     promised : float
-        That is not exceeded, with 95 % confidence; 1 where the data say nothing.
+        The fraction not exceeded, with 95 % confidence; 1 if the data say nothing.
     extended : str
-        By what the rate is extended where the data are too few to show it; empty where they do.
+        By what the rate is extended if the data are too few to show it; else empty.
     """
 
     threshold: float
@@ -93,14 +93,14 @@ class Promise:
         return self.promised <= TOLERATED * self.asked * (1 + 1e-6)
 
     def __str__(self) -> str:
-        told = f"about {self.aimed:.2g} of them in alarm"
+        text = f"about {self.aimed:.2g} of them in alarm"
         if self.extended:
-            told += f" (too few to see that: {self.extended})"
+            text += f" (too few to see that: {self.extended})"
         if self.promised >= 1:
-            return f"{told}; {self.asked:g} was asked for, and these data promise no rate: give more"
-        told += f", with 95 % confidence at most {self.promised:.2g} on other data"
+            return f"{text}; {self.asked:g} was asked for, and these data promise no rate: give more"
+        text += f", with 95 % confidence at most {self.promised:.2g} on other data"
         return (
-            told if self.holds else f"{told}; {self.asked:g} was asked for, which these data cannot promise: give more"
+            text if self.holds else f"{text}; {self.asked:g} was asked for, which these data cannot promise: give more"
         )
 
 
@@ -192,7 +192,7 @@ def observed(
     )
 
 
-def promise_of(found: Observed, asked: float) -> Promise:
+def promise_of(seen: Observed, asked: float) -> Promise:
     """Return the threshold for a rate, and what can be promised of it.
 
     Where thirty independent exceedances or more are seen at that rate, it is read off the levels. Elsewhere the
@@ -200,33 +200,33 @@ def promise_of(found: Observed, asked: float) -> Promise:
     where an alarm needs several in a row, that of samples in alarm follows by a model of runs
     (:class:`residua.decide.exceedance_runs.RunModel`). How well the rate is known is seen by leaving out stretches of
     time in turn. Where that allows for more than 1.5 times what was asked, the threshold is set for less, down to 0.6
-    of it; where that does not suffice, the promise says so.
+    of it; if that does not suffice, the promise says so.
     """
-    direct = tail_of(found.levels[found.counted], _lasting(found, asked), found.scale, asked, highest=asked)
+    direct = tail_of(seen.levels[seen.counted], _lasting(seen, asked), seen.scale, asked, highest=asked)
     if direct.worth >= ENOUGH:
-        least = quantile(np.sort(found.own[found.counted]), asked)  # nor more than that on these data themselves
+        least = quantile(np.sort(seen.own[seen.counted]), asked)  # nor more than that on these data themselves
         return _promise(lambda rate: max(direct.level(rate), least), lambda rate: _known(direct, rate), asked, "")
-    plain = tail_of(found.statistic[found.counted], found.blocks[found.counted], found.scale, asked)
-    if found.persistence == found.release == 1:
-        told = f"extended from a rate of {plain.rate:.2g} by the tail of the data" if plain.rate > asked else ""
-        return _promise(plain.level, lambda rate: _known(plain, rate), asked, told)
-    model = RunModel.of(found.statistic, found.counted, found.begins, _grouped(found.blocks), plain,
-                        found.persistence, found.release)  # fmt: skip
-    told = f"extended from a rate of {model.seen(asked):.2g} by the tail of the data and a model of runs"
-    return _promise(model.level, lambda rate: (model.spread(model.level(rate)), model.worth), asked, told)
+    plain = tail_of(seen.statistic[seen.counted], seen.blocks[seen.counted], seen.scale, asked)
+    if seen.persistence == seen.release == 1:
+        origin = f"extended from a rate of {plain.rate:.2g} by the tail of the data" if plain.rate > asked else ""
+        return _promise(plain.level, lambda rate: _known(plain, rate), asked, origin)
+    model = RunModel.of(seen.statistic, seen.counted, seen.begins, _grouped(seen.blocks), plain,
+                        seen.persistence, seen.release)  # fmt: skip
+    origin = f"extended from a rate of {model.seen(asked):.2g} by the tail of the data and a model of runs"
+    return _promise(model.level, lambda rate: (model.spread(model.level(rate)), model.worth), asked, origin)
 
 
-def _lasting(found: Observed, rate: float) -> NDArray[np.int64]:
+def _lasting(seen: Observed, rate: float) -> NDArray[np.int64]:
     """Return stretches of time of the samples that count in which alarms, which may last long, are independent too."""
-    level = quantile(np.sort(found.levels[found.counted]), rate)
-    over = np.where(found.counted, (found.levels > level) - rate, 0.0)[:, None]
-    edges = [*np.flatnonzero(found.begins).tolist(), len(over)]
+    level = quantile(np.sort(seen.levels[seen.counted]), rate)
+    over = np.where(seen.counted, (seen.levels > level) - rate, 0.0)[:, None]
+    edges = [*np.flatnonzero(seen.begins).tolist(), len(over)]
     parts = [slice(a, b) for a, b in pairwise(edges)]
     length = int(np.ceil(2 * correlation_times(over, parts)[0]))
     own = np.concatenate([np.arange(part.stop - part.start) // length for part in parts])
-    first = np.cumsum(found.begins | np.concatenate([[False], own[1:] != own[:-1]])) - 1
-    longer = length > np.bincount(found.blocks).mean()
-    return (first if longer else found.blocks)[found.counted]
+    first = np.cumsum(seen.begins | np.concatenate([[False], own[1:] != own[:-1]])) - 1
+    longer = length > np.bincount(seen.blocks).mean()
+    return (first if longer else seen.blocks)[seen.counted]
 
 
 def _known(tail: Tail, rate: float) -> tuple[float, float]:
@@ -259,7 +259,7 @@ def _grouped(blocks: NDArray[np.int64]) -> NDArray[np.int64]:
     return blocks * min(_GROUPS, number) // number
 
 
-def coincidence(found: Sequence[Observed], share: float) -> float:
+def coincidence(members: Sequence[Observed], share: float) -> float:
     r"""Return how many members are in alarm at once, on average while any is, where each is so at a rate; at least 1.
 
     It is seen at the smallest rate, that one or higher, at which the data show thirty independent alarms of any member.
@@ -268,14 +268,14 @@ def coincidence(found: Sequence[Observed], share: float) -> float:
 
     Parameters
     ----------
-    found : sequence of Observed
-        Of the same samples.
+    members : sequence of Observed
+        The members' levels, of the same samples.
     share : float
         Rate of every member.
     """
-    counted = np.logical_and.reduce([one.counted for one in found])
-    levels = np.array([one.levels[counted] for one in found])
-    ordered, longest = np.sort(levels, axis=1), max(found, key=lambda one: -int(one.blocks.max(initial=0)))
+    counted = np.logical_and.reduce([one.counted for one in members])
+    levels = np.array([one.levels[counted] for one in members])
+    ordered, longest = np.sort(levels, axis=1), max(members, key=lambda one: -int(one.blocks.max(initial=0)))
     blocks, best = longest.blocks[counted], 1.0
     for rate in np.geomspace(share, max(share, HIGHEST), 24):
         over = levels > np.array([quantile(row, float(rate)) for row in ordered])[:, None]

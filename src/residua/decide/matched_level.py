@@ -41,13 +41,13 @@ class Likelihoods:
 
     Attributes
     ----------
-    found : dict of str to ndarray
+    values : dict of str to ndarray
         ``ratios``, ``ages``, ``sizes``, ``deviations`` and ``settled_sizes``.
     sums : ndarray, shape (plants, time, residuals + 2)
         Of the whitened residual, its square and what is usable, over the window.
     """
 
-    found: dict[str, NDArray]
+    values: dict[str, NDArray]
     sums: NDArray[np.float64]
 
 
@@ -91,10 +91,10 @@ class LikelihoodTest(NormTest):
         """Compare the root of the largest likelihood ratio with the threshold."""
         q, usable = whitened_residuals(self.center, self.whitening, block)
         sums, window = moving_sum(summed(q, usable), state.window)
-        found, match = match_block(self.matched, state.match, q, usable, sums, block.bends)
-        statistic = np.where(usable, np.sqrt(found["ratios"].max(axis=2)), np.nan)
+        likelihoods, match = match_block(self.matched, state.match, q, usable, sums, block.bends)
+        statistic = np.where(usable, np.sqrt(likelihoods["ratios"].max(axis=2)), np.nan)
         runs, tested = against_threshold(self, state.runs, statistic, usable, q)
-        return LikelihoodState(window, match, runs), replace(tested, likelihood=Likelihoods(found, sums))
+        return LikelihoodState(window, match, runs), replace(tested, likelihood=Likelihoods(likelihoods, sums))
 
     @property
     def responses(self) -> MatchedTest:
@@ -104,10 +104,10 @@ class LikelihoodTest(NormTest):
     def words(self, step: float) -> dict[str, str]:
         """Return in words what the threshold is, what is tested, and when an alarm begins and ends."""
         window = self.matched.window
-        told = f"largest standardised size of a step fault that arrived up to {window} samples ago, or before"
+        statistic = f"largest standardised size of a step fault that arrived up to {window} samples ago, or before"
         if not len(self.matched.responses):
-            told = f"largest standardised size of a settled fault, over {window + 1} samples"
-        return super().words(step) | {"test": told}
+            statistic = f"largest standardised size of a settled fault, over {window + 1} samples"
+        return super().words(step) | {"test": statistic}
 
     # --------------------------------------------------------------------------- files
 
@@ -161,7 +161,7 @@ class LikelihoodThreshold(TestSettings):
 
     @property
     def remedy(self) -> str:
-        """How a threshold can be had."""
+        """How to get a threshold."""
         return self.settings.remedy
 
     def check(self, watched: Watched) -> None:
@@ -177,13 +177,13 @@ class LikelihoodThreshold(TestSettings):
         generator = watched.generator
         covariance = generator.covariance_of_sums(self.settings.window)
         make = self.make(generator)
-        found = matched_test_from_model(self.settings, covariance, generator.n_residuals, make)
-        return None if found is None else self._with(found, make)
+        test = matched_test_from_model(self.settings, covariance, generator.n_residuals, make)
+        return None if test is None else self._with(test, make)
 
     def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> LikelihoodTest:
         """Return the test fitted to fault-free data, for a rate of false alarms."""
         make = self.make(watched.generator)
-        found = fit_matched_test(
+        test = fit_matched_test(
             self.settings,
             run.residuals,
             run.usable,
@@ -193,7 +193,7 @@ class LikelihoodThreshold(TestSettings):
             signal_size=run.signal_size(),
             seams=run.seams,
         )
-        return self._with(found, make)
+        return self._with(test, make)
 
     def _with(self, test: NormTest, make: MakeTest) -> LikelihoodTest:
         """Return a test of norms as one of likelihoods."""
@@ -273,10 +273,10 @@ def _tree(test: MatchedTest) -> tuple[NDArray[np.float64], int]:
     def link(j: int, row: NDArray, sizes: NDArray, extra: float) -> int:
         """Link hypothesis ``j`` to the one that it resembles most, of ``extra`` and those of earlier faults."""
         others = np.abs(row[:j]) / np.where(sizes[:j] > 0, sizes[:j], np.inf) / sizes[j]
-        found = max(float(others.max(initial=0.0)), extra)
-        if found > 0:
-            links.append(min(found, 1.0))
-        return int(found <= 0)
+        distance = max(float(others.max(initial=0.0)), extra)
+        if distance > 0:
+            links.append(min(distance, 1.0))
+        return int(distance <= 0)
 
     for k in range(len(rho)):
         products += rho[k].T @ rho[k]
@@ -354,10 +354,10 @@ def fit_matched_test(
         statistic, usable & (behind >= test.samples), usable, data.parts, 1,
         persistence=base.persistence, release=base.release, window=test.samples, own=own,
     )  # fmt: skip
-    found = promise_of(seen, false_alarm_rate)
-    basis = f"fitted to {count} fault-free samples, {found}"
-    threshold = float(max(found.threshold, np.finfo(float).tiny))
-    return replace(base, threshold=threshold, basis=basis, promised=float(found.promised))
+    promise = promise_of(seen, false_alarm_rate)
+    basis = f"fitted to {count} fault-free samples, {promise}"
+    threshold = float(max(promise.threshold, np.finfo(float).tiny))
+    return replace(base, threshold=threshold, basis=basis, promised=float(promise.promised))
 
 
 def _cross_fitted(
@@ -386,8 +386,8 @@ def _statistic(test: MatchedTest, moments: Moments, data: FaultFree, part: slice
     centred = np.where(usable[:, None], data.residuals[part] - moments.center, 0.0)
     q = (centred @ moments.whitening)[None]
     sums, _ = moving_sum(summed(q, usable[None]), empty_window(1, test.samples, q.shape[2] + 2))
-    found, _ = match_block(test, empty_match(test, 1), q, usable[None], sums)
-    return np.sqrt(found["ratios"][0].max(axis=1))
+    likelihoods, _ = match_block(test, empty_match(test, 1), q, usable[None], sums)
+    return np.sqrt(likelihoods["ratios"][0].max(axis=1))
 
 
 def _check_settings(settings: NormSettings) -> None:

@@ -29,7 +29,7 @@ class MatchedTest(Record):
     faults : tuple of str
         The columns of the responses.
     groups : tuple of tuple of str
-        Faults that cannot be told apart are one group.
+        Faults that cannot be distinguished are one group.
     responses : ndarray, shape (window + 1, residuals, faults)
         Of a fault that arrived 0 to ``window`` samples ago; with no rows, only settled faults are looked for.
     settled : ndarray, shape (residuals, faults)
@@ -82,7 +82,7 @@ class MatchState:
         For each arrival: the products with the expected response so far, and the squared size of that response.
     extra : ndarray, shape (plants, window + 1, 2 faults)
         For each of the last samples what faults that arrived before the window add there to the products with their
-        settled responses, and to the squared size of these, where they have other responses.
+        settled responses, and to the squared size of these, if they have other responses.
     """
 
     sums: NDArray[np.float64]
@@ -129,7 +129,7 @@ def match_block(
 
     Returns
     -------
-    found : dict
+    likelihoods : dict
         ``ratios``, ``ages``, ``sizes``, ``deviations`` and ``settled_sizes`` of :class:`Match`.
     state : MatchState
     """
@@ -182,14 +182,14 @@ def _match_pass(
             np.where(younger, a, b) for a, b in zip(own, (ratios, sizes, deviations), strict=True)
         )
         ages = np.where(younger, best, -1)
-    found = {
+    likelihoods = {
         "ratios": ratios,
         "ages": ages,
         "sizes": sizes,
         "deviations": deviations,
         "settled_sizes": settled_sizes,
     }
-    return found, state
+    return likelihoods, state
 
 
 def _products(test: MatchedTest, q: NDArray) -> NDArray[np.float64]:

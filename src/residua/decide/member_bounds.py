@@ -89,17 +89,17 @@ def leakage_cautions(
         seen = statistics[alarm.start : alarm.stop]
         peaks = np.where(np.isnan(seen), 0.0, seen).max(axis=0, initial=0.0)
         largest = dict(zip(members, peaks.tolist(), strict=True))
-        told = sorted(_explained(bounds, largest, alarm.reading.fired))
+        cautions = sorted(_explained(bounds, largest, alarm.reading.fired))
         low = [name for name in alarm.reading.fired if largest[name] <= bounds[name].disturbances]
         if low:
             out.append(
                 f"disturbances alone may fire {', '.join(map(repr, low))}: thresholds are below the bounds that the "
                 "design has certified"
             )
-        if told:
-            more = f"; and {len(told) - _TOLD} more" if len(told) > _TOLD else ""
+        if cautions:
+            more = f"; and {len(cautions) - _TOLD} more" if len(cautions) > _TOLD else ""
             where = f"in alarm {k} " if len(alarms) > 1 else ""
-            out.append(f"other faults leak: {where}{'; '.join(text for _, text in told[:_TOLD])}{more}")
+            out.append(f"other faults leak: {where}{'; '.join(text for _, text in cautions[:_TOLD])}{more}")
     return tuple(out)
 
 
@@ -120,6 +120,6 @@ def _explained(
             allowed = np.inf if own is None else (peaks[other] + own.disturbances) / own.response
             if np.isfinite(needed) and needed <= allowed:
                 room = f"its own residual allows up to {allowed:.3g} of a lasting one"
-                told = "no member sees it" if own is None else room
-                text = f"what fires {name!r} may be {other!r} alone, if that reaches {needed:.3g} or more ({told})"
+                reason = "no member sees it" if own is None else room
+                text = f"what fires {name!r} may be {other!r} alone, if that reaches {needed:.3g} or more ({reason})"
                 yield needed / allowed, text

@@ -240,8 +240,8 @@ def bank_test_from_model(
     """Return the test that needs no data, or ``None`` when data are needed; see :func:`fit_bank_test`."""
     single = replace(settings, false_alarm_rate=settings.false_alarm_rate / max(1, len(members)))
     tests = [norm_test_from_model(single, _part(covariance, rows), len(rows)) for rows in rows_of(members)]
-    found = [test for test in tests if test is not None]
-    return side_by_side(found, 1.0, members, n_residuals) if found and len(found) == len(tests) else None
+    present = [test for test in tests if test is not None]
+    return side_by_side(present, 1.0, members, n_residuals) if present and len(present) == len(tests) else None
 
 
 def fit_bank_test(
@@ -280,7 +280,7 @@ def fit_bank_test(
     BankTest
     """
     check_rate(false_alarm_rate)
-    found = [
+    fits = [
         fit_moments(
             settings,
             residuals[:, list(rows)],
@@ -291,24 +291,24 @@ def fit_bank_test(
         )
         for rows, size in zip(rows_of(members), signal_sizes, strict=True)
     ]
-    return side_by_side(*fit_together(found, false_alarm_rate), members, residuals.shape[1])
+    return side_by_side(*fit_together(fits, false_alarm_rate), members, residuals.shape[1])
 
 
 #: Members in alarm at once, on average, from which on that is made use of.
 _NOTABLE = 1.05
 
 
-def fit_together(found: Sequence[Fitted], rate: float) -> tuple[list[NormTest], float]:
+def fit_together(fits: Sequence[Fitted], rate: float) -> tuple[list[NormTest], float]:
     """Return the tests of members that keep a rate together, and how many of them are in alarm at once.
 
     The fraction of samples in which any of ``M`` members is in alarm is the sum of theirs, divided by how many are in
     alarm at once on average, ``c``: each gets a rate of ``c / M`` of the whole. Where the data do not show ``c`` it is
     taken as 1, which is right for any correlation between members (the union bound).
     """
-    seen = [one.seen for one in found if one.seen is not None]
-    at_once = coincidence(seen, rate / len(found)) if len(seen) == len(found) > 1 else 1.0
-    at_once = min(at_once, float(len(found))) if at_once > _NOTABLE else 1.0
-    return [with_threshold(one, rate * at_once / len(found)) for one in found], at_once
+    seen = [one.seen for one in fits if one.seen is not None]
+    at_once = coincidence(seen, rate / len(fits)) if len(seen) == len(fits) > 1 else 1.0
+    at_once = min(at_once, float(len(fits))) if at_once > _NOTABLE else 1.0
+    return [with_threshold(one, rate * at_once / len(fits)) for one in fits], at_once
 
 
 def rows_of(members: Parts) -> list[Sequence[int]]:
@@ -362,8 +362,8 @@ def _basis(tests: Sequence[NormTest], at_once: float, promised: float | None) ->
     count = len(tests)
     if count == 1:
         return bases[0]
-    told = bases if len(bases) <= _TOLD else [*bases[:_TOLD], f"and {len(bases) - _TOLD} more"]
-    basis = f"each of {count} members: {' / '.join(told)}"
+    listed = bases if len(bases) <= _TOLD else [*bases[:_TOLD], f"and {len(bases) - _TOLD} more"]
+    basis = f"each of {count} members: {' / '.join(listed)}"
     if bases[0].startswith("threshold given"):
         return basis
     if at_once > 1:
@@ -378,7 +378,7 @@ def _basis(tests: Sequence[NormTest], at_once: float, promised: float | None) ->
     return basis
 
 
-#: Members whose bases are told one by one.
+#: Members whose bases are listed one by one.
 _TOLD = 3
 
 
@@ -478,14 +478,14 @@ def rows_of_groups(groups: Groups, residuals: Sequence[str]) -> dict[str, tuple[
     twice = sorted({name for name in grouped if grouped.count(name) > 1})
     missing = [name for name in residuals if name not in grouped]
     if unknown or twice or missing:
-        told = "; ".join(
+        reasons = "; ".join(
             f"{what} {', '.join(map(repr, names[:5]))}"
             for what, names in (("unknown:", unknown), ("in two groups:", twice), ("in none:", missing))
             if names
         )
         raise SettingError(
             f"groups must have every residual of the generator just once ({', '.join(map(repr, residuals[:8]))}"
-            f"{', ...' if len(residuals) > 8 else ''}); {told}"
+            f"{', ...' if len(residuals) > 8 else ''}); {reasons}"
         )
     return {name: tuple(places[one] for one in members) for name, members in groups or ()}
 
@@ -494,12 +494,12 @@ def group_test_from_model(
     settings: NormSettings, covariance: NDArray | None, rows: Mapping[str, Sequence[int]], n_residuals: int
 ) -> GroupTest | None:
     """Return the test that needs no data, or ``None`` when data are needed; each group has 1/G of the rate."""
-    found = bank_test_from_model(settings, covariance, rows, n_residuals)
-    if found is None:
+    test = bank_test_from_model(settings, covariance, rows, n_residuals)
+    if test is None:
         return None
     known = covariance is not None and settings.whiten in ("auto", "model")
     whole = whitening_matrix(covariance) if known and covariance is not None else np.eye(n_residuals)
-    return _with_names(found, rows, whole)
+    return _with_names(test, rows, whole)
 
 
 def fit_group_test(
@@ -514,7 +514,7 @@ def fit_group_test(
     seams: Sequence[int] = (),
 ) -> GroupTest:
     """Fit the tests of all groups to fault-free residuals, as :func:`fit_bank_test` does those of members."""
-    found = fit_bank_test(
+    test = fit_bank_test(
         settings,
         residuals,
         usable,
@@ -531,7 +531,7 @@ def fit_group_test(
         whole = whitening_matrix(covariance)
     else:
         whole = data.moments().whitening
-    return _with_names(found, rows, whole)
+    return _with_names(test, rows, whole)
 
 
 def _with_names(test: BankTest, rows: Mapping[str, Sequence[int]], whole: NDArray[np.float64]) -> GroupTest:

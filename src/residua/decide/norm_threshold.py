@@ -49,7 +49,7 @@ class NormThreshold(NormSettings):
         Whose covariance :math:`\Sigma_N` is used: that of the fault-free data, that of the plant's noise
         model, or the identity. ``"auto"`` takes the data when fitted, else the model, else none.
     false_alarm_rate : float
-        Fraction of fault-free samples in alarm that is aimed at, unless ``fit`` is told otherwise. A sample is in alarm
+        Intended fraction of fault-free samples in alarm, unless ``fit`` gets another one. A sample is in alarm
         from the one that raises it, the last of ``persistence`` over the threshold, to the one before that which ends
         it: the rate counts samples, not alarms, on data other than those of the fit, once windows are full.
     groups : "each", mapping of str to sequence of str, or sequence of sequence of str, optional
@@ -88,19 +88,19 @@ class NormThreshold(NormSettings):
     def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> NormTest | BankTest:
         """Return the test fitted to fault-free data, for a rate of false alarms."""
         generator = watched.generator
-        given: dict[str, Any] = {
+        options: dict[str, Any] = {
             "false_alarm_rate": rate,
             "covariance": generator.covariance_of_sums(self.window),
             "seams": run.seams,
         }
         if watched.parts is not None:
             sizes = [run.signal_size(rows) for rows in watched.parts.values()]
-            return fit_bank_test(self, run.residuals, run.usable, watched.parts, signal_sizes=sizes, **given)
+            return fit_bank_test(self, run.residuals, run.usable, watched.parts, signal_sizes=sizes, **options)
         if self.groups is not None:
             rows = rows_of_groups(self.groups, generator.residuals)
             sizes = [run.signal_size(part) for part in rows.values()]
-            return fit_group_test(self, run.residuals, run.usable, rows, signal_sizes=sizes, **given)
-        return fit_norm_test(self, run.residuals, run.usable, signal_size=run.signal_size(), **given)
+            return fit_group_test(self, run.residuals, run.usable, rows, signal_sizes=sizes, **options)
+        return fit_norm_test(self, run.residuals, run.usable, signal_size=run.signal_size(), **options)
 
     # ----------------------------------------------- what the rest of a monitor asks for
 
@@ -111,7 +111,7 @@ class NormThreshold(NormSettings):
 
     @property
     def remedy(self) -> str:
-        """How a threshold can be had."""
+        """How to get a threshold."""
         return f"{super().remedy}, give the plant noise (with_noise), or set NormThreshold(threshold=...)"
 
     @property
@@ -128,7 +128,7 @@ class NormThreshold(NormSettings):
     # --------------------------------------------------------------------------- files
 
     def to_record(self) -> dict[str, Any]:
-        """Return the settings as a record; ``groups`` are an entry where there are any."""
+        """Return the settings as a record; ``groups`` are an entry if there are any."""
         content = values_out(self)
         groups = content.pop("groups")
         if self.groups is not None:
@@ -160,23 +160,23 @@ class NormThreshold(NormSettings):
         return test
 
 
-def _checked_groups(given: object) -> Groups:
+def _checked_groups(groups: object) -> Groups:
     """Return groups of residuals as plain names; those without a name are called by their residuals."""
-    if given is None:
+    if groups is None:
         return None
-    if isinstance(given, str) and given == "each":
+    if isinstance(groups, str) and groups == "each":
         return "each"
     wanted = "groups must be 'each', names of groups with the names of their residuals, or a list of lists of these"
-    if isinstance(given, Mapping):
-        pairs = list(given.items())
-    elif isinstance(given, Sequence) and not isinstance(given, str):
+    if isinstance(groups, Mapping):
+        pairs = list(groups.items())
+    elif isinstance(groups, Sequence) and not isinstance(groups, str):
         if all(isinstance(one, tuple) and len(one) == 2 and isinstance(one[0], str) and isinstance(one[1], tuple)
-               for one in given):  # what this function returns  # fmt: skip
-            pairs = list(given)
+               for one in groups):  # what this function returns  # fmt: skip
+            pairs = list(groups)
         else:
-            pairs = [(None, one) for one in given]
+            pairs = [(None, one) for one in groups]
     else:
-        raise SettingError(f"{wanted}, got {echo(given)}")
+        raise SettingError(f"{wanted}, got {echo(groups)}")
     out: dict[str, tuple[str, ...]] = {}
     for name, members in pairs:
         if isinstance(members, str) or not isinstance(members, Sequence) or not len(members):

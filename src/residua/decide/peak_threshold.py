@@ -23,18 +23,18 @@ from residua.records import field_names, float_in, joined, record, values_in, va
 from residua.tolerances import SIGNAL_ROUNDING
 from residua.visible import echo
 
-#: How the basis of a test begins whose thresholds the design has certified, or the user has given.
+#: How the basis of a test begins whose thresholds are certified by the design, or set by the user.
 CERTIFIED = "certified by the design over its uncertainty set"
 GIVEN = "threshold given"
 
-#: Characters up to which an error repeats what was given.
+#: Characters up to which an error repeats the value.
 _LONGEST = 80
 #: Members whose shares of their thresholds a basis tells one by one.
 _TOLD = 8
 
 
 def told_sample(sample: int, seams: Sequence[int]) -> str:
-    """Say which sample that is, and of which recording where there are several."""
+    """Say which sample that is, and of which recording if there are several."""
     if not seams:
         return f"sample {sample}"
     before = [0, *(int(s) for s in seams)]
@@ -57,7 +57,7 @@ class _Peak:
 
     @property
     def is_bound(self) -> bool:
-        """Whether thresholds are certified or given, and not fitted to data."""
+        """Whether thresholds are certified or set by the user, and not fitted to data."""
         return self.basis.startswith((CERTIFIED, GIVEN))
 
     @property
@@ -138,7 +138,7 @@ def _unit_cautions(
 ) -> tuple[str, ...]:
     """Return a doubt of the recording where every residual is far over a bound as soon as anything is judged.
 
-    A threshold that is fitted would have shown it; one that is certified or given has never seen the data.
+    A fitted threshold would have shown it; one that is certified or set by the user has never seen the data.
     """
     judged = np.flatnonzero(usable)[: test.release]
     if not test.is_bound or not len(judged):
@@ -184,13 +184,13 @@ class PeakThreshold(TestSettings):
         :math:`J_{th}` in the unit of the residual: one number for all members of a bank, or for a residual that is
         tested as a whole; by name of the member; or in the order of the members. A number is whatever ``float`` takes
         as one, a :class:`residua.design.CertifiedThreshold` as well: the outcome of
-        :func:`residua.design.certified_thresholds` may be given as it is. When omitted, those that the design
+        :func:`residua.design.certified_thresholds` can be used as it is. When omitted, those that the design
         has certified (its ``thresholds``); without any, fitted to fault-free data (:meth:`residua.Monitor.fit`).
     window : int
         Samples of the window, the last one included.
     false_alarm_rate : float
-        Fraction of fault-free samples in alarm that is aimed at where thresholds are fitted; given and certified
-        thresholds are not changed by it.
+        Intended fraction of fault-free samples in alarm for fitted thresholds; it does not change thresholds that the
+        user sets or the design certifies.
 
     Raises
     ------
@@ -210,8 +210,8 @@ class PeakThreshold(TestSettings):
     >>> monitor = rs.Monitor(observer, test=rs.decide.PeakThreshold(0.25, window=60))
     >>> y = np.ones((200, 1))
     >>> y[100] += 1.0
-    >>> found = monitor.run(np.ones((200, 1)), y)
-    >>> print([(alarm.raised, alarm.ended) for alarm in found.alarms])
+    >>> diagnosis = monitor.run(np.ones((200, 1)), y)
+    >>> print([(alarm.raised, alarm.ended) for alarm in diagnosis.alarms])
     [(100.0, 161.0)]
     """
 
@@ -231,25 +231,25 @@ class PeakThreshold(TestSettings):
         object.__setattr__(self, "false_alarm_rate", float(self.false_alarm_rate))
 
     def for_members(self, members: Sequence[str]) -> tuple[float, ...] | None:
-        """Return the threshold of every member, or the one of a residual without members; ``None`` where none is given.
+        """Return the threshold of every member, or the one of a residual without members; ``None`` without any.
 
         Raises
         ------
         SettingError
             If they are not one for each.
         """
-        given = self.thresholds
-        if given is None:
+        thresholds = self.thresholds
+        if thresholds is None:
             return None
-        if not isinstance(given, (Mapping, Sequence)):
-            return (float(given),) * max(1, len(members))
-        if (not members and len(given) > 1) or (isinstance(given, Mapping) and not members):
+        if not isinstance(thresholds, (Mapping, Sequence)):
+            return (float(thresholds),) * max(1, len(members))
+        if (not members and len(thresholds) > 1) or (isinstance(thresholds, Mapping) and not members):
             raise SettingError(
                 "thresholds one by one are for the members of a bank that is read by code, isolate=Structured(); "
                 "here the residual is tested as a whole: give one number (of a design with one member, float() of its)"
             )
-        if isinstance(given, Mapping):
-            missing, unknown = [m for m in members if m not in given], [m for m in given if m not in members]
+        if isinstance(thresholds, Mapping):
+            missing, unknown = [m for m in members if m not in thresholds], [m for m in thresholds if m not in members]
             if missing or unknown:
                 raise SettingError(
                     f"thresholds must name each member once: {', '.join(map(repr, members))}; "
@@ -259,15 +259,16 @@ class PeakThreshold(TestSettings):
                         if names
                     )
                 )
-            return tuple(float(given[name]) for name in members)
-        if len(given) != max(1, len(members)):
+            return tuple(float(thresholds[name]) for name in members)
+        if len(thresholds) != max(1, len(members)):
             raise SettingError(
-                f"expected {len(members)} thresholds, one for each of {', '.join(map(repr, members))}, got {len(given)}"
+                f"expected {len(members)} thresholds, one for each of {', '.join(map(repr, members))}, "
+                f"got {len(thresholds)}"
             )
-        return tuple(map(float, given))
+        return tuple(map(float, thresholds))
 
     def from_model(self, watched: Watched) -> NormTest | BankTest | None:
-        """Return the test with the thresholds that are given or certified; ``None`` without any."""
+        """Return the test with the thresholds that the user sets or the design certifies; ``None`` without any."""
         settings, basis = self, GIVEN
         if settings.thresholds is None and watched.certified:
             settings, basis = replace(settings, thresholds=dict(watched.certified)), CERTIFIED
@@ -277,7 +278,7 @@ class PeakThreshold(TestSettings):
         return peak_test(settings, thresholds, basis, watched.generator.n_residuals, watched.parts)
 
     def known(self, watched: Watched) -> NormTest | BankTest | None:
-        """Return the test with the thresholds that are given or certified."""
+        """Return the test with the thresholds that the user sets or the design certifies."""
         return self.from_model(watched)
 
     def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> NormTest | BankTest:
@@ -316,20 +317,20 @@ class PeakThreshold(TestSettings):
 
     @property
     def uses_certified(self) -> bool:
-        """Whether they are used: where none are given."""
+        """Whether they are used: without thresholds of the user's own."""
         return self.thresholds is None
 
     @property
     def remedy(self) -> str:
-        """How a threshold can be had."""
+        """How to get a threshold."""
         return f"{super().remedy}, or set PeakThreshold(thresholds=...)"
 
     # --------------------------------------------------------------------------- files
 
     def to_record(self) -> dict[str, Any]:
         """Return the settings as a record: one threshold, a list, or a table of them."""
-        given = self.thresholds
-        thresholds = list(given) if isinstance(given, tuple) else dict(given) if isinstance(given, dict) else given
+        own = self.thresholds
+        thresholds = list(own) if isinstance(own, tuple) else dict(own) if isinstance(own, dict) else own
         return values_out(self) | {"thresholds": thresholds}
 
     @classmethod
@@ -367,21 +368,21 @@ def _thresholds_in(value: Any, where: str) -> float | dict[str, float] | list[fl
     return float_in(value, where, POSITIVE)
 
 
-def _checked(given: object) -> float | dict[str, float] | tuple[float, ...] | None:
+def _checked(thresholds: object) -> float | dict[str, float] | tuple[float, ...] | None:
     """Return thresholds as plain values."""
-    if given is None:
+    if thresholds is None:
         return None
-    if isinstance(given, Mapping):
-        found: float | dict[str, float] | tuple[float, ...] = {
-            str(name): _positive(value, f"the threshold of {_short(name)}") for name, value in given.items()
+    if isinstance(thresholds, Mapping):
+        checked: float | dict[str, float] | tuple[float, ...] = {
+            str(name): _positive(value, f"the threshold of {_short(name)}") for name, value in thresholds.items()
         }
-    elif isinstance(given, (Sequence, np.ndarray)) and not isinstance(given, str) and np.ndim(given) == 1:
-        found = tuple(_positive(value, f"threshold {k + 1}") for k, value in enumerate(given))
+    elif isinstance(thresholds, Sequence | np.ndarray) and not isinstance(thresholds, str) and np.ndim(thresholds) == 1:
+        checked = tuple(_positive(value, f"threshold {k + 1}") for k, value in enumerate(thresholds))
     else:
-        return _positive(given, "the threshold")
-    if not found:
+        return _positive(thresholds, "the threshold")
+    if not checked:
         raise SettingError("thresholds is empty: give one per member, one number for all, or leave it out")
-    return found
+    return checked
 
 
 def _positive(value: object, what: str) -> float:
@@ -394,7 +395,7 @@ def _positive(value: object, what: str) -> float:
 
 
 def _short(value: object) -> str:
-    """Return what was given, in a line."""
+    """Return a value in one line."""
     text = " ".join(reprlib.repr(value).split())
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}... ({type(value).__name__})"
 
@@ -529,13 +530,13 @@ def fit_peak_test(
     """
     check_rate(false_alarm_rate)
     rows = [range(residuals.shape[1])] if members is None else rows_of(members)
-    found = [
+    fits = [
         _observed(settings, residuals[:, list(part)], usable, size, seams)
         for part, size in zip(rows, signal_sizes, strict=True)
     ]
     if members is None:
-        return with_threshold(found[0], false_alarm_rate)
-    return side_by_side(*fit_together(found, false_alarm_rate), members, residuals.shape[1], PeakBankTest)
+        return with_threshold(fits[0], false_alarm_rate)
+    return side_by_side(*fit_together(fits, false_alarm_rate), members, residuals.shape[1], PeakBankTest)
 
 
 def _observed(
@@ -579,7 +580,7 @@ def checked_peak_test(
     members : sequence of str
         Names of the members of a bank.
     seams : sequence of int
-        The first sample of each further recording, where there are several in a row.
+        The first sample of each further recording, if there are several in a row.
 
     Returns
     -------
@@ -600,12 +601,12 @@ def checked_peak_test(
     _check_below(norms, limits, samples, members, certified=certified, seams=seams)
     share = 100 * norms.max(axis=0) / limits
     if len(share) == 1:
-        told = f"{share[0]:.3g} % of it"
+        reach = f"{share[0]:.3g} % of it"
     elif len(share) <= _TOLD:
-        told = ", ".join(f"{s:.3g} % of that of {name}" for s, name in zip(share, members, strict=True))
+        reach = ", ".join(f"{s:.3g} % of that of {name}" for s, name in zip(share, members, strict=True))
     else:
-        told = f"at most {share.max():.3g} % of one, that of {members[int(share.argmax())]}"
-    return replace(test, basis=f"{test.basis.split('; ')[0]}; {len(rows)} fault-free samples reached {told}")
+        reach = f"at most {share.max():.3g} % of one, that of {members[int(share.argmax())]}"
+    return replace(test, basis=f"{test.basis.split('; ')[0]}; {len(rows)} fault-free samples reached {reach}")
 
 
 def _check_below(
@@ -625,20 +626,20 @@ def _check_below(
     at = int(norms[:, worst].argmax())
     whose = f" of {members[worst]!r}" if members else ""
     count, where = int(over.sum()), told_sample(int(samples[at]), seams)
-    told = (
+    excess = (
         f"this recording goes over the threshold{whose}: |r| = {norms[at, worst]:.4g} in {where}, "
         f"{norms[at, worst] / limits[worst]:.3g} times the threshold of {limits[worst]:.4g}, and over it in {count} of "
         f"{len(norms)} usable samples"
     )
     if certified:
         raise DataError(
-            f"{told}. The threshold is certified, so one of its assumptions does not hold: disturbances are larger "
+            f"{excess}. The threshold is certified, so one of its assumptions does not hold: disturbances are larger "
             "than 1 in the units of the design, or the recording is in other units, or the plant lies outside the "
             "uncertainty set, or the recording has a fault in it, or the filter had not settled. Give a fault-free "
             "recording, or design for larger disturbances or a wider set"
         )
     raise DataError(
-        f"{told}. Give a fault-free recording, or higher thresholds; PeakThreshold() without thresholds fits them"
+        f"{excess}. Give a fault-free recording, or higher thresholds; PeakThreshold() without thresholds fits them"
     )
 
 

@@ -234,16 +234,16 @@ class CodeTest(Isolation):
             return {
                 "isolation": "every fault has a member of its own: each member that fires in an alarm names its fault"
             }
-        told = (
+        sentence = (
             f"code of the members that fired over {self.window} samples ({self.window * step:g} s): those in alarm for "
             f"at least {self.share:g} of the samples of the one that was in alarm the longest"
         )
         if self.dedicated:
-            return {"isolation": f"{told}; every fault has a member of its own, so several at once are all named"}
-        return {"isolation": f"{told}; nearest codes up to {self.distance} off"}
+            return {"isolation": f"{sentence}; every fault has a member of its own, so several at once are all named"}
+        return {"isolation": f"{sentence}; nearest codes up to {self.distance} off"}
 
     def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
-        """Return what is said of an alarm: what fired, and what it reads as."""
+        """Return the statement about an alarm: what fired, and what it reads as."""
         return statement_by_code(alarm, clock, window, dedicated=self.dedicated)
 
     def cautions(self, bounds: Mapping[str, MemberBounds], alarms: Sequence[Alarm], seen: Seen) -> tuple[str, ...]:
@@ -368,11 +368,11 @@ def _each_once(groups: Iterable[tuple[str, ...]]) -> tuple[tuple[str, ...], ...]
 
 
 def _pairs_of(
-    found: Iterable[tuple[tuple[str, ...], tuple[str, ...]]],
+    pairs: Iterable[tuple[tuple[str, ...], tuple[str, ...]]],
 ) -> tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]:
     """Return pairs of groups, each once; a fault with two codes makes no pair with itself."""
     out = []
-    for one, other in found:
+    for one, other in pairs:
         if len(one) == 1:
             other = tuple(name for name in other if name not in one)
         elif len(other) == 1:
@@ -425,12 +425,12 @@ def code_test(
         raise DataError(f"settled must have the shape of codes, {table.shape}, got {later.shape}")
     later = later & (later != table).any(axis=0)
     both = np.hstack([table, later])
-    found = equal_codes(both)
+    equal = equal_codes(both)
     n = len(faults)
-    groups = tuple(tuple(faults[j % n] for j in group) for group in found)
-    columns = both[:, [group[0] for group in found]]
+    groups = tuple(tuple(faults[j % n] for j in group) for group in equal)
+    columns = both[:, [group[0] for group in equal]]
     silent = tuple(fault for j, fault in enumerate(faults) if not table[:, j].any())
-    marked = tuple(tuple(faults[j % n] for j in group if j >= n) for group in found)
+    marked = tuple(tuple(faults[j % n] for j in group if j >= n) for group in equal)
     return CodeTest(settings.window, settings.share, settings.distance, names, groups, columns, silent, marked)
 
 
@@ -552,7 +552,7 @@ def read_codes(
     return index.reshape(patterns.shape[:-1]), tuple(test.read(rows[k]) for k in first)
 
 
-# ------------------------------------------------------------------ what an alarm is put down to
+# ------------------------------------------------------------------ the attribution of an alarm
 
 
 def candidates_of_code(reading: CodeReading, codes: CodeTest) -> tuple[Candidate, ...]:
@@ -577,7 +577,7 @@ def candidates_of_code(reading: CodeReading, codes: CodeTest) -> tuple[Candidate
 
 
 def column_read(reading: CodeReading, codes: CodeTest) -> int | None:
-    """Return the number of the code that was read; ``None`` where none was."""
+    """Return the number of the code that the alarm shows; ``None`` without one."""
     off = np.count_nonzero(codes.codes != np.array(reading.pattern)[:, None], axis=0)
     same = [g for g, group in enumerate(codes.groups) if reading.faults and group == reading.faults]
     return min(same, key=lambda g: off[g], default=None)
@@ -609,9 +609,9 @@ def named_pattern(
 ) -> tuple[NDArray[np.bool_], float]:
     """Return the members that an alarm of a dedicated bank names, and the fraction of its samples with just these.
 
-    Those of the pattern that stood the longest, and every other that counted as fired for an isolation window in all: a
-    fault that came later has its member too, and a false alarm of a member is shorter. By a peak test every member that
-    fired: one sample over its threshold declares the fault, and its own window holds it.
+    They are those of the pattern that stood the longest, and every other that counted as fired for an isolation window
+    in all: a fault that came later has its member too, and a false alarm of a member is shorter. By a peak test they
+    are all members that fired: one sample over its threshold declares the fault, and its own window holds it.
     ``code`` and ``fired``, of shape (time, members), and ``usable`` are those of the samples of the alarm.
     """
     if codes.at_once:
@@ -638,15 +638,15 @@ def present_faults(
     start, stop : int
         First sample of the alarm and the one after it.
     """
-    found = []
+    present = []
     for group in reading.named if codes.dedicated else ():
         member = codes.member_of(group)
         on = start + np.flatnonzero(fired[start:stop, member])
         if on.size:  # a member may count as fired for a moment longer than its alarm lasts
             after = int(on[-1]) + 1
             until = float(time[after]) if after < len(time) else None
-            found.append(PresentFault(group, codes.members[member], float(time[on[0]]), until))
-    return tuple(sorted(found, key=lambda fault: fault.since))
+            present.append(PresentFault(group, codes.members[member], float(time[on[0]]), until))
+    return tuple(sorted(present, key=lambda fault: fault.since))
 
 
 def present_now(
@@ -656,8 +656,8 @@ def present_now(
     if not codes.dedicated:
         return ()
     fired = [(group, codes.member_of(group)) for group in reading.named]
-    found = [PresentFault(g, codes.members[m], (int(since[m]) - 1) * step) for g, m in fired if since[m] > 0]
-    return tuple(sorted(found, key=lambda fault: fault.since))
+    present = [PresentFault(g, codes.members[m], (int(since[m]) - 1) * step) for g, m in fired if since[m] > 0]
+    return tuple(sorted(present, key=lambda fault: fault.since))
 
 
 def _named_by(alarm: Alarm) -> set[tuple[str, ...]]:
@@ -668,7 +668,7 @@ def _named_by(alarm: Alarm) -> set[tuple[str, ...]]:
 def alarms_since(fired: NDArray[np.bool_], state: CodeState, count: int) -> NDArray[np.int64]:
     """Return when each member first fired in the alarm that stands: how many samples had been seen with that one.
 
-    0 where no alarm stands, or where that is not known, the state being one of an earlier version.
+    0 without a standing alarm, or if the time is not known because the state is one of an earlier version.
 
     Parameters
     ----------

@@ -98,14 +98,14 @@ class NormTest(ResidualTest):
     basis : str
         Where threshold and covariance come from, in words.
     kind : {"norm", "peak"}
-        What it was made of: :class:`residua.decide.NormThreshold`, or :class:`residua.decide.PeakThreshold`, whose
+        Of its settings: :class:`residua.decide.NormThreshold`, or :class:`residua.decide.PeakThreshold`, whose
         window is ``release``.
     promised : float or None
         Fraction of fault-free samples in alarm that the data of the fit promise not to be exceeded on other data, with
-        95 % confidence: 1 where they are too few to say anything; ``None`` where the threshold is not from data.
+        95 % confidence: 1 if they are too few to say anything; ``None`` if the threshold is not from data.
     shrinkage : float or None
         How far the covariance was drawn towards a simpler one, between 0 and 1, because the data were too few for it;
-        ``None`` where it is not from data.
+        ``None`` if it is not from data.
     """
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {**RUNS, **FITTED, "threshold": POSITIVE}
@@ -266,7 +266,7 @@ class Fitted:
     test : NormTest
         Its threshold is infinite, or the one of the settings.
     seen : Observed or None
-        Its cross-fitted statistic on fault-free data; ``None`` where the threshold is set.
+        Its cross-fitted statistic on fault-free data; ``None`` if the threshold is set.
     count : int
         Fault-free samples.
     rounding : float or None
@@ -318,19 +318,19 @@ def with_threshold(base: Fitted, rate: float) -> NormTest:
     """Return a test with its threshold for a rate of false alarms."""
     if base.seen is None:
         return base.test
-    found = promise_of(base.seen, rate)
-    threshold, basis = found.threshold, f"fitted to {base.count} fault-free samples, {found}"
+    promise = promise_of(base.seen, rate)
+    threshold, basis = promise.threshold, f"fitted to {base.count} fault-free samples, {promise}"
     if base.test.shrinkage:
         basis += f"; covariance of too few samples, drawn by {base.test.shrinkage:.2g} towards a simpler one"
     if base.rounding is not None:
         threshold, basis = above_rounding(threshold, base.rounding, basis)
-    return replace(base.test, threshold=float(threshold), basis=basis, promised=float(found.promised))
+    return replace(base.test, threshold=float(threshold), basis=basis, promised=float(promise.promised))
 
 
 def above_rounding(threshold: float, rounding: float, basis: str) -> tuple[float, str]:
     """Return a threshold fitted to data without noise, raised to the rounding of the signals, and its basis."""
-    told = f"{basis}; no noise in these data: the threshold is at rounding level"
-    return max(threshold, rounding, np.finfo(float).tiny), told
+    sentence = f"{basis}; no noise in these data: the threshold is at rounding level"
+    return max(threshold, rounding, np.finfo(float).tiny), sentence
 
 
 def whitened_residuals(

@@ -47,10 +47,10 @@ def method(name: str) -> Method:
     >>> method("reduced_order_observer").order
     'n - p'
     """
-    found = {one.name: one for one in methods()}
-    if name not in found:
-        raise SettingError(f"no design function is called {name!r}: there are {', '.join(found)}")
-    return found[name]
+    by_name = {one.name: one for one in methods()}
+    if name not in by_name:
+        raise SettingError(f"no design function is called {name!r}: there are {', '.join(by_name)}")
+    return by_name[name]
 
 
 def forget(name: str) -> None:

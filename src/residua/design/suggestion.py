@@ -22,11 +22,12 @@ from residua.design.estimation.fault_estimator import FaultEstimator
 from residua.errors import AccuracyError, DesignError, ModelError, SettingError
 from residua.plant import InputOutputModel, Plant
 from residua.robust.sets.uncertain_plant import UncertainPlant
+from residua.visible import counted
 
 WANTS = ("name", "size", "state")
 #: Larger plants are tried with the single observers only, and the largest not at all.
 LARGE, LARGEST, MOST_FAULTS = 60, 200, 16
-#: Seconds for the choice of a coding set; what was found by then is taken.
+#: Seconds for the choice of a coding set; the search then takes the best one so far.
 _CHOICE_TIME = 5.0
 
 
@@ -43,7 +44,7 @@ class Entry:
     works : bool or None
         ``None`` when it was not tried.
     reason : str
-        What it gives; or why it was refused, or not tried.
+        The result; or why the method was refused, or not tried.
     names : tuple of str
         The faults that it tells from all others.
     estimates : tuple of str
@@ -80,7 +81,7 @@ class Suggestion:
     entries : tuple of Entry
         All that was considered: what works, from the best down, then what was refused, then what was not tried.
     notes : tuple of str
-        What can be told about the plant at all, and what to mind.
+        What can be said about the plant at all, and what to mind.
     """
 
     plant: Plant
@@ -111,7 +112,7 @@ def suggest(plant: Plant, *, want: str | None = None, seconds: float = 30.0) -> 
     """Tell which design functions apply to a plant and which to prefer, by trying them.
 
     Guaranteed: what is said to work has been designed and has passed its own checks (``entry.made``); what is said to
-    be refused has been refused, for the reason given.
+    be refused has been refused, for the reason that stands beside it.
 
     Parameters
     ----------
@@ -164,13 +165,13 @@ def suggest(plant: Plant, *, want: str | None = None, seconds: float = 30.0) -> 
     return Suggestion(plant, want, tuple(entries), tuple(_notes(plant, known, entries)))
 
 
-def _no_plant(given: object) -> str:
+def _no_plant(value: object) -> str:
     """Return what to do with what is no plant."""
-    if isinstance(given, InputOutputModel):
+    if isinstance(value, InputOutputModel):
         return "suggest looks at a plant: suggest(model.to_plant())"
-    if not isinstance(given, UncertainPlant):
-        return f"suggest looks at a residua.Plant, got {type(given).__name__}"
-    if given.nominal.inputs:
+    if not isinstance(value, UncertainPlant):
+        return f"suggest looks at a residua.Plant, got {type(value).__name__}"
+    if value.nominal.inputs:
         serves = (
             "with its controller, loop = plant.in_closed_loop(controller) and rs.design.robust_l1_bank(loop), whose "
             "thresholds hold for all of the set; without one, rs.design.multi_model_parity([plant.member(v) for v in "
@@ -178,7 +179,7 @@ def _no_plant(given: object) -> str:
         )
     else:
         sampled = (
-            "" if given.nominal.is_discrete else " (sampled first, plant.discretize(dt), before the loop is closed)"
+            "" if value.nominal.is_discrete else " (sampled first, plant.discretize(dt), before the loop is closed)"
         )
         serves = f"rs.design.robust_l1_bank(plant){sampled}, whose thresholds hold for all of the set"
     return (
@@ -210,9 +211,9 @@ class Candidate:
     ----------
     method : Method
     options : mapping of str to value
-        What is asked of it.
+        The options of the call.
     pointless : str
-        Why it makes no sense; empty where it does.
+        Why it makes no sense; empty if it does.
     made : dict
         Arguments that were made from the plant already, which candidates share.
     """
@@ -225,9 +226,9 @@ class Candidate:
     @property
     def call(self) -> str:
         """The line of code."""
-        given = [one.code for one in self.method.chosen.values()]
-        given += [f"{name}={_typed(value)}" for name, value in self.options.items()]
-        return f"{self.method.called}({', '.join(['plant', *given])})"
+        arguments = [one.code for one in self.method.chosen.values()]
+        arguments += [f"{name}={_typed(value)}" for name, value in self.options.items()]
+        return f"{self.method.called}({', '.join(['plant', *arguments])})"
 
     def run(self, plant: Plant) -> Any:
         """Make the call."""
@@ -247,7 +248,7 @@ def candidates(plant: Plant, known: Diagnosability | None) -> Iterator[Candidate
     ----------
     plant : Plant
     known : Diagnosability or None
-        Of this plant; ``None`` where it was not examined.
+        Of this plant; ``None`` if it was not examined.
     """
     made: dict[Chosen, Any] = {}
     for one in methods():
@@ -312,7 +313,9 @@ def _told(one: Candidate, made: Any, plant: Plant) -> Entry:
     order = _order(generator or made)
     if isinstance(made, Bank):
         names = tuple(group[0] for group in made.groups if len(group) == 1)
-        reason = f"{len(made.members)} members; " + (f"names {_listed(names)}" if names else "its codes name no fault")
+        reason = f"{counted(len(made.members), 'member')}; " + (
+            f"names {_listed(names)}" if names else "its codes name no fault"
+        )
         return Entry(one.call, record, True, reason, names, (), order, made)
     names = _named_by_direction(generator, settled=record.time_course == "constant") if generator else ()
     parts = [f"order {order}"]

@@ -25,7 +25,7 @@ CLEAR_DIRECTION = 10.0
 def with_beginnings(
     alarms: Sequence[Alarm], residuals: NDArray[np.float64], usable: NDArray[np.bool_], time: NDArray[np.float64]
 ) -> tuple[Alarm, ...]:
-    """Return the alarms, the longest of them with the interval in which they began, where that can be told.
+    """Return the alarms, the longest of them with the interval in which they began, if the data show it.
 
     Parameters
     ----------
@@ -56,21 +56,21 @@ def _beginning(
     if quiet < LEAST_BEFORE or last >= len(rows):
         return None
     signal = _along_change(residuals[rows], quiet, last)
-    found = None if signal is None else change_time(signal, quiet, last)
-    return None if found is None else _timed(found, rows, time)
+    moment = None if signal is None else change_time(signal, quiet, last)
+    return None if moment is None else _timed(moment, rows, time)
 
 
-def _timed(found: ChangeTime, rows: NDArray[np.int64], time: NDArray[np.float64]) -> Beginning:
+def _timed(moment: ChangeTime, rows: NDArray[np.int64], time: NDArray[np.float64]) -> Beginning:
     """Return an interval of samples as times: what a sample is the first to show began after the one before."""
-    earliest = None if found.earliest is None else float(time[rows[found.earliest - 1]])
-    return Beginning(earliest, float(time[rows[found.estimate]]), float(time[rows[found.latest]]), CONFIDENCE)
+    earliest = None if moment.earliest is None else float(time[rows[moment.earliest - 1]])
+    return Beginning(earliest, float(time[rows[moment.estimate]]), float(time[rows[moment.latest]]), CONFIDENCE)
 
 
 def _along_change(residuals: NDArray[np.float64], quiet: int, last: int) -> NDArray[np.float64] | None:
-    """Return the residual along the direction in which it has moved, up to the samples that told the direction.
+    """Return the residual along the direction in which it has moved, up to the samples that show the direction.
 
-    That is taken from the second half of the alarm, as noise would otherwise point along itself where the alarm begins;
-    from all of it where it is clear beyond that. ``None`` where it is not known well.
+    The direction is taken from the second half of the alarm, as noise would otherwise point along itself where the
+    alarm begins; from all of it if it is clear beyond that. ``None`` if it is not known well.
     """
     before = residuals[:quiet]
     level = before.mean(axis=0)

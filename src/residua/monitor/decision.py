@@ -42,7 +42,7 @@ class Decision:
         For an estimator: the estimated size of every fault now.
     arrived : float or None
         For matched filters while the alarm is on: how many seconds ago the fault arrived that the alarm is put down
-        to; ``None`` where that was before the window.
+        to; ``None`` if that was before the window.
     blamed : str
         For matched filters while the alarm is on: that fault. The candidates are those of this very sample, their
         arrivals in seconds since the first sample; once the arrival of that fault has left the window, the last of
@@ -68,32 +68,32 @@ class Decision:
 
     @property
     def named(self) -> tuple[tuple[str, ...], ...]:
-        """The faults that are named now, one or several, each with those that cannot be told from it; else empty."""
+        """The faults that are named now, one or several, each with its indistinguishable ones; else empty."""
         return put_down_to(self.reading, self.candidates)
 
 
-def decision_from(found: Decisions, spec: Specification, generator: ResidualGenerator, state: State) -> Decision:
+def decision_from(decisions: Decisions, spec: Specification, generator: ResidualGenerator, state: State) -> Decision:
     """Return the decision on the one sample of the first plant of a block; ``state`` is that after it."""
-    tested = found.tested
+    tested = decisions.tested
     alarm, fired = bool(tested.alarm[0, 0]), ()
     if spec.members:
         fired = tuple(name for name, on in zip(spec.members, tested.fired[0, 0], strict=True) if on)
     named = Named()
     if alarm:
-        one, count = found.of(0), state.count - 1  # the number of this sample in the run
+        one, count = decisions.of(0), state.count - 1  # the number of this sample in the run
         time = np.array([count * generator.dt])
         seen = Seen(time, one.residuals, one.tested, one.named, generator, spec.test, state.isolation, count)
         named = spec.isolation.name_now(seen)
     return Decision(
-        residual=found.residuals[0, 0],
+        residual=decisions.residuals[0, 0],
         statistic=float(tested.statistic[0, 0]),
         alarm=alarm,
         decided=bool(tested.usable[0, 0]),
-        missing=bool(found.missing[0, 0]),
+        missing=bool(decisions.missing[0, 0]),
         candidates=named.candidates,
         fired=fired,
         reading=named.reading,
-        estimates={name: float(value) for name, value in estimates_of(generator, found.residuals[0, 0]).items()},
+        estimates={name: float(value) for name, value in estimates_of(generator, decisions.residuals[0, 0]).items()},
         arrived=named.arrived,
         blamed=named.blamed,
         present=named.present,

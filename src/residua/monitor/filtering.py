@@ -55,20 +55,20 @@ def _filter_block(
     sound = _sound(fields["x"], residuals)
     if every and sound.all():
         return fields, Filtered(residuals, ages > spec.settle, missing, aside)
-    part, found = (_of(fields, sound), residuals[sound], ages[sound]), who[sound]
+    part, plain = (_of(fields, sound), residuals[sound], ages[sound]), who[sound]
     fields = {name: values.copy() for name, values in before.items()}
     residuals, ages = np.full((plants, time, len(spec.C)), np.nan), np.zeros((plants, time), dtype=np.int64)
     for name, values in part[0].items():
-        fields[name][found] = values
-    residuals[found], ages[found] = part[1:]
-    bends = _run_one_by_one(spec, state, fields, np.setdiff1d(np.arange(plants), found), v, residuals, ages)
+        fields[name][plain] = values
+    residuals[plain], ages[plain] = part[1:]
+    bends = _run_one_by_one(spec, state, fields, np.setdiff1d(np.arange(plants), plain), v, residuals, ages)
     return fields, Filtered(residuals, ~missing & (ages > spec.settle), missing, aside, bends)
 
 
 def plausible_values(
     spec: Specification, data: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return deviations, NaN where there is no plausible value; where one is missing; and which were put aside."""
+    """Return deviations, NaN without a plausible value; where one is missing; and which were put aside."""
     with np.errstate(over="ignore"):
         v = data - spec.offset
     low, high = spec.plausible.T

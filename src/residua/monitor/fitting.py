@@ -71,9 +71,9 @@ def _run(
     blank: Specification, watched: Watched, recordings: Sequence[NDArray[np.float64]], reason: str
 ) -> FaultFreeRun:
     """Run over each recording from a start of its own."""
-    found = [run_block(blank, initial_state(blank, 1), data)[1] for data in recordings]
+    runs = [run_block(blank, initial_state(blank, 1), data)[1] for data in recordings]
     if len(recordings) > 1:
-        for number, (one, data) in enumerate(zip(found, recordings, strict=True), 1):
+        for number, (one, data) in enumerate(zip(runs, recordings, strict=True), 1):
             if not one.usable.any():
                 raise DataError(
                     f"recording {number} of {len(recordings)} has no usable sample: {data.shape[1]} samples, {reason}; "
@@ -81,8 +81,8 @@ def _run(
                 )
     deviations = np.concatenate([plausible_values(blank, data)[0][0] for data in recordings])
     return FaultFreeRun(
-        np.concatenate([one.residuals[0] for one in found]),
-        np.concatenate([one.usable[0] for one in found]),
+        np.concatenate([one.residuals[0] for one in runs]),
+        np.concatenate([one.usable[0] for one in runs]),
         tuple(int(k) for k in np.cumsum([data.shape[1] for data in recordings[:-1]])),
         signal_levels(watched.generator, deviations),
     )

@@ -19,7 +19,7 @@ from residua.recording.time_axis import regular_step, seconds_from_dates
 from residua.visible import echo
 
 #: What is left of the slowest pole once a filter counts as settled: where thresholds come from data or a noise model,
-#: and where they are bounds that are known or certified, to the digits that these are computed to.
+#: and, for bounds that are known or certified, to the digits that these are computed to.
 SETTLED, SETTLED_FOR_BOUNDS = 1e-2, 1e-6
 #: Samples after which a filter counts as settled, however slow it is.
 _MOST_SAMPLES = 1_000_000
@@ -27,7 +27,7 @@ _MOST_SAMPLES = 1_000_000
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """Inputs and outputs of a recording, with its clock where one is known.
+    """Inputs and outputs of a recording, with its clock if one is known.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Signals:
     dt : float or None
     source : str
     notes : tuple of str
-        What was done to the rows when they were read.
+        The changes to the rows at reading.
     origin : str
         The moment that ``time`` counts from, where the recording had dates.
     """
@@ -61,7 +61,7 @@ def several_signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, pl
         raise DataError("time is for one recording: give several as data frames or recordings, which bring their times")
     if not len(u):
         raise DataError("the list of recordings is empty")
-    found = []
+    recordings = []
     for number, one in enumerate(u, 1):
         if isinstance(one, np.ndarray):
             raise DataError(
@@ -69,10 +69,10 @@ def several_signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, pl
             )
         pair = one if isinstance(one, tuple) and len(one) == 2 else (one, None)
         try:
-            found.append(signals(*pair, None, dt, "", plant))
+            recordings.append(signals(*pair, None, dt, "", plant))
         except DataError as error:
             raise DataError(f"recording {number} of {len(u)}: {error}") from error
-    return found
+    return recordings
 
 
 def signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, source: str, plant: Plant) -> Signals:
@@ -98,10 +98,10 @@ def signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, source: st
         raise DataError(f"time has shape {clock.shape}, y has {samples} samples")
     if len(clock) < 2:
         raise DataError("time must be one column of at least two finite numbers")
-    found = regular_step(clock, 0.01, 0, source or "recording")
-    if dt is not None and abs(dt - found) > 1e-6 * found:
-        raise DataError(f"dt={dt:g} s was given, the times are {found:g} s apart")
-    return Signals(u, y, clock, found, source, origin=origin)
+    step = regular_step(clock, 0.01, 0, source or "recording")
+    if dt is not None and abs(dt - step) > 1e-6 * step:
+        raise DataError(f"dt={dt:g} s was given, the times are {step:g} s apart")
+    return Signals(u, y, clock, step, source, origin=origin)
 
 
 def _by_name(data: Any, channels: tuple[str, ...], what: str) -> Any:
@@ -143,13 +143,13 @@ def settling_samples(generator: ResidualGenerator, test: ResidualTest | None = N
 
 def settling_reason(generator: ResidualGenerator, settle: int) -> str:
     """Say how long a filter settles, and which pole makes it take that long."""
-    told = f"settling takes {settle} samples ({settle * generator.dt:g} s)"
+    settling = f"settling takes {settle} samples ({settle * generator.dt:g} s)"
     by_itself = [_samples_until(generator, SETTLED), _samples_for_bounds(generator)]
     if settle not in by_itself or not generator.system.n_states:
-        return f"{told}, as asked for by settle"
+        return f"{settling}, as asked for by settle"
     poles = generator.system.poles()
     slowest = poles[np.abs(poles).argmax()]
-    return f"{told} because of its slowest pole, sampled at {format_pole(slowest)}: a faster one settles sooner"
+    return f"{settling} because of its slowest pole, sampled at {format_pole(slowest)}: a faster one settles sooner"
 
 
 def _samples_for_bounds(generator: ResidualGenerator) -> int:

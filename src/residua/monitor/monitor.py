@@ -85,9 +85,9 @@ class Monitor:
         is fitted.
     settle : int, optional
         Samples after a start or a gap in which nothing is decided. By default until the slowest pole of the filter
-        has decayed to 1 %; to a millionth, which takes three times as long, where the thresholds of
-        :class:`residua.decide.PeakThreshold` are certified or given: no certified threshold has in it what a start or a
-        held value leaves in the residual. Fewer samples decide earlier, at that price.
+        has decayed to 1 %; to a millionth, which takes three times as long, if the thresholds of
+        :class:`residua.decide.PeakThreshold` are certified or set by the user: no certified threshold covers what a
+        start or a held value leaves in the residual. Fewer samples decide earlier, at that price.
     max_hold : int
         Longest gap in samples that is bridged by holding values.
     plausible : float, mapping of str to (float, float), or None
@@ -104,8 +104,8 @@ class Monitor:
         after ``settle`` samples. ``"estimated"``: besides, what the residuals of these samples (2,000 at most) show of
         it by least squares is taken out of the state after them. A fault that is there from the first sample on is
         partly taken out with it: as far as its residual looks like that of a wrong start. Thresholds that are bounds,
-        certified or given, hold from rest, or once every start has died away: there a start is always from rest. The
-        notes of a diagnosis say where the estimate moved the residual by more than a tenth of its threshold.
+        certified or set by the user, hold from rest, or once every start has died away: there a start is always from
+        rest. The notes of a diagnosis say where the estimate moved the residual by more than a tenth of its threshold.
 
     Notes
     -----
@@ -187,7 +187,7 @@ class Monitor:
 
     @property
     def is_fitted(self) -> bool:
-        """Whether the monitor has a threshold, from data, from the noise model, or given."""
+        """Whether the monitor has a threshold: from data, from the noise model, or from the user."""
         return self._test is not None
 
     @property
@@ -237,9 +237,9 @@ class Monitor:
         """Fit mean, covariance and threshold to one or several fault-free recordings.
 
         Several (flights, days, batches) each have a start of their own, over which the filter settles, and nothing is
-        summed or counted from one to the next. A finite-horizon test has thresholds alone, and those that are given or
-        certified are not changed: the recording is held against them, and ``norm_test.basis`` then tells how close it
-        came.
+        summed or counted from one to the next. A finite-horizon test has thresholds alone, and a fit
+        does not change thresholds that are certified or set by the user: it compares the recording with them, and
+        ``norm_test.basis`` then says how close it came.
 
         Parameters
         ----------
@@ -251,7 +251,7 @@ class Monitor:
         time : array_like, shape (time,), optional
             Regular sample times in seconds.
         dt : float, optional
-            Step, when ``time`` is not given and the generator is continuous.
+            Step, for a continuous generator without ``time``.
         false_alarm_rate : float, optional
             Fraction of fault-free samples in alarm that is aimed at; that of the test when omitted.
 
@@ -267,10 +267,10 @@ class Monitor:
         """
         rate = self.test.false_alarm_rate if false_alarm_rate is None else float(false_alarm_rate)
         check_rate(rate)
-        given = several_signals(u, y, time, dt, self.design.plant)
-        for one in given:
+        parts = several_signals(u, y, time, dt, self.design.plant)
+        for one in parts:
             self._learn_step(one.dt)
-        recordings = [self._block(one.u, one.y) for one in given]
+        recordings = [self._block(one.u, one.y) for one in parts]
         blank = blank_test(self.generator)
         samples = np.concatenate([data.reshape(-1, data.shape[2]) for data in recordings])
         ranges = fitted_ranges(self.plausible, samples, guarded_ranges(self.generator, blank))
@@ -327,9 +327,9 @@ class Monitor:
         The state afterwards is that at the end of the recording: :meth:`step` and :meth:`update` go on
         from there. Until then the state of the monitor is not touched, so that several threads may run at once.
         """
-        given = signals(u, y, time, dt, source, self.design.plant)
-        self._learn_step(given.dt)
-        data = self._block(given.u, given.y)
+        measured = signals(u, y, time, dt, source, self.design.plant)
+        self._learn_step(measured.dt)
+        data = self._block(measured.u, measured.y)
         generator, spec = self.generator, self._specification()
         state = initial_state(spec, len(data))
         parts: list[Decisions] = []
@@ -339,15 +339,15 @@ class Monitor:
             if progress is not None:
                 progress(min(start + PIECE, data.shape[1]), data.shape[1])
         self._state = state
-        clock = generator.dt * np.arange(data.shape[1]) if given.time is None else given.time
-        found, compared = joined_decisions(parts), compared_outputs(self.design)
-        notes = (*self.notes, *given.notes)
+        clock = generator.dt * np.arange(data.shape[1]) if measured.time is None else measured.time
+        decisions, compared = joined_decisions(parts), compared_outputs(self.design)
+        notes = (*self.notes, *measured.notes)
         whole = []
         for p in range(len(data)):
-            recorded = Recorded(clock, data[p], given.source, given.origin, compared)
-            diagnosis = diagnosis_from(found.of(p), recorded, spec, generator, state.filter, p, notes, self._bounds)
+            recorded = Recorded(clock, data[p], measured.source, measured.origin, compared)
+            diagnosis = diagnosis_from(decisions.of(p), recorded, spec, generator, state.filter, p, notes, self._bounds)
             whole.append(diagnosis)
-        return whole if np.ndim(given.y) == 3 else whole[0]
+        return whole if np.ndim(measured.y) == 3 else whole[0]
 
     def update(self, u: ArrayLike | None, y: ArrayLike) -> Decisions:
         """Go on with a block of samples.
@@ -383,8 +383,8 @@ class Monitor:
         Decision
         """
         u_ = None if u is None else np.atleast_1d(np.asarray(u, dtype=float))[None]
-        found, state = self._go_on(u_, np.atleast_1d(np.asarray(y, dtype=float))[None])
-        return decision_from(found, self._specification(), self.generator, state)
+        decisions, state = self._go_on(u_, np.atleast_1d(np.asarray(y, dtype=float))[None])
+        return decision_from(decisions, self._specification(), self.generator, state)
 
     def reset(self) -> None:
         """Forget all data seen so far; thresholds stay."""
@@ -442,9 +442,9 @@ class Monitor:
                 raise DataError(
                     f"the monitor follows {len(state.filter.x)} plants, the block has {len(data)}; reset() first"
                 )
-            state, found = run_block(spec, state, data)
+            state, decisions = run_block(spec, state, data)
             self._state = state
-        return found, state
+        return decisions, state
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the lock, which belongs to the object: a copy has one of its own."""

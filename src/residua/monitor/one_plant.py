@@ -54,8 +54,8 @@ class OnePlant:
                 k += int(whole[0])
                 self._start(spec, signals.filled[k])
             stop, gap = _end_of_piece(signals.blank, k, int(self.gap), spec.max_hold)
-            r, found, broken, known = self._piece_until_lost(spec, signals.cut(k, stop), ages[k:stop])
-            bends += [(k + i, R) for i, R in found]
+            r, changes, broken, known = self._piece_until_lost(spec, signals.cut(k, stop), ages[k:stop])
+            bends += [(k + i, R) for i, R in changes]
             stop_now = k + len(r)
             residuals[k:stop_now] = np.where(signals.whole[k:stop_now, None], r, np.nan)
             if broken:

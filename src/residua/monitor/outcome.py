@@ -20,7 +20,7 @@ from residua.monitor.running import Decisions
 from residua.monitor.specification import FilterState, Specification
 from residua.robust.estimators.certified_threshold import AFFINE_FORM
 
-#: Part of its threshold that the residual is moved by before it is said.
+#: Part of its threshold by which the residual must move before a note says so.
 _TOLD = 0.1
 
 
@@ -42,15 +42,15 @@ def compared_outputs(design: ResidualGenerator) -> tuple[tuple[int, int], ...]:
     continuous design that was sampled is judged by what it was.
     """
     now = design.system.D[:, len(design.plant.inputs) :]
-    found: dict[int, int] = {}
+    residual_of: dict[int, int] = {}
     for i, row in enumerate(now):
         if np.count_nonzero(row) == 1 and row.max() == 1.0 and not (design.estimated and design.estimated[i]):
-            found.setdefault(int(row.argmax()), i)
-    return tuple((i, j) for j, i in sorted(found.items()))
+            residual_of.setdefault(int(row.argmax()), i)
+    return tuple((i, j) for j, i in sorted(residual_of.items()))
 
 
 def diagnosis_from(
-    found: Decisions,
+    decisions: Decisions,
     recorded: Recorded,
     spec: Specification,
     generator: ResidualGenerator,
@@ -60,18 +60,18 @@ def diagnosis_from(
     bounds: Mapping[str, MemberBounds],
 ) -> Diagnosis:
     """Return the diagnosis of one plant from the decisions on its recording; ``state`` is that after it, of all."""
-    tested, named, test, isolation = found.tested, found.named, spec.test, spec.isolation
-    seen = Seen(recorded.time, found.residuals, tested, named, generator, test)
-    alarms = with_beginnings(_alarms_of(seen, isolation), found.residuals, tested.usable, recorded.time)
+    tested, named, test, isolation = decisions.tested, decisions.named, spec.test, spec.isolation
+    seen = Seen(recorded.time, decisions.residuals, tested, named, generator, test)
+    alarms = with_beginnings(_alarms_of(seen, isolation), decisions.residuals, tested.usable, recorded.time)
     band, share = test.bands()
     return Diagnosis(
         time=recorded.time,
-        residuals=found.residuals,
+        residuals=decisions.residuals,
         statistic=tested.statistic,
         threshold=test.threshold,
         alarm=tested.alarm,
         decided=tested.usable,
-        missing=found.missing,
+        missing=decisions.missing,
         scores=named.scores,
         alarms=alarms,
         resets=int(state.resets[plant]),
@@ -90,8 +90,8 @@ def diagnosis_from(
         compared=recorded.compared,
         notes=(
             *notes,
-            *_notes(spec, generator, tested.usable, found.missing),
-            *_aside_notes(spec, generator, found),
+            *_notes(spec, generator, tested.usable, decisions.missing),
+            *_aside_notes(spec, generator, decisions),
             *_broken_notes(int(state.broken[plant])),
             *_start_notes(spec, float(state.moved[plant])),
             *test.cautions(tested),
@@ -99,7 +99,7 @@ def diagnosis_from(
         ),
         member_statistics=tested.part_statistics,
         fired=tested.fired,
-        code=found.code,
+        code=decisions.code,
         match=named.match,
         groups=isolation.groups,
         signatures=isolation.signatures,
@@ -179,13 +179,13 @@ def _settling_notes(
     return (settling_reason(generator, spec.settle),)
 
 
-def _aside_notes(spec: Specification, generator: ResidualGenerator, found: Decisions) -> tuple[str, ...]:
+def _aside_notes(spec: Specification, generator: ResidualGenerator, decisions: Decisions) -> tuple[str, ...]:
     """Return how many values of which channels were put aside."""
-    counts = np.count_nonzero(found.aside, axis=0)
+    counts = np.count_nonzero(decisions.aside, axis=0)
     if not np.any(counts):
         return ()
     names, limits = (*generator.plant.inputs, *generator.plant.outputs), spec.plausible + spec.offset[:, None]
-    told = [
+    counted = [
         f"{name!r} {counts[j]} (plausible from {limits[j, 0]:.3g} to {limits[j, 1]:.3g})"
         for j, name in enumerate(names)
         if counts[j]
@@ -193,7 +193,7 @@ def _aside_notes(spec: Specification, generator: ResidualGenerator, found: Decis
     several = np.sum(counts) > 1
     return (
         f"{np.sum(counts)} value{'s were' if several else ' was'} no plausible measurement, and taken as missing: "
-        f"{', '.join(told)}; Monitor(plausible=...) sets the limits",
+        f"{', '.join(counted)}; Monitor(plausible=...) sets the limits",
     )
 
 
@@ -228,7 +228,7 @@ def _alarms_of(seen: Seen, isolation: Isolation) -> tuple[Alarm, ...]:
 
 
 def _alarms(seen: Seen, name: Naming) -> tuple[Alarm, ...]:
-    """Return the alarms one by one, each with what it is put down to."""
+    """Return the alarms one by one, each with its attribution."""
     tested, time = seen.tested, seen.time
     edges = np.flatnonzero(np.diff(np.concatenate([[0], tested.alarm.astype(np.int8), [0]])))
     counted = np.flatnonzero(tested.usable)
@@ -236,9 +236,9 @@ def _alarms(seen: Seen, name: Naming) -> tuple[Alarm, ...]:
     for start, stop in edges.reshape(-1, 2).tolist():
         position = int(np.searchsorted(counted, start, side="right")) - 1
         first = counted[max(0, position - int(tested.up[start]) + 1)]
-        found = name(start, stop, last_over(tested.exceeded, start, stop)).of_alarm()
+        fields = name(start, stop, last_over(tested.exceeded, start, stop)).of_alarm()
         ended = float(time[stop]) if stop < len(time) else None
-        values: dict[str, Any] = {"onset": float(time[first])} | found
+        values: dict[str, Any] = {"onset": float(time[first])} | fields
         out.append(Alarm(raised=float(time[start]), ended=ended, start=start, stop=stop, **values))
     return tuple(out)
 
@@ -268,5 +268,5 @@ def _one_alarm(parts: Sequence[Alarm], isolation: Isolation, exceeded: NDArray[n
         return parts[0]
     first, last = parts[0], parts[-1]
     anew = isolation.name_of_several(parts, exceeded, name)
-    found = {"onset": first.onset} | ({} if anew is None else anew.of_alarm())
-    return replace(longest(parts), raised=first.raised, ended=last.ended, start=first.start, stop=last.stop, **found)
+    fields = {"onset": first.onset} | ({} if anew is None else anew.of_alarm())
+    return replace(longest(parts), raised=first.raised, ended=last.ended, start=first.start, stop=last.stop, **fields)

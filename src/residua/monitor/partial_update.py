@@ -137,14 +137,14 @@ class PartialUpdate:
     def gain(self, covariance: Matrix, there: NDArray[np.bool_]) -> Gain:
         """Return what to do with a sample; ``covariance`` is that of the prediction, zero for the stationary one."""
         key = covariance.tobytes(), there.tobytes()
-        found = self._known.get(key)
-        if found is None:
+        known = self._known.get(key)
+        if known is None:
             steady = not covariance.any()
-            found = self._gain(self.covariance if steady else covariance, there, steady and bool(there.all()))
+            known = self._gain(self.covariance if steady else covariance, there, steady and bool(there.all()))
             if len(self._known) >= _MOST_GAINS:
                 self._known.clear()
-            self._known[key] = found
-        return found
+            self._known[key] = known
+        return known
 
     def _gain(self, P: Matrix, there: NDArray[np.bool_], stationary: bool) -> Gain:
         rows = np.flatnonzero(there)

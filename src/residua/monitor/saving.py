@@ -280,10 +280,10 @@ def _partial_in(value: Any, spec: Specification) -> PartialUpdate | None:
 
 
 def _square_in(value: Any, where: str, n: int) -> NDArray[np.float64]:
-    found = array_in(value, where, ENTRY)
-    if found.shape != (n, n):
+    array = array_in(value, where, ENTRY)
+    if array.shape != (n, n):
         raise FileFormatError(f"{where} must be finite numbers of shape {(n, n)}")
-    return found
+    return array
 
 
 def _limits_in(value: Any, spec: Specification) -> NDArray[np.float64]:

@@ -45,7 +45,7 @@ def chosen_isolation(isolate: Any, generator: ResidualGenerator, design: Any = N
 def chosen_test(
     test: Any, design: Any, generator: ResidualGenerator, isolate: IsolationSettings
 ) -> tuple[TestSettings, dict[str, float]]:
-    """Return the settings of the test, and the thresholds that the design has certified; empty where none are used.
+    """Return the settings of the test, and the thresholds that the design has certified; empty if none are used.
 
     Without settings: :class:`PeakThreshold` for a design with certified thresholds, else :class:`NormThreshold`.
     """
@@ -70,11 +70,11 @@ def brought_thresholds(design: Any, generator: ResidualGenerator) -> dict[str, f
     ModelError
         If they are not one positive finite number for each member.
     """
-    found = design.thresholds if isinstance(design, CertifiedDesign) else None
-    if not isinstance(found, Mapping) or not found:
+    thresholds = design.thresholds if isinstance(design, CertifiedDesign) else None
+    if not isinstance(thresholds, Mapping) or not thresholds:
         return {}
     try:
-        settings = PeakThreshold(found)
+        settings = PeakThreshold(thresholds)
         settings.for_members([member.name for member in generator.members])
     except SettingError as error:
         raise ModelError(f"the certified thresholds of this design do not fit its members: {error}") from error
@@ -86,10 +86,10 @@ def brought_bounds(design: Any, generator: ResidualGenerator) -> dict[str, Membe
     """Return the bounds that a design brings for the members of its generator; empty for one that brings none."""
     if not isinstance(design, BoundedDesign):
         return {}
-    found = design.member_bounds
-    if set(found) != {member.name for member in generator.members}:
+    bounds_of = design.member_bounds
+    if set(bounds_of) != {member.name for member in generator.members}:
         return {}
-    return {name: MemberBounds(*bounds) for name, bounds in found.items()}
+    return {name: MemberBounds(*bounds) for name, bounds in bounds_of.items()}
 
 
 def check_windows(settings: TestSettings, isolate: IsolationSettings, watched: Watched) -> None:
@@ -97,10 +97,10 @@ def check_windows(settings: TestSettings, isolate: IsolationSettings, watched: W
     for asked in (settings.kept(watched), isolate.kept(watched.generator)):
         if asked is None:
             continue
-        told, window, each = asked
+        subject, window, each = asked
         if window * each > _MOST_NUMBERS:
             raise SettingError(
-                f"{told} keeps {window * each:,} numbers for each plant, the most is {_MOST_NUMBERS:,}: "
+                f"{subject} keeps {window * each:,} numbers for each plant, the most is {_MOST_NUMBERS:,}: "
                 f"a window of {max(1, _MOST_NUMBERS // each):,} samples at most, or sample more slowly"
             )
 

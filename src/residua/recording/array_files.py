@@ -48,8 +48,8 @@ def table_from_arrays(
         if names is None and set(channels) & set(arrays):
             return _singles(arrays)  # some channels are there: the caller says which are not
         wanted = f"{len(names or channels)} columns" if names or channels else "columns"
-        found = f"several matrices have {wanted}" if chosen else f"no matrix has {wanted}"
-        raise DataError(f"{source}: {found}: choose one with variable=; there are: {_listed(arrays)}")
+        problem = f"several matrices have {wanted}" if chosen else f"no matrix has {wanted}"
+        raise DataError(f"{source}: {problem}: choose one with variable=; there are: {_listed(arrays)}")
     return _singles(arrays, skip=chosen[0]) | _columns(arrays[chosen[0]], chosen[0], channels, names, source)
 
 

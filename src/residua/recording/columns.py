@@ -92,7 +92,7 @@ class ReadOptions:
         wanted = [*chosen.values(), *([clock] if clock else [])]
         absent = [name for name in wanted if name not in names]
         if absent:
-            raise DataError(missing_columns(absent, names, source))
+            raise DataError(missing_columns(absent, names, source, matched=wanted))
         twice = [name for name in dict.fromkeys(wanted) if list(names).count(name) > 1]
         if twice:
             raise DataError(f"{source}: more than one column is called {echo(twice[0])}")
@@ -101,9 +101,10 @@ class ReadOptions:
         return chosen, clock
 
 
-def missing_columns(absent: list[str], names: Sequence[str], source: str) -> str:
-    """Say which columns are missing, what may be meant, and what is there."""
-    lowered = {name.lower(): name for name in names[:_COMPARED] if len(name) <= MAX_ECHO}
+def missing_columns(absent: list[str], names: Sequence[str], source: str, *, matched: Sequence[str]) -> str:
+    """Say which columns are missing, what of those that are matched to nothing may be meant, and what is there."""
+    taken = set(matched)
+    lowered = {name.lower(): name for name in names[:_COMPARED] if len(name) <= MAX_ECHO and name not in taken}
     parts = []
     for name in absent:
         near = difflib.get_close_matches(name.lower(), lowered, n=1)
@@ -114,12 +115,12 @@ def missing_columns(absent: list[str], names: Sequence[str], source: str) -> str
     )
 
 
-def settled_step(found: float | None, options: ReadOptions, source: str) -> float:
+def settled_step(read: float | None, options: ReadOptions, source: str) -> float:
     """Return the step that times, caller and plant agree on."""
-    given, own = options.dt, options.plant.dt if options.plant else 0.0
+    asked, own = options.dt, options.plant.dt if options.plant else 0.0
     known = [
         (value, what)
-        for value, what in ((found, "its times are"), (given, "dt= says"), (own or None, "the plant is sampled at"))
+        for value, what in ((read, "its times are"), (asked, "dt= says"), (own or None, "the plant is sampled at"))
         if value is not None
     ]
     if not known:

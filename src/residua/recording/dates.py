@@ -52,8 +52,8 @@ def seconds_from_text(
     stripped = [cell.strip() for cell in cells]
     if time_format is not None:
         return _one_by_one(stripped, rows, what, _by_format(time_format), f" as {echo(time_format)}")
-    found = _NUMBERS.match(stripped[0]) if stripped else None
-    if found:
+    number = _NUMBERS.match(stripped[0]) if stripped else None
+    if number:
         return seconds_from_dates(_numbers(stripped, rows, what, dayfirst))
     stripped = [_YEAR_FIRST.sub(_as_iso, cell) for cell in stripped]
     try:
@@ -66,8 +66,8 @@ def seconds_from_text(
     return _one_by_one(stripped, rows, what, datetime.fromisoformat, "")
 
 
-def _as_iso(found: re.Match[str]) -> str:
-    return f"{found[1]}-{int(found[3]):02d}-{int(found[4]):02d}"
+def _as_iso(match: re.Match[str]) -> str:
+    return f"{match[1]}-{int(match[3]):02d}-{int(match[4]):02d}"
 
 
 def _by_format(time_format: str) -> Callable[[str], datetime]:
@@ -110,11 +110,11 @@ def _numbers(cells: list[str], rows: Sequence[int], what: str, dayfirst: bool | 
     """Return dates of three numbers, the year last, as ``datetime64``."""
     matches: list[re.Match[str]] = []
     for i, cell in enumerate(cells):
-        found = _NUMBERS.fullmatch(cell)
-        if not found or (matches and found["mark"] != matches[0]["mark"]):
+        match = _NUMBERS.fullmatch(cell)
+        if not match or (matches and match["mark"] != matches[0]["mark"]):
             raise DataError(f"{what}, line {rows[i]}: expected a time like {echo(cells[0])}, got {echo(cell)}")
-        matches.append(found)
-    first, second = (np.array([int(found[part]) for found in matches]) for part in ("first", "second"))
+        matches.append(match)
+    first, second = (np.array([int(match[part]) for match in matches]) for part in ("first", "second"))
     by_day = _day_first(first, second, rows, what, cells, dayfirst)
     days, months = (first, second) if by_day else (second, first)
 
@@ -142,16 +142,16 @@ def _day_first(
 ) -> bool:
     """Tell whether the day comes first: as the caller says, as numbers over 12 tell, or by the dots."""
     over = [np.flatnonzero(part > 12) for part in (first, second)]
-    told = len(over[0]) > 0, len(over[1]) > 0
+    decisive = len(over[0]) > 0, len(over[1]) > 0
     if dayfirst is None:
-        if all(told):
+        if all(decisive):
             one, other = over[0][0], over[1][0]
             raise DataError(
                 f"{what}: no order of day and month fits both {echo(cells[one])} (line {rows[one]}) and "
                 f"{echo(cells[other])} (line {rows[other]})"
             )
-        if any(told) or "." in cells[0][:3]:
-            return not told[1]
+        if any(decisive) or "." in cells[0][:3]:
+            return not decisive[1]
         k = int(np.argmax(first != second))
         if first[k] == second[k]:
             return True  # the same day either way
@@ -159,7 +159,7 @@ def _day_first(
             f"{what}: {echo(cells[k])} (line {rows[k]}) may be day {first[k]} of month {second[k]}, or day "
             f"{second[k]} of month {first[k]}, and no date of this column tells: say dayfirst=True or dayfirst=False"
         )
-    if told[1] if dayfirst else told[0]:
+    if decisive[1] if dayfirst else decisive[0]:
         k = int(over[1][0] if dayfirst else over[0][0])
         raise DataError(
             f"{what}, line {rows[k]}: {echo(cells[k])} would be of month {max(first[k], second[k])}: with "
@@ -168,11 +168,11 @@ def _day_first(
     return dayfirst
 
 
-def _time_of_day(found: re.Match[str]) -> str:
+def _time_of_day(match: re.Match[str]) -> str:
     """Return the time of day of a date in ISO 8601; ``ValueError`` for one that there is not."""
-    hour, after = int(found["hour"] or 0), (found["after"] or "00").replace(",", ".")
-    if found["half"]:
+    hour, after = int(match["hour"] or 0), (match["after"] or "00").replace(",", ".")
+    if match["half"]:
         if not 1 <= hour <= 12:
             raise ValueError(hour)
-        hour = hour % 12 + 12 * (found["half"].upper() == "P")
-    return f"{hour:02d}:{found['minute'] or '00'}:{after}"
+        hour = hour % 12 + 12 * (match["half"].upper() == "P")
+    return f"{hour:02d}:{match['minute'] or '00'}:{after}"

@@ -76,22 +76,22 @@ def read_mat(path: Path) -> dict[str, NDArray]:
     clock.start()
     try:
         with process.stdout as stream:
-            found = received(_Pipe(stream), path.name, limit)
+            arrays = received(_Pipe(stream), path.name, limit)
     finally:
         late = not clock.is_alive()
         clock.cancel()
         process.kill()
         status = process.wait()
-    if found is None:
+    if arrays is None:
         raise FileFormatError(
             f"{path.name}: the reader {'was ended, it took too long' if late else _death(status)}: the file is "
             f"damaged, or made to do that; {_ADVICE}"
         )
-    return found
+    return arrays
 
 
 def received(stream: Stream, source: str, limit: int) -> dict[str, NDArray] | None:
-    """Return the arrays that the process has written, ``None`` where it ended before its last line.
+    """Return the arrays that the process has written, ``None`` if it ended before its last line.
 
     Raises
     ------

@@ -29,6 +29,7 @@ from residua.report.tables import (
 )
 from residua.report.text import escape
 from residua.report.verdict import BEGAN_RULE, verdict
+from residua.visible import counted
 from residua.words import listing, number, percent, score, some
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ _MARKS = {"fault": "⚠", "none": "✓", "undecided": "?"}
 
 def summary_html(entries: Sequence[tuple[int, str, Diagnosis, tuple[str, ...] | None]]) -> str:
     """Return the table that sums up several diagnoses: section number, heading, diagnosis, real faults."""
-    told = any(actual is not None for *_, actual in entries)
+    truth = any(actual is not None for *_, actual in entries)
     rows = []
     for k, heading, diagnosis, actual in entries:
         v = verdict(diagnosis)
@@ -60,7 +61,7 @@ def summary_html(entries: Sequence[tuple[int, str, Diagnosis, tuple[str, ...] | 
         else:
             named = "a fault, not isolated" if v.kind == "fault" else v.headline.rstrip(".")
         row = [f'<a href="#s{k}">{escape(heading or f"Diagnosis {k}")}</a>']
-        if told:
+        if truth:
             row.append("–" if actual is None else escape(listing(actual)) or "nothing")
         several = actual is not None and len(actual) > 1 and v.confidence == "no code"  # as the verdict says
         faults = actual if several and actual else best.faults if best else ()
@@ -79,7 +80,7 @@ def summary_html(entries: Sequence[tuple[int, str, Diagnosis, tuple[str, ...] | 
         rows.append([*row, escape(v.confidence) or "–"])
     header = [
         "Case",
-        *(["Really failed"] if told else []),
+        *(["Really failed"] if truth else []),
         "Diagnosis",
         *ALARM_TIMES[:2],
         "Score",
@@ -160,7 +161,7 @@ def _recording(diagnosis: Diagnosis) -> str:
 
 
 def _local(diagnosis: Diagnosis) -> str:
-    """Say which clock times are told by."""
+    """Say to which clock the times belong."""
     clock = diagnosis.clock
     if clock.moment is None:
         return ""
@@ -284,10 +285,11 @@ def filter_html(generator: ResidualGenerator, *, number: int, several: bool, use
     plant = generator.plant
     title = f"Filter {number}: {generator.method}" if several else "The filter"
     used = f"<p>Used in: {escape(used_by)}.</p>" if used_by else ""
-    bank = f"{len(generator.members)} members, " if generator.codes is not None else ""
+    bank = f"{counted(len(generator.members), 'member')}, " if generator.codes is not None else ""
+    states, residuals = counted(generator.system.n_states, "state"), counted(generator.n_residuals, "residual")
     facts = [
         ("Method", generator.method),
-        ("Filter", f"{bank}{generator.system.n_states} states, {generator.n_residuals} residuals"),
+        ("Filter", f"{bank}{states}, {residuals}"),
         ("Sample step", length(generator.dt) if generator.dt else "continuous"),
         ("Plant", f"{plant.name}, {plant.n_states} states"),
         ("Inputs", some(plant.inputs, 20) or "none"),
@@ -312,8 +314,8 @@ def look_table(diagnosis: Diagnosis) -> str:
     if not faults:
         return ""
     shown = [plant.fault_list[plant.faults.index(name)] for name in faults[:SHOWN_FAULTS]]
-    told = {size.fault: size for size in main.sizes}
-    sizes = [size_text(told[fault.name]) if fault.name in told else "" for fault in shown]
+    size_of = {size.fault: size for size in main.sizes}
+    sizes = [size_text(size_of[fault.name]) if fault.name in size_of else "" for fault in shown]
     columns: list[tuple[str, list[str]]] = [
         ("Fault", [f'<td class="name">{escape(fault.name)}</td>' for fault in shown]),
         ("Component", [escape(fault.component) for fault in shown]),

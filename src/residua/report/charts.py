@@ -206,14 +206,14 @@ def _own_alarms(diagnosis: Diagnosis, m: int) -> dict[str, Any]:
 def onsets(diagnosis: Diagnosis) -> list[float]:
     """Return when the alarms first crossed their thresholds and, where several faults are there, those of each."""
     alarms = diagnosis.alarms[:50]
-    found = [a.onset for a in alarms] + [p.since for a in alarms for p in a.present[1:]]
-    return sorted(float(t) for t in dict.fromkeys(found) if np.isfinite(t))
+    times = [a.onset for a in alarms] + [p.since for a in alarms for p in a.present[1:]]
+    return sorted(float(t) for t in dict.fromkeys(times) if np.isfinite(t))
 
 
 def began_spans(diagnosis: Diagnosis) -> list[list[float]]:
     """Return the intervals in which the alarms began, where both ends are known."""
-    found = [a.began for a in diagnosis.alarms[:50] if a.began is not None]
-    return [[b.earliest, b.latest] for b in found if b.earliest is not None]
+    spans = [a.began for a in diagnosis.alarms[:50] if a.began is not None]
+    return [[b.earliest, b.latest] for b in spans if b.earliest is not None]
 
 
 def _clock_of(diagnosis: Diagnosis) -> dict[str, Any]:

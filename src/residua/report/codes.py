@@ -57,8 +57,8 @@ def code_table(diagnosis: Diagnosis) -> str:
     few += [f"{len(columns)} of {len(codes.members)} members"] * (len(columns) < len(codes.members))
     note = f'<p class="muted">Shown: {" and ".join(few)}, those that matter for the main alarm.</p>' if few else ""
     if not numbers or not columns:
-        told = f"{total} codes of {len(codes.members)} members; nothing fired, so none is shown."
-        return f'<h3>Codes</h3><p class="muted">{told}</p>'
+        sentence = f"{total} codes of {len(codes.members)} members; nothing fired, so none is shown."
+        return f'<h3>Codes</h3><p class="muted">{sentence}</p>'
     return f"<h3>Codes</h3>{html_table(header, rows, caption=caption, kind=kind)}{note}"
 
 

@@ -73,9 +73,9 @@ def contribution_html(diagnosis: Diagnosis) -> str:
     rows = []
     for i in order[:SHOWN_SHARES]:
         bar = f'<td class="bar"><span style="--w:{100 * shares[i]:.1f}%"></span></td>'
-        told = "–" if np.isnan(inside[i]) else percent(round(1000 * (1 - float(inside[i]))), 1000)
+        share = "–" if np.isnan(inside[i]) else percent(round(1000 * (1 - float(inside[i]))), 1000)
         name = f'<td class="name">{escape(diagnosis.residual_names[i])}</td>'
-        rows.append([name, bar, f'<td class="num">{100 * shares[i]:.1f} %</td>', f'<td class="num">{told}</td>'])
+        rows.append([name, bar, f'<td class="num">{100 * shares[i]:.1f} %</td>', f'<td class="num">{share}</td>'])
     rest = order[SHOWN_SHARES:]
     if rest:
         total = 100 * float(shares[rest].sum())

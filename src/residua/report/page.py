@@ -39,7 +39,7 @@ class Section:
     table : Table or None
     actual : sequence of str, or str, or None
         The faults that were really there (an empty sequence: none); the summary then says whether the
-        diagnosis is right. ``None`` where that is not known.
+        diagnosis is right. ``None`` if that is not known.
     """
 
     heading: str
@@ -144,18 +144,18 @@ def render(sections: Sequence[Section], title: str, introduction: Sequence[str] 
 
 def _filters(sections: Sequence[Section]) -> list[tuple[ResidualGenerator, list[str]]]:
     """Return each distinct generator once, with the headings of the sections that it ran in."""
-    found: list[tuple[ResidualGenerator, list[str]]] = []
+    filters: list[tuple[ResidualGenerator, list[str]]] = []
     for section in sections:
         if section.diagnosis is None:
             continue
         generator = section.diagnosis.generator
-        for known, headings in found:
+        for known, headings in filters:
             if known is generator:
                 headings.append(section.heading)
                 break
         else:
-            found.append((generator, [section.heading]))
-    return found
+            filters.append((generator, [section.heading]))
+    return filters
 
 
 def _filter_number(filters: list[tuple[ResidualGenerator, list[str]]], diagnosis: Diagnosis) -> int:

@@ -20,7 +20,8 @@ from residua.design.observers.observer import Observer
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
 from residua.plant import Plant
-from residua.plant.canonical_units import canonical_units
+from residua.plant.comparable_units import canonical_units
+from residua.visible import counted
 
 #: Designs one member: takes its name, and the plant in which what the member ignores are disturbances.
 MemberDesign = Callable[[str, Plant], ResidualGenerator]
@@ -39,7 +40,7 @@ class Bank:
     structure : ndarray of bool, shape (members, faults)
         Which members answer to which fault: the columns are the codes of the faults.
     observers : mapping of str to Observer
-        By member, where it is made of one: each estimates the state without what it ignores.
+        By member, if it is made of one: each estimates the state without what it ignores.
     failures : mapping of str to str
         Members that could not be designed, and why.
 
@@ -88,11 +89,12 @@ class Bank:
         return self.generator
 
     def __repr__(self) -> str:
-        return f"Bank({self.generator.method}: {len(self.members)} members, {len(self.faults)} faults)"
+        members, faults = counted(len(self.members), "member"), counted(len(self.faults), "fault")
+        return f"Bank({self.generator.method}: {members}, {faults})"
 
     def __str__(self) -> str:
         width = max([len(name) for name in self.members], default=0) + 2
-        lines = [f"{self.generator.method}, {len(self.members)} members"]
+        lines = [f"{self.generator.method}, {counted(len(self.members), 'member')}"]
         columns = [f"{k + 1}" for k in range(len(self.faults))]
         lines.append(" " * width + " ".join(f"{c:>2}" for c in columns))
         for name, row in zip(self.members, self.structure, strict=True):
@@ -184,12 +186,12 @@ def build_bank(
         if part.observer is not None:
             observers[one.name] = part.observer
     if failures and (not allow_missing or not parts):
-        told = "; ".join(f"'{name}': {reason}" for name, reason in list(failures.items())[:3])
-        told += f"; and {len(failures) - 3} more" if len(failures) > 3 else ""
+        reasons = "; ".join(f"'{name}': {reason}" for name, reason in list(failures.items())[:3])
+        reasons += f"; and {len(failures) - 3} more" if len(failures) > 3 else ""
         hint = "" if not parts else "; allow_missing=True builds the bank without them"
         missing = "do not exist" if DesignError in kinds else "missed their tolerance"
         kind = DesignError if DesignError in kinds else AccuracyError
-        raise kind(f"{len(failures)} of {len(wanted)} members of the bank {missing}: {told}{hint}{advice}")
+        raise kind(f"{len(failures)} of {len(wanted)} members of the bank {missing}: {reasons}{hint}{advice}")
     generator = stacked_members(parts, method, reference)
     codes = generator.codes
     assert codes is not None  # stacked_members gives them
@@ -283,7 +285,7 @@ def _stacked(parts: dict[str, ResidualGenerator], method: str, reference: str, d
         notes=tuple(f"{name}: {note}" for name, g in parts.items() for note in g.evidence.notes),
         references=(reference,),
     )
-    told: dict[str, Any] = {
+    options: dict[str, Any] = {
         "decouples": Decoupled(disturbances=decoupled),
         "members": tuple(members),
         "codes": np.array(codes, dtype=bool).reshape(len(codes), len(plant.faults)),
@@ -291,12 +293,12 @@ def _stacked(parts: dict[str, ResidualGenerator], method: str, reference: str, d
     maps = [g.state_map for g in generators if g.state_map is not None]
     if len(maps) < len(generators):
         form = _named(stack_systems([g.internal_form() for g in generators]), parts)
-        return make_generator(system, plant, method, evidence, known_form=form, **told)
+        return make_generator(system, plant, method, evidence, known_form=form, **options)
     static = None
     if any(g.static_map is not None for g in generators):
         none = [np.zeros((g.n_residuals, plant.n_states)) for g in generators]
         static = np.vstack([z if g.static_map is None else g.static_map for z, g in zip(none, generators, strict=True)])
-    return make_generator(system, plant, method, evidence, state_map=np.vstack(maps), static_map=static, **told)
+    return make_generator(system, plant, method, evidence, state_map=np.vstack(maps), static_map=static, **options)
 
 
 def _code(generator: ResidualGenerator) -> list[bool]:

@@ -31,7 +31,8 @@ from residua.linear.poles.riccati import filter_riccati
 from residua.linear.subspaces.observable_part import UndetectableError
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
-from residua.plant.even_units import even_plant
+from residua.plant.comparable_units import even_plant
+from residua.visible import used_up
 
 _EPS = float(np.finfo(float).eps)
 
@@ -81,12 +82,12 @@ def decoupled_residual(
         One for each state of the filter, closed under conjugation; their number is in the message when it
         does not fit.
     margin : float, optional
-        Stability margin in 1/s when no poles are given. When omitted: the rate of what is left of the plant, or a
+        Stability margin in 1/s, used without ``poles``. When omitted: the rate of what is left of the plant, or a
         fraction of it where that leaves rounding smaller beside a fault (the evidence says which).
     gain : {"kalman", "placement"}, optional
         ``"kalman"`` takes the gain of the Kalman filter of what is left of the plant, so that the residual of a sampled
         plant is white; ``"placement"`` the poles or the margin. When omitted: ``"kalman"`` for a plant with noise, if
-        neither poles nor margin are given and that filter exists (the evidence says which).
+        there are neither ``poles`` nor ``margin`` and that filter exists (the evidence says which).
     rtol : float
         Relative tolerance of every rank decision, in balanced units.
 
@@ -142,8 +143,7 @@ def _designed(
     if not quotient.read.shape[0]:
         names = ", ".join(f"'{name}'" for name in (*plant.disturbances, *ignored))
         raise DesignError(
-            f"no residual ignores {names or 'nothing'}: the {plant.n_outputs} measurements are all used up; "
-            "add a sensor or ignore less"
+            f"no residual ignores {names or 'nothing'}: the {used_up(plant.n_outputs)}; add a sensor or ignore less"
         )
     failure: AccuracyError | None = None
     best: tuple[int, float, ResidualGenerator] | None = None
@@ -204,8 +204,8 @@ def _assembled(
     plant: Plant, parts: ExplicitParts, quotient: Quotient, placed: Placement, ignored: list[str], note: str
 ) -> ResidualGenerator:
     """Return the generator of a gain on the quotient, in the units of the plant."""
-    found = quotient_filter(plant, parts, quotient, placed.gain)
-    system = found.system
+    whole = quotient_filter(plant, parts, quotient, placed.gain)
+    system = whole.system
     evidence = Evidence(
         method="decoupled residual",
         **pole_evidence(placed, system.A),
@@ -214,7 +214,7 @@ def _assembled(
         notes=((f"ignores {', '.join(ignored)}",) if ignored else ()) + ((note,) if note else ()),
         references=("Massoumnia, Verghese and Willsky (1989), IEEE TAC 34(3)", "Gertler (1991), section 4"),
     )
-    maps = {"state_map": found.state_map, "static_map": found.static_map}
+    maps = {"state_map": whole.state_map, "static_map": whole.static_map}
     decouples = Decoupled(faults=tuple(ignored))
     return make_generator(system, plant, "decoupled residual", evidence, decouples=decouples, **maps)
 
@@ -261,9 +261,9 @@ def _attempts(
 def _kalman_gain(quotient: Quotient, plant: Plant) -> Placement:
     """Return the gain of the Kalman filter of the quotient."""
     G, J = quotient.process_noise, quotient.measurement_noise
-    found = filter_riccati(quotient.A, quotient.C, G @ G.T, J @ J.T, G @ J.T, dt=plant.dt)
-    none, K = np.zeros(0, dtype=complex), np.asarray(found.gain)
-    return Placement(K, none, np.asarray(found.poles, dtype=complex), none, 0.0, 1.0, float(np.linalg.norm(K)))
+    riccati = filter_riccati(quotient.A, quotient.C, G @ G.T, J @ J.T, G @ J.T, dt=plant.dt)
+    none, K = np.zeros(0, dtype=complex), np.asarray(riccati.gain)
+    return Placement(K, none, np.asarray(riccati.poles, dtype=complex), none, 0.0, 1.0, float(np.linalg.norm(K)))
 
 
 def rounding_share(generator: ResidualGenerator) -> float:

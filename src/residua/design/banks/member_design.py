@@ -40,7 +40,7 @@ def member_design(
     Raises
     ------
     DesignError
-        If the kind is not known, or is given poles that it does not have.
+        If the kind is not known, or does not have the poles asked for.
     """
     checked_options(poles, margin)  # once, not for every member
     if kind == "unknown-input":
@@ -78,8 +78,8 @@ def _with_some_held_out(
             held = {usable[(start + k) % len(usable)] for k in range(count)}
             used = [i for i in range(plant.n_outputs) if i not in held]
             try:
-                found = descriptor_observer(plant, poles=poles, margin=margin, outputs=used, rtol=rtol)
-                generator = found.residual_generator()
+                observer = descriptor_observer(plant, poles=poles, margin=margin, outputs=used, rtol=rtol)
+                generator = observer.residual_generator()
             except DesignError as error:
                 reason, failed = str(error), failed + 1
                 continue

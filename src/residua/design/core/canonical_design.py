@@ -10,7 +10,7 @@ import numpy as np
 from residua.design.core.generator import ResidualGenerator
 from residua.linear import StateSpace
 from residua.plant import Plant
-from residua.plant.canonical_units import PlantUnits, canonical_units
+from residua.plant.comparable_units import PlantUnits, canonical_units
 
 
 def designed_in_own_units(plant: Plant, design: Callable[[Plant], ResidualGenerator]) -> ResidualGenerator:
@@ -27,7 +27,7 @@ def in_units_of(plant: Plant, units: PlantUnits, made: ResidualGenerator) -> Res
 def in_own_units(
     made: ResidualGenerator, units: PlantUnits, own: Plant, known_form: StateSpace | None = None
 ) -> ResidualGenerator:
-    """Return a generator as one for its plant in other units, ``own``; with another known form where one is given."""
+    """Return a generator as one for its plant in other units, ``own``; with another known form if there is one."""
     return _rescaled(made, own, units, -1.0, known_form)
 
 

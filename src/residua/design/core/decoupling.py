@@ -43,12 +43,12 @@ class Decoupled:
         """Return the measured leaks, by the entry of the evidence, or raise when one is too large."""
         del evidence
         watched = plant.faults_as_disturbances(self.faults) if self.faults else plant
-        found, n_u = leakage_of_inputs(system, watched), len(plant.inputs)
-        leaks = {"control": found[:n_u]}
+        leakage, n_u = leakage_of_inputs(system, watched), len(plant.inputs)
+        leaks = {"control": leakage[:n_u]}
         if self.disturbances and (self.apart or not self.faults):
-            leaks |= {"disturbance": found[n_u : n_u + len(plant.disturbances)]}
+            leaks |= {"disturbance": leakage[n_u : n_u + len(plant.disturbances)]}
         if self.faults:
-            leaks |= {IGNORED: found[n_u:]}
+            leaks |= {IGNORED: leakage[n_u:]}
         return self._accepted({name: float(part.max()) for name, part in leaks.items() if len(part)})
 
     def _accepted(self, leaks: dict[str, float]) -> dict[str, float]:
@@ -92,7 +92,7 @@ class MeasuredBefore:
     system : StateSpace
         The same filter, in other units at most: powers of two, so that every digit is the same.
     plant : Plant
-        What it was measured on.
+        The plant to which the leaks belong.
     measured : mapping of str to float
         The leaks.
     """

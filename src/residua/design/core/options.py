@@ -22,11 +22,11 @@ class Option:
     ----------
     name : str
     annotation : type
-        What it may be.
+        The type of its values.
     default : object
-        ``inspect.Parameter.empty`` where there is none.
+        ``inspect.Parameter.empty`` without one.
     text : str
-        What its docstring says of it.
+        The text of its docstring.
     choices : tuple of str
         The texts that it may be, where only some are.
     """
@@ -82,9 +82,9 @@ def parameters_in(docstring: str) -> Mapping[str, tuple[str, str]]:
     title = next(
         (k for k in range(len(lines) - 1) if lines[k] == "Parameters" and lines[k + 1].startswith("---")), None
     )
-    found: dict[str, tuple[str, str]] = {}
+    table: dict[str, tuple[str, str]] = {}
     if title is None:
-        return found
+        return table
     names: tuple[str, ...] = ()
     for k in range(title + 2, len(lines)):
         if k + 1 < len(lines) and lines[k + 1].startswith("---"):
@@ -92,7 +92,7 @@ def parameters_in(docstring: str) -> Mapping[str, tuple[str, str]]:
         head = _HEAD.match(lines[k])
         if head:
             names = tuple(head["names"].split(", "))
-            found |= dict.fromkeys(names, (head["kind"] or "", ""))
+            table |= dict.fromkeys(names, (head["kind"] or "", ""))
         elif lines[k].strip():
-            found |= {name: (found[name][0], f"{found[name][1]} {lines[k].strip()}".strip()) for name in names}
-    return found
+            table |= {name: (table[name][0], f"{table[name][1]} {lines[k].strip()}".strip()) for name in names}
+    return table

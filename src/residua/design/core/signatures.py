@@ -67,7 +67,7 @@ def fault_responses(
     form : StateSpace
         Their internal form, faults first.
     T, V : ndarray or None
-        The state and the static map of the generator, where it has them.
+        The state and the static map of the generator, if it has them.
     w : ndarray
         Frequencies in rad/s.
 
@@ -89,12 +89,12 @@ def fault_responses(
         B = own.equations[:, None] * (_largest(np.abs(T) / p.equations, Bf) + _largest(Gy, Df))
         D = _largest(Hy, Df) + (0.0 if V is None else _largest(np.abs(V) / p.equations, Bf))
         D = own.outputs[:, None] * D
-    found = response_terms(scaled, points, B, D)
+    response = response_terms(scaled, points, B, D)
     Q = np.abs(generator.frequency_response(w)[:, :, n_u:]) * own.outputs[:, None] / p.outputs
     driven = _largest(Q, np.abs(p.system.frequency_response(w)))
-    reached = np.any(np.abs(found.values) > DESIGN_ROUNDING * (found.terms + driven), axis=0)
-    terms = found.terms + driven if T is None else found.terms
-    return FaultResponses(scaled, np.where(reached, found.values, 0.0), terms, reached, own.outputs)
+    reached = np.any(np.abs(response.values) > DESIGN_ROUNDING * (response.terms + driven), axis=0)
+    terms = response.terms + driven if T is None else response.terms
+    return FaultResponses(scaled, np.where(reached, response.values, 0.0), terms, reached, own.outputs)
 
 
 def _largest(rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
@@ -126,7 +126,7 @@ def signature_bases(
     form : StateSpace
         Their internal form, faults first.
     state_map, static_map : ndarray, optional
-        Those of the generator, where it has them.
+        Those of the generator, if it has them.
     rtol : float
         Directions that carry less than this fraction of the response at every frequency are not there, but where
         those that rounding has left are much fainter still.
@@ -138,20 +138,20 @@ def signature_bases(
     off : float
         The largest fraction of any response, at any frequency, that was taken for rounding and left out.
     """
-    found = fault_responses(generator, plant, form, state_map, static_map, frequency_grid(form, generator))
-    units = residual_units(found)
+    responses = fault_responses(generator, plant, form, state_map, static_map, frequency_grid(form, generator))
+    units = residual_units(responses)
     bases = {}
     for i, name in enumerate(plant.faults):
-        columns = _unit_columns(found.values[:, :, i].T / units[:, None])
+        columns = _unit_columns(responses.values[:, :, i].T / units[:, None])
         if columns.shape[1] == 0:
             bases[name] = np.zeros((form.n_outputs, 0))
             continue
         U, s, _ = np.linalg.svd(np.hstack([columns.real, columns.imag]), full_matrices=False)
-        basis = np.linalg.qr((units / found.residuals)[:, None] * U[:, : _dimension(s, rtol)])[0]
-        if basis.shape[1] == 1 and (found.residuals * basis[:, 0]) @ first_response(found.form, i) < 0:
+        basis = np.linalg.qr((units / responses.residuals)[:, None] * U[:, : _dimension(s, rtol)])[0]
+        if basis.shape[1] == 1 and (responses.residuals * basis[:, 0]) @ first_response(responses.form, i) < 0:
             basis = -basis
-        bases[name] = _marked(basis, found.reached[:, i])
-    return bases, max(outside_subspaces(found, bases, plant.faults).values(), default=0.0)
+        bases[name] = _marked(basis, responses.reached[:, i])
+    return bases, max(outside_subspaces(responses, bases, plant.faults).values(), default=0.0)
 
 
 def _dimension(s: NDArray[np.float64], rtol: float) -> int:
@@ -170,21 +170,21 @@ def _dimension(s: NDArray[np.float64], rtol: float) -> int:
     return kept
 
 
-def residual_units(found: FaultResponses) -> NDArray[np.float64]:
+def residual_units(responses: FaultResponses) -> NDArray[np.float64]:
     """Return the size of what each residual is made of: residuals that ignore every fault have one as well."""
-    units = found.terms.max(axis=(0, 2), initial=0.0)
+    units = responses.terms.max(axis=(0, 2), initial=0.0)
     return np.where(units > 0, units, 1.0)
 
 
 def outside_subspaces(
-    found: FaultResponses, bases: dict[str, NDArray[np.float64]], faults: tuple[str, ...]
+    responses: FaultResponses, bases: dict[str, NDArray[np.float64]], faults: tuple[str, ...]
 ) -> dict[str, float]:
     """Return for each fault the largest fraction of its response, at any frequency, that lies outside its subspace."""
-    units = residual_units(found)
+    units = residual_units(responses)
     out = {}
     for i, name in enumerate(faults):
-        columns = _unit_columns(found.values[:, :, i].T / units[:, None])
-        basis = np.linalg.qr((found.residuals / units)[:, None] * bases[name])[0]
+        columns = _unit_columns(responses.values[:, :, i].T / units[:, None])
+        basis = np.linalg.qr((responses.residuals / units)[:, None] * bases[name])[0]
         rest = columns - basis @ (basis.T @ columns)
         out[name] = float(np.linalg.norm(rest, axis=0).max(initial=0.0))
     return out

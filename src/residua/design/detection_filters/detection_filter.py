@@ -38,7 +38,7 @@ from residua.linear.subspaces.observability import detectability
 from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank
 from residua.linear.systems.balancing import balance_system
 from residua.plant import Plant
-from residua.plant.even_units import EvenPlant, even_plant
+from residua.plant.comparable_units import EvenPlant, even_plant
 
 #: What a fault does to the error, relative to the terms that it is the sum of, is rounding below this.
 _NO_EVENT = 1e-11
@@ -82,12 +82,12 @@ def detection_filter(
     plant : Plant
         Its disturbances are not decoupled; see :func:`robust_detection_filter`.
     poles : sequence of complex, or mapping of fault name to sequence, optional
-        Dealt out in the order of the faults, conjugate pairs kept together; or given for each fault
+        Dealt out in the order of the faults, conjugate pairs kept together; or one sequence for each fault
         (``"rest"`` for the poles that belong to no fault). With several filters, a list is used for each.
-        Those not given are placed beyond ``margin``.
+        The others are placed beyond ``margin``.
     margin : float, optional
-        Stability margin in 1/s for poles that are not given; when omitted, the geometric mean of the sizes of
-        the poles of the error equation without feedback, or less where that proves too much.
+        Stability margin in 1/s for the poles that ``poles`` leaves open; when omitted, the geometric mean of the
+        sizes of the poles of the error equation without feedback, or less where that proves too much.
     faults : iterable of str, optional
         The faults to be kept apart; all faults of the plant when omitted.
     rtol : float
@@ -171,15 +171,15 @@ def directional_filters(
     Shared by the plain filter (``T = I``, ``H = 0``) and the robust one, whose pair is that of the unknown
     input observer. All matrices are those of the plant in even units, so that the filter does not depend on its own.
     """
-    given, plant = plant, even.plant
+    original, plant = plant, even.plant
     poles, margin = checked_options(poles, margin)
     wanted = plant.faults if faults is None else (faults,) if isinstance(faults, str) else tuple(faults)
     chosen = tuple(plant.faults[index_of(name, plant.faults, "fault")] for name in wanted)
     if not chosen:
         raise DesignError("the plant has no faults to tell apart: add some with with_sensor_faults, with_faults")
-    found = detectability(A, C, dt=plant.dt, rtol=rtol)
-    if not found.detectable:
-        bad = ", ".join(f"{z:.4g}" for z in np.atleast_1d(found.unstable_modes))
+    answer = detectability(A, C, dt=plant.dt, rtol=rtol)
+    if not answer.detectable:
+        bad = ", ".join(f"{z:.4g}" for z in np.atleast_1d(answer.unstable_modes))
         raise DesignError(f"no stable filter exists: no measurement sees the mode {bad}; add a sensor")
     weights = even.output_weights(A, np.zeros((len(A), 0)), C)
     units = _Units.of(A, C, event_matrices(plant, T, chosen, form), weights)
@@ -200,7 +200,7 @@ def directional_filters(
     if isinstance(poles, Mapping):
         _check_names(poles, events)
     notes += [f"{len(groups)} filters: one cannot keep all faults apart"] if len(groups) > 1 else []
-    frame = _Frame(given, even, T, H, W, offset, base, decouples)
+    frame = _Frame(original, even, T, H, W, offset, base, decouples)
     failure, lowered = AccuracyError("no design was tried"), ()
     for distance in _margins(A, plant.dt, poles, margin):
         try:
@@ -214,7 +214,7 @@ def directional_filters(
                     for group in groups
                 ]
             observers = [frame.observer(gain, (*notes, *lowered)) for gain in gains]
-            return _stacked(given, observers, groups, pole is not None)
+            return _stacked(original, observers, groups, pole is not None)
         except AccuracyError as error:
             failure = error
             lowered = (f"the default margin was lowered: {str(error).split(':')[0]}",)
@@ -290,10 +290,10 @@ class _Units:
     @staticmethod
     def of(A: NDArray, C: NDArray, events: dict[str, NDArray], weights: NDArray) -> _Units:
         B = np.hstack([np.zeros((len(A), 0)), *events.values()])
-        found = balance_system(A, B, C, np.zeros((len(C), B.shape[1])))
-        T = found.own_units
-        scaled = found.outputs[:, None] * C * T
-        outputs = found.outputs if decide_rank(scaled).rank == len(C) else weights
+        balanced = balance_system(A, B, C, np.zeros((len(C), B.shape[1])))
+        T = balanced.own_units
+        scaled = balanced.outputs[:, None] * C * T
+        outputs = balanced.outputs if decide_rank(scaled).rank == len(C) else weights
         unit = {name: _unit_columns(L / T[:, None]) for name, L in events.items()}
         return _Units(A / T[:, None] * T, outputs[:, None] * C * T, unit, T, outputs)
 

@@ -11,10 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import DesignError
 from residua.linear.poles.placement import default_margin, place_observer_margin, place_observer_poles
+from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.detection_space import DetectionSpace, detection_space, separation, split_blocks
 from residua.linear.subspaces.far_gain import refuse_far_gain
-from residua.linear.subspaces.observability import detectability, is_stable_mode, observability_form
+from residua.linear.subspaces.observability import detectability, observability_form
 from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank
+from residua.visible import counted
 
 Poles = Sequence[complex] | ArrayLike | Mapping[str, Sequence[complex]] | None
 
@@ -59,20 +61,20 @@ def fault_events(
     A: NDArray, C: NDArray, events: Mapping[str, NDArray], *, rtol: float = DEFAULT_RTOL
 ) -> tuple[list[FaultEvent], list[str]]:
     """Return the detection space of each fault, twins merged, and the faults that no output sees."""
-    found: list[FaultEvent] = []
+    merged: list[FaultEvent] = []
     unseen: list[str] = []
     for name, L in events.items():
         space = detection_space(A, C, L, rtol=rtol) if np.any(L) else None
         if space is None or space.outputs.shape[1] == 0:
             unseen.append(name)
             continue
-        for k, other in enumerate(found):
+        for k, other in enumerate(merged):
             if _same_space(other.space, space):
-                found[k] = FaultEvent((*other.faults, name), other.space)
+                merged[k] = FaultEvent((*other.faults, name), other.space)
                 break
         else:
-            found.append(FaultEvent((name,), space))
-    return found, unseen
+            merged.append(FaultEvent((name,), space))
+    return merged, unseen
 
 
 def _same_space(a: DetectionSpace, b: DetectionSpace) -> bool:
@@ -270,7 +272,7 @@ def _without(wanted: NDArray, fixed: NDArray) -> NDArray:
         if abs(left[nearest] - z) > 1e-6 * max(1.0, abs(z)):
             raise DesignError(
                 f"the pole {z:.6g} cannot be moved and is not among those given; "
-                f"give the other {len(wanted) - len(fixed)} poles"
+                f"give the other {counted(len(wanted) - len(fixed), 'pole')}"
             )
         left.pop(nearest)
     return np.asarray(left, dtype=complex)

@@ -12,6 +12,7 @@ from residua.design.detection_filters.directional_gain import DirectionalGain, F
 from residua.design.detection_filters.ignored_columns import Frame, IgnoredColumns
 from residua.errors import DesignError
 from residua.linear.poles.spectrum import describe_modes
+from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.detection_space import (
     DetectionSpace,
     conditioned_invariant_basis,
@@ -19,7 +20,7 @@ from residua.linear.subspaces.detection_space import (
     separation,
     split_blocks,
 )
-from residua.linear.subspaces.observability import is_stable_mode, observability_form
+from residua.linear.subspaces.observability import observability_form
 from residua.linear.subspaces.rank import left_null_basis, range_basis
 from residua.linear.subspaces.reachability import reachable_basis
 from residua.tolerances import TINY, above_rounding
@@ -61,31 +62,31 @@ def confinements(parts: IgnoredColumns, *, combine: bool, rtol: float) -> tuple[
     S0 = (left_null_basis(outputs)[0] if outputs.shape[1] else np.eye(len(C))).T
     if not len(S0):
         raise DesignError(
-            f"no residual ignores {parts.told}: rank(S C) must be less than the {len(C)} measurements that are left, "
+            f"no residual ignores {parts.text}: rank(S C) must be less than the {len(C)} measurements that are left, "
             f"and C V, the outputs of their columns and of the chains that these start, has rank {outputs.shape[1]}; "
             "add a sensor or ignore less"
         )
     hidden = detection_space(A, C, parts.stacked, rtol=rtol) if parts.columns else _unseen(A, C, rtol)
-    found: list[Confinement] = []
+    ways: list[Confinement] = []
     events = _chains(parts, scale, rtol)
     spaces = [event.space for event in events]
     if not spaces or separation(spaces).separable:
         long = [" or ".join(e.faults) for e in events if e.space.dimension > 1]
         note = f"C f = 0: eigenvector chains f, A f, ... for {', '.join(long)}" if long else ""
-        found.append(Confinement(events, hidden.basis, True, note))
+        ways.append(Confinement(events, hidden.basis, True, note))
     elif outputs.shape[1]:
         note = (
             f"the outputs of the {len(events)} columns are dependent (rank {outputs.shape[1]}): they lie in one "
             f"invariant space of dimension {together.shape[1]}, of which they are no eigenvectors"
         )
-        found.append(Confinement([_all(parts, DetectionSpace(together, outputs))], hidden.basis, False, note))
+        ways.append(Confinement([_all(parts, DetectionSpace(together, outputs))], hidden.basis, False, note))
     if combine and outputs.shape[1] and hidden.dimension > together.shape[1]:
         note = (
             f"the ignored columns are combinations of {hidden.dimension} eigenvectors (5-5), so that their "
             "invariant zeros are no fixed poles"
         )
-        found.append(Confinement([_all(parts, hidden)], hidden.basis, False, note))
-    return S0, found
+        ways.append(Confinement([_all(parts, hidden)], hidden.basis, False, note))
+    return S0, ways
 
 
 def _unseen(A: NDArray, C: NDArray, rtol: float) -> DetectionSpace:
@@ -142,9 +143,9 @@ def right_gain(
     margin : float or None
         The margin that was asked for.
     distance : float
-        The margin to place poles beyond that are not given.
+        The margin beyond which the poles that ``poles`` leaves open are placed.
     first : float
-        The eigenvalue of columns whose poles are not given.
+        The eigenvalue of columns for which ``poles`` has none.
     rtol : float
 
     Raises
@@ -158,15 +159,15 @@ def right_gain(
     if len(bad):
         which = "not stable" if margin is None else f"not stable with the margin {margin:g}"
         raise DesignError(
-            f"the invariant zero {describe_modes(bad)} of the columns of {parts.told} is a fixed pole once they are "
+            f"the invariant zero {describe_modes(bad)} of the columns of {parts.text} is a fixed pole once they are "
             f"eigenvectors, and {which}; allow combine=True, or use decoupled_residual, whose poles are all free"
         )
     if confined.chains and (poles is None or isinstance(poles, Mapping)):
-        given = {} if poles is None else dict(poles)
+        by_fault = {} if poles is None else dict(poles)
         for event in confined.events:
-            if not set(event.faults) & set(given):
-                given[event.faults[0]] = [first] * event.space.dimension
-        poles = given
+            if not set(event.faults) & set(by_fault):
+                by_fault[event.faults[0]] = [first] * event.space.dimension
+        poles = by_fault
     return block_gain(parts.A, parts.C, confined.events, poles, distance, dt, rtol=rtol)
 
 

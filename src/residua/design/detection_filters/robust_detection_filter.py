@@ -24,7 +24,8 @@ from residua.errors import DesignError
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.linear.systems.balancing import without_rounding
 from residua.plant import Plant
-from residua.plant.even_units import given_units
+from residua.plant.comparable_units import own_units
+from residua.visible import counted, used_up
 
 
 @method(
@@ -61,7 +62,7 @@ def robust_detection_filter(
     poles : sequence of complex, or mapping of fault name to sequence, optional
         As for :func:`detection_filter`.
     margin : float, optional
-        Stability margin in 1/s for poles that are not given.
+        Stability margin in 1/s for the poles that ``poles`` leaves open.
     faults : iterable of str, optional
         The faults to be kept apart; all faults of the plant when omitted.
     H0 : array_like, shape (n, outputs), optional
@@ -110,22 +111,23 @@ def robust_detection_filter(
         raise DesignError("; ".join(existence.reasons))
     if not existence.useful:
         raise DesignError(
-            f"{plant.n_outputs} measurements are all used up to decouple {len(plant.disturbances)} disturbances: "
+            f"{used_up(plant.n_outputs)} to decouple {counted(len(plant.disturbances), 'disturbance')}: "
             "nothing is left to see faults with; add a sensor or decouple fewer disturbances"
         )
     parts = existence.decomposition
     assert isinstance(parts, OrdinaryDecoupling)
     even, form, T, H = parts.even, parts.form, parts.T, parts.H
     if H0 is not None:  # as the equations say, in the units of the plant
-        even, form = given_units(plant), output_free_form(plant, rtol=rtol)
+        even, form = own_units(plant), output_free_form(plant, rtol=rtol)
         H = decoupling_gain(form, H0)
         T = decoupling_map(H, plant.C)
     p, q = len(form.W), form.E.shape[1]
+    used = f"{q} {'is' if q == 1 else 'are'}"
     base = Evidence(
         method="robust detection filter",
         ranks={"rank(CE)": existence.rank_CE, "rank(E)": existence.rank_E} if q else {},
         conditions={"|T E|": float(np.linalg.norm(T @ form.E))},
-        notes=(f"{p - q} of the {p} residuals are independent, {q} are used up by decoupling",) if q else (),
+        notes=(f"{p - q} of the {p} residuals are independent, {used} used up by decoupling",) if q else (),
         references=(REFERENCE, *REFERENCES),
     )
     return directional_filters(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
+from residua.analysis.unknown_input import unknown_input_observer_existence
 from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
@@ -47,9 +48,9 @@ class FaultEstimator:
     Attributes
     ----------
     plant : Plant
-        What it was designed for, with all its faults.
+        The plant of the design, with all its faults.
     faults : tuple of str
-        What it estimates.
+        The faults that it estimates.
     observer : Observer
         The state estimate, of the plant in which these faults are unknown inputs.
     system : StateSpace
@@ -184,13 +185,13 @@ def fault_estimator(
     poles : sequence of complex, optional
         Poles of the state estimate's error: as many as states, or as many as are free.
     margin : float, optional
-        Its stability margin in 1/s, when no poles are given; when omitted too, the geometric mean of the sizes of
+        Its stability margin in 1/s, used without ``poles``; when omitted too, the geometric mean of the sizes of
         the plant's poles.
     bandwidth : float, optional
-        :math:`1/\tau` in rad/s: a wider one follows faults faster and passes more noise (see the evidence). When
-        given, all estimates are filtered with it (a sampled plant: by a pole at :math:`e^{-dt/\tau}`). When
+        :math:`1/\tau` in rad/s: a wider one follows faults faster and passes more noise (see the evidence). With
+        one, all estimates are filtered with it (a sampled plant: by a pole at :math:`e^{-dt/\tau}`). When
         omitted, only those of a continuous plant that need it, with the geometric mean of the sizes of the poles of
-        the error, or of the plant where that is larger.
+        the error, or of the plant if that is larger.
     rtol : float
         Relative tolerance of every rank decision.
 
@@ -201,8 +202,9 @@ def fault_estimator(
     Raises
     ------
     DesignError
-        If the faults cannot be estimated together: they cannot be told apart, or no observer exists that
-        ignores them; the message says which condition failed, with its numbers.
+        If the faults cannot be estimated together: they cannot be distinguished, or no observer exists that
+        ignores them; the message says which condition failed, with its numbers. If the poles are too many or too
+        few, or not stable.
     AccuracyError
         If the result missed its check.
     SettingError
@@ -242,9 +244,12 @@ def fault_estimator(
         raise SettingError(f"bandwidth must be a positive number in rad/s, got {bandwidth}")
     if poles is None and margin is None:
         margin = own_rate(plant)
+    disturbed = plant.faults_as_disturbances(names)
     try:
-        observer = unknown_input_observer(plant.faults_as_disturbances(names), poles=poles, margin=margin, rtol=rtol)
+        observer = unknown_input_observer(disturbed, poles=poles, margin=margin, rtol=rtol)
     except DesignError as error:
+        if unknown_input_observer_existence(disturbed, rtol=rtol):  # the poles or the margin are wrong, not the plant
+            raise
         raise DesignError(
             f"no observer of the state ignores {', '.join(names)} as unknown inputs: {error}; "
             "to estimate fewer faults at once may help"
@@ -375,10 +380,10 @@ def _with_numbers(generator: ResidualGenerator, reading: FaultReading, smoothing
     form = generator.internal_form()
     w = frequency_grid(form, generator.system)
     columns = [plant.faults.index(name) for name in names]
-    found = form.frequency_response(w)[:, :, columns]
+    response = form.frequency_response(w)[:, :, columns]
     points = np.exp(1j * w * plant.dt) if plant.is_discrete else 1j * w
     wanted = smoothing.expected(points, plant.dt)[:, :, None] * np.eye(len(names))
-    missed = float(np.abs((found - wanted) / reading.units[:, None] * reading.units).max())
+    missed = float(np.abs((response - wanted) / reading.units[:, None] * reading.units).max())
     if not missed < 1e-6:
         raise AccuracyError(
             f"the estimates are off the faults by {missed:.2g} (relative): the plant is too badly scaled or "

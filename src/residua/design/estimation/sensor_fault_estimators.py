@@ -109,7 +109,7 @@ def sensor_fault_estimators(
     >>> list(bank)
     ['v_horizontal', 'v_vertical', 'pitch']
     """
-    names = [plant.outputs[i] for i in arrays.positions(outputs, plant.outputs, "output")]
+    names = [plant.outputs[i] for i in arrays.different_positions(outputs, plant.outputs, "output")]
     faults: dict[str, str] = {}
     for name in names:
         own = [f.name for f in plant.fault_list if f.kind == "sensor" and f.component == name]
@@ -127,6 +127,6 @@ def sensor_fault_estimators(
         except (DesignError, AccuracyError) as error:
             failures[name] = str(error)
     if not members:
-        told = "; ".join(f"{name}: {reason}" for name, reason in failures.items())
-        raise DesignError(f"no fault of a sensor can be estimated: {told}")
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in failures.items())
+        raise DesignError(f"no fault of a sensor can be estimated: {reasons}")
     return SensorFaultEstimators(members, failures)

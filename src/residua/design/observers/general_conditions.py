@@ -26,7 +26,7 @@ CONDITIONS = (
 )
 #: Largest error of a condition, relative to the terms that have to cancel.
 FULFILLED = 1e-8
-#: Most entries of a state map that is found by least squares.
+#: Most entries of a state map for which least squares is used.
 _MOST = 2500
 
 
@@ -61,7 +61,7 @@ def condition_errors(plant: Plant, m: GeneralMatrices) -> dict[str, float]:
     # a V that is nothing but rounding is small against what the residual is made of
     size_A = float((units.equations[:, None] * np.abs(A) * s).max(initial=0.0))
     floor = 1e-4 * _terms(third, s).max(axis=1, initial=0.0) / (size_A or 1.0) if np.any(m.V) else np.zeros(len(m.Ls))
-    found = (
+    conditions = (
         (m.T @ A - m.M @ TE - m.N @ C, [(m.T, A, e), (m.M, TE, np.where(own > 0, own, 1.0)), (m.N, C, y)], s, None),
         (m.T @ plant.Bu - m.N @ plant.Du - m.J, [(m.T, plant.Bu, e), (m.N, plant.Du, y), (m.J, None, None)], u, None),
         (m.Ls @ TE + m.Ly @ C + m.V @ A, third, s, None),
@@ -74,7 +74,7 @@ def condition_errors(plant: Plant, m: GeneralMatrices) -> dict[str, float]:
         (m.T @ plant.Bd - m.N @ plant.Dd, [(m.T, plant.Bd, e), (m.N, plant.Dd, y)], d, None),
         (m.Ly @ plant.Dd + m.V @ plant.Bd, [(m.Ly, plant.Dd, y), (m.V, plant.Bd, e)], d, floor),
     )
-    errors = {name: _relative(*parts) for name, parts in zip(CONDITIONS, found, strict=True)}
+    errors = {name: _relative(*parts) for name, parts in zip(CONDITIONS, conditions, strict=True)}
     return errors if plant.disturbances else dict(list(errors.items())[:4])
 
 
@@ -133,8 +133,8 @@ def state_map(plant: Plant, m: GeneralMatrices, *, decouples: bool, control: boo
     """Return ``T`` from :math:`T A - M T E = N C`, a Sylvester equation.
 
     Where it leaves ``T`` open or nearly so, because ``M`` and the plant share a pole, or with an ``E``, the other
-    conditions are fulfilled along with it, in the sense of least squares: that of the controls with ``control``, where
-    ``J`` is given, and that of the disturbances with ``decouples``.
+    conditions are fulfilled along with it, in the sense of least squares: that of the controls with ``control``, if
+    there is a ``J``, and that of the disturbances with ``decouples``.
     """
     if not len(m.M):
         return np.zeros((0, plant.n_states))
@@ -142,7 +142,7 @@ def state_map(plant: Plant, m: GeneralMatrices, *, decouples: bool, control: boo
     R, S, Y = units.equations[:, None], units.states, units.outputs
     A, C = R * plant.A * S, Y[:, None] * plant.C * S
     M, N = m.M, m.N / Y
-    found = [_sylvester(M, A, N @ C)] if plant.E is None else []
+    candidates = [_sylvester(M, A, N @ C)] if plant.E is None else []
     if len(M) * len(A) <= _MOST:
         E = np.eye(len(A)) if plant.E is None else R * plant.E * S
         rows = [(np.eye(len(M)), A, N @ C)]
@@ -152,8 +152,8 @@ def state_map(plant: Plant, m: GeneralMatrices, *, decouples: bool, control: boo
             rows.append((m.Ls, E, -(m.Ly / Y) @ C))
         if decouples and plant.disturbances:
             rows.append((np.eye(len(M)), R * plant.Bd, m.N @ plant.Dd))
-        found.append(_joint(M, E, rows))
-    maps = [T * units.equations for T in found if T is not None]
+        candidates.append(_joint(M, E, rows))
+    maps = [T * units.equations for T in candidates if T is not None]
     if not maps:
         raise DesignError(f"T cannot be found for {len(M)} x {len(A)} states with an E: give T")
     errors = [_error_with(plant, m, T, decouples=decouples, control=control) for T in maps]
@@ -171,7 +171,7 @@ def _error_with(plant: Plant, m: GeneralMatrices, T: NDArray, *, decouples: bool
 
 
 def _sylvester(M: NDArray, A: NDArray, G: NDArray) -> NDArray[np.float64] | None:
-    """Return ``T`` with ``T A - M T = G``, or None where the spectra meet."""
+    """Return ``T`` with ``T A - M T = G``, or None if the spectra meet."""
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")  # the outcome is checked

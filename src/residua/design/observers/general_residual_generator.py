@@ -30,7 +30,7 @@ from residua.errors import DesignError, SettingError
 from residua.linear import StateSpace
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.subspaces.observability import is_stable_mode
+from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.rank import RankDecision, decide_rank, equilibrated
 from residua.plant import Plant
 from residua.tolerances import LEAKAGE
@@ -135,7 +135,7 @@ def general_form(generator: ResidualGenerator) -> GeneralForm:
     V = np.zeros((generator.n_residuals, generator.plant.n_states))
     if generator.static_map is not None:
         V = np.asarray(generator.static_map)
-    found = GeneralMatrices(
+    matrices = GeneralMatrices(
         np.asarray(generator.state_map),
         system.A,
         system.B[:, :n_u],
@@ -145,7 +145,7 @@ def general_form(generator: ResidualGenerator) -> GeneralForm:
         system.D[:, n_u:],
         V,
     )
-    return _form(generator.plant, found)
+    return _form(generator.plant, matrices)
 
 
 def _form(plant: Plant, m: GeneralMatrices) -> GeneralForm:
@@ -187,8 +187,8 @@ def residual_generator_from_observer(
     - a plant with ``gain=K`` and, if wanted, ``weight=S``:
       :math:`\dot{\hat x} = A \hat x + B u + K (y - D u - C \hat x)`, :math:`r = S (y - D u - C \hat x)`;
     - a plant with the matrices of the general form :math:`\dot s = M s + J u + N y`,
-      :math:`r = L_s s + L_u u + L_y y`. The map ``T`` with ``s = T E x`` is found from
-      :math:`T A - M T E = N C` when it is not given;
+      :math:`r = L_s s + L_u u + L_y y`. The map ``T`` with ``s = T E x`` solves
+      :math:`T A - M T E = N C` when it is omitted;
     - an :class:`Observer` of this package.
 
     Parameters
@@ -255,15 +255,15 @@ def residual_generator_from_observer(
     array([[False,  True]])
     """
     general = {"M": M, "J": J, "N": N, "Ls": Ls, "Lu": Lu, "Ly": Ly, "T": T}
-    given = [name for name, value in general.items() if value is not None]
+    present = [name for name, value in general.items() if value is not None]
     if not isinstance(source, Plant):
-        if given or gain is not None or weight is not None:
+        if present or gain is not None or weight is not None:
             raise SettingError("an observer brings its own matrices: leave gain, weight and the general form out")
         made = source.residual_generator()
         return _must_decouple(made) if decouples else made
     if gain is not None:
-        if given:
-            raise SettingError(f"give either a gain or the general form, not both: got gain and {', '.join(given)}")
+        if present:
+            raise SettingError(f"give either a gain or the general form, not both: got gain and {', '.join(present)}")
         made = _of_gain(source, gain, weight)
         return _must_decouple(made) if decouples else made
     missing = [name for name in ("M", "N", "Ls", "Ly") if general[name] is None]
@@ -291,35 +291,35 @@ def _of_gain(plant: Plant, gain: ArrayLike, weight: ArrayLike | None) -> Residua
     return made.residual_generator()
 
 
-def _of_matrices(plant: Plant, given: dict[str, Any], decouples: bool) -> ResidualGenerator:
+def _of_matrices(plant: Plant, entries: dict[str, Any], decouples: bool) -> ResidualGenerator:
     """Return the residual generator of matrices in the general form, after checking its conditions."""
     n, m, p = plant.n_states, len(plant.inputs), plant.n_outputs
-    M = matrix(given["M"], "M", (None, None))
+    M = matrix(entries["M"], "M", (None, None))
     k = len(M)
     M = matrix(M, "M", (k, k), what="square")
-    N = matrix(given["N"], "N", (k, p), what="order x outputs")
-    Ls = matrix(given["Ls"], "Ls", (None, k), what="residuals x order")
+    N = matrix(entries["N"], "N", (k, p), what="order x outputs")
+    Ls = matrix(entries["Ls"], "Ls", (None, k), what="residuals x order")
     r = len(Ls)
-    Ly = matrix(given["Ly"], "Ly", (r, p), what="residuals x outputs")
-    J = np.zeros((k, m)) if given["J"] is None else matrix(given["J"], "J", (k, m), what="order x inputs")
-    Lu = -Ly @ plant.Du if given["Lu"] is None else matrix(given["Lu"], "Lu", (r, m), what="residuals x inputs")
+    Ly = matrix(entries["Ly"], "Ly", (r, p), what="residuals x outputs")
+    J = np.zeros((k, m)) if entries["J"] is None else matrix(entries["J"], "J", (k, m), what="order x inputs")
+    Lu = -Ly @ plant.Du if entries["Lu"] is None else matrix(entries["Lu"], "Lu", (r, m), what="residuals x inputs")
     _require_stable(M, plant.dt, "M")
-    found = GeneralMatrices(np.zeros((k, n)), M, J, N, Ls, Lu, Ly, np.zeros((r, n)))
-    if given["T"] is not None:
-        T = matrix(given["T"], "T", (k, n), what="order x states")
+    form = GeneralMatrices(np.zeros((k, n)), M, J, N, Ls, Lu, Ly, np.zeros((r, n)))
+    if entries["T"] is not None:
+        T = matrix(entries["T"], "T", (k, n), what="order x states")
     else:
-        T = state_map(plant, found, decouples=decouples, control=given["J"] is not None)
-    found = static_map(plant, replace(found, T=T))
-    if given["J"] is None:
-        found = replace(found, J=T @ plant.Bu - N @ plant.Du)
-    if given["Lu"] is None:
-        found = replace(found, Lu=-Ly @ plant.Du - found.V @ plant.Bu)
-    errors = _checked(plant, found, decouples, told=given["T"] is None)
+        T = state_map(plant, form, decouples=decouples, control=entries["J"] is not None)
+    form = static_map(plant, replace(form, T=T))
+    if entries["J"] is None:
+        form = replace(form, J=T @ plant.Bu - N @ plant.Du)
+    if entries["Lu"] is None:
+        form = replace(form, Lu=-Ly @ plant.Du - form.V @ plant.Bu)
+    errors = _checked(plant, form, decouples, solved=entries["T"] is None)
     system = StateSpace(
         M,
-        np.hstack([found.J, N]),
+        np.hstack([form.J, N]),
         Ls,
-        np.hstack([found.Lu, Ly]),
+        np.hstack([form.Lu, Ly]),
         dt=plant.dt,
         inputs=signal_names(plant),
         outputs=[f"r{i + 1}" for i in range(r)],
@@ -331,12 +331,12 @@ def _of_matrices(plant: Plant, given: dict[str, Any], decouples: bool) -> Residu
         conditions=errors,
         references=(REFERENCE,),
     )
-    V = found.V if plant.E is not None else None
+    V = form.V if plant.E is not None else None
     promise = Decoupled(disturbances=decouples)
     return make_generator(system, plant, method, evidence, decouples=promise, state_map=T, static_map=V)
 
 
-def _checked(plant: Plant, m: GeneralMatrices, decouples: bool, *, told: bool) -> dict[str, float]:
+def _checked(plant: Plant, m: GeneralMatrices, decouples: bool, *, solved: bool) -> dict[str, float]:
     """Return how far the conditions are missed, or raise with those that fail."""
     errors = condition_errors(plant, m)
     asked = CONDITIONS if decouples else CONDITIONS[:4]
@@ -345,8 +345,8 @@ def _checked(plant: Plant, m: GeneralMatrices, decouples: bool, *, told: bool) -
     ]
     if failed:
         what = "residual generator that ignores the disturbances" if decouples else "residual generator"
-        found = "; T was found from these conditions: give T=... if you have it" if told else ""
-        raise DesignError(f"these matrices are no {what} for {plant.name!r}: {'; '.join(failed)}{found}")
+        hint = "; T was found from these conditions: give T=... if you have it" if solved else ""
+        raise DesignError(f"these matrices are no {what} for {plant.name!r}: {'; '.join(failed)}{hint}")
     return errors
 
 

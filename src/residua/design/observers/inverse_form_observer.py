@@ -129,7 +129,7 @@ def inverse_form_observer(
     ------
     DesignError
         If ``A`` or ``H1 A^-1 F`` is singular, unknown inputs enter the outputs or depend on one another, no
-        unknown input observer exists, or a given ``K`` makes it unstable.
+        unknown input observer exists, or ``K`` makes it unstable.
     AccuracyError
         If the poles or the identities missed their tolerance.
 
@@ -145,10 +145,10 @@ def inverse_form_observer(
     Examples
     --------
     >>> import residua as rs
-    >>> found = rs.design.inverse_form_observer(
+    >>> observer = rs.design.inverse_form_observer(
     ...     rs.library.vtol(), faults=["collective actuator", "cyclic actuator"], poles=[-20, -25, -100 / 3, -50]
     ... )
-    >>> found.first
+    >>> observer.first
     ('v_horizontal', 'v_vertical')
     """
     if poles is not None and K is not None:
@@ -200,7 +200,7 @@ def _existence(plant: Plant, rtol: float) -> UnknownInputExistence:
 def _first_rows(
     CF: NDArray, CAF: NDArray, plant: Plant, first: Iterable[str | int] | str | None, rtol: float
 ) -> list[int]:
-    """Return the outputs ``H1``: those given, or those that express the unknown inputs best."""
+    """Return the outputs ``H1``: those of the user, or those that express the unknown inputs best."""
     q, p = CF.shape[1], len(CF)
     names = plant.outputs
     late, steady = equilibrated(CF), equilibrated(CAF)
@@ -250,15 +250,15 @@ def _inverse(A: NDArray) -> NDArray:
 
     A state that is matched to an equation follows from the right-hand sides of those that it is reached from alone.
     """
-    found = np.linalg.inv(A)
+    inverse = np.linalg.inv(A)
     equation = maximum_bipartite_matching(csr_array(A.T != 0), perm_type="column")
     if np.any(equation < 0):
-        return found
+        return inverse
     depends = A[equation] != 0  # row i: what the state i is computed from
     distance = shortest_path(csr_array(depends.astype(float)), unweighted=True)
     mask = np.zeros(A.shape, dtype=bool)
     mask[:, equation] = np.isfinite(distance)
-    return np.where(mask, found, 0.0)
+    return np.where(mask, inverse, 0.0)
 
 
 def _rounded(M: NDArray, terms: NDArray) -> NDArray:
@@ -287,8 +287,8 @@ def _observer(plant: Plant, N_BF: NDArray, K: NDArray, Pi: NDArray, rows: list[i
     F = np.linalg.inv(N_BF)
     poles = np.linalg.eigvals(F).astype(complex)
     if not is_stable_mode(poles, plant.dt).all():
-        told = ", ".join(format_pole(pole) for pole in poles)
-        raise DesignError(f"K gives the poles {told}, which are not stable; give poles=[...] instead")
+        listed = ", ".join(format_pole(pole) for pole in poles)
+        raise DesignError(f"K gives the poles {listed}, which are not stable; give poles=[...] instead")
     H = -F @ K
     T = np.eye(n) - H @ C
     gain = F @ H

@@ -18,7 +18,7 @@ from residua.design.observers.observer_gain import place, pole_evidence
 from residua.errors import DesignError
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
-from residua.plant.even_units import even_plant
+from residua.plant.comparable_units import even_plant
 
 
 @method(
@@ -50,7 +50,7 @@ def luenberger_observer(
     poles : sequence of complex, optional
         Poles of the error, closed under conjugation: as many as states, or as many as are observable.
     margin : float, optional
-        Stability margin in 1/s when no poles are given; when omitted, the geometric mean of the sizes of the
+        Stability margin in 1/s, used without ``poles``; when omitted, the geometric mean of the sizes of the
         plant's poles.
     outputs : sequence of str, optional
         The measurements that drive the observer, all when omitted. The residual is the error of these.
@@ -94,9 +94,9 @@ def luenberger_observer(
             "Luenberger's observer needs state equations, and E is singular: use descriptor_observer, or "
             "unknown_input_observer, which also serves singular plants without disturbances"
         )
-    given, even = plant.explicit(), even_plant(plant, explicit=True)
+    original, even = plant.explicit(), even_plant(plant, explicit=True)
     plant = even.plant
-    used = arrays.positions(outputs, plant.outputs, "output")
+    used = arrays.different_positions(outputs, plant.outputs, "output")
     placed = place(plant.A, plant.C[used], poles, margin, plant.dt, rtol)
     n, W = plant.n_states, np.eye(plant.n_outputs)[used]
     K = placed.gain @ W
@@ -111,4 +111,4 @@ def luenberger_observer(
     )
     made = Observer(plant, F, np.eye(n), K, np.eye(n), np.zeros(K.shape), W, evidence.method, False, evidence)
     evidence = evidence.extended(conditions={"estimate off the state": check_estimate(made)})
-    return in_units_of_the_plant(replace(made, evidence=evidence), given, even)
+    return in_units_of_the_plant(replace(made, evidence=evidence), original, even)

@@ -17,8 +17,9 @@ from residua.linear import StateSpace
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.systems.balancing import power_of_two
 from residua.plant import Plant
-from residua.plant.even_units import EvenPlant, even_plant
+from residua.plant.comparable_units import EvenPlant, even_plant
 from residua.tolerances import TINY, above_rounding
+from residua.visible import counted, used_up
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -189,7 +190,7 @@ class Observer:
         return f"Observer({self.method} of {self.plant.name!r}: order {self.order}, {kind})"
 
     def _residual_names(self) -> list[str]:
-        """Return the output that a residual is the error of, where it is one, and numbers elsewhere."""
+        """Return the names of residuals: those of the outputs whose errors they are, if all differ; else numbers."""
         V = np.zeros((len(self.W), 1)) if self.V is None else self.V
         names = []
         for row, others in zip(self.W, V, strict=True):
@@ -205,10 +206,11 @@ class Observer:
                 "the residual is zero whatever fails: this observer reproduces the measurements that it uses; "
                 "leave some out of the estimate, outputs=[...], and their errors become the residual"
             )
-        used = [f"{len(p.disturbances)} disturbances are decoupled"] if p.disturbances else []
+        q = len(p.disturbances)
+        used = [f"{counted(q, 'disturbance')} {'is' if q == 1 else 'are'} decoupled"] if q else []
         used += ["states have no equation of their own"] if p.E is not None else []
         return (
-            f"the residual is zero whatever fails: the {p.n_outputs} measurements are all used up "
+            f"the residual is zero whatever fails: the {used_up(p.n_outputs)} "
             f"({' and '.join(used)}); add a sensor or decouple fewer disturbances"
         )
 
@@ -269,15 +271,15 @@ def _without_rounding(direct: NDArray, read: NDArray, factor: NDArray) -> NDArra
     """
     largest = np.abs(read).max(axis=1, initial=0.0)[:, None] * np.abs(factor).max(axis=0, initial=0.0)
     terms = (np.abs(direct) + largest).max(axis=1, keepdims=True, initial=0.0)
-    found = direct + read @ factor
-    return above_rounding(found, (1 + read.shape[1]) * terms)
+    total = direct + read @ factor
+    return above_rounding(total, (1 + read.shape[1]) * terms)
 
 
-def _more_than(found: NDArray, terms: NDArray) -> NDArray[np.bool_]:
+def _more_than(values: NDArray, terms: NDArray) -> NDArray[np.bool_]:
     """Tell in which rows something is more than the rounding of the terms that it is made of."""
-    return np.abs(found).max(axis=1, initial=0.0) > 1e-10 * np.maximum(TINY, terms.max(axis=1, initial=0.0))
+    return np.abs(values).max(axis=1, initial=0.0) > 1e-10 * np.maximum(TINY, terms.max(axis=1, initial=0.0))
 
 
-def _path(found: NDArray, read: NDArray, factor: NDArray) -> NDArray[np.bool_]:
+def _path(direct: NDArray, read: NDArray, factor: NDArray) -> NDArray[np.bool_]:
     """Tell in which rows ``read`` times a factor, in a residual, is more than rounding."""
-    return _more_than(found, np.abs(found + read @ factor) + np.abs(read) @ np.abs(factor))
+    return _more_than(direct, np.abs(direct + read @ factor) + np.abs(read) @ np.abs(factor))

@@ -218,10 +218,10 @@ def _noise(N: Matrix, L: Matrix, beta: float) -> float:
 def least_order_gain(R: Matrix, S: Matrix, n: int, *, rtol: float, bandwidth: float | None) -> PerfectGain:
     """Return the gain of least nilpotency index; ``T`` may lack rank."""
     p = _problem(R, S, n, rtol, bandwidth)
-    found = _deadbeat(p.M, p.H, rtol, p.rounding)
-    if found is None:
+    deadbeat = _deadbeat(p.M, p.H, rtol, p.rounding)
+    if deadbeat is None:
         raise AccuracyError(_no_steps(rtol))
-    gain = _finished(p, *found)
+    gain = _finished(p, *deadbeat)
     if not gain.passes:
         raise AccuracyError(_missed(gain))
     return gain
@@ -257,7 +257,7 @@ def full_rank_gain(R: Matrix, S: Matrix, n: int, *, rtol: float, bandwidth: floa
 
 
 def _attempt(p: _Problem, Q: Matrix, k: int, t: int, rng: np.random.Generator, attempt: int) -> PerfectGain | None:
-    """Return one gain of `full_rank_gain`, or None where the deadbeat steps break down."""
+    """Return one gain of `full_rank_gain`, or None if the deadbeat steps break down."""
     c, count = len(p.M), len(p.H)
     Qo, Qu = Q[:, :k], Q[:, k:]
     Ho = p.H @ Qo
@@ -285,7 +285,7 @@ def _attempt(p: _Problem, Q: Matrix, k: int, t: int, rng: np.random.Generator, a
 
 
 def given_gain(A: Matrix, E: Matrix, C: Matrix, K: Matrix, *, rtol: float, bandwidth: float | None) -> PerfectGain:
-    """Return what a given ``K`` of ``E xh' = A xh + B u + K (C xh - y)`` achieves, or raise when it is not perfect."""
+    """Return what ``K`` of ``E xh' = A xh + B u + K (C xh - y)`` achieves, or raise when it is not perfect."""
     Ab = A + K @ C
     R, S = np.vstack([A, C]), np.vstack([E, np.zeros_like(C)])
     p = _problem(R, S, len(A), rtol, bandwidth)
@@ -295,15 +295,15 @@ def given_gain(A: Matrix, E: Matrix, C: Matrix, K: Matrix, *, rtol: float, bandw
         raise DesignError(f"A + K C is singular (condition {condition:.2g}): det(sE - A - KC) is zero at s = 0")
     Ti = np.linalg.inv(scaled)
     G = np.hstack([Ti, Ti @ (p.rows[: len(A), None] * K / p.rows[len(A) :])])
-    found = _deadbeat(G @ p.S, np.zeros((0, len(A))), rtol, p.rounding)
-    if found is None:
+    deadbeat = _deadbeat(G @ p.S, np.zeros((0, len(A))), rtol, p.rounding)
+    if deadbeat is None:
         modes = np.linalg.eigvals(G @ p.S)
         raise DesignError(
             "det(sE - A - KC) is not constant: (A + KC)^-1 E has the eigenvalue "
             f"{modes[np.argmax(np.abs(modes))] / p.unit:.4g} instead of zeros; leave K out and it is designed"
         )
     Z = (G - p.inverse) @ p.left.T
-    gain = _finished(p, Z, found[1], found[2])
+    gain = _finished(p, Z, deadbeat[1], deadbeat[2])
     if not gain.passes:
         raise AccuracyError(_missed(gain))
     return gain

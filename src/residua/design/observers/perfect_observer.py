@@ -27,6 +27,7 @@ from residua.linear.systems.descriptor import scaled_pencil
 from residua.linear.systems.response_terms import response_terms
 from residua.plant import Plant
 from residua.tolerances import RESPONSE_ROUNDING, above_rounding
+from residua.visible import counted, used_up
 
 REFERENCE = "Twardy and Kaczorek, part I, eqs. (30) to (33), Theorem 4, Procedure 2"
 #: States of a filter beyond which its peak gain is not computed.
@@ -162,8 +163,8 @@ class PerfectObserver:
         Each is an array of shape (order + 1, residuals); in sampled time of ``f`` now, one step later, and so on.
         """
         p = self.plant
-        found = self.residual_polynomial(p.Bf, p.Df, own=False)
-        return {name: np.array([P[:, i] for P in found]) for i, name in enumerate(p.faults)}
+        coefficients = self.residual_polynomial(p.Bf, p.Df, own=False)
+        return {name: np.array([P[:, i] for P in coefficients]) for i, name in enumerate(p.faults)}
 
     def residual_generator(self) -> ResidualGenerator:
         r"""Return the output error ``r = W (y - D u - C xh - Dd dh)`` of the outputs that drive it, filtered alike.
@@ -180,8 +181,8 @@ class PerfectObserver:
         p = self.plant
         if not len(self.left):
             raise DesignError(
-                f"the residual is zero whatever fails: {len(self.outputs)} measurements are all used up by "
-                f"{len(p.disturbances)} disturbances; add a sensor or decouple fewer disturbances"
+                f"the residual is zero whatever fails: {used_up(len(self.outputs))} by "
+                f"{counted(len(p.disturbances), 'disturbance')}; add a sensor or decouple fewer disturbances"
             )
         B = np.hstack([p.Bf, 0.0 * p.Bd, p.Bw])
         D = np.hstack([p.Df, 0.0 * p.Dd, p.Dw])
@@ -350,7 +351,7 @@ def perfect_observer(
     AccuracyError
         If no gain passes the checks: relative variation of the determinant below 1e-6.
     SettingError
-        If the bandwidth is not a positive number, or is given for a sampled plant, or if ``K`` is given with
+        If the bandwidth is not a positive number, or the plant is sampled, or if ``K`` comes with
         disturbances or with ``least_order``.
 
     See Also
@@ -381,9 +382,8 @@ def perfect_observer(
     array([[0.        ],
            [0.33333333]])
     """
-    rows = arrays.positions(outputs, plant.outputs, "output")
+    rows = arrays.different_positions(outputs, plant.outputs, "output")
     names = tuple(plant.outputs[i] for i in rows)
-    arrays.unique(names, "outputs")
     E = np.eye(plant.n_states) if plant.E is None else plant.E
     C, Dd = plant.C[rows], plant.Dd[rows]
     form = weierstrass_form(plant.A, plant.E, rtol=rtol)
@@ -407,10 +407,12 @@ def perfect_observer(
         gain = full_rank_gain(R, S, n, rtol=rtol, bandwidth=scale, seed=seed)
     left = gain.W if least_order else output_error_rows(gain, len(rows))
     blank = Evidence("perfect observer")
-    found = PerfectObserver(plant, names, gain.T, gain.L, gain.N, gain.index, width, not least_order, blank, gain, left)
+    observer = PerfectObserver(
+        plant, names, gain.T, gain.L, gain.N, gain.index, width, not least_order, blank, gain, left
+    )
     if len(left) and (q or least_order):
-        found = replace(found, left=reduced_rows(found))
-    return replace(found, evidence=perfect_evidence(found, R, rtol))
+        observer = replace(observer, left=reduced_rows(observer))
+    return replace(observer, evidence=perfect_evidence(observer, R, rtol))
 
 
 def _bandwidth(bandwidth: float | None, form: WeierstrassForm, plant: Plant) -> float:
@@ -520,24 +522,25 @@ def check_singular(plant: Plant, rtol: float) -> None:
 
 
 def check_existence(plant: Plant, rows: list[int], rtol: float) -> None:
-    """Raise unless the pencil has full column rank at every finite ``s``, with the ``s`` where it has not."""
+    """Raise, with the values of ``s``, unless the pencil has full column rank at every finite ``s``."""
     q = len(plant.disturbances)
     if len(rows) < q:
         raise DesignError(
-            f"no perfect observer: {len(rows)} outputs cannot tell {q} disturbances apart; add sensors, or decouple "
-            "fewer disturbances"
+            f"no perfect observer: {counted(len(rows), 'output')} cannot tell "
+            f"{counted(q, 'disturbance')} apart; add sensors, or decouple fewer disturbances"
         )
-    found = invariant_zeros(plant.A, plant.Bd, plant.C[rows], plant.Dd[rows], plant.E, rtol=rtol)
-    if found.normal_rank < q:
+    zeros = invariant_zeros(plant.A, plant.Bd, plant.C[rows], plant.Dd[rows], plant.E, rtol=rtol)
+    if zeros.normal_rank < q:
         raise DesignError(
-            f"no perfect observer: the {q} disturbances reach the outputs with rank {found.normal_rank} only (the "
+            f"no perfect observer: the {counted(q, 'disturbance')} {'reaches' if q == 1 else 'reach'} "
+            f"the outputs with rank {zeros.normal_rank} only (the "
             "pencil [sE-A -Bd; C Dd] lacks column rank at every s); add a sensor, or merge disturbances that act alike"
         )
-    if found.zeros.size:
+    if zeros.zeros.size:
         what = "of (A, Bd, C, Dd), where a disturbance stays unseen," if q else "where a mode stays unseen,"
         raise DesignError(
             f"no perfect observer: the pencil [sE-A -Bd; C Dd] loses column rank at the finite zero(s) s = "
-            f"{describe_modes(found.zeros)} {what} and no gain removes them; add a sensor"
+            f"{describe_modes(zeros.zeros)} {what} and no gain removes them; add a sensor"
             + (
                 ", decouple other disturbances, or take unknown_input_observer if they are stable"
                 if q
@@ -563,8 +566,8 @@ def reduced_rows(o: PerfectObserver) -> NDArray[np.float64]:
     counted at the bandwidth, is one.
     """
     p = o.plant
-    found = o.residual_polynomial(p.Bu, p.Du, own=True)
-    P = np.array([o.bandwidth**i * M[:, len(p.inputs) :] for i, M in enumerate(found)])
+    coefficients = o.residual_polynomial(p.Bu, p.Du, own=True)
+    P = np.array([o.bandwidth**i * M[:, len(p.inputs) :] for i, M in enumerate(coefficients)])
     units = np.abs(P).max(axis=(0, 1), initial=0.0)
     units = np.where(units > 0, units, 1.0)
     P = P / units
@@ -637,13 +640,13 @@ def _estimate_off(o: PerfectObserver, system: StateSpace, limit: float = 1e-6) -
     reached = response_terms(driven.replaced(C=np.eye(n), D=np.zeros((n, m)), outputs=None), points)
     X = above_rounding(reached.values, reached.terms, RESPONSE_ROUNDING)
     Q, P = system.evaluate(points), driven.evaluate(points)
-    found = Q[..., n_u:] @ P
-    found[..., :n_u] += Q[..., :n_u]
+    product = Q[..., n_u:] @ P
+    product[..., :n_u] += Q[..., :n_u]
     late = (1 / points if p.dt else 1 / (points / o.bandwidth + 1)) ** o.derivatives
     wanted = late[:, None, None] * X
     terms = np.abs(Q[..., n_u:]) @ np.abs(P)
     terms[..., :n_u] += np.abs(Q[..., :n_u])
-    missed, size, terms = ((np.abs(M) * units).max(axis=0) for M in (found - wanted, wanted, terms))
+    missed, size, terms = ((np.abs(M) * units).max(axis=0) for M in (product - wanted, wanted, terms))
     size = np.maximum(size, 1e-6 * size.max(axis=1, keepdims=True, initial=0.0))
     size = np.where(size.max(axis=1, keepdims=True, initial=0.0) > 0, size, terms)
     worst = float(np.max(missed / np.where(size > 0, size, 1.0), initial=0.0))

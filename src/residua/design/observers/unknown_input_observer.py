@@ -32,6 +32,7 @@ from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision
 from residua.linear.systems.balancing import without_rounding
 from residua.plant import Plant
 from residua.tolerances import IDENTITY, TINY, above_rounding
+from residua.visible import counted
 
 REFERENCE = "Chen, Patton and Zhang (1996), Int. J. Control 63(1), eqs. (2) to (13)"
 
@@ -73,7 +74,7 @@ def unknown_input_observer(
     poles : sequence of complex, optional
         Poles of the error, closed under conjugation: as many as states, or as many as are free.
     margin : float, optional
-        Stability margin in 1/s when no poles are given; when omitted, the geometric mean of the sizes of the
+        Stability margin in 1/s, used without ``poles``; when omitted, the geometric mean of the sizes of the
         poles of ``T A``.
     H0 : array_like, shape (n, outputs), optional
         The free matrix of the general solution, in the units of the plant: zeros give the smallest ``H`` in these
@@ -163,7 +164,7 @@ def _with_free_matrix(
     existence: UnknownInputExistence,
     rtol: float,
 ) -> Observer:
-    """Return the observer of a given free matrix: as the equations say, in the units of the plant."""
+    """Return the observer of one free matrix: as the equations say, in the units of the plant."""
     form = output_free_form(plant, rtol=rtol)
     H = decoupling_gain(form, H0)
     T = decoupling_map(H, plant.C)
@@ -247,7 +248,7 @@ def assemble(
     if q and p > q and plant.E is None:
         notes = (
             f"{p - q} of the {p} residuals are independent: the others are filtered copies, the price of "
-            f"decoupling {q} disturbances",
+            f"decoupling {counted(q, 'disturbance')}",
         )
     evidence = Evidence(
         method=method,

@@ -40,7 +40,7 @@ class RowFraction:
 
 
 def to_parity(generator: ResidualGenerator, *, rtol: float = PENCIL_RTOL) -> ParityRelations:
-    """Return the parity relations of a generator: what is left when poles and common zeros are taken from it.
+    """Return the parity relations of a generator: the polynomials without its poles and common zeros.
 
     See :meth:`ResidualGenerator.to_parity`.
     """
@@ -106,9 +106,9 @@ def _denominator(
     a, left = divided(system.A, L, whole, basis)
     if left < _DIVIDED:  # unlike singular values, exact in the highest coefficients too, however small they are
         return a, whole
-    given = pencil(np.vstack([-system.A, -L]), np.vstack([np.eye(n), np.zeros((1, n))]), basis)
-    found = shortest_pencil_null_vectors(given, most=basis.count - 1, rtol=rtol)
-    if found is None:
+    extended = pencil(np.vstack([-system.A, -L]), np.vstack([np.eye(n), np.zeros((1, n))]), basis)
+    solution = shortest_pencil_null_vectors(extended, most=basis.count - 1, rtol=rtol)
+    if solution is None:
         raise AccuracyError("the poles of a residual are too ill-conditioned to write it as a fraction")
-    x = found.vectors[0] / found.vectors[0][-1, n]
+    x = solution.vectors[0] / solution.vectors[0][-1, n]
     return x[:, :n], x[:, n:]

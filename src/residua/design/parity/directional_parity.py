@@ -17,7 +17,7 @@ from residua.design.parity.relation import Relation
 from residua.design.parity.relation_model import RelationModel, basis_for, relation_model, state_pencil
 from residua.design.parity.relations import Poles, relations_of
 from residua.design.parity.shortest import combinations_to_try, simplest_of_the_best
-from residua.errors import AccuracyError, DesignError
+from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear.polynomials.common_factor import without_common_factor
 from residua.linear.polynomials.degree_search import at_smallest_degree
 from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL
@@ -26,6 +26,7 @@ from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_b
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
 from residua.tolerances import TINY
+from residua.visible import counted
 
 #: A response, or a singular value of what is read, below this fraction of the largest possible counts as none.
 _SEEN = 1e-9
@@ -50,7 +51,7 @@ def directional_parity(
     order: int | None = None,
     rtol: float = PENCIL_RTOL,
 ) -> ResidualGenerator:
-    r"""Design parity relations whose residual points in a given direction for each fault, also in transients.
+    r"""Design parity relations whose residual points in the direction of each fault, also in transients.
 
     .. math:: r^* = W(z)\, e^*, \qquad r^*(t \mid f_j) = d_j\, \gamma_j(z)\, f_j
 
@@ -92,6 +93,8 @@ def directional_parity(
     DesignError
         If the directions are too many, or do not go with this plant: with the numbers of conditions and unknowns, or
         the fault whose response must vanish; if the order is too low; if poles differ between the residuals.
+    SettingError
+        If the directions are of different lengths.
     AccuracyError
         If the polynomials lose so many digits that directions are missed.
 
@@ -108,8 +111,8 @@ def directional_parity(
     Counting: of ``m`` outputs and ``q`` decoupled signals, ``r (m - q)`` polynomials are free, of which one sets the
     scale; ``s`` directions are ``s (r - 1)`` conditions. For directions in general position there is a solution when
     ``s (r - 1) <= r (m - q) - 1``: at most ``m + 1`` directions for ``m`` residuals without disturbances. Which
-    responses can be kept from vanishing, and how many residuals are independent, is found at points of the plane,
-    whatever the degree; of a bounded degree they are looked for only when there are any. The minimal indices of the
+    responses can be kept from vanishing, and how many residuals are independent, is decided at points of the plane,
+    whatever the degree; the search at a bounded degree starts only when there are any. The minimal indices of the
     pencil add up to at most the rank of what ``z`` multiplies, ``r rank E``: no higher degree is needed.
 
     References
@@ -135,8 +138,8 @@ def directional_parity(
     basis = basis_for(model.plant, most + 1)
     joint = directional_pencil(model.plant, model.ignored_columns(ignored), wanted, basis, rtol=rtol)
     generic = _attainable(model, joint, wanted, ignored, rtol)
-    found = _shortest(joint, generic, most, rtol) if order is None else _of_order(joint, generic, order, most, rtol)
-    X = joint.relations(found.best_combination())
+    solutions = _shortest(joint, generic, most, rtol) if order is None else _of_order(joint, generic, order, most, rtol)
+    X = joint.relations(solutions.best_combination())
     rows = _relations(model, X, basis, ignored, divide=order is not None)
     relations = relations_of(model.plant, rows, directions=wanted)
     notes = (*model.notes, *((f"ignores {', '.join(ignored)}",) if ignored else ()), *_free(model, wanted, ignored))
@@ -145,14 +148,14 @@ def directional_parity(
     except AccuracyError as error:
         k = relations.orders[0]
         raise AccuracyError(
-            f"as relations of order {k} with these poles, {error}; give {k} poles near those of the plant, or ask for "
-            "fewer directions"
+            f"as relations of order {k} with these poles, {error}; give {counted(k, 'pole')} near those of "
+            "the plant, or ask for fewer directions"
         ) from error
-    ranks = {**made.evidence.ranks, "directions and ignored signals": joint.decision, "states": found.decision}
-    told = (*made.evidence.references, "Gertler (1991), section 5.2, eqs. (5-9) to (5-18)")
+    ranks = {**made.evidence.ranks, "directions and ignored signals": joint.decision, "states": solutions.decision}
+    references = (*made.evidence.references, "Gertler (1991), section 5.2, eqs. (5-9) to (5-18)")
     r = made.n_residuals
     short = (f"only {generic.rank} of the {r} residuals are independent",) if generic.rank < r else ()
-    return replace(made, evidence=made.evidence.extended(ranks=ranks, references=told, notes=short))
+    return replace(made, evidence=made.evidence.extended(ranks=ranks, references=references, notes=short))
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,7 +240,7 @@ def _checked(directions: Mapping[str, ArrayLike], plant: Plant) -> Directions:
         columns.append(vector)
     lengths = sorted({len(column) for column in columns})
     if len(lengths) > 1:
-        raise DesignError(f"directions must have one entry per residual, all the same number: got {lengths}")
+        raise SettingError(f"directions must have one entry per residual, all the same number: got {lengths}")
     return Directions(faults, np.column_stack(columns))
 
 
@@ -339,8 +342,8 @@ def _shortest(joint: DirectionalPencil, generic: _Generic, most: int, rtol: floa
     """Return the solutions of the smallest degree that serve: doubled until some do, then halved."""
     low, degree = 0, min(1, most)
     while True:
-        found = _solutions(joint, generic, degree, rtol)
-        if found.serves:
+        solutions = _solutions(joint, generic, degree, rtol)
+        if solutions.serves:
             break
         if degree >= most:
             raise AccuracyError(
@@ -353,16 +356,16 @@ def _shortest(joint: DirectionalPencil, generic: _Generic, most: int, rtol: floa
         tried = _solutions(joint, generic, middle, rtol)
         return tried if tried.serves else None
 
-    return at_smallest_degree(serving, low, degree, found)
+    return at_smallest_degree(serving, low, degree, solutions)
 
 
 def _of_order(joint: DirectionalPencil, generic: _Generic, order: int, most: int, rtol: float) -> _Solutions:
     """Return the solutions of an order, or say which is the smallest."""
-    found = _solutions(joint, generic, int(order), rtol)
-    if not found.serves:
+    solutions = _solutions(joint, generic, int(order), rtol)
+    if not solutions.serves:
         smallest = _shortest(joint, generic, most, rtol).vectors.shape[1] - 1
         raise DesignError(f"no relations of order {order} have these directions: the smallest order is {smallest}")
-    return found
+    return solutions
 
 
 def _relations(

@@ -85,8 +85,8 @@ class DirectionalPencil:
 
     def null_vectors(self, degree: int, rtol: float) -> tuple[NDArray[np.float64], RankDecision]:
         """Return all solutions of at most a degree as coordinates, shape (count, degree + 1, rows of reduced)."""
-        found = pencil_null_vectors(self.reduced, degree, rtol=rtol)
-        return found.vectors, found.decision
+        space = pencil_null_vectors(self.reduced, degree, rtol=rtol)
+        return space.vectors, space.decision
 
     def at(self, point: complex) -> NDArray[np.complex128]:
         """Return the pencil at a point."""
@@ -130,21 +130,21 @@ def changed_together(
 ) -> list[Relation]:
     """Return relations of one order in another basis, made exact there with their directions.
 
-    They are refined in units of the basis in which they are given: with sizes of one, as on the poles of a filter,
+    They are refined in units of their own basis: with sizes of one, as on the poles of a filter,
     coefficients of a fast plant are far from each other.
     """
     n, k = plant.n_states, rows[0].order
     size = float(np.exp(np.mean(np.log(rows[0].basis.sizes[:k])))) if k else 1.0
     even = replace(basis, sizes=np.full(basis.count, size))  # the same elements, over powers of the size
     X = np.stack([row.basis.changed_to(even, np.hstack([row.p, row.q])) for row in rows], axis=1)
-    given = directional_pencil(plant, rows[0].ignored, directions, even)
+    joint = directional_pencil(plant, rows[0].ignored, directions, even)
     chosen = [plant.faults.index(name) for name in directions.faults]
     faults = np.vstack([plant.Bf, plant.Df])[:, chosen]
     weights = directions.vectors / (directions.vectors**2).sum(axis=0)
     gammas = np.einsum("kif,if->kf", X @ faults, weights)
     gammas = gammas * np.linalg.norm(directions.vectors, axis=0)
-    y = (np.hstack([X.reshape(k + 1, -1), gammas]) / given.rows) @ given.constant
-    X = given.relations(refined(given.reduced, y)) * size ** -np.arange(k + 1.0)[:, None, None]
+    y = (np.hstack([X.reshape(k + 1, -1), gammas]) / joint.rows) @ joint.constant
+    X = joint.relations(refined(joint.reduced, y)) * size ** -np.arange(k + 1.0)[:, None, None]
     if plant.E is None:  # p (zI - A) = q C leaves no room for one more power
         X[-1, :, :n] = 0.0
     return [replace(row, p=X[:, i, :n], q=X[:, i, n:], basis=basis) for i, row in enumerate(rows)]

@@ -27,7 +27,7 @@ _PARALLEL = 1e-6
 _FAINT = 1e-7
 #: Nor do responses to an output smaller than this fraction of those to the others, in balanced units.
 _FAINT_OUTPUT = 1e-4
-#: Filters made of zeros and poles that miss the responses by more are not told.
+#: Filters made of zeros and poles that miss the responses by more are not reported.
 _FILTER_ERROR = 1e-3
 #: Zeros and poles nearer than this, relative to their size, cancel.
 _CANCEL = 1e-5
@@ -109,7 +109,7 @@ class Equivalence:
         return self.equivalent
 
     def transformation(self, w: NDArray[np.float64]) -> NDArray[np.complex128]:
-        r"""Return :math:`V(j\omega)` with :math:`Q_b = V Q_a`, of least norm where it is not unique.
+        r"""Return :math:`V(j\omega)` with :math:`Q_b = V Q_a`, of least norm if it is not unique.
 
         Parameters
         ----------
@@ -212,7 +212,7 @@ class Equivalence:
         return made.replaced(inputs=a.outputs, outputs=b.outputs)
 
     def __str__(self) -> str:
-        told = {
+        sentence = {
             "identical": "the same filter",
             "scale": "the same up to factors and order of the residuals",
             "poles": "the same up to poles and scale",
@@ -222,7 +222,7 @@ class Equivalence:
             "whole": "the first is a transformation of the second, which sees more",
             "different": "neither is a transformation of the other",
         }[self.kind]
-        lines = [f"{'equivalent' if self.equivalent else 'not equivalent'}: {told} (to {self.error:.1e})"]
+        lines = [f"{'equivalent' if self.equivalent else 'not equivalent'}: {sentence} (to {self.error:.1e})"]
         lines += [f"  {self.note}"] if self.note else []
         return "\n".join([*lines, *(f"  {row}" for row in self.rows)])
 
@@ -267,17 +267,17 @@ def equivalence(first: ResidualGenerator, second: ResidualGenerator, *, rtol: fl
     return Equivalence(kind == "transformation", kind, (), error, a, b, note)
 
 
-def _generator(given: Any) -> ResidualGenerator:
+def _generator(design: Any) -> ResidualGenerator:
     """Return a generator, or the one of a bank or an observer."""
-    if isinstance(given, ResidualGenerator):
-        return given
-    inner = getattr(given, "generator", None)
-    if inner is None and hasattr(given, "residual_generator"):
-        inner = given.residual_generator()
-    if inner is None and hasattr(given, "with_poles"):
-        inner = given.with_poles()
+    if isinstance(design, ResidualGenerator):
+        return design
+    inner = getattr(design, "generator", None)
+    if inner is None and hasattr(design, "residual_generator"):
+        inner = design.residual_generator()
+    if inner is None and hasattr(design, "with_poles"):
+        inner = design.with_poles()
     if not isinstance(inner, ResidualGenerator):
-        raise ModelError(f"a residual generator is compared with another one, got {type(given).__name__}")
+        raise ModelError(f"a residual generator is compared with another one, got {type(design).__name__}")
     return inner
 
 

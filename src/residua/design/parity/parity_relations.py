@@ -49,10 +49,10 @@ def parity_relations(
     .. math:: w^T R = 0, \qquad w^T Q_{\text{ignored}} = 0
 
     is a relation :math:`r^* = w^T (Y - Q U)` of order ``n'`` that no state, no disturbance and no ignored fault
-    enters. They are found with the states as unknowns, ``p (zE - A) = q C``, so that no power of ``A`` is formed.
+    enters. The search keeps the states as unknowns, ``p (zE - A) = q C``, so that no power of ``A`` is formed.
 
-    Guaranteed (and checked): zero while nothing fails, for any state and any input; all relations of the order are
-    found, as independent ones.
+    Guaranteed (and checked): zero while nothing fails, for any state and any input; the result has all relations
+    of the order, as independent ones.
 
     Parameters
     ----------
@@ -109,19 +109,19 @@ def parity_relations(
     ignored = [model.plant.faults[i] for i in arrays.positions(insensitive_to, model.plant.faults, "fault")]
     chosen = model.reading(outputs)
     if order is None:
-        found = shortest_relations(chosen, ignored, rtol)
+        space = shortest_relations(chosen, ignored, rtol)
     else:
         order = _whole(order)
         _check_size(model, int(order))
-        found = relation_space(chosen, ignored, int(order), rtol)
-    if found is None or not found.count:
+        space = relation_space(chosen, ignored, int(order), rtol)
+    if space is None or not space.count:
         _none_such(chosen, ignored, order, rtol)
-    assert found is not None
-    rows = [found.relation(chosen, ignored, vector) for vector in found.vectors]
+    assert space is not None
+    rows = [space.relation(chosen, ignored, vector) for vector in space.vectors]
     relations = relations_of(model.plant, rows)
     notes = (*model.notes, *((f"ignores {', '.join(ignored)}",) if ignored else ()))
     made = relations.with_poles(poles, notes=notes)
-    return with_rank(made, found)
+    return with_rank(made, space)
 
 
 def parity_orders(
@@ -175,8 +175,8 @@ def parity_orders(
             f"{len(names)} outputs have {count} sets of up to {most}: limit their size with most_outputs"
         )
     sets = [chosen for size in range(1, most + 1) for chosen in combinations(names, size)]
-    found = {chosen: shortest_relations(model.reading(chosen), ignored, rtol) for chosen in sets}
-    return {chosen: space.order for chosen, space in found.items() if space is not None}
+    spaces = {chosen: shortest_relations(model.reading(chosen), ignored, rtol) for chosen in sets}
+    return {chosen: space.order for chosen, space in spaces.items() if space is not None}
 
 
 def chow_willsky_matrices(plant: Plant, order: int) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:

@@ -106,10 +106,10 @@ def _shortest_of_each(equations: RelationModel) -> list[Relation]:
     rows, open_to_all = [], replace(equations, decouples=False)
     for name in equations.plant.outputs:
         alone = open_to_all.reading([name])
-        found = shortest_relations(alone, (), PENCIL_RTOL)
-        if found is None:
+        space = shortest_relations(alone, (), PENCIL_RTOL)
+        if space is None:
             raise DesignError(f"no relation reads {name!r} alone: algebraic equations tie it to other signals")
-        rows.append(found.relation(alone, (), found.vectors[0]))
+        rows.append(space.relation(alone, (), space.vectors[0]))
     return rows
 
 

@@ -61,8 +61,8 @@ def realize_relation(
     C = np.eye(k)[-1:] if k else np.zeros((1, 0))
     # what the filter remembers of the plant has a size too: a state that its inputs reach by rounding only has no other
     known = p / _equation_units(plant)
-    found = balance_system(M, np.hstack([B, known[:k]]), C, np.hstack([D, known[k:]]))
-    units = found.own_units / found.own_units[-1] if k else np.ones(0)  # C stays one
+    balanced = balance_system(M, np.hstack([B, known[:k]]), C, np.hstack([D, known[k:]]))
+    units = balanced.own_units / balanced.own_units[-1] if k else np.ones(0)  # C stays one
     system = StateSpace(M / units[:, None] * units, B / units[:, None], C * units, D, dt=plant.dt)
     return Realization(system, -p[:k] / units[:, None], p[k:])
 

@@ -58,8 +58,8 @@ class Relation:
         x = self.basis.changed_to(basis, np.hstack([self.p, self.q]))
         size = np.abs(np.hstack([self.p, self.q])).max(axis=0, initial=0.0)
         used = size > 0
-        given = state_pencil(plant, self.ignored, basis, canonical=True)
-        part = pencil(given.P0[used], given.P1[used], basis, canonical=True)
+        equations = state_pencil(plant, self.ignored, basis, canonical=True)
+        part = pencil(equations.P0[used], equations.P1[used], basis, canonical=True)
         x[:, used] = refined(part, x[:, used])
         x[-1, :n] = _algebraic(x, plant)
         return replace(self, p=x[:, :n], q=x[:, n:], basis=basis)
@@ -67,14 +67,14 @@ class Relation:
     def missed(self, plant: Plant) -> float:
         """Return how far the states are from dropping out, relative to the terms that have to cancel."""
         none = np.zeros((plant.n_states + plant.n_outputs, 0))
-        given = state_pencil(plant, none, self.basis, canonical=True)
+        equations = state_pencil(plant, none, self.basis, canonical=True)
         x = np.hstack([self.p, self.q])
-        left = given.products(x)
-        terms = replace(given, P0=np.abs(given.P0), P1=np.abs(given.P1)).products(np.abs(x))
-        size = np.abs(terms).max(axis=0, initial=0.0) * given.columns
+        left = equations.products(x)
+        terms = replace(equations, P0=np.abs(equations.P0), P1=np.abs(equations.P1)).products(np.abs(x))
+        size = np.abs(terms).max(axis=0, initial=0.0) * equations.columns
         # a state of which the terms are rounding of those of others does not take part
         size = np.maximum(size, _TAKES_PART * size.max(initial=0.0))
-        return float(np.max(np.abs(left) * given.columns / np.where(size > 0, size, 1.0), initial=0.0))
+        return float(np.max(np.abs(left) * equations.columns / np.where(size > 0, size, 1.0), initial=0.0))
 
 
 def _algebraic(x: NDArray[np.float64], plant: Plant) -> NDArray[np.float64]:
@@ -95,7 +95,7 @@ def synthetic_division(plant: Plant, q: NDArray[np.float64], basis: PolynomialBa
 def divided(
     A: NDArray[np.float64], C: NDArray[np.float64], q: NDArray[np.float64], basis: PolynomialBasis
 ) -> tuple[NDArray[np.float64], float]:
-    r"""Return ``p`` with :math:`p (z I - A) = q C` and what is left over, relative to the terms that have to cancel.
+    r"""Return ``p`` with :math:`p (z I - A) = q C` and the remainder, relative to the terms that have to cancel.
 
     From the highest element on: :math:`\rho_{j-1} p_{j-1} = q_j C + p_j (A - a_j I) + \beta_{j+1} p_{j+1}`.
     """
@@ -135,7 +135,7 @@ def digits_lost(rows: Sequence[Relation], generator: ResidualGenerator) -> float
 
 
 def plant_rate(plant: Plant) -> float:
-    """Return the rate at which the poles of a continuous filter are put when none are given, in 1/s."""
+    """Return the rate in 1/s at which a continuous filter has its poles when the user lists none."""
     try:
         return own_rate(plant)
     except ModelError:  # a singular plant may have no poles

@@ -14,14 +14,14 @@ from residua.errors import ModelError
 from residua.linear.polynomials.pencil_null_space import Pencil, pencil
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis, basis_on_poles
 from residua.plant import Plant
-from residua.plant.canonical_units import PlantUnits, canonical_units
+from residua.plant.comparable_units import PlantUnits, canonical_units
 from residua.plant.input_output_model import InputOutputModel
 
 #: Poles below this fraction of the size of the plant's dynamics are zero.
 _ZERO = 1e-10
 #: A pole of as many times as there are states is scattered by the root of so many roundings.
 _SCATTER = 4
-#: States up to which one pole of all of them can be told from poles that differ: 2**-52 to the power of 1/7 is 0.006.
+#: States up to which one pole of all of them can be separated from others: 2**-52 to the power of 1/7 is 0.006.
 _MOST_OF_ONE_POLE = 7
 
 
@@ -42,7 +42,7 @@ class RelationModel:
     most : int
         No relation of a shortest set is longer.
     notes : tuple of str
-        What was done to the model before.
+        The changes to the model before.
     decouples : bool
         Whether relations ignore the disturbances.
     """
@@ -79,7 +79,7 @@ class RelationModel:
         """Return the model of relations that read some of the outputs only."""
         if outputs is None:
             return self
-        chosen = arrays.positions(outputs, self.plant.outputs, "output")
+        chosen = arrays.different_positions(outputs, self.plant.outputs, "output")
         n = self.plant.n_states
         others = [n + i for i in range(self.plant.n_outputs) if i not in chosen]
         return replace(self, excluded=np.hstack([self.excluded, np.eye(n + self.plant.n_outputs)[:, others]]))
@@ -97,8 +97,8 @@ def relation_model(source: Plant | InputOutputModel) -> RelationModel:
     if isinstance(source, InputOutputModel):
         realized = source.realization()
         if len(realized.removed_modes):
-            told = ", ".join(map(format_pole, realized.removed_modes))
-            notes = (f"the equations of the model share factors without effect, which were divided out: roots {told}",)
+            roots = ", ".join(map(format_pole, realized.removed_modes))
+            notes = (f"the equations of the model share factors without effect, which were divided out: roots {roots}",)
         source = realized.plant
     if not isinstance(source, Plant):
         raise ModelError(f"parity relations are made from a Plant or an InputOutputModel, got {type(source).__name__}")
@@ -141,5 +141,5 @@ def basis_for(plant: Plant, count: int) -> PolynomialBasis:
 
 def _mean_size(M: NDArray[np.float64]) -> float:
     """Return the geometric mean of the entries that are not zero: units of states hardly change it."""
-    found = np.abs(M[M != 0])
-    return float(np.exp(np.mean(np.log(found)))) if found.size else 1.0
+    sizes = np.abs(M[M != 0])
+    return float(np.exp(np.mean(np.log(sizes)))) if sizes.size else 1.0

@@ -24,8 +24,9 @@ from residua.linear import PolynomialMatrix, StateSpace, is_stable_mode
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.systems.balancing import descriptor_units
 from residua.plant import Plant
-from residua.plant.canonical_units import PlantUnits, canonical_units
+from residua.plant.comparable_units import PlantUnits, canonical_units
 from residua.tolerances import POLYNOMIAL_LEAKAGE, RESIDUE, above_rounding
+from residua.visible import counted
 
 #: What the states may be missed by, relative to the terms that have to cancel.
 _REMAINDER = 1e-8
@@ -56,7 +57,7 @@ class ParityRelations:
     names : tuple of str
         Of the residuals.
     directions : Directions or None
-        The directions that the residuals keep together, where they were made to.
+        The directions that the residuals keep together, if the design asked for that.
 
     References
     ----------
@@ -173,7 +174,7 @@ class ParityRelations:
             If the number of poles does not fit, they are not closed under conjugation, or not stable; or if they differ
             between residuals that keep directions together, which would bend them.
         AccuracyError
-            If rounding in the coefficients shows in the residual, or, where no poles are given, more than ten digits
+            If rounding in the coefficients shows in the residual, or, without ``poles``, more than ten digits
             cancel in the moving average.
 
         References
@@ -233,8 +234,8 @@ class ParityRelations:
                 f"as a moving average of order {max(self.orders)}, {_cancelling(lost)}; or ask for it all the same, "
                 f"with poles of zero, {max(self.orders)} of them"
             )
-        told = (_cancelling(lost),) if lost > _MANY else ()
-        return replace(made, evidence=made.evidence.extended(conditions={_LOST: lost}, notes=told))
+        remarks = (_cancelling(lost),) if lost > _MANY else ()
+        return replace(made, evidence=made.evidence.extended(conditions={_LOST: lost}, notes=remarks))
 
     def stacked_with(self, others: Sequence[ParityRelations], names: Sequence[str]) -> ParityRelations:
         """Return these and further relations of the same plant as one set, with new names."""
@@ -269,11 +270,11 @@ class ParityRelations:
                         else f"none for {missing[0]!r}"
                     )
                 )
-            given = [poles.get(name, ()) for name in self.names]
+            shares = [poles.get(name, ()) for name in self.names]
         else:
-            given = [poles for _ in self.names]
+            shares = [poles for _ in self.names]
         chosen = [
-            _checked_poles(p, k, name, self.plant) for p, k, name in zip(given, self.orders, self.names, strict=True)
+            _checked_poles(p, k, name, self.plant) for p, k, name in zip(shares, self.orders, self.names, strict=True)
         ]
         if self.directions is not None:
             for name, one in zip(self.names, chosen, strict=True):
@@ -298,8 +299,8 @@ class ParityRelations:
         """Yield what was divided out silently elsewhere."""
         for name, roots in zip(self.names, self.divided, strict=False):
             if len(roots):
-                told = f"root{'s' * (len(roots) > 1)} {', '.join(map(format_pole, roots))}"
-                yield f"{name}: a factor common to all signals was divided out, with {told}"
+                words = f"root{'s' * (len(roots) > 1)} {', '.join(map(format_pole, roots))}"
+                yield f"{name}: a factor common to all signals was divided out, with {words}"
 
     # -------------------------------------------------------------------- texts
 
@@ -329,7 +330,7 @@ def relations_of(
 ) -> ParityRelations:
     """Return relations as one set, each scaled so that the newest sample of an output has coefficient one.
 
-    Those that keep directions together are of one order, and all scaled by the factor of the first.
+    Relations that keep directions together are of one order, and all scaled by the factor of the first.
     """
     factors = []
     for row in rows:
@@ -385,7 +386,7 @@ def _checked_poles(poles: Any, order: int, name: str, plant: Plant) -> NDArray[n
         raise SettingError(f"poles must be numbers: {error}") from error
     if values.shape != (order,):
         raise SettingError(
-            f"relation {name!r} is of order {order}: give {order} poles, not {values.size}, "
+            f"relation {name!r} is of order {order}: give {counted(order, 'pole')}, not {values.size}, "
             "by name of the residual where orders differ"
         )
     if not np.isfinite(values).all():

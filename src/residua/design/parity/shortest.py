@@ -23,6 +23,7 @@ from residua.linear.polynomials.pencil_null_space import (
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.rank import RankDecision
 from residua.tolerances import POLYNOMIAL_LEAKAGE
+from residua.visible import used_up
 
 #: A fault is seen by a relation when more than this of the largest response that its size allows is left.
 _SEEN = 1e-9
@@ -129,8 +130,8 @@ def relation_space(model: RelationModel, ignored: Sequence[str | int], order: in
 def shortest_relations(model: RelationModel, ignored: Sequence[str | int], rtol: float) -> RelationSpace | None:
     """Return the relations of the smallest order that ignore some faults and all disturbances, if there are any."""
     search = _search(model, ignored)
-    found = shortest_pencil_null_vectors(search.pencil, most=model.most, rtol=rtol)
-    return None if found is None else search.space(found)
+    vectors = shortest_pencil_null_vectors(search.pencil, most=model.most, rtol=rtol)
+    return None if vectors is None else search.space(vectors)
 
 
 def shortest_relation(
@@ -143,25 +144,25 @@ def shortest_relation(
     DesignError
         If there is none: which of the faults no relation sees, or that there is no relation at all.
     AccuracyError
-        If there is one by the ranks of the pencil, and none is found.
+        If there is one by the ranks of the pencil, but the search has no result.
     """
     faults = [model.plant.faults.index(name) for name in seen]
     search = _search(model, ignored)
     exact = _shortest_seeing(search, faults, model.most, rtol)
     most = model.most if exact is None else exact.order - 1
     near = _shortest_seeing(search, faults, most, max(rtol, _OF_DATA)) if most >= 0 else None
-    found = exact if near is None or not near.clear else near
-    if found is not None:
-        return found.best_combination(faults), found
+    space = exact if near is None or not near.clear else near
+    if space is not None:
+        return space.best_combination(faults), space
     raise _refusal(model, search, ignored, seen, rtol)
 
 
 def _shortest_seeing(search: _Search, faults: Sequence[int], most: int, rtol: float) -> RelationSpace | None:
     """Return the relations of the smallest order that answer to some faults; ``None`` when there are none."""
-    found = shortest_pencil_null_vectors(search.pencil, most=most, rtol=rtol)
-    if found is None:
+    vectors = shortest_pencil_null_vectors(search.pencil, most=most, rtol=rtol)
+    if vectors is None:
         return None
-    first = search.space(found)
+    first = search.space(vectors)
     if first.seen[faults].all():
         return first
 
@@ -176,15 +177,14 @@ def _shortest_seeing(search: _Search, faults: Sequence[int], most: int, rtol: fl
 def _refusal(
     model: RelationModel, search: _Search, ignored: Sequence[str], seen: Sequence[str], rtol: float
 ) -> DesignError | AccuracyError:
-    """Return what to raise where no relation was found: why there is none, or that rounding hides it."""
+    """Return what to raise when the search has no result: why there is no relation, or that rounding hides it."""
     what = ", ".join(f"'{name}'" for name in (*model.plant.disturbances, *ignored)) or "nothing"
     longest = search.space(pencil_null_vectors(search.pencil, model.most, rtol=rtol))
     space = fault_space(model.plant, rtol=max(rtol, _OF_DATA))
     hidden = space.closure(space.basis([model.plant.faults.index(name) for name in ignored]))
     if longest.count == 0 and not space.leaves(ignored):
         return DesignError(
-            f"no parity relation ignores {what}: the {model.plant.n_outputs} measurements are all used up; "
-            "add a sensor or ignore less"
+            f"no parity relation ignores {what}: the {used_up(model.plant.n_outputs)}; add a sensor or ignore less"
         )
     blind = [name for name in seen if hidden[model.plant.faults.index(name)]]
     if blind:
@@ -217,17 +217,17 @@ class _Search:
     faults: NDArray[np.float64]
     units: NDArray[np.float64]
 
-    def space(self, found: PencilNullVectors) -> RelationSpace:
+    def space(self, null: PencilNullVectors) -> RelationSpace:
         """Return null vectors as relations, in the units of the model, with their responses to the faults."""
-        vectors = np.zeros((len(found.vectors), found.degree + 1, len(self.faults)))
-        vectors[:, :, self.used] = found.vectors
-        level = np.sqrt(((found.units[:, :, None] * self.faults[self.used]) ** 2).sum(axis=1))
+        vectors = np.zeros((len(null.vectors), null.degree + 1, len(self.faults)))
+        vectors[:, :, self.used] = null.vectors
+        level = np.sqrt(((null.units[:, :, None] * self.faults[self.used]) ** 2).sum(axis=1))
         responses = vectors @ self.faults / np.where(level > 0, level, 1.0)
-        s = found.decision.singular_values
-        smallest = found.decision.smallest_kept / s[0] if len(s) and found.decision.rank else 1.0
-        dropped = found.decision.largest_dropped / s[0] if len(s) and s[0] else 0.0
+        s = null.decision.singular_values
+        smallest = null.decision.smallest_kept / s[0] if len(s) and null.decision.rank else 1.0
+        dropped = null.decision.largest_dropped / s[0] if len(s) and s[0] else 0.0
         floor = max(_SEEN, 100 * np.finfo(float).eps / smallest, dropped / POLYNOMIAL_LEAKAGE)
-        return RelationSpace(vectors * self.units, self.pencil.basis, found.decision, responses, floor)
+        return RelationSpace(vectors * self.units, self.pencil.basis, null.decision, responses, floor)
 
 
 def _search(model: RelationModel, ignored: Sequence[str | int]) -> _Search:

@@ -50,12 +50,12 @@ def scalar(name: str) -> Unknown:
 
 
 def symmetric(name: str, size: int, sets: Sequence[Sequence[int]] | None = None) -> Unknown:
-    """Return an unknown symmetric matrix, zero but within each of the given index sets (one of all, when omitted)."""
+    """Return an unknown symmetric matrix, zero but within each of these index sets (one of all, when omitted)."""
     return _within(name, size, [range(size)] if sets is None else sets, 0, 1.0)
 
 
 def skew(name: str, size: int, sets: Sequence[Sequence[int]]) -> Unknown:
-    """Return an unknown skew-symmetric matrix, zero but within each of the given index sets."""
+    """Return an unknown skew-symmetric matrix, zero but within each of these index sets."""
     return _within(name, size, sets, 1, -1.0)
 
 
@@ -117,7 +117,7 @@ def solve(
     *,
     margin: float,
 ) -> NDArray[np.float64] | None:
-    """Minimise ``cost @ x`` subject to every inequality ``>= margin * I``; None where the solver found nothing.
+    """Minimise ``cost @ x`` subject to every inequality ``>= margin * I``; None if the solver has no solution.
 
     What comes back is a candidate: solvers call a point optimal that misses a little, so that whoever asked has to
     check it.

@@ -153,12 +153,12 @@ def peak_norm(
         return _by_directions(s, rtol, most_terms)
     star = star_ellipsoid(s)
     Q = s.units[:, None] * star.Q * s.units
-    found = PeakNorm(star.bound, np.nan, kind, rate=star.rate, ellipsoid=Q)
+    result = PeakNorm(star.bound, np.nan, kind, rate=star.rate, ellipsoid=Q)
     better = lmi_peak(s, star) if kind == "lmi" else None
     if better is None:
-        return found
+        return result
     value, rate, ellipsoid = better
-    return replace(found, value=value, rate=rate, ellipsoid=ellipsoid)
+    return replace(result, value=value, rate=rate, ellipsoid=ellipsoid)
 
 
 def _by_sums(s: StableSystem, rtol: float, most: int, componentwise: bool) -> PeakNorm:
@@ -191,14 +191,14 @@ def _by_directions(s: StableSystem, rtol: float, most: int) -> PeakNorm:
     else:
         raise _too_slow(s, float(rows.max()), bound, sum(map(len, blocks)))
     H = np.concatenate(blocks)
-    found = largest_sum(H, rtol=0.5 * rtol)
-    value = (found.upper + bound) * _ROUNDED
-    if value > found.attained * (1 + rtol):
+    largest = largest_sum(H, rtol=0.5 * rtol)
+    value = (largest.upper + bound) * _ROUNDED
+    if value > largest.attained * (1 + rtol):
         raise AccuracyError(
-            f"the peak norm of {s.D.shape[0]} outputs lies between {found.attained:.9g} and {value:.9g}, and was not "
+            f"the peak norm of {s.D.shape[0]} outputs lies between {largest.attained:.9g} and {value:.9g}, and was not "
             f"found to rtol={rtol:.0e}: use a larger rtol, kind='star', or fewer outputs"
         )
-    return PeakNorm(value, found.attained, "exact", False, found.direction, len(H), bound)
+    return PeakNorm(value, largest.attained, "exact", False, largest.direction, len(H), bound)
 
 
 def _too_slow(s: StableSystem, low: float, bound: float, count: int) -> AccuracyError:

@@ -12,7 +12,7 @@ from residua.errors import AccuracyError
 from residua.linear.norms.impulse_terms import StableSystem
 
 Matrix = NDArray[np.float64]
-#: In place of the logarithm of a size that was not found.
+#: In place of the logarithm of a size that does not exist.
 _TOO_LARGE = 1e3
 
 
@@ -23,7 +23,7 @@ class Ellipsoid:
     Attributes
     ----------
     Q : ndarray, shape (n, n)
-        ``Q = A Q A' / (1 - rate) + B B' / rate``, in the units of the system that was given.
+        ``Q = A Q A' / (1 - rate) + B B' / rate``, in the units of the original system.
     rate : float
         ``1 - 1 / a`` of the star norm.
     bound : float
@@ -62,8 +62,8 @@ def star_ellipsoid(system: StableSystem, *, xtol: float = 1e-10) -> Ellipsoid:
 
     from scipy.optimize import minimize_scalar  # slow to import, and not needed to run a monitor
 
-    found = minimize_scalar(size, bounds=(-12.0, 25.0), method="bounded", options={"xatol": xtol**0.5})
-    rate = rate_of(float(found.x))
+    minimum = minimize_scalar(size, bounds=(-12.0, 25.0), method="bounded", options={"xatol": xtol**0.5})
+    rate = rate_of(float(minimum.x))
     Q = ellipsoid_shape(system.A, system.B, rate)
     if Q is None:  # a search that begins where nothing is solved does not find its way out
         rate = rate_of(min(np.linspace(-12.0, 25.0, 75), key=size))
@@ -81,7 +81,7 @@ def _spread(C: Matrix, Q: Matrix) -> float:
 
 
 def ellipsoid_shape(A: Matrix, B: Matrix, rate: float) -> Matrix | None:
-    """Return ``Q = A Q A' / (1 - rate) + B B' / rate`` by doubling, or None where it was not solved."""
+    """Return ``Q = A Q A' / (1 - rate) + B B' / rate`` by doubling, or None if it was not solved."""
     W, first = B @ B.T / rate, A / np.sqrt(1 - rate)
     Q = _doubled(first, W)
     for _ in range(3):
@@ -102,7 +102,7 @@ def ellipsoid_shape(A: Matrix, B: Matrix, rate: float) -> Matrix | None:
 
 
 def _doubled(power: Matrix, W: Matrix) -> Matrix | None:
-    """Return ``sum power^k W power'^k`` by squaring, or None where it grows without end."""
+    """Return ``sum power^k W power'^k`` by squaring, or None if it grows without end."""
     Q = W
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(60):

@@ -14,11 +14,12 @@ from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.poles.pole_assignment import polished, real_block_diagonal, robust_assignment, schur_assignment
 from residua.linear.poles.spectrum import describe_modes, match_poles, spectrum_error
+from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.far_gain import refuse_far_gain
-from residua.linear.subspaces.observability import is_stable_mode
 from residua.linear.subspaces.observable_part import ObservablePart, observable_part
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.tolerances import POLE
+from residua.visible import counted
 
 Matrix = NDArray[np.float64]
 _EPS = float(np.finfo(float).eps)
@@ -34,7 +35,7 @@ class Placement:
     gain : ndarray, shape (n, p)
         ``K``; the poles are those of ``A - K C``. It ignores the left null directions of ``C``: ``K = K C C^+``.
     requested : ndarray of complex
-        Poles asked for on the observable part, in the order given; empty when a margin was asked for.
+        Poles asked for on the observable part, in that order; empty when a margin was asked for.
     achieved : ndarray of complex
         Poles reached on the observable part, in the order of ``requested``.
     fixed : ndarray of complex
@@ -59,17 +60,17 @@ class Placement:
 
 def _checked_poles(poles: ArrayLike, dt: float) -> Poles:
     """Return poles that are finite, stable and exactly closed under conjugation."""
-    given: Poles = np.atleast_1d(np.asarray(poles, dtype=complex)).ravel()
-    if not np.all(np.isfinite(given)):
-        raise ModelError(f"pole {describe_modes(given[~np.isfinite(given)][:1])} is not finite")
-    unstable = given[~is_stable_mode(given, dt)]
+    requested: Poles = np.atleast_1d(np.asarray(poles, dtype=complex)).ravel()
+    if not np.all(np.isfinite(requested)):
+        raise ModelError(f"pole {describe_modes(requested[~np.isfinite(requested)][:1])} is not finite")
+    unstable = requested[~is_stable_mode(requested, dt)]
     if unstable.size:
         where = "abs(z) < 1" if dt else "Re(s) < 0"
         raise DesignError(f"pole {describe_modes(unstable[:1])} is not stable: every pole needs {where}")
-    given = np.where(np.abs(np.imag(given)) <= 1e-12 * np.abs(given), np.real(given) + 0j, given)
-    waiting = [p for p in given if p.imag < 0]
+    requested = np.where(np.abs(np.imag(requested)) <= 1e-12 * np.abs(requested), np.real(requested) + 0j, requested)
+    waiting = [p for p in requested if p.imag < 0]
     out: list[complex] = []
-    for p in (p for p in given if p.imag >= 0):
+    for p in (p for p in requested if p.imag >= 0):
         out.append(p)
         if p.imag > 0:
             partner = min(waiting, key=lambda q: abs(q - np.conj(p)), default=None)
@@ -88,9 +89,12 @@ def _movable(poles: Poles, problem: ObservablePart, tolerance: float) -> Poles:
     n = k + fixed.size
     if poles.size == k:
         return poles
-    hint = f"; give the {k} poles of the observable part" if fixed.size else ""
+    hint = f"; give the {counted(k, 'pole')} of the observable part" if fixed.size else ""
     if poles.size != n:
-        raise DesignError(f"got {poles.size} poles for {n} states, of which {k} are observable{hint}")
+        are = "is" if k == 1 else "are"
+        raise DesignError(
+            f"got {counted(poles.size, 'pole')} for {counted(n, 'state')}, of which {k} {are} observable{hint}"
+        )
     order = match_poles(fixed, poles)
     scale = np.ones(fixed.size) if problem.dt else np.maximum(np.abs(fixed), np.finfo(float).tiny)
     missed = np.abs(poles[order] - fixed) > max(tolerance, POLE) * scale
@@ -109,8 +113,8 @@ def _candidates(problem: ObservablePart, poles: Poles) -> list[Matrix]:
     if H.shape[0] == problem.order:
         # Every state is seen: F - L H = Lambda is solved exactly.
         return [(F - real_block_diagonal(poles)) @ H.T]
-    found = [robust_assignment(F, H, poles), schur_assignment(F, H, poles)]
-    return [polished(F, H, L, poles) for L in found if L is not None and np.all(np.isfinite(L))]
+    gains = [robust_assignment(F, H, poles), schur_assignment(F, H, poles)]
+    return [polished(F, H, L, poles) for L in gains if L is not None and np.all(np.isfinite(L))]
 
 
 def _direct_gain(problem: ObservablePart, poles: Poles) -> Matrix:
@@ -223,7 +227,7 @@ def place_observer_poles(
         if best is None or rank < best[0]:
             best = (rank, placed)
     if best is None or best[0][0]:
-        told = (
+        reason = (
             "every method broke down"
             if best is None
             else (
@@ -232,7 +236,7 @@ def place_observer_poles(
             )
         )
         raise AccuracyError(
-            f"the poles {describe_modes(wanted)} cannot be placed to the tolerance: {told}; ask for poles nearer to "
+            f"the poles {describe_modes(wanted)} cannot be placed to the tolerance: {reason}; ask for poles nearer to "
             "those of the plant or further apart, for a margin (place_observer_margin), or add a sensor"
         )
     return best[1]
@@ -366,7 +370,7 @@ def place_observer_margin(
 
 
 def _shifted_riccati(problem: ObservablePart, margin: float, weight: float) -> Matrix | None:
-    """Return the gain of the filter for the shifted plant, or None where the equation is not solved."""
+    """Return the gain of the filter for the shifted plant, or None if the equation is not solved."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the caller checks the outcome

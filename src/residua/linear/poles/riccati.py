@@ -13,7 +13,8 @@ from scipy.sparse.csgraph import connected_components
 from residua import arrays
 from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.subspaces.observability import detectability, is_stable_mode, observability_form
+from residua.linear.poles.stability import is_stable_mode
+from residua.linear.subspaces.observability import detectability, observability_form
 from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank, without_rounded_gains
 from residua.linear.systems.balancing import balance_system, power_of_two
 from residua.tolerances import RESIDUE
@@ -180,10 +181,10 @@ def _check_solvable(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix, dt: f
             f"R is singular: rank {decide_rank(correlation, rtol=1e-13).rank} of {R.shape[0]}, "
             f"no noise in the direction of output number {worst + 1}; give every output measurement noise"
         )
-    found = detectability(A, C, dt=dt)
-    if not found:
+    answer = detectability(A, C, dt=dt)
+    if not answer:
         raise DesignError(
-            f"not detectable: mode {describe_modes(found.unstable_modes)} is not seen by any output; "
+            f"not detectable: mode {describe_modes(answer.unstable_modes)} is not seen by any output; "
             "add a sensor that sees it"
         )
     # After the measured part of the process noise is taken out, Q - S R^-1 S' drives A - S R^-1 C.

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.linear.subspaces.observability import modes_with_uncertainty
+from residua.linear.poles.stability import modes_with_uncertainty
 
 Poles = NDArray[np.complex128]
 _EPS = float(np.finfo(float).eps)
@@ -29,13 +29,13 @@ def spectral_radius(A: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.abs(np.linalg.eigvals(A)).max(axis=-1, initial=0.0) if A.shape[-1] else np.zeros(A.shape[:-2])
 
 
-def match_poles(wanted: Poles, found: Poles) -> NDArray[np.intp]:
-    """Return for each wanted pole the index of a found one, each used at most once, nearest in sum.
+def match_poles(wanted: Poles, achieved: Poles) -> NDArray[np.intp]:
+    """Return for each wanted pole the index of an achieved one, each used at most once, nearest in sum.
 
     Parameters
     ----------
     wanted : ndarray of complex, shape (k,)
-    found : ndarray of complex, shape (n,)
+    achieved : ndarray of complex, shape (n,)
         At least as many.
 
     Returns
@@ -44,7 +44,7 @@ def match_poles(wanted: Poles, found: Poles) -> NDArray[np.intp]:
     """
     from scipy.optimize import linear_sum_assignment
 
-    distance = np.abs(wanted[:, None] - found)
+    distance = np.abs(wanted[:, None] - achieved)
     # Relative, or a fast pole that is off a little would outweigh a slow one that is off altogether.
     scale = np.abs(wanted)[:, None] + 1e-3 * np.abs(wanted).max(initial=0.0) + np.finfo(float).tiny
     return linear_sum_assignment(distance / scale)[1]
@@ -87,9 +87,9 @@ def spectrum_error(block: NDArray[np.float64], wanted: Poles, dt: float, toleran
     k = wanted.size
     if not k:
         return 0.0, wanted, True
-    found, moved = modes_with_uncertainty(block)
-    order = match_poles(wanted, found)
-    achieved, moved = found[order], 100 * moved[order]
+    modes, moved = modes_with_uncertainty(block)
+    order = match_poles(wanted, modes)
+    achieved, moved = modes[order], 100 * moved[order]
     scale = np.ones(k) if dt else np.abs(wanted)
     size = max(float(np.linalg.norm(block, 2)), float(np.abs(wanted).max()), 1.0 if dt else 0.0)
     worst, reached = 0.0, True

@@ -15,9 +15,9 @@ def at_smallest_degree(attempt: Callable[[int], T | None], low: int, high: int, 
     """
     while low < high:
         middle = (low + high) // 2
-        found = attempt(middle)
-        if found is None:
+        solution = attempt(middle)
+        if solution is None:
             low = middle + 1
         else:
-            high, at_high = middle, found
+            high, at_high = middle, solution
     return at_high

@@ -81,7 +81,7 @@ def pencil(
     return Pencil(P0, P1, basis, rows, columns)
 
 
-def pencil_null_vectors(given: Pencil, degree: int, *, rtol: float = PENCIL_RTOL) -> PencilNullVectors:
+def pencil_null_vectors(problem: Pencil, degree: int, *, rtol: float = PENCIL_RTOL) -> PencilNullVectors:
     r"""Return all polynomial rows ``x(z)`` of at most a degree with ``x(z) (P_0 + z P_1) = 0``.
 
     With coefficients in Newton's basis, :math:`z N_j = \rho_j N_{j+1} + a_j N_j - \beta_j N_{j-1}`, the coefficient of
@@ -89,12 +89,12 @@ def pencil_null_vectors(given: Pencil, degree: int, *, rtol: float = PENCIL_RTOL
 
     .. math:: \rho_{j-1} x_{j-1} P_1 + x_j (P_0 + a_j P_1) - \beta_{j+1} x_{j+1} P_1 = 0,
 
-    a block bidiagonal (with pairs of nodes: tridiagonal) system whose left null space is found from its singular
+    a block bidiagonal (with pairs of nodes: tridiagonal) system whose left null space follows from its singular
     values. Nodes at the poles keep its blocks from being alike, which powers of ``z`` do not.
 
     Parameters
     ----------
-    given : Pencil
+    problem : Pencil
     degree : int
     rtol : float
         Singular values below this fraction of the largest count as zero, in balanced units.
@@ -104,44 +104,44 @@ def pencil_null_vectors(given: Pencil, degree: int, *, rtol: float = PENCIL_RTOL
     PencilNullVectors
         Orthonormal in balanced units.
     """
-    T, units = _block_matrix(given, degree)
-    W, decision = _left_null_basis(T, given, degree, rtol)
-    vectors = W.T.reshape(W.shape[1], degree + 1, len(given.rows))
+    T, units = _block_matrix(problem, degree)
+    W, decision = _left_null_basis(T, problem, degree, rtol)
+    vectors = W.T.reshape(W.shape[1], degree + 1, len(problem.rows))
     size = np.abs(vectors).max(axis=(1, 2), initial=0.0)
     vectors = above_rounding(vectors, size[:, None, None], RESIDUE)
     return PencilNullVectors(vectors * units, decision, units)
 
 
-def _left_null_basis(T: NDArray, given: Pencil, degree: int, rtol: float) -> tuple[NDArray, RankDecision]:
+def _left_null_basis(T: NDArray, problem: Pencil, degree: int, rtol: float) -> tuple[NDArray, RankDecision]:
     """Return the left null space of the stacked pencil, part by part where nothing connects the rows of the pencil."""
-    parts = row_parts((given.P0 != 0) | (given.P1 != 0))
+    parts = row_parts((problem.P0 != 0) | (problem.P1 != 0))
     if len(parts) < 2:
         return left_null_basis(T, rtol=rtol)
     whole = decide_rank(T, rtol=rtol)
     scale = float(whole.singular_values.max(initial=0.0))
-    count, bases = len(given.rows), []
+    count, bases = len(problem.rows), []
     for part in parts:
         rows = (np.arange(degree + 1)[:, None] * count + part).ravel()
-        found = left_null_basis(T[rows][:, np.any(T[rows], axis=0)], rtol=rtol, scale=scale)[0]
-        bases.append(np.zeros((len(T), found.shape[1])))
-        bases[-1][rows] = found
+        basis = left_null_basis(T[rows][:, np.any(T[rows], axis=0)], rtol=rtol, scale=scale)[0]
+        bases.append(np.zeros((len(T), basis.shape[1])))
+        bases[-1][rows] = basis
     W = np.hstack(bases)
     return (W, whole) if W.shape[1] == len(T) - whole.rank else left_null_basis(T, rtol=rtol)
 
 
-def shortest_pencil_null_vectors(given: Pencil, *, most: int, rtol: float = PENCIL_RTOL) -> PencilNullVectors | None:
+def shortest_pencil_null_vectors(problem: Pencil, *, most: int, rtol: float = PENCIL_RTOL) -> PencilNullVectors | None:
     """Return the polynomial rows of the smallest degree that annihilate a pencil; ``None`` when none is up to ``most``.
 
     Parameters
     ----------
-    given : Pencil
+    problem : Pencil
     most : int
     rtol : float
     """
-    rows = len(given.P0)
+    rows = len(problem.P0)
 
     def exists(degree: int) -> bool:
-        return decide_rank(_block_matrix(given, degree)[0], rtol=rtol).rank < rows * (degree + 1)
+        return decide_rank(_block_matrix(problem, degree)[0], rtol=rtol).rank < rows * (degree + 1)
 
     if rows == 0:
         return None
@@ -151,13 +151,13 @@ def shortest_pencil_null_vectors(given: Pencil, *, most: int, rtol: float = PENC
             return None
         low, high = high + 1, min(max(2 * high, 1), most)
     smallest = at_smallest_degree(lambda degree: degree if exists(degree) else None, low, high, high)
-    return pencil_null_vectors(given, smallest, rtol=rtol)
+    return pencil_null_vectors(problem, smallest, rtol=rtol)
 
 
-def refined(given: Pencil, x: NDArray[np.float64], *, rtol: float = PENCIL_RTOL) -> NDArray[np.float64]:
+def refined(problem: Pencil, x: NDArray[np.float64], *, rtol: float = PENCIL_RTOL) -> NDArray[np.float64]:
     """Return the null vector nearest to one that rounding, such as that of a change of basis, has moved."""
     k = len(x) - 1
-    T, units = _block_matrix(given, k)
+    T, units = _block_matrix(problem, k)
     scaled = (x / units).ravel()
     U, s, Vh = np.linalg.svd(T, full_matrices=False)
     keep = s > rtol * s[0] if len(s) else s > 0
@@ -165,17 +165,17 @@ def refined(given: Pencil, x: NDArray[np.float64], *, rtol: float = PENCIL_RTOL)
     return scaled.reshape(k + 1, -1) * units
 
 
-def _block_matrix(given: Pencil, degree: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _block_matrix(problem: Pencil, degree: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the matrix that the stacked coefficients of null vectors annihilate, and its balanced units.
 
     Units of one size for all degrees would not do: where poles lie far apart, so do the sizes of the elements.
     """
-    P0 = given.rows[:, None] * given.P0 * given.columns
-    P1 = given.rows[:, None] * given.P1 * given.columns
+    P0 = problem.rows[:, None] * problem.P0 * problem.columns
+    P1 = problem.rows[:, None] * problem.P1 * problem.columns
     used = np.any(P0 != 0, axis=0) | np.any(P1 != 0, axis=0)
     P0, P1 = P0[:, used], P1[:, used]
     rows, width = P0.shape
-    basis, links = given.basis, given.basis.links
+    basis, links = problem.basis, problem.basis.links
     T = np.zeros((degree + 1, rows, degree + 2, width))
     for j in range(degree + 1):
         T[j, :, j] = P0 + basis.real[j] * P1
@@ -184,4 +184,4 @@ def _block_matrix(given: Pencil, degree: int) -> tuple[NDArray[np.float64], NDAr
             T[j, :, j - 1] = -links[j] * P1
     T = T.reshape((degree + 1) * rows, (degree + 2) * width)
     left, right = evened(T, np.ones(T.shape[0]), np.ones(T.shape[1]))  # the blocks are in even units
-    return left[:, None] * T * right, left.reshape(degree + 1, rows) * given.rows
+    return left[:, None] * T * right, left.reshape(degree + 1, rows) * problem.rows

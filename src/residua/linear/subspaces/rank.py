@@ -54,13 +54,13 @@ class RankDecision:
 
 
 def check_rtol(rtol: float) -> None:
-    """Raise when a tolerance of rank decisions is negative or no number."""
+    """Raise when a tolerance of rank decisions is negative, one or more, or no number."""
     try:
-        fine = bool(0 <= rtol < np.inf)
+        fine = bool(0 <= rtol < 1)
     except (TypeError, ValueError):
         fine = False
     if not fine:
-        raise SettingError(f"rtol must be a number, zero or larger, got {rtol!r}")
+        raise SettingError(f"rtol must be a number from 0 to below 1, got {rtol!r}")
 
 
 def _svd_decision(
@@ -98,7 +98,7 @@ def decide_rank(M: ArrayLike, *, rtol: float = DEFAULT_RTOL, scale: float | None
     Raises
     ------
     SettingError
-        If ``rtol`` is negative, or no number.
+        If ``rtol`` is negative, one or more, or no number.
 
     Examples
     --------

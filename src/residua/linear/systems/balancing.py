@@ -159,7 +159,7 @@ def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> Ba
         left, right, _ = _factors(W, n, level, _largest)
     T, U, Y = T * right[:n], U * right[n:], Y * left[n:]
     # The scaled matrices are the same for states and inputs in c times larger, outputs in c times smaller units:
-    # of these units those nearest to the given ones are taken; the sweeps may have drifted far away from them.
+    # of these units those nearest to the original ones are taken; the sweeps may have drifted far away from them.
     size = np.sum(np.log2(T)) - np.sum(np.log2(Y))
     c = 2.0 ** np.round(size / max(len(T) + len(Y), 1))
     T, U, Y = T / c, U / c, Y * c
@@ -223,11 +223,11 @@ def descriptor_units(A: NDArray, E: NDArray | None, B: NDArray, C: NDArray, D: N
     """
     n = len(A)
     if E is None:
-        found = balance_system(A, B, C, D)
-        if not found.has_units:
+        balanced = balance_system(A, B, C, D)
+        if not balanced.has_units:
             u = system_units(A, B, C, D)
             return DescriptorUnits(1 / u.states, u.states, u.inputs, u.outputs, 1.0)
-        return DescriptorUnits(1 / found.states, found.states, found.inputs, found.outputs, 1.0)
+        return DescriptorUnits(1 / balanced.states, balanced.states, balanced.inputs, balanced.outputs, 1.0)
     whole = np.block([[A, B], [C, D]]).astype(float)
     dynamic = np.zeros_like(whole)
     dynamic[:n, :n] = E

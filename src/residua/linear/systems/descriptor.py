@@ -104,10 +104,10 @@ def pencil_decision(p: ScaledPencil, rtol: float) -> RankDecision:
     for s in _POINTS:
         values = np.asarray(np.linalg.svd(s * p.E - p.A, compute_uv=False) if p.A.size else np.zeros(0), dtype=float)
         tolerance = rtol * (float(values[0]) if values.size else 0.0)
-        found = RankDecision(int(np.count_nonzero(values > tolerance)), values, tolerance)
+        decision = RankDecision(int(np.count_nonzero(values > tolerance)), values, tolerance)
         gap = float(values[-1] / values[0]) if values.size and values[0] else 0.0
-        if best is None or (found.rank, gap) > best[0]:
-            best = ((found.rank, gap), found)
+        if best is None or (decision.rank, gap) > best[0]:
+            best = ((decision.rank, gap), decision)
     assert best is not None
     return best[1]
 
@@ -116,7 +116,7 @@ def is_regular(A: ArrayLike, E: ArrayLike | None = None, *, rtol: float = DEFAUL
     r"""Tell whether :math:`\det(sE - A)` is not zero for every ``s``.
 
     Exactly then ``E x' = A x + B v`` has one solution for every smooth input and every consistent initial state.
-    The determinant is never formed: the pencil is scaled, and its rank found at several points of the plane.
+    The determinant is never formed: the pencil is scaled, and its rank decided at several points of the plane.
 
     Parameters
     ----------
@@ -206,8 +206,8 @@ def weierstrass_form(
 
     The two parts are the limits of the Wong sequences :math:`V_{i+1} = A^{-1}(E V_i)` from the whole space and
     :math:`W_{i+1} = E^{-1}(A W_i)` from zero, held by orthonormal bases; then :math:`Q = [V\ W]`,
-    :math:`P = [E V\ A W]^{-1}`. No eigenvalue has to be told from infinity: ones at infinity in long chains,
-    which rounding throws far into the plane, are found by rank decisions instead.
+    :math:`P = [E V\ A W]^{-1}`. No eigenvalue has to be separated from infinity: rank decisions reveal those
+    at infinity in long chains, which rounding throws far into the plane.
 
     Parameters
     ----------
@@ -282,9 +282,9 @@ def _preimage(M: Matrix, X: Matrix, rtol: float, decisions: list[RankDecision]) 
     basis, decided = range_basis(X, rtol=rtol, scale=1.0)
     decisions.append(decided)
     rest = M - basis @ (basis.T @ M)
-    found, decided = null_basis(rest, rtol=rtol, scale=max(float(np.linalg.norm(M, 2)), np.finfo(float).tiny))
+    preimage, decided = null_basis(rest, rtol=rtol, scale=max(float(np.linalg.norm(M, 2)), np.finfo(float).tiny))
     decisions.append(decided)
-    return found
+    return preimage
 
 
 def _infinite_part(p: ScaledPencil, rtol: float, decisions: list[RankDecision]) -> tuple[Matrix, list[int]]:

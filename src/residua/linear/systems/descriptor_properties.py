@@ -93,8 +93,8 @@ def descriptor_observability(
 
     Examples
     --------
-    >>> found = descriptor_observability([[1, 2], [3, 4]], [[1, 0]], [[1, 0], [0, 0]])
-    >>> bool(found), found.finite, found.reasons
+    >>> observability = descriptor_observability([[1, 2], [3, 4]], [[1, 0]], [[1, 0], [0, 0]])
+    >>> bool(observability), observability.finite, observability.reasons
     (False, True, ('rank[E; C] = 1 < 2: the outputs miss a part of the state that obeys algebraic equations alone',))
     """
     A, E = checked_pencil(A, E)
@@ -180,10 +180,10 @@ def _scaled(A: NDArray, E: NDArray, C: NDArray) -> tuple[NDArray, NDArray, NDArr
 def _hidden_modes(A: NDArray, E: NDArray, C: NDArray, poles: NDArray, rtol: float) -> NDArray[np.complex128]:
     """Return the finite ``s`` at which ``[sE - A; C]`` loses rank; they are among the poles."""
     n = len(A)
-    found = invariant_zeros(A, np.zeros((n, 0)), C, None, E, rtol=rtol)
-    if found.normal_rank:
+    zeros = invariant_zeros(A, np.zeros((n, 0)), C, None, E, rtol=rtol)
+    if zeros.normal_rank:
         raise ModelError("det(sE - A) is zero for every s: the equations do not determine the states")
-    hidden = found.zeros
+    hidden = zeros.zeros
     if hidden.size:
         # Poles at zero have no size; the unit of s in which A and E are comparable stands in.
         size = np.abs(poles).max(initial=scaled_pencil(A, E).unit)

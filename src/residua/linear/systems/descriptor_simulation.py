@@ -25,10 +25,10 @@ class ConsistentState:
     Attributes
     ----------
     state : ndarray, shape (n,)
-        The state right after the jump: the dynamic part of the given one, with the algebraic part that the inputs
+        The state right after the jump: the dynamic part of ``x0``, with the algebraic part that the inputs
         demand.
     consistent : bool
-        Whether the given state was consistent already.
+        Whether ``x0`` was consistent already.
     distance : float
         How far it was off, relative to the sizes of the states that are added up.
     """
@@ -79,7 +79,7 @@ def consistent_state(
     ModelError
         If the system is not regular, or derivatives are missing.
     AccuracyError
-        If its dynamic and algebraic parts cannot be told apart, see `weierstrass_form`.
+        If its dynamic and algebraic parts cannot be separated, see `weierstrass_form`.
 
     References
     ----------
@@ -89,19 +89,19 @@ def consistent_state(
     --------
     >>> from residua.linear import StateSpace, consistent_state
     >>> system = StateSpace([[-1, 0], [1, -1]], [[0], [1]], [[1, 0]], E=[[1, 0], [0, 0]])
-    >>> found = consistent_state(system, [2.0, 0.0], [0.5])
-    >>> bool(found), found.state
+    >>> start = consistent_state(system, [2.0, 0.0], [0.5])
+    >>> bool(start), start.state
     (False, array([2. , 2.5]))
     """
     form = weierstrass_form(system.A, system.E, rtol=rtol)
     m, n = system.n_inputs, system.n_states
-    given = [np.zeros(m) if v is None else _vector(v, m, "v")]
-    given += [_vector(d, m, "derivatives") for d in derivatives]
+    inputs = [np.zeros(m) if v is None else _vector(v, m, "v")]
+    inputs += [_vector(d, m, "derivatives") for d in derivatives]
     start = _vector(x0, n, "x0")
     needed = input_order(form, system)
     if v is None:
-        given += [np.zeros(m)] * max(0, needed + 1 - len(given))
-    fast = _fast_part(form, system, [g[None] for g in given])[0]
+        inputs += [np.zeros(m)] * max(0, needed + 1 - len(inputs))
+    fast = _fast_part(form, system, [g[None] for g in inputs])[0]
     k = form.n_finite
     z = form.Q_inverse @ start
     state = form.Q @ np.concatenate([z[:k], fast])
@@ -155,7 +155,7 @@ class DescriptorRun:
     ----------
     states : ndarray, shape (samples, n)
     outputs : ndarray, shape (samples, p)
-        For a sampled system fewer samples than inputs were given: the last ones depend on inputs still to come.
+        For a sampled system fewer samples than inputs: the last ones depend on inputs still to come.
     """
 
     states: NDArray[np.float64]
@@ -207,9 +207,9 @@ def simulate_descriptor(
     DataError
         If signals do not fit the system, or ``x0`` is not consistent; `consistent_state` makes it so.
     SettingError
-        If ``hold`` is not one of its words, or a sampled system is given derivatives.
+        If ``hold`` is not one of its words, or a sampled system gets derivatives.
     AccuracyError
-        If its dynamic and algebraic parts cannot be told apart, see `weierstrass_form`.
+        If its dynamic and algebraic parts cannot be separated, see `weierstrass_form`.
 
     References
     ----------
@@ -274,10 +274,10 @@ def _slow_start(
 ) -> NDArray[np.float64]:
     if x0 is None or not first:
         return np.zeros(form.n_finite)
-    found = consistent_state(system, x0, first[0], derivatives=first[1:], rtol=rtol)
-    if not found:
+    start = consistent_state(system, x0, first[0], derivatives=first[1:], rtol=rtol)
+    if not start:
         raise DataError(
-            f"x0 is not consistent with the algebraic equations and the first input (off by {found.distance:.2g}, "
+            f"x0 is not consistent with the algebraic equations and the first input (off by {start.distance:.2g}, "
             "relative): start at consistent_state(system, x0, v[0]).state"
         )
     return form.Q_inverse[: form.n_finite] @ np.asarray(x0, dtype=float).ravel()

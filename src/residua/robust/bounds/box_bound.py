@@ -28,7 +28,7 @@ _LOOSE = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What is asked of every box."""
+    """The task for every box."""
 
     method: str
     worst: WorstMember
@@ -79,26 +79,26 @@ def _tried(method: Callable[[UncertainSystem], BoxBound], system: UncertainSyste
 
 
 def _by_expansion(system: UncertainSystem) -> BoxBound:
-    found = centred_bound(system)
-    if found is None:
+    expansion = centred_bound(system)
+    if expansion is None:
         return BoxBound(system)
-    terms = {"linear": found.linear, "second": found.second, "rest": found.rest}
+    terms = {"linear": expansion.linear, "second": expansion.second, "rest": expansion.rest}
     return BoxBound(
         system,
-        widest=int(np.argmax(found.blame)) if np.any(found.blame) else np.nan,
-        bound=found.value,
+        widest=int(np.argmax(expansion.blame)) if np.any(expansion.blame) else np.nan,
+        bound=expansion.value,
         method="centred",
         certificate={name: np.array(value) for name, value in terms.items()},
-        eigenvalues={"small gain": 1 - found.gain},
+        eigenvalues={"small gain": 1 - expansion.gain},
     )
 
 
 def _by_weights(system: UncertainSystem) -> BoxBound:
     problem = scaled_problem(system)
     part = BoxBound(system, problem.widest())
-    found = common_ellipsoid(problem)
-    sure = None if found is None else verified_star(system, problem, found)
-    if found is None or sure is None:
+    ellipsoid = common_ellipsoid(problem)
+    sure = None if ellipsoid is None else verified_star(system, problem, ellipsoid)
+    if ellipsoid is None or sure is None:
         return part
     return replace(
         part,
@@ -114,20 +114,20 @@ def _by_inequalities(system: UncertainSystem, task: Task) -> BoxBound:
     part = BoxBound(system, problem.widest())
     inequalities = Inequalities(problem, task.method)
     if task.rate is not None:
-        found = inequalities.solve(task.rate)
+        solution = inequalities.solve(task.rate)
     else:
         room = 1 - task.worst.radius**2
         start = peak_norm(system.member((system.low + system.high) / 2), kind="star").rate
-        found = _search(inequalities.solve, float(np.clip(start / room, 0.05, 0.8)), room, task.searches)
-    if found is None:
+        solution = _search(inequalities.solve, float(np.clip(start / room, 0.05, 0.8)), room, task.searches)
+    if solution is None:
         return part
     return replace(
         part,
-        bound=found.bound * problem.unit,
+        bound=solution.bound * problem.unit,
         method=task.method,
-        rate=found.rate,
-        certificate=found.matrices | {"T": problem.T},
-        eigenvalues=found.eigenvalues,
+        rate=solution.rate,
+        certificate=solution.matrices | {"T": problem.T},
+        eigenvalues=solution.eigenvalues,
         unit=problem.unit,
     )
 
@@ -136,34 +136,34 @@ def _search(
     solve: Callable[[float], Certificate | None], start: float, room: float, searches: int
 ) -> Certificate | None:
     """Search the rate, on a logistic scale of ``(0, room)``: a walk downhill, then parabolas through three points."""
-    found: dict[float, float] = {}
+    bounds: dict[float, float] = {}
     best: Certificate | None = None
 
     def value(t: float) -> float:
         nonlocal best
-        if t not in found:
+        if t not in bounds:
             made = solve(room / (1 + np.exp(-t)))
-            found[t] = np.inf if made is None else made.bound
+            bounds[t] = np.inf if made is None else made.bound
             if made is not None and (best is None or made.bound < best.bound):
                 best = made
-        return found[t]
+        return bounds[t]
 
     t, step = float(np.log(start / (1 - start))), 0.6
     for guess in (t, t - 1.5, t - 3.0, t + 1.5, t - 5.0):
-        if len(found) < searches and np.isfinite(value(guess)):
+        if len(bounds) < searches and np.isfinite(value(guess)):
             t = guess
             break
-    while len(found) < searches and best is not None:
-        left, right = value(t - step), value(t + step) if len(found) < searches else np.inf
-        if min(left, right) < found[t]:
+    while len(bounds) < searches and best is not None:
+        left, right = value(t - step), value(t + step) if len(bounds) < searches else np.inf
+        if min(left, right) < bounds[t]:
             t = t - step if left < right else t + step
             continue
-        curve = left + right - 2 * found[t]
+        curve = left + right - 2 * bounds[t]
         shift = 0.5 * (left - right) / curve if np.isfinite(curve) and curve > 0 else 0.0
         # What a parabola through the three points promises; a bound is flat around its best rate.
-        if len(found) >= searches or (0.5 * shift**2 * curve <= _SETTLED * found[t] and curve <= 0.03 * found[t]):
+        if len(bounds) >= searches or (0.5 * shift**2 * curve <= _SETTLED * bounds[t] and curve <= 0.03 * bounds[t]):
             break
-        if shift and value(t + shift * step) < found[t]:
+        if shift and value(t + shift * step) < bounds[t]:
             t = t + shift * step
         step *= 0.3
     return best

@@ -87,8 +87,8 @@ class Inequalities:
 
     def _get(self, v: lmi.Values, name: str) -> Matrix:
         k = self._sizes[1]
-        found = v.get(name)
-        return np.zeros((k, k)) if found is None else found
+        matrix = v.get(name)
+        return np.zeros((k, k)) if matrix is None else matrix
 
     def _sector(self, v: lmi.Values, name: str, Q: Matrix, R: Matrix) -> Matrix:
         """Return ``2 p' H (q - p)``, not negative on all members, as a quadratic form."""
@@ -140,7 +140,7 @@ class Inequalities:
         return self._storage(v, X, R) + v["g2"][0, 0] * W.T @ W - Z.T @ Z - self._sector(v, "H2", Q, R)
 
     def positive(self, v: lmi.Values) -> Matrix:
-        """Return ``V(x)`` less the multipliers; its matrix where it does not depend on the parameters."""
+        """Return ``V(x)`` less the multipliers; its matrix if it does not depend on the parameters."""
         if self.method == "quadratic":
             return v["V"]
         n, k, _ = self._sizes
@@ -174,11 +174,11 @@ class Inequalities:
         best: Certificate | None = None
         for margin in _MARGINS:
             x = lmi.solve(self.unknowns, [dynamic, *others], cost, margin=margin)
-            found = None if x is None else self._verified(self.unknowns.values(x), rate)
-            if x is None or found is None:
+            solution = None if x is None else self._verified(self.unknowns.values(x), rate)
+            if x is None or solution is None:
                 continue
-            if best is None or found.bound < best.bound:
-                best = found
+            if best is None or solution.bound < best.bound:
+                best = solution
             # The levels that hold are far from those of the solver where it stopped at a nearly singular matrix.
             if best.bound <= float(np.sqrt(max(cost @ x, 0.0))) * (1 + _LOST):
                 break

@@ -1,4 +1,4 @@
-"""The member of an uncertain system, and the frequency, with the smallest gain that can be found."""
+"""The member of an uncertain system, and the frequency, with the smallest gain that a search reaches."""
 
 from __future__ import annotations
 
@@ -54,13 +54,13 @@ def lowest_gain(response: MemberResponse, low: Points, high: Points, *, samples:
     first, gain = _lowest(response, _at_frequencies(inside, low[-1], high[-1]))
     corner[:, -1] = first[-1]
     second, other = _lowest(response, corner)
-    found = min(
+    lowest = min(
         descended(response, low, high, first, gain),
         descended(response, low, high, second, other),
         key=lambda one: one.gain,
     )
-    check_stable(response, found.point[None, :-1])
-    return found
+    check_stable(response, lowest.point[None, :-1])
+    return lowest
 
 
 def descended(response: MemberResponse, low: Points, high: Points, point: Points, gain: float) -> LowestGain:

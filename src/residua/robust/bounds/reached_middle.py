@@ -29,9 +29,9 @@ class ReachedMiddle:
     Q : ndarray, shape (n, n)
         An ellipsoid about what is reached, in these.
     reach : ndarray, shape (channels,)
-        How large ``q`` gets, about; 0 where nothing drives it.
+        How large ``q`` gets, about; 0 if nothing drives it.
     unit : float
-        How large the output gets, about; 1 where nothing reaches it.
+        How large the output gets, about; 1 if nothing reaches it.
     rate : float
         Of the smallest ellipsoid, for the outputs, about what is reached.
     """
@@ -56,10 +56,10 @@ def reached_middle(system: UncertainSystem) -> ReachedMiddle:
     rate = 0.5 * (1 - s.radius**2)
     Q, reach, wider = np.zeros_like(s.A), np.zeros(len(half)), s
     for _ in range(_WIDENINGS + 1):
-        found = ellipsoid_shape(s.A, wider.B, rate)
-        if found is None or not np.isfinite(found).all():
+        shape = ellipsoid_shape(s.A, wider.B, rate)
+        if shape is None or not np.isfinite(shape).all():
             break
-        Q = found
+        Q = shape
         reach = np.sqrt(np.maximum(np.sum((C @ Q) * C, axis=1), 0.0))
         wider = replace(s, B=np.hstack([s.B, B * reach]), D=np.hstack([s.D, direct * reach]))
     star = star_ellipsoid(wider)

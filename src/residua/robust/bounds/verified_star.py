@@ -1,4 +1,4 @@
-"""The check of an ellipsoid with the system as it was given: what scaling and solving have rounded is found there."""
+"""The check of an ellipsoid with the original system: it shows what scaling and solving have rounded."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class VerifiedEllipsoid:
     least: float
 
 
-def verified_star(system: UncertainSystem, problem: ScaledProblem, found: CommonEllipsoid) -> VerifiedEllipsoid | None:
-    r"""Return the smallest ellipsoid about the one found that is shown to hold; None where none is.
+def verified_star(system: UncertainSystem, problem: ScaledProblem, star: CommonEllipsoid) -> VerifiedEllipsoid | None:
+    r"""Return the smallest ellipsoid about ``star`` that is shown to hold; None without one.
 
     No member leaves :math:`x^T Q^{-1} x \le 1` if, with shares :math:`s` of sum one at most,
 
@@ -45,12 +45,12 @@ def verified_star(system: UncertainSystem, problem: ScaledProblem, found: Common
     The smallest eigenvalue of it, ``least``, must exceed what rounding may have done to its terms.
     """
     shares = np.full(2 + system.n_parameters, _LEFT_OUT)
-    shares[[0, *(1 + i for i in problem.owners), -1]] = found.shares
+    shares[[0, *(1 + i for i in problem.owners), -1]] = star.shares
     shares /= max(float(shares.sum()), 1.0)
     terms, outputs, B, direct = _parts(system)
-    size = float(np.trace(found.Q)) / max(len(found.Q), 1)
+    size = float(np.trace(star.Q)) / max(len(star.Q), 1)
     for added in _ADDED:
-        Q = problem.T @ (found.Q + added * size * found.spare) @ problem.T.T
+        Q = problem.T @ (star.Q + added * size * star.spare) @ problem.T.T
         Q = (Q + Q.T) / 2
         least = _least(Q, terms, B, shares)
         if least > 0:

@@ -1,4 +1,4 @@
-"""The worst member of an uncertain system that can be found: from below, what every bound must exceed."""
+"""The worst member of an uncertain system that a search reaches: every bound must exceed its output."""
 
 from __future__ import annotations
 
@@ -56,11 +56,11 @@ def worst_member(system: UncertainSystem, *, samples: int, seed: int) -> WorstMe
             near = np.repeat(best[None], len(moving), axis=0)
             row = np.arange(len(moving))
             near[row, moving] = system.low[moving] + system.high[moving] - near[row, moving]
-            found, r = _visit(system, near)
+            nearby, r = _visit(system, near)
             radius, visited = max(radius, r), visited + len(near)
-            if found.max() <= sizes.max():
+            if nearby.max() <= sizes.max():
                 break
-            sizes, best = found, near[int(np.argmax(found))]
+            sizes, best = nearby, near[int(np.argmax(nearby))]
     candidates = np.vstack([best[None], points[np.argsort(-sizes)[:3]]]) if len(sizes) == len(points) else best[None]
     attained, values = max(((_attained(system, v), tuple(v)) for v in candidates), key=lambda item: item[0])
     return WorstMember(attained, np.array(values), radius, visited, every)

@@ -62,7 +62,7 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class _Sought:
-    """The best estimator that was found, as a point, and the members that it was searched over."""
+    """The best estimator of a search, as a point, and the members of that search."""
 
     cost: SampledCost
     result: SearchResult
@@ -70,7 +70,7 @@ class _Sought:
 
 
 def search_estimator(task: Task, family: EstimatorFamily, tell: Progress) -> tuple[RobustEstimator, str]:
-    """Search one estimator, take the worst members among those looked at, and certify what was found.
+    """Search one estimator, take the worst members among those looked at, and certify the result.
 
     Where no threshold is certified for one as slow as it may be, a faster one is searched; a note tells of that.
     """
@@ -78,7 +78,7 @@ def search_estimator(task: Task, family: EstimatorFamily, tell: Progress) -> tup
     tried: list[float] = []
     for radius in task.radii:
         try:
-            found = _sought(task, family, radius, tell)
+            candidate = _sought(task, family, radius, tell)
         except DesignError:
             if failure is None:
                 raise
@@ -86,7 +86,7 @@ def search_estimator(task: Task, family: EstimatorFamily, tell: Progress) -> tup
         tried.append(_settling(task, radius))
         tell(f"{family.target}: certificate", 0, 1)
         try:
-            made = _certified(task, found)
+            made = _certified(task, candidate)
         except NoCertificateError as error:
             failure = failure or error
             continue
@@ -107,7 +107,7 @@ def _settling(task: Task, radius: float) -> float:
 
 
 def _sought(task: Task, family: EstimatorFamily, radius: float, tell: Progress) -> _Sought:
-    """Search over few members, and again with those among them that are worse for what was found."""
+    """Search over few members, and again with those among them that are worse for the result."""
     values = [task.loop.nominal_values, (task.loop.low + task.loop.high) / 2]
     points = [family.point(Z, g) for Z in starting_gains(family, radius) for g in np.eye(family.rows)]
     first = _cost(task, family, radius, values)
@@ -117,36 +117,36 @@ def _sought(task: Task, family: EstimatorFamily, radius: float, tell: Progress) 
     values += _worse_members(task, first, points[int(np.argmin(first.ranked(norms)))])
     for k in range(_ROUNDS):
         cost = _in_unit(_cost(task, family, radius, values), np.array(points), unit)
-        found = _searched(task, cost, np.array(points), f"{k + 1}", tell)
-        if found.cost >= PENALTY:
-            raise DesignError(_blind(task, cost, found.x, values))
-        fresh = _worse_members(task, cost, found.x)
+        best = _searched(task, cost, np.array(points), f"{k + 1}", tell)
+        if best.cost >= PENALTY:
+            raise DesignError(_blind(task, cost, best.x, values))
+        fresh = _worse_members(task, cost, best.x)
         if not fresh:
             break
         values += fresh
-        points.append(found.x)
-    return _Sought(cost, found, values)
+        points.append(best.x)
+    return _Sought(cost, best, values)
 
 
-def _least(task: Task, cost: SampledCost, found: Norms, starts: list[Matrix], values: list[Matrix]) -> float:
+def _least(task: Task, cost: SampledCost, norms: Norms, starts: list[Matrix], values: list[Matrix]) -> float:
     """Return the cost of the best start, or say why there is none."""
     target, ignored = cost.family.target, ", ".join(cost.family.decoupled) or "nothing"
-    if not np.isfinite(found.disturbance).any():
+    if not np.isfinite(norms.disturbance).any():
         raise DesignError(
             f"no estimator for {target!r} that ignores {ignored} settles in time: its slowest pole stays at "
-            f"{found.radius.min():.6g} from the origin, allowed are {cost.radius:.6g}; give a longer settling=, or "
+            f"{norms.radius.min():.6g} from the origin, allowed are {cost.radius:.6g}; give a longer settling=, or "
             "decouple fewer faults (decouple=) and give the others a size (sizes=)"
         )
-    costs = cost.weights.cost(found.disturbance, found.fault)
+    costs = cost.weights.cost(norms.disturbance, norms.fault)
     if not np.isfinite(costs).any():
-        raise DesignError(_blind(task, cost, starts[int(np.nanargmin(found.disturbance))], values))
+        raise DesignError(_blind(task, cost, starts[int(np.nanargmin(norms.disturbance))], values))
     return float(costs[np.isfinite(costs)].min())
 
 
 def _in_unit(cost: SampledCost, starts: Matrix, unit: float) -> SampledCost:
     """Return the cost in a unit in which that of the best start is not far from one."""
-    found = cost.norms(starts)
-    costs = cost.weights.cost(found.disturbance, found.fault)
+    norms = cost.norms(starts)
+    costs = cost.weights.cost(norms.disturbance, norms.fault)
     least = float(np.min(costs[np.isfinite(costs)], initial=np.inf))
     # disturbances may reach the residual by way of the uncertainty only: then the first members have cost nothing
     return replace(cost, unit=least if unit * _DEAR < least < np.inf else unit or 1.0)
@@ -198,7 +198,7 @@ def _searched(task: Task, cost: SampledCost, starts: Matrix, label: str, tell: P
         if task.checkpoint is not None:
             stage = f"estimator-{number}-{label}-{attempt + 1}-{_digest(task, cost, half, starts)}.json"
             options["checkpoint"] = task.checkpoint / stage
-        found = task.search.minimise(
+        result = task.search.minimise(
             cost,
             -half,
             half,
@@ -206,17 +206,17 @@ def _searched(task: Task, cost: SampledCost, starts: Matrix, label: str, tell: P
             progress=lambda done, total, best: tell(f"{family.target}: search, cost {best:.5g}", done, total),
             **options,
         )
-        if found.cost >= PENALTY or np.abs(found.x[:count]).max(initial=0.0) < 0.99 * half[:count].max(initial=1.0):
+        if result.cost >= PENALTY or np.abs(result.x[:count]).max(initial=0.0) < 0.99 * half[:count].max(initial=1.0):
             break
-        starts = np.vstack([starts, found.x])
+        starts = np.vstack([starts, result.x])
         half[:count] *= _REACH
-    return found
+    return result
 
 
 def _digest(task: Task, cost: SampledCost, half: Matrix, starts: Matrix) -> str:
     """Return what tells the stages of searches apart: settings that may differ between runs of one are no part of it.
 
-    The starts of a later stage are what an earlier one has found, and so differ where that one goes on for longer.
+    The starts of a later stage are the results of an earlier one, and so differ if that one goes on for longer.
     """
     whole = sha256(json.dumps([settings_of(task.search), *map(repr, (cost.weights, cost.radius, cost.unit))]).encode())
     q, parts = cost.family.quotient, (value for part in cost.parts for value in asdict(part).values())
@@ -242,11 +242,11 @@ def _worse_members(task: Task, cost: SampledCost, point: Matrix) -> list[Matrix]
 
 def _certified(task: Task, sought: _Sought) -> RobustEstimator:
     """Give the residual its size, and certify threshold and response."""
-    cost, found = sought.cost, sought.result
-    known, target = cost.norms(found.x[None]), cost.family.target
+    cost, best = sought.cost, sought.result
+    known, target = cost.norms(best.x[None]), cost.family.target
     disturbance, fault = float(known.disturbance[0]), float(known.fault[0])
     scale = task.weights.scale(disturbance, fault)
-    one, T = cost.family.estimator(found.x, scale)
+    one, T = cost.family.estimator(best.x, scale)
     others = tuple(name for name in task.loop.nominal.faults if name != target)
     sizes = task.bounded(target)
     certificate = certified_threshold(task.loop, one, T, faults=others, sizes=sizes, method=task.method)
@@ -265,6 +265,6 @@ def _certified(task: Task, sought: _Sought) -> RobustEstimator:
         replace(response, values=loop_parameters(task.loop, response.values)),
         float(task.weights.cost(np.array(disturbance), np.array(fault))),
         scale * disturbance,
-        found,
+        best,
         tuple(dict(zip(task.loop.names, map(float, v), strict=True)) for v in sought.values),
     )

@@ -54,7 +54,7 @@ def save_checkpoint(path: str | Path, now: Progressed, whose: dict[str, Any]) ->
 
 
 def load_checkpoint(path: str | Path, own: dict[str, Any], box: BoxedCost) -> Progressed | None:
-    """Read the state of the search with a fingerprint; None where there is no file."""
+    """Read the state of the search with a fingerprint; None if there is no file."""
     path = Path(path)
     if not path.exists():
         return None
@@ -62,7 +62,7 @@ def load_checkpoint(path: str | Path, own: dict[str, Any], box: BoxedCost) -> Pr
         content = loads(read_bytes(path, "a checkpoint"), path.name)
         if content.get("format") != _FORMAT or content.get("version") not in (*_OLDER, _VERSION):
             raise ValueError(f'no "format": {_FORMAT!r} of version {_VERSION} in it')
-        found = Progressed(
+        progress = Progressed(
             np.array([_numbers(row, "points", FINITE) for row in content["points"]]),
             np.array(_numbers(content["costs"], "costs", _COST)),
             _numbers(content["history"], "history", _COST),
@@ -72,9 +72,9 @@ def load_checkpoint(path: str | Path, own: dict[str, Any], box: BoxedCost) -> Pr
         if content["version"] == _VERSION and not check_checksum(content, path.name):
             raise ValueError("it was edited")
     except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, FileFormatError) as error:
-        told = shortened(str(error))
+        reason = shortened(str(error))
         raise FileFormatError(
-            f"{path.name} is no checkpoint of a genetic search ({told}): delete it to begin anew"
+            f"{path.name} is no checkpoint of a genetic search ({reason}): delete it to begin anew"
         ) from error
     for name, value in own.items():
         if whose.get(name) != value:
@@ -83,24 +83,24 @@ def load_checkpoint(path: str | Path, own: dict[str, Any], box: BoxedCost) -> Pr
                 "another checkpoint"
             )
     if (
-        found.points.shape != (len(found.costs), box.dimension)
-        or not len(found.points)
-        or not found.history
-        or np.any(found.points < box.lower)
-        or np.any(found.points > box.upper)
-        or np.any(np.diff(found.costs) < 0)
-        or found.history[-1] != found.costs[0]
-        or any(later > earlier for earlier, later in pairwise(found.history))
+        progress.points.shape != (len(progress.costs), box.dimension)
+        or not len(progress.points)
+        or not progress.history
+        or np.any(progress.points < box.lower)
+        or np.any(progress.points > box.upper)
+        or np.any(np.diff(progress.costs) < 0)
+        or progress.history[-1] != progress.costs[0]
+        or any(later > earlier for earlier, later in pairwise(progress.history))
     ):
         raise FileFormatError(f"{path.name} is damaged: delete it to begin anew")
     # the probes may all be penalised, and then tell nothing of the cost of what is feasible
-    if not np.allclose(box.values(box.inside(found.points)), found.costs, rtol=_SAME, atol=0.0):
+    if not np.allclose(box.values(box.inside(progress.points)), progress.costs, rtol=_SAME, atol=0.0):
         raise SettingError(
             f"{path.name} belongs to another search: its points have another cost now; delete it to begin anew, or "
             "give another checkpoint"
         )
-    box.evaluations = found.evaluations
-    return found
+    box.evaluations = progress.evaluations
+    return progress
 
 
 def _numbers(values: Any, where: str, kind: NumberKind) -> list[float]:

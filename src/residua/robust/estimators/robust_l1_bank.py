@@ -91,8 +91,8 @@ def _leaks(one: RobustEstimator) -> str:
     """Return what other faults add to one residual, as a line."""
     sizes = one.certificate.sizes
     # what is rounding beside the threshold is nothing
-    told = {o: x if x > 1e-9 * one.threshold else 0.0 for o, x in one.leakage.items()}
-    parts = (f"{o} {x:.3g}" + (f" (covered to {sizes[o]:g})" if o in sizes else "") for o, x in told.items())
+    leakage = {o: x if x > 1e-9 * one.threshold else 0.0 for o, x in one.leakage.items()}
+    parts = (f"{o} {x:.3g}" + (f" (covered to {sizes[o]:g})" if o in sizes else "") for o, x in leakage.items())
     return f"{one.fault}: of other faults a unit adds at most: {', '.join(parts)}"
 
 
@@ -149,7 +149,7 @@ def robust_l1_bank(
         Faults that estimators of other faults are decoupled from; all when omitted.
     sizes : mapping of str to float, optional
         Largest sizes of faults that leak into the residuals of others, or are not decoupled: what they cause there
-        counts with the disturbances, in the cost and in the thresholds. None: the leakage is only told.
+        counts with the disturbances, in the cost and in the thresholds. None: the leakage is only reported.
     beta, gamma : float
         Weights of the cost: ``0 <= beta <= 1``, ``gamma >= 0``.
     band : float
@@ -170,7 +170,7 @@ def robust_l1_bank(
         Called with (what, done, of how many); ``True`` for a line on standard error, ``False`` for none. When omitted,
         the line where that is a terminal.
     seed : int
-        Of the search, where it is not given as an object, and of the members that are drawn.
+        Of the search, unless that is an object, and of the members that are drawn.
     rtol : float
         Relative tolerance of rank decisions, in balanced units.
 
@@ -276,10 +276,10 @@ def _targets(faults: Iterable[str | int] | str | None, plant: Plant) -> list[str
     if not plant.faults:
         raise DesignError("the loop has no faults to look for: with_sensor_faults(), with_actuator_faults()")
     # one that is named twice is meant once
-    found = list(dict.fromkeys(plant.faults[i] for i in arrays.positions(faults, plant.faults, "fault")))
-    if not found:
+    targets = list(dict.fromkeys(plant.faults[i] for i in arrays.positions(faults, plant.faults, "fault")))
+    if not targets:
         raise SettingError(f"faults= is empty: leave it out for all, or choose of {', '.join(plant.faults)}")
-    return found
+    return targets
 
 
 def _family(plant: Plant, target: str, ignored: Iterable[str], rtol: float) -> EstimatorFamily:

@@ -107,12 +107,12 @@ class SampledCost:
         """Return the cost of every point, shape (k,), in its unit and with a trifle for slowness."""
         return self.ranked(self.norms(points))
 
-    def ranked(self, found: Norms) -> NDArray[np.float64]:
+    def ranked(self, norms: Norms) -> NDArray[np.float64]:
         """Return the cost of estimators with known norms; what is of use costs less than what is not, however much."""
-        slowness = np.log(self.radius) / np.log(np.clip(found.radius, 1e-6, 1 - 1e-12))
-        cost = self.weights.cost(found.disturbance, found.fault) * (1 + _HASTE * slowness)
+        slowness = np.log(self.radius) / np.log(np.clip(norms.radius, 1e-6, 1 - 1e-12))
+        cost = self.weights.cost(norms.disturbance, norms.fault) * (1 + _HASTE * slowness)
         cost = cost / self.unit
-        return np.where(np.isfinite(cost) & (found.radius <= self.radius), _below_penalty(cost), PENALTY + found.radius)
+        return np.where(np.isfinite(cost) & (norms.radius <= self.radius), _below_penalty(cost), PENALTY + norms.radius)
 
     def norms(self, points: Matrix) -> Norms:
         """Return the norms of every point."""
@@ -120,14 +120,14 @@ class SampledCost:
         q = self.family.quotient
         F = q.A - Z @ q.C
         radius = spectral_radius(F)
-        found = np.full((3, len(Z)), np.nan)
+        values = np.full((3, len(Z)), np.nan)
         usable = radius <= self.radius
         if usable.any():
             gains = F[usable], Z[usable], g[usable]
             steps = _steps(self._terms)
             sums = np.array([self._member_norm(part, *gains, steps) for part in self.parts])
-            found[:, usable] = sums.sum(axis=2).max(axis=0), sums[:, :, 0].max(axis=0), self._fault(*gains)
-        return Norms(found[0], found[1], found[2], radius)
+            values[:, usable] = sums.sum(axis=2).max(axis=0), sums[:, :, 0].max(axis=0), self._fault(*gains)
+        return Norms(values[0], values[1], values[2], radius)
 
     @property
     def _terms(self) -> int:

@@ -88,8 +88,8 @@ def polish(box: BoxedCost, seed: int) -> None:
         directions = np.linalg.qr(rng.standard_normal((d, d)))[0] * (size * np.sqrt(d)) * box.width
         trial = [point + directions, point - directions, point + np.outer([0.5, 1.0, 2.0], last)]
         box(np.vstack(trial[: 3 if last.any() else 2]))
-        moved, found = box.checked_best()
+        moved, value = box.checked_best()
         last = moved - point
-        size = min(1.5 * size, _FIRST) if found < cost else size / 2
+        size = min(1.5 * size, _FIRST) if value < cost else size / 2
         if size < _LAST:
             break

@@ -51,10 +51,10 @@ def starting_gains(family: EstimatorFamily, radius: float) -> list[Matrix]:
     # the Kalman gain of the system divided by the radius is stable for that one, and so within the radius for this
     faster = ErrorSystem(system.A / radius, system.B, system.C / radius, system.D)
     slow = _kalman_gains(system)
-    found = [np.zeros((family.order, family.rows)), *slow, *_kalman_gains(faster)]
+    gains = [np.zeros((family.order, family.rows)), *slow, *_kalman_gains(faster)]
     if lmi.has_solver() and family.order:
-        found += least_star_gains(system, _RATES, slow)
-    return [gain for gain in found if np.isfinite(gain).all()]
+        gains += least_star_gains(system, _RATES, slow)
+    return [gain for gain in gains if np.isfinite(gain).all()]
 
 
 def _kalman_gains(s: ErrorSystem) -> list[Matrix]:
@@ -88,8 +88,8 @@ def least_star_gains(s: ErrorSystem, rates: Iterable[float], stable: list[Matrix
     scaled = _scaled(s, _kalman_gains(s) if stable is None else stable)
     if scaled is None:
         return []
-    found = (_least_star_gain(scaled, rate) for rate in rates)
-    return [scaled.T @ gain / scaled.unit for gain in found if gain is not None]
+    gains = (_least_star_gain(scaled, rate) for rate in rates)
+    return [scaled.T @ gain / scaled.unit for gain in gains if gain is not None]
 
 
 def _least_star_gain(s: _Scaled, rate: float) -> Matrix | None:

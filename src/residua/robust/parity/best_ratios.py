@@ -14,7 +14,7 @@ def best_ratios(
     r"""Return the stationary values of :math:`|c^T F| / |c^T D|`, the largest first, and the combinations ``c``.
 
     The generalised eigenproblem :math:`F F^T c = \lambda D D^T c`, by singular values alone, nothing is squared: with
-    :math:`D = U S V^T` of the given rank, those of :math:`S^{-1} U^T F`. Combinations that ``D`` annihilates are
+    :math:`D = U S V^T` of that rank, those of :math:`S^{-1} U^T F`. Combinations that ``D`` annihilates are
     left out; they must annihilate ``F`` too, or the ratio has no largest value. Rows that share no signal are not
     combined: where their ratios are equal, rounding would choose the combination.
 
@@ -33,12 +33,12 @@ def best_ratios(
     combinations : ndarray, shape (rank, rows)
         With :math:`|c^T D| = 1`.
     """
-    found = [_singular_rows(unwanted, part) for part in row_parts(np.hstack([wanted, unwanted]))]
-    sizes = np.concatenate([s for _, s in found])
+    pairs = [_singular_rows(unwanted, part) for part in row_parts(np.hstack([wanted, unwanted]))]
+    sizes = np.concatenate([s for _, s in pairs])
     kept = np.zeros(len(sizes), dtype=bool)
     kept[np.argsort(-sizes, kind="stable")[:rank]] = True
     ratios, combinations, at = [], [], 0
-    for U, s in found:
+    for U, s in pairs:
         chosen = kept[at : at + len(s)]
         at += len(s)
         scaled = U[:, chosen] / s[chosen]

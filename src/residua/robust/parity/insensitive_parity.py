@@ -33,7 +33,7 @@ REST = 0.1
 _FORGOTTEN = 5
 #: Name of the cause that fires everything.
 OTHER = "another fault"
-#: A parameter of which less than this share is left beside another one cannot be told from it.
+#: A parameter of which less than this share is left beside another one cannot be distinguished from it.
 _APART = 1e-6
 
 
@@ -57,7 +57,7 @@ class InsensitiveParity:
     ignored : tuple of tuple of str
         The parameters that each ignores.
     causes : tuple of str
-        What can be told: parameters, and ``"another fault"``.
+        What an alarm can name: parameters, and ``"another fault"``.
     codes : ndarray of bool, shape (members, causes)
         Which members each cause fires, as :func:`residua.decide.read_codes` takes it.
     shares : ndarray, shape (members, parameters)
@@ -70,7 +70,7 @@ class InsensitiveParity:
         How far derivatives by two steps are apart, relative to the largest.
     promised : ndarray or None, shape (members,)
         Fraction of fault-free samples over each threshold that the data of :meth:`fit` promise not to be exceeded on
-        other data, with 95 % confidence; 1 where they are too few to say anything.
+        other data, with 95 % confidence; 1 if they are too few to say anything.
     """
 
     plant: Plant = field(repr=False)
@@ -132,18 +132,18 @@ class InsensitiveParity:
         data = stack_signals(self.plant, u, y)
         whole = data if data.ndim == 3 else data[None]
         n_u = len(self.plant.inputs)
-        _, found = self.block(self.initial_state(len(whole)), whole[..., :n_u] if n_u else None, whole[..., n_u:])
+        _, outcome = self.block(self.initial_state(len(whole)), whole[..., :n_u] if n_u else None, whole[..., n_u:])
         if data.ndim == 3:
-            return found
+            return outcome
         return ParameterResiduals(
-            found.primary[0], found.sensitivities[0], found.residuals[0], found.statistic[0], found.fired[0]
+            outcome.primary[0], outcome.sensitivities[0], outcome.residuals[0], outcome.statistic[0], outcome.fired[0]
         )
 
     def fit(self, u: ArrayLike | None, y: ArrayLike, *, false_alarm_rate: float = 1e-4) -> InsensitiveParity:
         """Return the same with units and thresholds from fault-free data at the nominal parameters.
 
         The primary residuals are brought to unit covariance; then the threshold of each member is the level that its
-        statistic exceeds on the given fraction of samples, on data other than these: the statistic of each stretch of
+        statistic exceeds on that fraction of samples, on data other than these: the statistic of each stretch of
         time is in units that the others give, and where the data are too few, its tail is extended and ``promised``
         says which fraction is not exceeded.
 
@@ -169,13 +169,13 @@ class InsensitiveParity:
         running, promises, count = fitted_running(
             self.running, data if data.ndim == 3 else data[None], false_alarm_rate
         )
-        told = "; ".join(f"{name}: {one}" for name, one in zip(self.members, promises, strict=True))
+        listed = "; ".join(f"{name}: {one}" for name, one in zip(self.members, promises, strict=True))
         return replace(
             self,
             running=running,
             thresholds=running.thresholds,
             promised=np.array([one.promised for one in promises]),
-            basis=f"fitted to {count} fault-free samples, {promises[0] if len(promises) == 1 else told}",
+            basis=f"fitted to {count} fault-free samples, {promises[0] if len(promises) == 1 else listed}",
         )
 
     def __str__(self) -> str:
@@ -228,11 +228,11 @@ def insensitive_parity(
         Returns a sampled Plant or InputOutputModel. Of a plant the equation of each output is taken; an
         InputOutputModel may have its own, such as one for each balance.
     parameters : mapping of str to float
-        Names and nominal values of all parameters that are ignored or told apart.
+        Names and nominal values of all parameters that are ignored or isolated.
     insensitive_to : sequence of str
-        Those that may drift: no residual answers to them.
+        Parameters that may drift: no residual answers to them.
     isolate : sequence of str
-        Those of which a change is a fault: for each there is a residual that ignores it, besides the one that ignores
+        Parameters whose change is a fault: for each there is a residual that ignores it, besides the one that ignores
         the drifts alone. When both are omitted: all of them, as far as there are equations.
     changes : mapping of str to float, optional
         Expected changes; a tenth of the nominal value when omitted.
@@ -295,13 +295,13 @@ def insensitive_parity(
     """
     values, sizes = checked_parameters(parameters, changes)
     names = tuple(values)
-    drifts, told = (
+    drifts, isolated = (
         [names[i] for i in arrays.positions(chosen, names, "parameter")] for chosen in (insensitive_to, isolate)
     )
     equations = equations_of(model, values, sizes)
-    if not drifts and not told:
-        told = list(names)
-    members, ignored = _members(drifts, told, len(equations.model.outputs))
+    if not drifts and not isolated:
+        isolated = list(names)
+    members, ignored = _members(drifts, isolated, len(equations.model.outputs))
     if memory != int(memory) or memory < 1:
         raise SettingError(f"memory must be a whole number of samples, at least 1, got {memory!r}")
     plant = equations.model.to_plant()
@@ -318,12 +318,12 @@ def insensitive_parity(
     )  # fmt: skip
 
 
-def _members(drifts: list[str], told: list[str], m: int) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
+def _members(drifts: list[str], isolated: list[str], m: int) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
     """Return the names of the residuals and what each ignores."""
-    both = [name for name in told if name in drifts]
+    both = [name for name in isolated if name in drifts]
     if both:
         raise DesignError(f"parameter {both[0]!r} is to be ignored always and to be told: leave it out of one")
-    ignored = [tuple(drifts), *((*drifts, name) for name in told)]
+    ignored = [tuple(drifts), *((*drifts, name) for name in isolated)]
     longest = max(ignored, key=len)
     if len(longest) > m - 1:
         raise DesignError(
@@ -440,8 +440,8 @@ def fitted_running(
             if len(inside):
                 first, last = int(inside[0]), int(inside[-1]) + 1
                 begin = max(0, first - bare.settle - reach)
-                found = turn.block(turn.initial_state(1), data[p : p + 1, begin:last])[1].statistic[0]
-                statistic[part][first:last] = found[first - begin :]
+                values = turn.block(turn.initial_state(1), data[p : p + 1, begin:last])[1].statistic[0]
+                statistic[part][first:last] = values[first - begin :]
     own, statistic = np.nan_to_num(own), np.nan_to_num(statistic)
     promises = [_promise(statistic[:, j], own[:, j], seen, bare.memory, rate) for j in range(len(bare.ignored))]
     thresholds = np.array([one.threshold for one in promises])
@@ -450,10 +450,10 @@ def fitted_running(
 
 def _promise(statistic: NDArray, own: NDArray, seen: FaultFree, memory: int, rate: float) -> Promise:
 
-    found = observed(
+    statistics = observed(
         statistic, seen.full, seen.usable, seen.parts, np.inf, persistence=1, release=1, window=memory, own=own
     )
-    return promise_of(found, rate)
+    return promise_of(statistics, rate)
 
 
 def fitted_scale(

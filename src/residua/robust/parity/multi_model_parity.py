@@ -94,8 +94,8 @@ class MultiModelParity:
 
 
 def _listed(what: str, values: NDArray[np.float64], kept: int) -> str:
-    told = f"  {what}, kept: {', '.join(f'{x:.3g}' for x in values[:kept])}"
-    return told + (f"; next {values[kept]:.3g}" if kept < len(values) else "")
+    text = f"  {what}, kept: {', '.join(f'{x:.3g}' for x in values[:kept])}"
+    return text + (f"; next {values[kept]:.3g}" if kept < len(values) else "")
 
 
 @method(
@@ -147,7 +147,7 @@ def multi_model_parity(
     rank : int, optional
         How many constraints are kept, :math:`\rho`: all other left singular vectors are relations.
     relations : int, optional
-        How many relations instead: the best ones. One when neither is given.
+        How many relations instead: the best ones. One when both are omitted.
     criterion : {"leak", "faults"}
         What makes a relation good: a small leak for its length, as in the paper, or a large response to constant faults
         for its leak, which the paper leaves to chance.
@@ -215,8 +215,8 @@ def multi_model_parity(
     >>> def variant(a):
     ...     plant = rs.Plant([[a, 0], [0.1, 0.5]], [[1], [0]], [[1, 0], [0, 1]], dt=1.0)
     ...     return plant.with_sensor_faults()
-    >>> found = rs.design.multi_model_parity([variant(a) for a in (0.7, 0.8, 0.9)], order=1)
-    >>> found.singular_values.round(3)  # both outputs are of the same state: one relation is exact for all models
+    >>> parity = rs.design.multi_model_parity([variant(a) for a in (0.7, 0.8, 0.9)], order=1)
+    >>> parity.singular_values.round(3)  # both outputs are of the same state: one relation is exact for all models
     array([1.88 , 1.106, 1.   , 0.487, 0.057, 0.   ])
     """
     family = plant_family(plants, insensitive_to=insensitive_to)
@@ -242,9 +242,9 @@ def multi_model_parity(
     count = _count(rank, relations, len(s) if criterion == "leak" else len(vectors))
     W = (vectors[:count] / np.tile(units, order + 1)).reshape(count, order + 1, -1)
     W = W * _signs(W)[:, None, None]
-    outputs, given = W[:, :, : plant.n_outputs], W[:, :, plant.n_outputs :]
+    outputs, known = W[:, :, : plant.n_outputs], W[:, :, plant.n_outputs :]
     chosen = window_poles(poles, int(order))
-    system = window_filter(outputs, given, plant, [f"r{i + 1}" for i in range(count)], chosen)
+    system = window_filter(outputs, known, plant, [f"r{i + 1}" for i in range(count)], chosen)
     leak, notes = _leaks(system, driven, windows, W, names, moving_average=not np.any(chosen))
     gains = np.array([_steady(outputs, chosen, one) for one in family])
     evidence = Evidence(
@@ -260,7 +260,7 @@ def multi_model_parity(
         references=("Lou, Willsky and Verghese (1986)", "Gertler (1991), eqs. (6-4), (6-5)"),
     )
     generator = make_generator(system, plant, _METHOD, evidence, decouples=Approximate(_NOMINAL_LEAK))
-    return MultiModelParity(generator, family, nominal, s, ratios, outputs, given, units, leak, gains)
+    return MultiModelParity(generator, family, nominal, s, ratios, outputs, known, units, leak, gains)
 
 
 def _ranked(
@@ -294,11 +294,11 @@ def _by_faults(
     exact = U[:, rank:]
     left, gains, _ = np.linalg.svd(exact.T @ F, full_matrices=False)
     seeing = int(np.count_nonzero(gains > 1e-9 * max(np.linalg.norm(F), TINY)))
-    found, ratios = (exact @ left[:, :seeing]).T, np.full(seeing, np.inf)
+    exact_rows, ratios = (exact @ left[:, :seeing]).T, np.full(seeing, np.inf)
     some, combinations = best_ratios(U[:, :rank].T @ F, np.diag(s[:rank]), rank)
     kept = some > 1e-12 * some.max(initial=0.0)  # the others see nothing
     combinations = combinations[kept] / np.linalg.norm(combinations[kept], axis=1, keepdims=True)
-    return np.vstack([found, combinations @ U[:, :rank].T]), np.concatenate([ratios, some[kept]])
+    return np.vstack([exact_rows, combinations @ U[:, :rank].T]), np.concatenate([ratios, some[kept]])
 
 
 def _count(rank: int | None, relations: int | None, most: int) -> int:
@@ -334,9 +334,9 @@ def _leaks(system, driven, windows, W, names, *, moving_average: bool) -> tuple[
 
 
 def _steady(outputs: NDArray[np.float64], poles: NDArray[np.complex128], plant: Plant) -> NDArray[np.float64]:
-    """Return what the residual settles to for constant faults on a model; NaN where the model does not settle.
+    """Return what the residual settles to for constant faults on a model; NaN if the model does not settle.
 
-    Exactly zero where that is rounding of what cancels.
+    Exactly zero where that is rounding of terms that cancel.
     """
     n = plant.n_states
     if spectral_radius(plant.A) >= 1:

@@ -140,7 +140,7 @@ def optimal_parity(
     faults : sequence of str, optional
         Those to see; all but ``insensitive_to`` when omitted.
     disturbances : sequence of str, optional
-        Those that count; all when omitted. None of the others is held back.
+        The disturbances that count; all when omitted. None of the others is held back.
     insensitive_to : sequence of str
         Faults that count as disturbances.
     sizes : mapping of str to float, optional
@@ -183,7 +183,7 @@ def optimal_parity(
     Notes
     -----
     Assumes: the model is exact, linear and time-invariant; faults and disturbances of different samples are taken as
-    independent and of the sizes given, as :math:`Q_f` and :math:`Q_d` do. In continuous time samples are derivatives,
+    independent and of these sizes, as :math:`Q_f` and :math:`Q_d` do. In continuous time samples are derivatives,
     in units of the rate of the plant.
 
     With variants, states of different samples count as independent too, and as large as those of ``plant``:
@@ -199,15 +199,15 @@ def optimal_parity(
     --------
     >>> import residua as rs
     >>> plant = rs.library.gertler().with_disturbances({"gust": [1, 0, 1]})
-    >>> found = rs.design.optimal_parity(plant, order=1, faults="p2")
-    >>> found.indices.round(4), found.perfect
+    >>> parity = rs.design.optimal_parity(plant, order=1, faults="p2")
+    >>> parity.indices.round(4), parity.perfect
     (array([1.2]), False)
     >>> rs.design.optimal_parity(plant, order=2, faults="p2").perfect
     True
     """
     model = relation_model(plant)
-    given = list(variants)
-    extra = [variant_columns(model.plant, given, inputs, states, correlation_time)] if given else []
+    others = list(variants)
+    extra = [variant_columns(model.plant, others, inputs, states, correlation_time)] if others else []
     extra += [np.vstack([model.plant.Bw, model.plant.Dw])] if noise else []
     task = replace(_task(model.plant, faults, disturbances, insensitive_to, sizes, extra), constant=bool(constant))
     aim = replace(model, plant=task.aim)
@@ -249,8 +249,8 @@ def _task(
         raise DesignError(f"'{both[0]}' is to be seen and to be ignored" if both else "there is no fault to see")
     counted = arrays.positions(disturbances, plant.disturbances, "disturbance")
     # one size each, and none for a name that is neither a fault nor a disturbance
-    given = dict(sizes or {})
-    size = np.diag(size_factor(given, (*plant.faults, *plant.disturbances), "fault or disturbance"))
+    by_name = dict(sizes or {})
+    size = np.diag(size_factor(by_name, (*plant.faults, *plant.disturbances), "fault or disturbance"))
     f = [plant.faults.index(name) for name in names]
     g = [plant.faults.index(name) for name in ignored]
     Bf, Bd = np.vstack([plant.Bf, plant.Df]), np.vstack([plant.Bd, plant.Dd])
@@ -368,10 +368,10 @@ def _made(
     made = relations_of(model.plant, rows).with_poles(poles, method=_METHOD, notes=model.notes)
     seen = {name for name in task.names if made.structure[:, made.faults.index(name)].any()}
     blind = tuple(name for name in task.names if name not in seen)
-    told = ("what counts as disturbance is decoupled exactly",) if perfect else ()
+    notes = ("what counts as disturbance is decoupled exactly",) if perfect else ()
     conditions = {} if perfect else {"faults for disturbances (index)": float(indices[0])}
     evidence = made.evidence.extended(
-        conditions=conditions, notes=told, references=(*made.evidence.references, _REFERENCE)
+        conditions=conditions, notes=notes, references=(*made.evidence.references, _REFERENCE)
     )
     return OptimalParity(replace(made, evidence=evidence), indices, gains, blind)
 
@@ -390,15 +390,15 @@ def variant_columns(
     DesignError
         If sizes of states are missing for a continuous plant.
     """
-    given = [relation_model(one).plant for one in variants]
-    for i, one in enumerate(given):
+    plants = [relation_model(one).plant for one in variants]
+    for i, one in enumerate(plants):
         for what in ("inputs", "outputs", "disturbances", "n_states", "dt"):
             if getattr(one, what) != getattr(plant, what):
                 raise ModelError(
                     f"variant {i} has other {what} than the plant: {getattr(one, what)} instead of "
                     f"{getattr(plant, what)}; differences of matrices need the same signals and states"
                 )
-    if any(one.E is not None for one in (plant, *given)):
+    if any(one.E is not None for one in (plant, *plants)):
         raise ModelError("variants are compared by their matrices: write them without E first, plant.explicit()")
     if not plant.is_discrete and states is None:
         raise DesignError(
@@ -408,8 +408,8 @@ def variant_columns(
     S = driven.begin("the plant")
     whole = np.block([[plant.A, plant.Bu, plant.Bd], [plant.C, plant.Du, plant.Dd]])
     differences = [
-        (np.block([[one.A, one.Bu, one.Bd], [one.C, one.Du, one.Dd]]) - whole) @ S / np.sqrt(len(given))
-        for one in given
+        (np.block([[one.A, one.Bu, one.Bd], [one.C, one.Du, one.Dd]]) - whole) @ S / np.sqrt(len(plants))
+        for one in plants
     ]
     columns = np.hstack(differences)
     size = np.abs(columns).max(axis=1, initial=0.0)

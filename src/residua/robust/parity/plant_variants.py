@@ -29,11 +29,11 @@ def plant_family(
     """
     if isinstance(plants, (Plant, InputOutputModel)):
         plants = [plants]
-    given = [relation_model(one).plant for one in plants]
-    if not given:
+    explicit = [relation_model(one).plant for one in plants]
+    if not explicit:
         raise ModelError("give at least one plant")
-    first = given[0]
-    for i, one in enumerate(given):
+    first = explicit[0]
+    for i, one in enumerate(explicit):
         for what in ("inputs", "outputs", "faults", "dt"):
             if getattr(one, what) != getattr(first, what):
                 raise ModelError(
@@ -45,7 +45,7 @@ def plant_family(
             "expected sizes are those of samples, not of derivatives: sample the plants first, plant.discretize(dt)"
         )
     chosen = [first.faults[i] for i in arrays.positions(insensitive_to, first.faults, "fault")]
-    plain = (one if one.E is None else without_algebraic_equations(one).explicit() for one in given)
+    plain = (one if one.E is None else without_algebraic_equations(one).explicit() for one in explicit)
     return tuple(one.faults_as_disturbances(chosen) if chosen else one for one in plain)
 
 

@@ -18,7 +18,7 @@ from residua.robust.sets.uncertain_plant import ChannelBlock, UncertainPlant, ma
 Matrix = NDArray[np.float64]
 #: Points inside of the box of parameters that are evaluated besides its corners.
 _INSIDE = 64
-#: From so many times its range on, how far an entry is off is not told: it does not vary, but for rounding.
+#: From so many times its range on, how far an entry is off is not reported: it does not vary, but for rounding.
 _MANY = 10.0
 #: What rounding may do to an entry, relative to the terms that it is the sum of.
 _ROUNDED = 1e-13
@@ -42,7 +42,7 @@ class Linearisation:
         The largest deviation of an entry of ``A``, ``B``, ``C`` or ``D``, or of the direction of a disturbance or a
         fault, relative to the range of that entry over the points.
     worst : dict of str to float
-        The parameters at which ``relative`` was found.
+        The parameters at which ``relative`` is attained.
     points : int
         Points evaluated: corners of the box, and points inside. Between them more may be left out.
     kept : dict of str to float
@@ -85,15 +85,15 @@ def uncertain_plant_from_parameters(
     """Return the uncertain plant of named physical parameters.
 
     Each parameter moves the matrices along the chord between its bounds, the others nominal. Where the matrices are
-    affine in the parameters, that is the plant itself; where they are not, it is a linearisation. Which of the two is
-    found by evaluating both at the corners of the box and at points inside: ``.linearisation`` has the outcome.
+    affine in the parameters, that is the plant itself; where they are not, it is a linearisation. Both are evaluated
+    at the corners of the box and at points inside: ``.linearisation`` says which of the two it is.
 
     Parameters
     ----------
     function : callable
         From a mapping of names to values to a :class:`residua.Plant`.
     parameters : mapping of str to (low, high) or (low, nominal, high)
-        The middle is nominal when two numbers are given.
+        The middle of two numbers is nominal.
     rtol : float
         Deviations below this fraction of an entry are rounding.
     seed : int
@@ -149,8 +149,8 @@ def uncertain_plant_from_parameters(
         channels += [i] * blocks[-1][0].shape[1]
     made = make_uncertain_plant(nominal, known, tuple(channels), blocks)
     points = visited_values(made, _INSIDE, seed)
-    found = _compare(made, [evaluate(v) for v in points], points, rtol)
-    return make_uncertain_plant(nominal, known, tuple(channels), blocks, linearisation=found, function=function)
+    comparison = _compare(made, [evaluate(v) for v in points], points, rtol)
+    return make_uncertain_plant(nominal, known, tuple(channels), blocks, linearisation=comparison, function=function)
 
 
 def _parameter(name: str, values: Sequence[float]) -> UncertainParameter:
@@ -315,10 +315,10 @@ def uncertain_plant_from_plants(plants: Iterable[Plant]) -> UncertainPlant:
         blocks.append(_channels_of(np.where(varies, axis.reshape(unit.shape) * unit, 0.0), nominal))
         channels += [i] * blocks[-1][0].shape[1]
     made = make_uncertain_plant(nominal, tuple(known), tuple(channels), blocks)
-    found = _compare(made, list(family), coordinates, 1e-9)
-    if not found.exact:
+    check = _compare(made, list(family), coordinates, 1e-9)
+    if not check.exact:
         raise AccuracyError(
-            f"the box of principal axes misses the plants by {found._share()} an entry's range: the entries of the "
+            f"the box of principal axes misses the plants by {check._share()} an entry's range: the entries of the "
             "plants differ by too many orders of magnitude; write them in units of even size"
         )
-    return make_uncertain_plant(nominal, tuple(known), tuple(channels), blocks, linearisation=found, plants=family)
+    return make_uncertain_plant(nominal, tuple(known), tuple(channels), blocks, linearisation=check, plants=family)

@@ -25,7 +25,7 @@ _ALL_CORNERS = 10
 
 
 class ChannelBlock(NamedTuple):
-    """Channels of an uncertain plant, one after another; ``Gd`` and ``Gf`` are zero where they are not given."""
+    """Channels of an uncertain plant, one after another; ``Gd`` and ``Gf`` are zero when omitted."""
 
     Hx: Matrix
     Hy: Matrix
@@ -71,22 +71,22 @@ class UncertainPlant:
     Gd : ndarray, shape (channels, disturbances)
     Gf : ndarray, shape (channels, faults)
     linearisation : Linearisation or None
-        What the form above leaves out of the plants that it was made from; None where it was given.
+        What the form above leaves out of the plants that it was made from; None if the form itself was the input.
     plants : tuple of Plant
-        Those of :meth:`from_plants`.
+        The plants of :meth:`from_plants`.
     function : callable or None
         That of :meth:`from_parameters`, from which sampled plants are made. Not kept when the object is pickled.
 
     Raises
     ------
     ModelError
-        If a shape does not fit, or one parameter is given two different bounds.
+        If a shape does not fit, or one parameter has two different bounds.
 
     Notes
     -----
     Assumes
         Parameters are constant in time. Directions of noise, and ``E``, do not depend on them. Those of faults and
-        disturbances do as far as they are given to: plants of :meth:`from_parameters` bring theirs, while a
+        disturbances do as far as the input says so: plants of :meth:`from_parameters` bring theirs, while a
         perturbation of ``B`` leaves an actuator fault with the nominal column; perturb ``"Bf"`` as well, by the same
         name.
 
@@ -121,7 +121,7 @@ class UncertainPlant:
         if not isinstance(nominal, Plant):
             raise ModelError(f"nominal must be a Plant, got {type(nominal).__name__}")
         blocks, labels = [], []
-        found: dict[str, UncertainParameter] = {}
+        entries: dict[str, UncertainParameter] = {}
         counts: dict[str, int] = dict.fromkeys(MATRICES, 0)
         for delta in deltas:
             if not isinstance(delta, Perturbation):
@@ -132,14 +132,14 @@ class UncertainPlant:
             names = delta.names or tuple(f"{delta.matrix}{start + i + 1}" for i in range(len(delta.low)))
             for name, low, high in zip(names, delta.low, delta.high, strict=True):
                 entry = UncertainParameter(name, float(low), float(high))
-                if found.setdefault(name, entry) != entry:
+                if entries.setdefault(name, entry) != entry:
                     raise ModelError(
                         f"the parameter {name!r} is given bounds [{low:g}, {high:g}] in d{delta.matrix} and "
-                        f"[{found[name].low:g}, {found[name].high:g}] before"
+                        f"[{entries[name].low:g}, {entries[name].high:g}] before"
                     )
                 labels.append(name)
-        order = {name: i for i, name in enumerate(found)}
-        _assign(self, nominal, tuple(found.values()), tuple(order[name] for name in labels), blocks)
+        order = {name: i for i, name in enumerate(entries)}
+        _assign(self, nominal, tuple(entries.values()), tuple(order[name] for name in labels), blocks)
 
     @classmethod
     def from_parameters(
@@ -187,7 +187,7 @@ class UncertainPlant:
     # ---------------------------------------------------------------- members
 
     def member(self, values: ArrayLike | Mapping[str, float]) -> Plant:
-        """Return the plant with given parameters.
+        """Return the plant with these parameters.
 
         Parameters
         ----------
@@ -264,22 +264,22 @@ class UncertainPlant:
 
         Sampled matrices are not affine in the parameters of continuous ones: ``linearisation`` of what is returned
         tells what the affine form leaves out, the directions of disturbances and faults included. A set that was made
-        by :meth:`from_parameters` is made anew of sampled plants of its function, so that this is told of these.
+        by :meth:`from_parameters` is made anew of sampled plants of its function, so that this holds for these.
         """
         of = self.member if self.function is None else self.function
         bounds = {p.name: (p.low, p.nominal, p.high) for p in self.parameters}
         made = type(self).from_parameters(lambda values: of(values).discretize(dt), bounds)
-        before, found = self.linearisation, made.linearisation
-        if self.function is not None or before is None or before.exact or found is None:
+        before, after = self.linearisation, made.linearisation
+        if self.function is not None or before is None or before.exact or after is None:
             return made
-        both = replace(found, exact=False, before=before)
+        both = replace(after, exact=False, before=before)
         block = ChannelBlock(made.Hx, made.Hy, made.Gx, made.Gu, made.Gd, made.Gf)
         return make_uncertain_plant(
             made.nominal, made.parameters, made.channels, [block], linearisation=both, function=made.function
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        # functions that are given are seldom importable, and what they have made is all here
+        # functions of users are seldom importable, and their results are all here
         return vars(self) | {"function": None}
 
     def __repr__(self) -> str:
@@ -333,8 +333,8 @@ def _assign(
     n, p = nominal.n_states, nominal.n_outputs
 
     def right(part: str, columns: int) -> Matrix:
-        given = ((getattr(b, part), len(b.Gx)) for b in made)
-        rows = [np.zeros((k, columns)) if G is None else G for G, k in given]
+        parts = ((getattr(b, part), len(b.Gx)) for b in made)
+        rows = [np.zeros((k, columns)) if G is None else G for G, k in parts]
         return frozen(np.vstack([np.zeros((0, columns)), *rows]))
 
     fields = {

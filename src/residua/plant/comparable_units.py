@@ -1,0 +1,166 @@
+"""A plant in comparable units, the same to the last bit whatever units (powers of two) it was written in; the way back.
+
+The door of every design and of every answer about a plant. Two choices of units are made here, and nowhere else:
+:func:`canonical_units` bring all entries nearest to one level, faults and controls included, for what is decided entry
+by entry (polynomials, pencils, structure); :func:`even_plant` balances rows against columns after that, by what states,
+outputs and disturbances do alone, for what is decided by norms (gains, subspaces, poles).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.arrays import frozen
+from residua.linear.systems.balancing import descriptor_units, power_of_two
+from residua.linear.systems.units import PencilUnits, output_weights, pencil_units, system_units
+from residua.plant.plant import Plant
+
+Factors = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PlantUnits:
+    """Factors, powers of two: ``R (sE - A) S``, ``R B U``, ``Y C S``, ``Y D U``; without ``E``, ``R`` is ``1 / S``.
+
+    Attributes
+    ----------
+    equations, states, outputs, inputs, disturbances, faults : ndarray
+        The diagonals of ``R``, ``S``, ``Y``, and those of ``U`` by role.
+    """
+
+    equations: Factors
+    states: Factors
+    outputs: Factors
+    inputs: Factors
+    disturbances: Factors
+    faults: Factors
+
+    def applied(self, plant: Plant) -> Plant:
+        """Return the plant in these units. Those of noise, of variance one, are what they are."""
+        R, S, Y = self.equations[:, None], self.states, self.outputs[:, None]
+        scaled = {
+            "A": R * plant.A * S,
+            "C": Y * plant.C * S,
+            "Bu": R * plant.Bu * self.inputs,
+            "Du": Y * plant.Du * self.inputs,
+            "Bd": R * plant.Bd * self.disturbances,
+            "Dd": Y * plant.Dd * self.disturbances,
+            "Bf": R * plant.Bf * self.faults,
+            "Df": Y * plant.Df * self.faults,
+            "Bw": R * plant.Bw,
+            "Dw": Y * plant.Dw,
+        }
+        E = None if plant.E is None else frozen(R * plant.E * S)
+        return plant._with(E=E, **{name: frozen(M) for name, M in scaled.items()})
+
+    def then(self, further: PlantUnits, *, explicit: bool = False) -> PlantUnits:
+        """Return these units and further ones as one; ``explicit``: an ``E`` was divided out between them."""
+        states = self.states * further.states
+        return PlantUnits(
+            1 / states if explicit else self.equations * further.equations,
+            states,
+            self.outputs * further.outputs,
+            self.inputs * further.inputs,
+            self.disturbances * further.disturbances,
+            self.faults * further.faults,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class EvenPlant:
+    """A plant in even units, and what these are.
+
+    Attributes
+    ----------
+    plant : Plant
+        ``R E S``, ``R A S``, ``R B U``, ``Y C S``, ``Y D U``.
+    units : PlantUnits
+        ``x = S x_even``, ``y_even = Y y``.
+    even : bool
+        Whether the units are even, and not those of the plant.
+    """
+
+    plant: Plant
+    units: PlantUnits
+    even: bool = True
+
+    @property
+    def equations(self) -> Factors:
+        """The diagonal of ``R``."""
+        return self.units.equations
+
+    @property
+    def states(self) -> Factors:
+        """The diagonal of ``S``."""
+        return self.units.states
+
+    @property
+    def outputs(self) -> Factors:
+        """The diagonal of ``Y``."""
+        return self.units.outputs
+
+    def output_weights(self, A: NDArray, B: NDArray, C: NDArray) -> NDArray[np.float64]:
+        """Return what least squares over the outputs of a part of the plant weigh them by."""
+        return output_weights(A, B, C, np.zeros((len(C), B.shape[1]))) if self.even else np.ones(len(C))
+
+
+def own_units(plant: Plant) -> EvenPlant:
+    """Return a plant in its own units, for a design that is asked for as its equations say."""
+    ones = [np.ones(k) for k in (plant.n_states, plant.n_states, plant.n_outputs)]
+    signals = [np.ones(M.shape[1]) for M in (plant.Bu, plant.Bd, plant.Bf)]
+    return EvenPlant(plant, PlantUnits(*ones, *signals), even=False)
+
+
+def even_plant(plant: Plant, *, explicit: bool = False) -> EvenPlant:
+    """Return a plant in even units; ``explicit`` divides an invertible ``E`` out, in even units too.
+
+    Those of states and outputs follow from the plant without its faults, so that no answer depends on what is watched.
+    """
+    if explicit and plant.E is not None:
+        first = even_plant(plant)
+        second = even_plant(first.plant.explicit())
+        return EvenPlant(second.plant, first.units.then(second.units, explicit=True))
+    m = plant.Bu.shape[1]
+    B, D = np.hstack([plant.Bu, plant.Bd]), np.hstack([plant.Du, plant.Dd])
+    u = descriptor_units(plant.A, plant.E, B, plant.C, D)
+    faults = np.vstack([u.equations[:, None] * plant.Bf, u.outputs[:, None] * plant.Df])
+    sizes = power_of_two(np.linalg.norm(faults, axis=0))
+    units = PlantUnits(u.equations, u.states, u.outputs, u.inputs[:m], u.inputs[m:], 1 / sizes)
+    return EvenPlant(units.applied(plant), units)
+
+
+def canonical_units(plant: Plant, *, controls: bool = True) -> PlantUnits:
+    """Return the units in which the entries of a plant are nearest to one level.
+
+    Scaled by them, plants in units that differ by powers of two are the same to the last bit. Without ``controls``
+    these take no part, and stay as they are.
+    """
+    roles = [(plant.Bd, plant.Dd), (plant.Bf, plant.Df), *([(plant.Bu, plant.Du)] if controls else [])]
+    B, D = (np.hstack([role[k] for role in roles]) for k in (0, 1))
+    bordered = np.block([[plant.A, B], [plant.C, D]])
+    found = _fitted(bordered, plant)
+    d, f = plant.Bd.shape[1], plant.Bf.shape[1]
+    n = plant.n_states
+    rows, (states, signals) = found.rows, (found.columns[:n], found.columns[n:])
+    inputs = signals[d + f :] if controls else np.ones(plant.Bu.shape[1])
+    return PlantUnits(rows[:n], states, rows[n:], inputs, signals[:d], signals[d : d + f])
+
+
+def _fitted(bordered: NDArray[np.float64], plant: Plant) -> PencilUnits:
+    """Return the factors of rows and columns of ``[A B; C D]`` that suit its entries, and those of ``E``."""
+    n = plant.n_states
+    if plant.E is not None:
+        return pencil_units(bordered, _padded(plant.E, bordered.shape))
+    found = system_units(bordered[:n, :n], bordered[:n, n:], bordered[n:, :n], bordered[n:, n:])
+    rows = np.concatenate([1 / found.states, found.outputs])
+    return PencilUnits(rows, np.concatenate([found.states, found.inputs]), 1.0)
+
+
+def _padded(E: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return ``E`` as large as the bordered pencil."""
+    out = np.zeros(shape)
+    out[: len(E), : len(E)] = E
+    return out
