@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import lru_cache
 from typing import NoReturn
 
 import numpy as np
@@ -78,7 +79,24 @@ def sample_step(dt: float) -> float:
 def names(given: Iterable[str] | str | None, count: int, prefix: str, what: str) -> tuple[str, ...]:
     """Return ``count`` unique names: those given, or ``prefix1, prefix2, ...``."""
     if given is None:
-        return tuple(f"{prefix}{i + 1}" for i in range(count))
+        return _numbered(count, prefix)
+    if isinstance(given, tuple) and all(type(name) is str for name in given):
+        return _checked_names(given, count, what)
+    return _names(given, count, what)
+
+
+@lru_cache(maxsize=1024)
+def _numbered(count: int, prefix: str) -> tuple[str, ...]:
+    return tuple(f"{prefix}{i + 1}" for i in range(count))
+
+
+# Every system that is made of another takes its names along.
+@lru_cache(maxsize=1024)
+def _checked_names(given: tuple[str, ...], count: int, what: str) -> tuple[str, ...]:
+    return _names(given, count, what)
+
+
+def _names(given: Iterable[str] | str, count: int, what: str) -> tuple[str, ...]:
     out = (given,) if isinstance(given, str) else tuple(given)
     for name in out:
         if not isinstance(name, str) or not name.strip():

@@ -18,7 +18,7 @@ R = TypeVar("R")
 #: Results of each function that are kept.
 _KEPT = 512
 #: Matrices of more bytes together are not kept: their results are asked for more rarely than they take room.
-_MOST_BYTES = 16384
+MOST_BYTES = 16384
 
 
 def cached_by_entries(function: Callable[..., R]) -> Callable[..., R]:
@@ -34,7 +34,7 @@ def cached_by_entries(function: Callable[..., R]) -> Callable[..., R]:
     @wraps(function)
     def cached(*matrices: NDArray) -> R:
         arrays = [np.asarray(M, dtype=float) for M in matrices]
-        if sum(M.nbytes for M in arrays) > _MOST_BYTES:
+        if sum(M.nbytes for M in arrays) > MOST_BYTES:
             return read_only(function(*arrays))
         return kept(*((M.shape, M.tobytes()) for M in arrays))
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import ModelError
+from residua.linear.systems.array_cache import MOST_BYTES, read_only
 from residua.linear.systems.state_space import StateSpace
 from residua.linear.systems.units import pencil_units, system_units
 
@@ -59,7 +61,24 @@ class EvenUnits:
 
 
 def in_even_units(system: StateSpace) -> EvenUnits:
-    """Return a system in the units that do not depend on those it was written in."""
+    """Return a system in the units that do not depend on those it was written in; the latest results are kept."""
+    matrices = (system.A, system.B, system.C, system.D, system.E)
+    if sum(M.nbytes for M in matrices if M is not None) > MOST_BYTES:
+        return _in_even_units(system)
+    entries = tuple(None if M is None else (M.shape, M.tobytes()) for M in matrices)
+    return _kept((entries, system.dt, system.inputs, system.outputs, system.states))
+
+
+@lru_cache(maxsize=512)
+def _kept(content: tuple) -> EvenUnits:
+    """Return it of a system of this content: matrices, step and names."""
+    entries, dt, inputs, outputs, states = content
+    A, B, C, D = (np.frombuffer(data).reshape(shape) for shape, data in entries[:4])
+    E = None if entries[4] is None else np.frombuffer(entries[4][1]).reshape(entries[4][0])
+    return read_only(_in_even_units(StateSpace(A, B, C, D, E=E, dt=dt, inputs=inputs, outputs=outputs, states=states)))
+
+
+def _in_even_units(system: StateSpace) -> EvenUnits:
     A, B, C, D, E = system.A, system.B, system.C, system.D, system.E
     n = system.n_states
     if E is None:

@@ -236,11 +236,11 @@ def _least_squares(row: NDArray, column: NDArray, logarithms: NDArray[np.float64
     for units that are powers of two.
     """
     L, b = _normal_equations(row, column, logarithms, count)
-    fixed = _origins(row, column, count)
-    free = np.setdiff1d(np.arange(count), fixed)
+    free = np.ones(count, dtype=bool)
+    free[_origins(row, column, count)] = False
     v = np.zeros(count)
-    if free.size:
-        v[free] = np.linalg.solve(L[np.ix_(free, free)], b[free])
+    if free.any():
+        v[free] = np.linalg.solve(L[free][:, free], b[free])
     return v
 
 
