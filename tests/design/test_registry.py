@@ -183,6 +183,30 @@ def test_what_is_no_method_is_refused() -> None:
         method(exists_when="never", order="n", source="this test", designs_for="luck")(gain_of_three)  # pyright: ignore
 
 
+def test_a_method_says_what_it_returns_and_takes_a_plant() -> None:
+    declare = method(exists_when="never", order="n", source="this test")
+
+    def says_nothing(plant: rs.Plant):
+        raise AssertionError
+
+    def returns_nothing(plant: rs.Plant) -> None:
+        raise AssertionError
+
+    def takes_a_number(speed: float, plant: rs.Plant) -> rs.design.Observer:
+        raise AssertionError
+
+    def takes_anything(plant) -> rs.design.Observer:
+        raise AssertionError
+
+    for function in (says_nothing, returns_nothing):
+        with pytest.raises(SettingError, match=f"{function.__name__} does not say what it returns: write '-> rs"):
+            declare(function)
+    for function, first in ((takes_a_number, "speed"), (takes_anything, "plant")):
+        with pytest.raises(SettingError, match=f"its first parameter is not .*: write '{first}: rs.Plant'"):
+            declare(function)
+    assert not {"says_nothing", "returns_nothing", "takes_a_number", "takes_anything"} & set(METHODS)
+
+
 def test_needs_are_asked_in_their_order(plant: rs.Plant) -> None:
     record = catalogue.method("matched_filters")
     assert [one.text for one in record.requirements if isinstance(one, Need)] == ["noise", "faults", "sampled"]

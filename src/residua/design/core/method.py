@@ -9,6 +9,7 @@ choice among equations are tools beside them.
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -265,7 +266,8 @@ def method(
     Raises
     ------
     SettingError
-        If another function has the name already, or the function takes nothing.
+        If another function has the name already, or the function takes nothing, does not say what it returns, or
+        does not take a plant first where it designs for a plant.
 
     Examples
     --------
@@ -315,6 +317,7 @@ def _check(record: Method) -> None:
         )
     if record.designs_for not in get_args(Subject):
         raise SettingError(f"designs_for must be one of {', '.join(get_args(Subject))}, got {echo(record.designs_for)}")
+    _check_annotations(record)
     same = other is None or (other.function.__module__, other.function.__qualname__) == (
         function.__module__,
         function.__qualname__,
@@ -322,3 +325,33 @@ def _check(record: Method) -> None:
     if not same:
         assert other is not None
         raise SettingError(f"the name {record.name!r} is that of {other.function.__module__}: take another")
+
+
+def _check_annotations(record: Method) -> None:
+    """Raise where a function does not say what it returns, or what it is for."""
+    annotations, first = record.function.__annotations__, next(iter(inspect.signature(record.function).parameters))
+    if annotations.get("return") in (None, "None"):
+        raise SettingError(
+            f"{record.name} does not say what it returns: write '-> rs.design.Observer', or another class of designs"
+        )
+    if record.designs_for == "plant" and _named_types(annotations.get(first)).isdisjoint(_PLANTS):
+        raise SettingError(
+            f"{record.name} designs for a plant, but its first parameter is not annotated as one: "
+            f"write '{first}: rs.Plant', or say what it designs for, designs_for=..."
+        )
+
+
+#: What may stand in the annotation of what a design for a plant takes.
+_PLANTS = frozenset({"Plant", "InputOutputModel"})
+
+
+def _named_types(annotation: object) -> set[str]:
+    """Return the names of the types in an annotation, without what they are imported from.
+
+    A module that is being imported may not have them yet, so that they are read by name.
+    """
+    if annotation is None:
+        return set()
+    parts = [annotation] if isinstance(annotation, str) else kinds_of(annotation)
+    names = (re.split(r"[^\w.]+", one) if isinstance(one, str) else [getattr(one, "__name__", "")] for one in parts)
+    return {name.rpartition(".")[2] for one in names for name in one}
