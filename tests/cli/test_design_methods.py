@@ -326,8 +326,8 @@ def test_an_option_that_is_in_the_way_is_named_and_no_other_method(
 
 def test_an_option_that_is_needed_may_be_what_is_wrong(made: Path, tmp_path: Path, residua: Residua) -> None:
     command = ("design", made / "plant.toml", "-o", tmp_path / "m.json", "--method", "directional-parity")
-    refused = residua(*command, "--directions", "leak=1,0.5; pump actuator=1")
-    doubt = "all the same number: got [1, 2]; directional-parity needs --directions, and another value may do; what"
+    refused = residua(*command, "--directions", "leak=1,0.5; pump actuator=1,2,3")
+    doubt = "all the same number: got [2, 3]; directional-parity needs --directions, and another value may do; what"
     assert_error(refused, doubt)
 
 

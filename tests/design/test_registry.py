@@ -164,6 +164,50 @@ def test_a_forgotten_method_is_nowhere(plant: rs.Plant) -> None:
     assert all(one.method.name != "gain_of_three" for one in rs.suggest(plant, seconds=0).entries)
 
 
+def breaks(plant: rs.Plant) -> rs.design.Observer:
+    raise KeyError("gain")
+
+
+def returns_none(plant: rs.Plant) -> rs.design.Observer:
+    return None  # pyright: ignore[reportReturnType]
+
+
+def returns_text(plant: rs.Plant) -> rs.design.ResidualGenerator:
+    return "a design"  # pyright: ignore[reportReturnType]
+
+
+@pytest.mark.parametrize(
+    ("function", "reason"),
+    [
+        (breaks, "breaks raised KeyError: 'gain' (a defect of the method)"),
+        (returns_none, "returns_none returned NoneType, which is no design"),
+        (returns_text, "returns_text returned str, which is no design"),
+    ],
+)
+def test_a_method_that_breaks_takes_no_other_with_it(
+    function: Any, reason: str, plant: rs.Plant, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = [one.call for one in rs.suggest(plant).entries if one.works]
+    method(exists_when="never", order="n", source="this test", state="estimate")(function)
+    try:
+        answer = rs.suggest(plant)
+        plant.to_toml(tmp_path / "plant.toml")
+        command = ["design", str(tmp_path / "plant.toml"), "-o", str(tmp_path / "m.json"), "--method"]
+        assert main([*command, function.__name__]) == 2
+        alone = capsys.readouterr().err
+        assert main([*command, "perfect-observer"]) == 2
+        beside = capsys.readouterr().err
+    finally:
+        catalogue.forget(function.__name__)
+    entry = next(one for one in answer.entries if one.method.function is function)
+    assert entry.works is False
+    assert entry.reason.startswith(reason)
+    assert [one.call for one in answer.entries if one.works] == whole
+    assert alone.startswith(f"error: {reason}")
+    assert "--method luenberger-observer" in beside
+    assert function.__name__.replace("_", "-") not in beside
+
+
 def test_a_name_that_is_taken_is_refused() -> None:
     def kalman_filter(plant: rs.Plant) -> rs.design.Observer:
         return rs.design.luenberger_observer(plant)

@@ -13,15 +13,19 @@ from residua.analysis import coding
 from residua.cli.option_types import Form, form_of
 from residua.design.catalogue import methods
 from residua.design.core.brought import brings_a_generator, for_monitor
-from residua.design.core.method import Chosen, Method
+from residua.design.core.method import Chosen, Method, check_design, defect
 from residua.design.core.needs import NOISE, ROWS, SAMPLED
 from residua.design.core.options import Option
-from residua.errors import AccuracyError, DesignError, ModelError, SettingError
+from residua.errors import AccuracyError, DesignError, ModelError, ResiduaError, SettingError
 from residua.plant import Plant
 
 AUTO = "auto"
 #: Seconds for the choice of a coding set, and for the other methods after a refusal; what was found by then is taken.
 CHOICE_TIME, TRYING_TIME = 10.0, 30.0
+
+
+class MethodError(ResiduaError):
+    """A method raised what is no answer about a plant: which one, and what."""
 
 
 class OptionError(ValueError):
@@ -167,7 +171,14 @@ class Call:
                 if chosen not in self.made:
                     self.made[chosen] = chosen.make(plant, CHOICE_TIME)
                 asked[name] = self.made[chosen]
-        return for_monitor(self.method.function(self._of_the_time(plant), **asked))
+        try:
+            made = self.method.function(self._of_the_time(plant), **asked)
+            check_design(self.method, made)
+            return for_monitor(made)
+        except (ResiduaError, MemoryError):
+            raise
+        except Exception as error:
+            raise MethodError(defect(self.method, error)) from error
 
     def _sampled(self, plant: Plant) -> bool:
         """Whether the plant is sampled first: the best filter of that, rather than the continuous one, sampled."""
@@ -346,7 +357,7 @@ def _alternatives(plant: Plant, failed: str, call: Call) -> str:
 def _exists(call: Call, plant: Plant) -> bool:
     try:
         call.run(plant)
-    except (DesignError, AccuracyError, SettingError, ModelError):
+    except (DesignError, AccuracyError, SettingError, ModelError, MethodError):
         return False
     return True
 

@@ -16,7 +16,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args
 
 from residua.design.core.options import Option, kinds_of, options_of, signature_of
-from residua.errors import SettingError
+from residua.errors import ModelError, SettingError
 from residua.plant import Plant
 from residua.visible import echo
 
@@ -195,6 +195,24 @@ class Method:
 
 #: All methods by name, as far as their modules are imported; :func:`residua.design.catalogue.methods` has them all.
 METHODS: dict[str, Method] = {}
+
+
+def check_design(record: Method, made: object) -> None:
+    """Raise where what a method returned cannot be a design: it is, has and makes nothing that runs."""
+    if isinstance(made, Mapping) or any(hasattr(made, one) for one in _RUNS):
+        return
+    raise ModelError(
+        f"{record.name} returned {type(made).__name__}, which is no design: it is, has and makes nothing that runs"
+    )
+
+
+#: What a design is, has or makes: a system of its own, an observer, or a generator.
+_RUNS = ("system", "observer", "generator", "residual_generator")
+
+
+def defect(record: Method, error: Exception) -> str:
+    """Return what is said of a method that raised what is no answer about a plant."""
+    return f"{record.name} raised {type(error).__name__}: {error} (a defect of the method)"
 
 
 def recorded(name: str) -> Method:
