@@ -44,9 +44,9 @@ def _eliminated(M: NDArray[np.int64]) -> tuple[NDArray[np.int64], list[int]]:
             continue
         M[[r, r + below[0]]] = M[[r + below[0], r]]
         M[r] = M[r] * pow(int(M[r, c]), -1, PRIME) % PRIME
-        factors = M[:, c].copy()
-        factors[r] = 0
-        M = (M - factors[:, None] * M[r] % PRIME) % PRIME
+        rows = np.flatnonzero(M[:, c])
+        rows = rows[rows != r]
+        M[rows, c:] = (M[rows, c:] - M[rows, c, None] * M[r, c:] % PRIME) % PRIME  # a pivot's row begins with it
         pivots.append(c)
         if len(pivots) == len(M):
             break

@@ -7,6 +7,7 @@ import importlib
 import importlib.metadata
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -69,34 +70,46 @@ def test_links_of_the_readme_lead_somewhere() -> None:
         assert (REPOSITORY / target).exists(), target
 
 
-def test_the_readmes_commands_run(here: Path) -> None:
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder that the three-tank demo leaves."""
+    folder = tmp_path_factory.mktemp("demo")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        ((_, status),) = after_demo(["residua demo three-tank --output ."])
+    assert status == 0
+    return folder
+
+
+def test_the_readmes_commands_run(here: Path, demo: Path) -> None:
     (block,) = fenced(readme(), "sh")
     commands = [line.split("#")[0] for line in block.splitlines()]
     assert [command.split()[1] for command in commands] == ["analyze", "design", "fit", "run"]
-    outcomes = list(after_demo(commands, here))
+    shutil.copytree(demo, here, dirs_exist_ok=True)
+    outcomes = list(after_demo(commands))
     assert [status for _, status in outcomes] == [0, 0, 0, 1]
 
 
-def test_the_commands_of_getting_started_print_what_it_says(here: Path) -> None:
+def test_the_commands_of_getting_started_print_what_it_says(here: Path, demo: Path) -> None:
+    shutil.copytree(demo, here, dirs_exist_ok=True)
     text = (DOCS / "getting-started.rst").read_text(encoding="utf-8")
     (block,) = re.findall(r"code-block:: console\n\n(.*?)\n(?=\S)", text, flags=re.DOTALL)
     entries = [entry.split("\n", 1) for entry in re.split(r"^ +\$ ", block, flags=re.MULTILINE)[1:]]
     compare = doctest.OutputChecker().check_output
     statuses = []
     for (command, promised), (printed, status) in zip(
-        entries, after_demo([command for command, _ in entries], here), strict=True
+        entries, after_demo([command for command, _ in entries]), strict=True
     ):
         assert compare(promised, printed, FLAGS), f"{command}\n{printed}"
         statuses.append(status)
     assert statuses == [0, 0, 0, 0, 1]
 
 
-def after_demo(commands: list[str], folder: Path) -> Iterator[tuple[str, int]]:
-    """Run the three-tank demo, then each command in its folder; yield what it printed and its exit status."""
+def after_demo(commands: list[str]) -> Iterator[tuple[str, int]]:
+    """Run each command in the folder of the three-tank demo; yield what it printed and its exit status."""
     runner = pytest.importorskip("typer.testing").CliRunner()
     from residua.cli.app import app
 
-    assert runner.invoke(app, ["demo", "three-tank", "--output", str(folder)]).exit_code == 0
     for command in commands:
         name, *arguments = command.split()
         assert name == "residua"
@@ -138,14 +151,15 @@ def test_the_extra_all_brings_what_getting_started_imports(here: Path) -> None:
     assert "pip install '.[all]'" in page.read_text(encoding="utf-8")
     source = os.environ | {"PYTHONPATH": str(REPOSITORY / "src")}
 
-    def run(brought: set[str]) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-c", ALONE, str(page), str(FLAGS), *sorted(brought)]
+    def run(brought: set[str], flags: int = FLAGS) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-c", ALONE, str(page), str(flags), *sorted(brought)]
         return subprocess.run(command, capture_output=True, text=True, env=source, check=False)
 
     brought = {"residua", *with_what_they_need({"residua[all]"})}
     done = run(brought)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "No module named 'pandas'" in run(brought - {"pandas"}).stdout
+    without = run(brought - {"pandas"}, FLAGS | doctest.FAIL_FAST)  # it is the first thing that fails
+    assert "No module named 'pandas'" in without.stdout
 
 
 def with_what_they_need(wanted: set[str]) -> set[str]:

@@ -20,6 +20,7 @@ HEAVY = (
     "narwhals",
     "typer",
     "control",
+    "clarabel",
     "cvxpy",
 )
 

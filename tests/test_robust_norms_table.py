@@ -39,7 +39,7 @@ def test_the_table_of_the_page_is_current() -> None:
 
 @pytest.mark.parametrize("size", [2, 4, 6])
 def test_small_rows_come_out_again(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("cvxpy")
+    pytest.importorskip("clarabel")
     monkeypatch.syspath_prepend(str(REPOSITORY / "benchmarks"))
     benchmark = importlib.import_module("robust_norms")
     published = rows()[size, size]

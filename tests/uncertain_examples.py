@@ -40,6 +40,7 @@ def jet_engine_residual() -> UncertainSystem:
     return loop.estimator_residual(W, [[1.0, 0, 0]], nuisances=["XNL sensor", "TMPC sensor"])
 
 
+@cache
 def random_uncertain_system(seed: int, n: int | None = None, k: int | None = None) -> UncertainSystem:
     """Return a system every member of which is stable, some with parameters in two places, with direct terms."""
     rng = np.random.default_rng(seed)
@@ -61,6 +62,10 @@ def random_uncertain_system(seed: int, n: int | None = None, k: int | None = Non
 
     size, limit = 1.0, 0.49 * (1 + np.abs(np.linalg.eigvals(A)).max())
     points = sized(1.0).sample(seed, 64) if k > 8 else sized(1.0).vertices()
-    while max(np.abs(np.linalg.eigvals(sized(size).member(size * f).A)).max() for f in points) > limit:
+
+    def largest(system: UncertainSystem) -> float:
+        return np.abs(np.linalg.eigvals([system.member(size * f).A for f in points])).max()
+
+    while largest(sized(size)) > limit:
         size *= 0.8
     return sized(0.8 * size)

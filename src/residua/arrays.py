@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -49,15 +50,18 @@ def matrix(value: ArrayLike, name: str, shape: tuple[int | None, int | None], *,
         wanted = " x ".join("any" if side is None else str(side) for side in shape)
         hint = f" ({what})" if what else ""
         raise ModelError(f"{name} must be {wanted}{hint}, got {M.shape[0]} x {M.shape[1]}")
+    if not np.abs(M).max(initial=0.0) <= LARGEST:  # or not a number
+        _refuse_entries(M, name)
+    return frozen(M)
+
+
+def _refuse_entries(M: NDArray[np.float64], name: str) -> NoReturn:
+    """Raise with the first entry that is not finite, or else the first that is too large."""
     if not np.isfinite(M).all():
         i, j = np.argwhere(~np.isfinite(M))[0]
         raise ModelError(f"{name}[{i}, {j}] is {M[i, j]}: every entry of a model must be finite")
-    if np.abs(M).max(initial=0.0) > LARGEST:
-        i, j = np.argwhere(np.abs(M) > LARGEST)[0]
-        raise ModelError(
-            f"{name}[{i}, {j}] is {M[i, j]:.3g}: every entry of a model must be at most {LARGEST:g} in size"
-        )
-    return frozen(M)
+    i, j = np.argwhere(np.abs(M) > LARGEST)[0]
+    raise ModelError(f"{name}[{i}, {j}] is {M[i, j]:.3g}: every entry of a model must be at most {LARGEST:g} in size")
 
 
 def sample_step(dt: float) -> float:

@@ -1,24 +1,54 @@
-"""Exit statuses: 1 is an alarm and nothing else, whatever becomes of the output."""
+"""Exit statuses: 1 is an alarm and nothing else, whatever becomes of the output.
+
+Commands run in forks of one started Python (``forked_process``); for every kind of stream that is closed or full, a
+real process runs too, and must do the same.
+"""
 
 from __future__ import annotations
 
 import os
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from cli_examples import PLANT, Residua, assert_error, simulate, write_csv
+from forked_process import ForkingServer
 
 FULL = Path("/dev/full")
 full = pytest.mark.skipif(not FULL.exists(), reason="needs /dev/full")
 posix = pytest.mark.skipif(os.name != "posix", reason="closes streams by the shell")
 
 
-def by_shell(command: str, *argv: object) -> subprocess.CompletedProcess[str]:
-    """Run ``residua`` with redirections; ``$@`` are the arguments."""
-    line = f'exec "$0" -m residua "$@" {command}'
+Done = subprocess.CompletedProcess[str]
+ByShell = Callable[..., Done]
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ForkingServer]:
+    with ForkingServer(tmp_path_factory.mktemp("streams")) as started:
+        yield started
+
+
+@pytest.fixture
+def by_shell(server: ForkingServer) -> ByShell:
+    """Run ``residua`` with redirections; where it is asked for, in a process of its own too, with the same outcome."""
+
+    def call(redirections: str, *argv: object, real: bool = False) -> Done:
+        forked = server.run(redirections, *argv, environment=os.environ)
+        if real:
+            done = in_a_process(redirections, *argv)
+            assert (forked.returncode, forked.stdout, forked.stderr) == (done.returncode, done.stdout, done.stderr)
+        return forked
+
+    return call
+
+
+def in_a_process(redirections: str, *argv: object) -> Done:
+    """Run ``residua`` in a process of its own; ``$@`` are the arguments."""
+    line = f'exec "$0" -m residua "$@" {redirections}'
     shell = ["/bin/sh", "-c", line, sys.executable, *map(str, argv)]
     return subprocess.run(shell, capture_output=True, text=True, check=False)
 
@@ -44,9 +74,11 @@ def ways(made: Path) -> dict[str, tuple[object, ...]]:
 @pytest.mark.parametrize(
     ("way", "unbuffered"), [*((way, "") for way in ways(Path())), *((way, "1") for way in ("version", "json", "alarm"))]
 )
-def test_a_full_output_is_an_error(way: str, unbuffered: str, made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_output_is_an_error(
+    way: str, unbuffered: str, made: Path, by_shell: ByShell, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("PYTHONUNBUFFERED", unbuffered)
-    done = by_shell(">/dev/full", *ways(made)[way])
+    done = by_shell(">/dev/full", *ways(made)[way], real=way == "alarm")
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
     assert "defect" not in done.stderr
@@ -63,34 +95,35 @@ def test_a_full_output_is_an_error(way: str, unbuffered: str, made: Path, monkey
         *((way, "2>&-") for way in ("usage", "error", "alarm", "no alarm")),
     ],
 )
-def test_errors_that_nobody_can_read_keep_their_status(way: str, where: str, made: Path) -> None:
-    done = by_shell(where, *ways(made)[way])
+def test_errors_that_nobody_can_read_keep_their_status(way: str, where: str, made: Path, by_shell: ByShell) -> None:
+    done = by_shell(where, *ways(made)[way], real=way == "error")
     wrong = way in ("nothing", "usage", "unknown", "error")
     assert done.returncode == (2 if wrong else 1 if way == "alarm" else 0)
 
 
 @posix
 @pytest.mark.parametrize("way", ways(Path()))
-def test_a_closed_output_is_an_error_in_plain_words(way: str, made: Path) -> None:
-    done = by_shell(">&-", *ways(made)[way])
+def test_a_closed_output_is_an_error_in_plain_words(way: str, made: Path, by_shell: ByShell) -> None:
+    done = by_shell(">&-", *ways(made)[way], real=way == "json")
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
     assert "unexpected" not in done.stderr
 
 
 @posix
-def test_what_prints_nothing_needs_no_output(made: Path) -> None:
+def test_what_prints_nothing_needs_no_output(made: Path, by_shell: ByShell) -> None:
     for streams in (">&-", "2>&-", ">&- 2>&-", "<&- >&- 2>&-"):
-        assert by_shell(streams, "run", made / "monitor.json", made / "faulty.csv", "-q").returncode == 1
+        real = "<&-" in streams
+        assert by_shell(streams, "run", made / "monitor.json", made / "faulty.csv", "-q", real=real).returncode == 1
         assert by_shell(streams, "run", made / "monitor.json", made / "healthy.csv", "-q").returncode == 0
 
 
 @posix
-def test_what_is_printed_never_ends_up_in_a_file(made: Path, tmp_path: Path) -> None:
+def test_what_is_printed_never_ends_up_in_a_file(made: Path, tmp_path: Path, by_shell: ByShell) -> None:
     """A file that is opened while the output is closed would get its number."""
     out = tmp_path / "alarms.jsonl"
     options = ("run", made / "monitor.json", made / "faulty.csv", "--alarms", out)
-    assert by_shell(">&- 2>&-", *options).returncode == 2
+    assert in_a_process(">&- 2>&-", *options).returncode == 2
     by_shell("", *options)
     expected = out.read_text()
     by_shell(">&-", *options)

@@ -372,6 +372,41 @@ def test_a_candidate_that_is_no_group_is_refused(monkeypatch: pytest.MonkeyPatch
         check_isolation(NearestCentroid(size=0.8))
 
 
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [
+        pytest.param(None, "must return a residua.decide.Statement", marks=trips("testing.kinds:_check_statement:1")),
+        pytest.param(Statement(""), "headline of a statement must be", marks=trips("testing.kinds:_check_statement:2")),
+        pytest.param(
+            Statement("A fault.", sentences="abc"),  # pyright: ignore[reportArgumentType]
+            "sentences of a statement must be a tuple",
+            marks=trips("testing.kinds:_check_statement:3"),
+        ),
+    ],
+)
+def test_what_cannot_be_shown_is_said(said: Any, words: str) -> None:
+    @dataclass(frozen=True, eq=False)
+    class Says(NearestTest):
+        def statement(self, alarm: rs.monitor.Alarm, clock: Clock, window: int) -> Statement:
+            return said
+
+    @dataclass(frozen=True)
+    class Settings(NearestCentroid):
+        kind: ClassVar[str] = "own-says"
+        makes: ClassVar[type[Isolation]] = Says
+
+        def isolation(self, generator: rs.design.ResidualGenerator, test: ResidualTest) -> NearestTest:
+            nearest = super().isolation(generator, test)
+            return Says(nearest.groups, nearest.unjudged, nearest.centroids)
+
+    register(Settings)
+    try:
+        with pytest.raises(AccuracyError, match=words):
+            check_isolation(Settings())
+    finally:
+        del ISOLATIONS["own-says"]
+
+
 def test_a_kind_belongs_to_one() -> None:
     @dataclass(frozen=True)
     class Other(NormThreshold):

@@ -160,4 +160,5 @@ def test_convex_start_is_the_least_star_norm(seed):
     starts = starting_gains(family, 0.95)
     assert len(starts) >= 4
     tried = [Z + size * rng.standard_normal(Z.shape) for Z in starts for size in (0, 0.01, 0.1, 1) for _ in range(10)]
-    assert convex <= 1.03 * min(star(Z) for Z in tried)
+    different = {Z.tobytes(): Z for Z in tried}  # a start itself is there ten times
+    assert convex <= 1.03 * min(star(Z) for Z in different.values())

@@ -76,7 +76,7 @@ def test_a_star_norm_without_a_solution_is_refused(monkeypatch: pytest.MonkeyPat
 
 @trips("linear.norms.peak_norm_lmi:lmi_peak")
 def test_inequalities_without_a_solution_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("cvxpy")
+    pytest.importorskip("clarabel")
     system = StateSpace(A, B, C, dt=1.0)
     peak_norm(system, kind="star")
     monkeypatch.setattr("residua.linear.norms.peak_norm_lmi._solve", lambda *matrices: None)

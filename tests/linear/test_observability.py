@@ -8,7 +8,8 @@ import scipy.linalg
 
 from residua.errors import DesignError, ModelError
 from residua.linear.poles.spectrum import match_poles
-from residua.linear.subspaces.observability import detectability, is_stable_mode, observability_form
+from residua.linear.poles.stability import is_stable_mode
+from residua.linear.subspaces.observability import detectability, observability_form
 from residua.linear.subspaces.observable_part import observable_part
 
 

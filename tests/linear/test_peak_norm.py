@@ -114,19 +114,19 @@ def check_order(seed: int, largest: int) -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_order_of_the_bounds(seed):
-    pytest.importorskip("cvxpy")
+    pytest.importorskip("clarabel")
     check_order(seed, 8)
 
 
 @pytest.mark.campaign
 @pytest.mark.parametrize("seed", range(20, 200))
 def test_order_of_the_bounds_many(seed):
-    pytest.importorskip("cvxpy")
+    pytest.importorskip("clarabel")
     check_order(seed, 20)
 
 
 def test_inequality_weighs_the_direct_term():
-    pytest.importorskip("cvxpy")
+    pytest.importorskip("clarabel")
     # The direct term and the states share the input of one sample: orthogonal outputs never peak together.
     system = StateSpace([[0.5]], [[1.0]], [[1.0], [0.0]], [[0.0], [2.0]], dt=1)
     star, bound = peak_norm(system, kind="star").value, peak_norm(system, kind="lmi").value
@@ -161,7 +161,7 @@ def test_bad_requests():
 
 
 def test_the_extra_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "cvxpy", None)
+    monkeypatch.setitem(sys.modules, "clarabel", None)
     with pytest.raises(MissingExtraError, match=r"residua\[lmi\]"):
         peak_norm(KNOWN["lag"][0], kind="lmi")
 

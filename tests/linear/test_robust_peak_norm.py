@@ -50,21 +50,21 @@ def check_order(seed: int, refused: Refused | None = None) -> None:
 @pytest.mark.parametrize("seed", range(15))
 @pytest.mark.refusals(at_most=3)
 def test_order_of_the_methods(seed, refused: Refused):
-    pytest.importorskip("cvxpy")
+    pytest.importorskip("clarabel")
     check_order(seed, refused)
 
 
 @pytest.mark.campaign
 @pytest.mark.parametrize("seed", range(15, 100))
 def test_order_of_the_methods_many(seed):
-    pytest.importorskip("cvxpy")
+    pytest.importorskip("clarabel")
     check_order(seed)
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_lag_is_bounded_exactly(method):
     if method in LMI:
-        pytest.importorskip("cvxpy")
+        pytest.importorskip("clarabel")
     lag = UncertainSystem([[0.5]], [[1]], [[1]], [[1]], [[1]], low=[0], high=[0.3], parameters=["pole"], dt=1)
     found = robust_peak_norm(lag, method=method)
     assert found.attained == pytest.approx(5, rel=1e-4)
@@ -75,7 +75,7 @@ def test_a_lag_is_bounded_exactly(method):
 
 
 def test_a_storage_that_knows_the_parameter_is_worth_its_price():
-    pytest.importorskip("cvxpy")
+    pytest.importorskip("clarabel")
     system = rotation(0.125)
     lifted, popov, quadratic = (robust_peak_norm(system, method=method).bound for method in LMI)
     frozen = max(peak_norm(system.member([f]), kind="star").value for f in np.linspace(-0.125, 0.125, 41))
@@ -90,7 +90,7 @@ def test_a_storage_that_knows_the_parameter_is_worth_its_price():
 @pytest.mark.parametrize("seed", range(6))
 def test_storage_function_of_every_member(seed):
     """What the certificate claims, of members and states at random, in the caller's units and without multipliers."""
-    pytest.importorskip("cvxpy")
+    pytest.importorskip("clarabel")
     rng = np.random.default_rng(seed)
     system = random_uncertain_system(seed)
     found = robust_peak_norm(system, method="quadratic")
@@ -113,7 +113,7 @@ def test_storage_function_of_every_member(seed):
 @pytest.mark.parametrize("seed", [4, 6])
 def test_no_input_drives_a_member_above_the_bound(seed, method):
     if method in LMI:
-        pytest.importorskip("cvxpy")
+        pytest.importorskip("clarabel")
     system = random_uncertain_system(seed)
     found = robust_peak_norm(system, method=method)
     for f in system.sample(seed, 20):
@@ -135,7 +135,7 @@ def copies(system: UncertainSystem) -> UncertainSystem:
 
 
 def test_a_parameter_in_two_places_is_not_two_parameters():
-    pytest.importorskip("cvxpy")
+    pytest.importorskip("clarabel")
     # x1+ = (0.5 + f) x1 + w, x2+ = (0.5 - f) x2 + w: z = x1 + x2, of which only one part can be slow.
     system = UncertainSystem(
         0.5 * np.eye(2), [[1, 0], [0, -1]], [[1], [1]], np.eye(2), [[1, 1]], low=-0.3, high=0.3, channels=[0, 0], dt=1
@@ -150,7 +150,7 @@ def test_a_parameter_in_two_places_is_not_two_parameters():
 
 
 def test_nothing_uncertain():
-    pytest.importorskip("cvxpy")
+    pytest.importorskip("clarabel")
     A, B, C, D = [[0.5, 0.2], [-0.1, 0.7]], np.eye(2), [[1, 1]], [[0.1, 0]]
     plain = StateSpace(A, B, C, D, dt=1)
     none = UncertainSystem(A, np.zeros((2, 0)), B, np.zeros((0, 2)), C, None, D, low=[], high=[], dt=1)
@@ -168,7 +168,7 @@ def test_nothing_uncertain():
 @pytest.mark.parametrize("method", ["quadratic", "star"])
 def test_states_and_channels_in_any_units(method):
     if method in LMI:
-        pytest.importorskip("cvxpy")
+        pytest.importorskip("clarabel")
     s = random_uncertain_system(4)
     rng = np.random.default_rng(0)
     u, c = 10.0 ** rng.integers(-5, 6, s.n_states), 10.0 ** rng.integers(-5, 6, len(s.channels))
@@ -185,7 +185,7 @@ def test_states_and_channels_in_any_units(method):
 @pytest.mark.parametrize("method", ["quadratic", "star", "centred"])
 def test_jet_engine(method):
     if method in LMI:
-        pytest.importorskip("cvxpy")
+        pytest.importorskip("clarabel")
     found = robust_peak_norm(jet_engine_residual(), method=method, searches=4)
     assert found.all_corners
     assert found.visited >= 4096
@@ -195,7 +195,7 @@ def test_jet_engine(method):
 
 @pytest.mark.campaign
 def test_jet_engine_lifted():
-    pytest.importorskip("cvxpy")
+    pytest.importorskip("clarabel")
     lifted = robust_peak_norm(jet_engine_residual(), method="lifted")
     quadratic = robust_peak_norm(jet_engine_residual(), method="quadratic")
     assert lifted.attained <= lifted.bound <= quadratic.bound * (1 + 1e-3)
@@ -215,7 +215,7 @@ def test_without_the_extra(monkeypatch):
     wide = system.within(1.3 * system.low, 1.3 * system.high)
     far = robust_peak_norm(wide, boxes=1)
     assert far.method == "lifted"
-    monkeypatch.setitem(sys.modules, "cvxpy", None)
+    monkeypatch.setitem(sys.modules, "clarabel", None)
     found = robust_peak_norm(system, method="quadratic")
     assert (found.bound, found.method) == (star.bound, "star")
     assert "residua[lmi]" in found.note

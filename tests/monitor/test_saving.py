@@ -6,7 +6,9 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import fields, replace
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -230,6 +232,14 @@ def fitted_bank() -> rs.Monitor:
     return monitor
 
 
+@cache
+def saved(make: Callable[[], rs.Monitor]) -> str:
+    """Return the file of a monitor."""
+    with TemporaryDirectory() as folder:
+        make().save(path := Path(folder) / "m.json")
+        return path.read_text()
+
+
 def numbers(value: Any, path: tuple = ()) -> Any:
     """Yield the place of one number of every list of numbers, and of every number that stands alone."""
     if isinstance(value, dict):
@@ -266,8 +276,7 @@ def test_no_number_that_runs_may_be_missing_or_infinite(
     make: Callable[[], rs.Monitor], value: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "m.json"
-    make().save(path)
-    content = json.loads(path.read_text())
+    content = json.loads(saved(make))
     assert content["checksum"]
     content["checksum"] = None
     places = [place for place in numbers(content) if not {*REPORTS, "match_held", "version"} & {*place}]

@@ -246,7 +246,7 @@ class MutualIsolability:
 
 
 def mutually_isolable(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> MutualIsolability:
-    r"""Tell which pairs of faults can be told apart by residuals, whatever the method.
+    r"""Tell which pairs of faults residuals can separate, whatever the method.
 
     Two faults are not mutually isolable when their columns :math:`g_i, g_j`, after the disturbances are divided out,
     are dependent over the polynomials, :math:`c_i(z) g_i(z) + c_j(z) g_j(z) = 0`: then no residual answers to one and

@@ -58,8 +58,8 @@ def choose(
     quality : {"strong", "weak"}
     max_residuals : int, optional
     require : sequence of str, optional
-        Faults that must be told from every other one; the rest need only be seen. When omitted, every fault is told
-        from every other as far as any method can.
+        Faults that must be isolated from every other one; the rest need only be seen. When omitted, every fault is
+        isolated from every other as far as any method can do it.
     ignore : sequence of str
         Faults that all residuals ignore, as if they were disturbances.
     constant : bool
@@ -88,7 +88,7 @@ def choose(
     -----
     Assumes: the model is exact, linear and time-invariant, and one fault is there at a time.
 
-    A strongly isolating set always exists for the faults that can be told apart: the rows that each ignore one of them
+    A strongly isolating set always exists for the faults that can be isolated: the rows that each ignore one of them
     see all others. It takes at least so many residuals ``s`` that :math:`\binom{s}{\lfloor s/2 \rfloor}` is no less
     than the number of faults (Sperner).
 
@@ -195,7 +195,7 @@ class ChoiceTask:
     required: set[int]
 
     def pairs(self) -> list[tuple[int, int]]:
-        """Return the pairs of groups that must be told apart."""
+        """Return the pairs of groups that must be isolated from each other."""
         n = len(self.names)
         return [(j, k) for j in range(n) for k in range(j + 1, n) if {j, k} & self.required]
 

@@ -276,7 +276,7 @@ def structure_rows(structure: Structure, faults: tuple[str, ...]) -> dict[str, N
 
 
 def _plain(structure: Any) -> Any:
-    """Return what was given, or its ``coding_set`` where it has one: that of the attainable rows."""
+    """Return the structure, or its ``coding_set`` if it has one: that of the attainable rows."""
     return getattr(structure, "coding_set", structure)
 
 

@@ -59,7 +59,7 @@ class Cover:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Chosen rows; ``bound`` is what the aim might still reach, ``None`` where it was proved to be reached."""
+    """Chosen rows; ``bound`` is what the aim might still reach, ``None`` if it was proved to be reached."""
 
     chosen: NDArray[np.int64]
     bound: int | None
@@ -177,8 +177,8 @@ def _unevenness(rows: NDArray[np.bool_]) -> int:
 def _cuts(cover: Cover) -> tuple[NDArray, NDArray]:
     """Return inequalities that all choices meet and fractions of rows do not: right-hand sides and weights.
 
-    A column that must be told from several others by zeros (or by ones) needs one row that does it for all of them,
-    or two rows. Without these the fractional problem lets one row do half of both.
+    A column that zeros (or ones) must separate from several others needs one row that does it for all of
+    them, or two rows. Without these inequalities the fractional problem lets one row do half of both.
     """
     R = cover.rows
     sides, weights = [], []

@@ -1,4 +1,4 @@
-"""Which faults can be detected, and which can be told apart, before anything is designed."""
+"""Which faults can be detected, and which can be isolated, before any design."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from residua.tolerances import TINY
 
 @dataclass(frozen=True, eq=False)
 class Diagnosability:
-    """What can be told about the faults of a plant, whatever the method.
+    """What residuals can show of the faults of a plant, whatever the method.
 
     Prints as a table.
 
@@ -60,7 +60,7 @@ class Diagnosability:
     unknown_input_observer: UnknownInputExistence | None
 
     def constant_twins(self, fault: str) -> tuple[str, ...]:
-        """Return the faults that cannot be told from this one while both are constant, though else they can."""
+        """Return the faults that look the same as this one while both are constant, but not else."""
         i = self.faults.index(fault)
         return tuple(
             other
@@ -72,7 +72,7 @@ class Diagnosability:
         )
 
     def reasons(self) -> dict[str, str]:
-        """Return for each fault that cannot be detected or told apart, why."""
+        """Return the reason for each fault that cannot be detected or isolated."""
         out = {}
         for i, name in enumerate(self.faults):
             if not self.detectable[i]:
@@ -120,7 +120,7 @@ class Diagnosability:
 
 
 def diagnosability(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> Diagnosability:
-    r"""Tell which faults can be detected and which can be told apart, before any design.
+    r"""Tell which faults can be detected and which can be isolated from each other, before any design.
 
     A fault ``i`` is detectable when :math:`\operatorname{rank}\begin{bmatrix} A-sE & B_d & b_i\\ C & D_d & d_i
     \end{bmatrix}` exceeds the rank without its column for almost every ``s``; it can be told from fault ``j``
@@ -133,7 +133,7 @@ def diagnosability(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> Diagnosabilit
         ``E`` may be singular.
     rtol : float
         Relative tolerance of the rank decisions. A fault is seen when more than ``10 * rtol`` of its direction
-        (and more than rounding) is left; two are told apart when their angle exceeds 1e-7.
+        (and more than rounding) is left; two are isolable when their angle exceeds 1e-7.
 
     Returns
     -------
@@ -148,7 +148,7 @@ def diagnosability(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> Diagnosabilit
     Notes
     -----
     Assumes: the model is exact, linear and time-invariant, one fault is there at a time, and disturbances may be
-    any signals. Noise is not considered: what can be told in principle may take long in noise.
+    any signals. Noise is not considered: an isolation that is possible in principle may take long in noise.
 
     The pencil is evaluated at a few fixed points; what the disturbances leave of each fault's column is its
     projection on the left null space there. At ``s = 0`` (``z = 1``) a zero of the plant enlarges the null space at
@@ -199,7 +199,7 @@ def diagnosability(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> Diagnosabilit
 def group_twins(
     faults: tuple[str, ...], present: NDArray[np.bool_], isolable: NDArray[np.bool_]
 ) -> tuple[tuple[str, ...], ...]:
-    """Return the faults in groups whose members cannot be told apart; absent ones are left out."""
+    """Return the faults in groups whose members look the same; absent ones are left out."""
     groups: list[list[int]] = []
     for i in np.flatnonzero(present):
         for group in groups:
@@ -212,7 +212,7 @@ def group_twins(
 
 
 def _decide(seen: Visible, rtol: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return who is visible and who can be told from whom, the best over the test points."""
+    """Return who is visible and who is isolable from whom, the best over the test points."""
     size = np.linalg.norm(seen.columns, axis=1)
     floor = np.maximum(seen.rounding, 10 * rtol)[:, None]
     visible = (size > floor).any(axis=0)

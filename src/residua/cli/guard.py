@@ -34,7 +34,7 @@ _OPTIONS: ContextVar[frozenset[str]] = ContextVar("options", default=frozenset()
 
 
 class GuardedGroup(TyperGroup):
-    """A group of commands none of which ends in a traceback, nor with the status of a found fault by accident."""
+    """A group of commands none of which ends in a traceback, nor by accident with the status of a fault."""
 
     def make_context(self, *args: Any, **kwargs: Any) -> Any:
         """Read the arguments; options such as ``--version`` print at once."""

@@ -20,7 +20,8 @@ from residua.errors import AccuracyError, DesignError, ModelError, ResiduaError,
 from residua.plant import Plant
 
 AUTO = "auto"
-#: Seconds for the choice of a coding set, and for the other methods after a refusal; what was found by then is taken.
+#: Seconds for the choice of a coding set, whose search then takes the best one so far; and for the other methods after
+#: a refusal.
 CHOICE_TIME, TRYING_TIME = 10.0, 30.0
 
 
@@ -63,7 +64,7 @@ def former_names() -> dict[str, str]:
 
 
 def in_python_only(method: Method) -> str:
-    """Return why a method is not offered here; empty where it is."""
+    """Return why a method is not offered here; empty if it is."""
     if not method.takes_a_plant:
         kind = method.designs_for
         article = "" if kind.endswith("s") and "with" not in kind else "an " if kind[0] in "aeiou" else "a "
@@ -81,11 +82,11 @@ class Shared:
     Attributes
     ----------
     name : str
-        Of the argument.
+        The name of the argument.
     flags : tuple of str
-        What is written.
+        The words on the command line.
     form : Form
-        Of the first method that has it.
+        The form in the first method that has it.
     text : str
         What most of the methods say of it.
     methods : tuple of str
@@ -135,7 +136,7 @@ class Call:
     Attributes
     ----------
     method : Method
-    given : mapping of str to value
+    values : mapping of str to value
         Options that were asked for.
     sample_time : float or None
         Of the recordings.
@@ -146,7 +147,7 @@ class Call:
     """
 
     method: Method
-    given: Mapping[str, Any]
+    values: Mapping[str, Any]
     sample_time: float | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
     made: dict[Chosen, Any] = field(default_factory=dict, repr=False)
@@ -155,7 +156,7 @@ class Call:
     def asked(self) -> dict[str, Any]:
         """Its arguments, beside those that are made from the plant."""
         names = {one.name for one in self.method.options}
-        return {**self.given, **{name: value for name, value in self.settings.items() if name in names}}
+        return {**self.values, **{name: value for name, value in self.settings.items() if name in names}}
 
     @property
     def left_out(self) -> list[str]:
@@ -199,7 +200,7 @@ class Call:
         made = [
             f"{name}={one.limited.format(seconds=CHOICE_TIME)}"
             for name, one in self.method.chosen.items()
-            if name not in self.given
+            if name not in self.values
         ]
         arguments = [f"{name}={_with_real_numbers(value)!r}" for name, value in self.asked.items()]
         return f"{self.method.called}({', '.join([sampled, *made, *arguments])})"
@@ -308,8 +309,8 @@ def make(plant: Plant, name: str, call: Call, *, why: str = "") -> Any:
     DesignError
     """
     for option, chosen in call.method.chosen.items():
-        if chosen is ROWS and option in call.given:  # a slip in these says nothing about other methods
-            coding.CodingSet.of(call.given[option], plant.faults)
+        if chosen is ROWS and option in call.values:  # a slip in these says nothing about other methods
+            coding.CodingSet.of(call.values[option], plant.faults)
     try:
         return call.run(plant)
     except (DesignError, AccuracyError) as error:
@@ -322,7 +323,7 @@ def make(plant: Plant, name: str, call: Call, *, why: str = "") -> Any:
 def _remedy(plant: Plant, name: str, call: Call) -> str:
     """Return which options are in the way where the method works without them, or which other methods exist."""
     kept = {option.name for option in call.method.options if option.required} - set(call.method.chosen)
-    dropped = [option for option in call.method.options if option.name in call.given and option.name not in kept]
+    dropped = [option for option in call.method.options if option.name in call.values and option.name not in kept]
     if dropped and _exists(_without_options(call, call.method, kept), plant):
         return f"without {_listed(tuple(flag(one) for one in dropped))} {name} exists for this plant"
     needed = tuple(flag(option) for option in call.method.options if option.name in call.given and option.name in kept)
@@ -332,7 +333,7 @@ def _remedy(plant: Plant, name: str, call: Call) -> str:
 
 def _without_options(call: Call, method: Method, kept: Iterable[str] = ()) -> Call:
     """Return a call of a method with the defaults of its options, but for those that are kept."""
-    values = {name: value for name, value in call.given.items() if name in kept}
+    values = {name: value for name, value in call.values.items() if name in kept}
     return Call(method, values, call.sample_time, call.settings, call.made)
 
 

@@ -108,7 +108,7 @@ def _count(number: int, thing: str) -> str:
 
 
 def show_diagnosability(answer: Diagnosability) -> None:
-    """Print what can be told about the faults of a plant, and why the rest cannot."""
+    """Print which faults of a plant can be detected and isolated, and why the others cannot."""
     plant = answer.plant
     time = f"sampled at {plant.dt:g} s" if plant.is_discrete else "continuous"
     say(
@@ -255,7 +255,7 @@ def show_responses(matched: MatchedFilters) -> None:
 
 
 def show_diagnosis(diagnosis: Diagnosis) -> None:
-    """Print what was found in a recording.
+    """Print the diagnosis of a recording.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ class Size:
     ----------
     fault : str
     mean : float
-        Mean of the estimate over the judged window; NaN where it has no value.
+        Mean of the estimate over the judged window; NaN without a value.
     last : float
         Its last value there.
     unit : str
@@ -59,7 +59,7 @@ class Candidate:
     sizes : tuple of Size
         Of those of its faults that are estimated.
     arrival : float or None
-        By matched filters: when the fault arrived if it is this one, in seconds; ``None`` where that was before the
+        By matched filters: when the fault arrived if it is this one, in seconds; ``None`` if that was before the
         window.
     ratio : float or None
         By matched filters: twice the logarithm of the likelihood ratio of this fault against none. A lead of 6 over
@@ -126,7 +126,7 @@ class Beginning:
     Attributes
     ----------
     earliest : float or None
-        In seconds; ``None`` where the recording does not reach back far enough to tell: at or before ``latest``.
+        In seconds; ``None`` if the recording does not reach back far enough to tell: at or before ``latest``.
     estimate : float
         The most likely time.
     latest : float
@@ -156,8 +156,7 @@ class Alarm:
     ----------
     onset : float
         Time at which the statistic first went over the threshold and stayed, in seconds; by matched filters the
-        estimated arrival of the fault, where that is known. What the alarm is about began earlier, as a rule:
-        ``began``.
+        estimated arrival of the fault, if known. The cause of the alarm began earlier, as a rule: ``began``.
     raised : float
         Time at which the alarm was raised (later than the onset when persistence was asked for).
     ended : float or None
@@ -166,7 +165,7 @@ class Alarm:
         Best first, judged over the isolation window that ends with the last sample over the threshold (of the
         longest part, where alarms were joined). By matched filters arrivals and sizes are those of the longest part
         whose arrival is not after ``raised``, and no candidate arrives after it. By code: the group that was read, then
-        the others by the number of members that agree; empty where the reading is unknown, or several faults, which are
+        the others by the number of members that agree; empty if the reading is unknown, or several faults, which are
         no alternatives of each other: ``named`` has them.
     start, stop : int
         Sample numbers of ``raised`` and of the first sample after the alarm.
@@ -180,11 +179,11 @@ class Alarm:
         Estimated sizes of all faults that are estimated, over the isolation window that ends with the last sample
         over the threshold.
     arrival : float or None
-        By matched filters: the estimated arrival of the best candidate; ``None`` where it was before the window.
+        By matched filters: the estimated arrival of the best candidate; ``None`` if it was before the window.
     present : tuple of PresentFault
         By the code of a dedicated bank: every fault that was read and when its own member fired, the first one first.
     began : Beginning or None
-        When the change began that raised the alarm, as an interval; ``None`` where that cannot be told: it was before
+        When the change began that raised the alarm, as an interval; ``None`` if the data do not show it: it was before
         ``raised``. Of the twenty longest alarms of a recording.
     fired : tuple of str
         Where groups of residuals are tested by themselves: those that were in alarm, the longest first.
@@ -206,9 +205,10 @@ class Alarm:
 
     @property
     def named(self) -> tuple[tuple[str, ...], ...]:
-        """The faults that the alarm is put down to: the best candidate, or all of several at once by code.
+        """The faults that explain the alarm: the best candidate, or all of several at once by code.
 
-        Those that cannot be told apart are one group, of which one fault or more is there. Empty where nobody is named.
+        Faults that cannot be distinguished are one group, of which one fault or more is there. Empty without a
+        named fault.
         """
         return put_down_to(self.reading, self.candidates)
 
@@ -224,7 +224,7 @@ class Alarm:
 
     @property
     def doubt(self) -> str:
-        """What makes the first name doubtful against the second one; empty where nothing does.
+        """What makes the first name doubtful against the second one; empty if nothing does.
 
         ``"score"``: the scores are a close call. By matched filters instead ``"likelihood"``: the second is not 20
         times less likely; or ``"fit"``: both explain nearly the same, and neither explains the data to within the
@@ -249,7 +249,7 @@ class Alarm:
     def to_dict(self, *, window: int = 1) -> dict[str, Any]:
         """Return the alarm as plain values for JSON; ``short`` means shorter than the isolation window.
 
-        ``began`` is there where it is known, ``code`` for banks, ``present`` for dedicated ones, ``sizes`` for
+        ``began`` is there if it is known, ``code`` for banks, ``present`` for dedicated ones, ``sizes`` for
         estimators and matched filters, ``arrival`` and ``lead`` for the latter, ``fired`` for groups of residuals.
         """
         out: dict[str, Any] = {

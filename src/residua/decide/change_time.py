@@ -31,7 +31,7 @@ class ChangeTime:
     Attributes
     ----------
     earliest : int or None
-        First sample that the change may have reached; ``None`` where the data do not reach back far enough to tell.
+        First sample that the change may have reached; ``None`` if the data do not reach back far enough to tell.
     estimate : int
         The most likely one.
     latest : int
@@ -51,7 +51,7 @@ def change_time(signal: NDArray[np.float64], quiet: int, last: int) -> ChangeTim
     samples, a ramp, or the square of time. The interval has all times ``tau`` whose largest likelihood over shape,
     size and baseline comes within ``JUMP_QUANTILE`` of the largest of all (twice the logarithm). Only so many samples
     after the alarm are used that the change is beyond doubt: whatever a change looks like later, it begins like one of
-    these, and the response of a filter does not matter. Where what is left after the change still is more than the
+    these, and the response of a filter does not matter. If the rest after the change still is more than the
     noise before it, no shape fits, and the interval grows by as much.
 
     Parameters
@@ -66,7 +66,7 @@ def change_time(signal: NDArray[np.float64], quiet: int, last: int) -> ChangeTim
     Returns
     -------
     ChangeTime or None
-        ``None`` where there is too little before the change, or too little of it, to tell.
+        ``None`` if there is too little before the change, or too little of it, to tell.
 
     References
     ----------
@@ -107,7 +107,7 @@ def _with_enough(signal: NDArray[np.float64], quiet: int, last: int) -> ChangeTi
 
 
 def _dated(signal: NDArray[np.float64], quiet: int, last: int) -> tuple[ChangeTime | None, float]:
-    """Return the change and its evidence, twice the log likelihood ratio; the noise model is fitted to what is left."""
+    """Return the change and its evidence, twice the log likelihood ratio; the noise model is fitted to the rest."""
     shapes, left = _shapes(len(signal)), signal[:quiet] - signal[:quiet].mean()
     profile, lags, begin = np.zeros(len(signal)), np.zeros(0), 0
     for _ in range(3):

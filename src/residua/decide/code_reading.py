@@ -40,7 +40,7 @@ class CodeReading:
         Which members fired.
     members : tuple of str
     settled : tuple of str
-        Those of ``faults`` that fire these members only once they are constant.
+        The ones of ``faults`` that fire these members only once they are constant.
     possible : tuple of tuple of str
         For ``unknown``: the single faults that explain the pattern by members that stay silent, those with the
         fewest silent members first. Faults with the same code are together, each is named once.

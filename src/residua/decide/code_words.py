@@ -27,7 +27,7 @@ DEDICATED_RULES = (
 
 
 def statement_by_code(alarm: Alarm, clock: Clock, window: int, *, dedicated: bool) -> Statement:
-    """Return what is said of an alarm that was read by code; ``dedicated``: every fault has a member of its own."""
+    """Return the statement about an alarm that was read by code; ``dedicated``: every fault has a member of its own."""
     reading = alarm.reading
     assert reading is not None
     first = f"Fired: {listing(reading.fired) or 'none'}; {reading.meaning}."

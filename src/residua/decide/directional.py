@@ -103,7 +103,7 @@ class DirectionTest(Isolation):
         return {"isolation": f"direction of the residual averaged over {over}"}
 
     def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
-        """Return what is said of an alarm: the scores, and the angles that they stand for."""
+        """Return the statement about an alarm: the scores, and the angles that they stand for."""
         return statement_by_score(alarm, clock, window, angle, _COSINE)
 
     # --------------------------------------------------------------------------- files

@@ -124,7 +124,7 @@ def tail_of(
     *,
     highest: float = HIGHEST,
 ) -> Tail:
-    """Return the tail of values, to be used at a rate: from there on, or from where there are enough exceedances."""
+    """Return the tail of values, for use at a rate: from there on, or from the level with enough exceedances."""
     ordered = np.sort(values)
     n, number = len(ordered), int(blocks.max(initial=0)) + 1
     start, worth = ordered[-1], 0.0

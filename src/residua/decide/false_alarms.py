@@ -15,7 +15,7 @@ from residua.decide.exceedance_tail import HIGHEST, Scale, Tail, quantile, scale
 
 #: How sure a promise is.
 CONFIDENCE = 0.95
-#: Over this multiple of the rate that was asked for, a promise is told as one.
+#: Over this multiple of the rate that was asked for, it is reported as a promise of its own.
 TOLERATED = 1.5
 #: Where the data cannot tell, the threshold is set for at least this share of the rate.
 _LEAST_AIM = 0.6
@@ -74,11 +74,11 @@ class Promise:
     asked : float
         Fraction of samples in alarm that was asked for.
     aimed : float
-        That is expected with this threshold.
+        The fraction expected with this threshold.
     promised : float
-        That is not exceeded, with 95 % confidence; 1 where the data say nothing.
+        The fraction not exceeded, with 95 % confidence; 1 if the data say nothing.
     extended : str
-        By what the rate is extended where the data are too few to show it; empty where they do.
+        By what the rate is extended if the data are too few to show it; else empty.
     """
 
     threshold: float
@@ -200,7 +200,7 @@ def promise_of(seen: Observed, asked: float) -> Promise:
     where an alarm needs several in a row, that of samples in alarm follows by a model of runs
     (:class:`residua.decide.exceedance_runs.RunModel`). How well the rate is known is seen by leaving out stretches of
     time in turn. Where that allows for more than 1.5 times what was asked, the threshold is set for less, down to 0.6
-    of it; where that does not suffice, the promise says so.
+    of it; if that does not suffice, the promise says so.
     """
     direct = tail_of(seen.levels[seen.counted], _lasting(seen, asked), seen.scale, asked, highest=asked)
     if direct.worth >= ENOUGH:
@@ -259,7 +259,7 @@ def _grouped(blocks: NDArray[np.int64]) -> NDArray[np.int64]:
     return blocks * min(_GROUPS, number) // number
 
 
-def coincidence(found: Sequence[Observed], share: float) -> float:
+def coincidence(members: Sequence[Observed], share: float) -> float:
     r"""Return how many members are in alarm at once, on average while any is, where each is so at a rate; at least 1.
 
     It is seen at the smallest rate, that one or higher, at which the data show thirty independent alarms of any member.
@@ -268,14 +268,14 @@ def coincidence(found: Sequence[Observed], share: float) -> float:
 
     Parameters
     ----------
-    found : sequence of Observed
-        Of the same samples.
+    members : sequence of Observed
+        The members' levels, of the same samples.
     share : float
         Rate of every member.
     """
-    counted = np.logical_and.reduce([one.counted for one in found])
-    levels = np.array([one.levels[counted] for one in found])
-    ordered, longest = np.sort(levels, axis=1), max(found, key=lambda one: -int(one.blocks.max(initial=0)))
+    counted = np.logical_and.reduce([one.counted for one in members])
+    levels = np.array([one.levels[counted] for one in members])
+    ordered, longest = np.sort(levels, axis=1), max(members, key=lambda one: -int(one.blocks.max(initial=0)))
     blocks, best = longest.blocks[counted], 1.0
     for rate in np.geomspace(share, max(share, HIGHEST), 24):
         over = levels > np.array([quantile(row, float(rate)) for row in ordered])[:, None]

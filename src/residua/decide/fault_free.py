@@ -91,7 +91,7 @@ class Moments:
     center : ndarray, shape (k,)
     whitening : ndarray, shape (k, k)
     intensity : float
-        How far the covariance was drawn towards a simpler one; 0 where the data sufficed.
+        How far the covariance was drawn towards a simpler one; 0 if the data sufficed.
     """
 
     center: NDArray[np.float64]
@@ -247,7 +247,7 @@ class FaultFree:
                 yield (index >= start) & (index < stop), kept, self.full & ~reach
 
     def _stretches(self, folds: int) -> list[tuple[int, int]]:
-        """Return where stretches of about as many usable samples begin and end; at a seam, where one is near."""
+        """Return where stretches of about as many usable samples begin and end; at a seam, if one is near."""
         count = np.cumsum(self.usable)
         edges = np.searchsorted(count, np.arange(1, folds) * count[-1] / folds)
         near = len(self.usable) / folds / 3

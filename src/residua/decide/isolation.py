@@ -78,7 +78,7 @@ class Seen:
 
 @dataclass(frozen=True)
 class Named:
-    """What an alarm is put down to; the attributes are those of :class:`residua.monitor.Alarm`.
+    """The attribution of an alarm; the attributes are those of :class:`residua.monitor.Alarm`.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class Named:
         return fields if self.onset is None else fields | {"onset": self.onset}
 
 
-#: Says what an alarm is put down to: from its first sample, that after it, and the last over the threshold.
+#: Returns the attribution of an alarm from its first sample, the sample after it, and the last over the threshold.
 Naming = Callable[[int, int, int], Named]
 
 
@@ -117,7 +117,7 @@ class Isolation(Record, ABC):
     Attributes
     ----------
     groups : tuple of tuple of str
-        Faults that cannot be told apart are one group; one column of the scores each.
+        Faults that cannot be distinguished are one group; one column of the scores each.
     unjudged : tuple of str
         Faults that are never named.
     """
@@ -129,12 +129,12 @@ class Isolation(Record, ABC):
     def start(self, plants: int) -> Any:
         """Return the state before the first sample: a frozen dataclass of arrays with a row per plant, and numbers.
 
-        ``None`` where nothing is remembered.
+        ``None`` if nothing is remembered.
         """
 
     @abstractmethod
     def run(self, state: Any, block: Block, tested: Tested) -> tuple[Any, Scores]:
-        """Run over a block of samples, and return the state to go on with and what is said of each sample.
+        """Run over a block of samples, and return the state to go on with and the outcome for each sample.
 
         A pure function, with the same bits however time is cut into blocks, and for any number of plants at once.
         """
@@ -147,7 +147,7 @@ class Isolation(Record, ABC):
         return tuple(Candidate(self.groups[g], float(scores[g]), 1.0 - float(scores[g])) for g in order)
 
     def name(self, seen: Seen, start: int, stop: int, last: int) -> Named:
-        """Return what an alarm of a recording is put down to.
+        """Return the attribution of an alarm of a recording.
 
         Parameters
         ----------
@@ -167,7 +167,7 @@ class Isolation(Record, ABC):
         return Named(candidates=candidates, sizes=sizes, fired=fired)
 
     def name_now(self, seen: Seen) -> Named:
-        """Return what the alarm that stands is put down to; ``seen`` is the latest sample."""
+        """Return the attribution of the standing alarm; ``seen`` is the latest sample."""
         return Named(candidates=self.candidates(seen.scores.scores[0]))
 
     def same_event(self, before: Alarm, alarm: Alarm) -> bool:
@@ -175,7 +175,7 @@ class Isolation(Record, ABC):
         return leader(before) == leader(alarm)
 
     def name_of_several(self, parts: Sequence[Alarm], exceeded: NDArray[np.bool_], name: Naming) -> Named | None:
-        """Return what several alarms that are one are put down to; ``None``: what the longest of them is."""
+        """Return the attribution of several alarms that are one; ``None``: that of the longest of them."""
         return None
 
     # ----------------------------------------------- what the rest of a monitor asks for
@@ -191,7 +191,7 @@ class Isolation(Record, ABC):
 
     @property
     def signatures(self) -> tuple[NDArray[np.float64], ...]:
-        """For each group an orthonormal basis of where its whitened residual points; empty where none is used."""
+        """For each group an orthonormal basis of where its whitened residual points; empty if not used."""
         return ()
 
     @property
@@ -210,7 +210,7 @@ class Isolation(Record, ABC):
         return {"isolation": type(self).__name__}
 
     def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
-        """Return what is said of an alarm: what page, screen and printed diagnosis say of it.
+        """Return the statement about an alarm: the words of page, screen and printed diagnosis.
 
         Parameters
         ----------
@@ -254,7 +254,7 @@ class IsolationSettings(Record, ABC):
     Attributes
     ----------
     kind : str
-        What its records are marked with in files.
+        The mark of its records in files.
     makes : type
         What runs: an :class:`Isolation`.
     """
@@ -281,7 +281,7 @@ class IsolationSettings(Record, ABC):
         return None
 
     def test_of(self, settings: TestSettings) -> TestSettings:
-        """Return the settings of the test that goes with this isolation, or raise where one does not."""
+        """Return the settings of the test that goes with this isolation, or raise if none does."""
         return settings
 
     def kept(self, generator: ResidualGenerator) -> tuple[str, int, int] | None:
@@ -347,7 +347,7 @@ def check_groups(groups: Sequence[Sequence[str]], unjudged: Sequence[str], where
 
 
 def leader(alarm: Alarm) -> tuple[str, ...]:
-    """Return the best candidate of an alarm; empty where nobody is named."""
+    """Return the best candidate of an alarm; empty if nobody is named."""
     return alarm.candidates[0].faults if alarm.candidates else ()
 
 

@@ -53,7 +53,7 @@ _WHITE = 1e-6
 #: A lead in twice the logarithm of the likelihood at or above this (22,000 to 1) is called clear.
 CLEAR_LEAD = 20.0
 
-#: What is said of two faults that explain nearly the same, and neither all of it.
+#: The words for two faults that explain nearly the same, and neither all of it.
 NO_FIT = (
     "neither of the first two fits to within the noise, and what is left exceeds what sets them apart: an error of the "
     "model, or a fault that is no step, may decide between them"
@@ -105,15 +105,15 @@ class MatchedNames(Isolation):
         return HeldState.empty(plants)
 
     def run(self, state: HeldState, block: Block, tested: Tested) -> tuple[HeldState, Scores]:
-        """Return what a standing alarm is put down to, and how much of what exceeds the noise each group explains."""
+        """Return the attribution of a standing alarm, and how much of what exceeds the noise each group explains."""
         seen = tested.likelihood
         assert isinstance(seen, Likelihoods)
-        likelihoods = seen.found
+        likelihoods = seen.values
         match, state = hold_block(self.matched.window, state, likelihoods, tested.alarm, tested.exceeded, block.count)
         return state, Scores(match_scores(self.matched, likelihoods["ratios"], seen.sums, tested.usable), match=match)
 
     def name(self, seen: Seen, start: int, stop: int, last: int) -> Named:
-        """Return what an alarm is put down to at its end, with arrival and onset where they are known."""
+        """Return the attribution of an alarm at its end, with arrival and onset if known."""
         match = seen.scores.match
         assert match is not None
         judged = seen.tested.alarm & seen.tested.exceeded
@@ -122,7 +122,7 @@ class MatchedNames(Isolation):
         )
 
     def name_now(self, seen: Seen) -> Named:
-        """Return the candidates of the latest sample, and the fault and arrival that the alarm is put down to."""
+        """Return the candidates of the latest sample, and the fault and arrival that explain the alarm."""
         match, step = seen.scores.match, seen.generator.dt
         assert match is not None
         ago = seen.count - float(match.arrival[0])
@@ -142,7 +142,7 @@ class MatchedNames(Isolation):
         )
 
     def name_of_several(self, parts: Sequence[Alarm], exceeded: NDArray[np.bool_], name: Naming) -> Named:
-        """Return what several alarms are put down to that are one.
+        """Return the attribution of several alarms that are one.
 
         That of the longest part whose arrival is known, and not after the first part was raised; without any, of the
         longest of those in which the fault had arrived before the window. A later part may date the same fault anew, by
@@ -186,7 +186,7 @@ class MatchedNames(Isolation):
         }
 
     def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
-        """Return what is said of an alarm: by how much the likelihood leads, and when the fault arrived."""
+        """Return the statement about an alarm: by how much the likelihood leads, and when the fault arrived."""
         return statement_by_likelihood(alarm, clock, window)
 
     @property
@@ -207,6 +207,10 @@ class MatchedNames(Isolation):
 
     # --------------------------------------------------------------------------- files
 
+    def check_state(self, state: HeldState, count: int) -> None:
+        """Raise where a state from a file cannot be one."""
+        state.check("state.isolation.held", len(self.matched.faults), self.matched.window, count)
+
     def to_record(self) -> dict[str, Any]:
         """Return nothing: the test has the responses."""
         return {}
@@ -225,7 +229,7 @@ class Matched(IsolationSettings):
     Parameters
     ----------
     window : int
-        Arrival times ``t - window`` to ``t`` are told apart.
+        Arrival times ``t - window`` to ``t`` are distinguished.
     steady : bool
         Only the settled response of each fault, averaged over ``window + 1`` samples: no arrival times, and wrong
         names while the residual turns.
@@ -464,7 +468,7 @@ def named_by_match(
     generator: ResidualGenerator,
     time: NDArray[np.float64],
 ) -> Named:
-    """Return what an alarm is put down to at its end: candidates, sizes, arrival, and the onset where it is known.
+    """Return the attribution of an alarm at its end: candidates, sizes, arrival, and the onset if known.
 
     Parameters
     ----------
@@ -497,7 +501,7 @@ def named_by_match(
 
 
 def statement_by_likelihood(alarm: Alarm, clock: Clock, window: int) -> Statement:
-    """Return what is said of an alarm whose candidates are ranked by their likelihood."""
+    """Return the statement about an alarm whose candidates are ranked by their likelihood."""
     candidates = scored(alarm)
     if not candidates:
         return not_isolated(alarm, clock)

@@ -1,4 +1,4 @@
-"""What an alarm is put down to: the most likely fault and arrival, held once the window has passed them."""
+"""The attribution of an alarm: the most likely fault and arrival, held once the window has passed them."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.errors import FileFormatError
 from residua.number_kinds import KNOWN_OR_NOT, NumberKind
 from residua.records import Record
 
@@ -19,26 +20,26 @@ FALLEN = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Match:
-    """What the test found; every array starts with (plants, time), or (time,) for one plant.
+    """The result of the test; every array starts with (plants, time), or (time,) for one plant.
 
     Attributes
     ----------
     ratios : ndarray, shape (..., faults)
         Twice the logarithm of the generalised likelihood ratio of each fault, at its most likely arrival.
     ages : ndarray of int, shape (..., faults)
-        That arrival, in samples ago; -1 where it lies before the window, and the fault has settled.
+        That arrival, in samples ago; -1 if it lies before the window, and the fault has settled.
     sizes, deviations : ndarray, shape (..., faults)
         Most likely size with that arrival, in units of the fault, and its standard deviation; NaN and infinity where
         nothing can be said.
     settled_sizes : ndarray, shape (..., faults)
         Size by the steady response alone, over the window; NaN where that vanishes.
     fault : ndarray of int, shape (...)
-        Number of the fault that the standing alarm is put down to; -1 without an alarm. Refined as long as its
+        Number of the fault that explains the standing alarm; -1 without an alarm. Refined as long as its
         arrival lies within the window, final thereafter.
     arrival : ndarray, shape (...)
         When it arrived, as a number of samples from the start of the run; NaN when that was before the window.
     source : ndarray of int, shape (...)
-        The sample at which both were found, counted likewise; -1 without an alarm.
+        The sample from which both come, counted likewise; -1 without an alarm.
     """
 
     ratios: NDArray[np.float64]
@@ -58,7 +59,7 @@ class HeldState(Record):
     Attributes
     ----------
     held : ndarray, shape (plants, 6)
-        Fault, arrival, the sample that they were found at, whether they are final, the sample of its raising and the
+        Fault, arrival, the sample from which they come, whether they are final, the sample of its raising and the
         largest likelihood ratio so far; NaN without one.
     on : ndarray of bool, shape (plants,)
         Whether one stands.
@@ -73,6 +74,23 @@ class HeldState(Record):
     def empty(plants: int) -> HeldState:
         """Return the state before the first sample."""
         return HeldState(np.full((plants, 6), np.nan), np.zeros(plants, dtype=bool))
+
+    def check(self, where: str, faults: int, window: int, count: int) -> None:
+        """Raise where a state from a file is not that of an alarm of so many faults, within so many samples."""
+        fault, arrival, source, final, raised, peak = self.held[self.on].T
+        known = ~np.isnan(fault)
+        right = (
+            np.isnan(self.held[~self.on]).all()
+            and _are_whole(fault[known], 0, faults)
+            and np.array_equal(known, ~np.isnan(source))
+            and _are_whole(source[known], 0, count)
+            and _are_whole(arrival[~np.isnan(arrival)], -window, count)
+            and _are_whole(final, 0, 2)
+            and _are_whole(raised, 0, count)
+            and np.all((peak >= 0) & np.isfinite(peak))
+        )
+        if not right:
+            raise FileFormatError(f"{where}: no alarm within {count} samples is put down to a fault like that")
 
 
 def hold_block(
@@ -107,7 +125,7 @@ def hold_block(
     now = count + np.arange(time)
     best = np.argmax(likelihoods["ratios"], axis=2)
     age = np.take_along_axis(likelihoods["ages"], best[..., None], axis=2)[..., 0]
-    # one column before the block: what an alarm that goes on was put down to
+    # one column before the block: the attribution of an alarm that goes on
     held = np.where(was[:, None], state.held, np.nan)
     at = np.arange(time + 1)
     on = np.concatenate([was[:, None], alarm], axis=1)
@@ -145,6 +163,11 @@ def hold_block(
         source=np.where(put_down, origin, -1)[:, 1:].astype(np.int64),
     )
     return match, state
+
+
+def _are_whole(values: NDArray[np.float64], first: int, stop: int) -> bool:
+    """Tell whether numbers are whole and in a range."""
+    return bool(np.all((values == np.floor(values)) & (values >= first) & (values < stop)))
 
 
 def _latest(which: NDArray[np.bool_]) -> NDArray[np.int64]:

@@ -41,13 +41,13 @@ class Likelihoods:
 
     Attributes
     ----------
-    found : dict of str to ndarray
+    values : dict of str to ndarray
         ``ratios``, ``ages``, ``sizes``, ``deviations`` and ``settled_sizes``.
     sums : ndarray, shape (plants, time, residuals + 2)
         Of the whitened residual, its square and what is usable, over the window.
     """
 
-    found: dict[str, NDArray]
+    values: dict[str, NDArray]
     sums: NDArray[np.float64]
 
 
@@ -161,7 +161,7 @@ class LikelihoodThreshold(TestSettings):
 
     @property
     def remedy(self) -> str:
-        """How a threshold can be had."""
+        """How to get a threshold."""
         return self.settings.remedy
 
     def check(self, watched: Watched) -> None:

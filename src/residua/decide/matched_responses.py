@@ -29,7 +29,7 @@ class MatchedTest(Record):
     faults : tuple of str
         The columns of the responses.
     groups : tuple of tuple of str
-        Faults that cannot be told apart are one group.
+        Faults that cannot be distinguished are one group.
     responses : ndarray, shape (window + 1, residuals, faults)
         Of a fault that arrived 0 to ``window`` samples ago; with no rows, only settled faults are looked for.
     settled : ndarray, shape (residuals, faults)
@@ -82,7 +82,7 @@ class MatchState:
         For each arrival: the products with the expected response so far, and the squared size of that response.
     extra : ndarray, shape (plants, window + 1, 2 faults)
         For each of the last samples what faults that arrived before the window add there to the products with their
-        settled responses, and to the squared size of these, where they have other responses.
+        settled responses, and to the squared size of these, if they have other responses.
     """
 
     sums: NDArray[np.float64]
@@ -175,9 +175,8 @@ def _match_pass(
                 steps[:, p, k] = _squares(R[:-1])
             weights, known = _along_arrivals(steps, state.weights)
         state = replace(state, sums=before, weights=known)
-        likelihoods = _likelihood(products, weights)
-        best = np.argmax(likelihoods[0], axis=0)
-        own = [np.take_along_axis(values, best[None], axis=0)[0] for values in likelihoods]
+        best = np.argmax(_ratios(products, weights), axis=0)
+        own = _likelihood(*(np.take_along_axis(values, best[None], axis=0)[0] for values in (products, weights)))
         younger = own[0] > ratios * (1 + 1e-9)  # a response that never changes cannot tell when it began
         ratios, sizes, deviations = (
             np.where(younger, a, b) for a, b in zip(own, (ratios, sizes, deviations), strict=True)
@@ -246,10 +245,16 @@ def _likelihood(products: NDArray, weights: NDArray) -> tuple[NDArray, NDArray, 
     seen = weights > 0
     safe = np.where(seen, weights, 1.0)
     return (
-        np.where(seen, products * products / safe, 0.0),
+        _ratios(products, weights),
         np.where(seen, products / safe, np.nan),
         np.where(seen, 1 / np.sqrt(safe), np.inf),
     )
+
+
+def _ratios(products: NDArray, weights: NDArray) -> NDArray[np.float64]:
+    """Return the likelihood ratio; 0 where nothing of the response was seen."""
+    seen = weights > 0
+    return np.where(seen, products * products / np.where(seen, weights, 1.0), 0.0)
 
 
 def _squares(rows: NDArray) -> NDArray[np.float64]:

@@ -378,7 +378,7 @@ def _basis(tests: Sequence[NormTest], at_once: float, promised: float | None) ->
     return basis
 
 
-#: Members whose bases are told one by one.
+#: Members whose bases are listed one by one.
 _TOLD = 3
 
 

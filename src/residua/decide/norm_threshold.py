@@ -49,7 +49,7 @@ class NormThreshold(NormSettings):
         Whose covariance :math:`\Sigma_N` is used: that of the fault-free data, that of the plant's noise
         model, or the identity. ``"auto"`` takes the data when fitted, else the model, else none.
     false_alarm_rate : float
-        Fraction of fault-free samples in alarm that is aimed at, unless ``fit`` is told otherwise. A sample is in alarm
+        Intended fraction of fault-free samples in alarm, unless ``fit`` gets another one. A sample is in alarm
         from the one that raises it, the last of ``persistence`` over the threshold, to the one before that which ends
         it: the rate counts samples, not alarms, on data other than those of the fit, once windows are full.
     groups : "each", mapping of str to sequence of str, or sequence of sequence of str, optional
@@ -111,7 +111,7 @@ class NormThreshold(NormSettings):
 
     @property
     def remedy(self) -> str:
-        """How a threshold can be had."""
+        """How to get a threshold."""
         return f"{super().remedy}, give the plant noise (with_noise), or set NormThreshold(threshold=...)"
 
     @property
@@ -128,7 +128,7 @@ class NormThreshold(NormSettings):
     # --------------------------------------------------------------------------- files
 
     def to_record(self) -> dict[str, Any]:
-        """Return the settings as a record; ``groups`` are an entry where there are any."""
+        """Return the settings as a record; ``groups`` are an entry if there are any."""
         content = values_out(self)
         groups = content.pop("groups")
         if self.groups is not None:

@@ -23,18 +23,18 @@ from residua.records import field_names, float_in, joined, record, values_in, va
 from residua.tolerances import SIGNAL_ROUNDING
 from residua.visible import echo
 
-#: How the basis of a test begins whose thresholds the design has certified, or the user has given.
+#: How the basis of a test begins whose thresholds are certified by the design, or set by the user.
 CERTIFIED = "certified by the design over its uncertainty set"
 GIVEN = "threshold given"
 
-#: Characters up to which an error repeats what was given.
+#: Characters up to which an error repeats the value.
 _LONGEST = 80
 #: Members whose shares of their thresholds a basis tells one by one.
 _TOLD = 8
 
 
 def told_sample(sample: int, seams: Sequence[int]) -> str:
-    """Say which sample that is, and of which recording where there are several."""
+    """Say which sample that is, and of which recording if there are several."""
     if not seams:
         return f"sample {sample}"
     before = [0, *(int(s) for s in seams)]
@@ -57,7 +57,7 @@ class _Peak:
 
     @property
     def is_bound(self) -> bool:
-        """Whether thresholds are certified or given, and not fitted to data."""
+        """Whether thresholds are certified or set by the user, and not fitted to data."""
         return self.basis.startswith((CERTIFIED, GIVEN))
 
     @property
@@ -138,7 +138,7 @@ def _unit_cautions(
 ) -> tuple[str, ...]:
     """Return a doubt of the recording where every residual is far over a bound as soon as anything is judged.
 
-    A threshold that is fitted would have shown it; one that is certified or given has never seen the data.
+    A fitted threshold would have shown it; one that is certified or set by the user has never seen the data.
     """
     judged = np.flatnonzero(usable)[: test.release]
     if not test.is_bound or not len(judged):
@@ -184,13 +184,13 @@ class PeakThreshold(TestSettings):
         :math:`J_{th}` in the unit of the residual: one number for all members of a bank, or for a residual that is
         tested as a whole; by name of the member; or in the order of the members. A number is whatever ``float`` takes
         as one, a :class:`residua.design.CertifiedThreshold` as well: the outcome of
-        :func:`residua.design.certified_thresholds` may be given as it is. When omitted, those that the design
+        :func:`residua.design.certified_thresholds` can be used as it is. When omitted, those that the design
         has certified (its ``thresholds``); without any, fitted to fault-free data (:meth:`residua.Monitor.fit`).
     window : int
         Samples of the window, the last one included.
     false_alarm_rate : float
-        Fraction of fault-free samples in alarm that is aimed at where thresholds are fitted; given and certified
-        thresholds are not changed by it.
+        Intended fraction of fault-free samples in alarm for fitted thresholds; it does not change thresholds that the
+        user sets or the design certifies.
 
     Raises
     ------
@@ -210,8 +210,8 @@ class PeakThreshold(TestSettings):
     >>> monitor = rs.Monitor(observer, test=rs.decide.PeakThreshold(0.25, window=60))
     >>> y = np.ones((200, 1))
     >>> y[100] += 1.0
-    >>> found = monitor.run(np.ones((200, 1)), y)
-    >>> print([(alarm.raised, alarm.ended) for alarm in found.alarms])
+    >>> diagnosis = monitor.run(np.ones((200, 1)), y)
+    >>> print([(alarm.raised, alarm.ended) for alarm in diagnosis.alarms])
     [(100.0, 161.0)]
     """
 
@@ -231,7 +231,7 @@ class PeakThreshold(TestSettings):
         object.__setattr__(self, "false_alarm_rate", float(self.false_alarm_rate))
 
     def for_members(self, members: Sequence[str]) -> tuple[float, ...] | None:
-        """Return the threshold of every member, or the one of a residual without members; ``None`` where none is given.
+        """Return the threshold of every member, or the one of a residual without members; ``None`` without any.
 
         Raises
         ------
@@ -268,7 +268,7 @@ class PeakThreshold(TestSettings):
         return tuple(map(float, thresholds))
 
     def from_model(self, watched: Watched) -> NormTest | BankTest | None:
-        """Return the test with the thresholds that are given or certified; ``None`` without any."""
+        """Return the test with the thresholds that the user sets or the design certifies; ``None`` without any."""
         settings, basis = self, GIVEN
         if settings.thresholds is None and watched.certified:
             settings, basis = replace(settings, thresholds=dict(watched.certified)), CERTIFIED
@@ -278,7 +278,7 @@ class PeakThreshold(TestSettings):
         return peak_test(settings, thresholds, basis, watched.generator.n_residuals, watched.parts)
 
     def known(self, watched: Watched) -> NormTest | BankTest | None:
-        """Return the test with the thresholds that are given or certified."""
+        """Return the test with the thresholds that the user sets or the design certifies."""
         return self.from_model(watched)
 
     def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> NormTest | BankTest:
@@ -317,12 +317,12 @@ class PeakThreshold(TestSettings):
 
     @property
     def uses_certified(self) -> bool:
-        """Whether they are used: where none are given."""
+        """Whether they are used: without thresholds of the user's own."""
         return self.thresholds is None
 
     @property
     def remedy(self) -> str:
-        """How a threshold can be had."""
+        """How to get a threshold."""
         return f"{super().remedy}, or set PeakThreshold(thresholds=...)"
 
     # --------------------------------------------------------------------------- files
@@ -395,7 +395,7 @@ def _positive(value: object, what: str) -> float:
 
 
 def _short(value: object) -> str:
-    """Return what was given, in a line."""
+    """Return a value in one line."""
     text = " ".join(reprlib.repr(value).split())
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}... ({type(value).__name__})"
 
@@ -580,7 +580,7 @@ def checked_peak_test(
     members : sequence of str
         Names of the members of a bank.
     seams : sequence of int
-        The first sample of each further recording, where there are several in a row.
+        The first sample of each further recording, if there are several in a row.
 
     Returns
     -------

@@ -13,7 +13,7 @@ from residua.plant import Plant
 
 
 def estimates_of(generator: ResidualGenerator, residuals: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """Return the columns that estimate a fault; one estimated more than once is told apart by its residual's name."""
+    """Return the columns that estimate a fault; one estimated more than once gets its residual's name too."""
     names = generator.estimated
     labels = [f if names.count(f) == 1 else f"{f} ({r})" for f, r in zip(names, generator.residuals, strict=False)]
     return {label: residuals[..., i] for i, label in enumerate(labels) if names[i]}
@@ -53,5 +53,5 @@ def fault_unit(plant: Plant, fault: str) -> str:
     if plant.fault_list[i].unit:
         return plant.fault_list[i].unit
     if plant.fault_kinds[i] not in ("sensor", "actuator"):
-        return ""  # the size of a process fault is in whatever its direction was given in
+        return ""  # the size of a process fault is in the units of its direction
     return str(plant.units.get(plant.fault_components[i], ""))

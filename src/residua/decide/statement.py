@@ -1,4 +1,4 @@
-"""What is said of an alarm: one wording for the page, the screen and the printed diagnosis, made where names are."""
+"""The statement about an alarm: one wording for the page, the screen and the printed diagnosis."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Statement:
     Attributes
     ----------
     headline : str
-        One sentence, with the name where there is one.
+        One sentence, with the name if there is one.
     confidence : str
         How sure the name is, in two words: ``"clear lead"``, ``"close call"``, ``"exact code"``, ...
     margin : float or None
@@ -71,7 +71,7 @@ def capital(text: str) -> str:
 
 
 def not_isolated(alarm: Alarm, clock: Clock) -> Statement:
-    """Return what is said of an alarm that nobody is named for."""
+    """Return the words for an alarm without a named fault."""
     headline = f"A fault was found, {raised_text(alarm, clock)}; it was not isolated."
     return Statement(headline, "not isolated", None, ("This monitor names no candidates for it.",))
 
@@ -79,7 +79,7 @@ def not_isolated(alarm: Alarm, clock: Clock) -> Statement:
 def statement_by_score(
     alarm: Alarm, clock: Clock, window: int, beside: Callable[[float], str] | None = None, meaning: str = ""
 ) -> Statement:
-    """Return what is said of an alarm whose candidates are ranked by a score.
+    """Return the statement about an alarm whose candidates are ranked by a score.
 
     ``beside`` says more of each score, ``meaning`` what a score is.
     """
@@ -135,7 +135,7 @@ def too_short(alarm: Alarm, window: int) -> tuple[str, ...]:
 
 
 def not_apart(best: Candidate) -> list[str]:
-    """Return a sentence about the faults that a candidate stands for, where they are several."""
+    """Return a sentence about the faults that a candidate stands for, if they are several."""
     return [f"This monitor cannot tell {some(best.faults)} apart."] if len(best.faults) > 1 else []
 
 
@@ -181,7 +181,7 @@ def _weight(candidate: Candidate) -> float:
 
 
 def tied_name(candidates: tuple[Candidate, ...], rank: int) -> str:
-    """Return the first candidate of a rank as text, with how many others share it; empty where nobody has it."""
+    """Return the first candidate of a rank as text, with how many others share it; empty if nobody has it."""
     names = [candidate.name for place, candidate in ranked(candidates) if place == rank]
     more = len(names) - 1
     return f"{names[0]} (tied with {more} more)" if more > 0 else "".join(names)
@@ -228,7 +228,7 @@ def over_thresholds(alarm: Alarm, most: int = 10) -> str:
 def alike(
     groups: Sequence[tuple[str, ...]], settled: Sequence[tuple[str, ...]] = ()
 ) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
-    """Return the groups of several faults, each with its names as shown: with *once constant* where that is meant.
+    """Return the groups of several faults, each with its names as shown: with *once constant* if that is meant.
 
     Parameters
     ----------

@@ -243,7 +243,7 @@ class CodeTest(Isolation):
         return {"isolation": f"{sentence}; nearest codes up to {self.distance} off"}
 
     def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
-        """Return what is said of an alarm: what fired, and what it reads as."""
+        """Return the statement about an alarm: what fired, and what it reads as."""
         return statement_by_code(alarm, clock, window, dedicated=self.dedicated)
 
     def cautions(self, bounds: Mapping[str, MemberBounds], alarms: Sequence[Alarm], seen: Seen) -> tuple[str, ...]:
@@ -552,7 +552,7 @@ def read_codes(
     return index.reshape(patterns.shape[:-1]), tuple(test.read(rows[k]) for k in first)
 
 
-# ------------------------------------------------------------------ what an alarm is put down to
+# ------------------------------------------------------------------ the attribution of an alarm
 
 
 def candidates_of_code(reading: CodeReading, codes: CodeTest) -> tuple[Candidate, ...]:
@@ -577,7 +577,7 @@ def candidates_of_code(reading: CodeReading, codes: CodeTest) -> tuple[Candidate
 
 
 def column_read(reading: CodeReading, codes: CodeTest) -> int | None:
-    """Return the number of the code that was read; ``None`` where none was."""
+    """Return the number of the code that the alarm shows; ``None`` without one."""
     off = np.count_nonzero(codes.codes != np.array(reading.pattern)[:, None], axis=0)
     same = [g for g, group in enumerate(codes.groups) if reading.faults and group == reading.faults]
     return min(same, key=lambda g: off[g], default=None)
@@ -609,9 +609,9 @@ def named_pattern(
 ) -> tuple[NDArray[np.bool_], float]:
     """Return the members that an alarm of a dedicated bank names, and the fraction of its samples with just these.
 
-    Those of the pattern that stood the longest, and every other that counted as fired for an isolation window in all: a
-    fault that came later has its member too, and a false alarm of a member is shorter. By a peak test every member that
-    fired: one sample over its threshold declares the fault, and its own window holds it.
+    They are those of the pattern that stood the longest, and every other that counted as fired for an isolation window
+    in all: a fault that came later has its member too, and a false alarm of a member is shorter. By a peak test they
+    are all members that fired: one sample over its threshold declares the fault, and its own window holds it.
     ``code`` and ``fired``, of shape (time, members), and ``usable`` are those of the samples of the alarm.
     """
     if codes.at_once:
@@ -668,7 +668,7 @@ def _named_by(alarm: Alarm) -> set[tuple[str, ...]]:
 def alarms_since(fired: NDArray[np.bool_], state: CodeState, count: int) -> NDArray[np.int64]:
     """Return when each member first fired in the alarm that stands: how many samples had been seen with that one.
 
-    0 where no alarm stands, or where that is not known, the state being one of an earlier version.
+    0 without a standing alarm, or if the time is not known because the state is one of an earlier version.
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ class Watched:
         Sampled.
     parts : mapping of str to tuple of int, or None
         Residual numbers of what has to be tested by itself, by name, for an isolation that asks which of them fired:
-        the members of a bank. ``None`` where the residual is tested as a whole.
+        the members of a bank. ``None`` if the residual is tested as a whole.
     certified : mapping of str to float
         Thresholds that the design has certified, by member; empty for a design that brings none.
     """
@@ -151,12 +151,12 @@ class ResidualTest(Record, ABC):
     def start(self, plants: int) -> Any:
         """Return the state before the first sample: a frozen dataclass of arrays with a row per plant, and numbers.
 
-        ``None`` where nothing is remembered.
+        ``None`` if nothing is remembered.
         """
 
     @abstractmethod
     def run(self, state: Any, block: Block) -> tuple[Any, Tested]:
-        """Run over a block of samples, and return the state to go on with and what is said of each sample.
+        """Run over a block of samples, and return the state to go on with and the outcome for each sample.
 
         A pure function, with the same bits however time is cut into blocks, and for any number of plants at once.
         """
@@ -175,7 +175,7 @@ class ResidualTest(Record, ABC):
 
     @property
     def is_bound(self) -> bool:
-        """Whether thresholds are bounds, certified or given, that no fault-free run exceeds: then it waits longer."""
+        """Whether no fault-free run exceeds the thresholds, certified or the user's: then the test waits longer."""
         return False
 
     @property
@@ -190,7 +190,7 @@ class ResidualTest(Record, ABC):
 
     @property
     def per_deviation(self) -> NDArray[np.float64] | None:
-        """What brings the residual to units of its standard deviation, shape (k, K); ``None`` where it is not known."""
+        """The map of the residual to units of its standard deviation, shape (k, K); ``None`` if it is not known."""
         return None
 
     @property
@@ -205,7 +205,7 @@ class ResidualTest(Record, ABC):
 
     @property
     def part_names(self) -> tuple[str, ...]:
-        """Names of what is tested by itself; empty where the residual is tested as a whole."""
+        """Names of what is tested by itself; empty if the residual is tested as a whole."""
         return ()
 
     @property
@@ -226,7 +226,7 @@ class ResidualTest(Record, ABC):
     def bands(self) -> tuple[NDArray[np.float64], float]:
         """Return half the width of each residual's band, and the share of its fault-free samples that it holds.
 
-        0 where that is not known: the band ends where the residual alone is over the threshold. By default there is no
+        0 if that is not known: the band ends where the residual alone is over the threshold. By default there is no
         band.
         """
         return np.full(len(self.center), np.inf), 0.0
@@ -268,11 +268,11 @@ class TestSettings(Record, ABC):
     Attributes
     ----------
     kind : str
-        What its records are marked with in files.
+        The mark of its records in files.
     makes : type
         What runs: a :class:`ResidualTest`.
     false_alarm_rate : float
-        Fraction of fault-free samples in alarm that is aimed at, unless ``fit`` is told otherwise.
+        Intended fraction of fault-free samples in alarm, unless ``fit`` gets another one.
     """
 
     __test__: ClassVar[bool] = False  # no test of pytest's
@@ -310,7 +310,7 @@ class TestSettings(Record, ABC):
 
     @property
     def remedy(self) -> str:
-        """How a threshold can be had, after "this monitor has no threshold"."""
+        """How to get a threshold, after "this monitor has no threshold"."""
         return "fit(u, y) it to fault-free data"
 
     @property

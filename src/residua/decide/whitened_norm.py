@@ -98,14 +98,14 @@ class NormTest(ResidualTest):
     basis : str
         Where threshold and covariance come from, in words.
     kind : {"norm", "peak"}
-        What it was made of: :class:`residua.decide.NormThreshold`, or :class:`residua.decide.PeakThreshold`, whose
+        Of its settings: :class:`residua.decide.NormThreshold`, or :class:`residua.decide.PeakThreshold`, whose
         window is ``release``.
     promised : float or None
         Fraction of fault-free samples in alarm that the data of the fit promise not to be exceeded on other data, with
-        95 % confidence: 1 where they are too few to say anything; ``None`` where the threshold is not from data.
+        95 % confidence: 1 if they are too few to say anything; ``None`` if the threshold is not from data.
     shrinkage : float or None
         How far the covariance was drawn towards a simpler one, between 0 and 1, because the data were too few for it;
-        ``None`` where it is not from data.
+        ``None`` if it is not from data.
     """
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {**RUNS, **FITTED, "threshold": POSITIVE}
@@ -266,7 +266,7 @@ class Fitted:
     test : NormTest
         Its threshold is infinite, or the one of the settings.
     seen : Observed or None
-        Its cross-fitted statistic on fault-free data; ``None`` where the threshold is set.
+        Its cross-fitted statistic on fault-free data; ``None`` if the threshold is set.
     count : int
         Fault-free samples.
     rounding : float or None

@@ -27,7 +27,7 @@ from residua.visible import counted
 WANTS = ("name", "size", "state")
 #: Larger plants are tried with the single observers only, and the largest not at all.
 LARGE, LARGEST, MOST_FAULTS = 60, 200, 16
-#: Seconds for the choice of a coding set; what was found by then is taken.
+#: Seconds for the choice of a coding set; the search then takes the best one so far.
 _CHOICE_TIME = 5.0
 
 
@@ -44,7 +44,7 @@ class Entry:
     works : bool or None
         ``None`` when it was not tried.
     reason : str
-        What it gives; or why it was refused, or not tried.
+        The result; or why the method was refused, or not tried.
     names : tuple of str
         The faults that it tells from all others.
     estimates : tuple of str
@@ -81,7 +81,7 @@ class Suggestion:
     entries : tuple of Entry
         All that was considered: what works, from the best down, then what was refused, then what was not tried.
     notes : tuple of str
-        What can be told about the plant at all, and what to mind.
+        What can be said about the plant at all, and what to mind.
     """
 
     plant: Plant
@@ -112,7 +112,7 @@ def suggest(plant: Plant, *, want: str | None = None, seconds: float = 30.0) -> 
     """Tell which design functions apply to a plant and which to prefer, by trying them.
 
     Guaranteed: what is said to work has been designed and has passed its own checks (``entry.made``); what is said to
-    be refused has been refused, for the reason given.
+    be refused has been refused, for the reason that stands beside it.
 
     Parameters
     ----------
@@ -211,9 +211,9 @@ class Candidate:
     ----------
     method : Method
     options : mapping of str to value
-        What is asked of it.
+        The options of the call.
     pointless : str
-        Why it makes no sense; empty where it does.
+        Why it makes no sense; empty if it does.
     made : dict
         Arguments that were made from the plant already, which candidates share.
     """
@@ -248,7 +248,7 @@ def candidates(plant: Plant, known: Diagnosability | None) -> Iterator[Candidate
     ----------
     plant : Plant
     known : Diagnosability or None
-        Of this plant; ``None`` where it was not examined.
+        Of this plant; ``None`` if it was not examined.
     """
     made: dict[Chosen, Any] = {}
     for one in methods():

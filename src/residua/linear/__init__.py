@@ -7,18 +7,13 @@ from residua.linear.norms.peak_norm import PeakNorm, peak_input, peak_norm
 from residua.linear.norms.system_norms import PeakGain, h2_norm, hinf_norm
 from residua.linear.poles.placement import Placement, default_margin, place_observer_margin, place_observer_poles
 from residua.linear.poles.riccati import RiccatiSolution, filter_riccati
+from residua.linear.poles.stability import is_stable_mode
 from residua.linear.poles.zeros import InvariantZeros, invariant_zeros, normal_rank, pencil_rank_at
 from residua.linear.polynomials.common_factor import PrimitivePart, primitive_part
 from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
 from residua.linear.polynomials.polynomial_null_space import NullVectors, left_null_vectors, shortest_left_null_vectors
 from residua.linear.subspaces.detection_space import DetectionSpace, detection_space
-from residua.linear.subspaces.observability import (
-    Detectability,
-    ObservabilityForm,
-    detectability,
-    is_stable_mode,
-    observability_form,
-)
+from residua.linear.subspaces.observability import Detectability, ObservabilityForm, detectability, observability_form
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, decide_rank
 from residua.linear.systems.descriptor import WeierstrassForm, is_regular, weierstrass_form
 from residua.linear.systems.descriptor_properties import (

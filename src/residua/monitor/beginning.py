@@ -25,7 +25,7 @@ CLEAR_DIRECTION = 10.0
 def with_beginnings(
     alarms: Sequence[Alarm], residuals: NDArray[np.float64], usable: NDArray[np.bool_], time: NDArray[np.float64]
 ) -> tuple[Alarm, ...]:
-    """Return the alarms, the longest of them with the interval in which they began, where that can be told.
+    """Return the alarms, the longest of them with the interval in which they began, if the data show it.
 
     Parameters
     ----------
@@ -67,10 +67,10 @@ def _timed(moment: ChangeTime, rows: NDArray[np.int64], time: NDArray[np.float64
 
 
 def _along_change(residuals: NDArray[np.float64], quiet: int, last: int) -> NDArray[np.float64] | None:
-    """Return the residual along the direction in which it has moved, up to the samples that told the direction.
+    """Return the residual along the direction in which it has moved, up to the samples that show the direction.
 
-    That is taken from the second half of the alarm, as noise would otherwise point along itself where the alarm begins;
-    from all of it where it is clear beyond that. ``None`` where it is not known well.
+    The direction is taken from the second half of the alarm, as noise would otherwise point along itself where the
+    alarm begins; from all of it if it is clear beyond that. ``None`` if it is not known well.
     """
     before = residuals[:quiet]
     level = before.mean(axis=0)

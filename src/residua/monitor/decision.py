@@ -42,7 +42,7 @@ class Decision:
         For an estimator: the estimated size of every fault now.
     arrived : float or None
         For matched filters while the alarm is on: how many seconds ago the fault arrived that the alarm is put down
-        to; ``None`` where that was before the window.
+        to; ``None`` if that was before the window.
     blamed : str
         For matched filters while the alarm is on: that fault. The candidates are those of this very sample, their
         arrivals in seconds since the first sample; once the arrival of that fault has left the window, the last of
@@ -68,7 +68,7 @@ class Decision:
 
     @property
     def named(self) -> tuple[tuple[str, ...], ...]:
-        """The faults that are named now, one or several, each with those that cannot be told from it; else empty."""
+        """The faults that are named now, one or several, each with its indistinguishable ones; else empty."""
         return put_down_to(self.reading, self.candidates)
 
 

@@ -233,7 +233,7 @@ def _plant_out(plant: Plant) -> dict[str, Any]:
 
 
 def _fault_out(fault: Fault) -> list[str]:
-    """Return name, kind and component, and the notes where there are any: any other file stays as it was."""
+    """Return name, kind and component, and the notes if there are any: any other file stays as it was."""
     notes = [fault.description, fault.check, fault.unit]
     return [fault.name, fault.kind, fault.component, *(notes if any(notes) else [])]
 

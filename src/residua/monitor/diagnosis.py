@@ -1,4 +1,4 @@
-"""The outcome of a monitor on data: what was seen, when, and who is to blame."""
+"""The outcome of a monitor on data: the alarms, their times, and the faults to blame."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ if TYPE_CHECKING:
 
 __all__ = ["CLOSE_LEAD", "CLOSE_MARGIN", "NO_FIT", "Alarm", "Candidate", "Diagnosis"]
 
-#: What is said of a fault that a single estimate found.
+#: The words for a fault that a single estimate shows.
 NO_DIRECTION = "one estimate has no direction: any of these would look like this"
 
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """What a monitor found in a recording. Prints as a table.
+    """The result of a monitor on a recording. Prints as a table.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class Diagnosis:
         Which members count as fired over the window that ends there: what is read.
     match : Match or None
         Of matched filters: likelihood ratio, arrival and size of every fault at every sample, and what a standing
-        alarm is put down to; see :class:`residua.decide.Match`.
+        alarm is attributed to; see :class:`residua.decide.Match`.
     horizon : int
         Samples of the window of a finite-horizon test (:class:`residua.decide.PeakThreshold`); 0 for any other.
     certified : bool
@@ -123,7 +123,7 @@ class Diagnosis:
     origin : str
         The moment that ``time`` counts from (ISO 8601), where the recording had dates; else empty.
     signals : ndarray, shape (T, inputs + outputs)
-        What was measured, in plant units; NaN where a value was missing. No rows where it was not kept.
+        The measurements, in plant units; NaN for a missing value. No rows if they were not kept.
     isolation : Isolation
         What names the alarms, and says how sure the names are.
     compared : tuple of (int, int)
@@ -186,18 +186,18 @@ class Diagnosis:
     def onset(self) -> float | None:
         """When the longest alarm first crossed its threshold, in seconds; ``None`` without an alarm.
 
-        What it is about began earlier, as a rule: ``began``.
+        The change behind it began earlier, as a rule: ``began``.
         """
         return self.main_alarm.onset if self.main_alarm else None
 
     @property
     def began(self) -> Beginning | None:
-        """When the longest alarm's change of the residual began, as an interval; ``None`` where that is not known."""
+        """When the longest alarm's change of the residual began, as an interval; ``None`` if that is not known."""
         return self.main_alarm.began if self.main_alarm else None
 
     @property
     def clock(self) -> Clock:
-        """How times are told: by the clock of the recording where it has dates."""
+        """The clock for times: that of the recording if it has dates."""
         return Clock(self.origin, self.generator.dt)
 
     @property
@@ -223,9 +223,9 @@ class Diagnosis:
 
     @property
     def named(self) -> tuple[tuple[str, ...], ...]:
-        """The faults that the longest alarm is put down to, one or several; empty where nobody is named.
+        """The faults that explain the longest alarm, one or several; empty without a named fault.
 
-        Each with those that cannot be told from it.
+        Each with the faults that look the same.
         """
         return self.main_alarm.named if self.main_alarm else ()
 
@@ -249,7 +249,7 @@ class Diagnosis:
 
     @property
     def no_direction(self) -> bool:
-        """Whether a single estimate found a fault: then it cannot tell what it estimates from anything else."""
+        """Whether a single estimate shows a fault: then it cannot tell what it estimates from anything else."""
         if self.codes is not None or not any(self.generator.estimated) or not self.candidates:
             return False
         best, *_ = self.candidates
@@ -257,11 +257,11 @@ class Diagnosis:
 
     @property
     def alike(self) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
-        """The groups of several faults that cannot be told apart here, each with its names as text."""
+        """The groups of several faults that look the same here, each with its names as text."""
         return alike(self.codes.groups, self.codes.settled) if self.codes else alike(self.groups)
 
     def statement(self, alarm: Alarm) -> Statement:
-        """Return what is said of an alarm: headline, how sure it is, and what that rests on."""
+        """Return the statement about an alarm: headline, confidence, and the reasons."""
         return self.isolation.statement(alarm, self.clock, self.window)
 
     @property
@@ -399,7 +399,7 @@ class Diagnosis:
 
         Returns
         -------
-        matplotlib Figure, or the Axes that were given
+        matplotlib Figure, or the Axes of the call
         """
         from residua.report.plots import plot_diagnosis
 

@@ -20,7 +20,7 @@ def with_estimator(bank: ResidualGenerator, estimator: ResidualGenerator) -> Res
     Parameters
     ----------
     bank, estimator : ResidualGenerator
-        Of the same plant: ``codes`` of the one, ``estimated`` of the other.
+        Both for the same plant: ``codes`` of the one, ``estimated`` of the other.
 
     Raises
     ------

@@ -68,7 +68,7 @@ def _filter_block(
 def plausible_values(
     spec: Specification, data: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return deviations, NaN where there is no plausible value; where one is missing; and which were put aside."""
+    """Return deviations, NaN without a plausible value; where one is missing; and which were put aside."""
     with np.errstate(over="ignore"):
         v = data - spec.offset
     low, high = spec.plausible.T

@@ -19,7 +19,7 @@ from residua.recording.time_axis import regular_step, seconds_from_dates
 from residua.visible import echo
 
 #: What is left of the slowest pole once a filter counts as settled: where thresholds come from data or a noise model,
-#: and where they are bounds that are known or certified, to the digits that these are computed to.
+#: and, for bounds that are known or certified, to the digits that these are computed to.
 SETTLED, SETTLED_FOR_BOUNDS = 1e-2, 1e-6
 #: Samples after which a filter counts as settled, however slow it is.
 _MOST_SAMPLES = 1_000_000
@@ -27,7 +27,7 @@ _MOST_SAMPLES = 1_000_000
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """Inputs and outputs of a recording, with its clock where one is known.
+    """Inputs and outputs of a recording, with its clock if one is known.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Signals:
     dt : float or None
     source : str
     notes : tuple of str
-        What was done to the rows when they were read.
+        The changes to the rows at reading.
     origin : str
         The moment that ``time`` counts from, where the recording had dates.
     """

@@ -85,9 +85,9 @@ class Monitor:
         is fitted.
     settle : int, optional
         Samples after a start or a gap in which nothing is decided. By default until the slowest pole of the filter
-        has decayed to 1 %; to a millionth, which takes three times as long, where the thresholds of
-        :class:`residua.decide.PeakThreshold` are certified or given: no certified threshold has in it what a start or a
-        held value leaves in the residual. Fewer samples decide earlier, at that price.
+        has decayed to 1 %; to a millionth, which takes three times as long, if the thresholds of
+        :class:`residua.decide.PeakThreshold` are certified or set by the user: no certified threshold covers what a
+        start or a held value leaves in the residual. Fewer samples decide earlier, at that price.
     max_hold : int
         Longest gap in samples that is bridged by holding values.
     plausible : float, mapping of str to (float, float), or None
@@ -104,8 +104,8 @@ class Monitor:
         after ``settle`` samples. ``"estimated"``: besides, what the residuals of these samples (2,000 at most) show of
         it by least squares is taken out of the state after them. A fault that is there from the first sample on is
         partly taken out with it: as far as its residual looks like that of a wrong start. Thresholds that are bounds,
-        certified or given, hold from rest, or once every start has died away: there a start is always from rest. The
-        notes of a diagnosis say where the estimate moved the residual by more than a tenth of its threshold.
+        certified or set by the user, hold from rest, or once every start has died away: there a start is always from
+        rest. The notes of a diagnosis say where the estimate moved the residual by more than a tenth of its threshold.
 
     Notes
     -----
@@ -187,7 +187,7 @@ class Monitor:
 
     @property
     def is_fitted(self) -> bool:
-        """Whether the monitor has a threshold, from data, from the noise model, or given."""
+        """Whether the monitor has a threshold: from data, from the noise model, or from the user."""
         return self._test is not None
 
     @property
@@ -237,9 +237,9 @@ class Monitor:
         """Fit mean, covariance and threshold to one or several fault-free recordings.
 
         Several (flights, days, batches) each have a start of their own, over which the filter settles, and nothing is
-        summed or counted from one to the next. A finite-horizon test has thresholds alone, and those that are given or
-        certified are not changed: the recording is held against them, and ``norm_test.basis`` then tells how close it
-        came.
+        summed or counted from one to the next. A finite-horizon test has thresholds alone, and a fit
+        does not change thresholds that are certified or set by the user: it compares the recording with them, and
+        ``norm_test.basis`` then says how close it came.
 
         Parameters
         ----------
@@ -251,7 +251,7 @@ class Monitor:
         time : array_like, shape (time,), optional
             Regular sample times in seconds.
         dt : float, optional
-            Step, when ``time`` is not given and the generator is continuous.
+            Step, for a continuous generator without ``time``.
         false_alarm_rate : float, optional
             Fraction of fault-free samples in alarm that is aimed at; that of the test when omitted.
 

@@ -20,7 +20,7 @@ from residua.monitor.running import Decisions
 from residua.monitor.specification import FilterState, Specification
 from residua.robust.estimators.certified_threshold import AFFINE_FORM
 
-#: Part of its threshold that the residual is moved by before it is said.
+#: Part of its threshold by which the residual must move before a note says so.
 _TOLD = 0.1
 
 
@@ -228,7 +228,7 @@ def _alarms_of(seen: Seen, isolation: Isolation) -> tuple[Alarm, ...]:
 
 
 def _alarms(seen: Seen, name: Naming) -> tuple[Alarm, ...]:
-    """Return the alarms one by one, each with what it is put down to."""
+    """Return the alarms one by one, each with its attribution."""
     tested, time = seen.tested, seen.time
     edges = np.flatnonzero(np.diff(np.concatenate([[0], tested.alarm.astype(np.int8), [0]])))
     counted = np.flatnonzero(tested.usable)

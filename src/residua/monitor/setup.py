@@ -45,7 +45,7 @@ def chosen_isolation(isolate: Any, generator: ResidualGenerator, design: Any = N
 def chosen_test(
     test: Any, design: Any, generator: ResidualGenerator, isolate: IsolationSettings
 ) -> tuple[TestSettings, dict[str, float]]:
-    """Return the settings of the test, and the thresholds that the design has certified; empty where none are used.
+    """Return the settings of the test, and the thresholds that the design has certified; empty if none are used.
 
     Without settings: :class:`PeakThreshold` for a design with certified thresholds, else :class:`NormThreshold`.
     """

@@ -37,7 +37,7 @@ class Specification:
         Smallest and largest deviation of each channel from its operating point that is taken for a value; any other is
         missing.
     first : StartFit or None
-        What estimates a start from the first residuals; ``None`` where a start is from rest.
+        What estimates a start from the first residuals; ``None`` if a start is from rest.
     partial : PartialUpdate or None
         What a Kalman filter needs to go on where outputs are missing; ``None`` for any other generator.
     """

@@ -99,7 +99,7 @@ def checked_start(value: object) -> str:
 
 
 def start_fit(generator: ResidualGenerator, test: ResidualTest, settle: int) -> StartFit | None:
-    """Return what estimates a start from the samples in which the filter settles; ``None`` where nothing can."""
+    """Return what estimates a start from the samples in which the filter settles; ``None`` if nothing can."""
     system = generator.system
     n = system.n_states
     samples = min(settle, MOST_SAMPLES, max(n, _MOST_WORK // max(1, len(system.C) * n * n)))
@@ -140,12 +140,12 @@ def start_from(
     samples: int,
     correction: NDArray[np.float64],
 ) -> StartFit:
-    """Return what estimates a start, from what is known of the filter, its test and the correction."""
+    """Return the estimator of a start, from the filter, its test and the correction."""
     return StartFit(samples, A, C, _weights(test, C, A, samples), test.per_threshold, correction)
 
 
 def _weights(test: ResidualTest, C: NDArray, A: NDArray, samples: int) -> NDArray[np.float64]:
-    """Return weights that make residuals comparable: the whitening, or, where it is none, by how they see a start."""
+    """Return weights that make residuals comparable: the whitening, or, without one, by how they see a start."""
     k = len(C)
     units = test.per_deviation
     if units is not None and not np.array_equal(units, np.eye(k)):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from residua.arrays import frozen
 from residua.errors import AccuracyError, ModelError
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.subspaces.observability import dies_out, modes_with_uncertainty
+from residua.linear.poles.stability import dies_out, modes_with_uncertainty
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision
 from residua.linear.systems.state_space import StateSpace
 from residua.plant.observer_form import (

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, ModelError
+from residua.linear.poles.stability import modes_with_uncertainty
 from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
-from residua.linear.subspaces.observability import modes_with_uncertainty, staircase
+from residua.linear.subspaces.observability import staircase
 from residua.linear.subspaces.rank import RankDecision, decide_rank, equilibrated
 from residua.linear.systems.balancing import power_of_two, state_units
 from residua.linear.systems.descriptor import weierstrass_form

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, ModelError
 from residua.linear.poles.spectrum import describe_modes
+from residua.linear.poles.stability import dies_out, modes_with_uncertainty
 from residua.linear.polynomials.polynomial_matrix import PolynomialMatrix
 from residua.linear.polynomials.polynomial_null_space import shortest_left_null_vectors
-from residua.linear.subspaces.observability import dies_out, modes_with_uncertainty
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant.conversion import system_labels, system_step
 from residua.plant.input_output_conversion import as_matrices

@@ -57,7 +57,7 @@ class Recording:
     n_inserted : int
         Number of samples that the file has no row for (``fill_gaps``).
     notes : tuple of str
-        What was done to the file's rows and times: what was inserted or left out, and how far times were moved. A
+        The changes to the file's rows and times: insertions, omissions, and how far times were moved. A
         diagnosis has them among its own.
     """
 

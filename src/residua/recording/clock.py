@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from functools import cached_property
 
-#: From here on a time since the start is told in hours as well, and a length in larger units than seconds.
+#: From here on a time since the start is shown in hours as well, and a length in larger units than seconds.
 LONG_TIME, LONG = 7200.0, 600.0
 _MINUTE, _HOUR, _DAY = 60.0, 3600.0, 86400.0
 #: Beyond these seconds, 300 years, nobody counts days.
@@ -24,7 +24,7 @@ class Clock:
         The moment that they count from, ISO 8601, as it stands in the recording; empty, or anything else: seconds stay
         what they are. Times are local times of the recording: what its offset from UTC was at the start.
     step : float
-        Seconds between samples: clock times are told to that precision.
+        Seconds between samples: clock times have that precision.
     """
 
     origin: str = ""
@@ -32,7 +32,7 @@ class Clock:
 
     @cached_property
     def moment(self) -> datetime | None:
-        """The moment that seconds count from, without its time zone; ``None`` where there is none."""
+        """The moment that seconds count from, without its time zone; ``None`` if there is none."""
         try:
             return datetime.fromisoformat(self.origin.strip()[:32]).replace(tzinfo=None) if self.origin else None
         except ValueError:
@@ -40,7 +40,7 @@ class Clock:
 
     @cached_property
     def zone(self) -> str:
-        """Offset from UTC as the recording has it; empty where it has none."""
+        """Offset from UTC as the recording has it; empty if it has none."""
         if self.moment is None:
             return ""
         offset = datetime.fromisoformat(self.origin.strip()[:32]).strftime("%z")

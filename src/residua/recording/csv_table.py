@@ -81,7 +81,7 @@ class CsvTable:
         return f"{self.source}: column {echo(name)}"
 
     def _fast(self, places: list[int]) -> NDArray[np.float64] | None:
-        """Let NumPy read the whole table; ``None`` where it is not plain numbers."""
+        """Let NumPy read the whole table; ``None`` if it is not plain numbers."""
         separators = len(self.names) - 1
         lines = [line for line in self.lines if line]
         if not lines or any(line.count(self.delimiter) != separators for line in lines):

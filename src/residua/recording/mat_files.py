@@ -91,7 +91,7 @@ def read_mat(path: Path) -> dict[str, NDArray]:
 
 
 def received(stream: Stream, source: str, limit: int) -> dict[str, NDArray] | None:
-    """Return the arrays that the process has written, ``None`` where it ended before its last line.
+    """Return the arrays that the process has written, ``None`` if it ended before its last line.
 
     Raises
     ------

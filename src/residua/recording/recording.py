@@ -58,12 +58,12 @@ def read_recording(
     plant : Plant, optional
         Whose channels are wanted. Without one, every column is taken as an output.
     time : str, optional
-        The time column; found by its name (``time``, ``t``, ``timestamp``, ``datetime``) when omitted. Seconds,
+        The time column; recognised by its name (``time``, ``t``, ``timestamp``, ``datetime``) when omitted. Seconds,
         or dates.
     dt : float, optional
-        Step in seconds; a sampled plant's own step when omitted. A time column that was found by its name is not used
-        where it says otherwise, is irregular or cannot be read, and ``notes`` say so; one named by ``time`` must agree.
-        With ``fill_gaps`` the step of the grid.
+        Step in seconds; a sampled plant's own step when omitted. A time column that is only recognised by its name is
+        not used if it says otherwise, is irregular or cannot be read, and ``notes`` say so; one named by ``time`` must
+        agree. With ``fill_gaps`` the step of the grid.
     columns : mapping or sequence of str, optional
         ``{channel: column}`` where names differ; or, for a matrix in a .mat or .npz file and for text without a header,
         the names of its columns in order.

@@ -211,7 +211,7 @@ def _with_start(time: NDArray[np.float64], since: NDArray[np.float64], step: flo
 
 
 def _line(places: NDArray[np.float64], since: NDArray[np.float64]) -> tuple[float, float]:
-    """Return start and step of the grid that fits times at given places best."""
+    """Return start and step of the grid that fits the times of these places best."""
     middle = places.mean()
     away = places - middle
     step = float(away @ since / (away @ away))

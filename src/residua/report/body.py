@@ -161,7 +161,7 @@ def _recording(diagnosis: Diagnosis) -> str:
 
 
 def _local(diagnosis: Diagnosis) -> str:
-    """Say which clock times are told by."""
+    """Say to which clock the times belong."""
     clock = diagnosis.clock
     if clock.moment is None:
         return ""

@@ -19,7 +19,7 @@ SHOWN_FAULTS = 10
 def shown_groups(diagnosis: Diagnosis) -> list[int]:
     """Return the numbers of the groups that are shown: all in order, or of many the ten with the best scores.
 
-    Those of the main alarm, its candidates first; without an alarm by the mean score of all judged samples.
+    They are those of the main alarm, its candidates first; without an alarm by the mean score of all judged samples.
     """
     n = len(diagnosis.groups)
     if n <= SHOWN_FAULTS:

@@ -39,7 +39,7 @@ class Section:
     table : Table or None
     actual : sequence of str, or str, or None
         The faults that were really there (an empty sequence: none); the summary then says whether the
-        diagnosis is right. ``None`` where that is not known.
+        diagnosis is right. ``None`` if that is not known.
     """
 
     heading: str

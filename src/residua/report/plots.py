@@ -61,7 +61,7 @@ def plot_diagnosis(diagnosis: Diagnosis, ax: Axes | None = None, *, figure: Figu
 
     Returns
     -------
-    matplotlib Figure, or the Axes that were given
+    matplotlib Figure, or the Axes of the call
 
     Raises
     ------
@@ -125,7 +125,7 @@ def plot_structure(generator: ResidualGenerator, ax: Axes | None = None) -> Axes
 def plot_directions(generator: ResidualGenerator, ax: Axes | None = None) -> Axes:
     """Plot how alike the signatures of the faults are: the cosine of the smallest angle between every two.
 
-    That is the largest principal cosine: 1 means that two signatures share a direction. Signatures and groups
+    The cosine is the largest principal one: 1 means that two signatures share a direction. Signatures and groups
     are those of a monitor with default settings (:class:`residua.decide.Directional`), with residuals whitened
     by the covariance that the plant's noise gives them. Faults without a signature come last, without values.
     With exactly two residuals the directions themselves are drawn.

@@ -37,7 +37,7 @@ def with_unit(name: str, unit: str) -> str:
 
 
 def rounded(values: NDArray[np.float64], relative: bool = False) -> list[float | None]:
-    """Return values with the digits that a chart can show, and ``None`` where they are not finite.
+    """Return values with the digits that a chart can show, and ``None`` for those that are not finite.
 
     Five digits of the range that the values span (``relative=False``), so that a small ripple on a large
     offset survives; or four digits of each value, for a logarithmic axis.

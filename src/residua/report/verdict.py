@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from residua.decide.alarm import Alarm
     from residua.monitor.diagnosis import Diagnosis
 
-#: Groups of faults that are not told apart, besides the one that is named, that a sentence lists.
+#: Groups of indistinguishable faults, besides the named one, that a sentence lists.
 _TOLD = 5
-#: From this score on an alarm that lasts is put down to its best candidate alone, whatever is never named.
+#: From this score on, a lasting alarm names its best candidate alone, without faults that are never named.
 _SURE = 0.9
 
 BEGAN_RULE = (

@@ -11,12 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide import Directional, IsolationSettings, NormThreshold, TestSettings
+from residua.decide import Directional, IsolationSettings, NormThreshold, Statement, TestSettings
 from residua.design import ResidualGenerator, kalman_filter
 from residua.errors import AccuracyError, ResiduaError
 from residua.monitor import Monitor
 from residua.monitor.running import Decisions
 from residua.plant import Plant
+from residua.recording.clock import Clock
+from residua.visible import echo
 
 #: Samples that are fitted to, and that are run over; and those of it from which on a fault is there.
 _FITTED, _RUN, _FAULTY = 4000, 400, 200
@@ -120,6 +122,19 @@ def check_isolation(settings: IsolationSettings, *, generator: ResidualGenerator
     for alarm in monitor.run(*_recording(generator, rng, _RUN, faulty=True)).alarms:  # pyright: ignore
         if any(candidate.faults not in isolation.groups for candidate in alarm.candidates):
             raise AccuracyError(f"a candidate of {alarm.candidates} is no group")
+        _check_statement(isolation.statement(alarm, Clock(step=generator.dt), isolation.samples))
+
+
+def _check_statement(said: object) -> None:
+    """Raise where what is said of an alarm cannot be shown."""
+    if not isinstance(said, Statement):
+        raise AccuracyError(f"statement must return a residua.decide.Statement, got {type(said).__name__}")
+    if not isinstance(said.headline, str) or not said.headline:
+        raise AccuracyError(f"the headline of a statement must be a sentence, got {echo(said.headline)}")
+    for name in ("sentences", "lines"):
+        texts = getattr(said, name)
+        if not isinstance(texts, tuple) or not all(isinstance(text, str) for text in texts):
+            raise AccuracyError(f"the {name} of a statement must be a tuple of texts, got {echo(texts)}")
 
 
 def _generator() -> ResidualGenerator:

@@ -40,7 +40,7 @@ class Bank:
     structure : ndarray of bool, shape (members, faults)
         Which members answer to which fault: the columns are the codes of the faults.
     observers : mapping of str to Observer
-        By member, where it is made of one: each estimates the state without what it ignores.
+        By member, if it is made of one: each estimates the state without what it ignores.
     failures : mapping of str to str
         Members that could not be designed, and why.
 

@@ -82,12 +82,12 @@ def decoupled_residual(
         One for each state of the filter, closed under conjugation; their number is in the message when it
         does not fit.
     margin : float, optional
-        Stability margin in 1/s when no poles are given. When omitted: the rate of what is left of the plant, or a
+        Stability margin in 1/s, used without ``poles``. When omitted: the rate of what is left of the plant, or a
         fraction of it where that leaves rounding smaller beside a fault (the evidence says which).
     gain : {"kalman", "placement"}, optional
         ``"kalman"`` takes the gain of the Kalman filter of what is left of the plant, so that the residual of a sampled
         plant is white; ``"placement"`` the poles or the margin. When omitted: ``"kalman"`` for a plant with noise, if
-        neither poles nor margin are given and that filter exists (the evidence says which).
+        there are neither ``poles`` nor ``margin`` and that filter exists (the evidence says which).
     rtol : float
         Relative tolerance of every rank decision, in balanced units.
 

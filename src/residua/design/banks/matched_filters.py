@@ -33,9 +33,9 @@ class MatchedFilters:
     generator : ResidualGenerator
         The Kalman filter whose innovations are matched.
     window : int
-        ``N``: arrivals up to that many samples ago are told apart.
+        ``N``: arrivals up to that many samples ago are distinguished.
     steady : bool
-        Whether only the responses of settled faults are used, and no arrival time is found.
+        Whether only the responses of settled faults are used, without an arrival time.
     alike : float
         Faults whose responses over the window correlate by that much are one group.
     responses : ndarray, shape (N + 1, residuals, faults)
@@ -88,8 +88,8 @@ class MatchedFilters:
     def under_way(self) -> tuple[str, ...]:
         """Faults whose responses are still over a tenth of their peak away from settled at the end of the window.
 
-        If one of them arrived longer ago than the window is, and has not settled yet, no hypothesis describes it: what
-        is found then holds only as far as it was found while the arrival lay within the window.
+        If one of them arrived longer ago than the window is, and has not settled yet, no hypothesis describes it: the
+        result then holds only as far as it was obtained while the arrival lay within the window.
         """
         settled = self.whitening.T @ self.settled
         return () if self.steady else tuple(self.faults[j] for j in not_settled(self.whitened, settled))
@@ -105,7 +105,7 @@ class MatchedFilters:
         Returns
         -------
         dict of str to float
-            Infinite where nothing has been seen of the fault by then. A fault of about six of these is found within
+            Infinite where nothing has been seen of the fault by then. A fault of about six of these is detected within
             that age.
         """
         energy = np.cumsum(np.sum(self.whitened**2, axis=1), axis=0)
@@ -204,7 +204,7 @@ def matched_filters(plant: Plant, *, window: int = 40, steady: bool = False, ali
     Returns
     -------
     MatchedFilters
-        ``residua.Monitor(matched)`` runs it; groups, unseen and vanishing faults are told in it.
+        ``residua.Monitor(matched)`` runs it; it lists groups, unseen and vanishing faults.
 
     Raises
     ------
@@ -221,7 +221,7 @@ def matched_filters(plant: Plant, *, window: int = 40, steady: bool = False, ali
     Notes
     -----
     Guaranteed: for Gaussian noise, one fault at a time, and a step that arrived at a known time within the window, the
-    size is normally distributed around the true one with the standard deviation given, and no unbiased estimate from
+    size is normally distributed around the true one with this standard deviation, and no unbiased estimate from
     the same innovations has a smaller one; the fault named is the most likely one.
 
     Assumes: the model is exact and linear, the filter has settled, noise is white with the covariances of the plant,
@@ -374,7 +374,7 @@ def _check_request(plant: Plant, window: object, alike: object) -> None:
 
 
 def _notes(made: MatchedFilters) -> tuple[str, ...]:
-    """Return what a reader should know: who is alike, who vanishes, and whether the window is long enough."""
+    """Return notes for the reader: faults that are alike, that vanish, and whether the window is long enough."""
     notes = [f"not told apart within the window: {_listed(group)}" for group in made.groups if len(group) > 1]
     if made.unseen:
         notes.append(f"not seen: {_listed(made.unseen)}")

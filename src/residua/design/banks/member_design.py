@@ -40,7 +40,7 @@ def member_design(
     Raises
     ------
     DesignError
-        If the kind is not known, or is given poles that it does not have.
+        If the kind is not known, or does not have the poles asked for.
     """
     checked_options(poles, margin)  # once, not for every member
     if kind == "unknown-input":

@@ -59,9 +59,9 @@ def sensor_fault_bank(
     poles : sequence of complex, optional
         The same for every member.
     margin : float, optional
-        Stability margin in 1/s when no poles are given.
+        Stability margin in 1/s, used without ``poles``.
     allow_missing : bool
-        Whether members that do not exist are left out, and told in ``failures``, instead of raised.
+        Whether members that do not exist are left out, and listed in ``failures``, instead of raised.
     rtol : float
         Relative tolerance of every rank decision.
 

@@ -45,7 +45,7 @@ def structured_bank(
     margin : float, optional
         Stability margin of every member in 1/s; chosen for each when omitted.
     allow_missing : bool
-        Whether rows that are not attainable are left out, and told in ``failures``, instead of raised.
+        Whether rows that are not attainable are left out, and listed in ``failures``, instead of raised.
     rtol : float
         Relative tolerance of every rank decision, in balanced units.
 

@@ -135,7 +135,7 @@ class QuotientFilter:
     state_map : ndarray
         ``T`` with ``z = T E x``.
     static_map : ndarray or None
-        The algebraic equations that it reads; only where ``E`` is given.
+        The algebraic equations that it reads; only for a plant with ``E``.
     """
 
     system: StateSpace

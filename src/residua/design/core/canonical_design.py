@@ -27,7 +27,7 @@ def in_units_of(plant: Plant, units: PlantUnits, made: ResidualGenerator) -> Res
 def in_own_units(
     made: ResidualGenerator, units: PlantUnits, own: Plant, known_form: StateSpace | None = None
 ) -> ResidualGenerator:
-    """Return a generator as one for its plant in other units, ``own``; with another known form where one is given."""
+    """Return a generator as one for its plant in other units, ``own``; with another known form if there is one."""
     return _rescaled(made, own, units, -1.0, known_form)
 
 

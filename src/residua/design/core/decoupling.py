@@ -92,7 +92,7 @@ class MeasuredBefore:
     system : StateSpace
         The same filter, in other units at most: powers of two, so that every digit is the same.
     plant : Plant
-        What it was measured on.
+        The plant to which the leaks belong.
     measured : mapping of str to float
         The leaks.
     """

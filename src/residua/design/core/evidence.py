@@ -22,7 +22,7 @@ class Evidence:
     Attributes
     ----------
     method : str
-        What was designed, in words.
+        The name of the design, in words.
     poles : ndarray
         The poles that the residual generator has.
     requested_poles : ndarray

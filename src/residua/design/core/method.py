@@ -43,7 +43,7 @@ class Need:
     text : str
         Its name.
     missing : callable
-        Tells from a plant, and what is known of its faults, why the method makes no sense; empty where it does.
+        Tells from a plant, and what is known of its faults, why the method makes no sense; empty if it does.
     """
 
     text: str
@@ -52,7 +52,7 @@ class Need:
 
 @dataclass(frozen=True)
 class Chosen:
-    """An argument that is made from the plant when none is given.
+    """An argument that is made from the plant when the user omits it.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class Method:
     ----------
     function : callable
     designs_for : {"plant", "uncertain plant", "several plants", "model with parameters", "observer"}
-        What it is a design for.
+        The kind of input that it takes.
     requirements : tuple of Need or str
         What that must have.
     condition : str
@@ -110,7 +110,7 @@ class Method:
     formerly : tuple of str
         Names that it had on the command line before.
     chosen : mapping of str to Chosen
-        Arguments that are made from the plant when none is given.
+        Arguments that are made from the plant when the user omits them.
     calls : callable
         The options with which it is tried for a plant.
     """
@@ -162,7 +162,7 @@ class Method:
 
     @cached_property
     def options(self) -> tuple[Option, ...]:
-        """What may be asked of it, from its signature."""
+        """Its options, from its signature."""
         return options_of(self.function, self.signature)
 
     @cached_property
@@ -185,7 +185,7 @@ class Method:
         return self.designs_for != "plant", gives, noise, self.singular, self.name
 
     def missing(self, plant: Plant, known: Diagnosability | None = None) -> str:
-        """Return why it makes no sense for a plant; empty where it does."""
+        """Return why it makes no sense for a plant; empty if it does."""
         needs = (one for one in self.requirements if isinstance(one, Need))
         return next((why for why in (one.missing(plant, known) for one in needs) if why), "")
 
@@ -272,7 +272,7 @@ def method(
     formerly : sequence of str
         Names that it had on the command line before, which go on with a note.
     chosen : mapping of str to Chosen, optional
-        Arguments that are made from the plant when none is given.
+        Arguments that are made from the plant when the user omits them.
     calls : callable
         From a plant, and what is known of its faults, the options with which ``suggest`` tries it.
 

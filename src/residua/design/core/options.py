@@ -22,11 +22,11 @@ class Option:
     ----------
     name : str
     annotation : type
-        What it may be.
+        The type of its values.
     default : object
-        ``inspect.Parameter.empty`` where there is none.
+        ``inspect.Parameter.empty`` without one.
     text : str
-        What its docstring says of it.
+        The text of its docstring.
     choices : tuple of str
         The texts that it may be, where only some are.
     """

@@ -67,7 +67,7 @@ def fault_responses(
     form : StateSpace
         Their internal form, faults first.
     T, V : ndarray or None
-        The state and the static map of the generator, where it has them.
+        The state and the static map of the generator, if it has them.
     w : ndarray
         Frequencies in rad/s.
 
@@ -126,7 +126,7 @@ def signature_bases(
     form : StateSpace
         Their internal form, faults first.
     state_map, static_map : ndarray, optional
-        Those of the generator, where it has them.
+        Those of the generator, if it has them.
     rtol : float
         Directions that carry less than this fraction of the response at every frequency are not there, but where
         those that rounding has left are much fainter still.

@@ -82,12 +82,12 @@ def detection_filter(
     plant : Plant
         Its disturbances are not decoupled; see :func:`robust_detection_filter`.
     poles : sequence of complex, or mapping of fault name to sequence, optional
-        Dealt out in the order of the faults, conjugate pairs kept together; or given for each fault
+        Dealt out in the order of the faults, conjugate pairs kept together; or one sequence for each fault
         (``"rest"`` for the poles that belong to no fault). With several filters, a list is used for each.
-        Those not given are placed beyond ``margin``.
+        The others are placed beyond ``margin``.
     margin : float, optional
-        Stability margin in 1/s for poles that are not given; when omitted, the geometric mean of the sizes of
-        the poles of the error equation without feedback, or less where that proves too much.
+        Stability margin in 1/s for the poles that ``poles`` leaves open; when omitted, the geometric mean of the
+        sizes of the poles of the error equation without feedback, or less where that proves too much.
     faults : iterable of str, optional
         The faults to be kept apart; all faults of the plant when omitted.
     rtol : float

@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import DesignError
 from residua.linear.poles.placement import default_margin, place_observer_margin, place_observer_poles
+from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.detection_space import DetectionSpace, detection_space, separation, split_blocks
 from residua.linear.subspaces.far_gain import refuse_far_gain
-from residua.linear.subspaces.observability import detectability, is_stable_mode, observability_form
+from residua.linear.subspaces.observability import detectability, observability_form
 from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank
 from residua.visible import counted
 

@@ -36,7 +36,7 @@ from residua.linear.norms.system_norms import hinf_norm
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.poles.placement import default_margin
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.subspaces.observability import is_stable_mode
+from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision
 from residua.linear.systems.balancing import without_rounding
 from residua.plant import Plant
@@ -91,8 +91,9 @@ def eigenstructure_assignment(
     poles : sequence of complex, or mapping, optional
         Eigenvalues of ``A - K C``, first those of the disturbances and ignored faults in this order (one each, one
         more for each step of a chain; left: those of the residual rows), then the others, the fixed ones included or
-        not. Or a mapping of name (left: ``"left"``) and ``"rest"`` to poles. Assigned eigenvectors that are not given
-        one get 0 in sampled time and the negative margin in continuous time; the rest is placed beyond the margin.
+        not. Or a mapping of name (left: ``"left"``) and ``"rest"`` to poles. Assigned eigenvectors without a
+        pole there get 0 in sampled time and the negative margin in continuous time; the rest is placed beyond the
+        margin.
     margin : float, optional
         Stability margin in 1/s; the geometric mean of the sizes of the plant's poles when omitted.
     combine : bool
@@ -178,7 +179,7 @@ def _margins(parts: IgnoredColumns, margin: float | None) -> list[tuple[float, s
 
 
 def _first(parts: IgnoredColumns, distance: float) -> float:
-    """Return the eigenvalue of assigned eigenvectors when none is given: as the paper, 0 in sampled time."""
+    """Return the eigenvalue of assigned eigenvectors when the user names none: as the paper, 0 in sampled time."""
     return 0.0 if parts.plant.dt else -distance
 
 
@@ -282,7 +283,7 @@ def _generator(
         fixed_poles=gain.fixed,
         ranks=ranks,
         conditions={"pole error": gain.error, "norm of K": float(np.linalg.norm(K))},
-        notes=(*((f"ignores {parts.told}",) if parts.names else ()), *(note for note in notes if note)),
+        notes=(*((f"ignores {parts.text}",) if parts.names else ()), *(note for note in notes if note)),
         references=(REFERENCE,),
     )
     observer = Observer(plant, F, np.eye(n), K, np.eye(n), np.zeros(K.shape), S, method, exact, evidence)

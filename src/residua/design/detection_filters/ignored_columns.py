@@ -35,7 +35,7 @@ class IgnoredColumns:
     A, C : ndarray
         ``A0`` and ``C0``.
     columns : dict of str to ndarray, shape (n, 1)
-        What is left to be ignored in the state equation: unit vectors, one for each ignored input that has such.
+        Directions left to be ignored in the state equation: unit vectors, one for each ignored input that has such.
     G, W : ndarray
     states, outputs : ndarray
         The units: states are ``x / states``, outputs ``outputs * y``.
@@ -60,7 +60,7 @@ class IgnoredColumns:
         return self.watched.disturbances
 
     @property
-    def told(self) -> str:
+    def text(self) -> str:
         """The same in words."""
         return ", ".join(f"'{name}'" for name in self.names) or "nothing"
 
@@ -99,7 +99,7 @@ def ignored_columns(plant: Plant, insensitive_to: Iterable[str | int] | str, *, 
     Raises
     ------
     DesignError
-        If nothing of the measurements is left, or an unstable mode is not seen by what is left.
+        If no measurement is left, or those left do not see an unstable mode.
     """
     if plant.E is not None and decide_rank(plant.E).rank < plant.n_states:
         raise DesignError(
@@ -146,7 +146,7 @@ def ignored_columns(plant: Plant, insensitive_to: Iterable[str | int] | str, *, 
 
 
 def _columns(left: NDArray, direct: NDArray, names: tuple[str, ...], rtol: float) -> dict[str, NDArray[np.float64]]:
-    """Return what is left in the state equation, as unit columns.
+    """Return the columns left in the state equation, as unit columns.
 
     One for each input that does not enter the outputs; of the others, which the outputs express in part, a basis.
     """
@@ -162,6 +162,6 @@ def require_detectable(parts: IgnoredColumns, *, rtol: float) -> None:
     if not answer:
         bad = ", ".join(f"{z:.4g}" for z in np.atleast_1d(answer.unstable_modes))
         raise DesignError(
-            f"no stable observer of the whole state ignores {parts.told}: the measurements that are left do not see "
+            f"no stable observer of the whole state ignores {parts.text}: the measurements that are left do not see "
             f"the mode {bad}; add a sensor, or use decoupled_residual, which observes only what it needs"
         )

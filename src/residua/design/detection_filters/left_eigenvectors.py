@@ -56,7 +56,7 @@ def left_rows(parts: IgnoredColumns, *, approximate: bool, rtol: float) -> LeftR
     blind = left_null_basis(C @ parts.stacked, rtol=rtol, scale=scale)[0].T if parts.columns else np.eye(len(C))
     if not len(blind):
         raise DesignError(
-            f"no residual row is blind to {parts.told}: C F has rank {len(C)}, as many as measurements are left; "
+            f"no residual row is blind to {parts.text}: C F has rank {len(C)}, as many as measurements are left; "
             "add a sensor or ignore less"
         )
     U, sizes, Vh = np.linalg.svd(blind @ C, full_matrices=False)
@@ -93,7 +93,7 @@ def _not_implementable(
     plain = (h / parts.states).ravel()
     plain = plain / plain[np.argmax(np.abs(plain) > 1e-9 * np.abs(plain).max())]
     return DesignError(
-        f"no left eigenvectors: no row h = s C with h F = 0 for {parts.told} has h A among the rows of C, whatever the "
+        f"no left eigenvectors: no row h = s C with h F = 0 for {parts.text} has h A among the rows of C, whatever the "
         f"eigenvalue: rank [C; h A] = {ranks['rank [C; h A]'].rank} > rank C = {ranks['rank C'].rank} for the nearest, "
         f"h = [{', '.join(f'{x:.4g}' for x in plain)}], {distance:.3g} of whose h A lies outside; use side='right' or "
         "decoupled_residual, or approximate=True"

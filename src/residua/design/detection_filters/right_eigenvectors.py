@@ -12,6 +12,7 @@ from residua.design.detection_filters.directional_gain import DirectionalGain, F
 from residua.design.detection_filters.ignored_columns import Frame, IgnoredColumns
 from residua.errors import DesignError
 from residua.linear.poles.spectrum import describe_modes
+from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.detection_space import (
     DetectionSpace,
     conditioned_invariant_basis,
@@ -19,7 +20,7 @@ from residua.linear.subspaces.detection_space import (
     separation,
     split_blocks,
 )
-from residua.linear.subspaces.observability import is_stable_mode, observability_form
+from residua.linear.subspaces.observability import observability_form
 from residua.linear.subspaces.rank import left_null_basis, range_basis
 from residua.linear.subspaces.reachability import reachable_basis
 from residua.tolerances import TINY, above_rounding
@@ -61,7 +62,7 @@ def confinements(parts: IgnoredColumns, *, combine: bool, rtol: float) -> tuple[
     S0 = (left_null_basis(outputs)[0] if outputs.shape[1] else np.eye(len(C))).T
     if not len(S0):
         raise DesignError(
-            f"no residual ignores {parts.told}: rank(S C) must be less than the {len(C)} measurements that are left, "
+            f"no residual ignores {parts.text}: rank(S C) must be less than the {len(C)} measurements that are left, "
             f"and C V, the outputs of their columns and of the chains that these start, has rank {outputs.shape[1]}; "
             "add a sensor or ignore less"
         )
@@ -142,9 +143,9 @@ def right_gain(
     margin : float or None
         The margin that was asked for.
     distance : float
-        The margin to place poles beyond that are not given.
+        The margin beyond which the poles that ``poles`` leaves open are placed.
     first : float
-        The eigenvalue of columns whose poles are not given.
+        The eigenvalue of columns for which ``poles`` has none.
     rtol : float
 
     Raises
@@ -158,7 +159,7 @@ def right_gain(
     if len(bad):
         which = "not stable" if margin is None else f"not stable with the margin {margin:g}"
         raise DesignError(
-            f"the invariant zero {describe_modes(bad)} of the columns of {parts.told} is a fixed pole once they are "
+            f"the invariant zero {describe_modes(bad)} of the columns of {parts.text} is a fixed pole once they are "
             f"eigenvectors, and {which}; allow combine=True, or use decoupled_residual, whose poles are all free"
         )
     if confined.chains and (poles is None or isinstance(poles, Mapping)):

@@ -62,7 +62,7 @@ def robust_detection_filter(
     poles : sequence of complex, or mapping of fault name to sequence, optional
         As for :func:`detection_filter`.
     margin : float, optional
-        Stability margin in 1/s for poles that are not given.
+        Stability margin in 1/s for the poles that ``poles`` leaves open.
     faults : iterable of str, optional
         The faults to be kept apart; all faults of the plant when omitted.
     H0 : array_like, shape (n, outputs), optional

@@ -66,8 +66,8 @@ def compensation_gain(plant: Plant, faults: Iterable[str] | str | None = None) -
     Examples
     --------
     >>> import residua as rs
-    >>> found = rs.design.compensation_gain(rs.library.vtol(), ["collective actuator", "pitch sensor"])
-    >>> found.gain.round(12) + 0.0
+    >>> compensation = rs.design.compensation_gain(rs.library.vtol(), ["collective actuator", "pitch sensor"])
+    >>> compensation.gain.round(12) + 0.0
     array([[1., 0.],
            [0., 0.]])
     """

@@ -48,9 +48,9 @@ class FaultEstimator:
     Attributes
     ----------
     plant : Plant
-        What it was designed for, with all its faults.
+        The plant of the design, with all its faults.
     faults : tuple of str
-        What it estimates.
+        The faults that it estimates.
     observer : Observer
         The state estimate, of the plant in which these faults are unknown inputs.
     system : StateSpace
@@ -185,13 +185,13 @@ def fault_estimator(
     poles : sequence of complex, optional
         Poles of the state estimate's error: as many as states, or as many as are free.
     margin : float, optional
-        Its stability margin in 1/s, when no poles are given; when omitted too, the geometric mean of the sizes of
+        Its stability margin in 1/s, used without ``poles``; when omitted too, the geometric mean of the sizes of
         the plant's poles.
     bandwidth : float, optional
-        :math:`1/\tau` in rad/s: a wider one follows faults faster and passes more noise (see the evidence). When
-        given, all estimates are filtered with it (a sampled plant: by a pole at :math:`e^{-dt/\tau}`). When
+        :math:`1/\tau` in rad/s: a wider one follows faults faster and passes more noise (see the evidence). With
+        one, all estimates are filtered with it (a sampled plant: by a pole at :math:`e^{-dt/\tau}`). When
         omitted, only those of a continuous plant that need it, with the geometric mean of the sizes of the poles of
-        the error, or of the plant where that is larger.
+        the error, or of the plant if that is larger.
     rtol : float
         Relative tolerance of every rank decision.
 
@@ -202,7 +202,7 @@ def fault_estimator(
     Raises
     ------
     DesignError
-        If the faults cannot be estimated together: they cannot be told apart, or no observer exists that
+        If the faults cannot be estimated together: they cannot be distinguished, or no observer exists that
         ignores them; the message says which condition failed, with its numbers. If the poles are too many or too
         few, or not stable.
     AccuracyError

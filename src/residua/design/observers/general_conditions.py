@@ -26,7 +26,7 @@ CONDITIONS = (
 )
 #: Largest error of a condition, relative to the terms that have to cancel.
 FULFILLED = 1e-8
-#: Most entries of a state map that is found by least squares.
+#: Most entries of a state map for which least squares is used.
 _MOST = 2500
 
 
@@ -133,8 +133,8 @@ def state_map(plant: Plant, m: GeneralMatrices, *, decouples: bool, control: boo
     """Return ``T`` from :math:`T A - M T E = N C`, a Sylvester equation.
 
     Where it leaves ``T`` open or nearly so, because ``M`` and the plant share a pole, or with an ``E``, the other
-    conditions are fulfilled along with it, in the sense of least squares: that of the controls with ``control``, where
-    ``J`` is given, and that of the disturbances with ``decouples``.
+    conditions are fulfilled along with it, in the sense of least squares: that of the controls with ``control``, if
+    there is a ``J``, and that of the disturbances with ``decouples``.
     """
     if not len(m.M):
         return np.zeros((0, plant.n_states))
@@ -171,7 +171,7 @@ def _error_with(plant: Plant, m: GeneralMatrices, T: NDArray, *, decouples: bool
 
 
 def _sylvester(M: NDArray, A: NDArray, G: NDArray) -> NDArray[np.float64] | None:
-    """Return ``T`` with ``T A - M T = G``, or None where the spectra meet."""
+    """Return ``T`` with ``T A - M T = G``, or None if the spectra meet."""
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")  # the outcome is checked

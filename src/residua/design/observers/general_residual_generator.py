@@ -30,7 +30,7 @@ from residua.errors import DesignError, SettingError
 from residua.linear import StateSpace
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.subspaces.observability import is_stable_mode
+from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.rank import RankDecision, decide_rank, equilibrated
 from residua.plant import Plant
 from residua.tolerances import LEAKAGE
@@ -187,8 +187,8 @@ def residual_generator_from_observer(
     - a plant with ``gain=K`` and, if wanted, ``weight=S``:
       :math:`\dot{\hat x} = A \hat x + B u + K (y - D u - C \hat x)`, :math:`r = S (y - D u - C \hat x)`;
     - a plant with the matrices of the general form :math:`\dot s = M s + J u + N y`,
-      :math:`r = L_s s + L_u u + L_y y`. The map ``T`` with ``s = T E x`` is found from
-      :math:`T A - M T E = N C` when it is not given;
+      :math:`r = L_s s + L_u u + L_y y`. The map ``T`` with ``s = T E x`` solves
+      :math:`T A - M T E = N C` when it is omitted;
     - an :class:`Observer` of this package.
 
     Parameters

@@ -129,7 +129,7 @@ def inverse_form_observer(
     ------
     DesignError
         If ``A`` or ``H1 A^-1 F`` is singular, unknown inputs enter the outputs or depend on one another, no
-        unknown input observer exists, or a given ``K`` makes it unstable.
+        unknown input observer exists, or ``K`` makes it unstable.
     AccuracyError
         If the poles or the identities missed their tolerance.
 
@@ -145,10 +145,10 @@ def inverse_form_observer(
     Examples
     --------
     >>> import residua as rs
-    >>> found = rs.design.inverse_form_observer(
+    >>> observer = rs.design.inverse_form_observer(
     ...     rs.library.vtol(), faults=["collective actuator", "cyclic actuator"], poles=[-20, -25, -100 / 3, -50]
     ... )
-    >>> found.first
+    >>> observer.first
     ('v_horizontal', 'v_vertical')
     """
     if poles is not None and K is not None:
@@ -200,7 +200,7 @@ def _existence(plant: Plant, rtol: float) -> UnknownInputExistence:
 def _first_rows(
     CF: NDArray, CAF: NDArray, plant: Plant, first: Iterable[str | int] | str | None, rtol: float
 ) -> list[int]:
-    """Return the outputs ``H1``: those given, or those that express the unknown inputs best."""
+    """Return the outputs ``H1``: those of the user, or those that express the unknown inputs best."""
     q, p = CF.shape[1], len(CF)
     names = plant.outputs
     late, steady = equilibrated(CF), equilibrated(CAF)

@@ -50,7 +50,7 @@ def luenberger_observer(
     poles : sequence of complex, optional
         Poles of the error, closed under conjugation: as many as states, or as many as are observable.
     margin : float, optional
-        Stability margin in 1/s when no poles are given; when omitted, the geometric mean of the sizes of the
+        Stability margin in 1/s, used without ``poles``; when omitted, the geometric mean of the sizes of the
         plant's poles.
     outputs : sequence of str, optional
         The measurements that drive the observer, all when omitted. The residual is the error of these.

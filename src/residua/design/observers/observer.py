@@ -190,7 +190,7 @@ class Observer:
         return f"Observer({self.method} of {self.plant.name!r}: order {self.order}, {kind})"
 
     def _residual_names(self) -> list[str]:
-        """Return the output that a residual is the error of, where it is one, and numbers elsewhere."""
+        """Return the names of residuals: those of the outputs whose errors they are, if all differ; else numbers."""
         V = np.zeros((len(self.W), 1)) if self.V is None else self.V
         names = []
         for row, others in zip(self.W, V, strict=True):

@@ -1,4 +1,4 @@
-"""What every observer asks of pole placement: the poles given, or all beyond a margin."""
+"""What every observer asks of pole placement: the poles that the user lists, or all beyond a margin."""
 
 from __future__ import annotations
 

@@ -257,7 +257,7 @@ def full_rank_gain(R: Matrix, S: Matrix, n: int, *, rtol: float, bandwidth: floa
 
 
 def _attempt(p: _Problem, Q: Matrix, k: int, t: int, rng: np.random.Generator, attempt: int) -> PerfectGain | None:
-    """Return one gain of `full_rank_gain`, or None where the deadbeat steps break down."""
+    """Return one gain of `full_rank_gain`, or None if the deadbeat steps break down."""
     c, count = len(p.M), len(p.H)
     Qo, Qu = Q[:, :k], Q[:, k:]
     Ho = p.H @ Qo
@@ -285,7 +285,7 @@ def _attempt(p: _Problem, Q: Matrix, k: int, t: int, rng: np.random.Generator, a
 
 
 def given_gain(A: Matrix, E: Matrix, C: Matrix, K: Matrix, *, rtol: float, bandwidth: float | None) -> PerfectGain:
-    """Return what a given ``K`` of ``E xh' = A xh + B u + K (C xh - y)`` achieves, or raise when it is not perfect."""
+    """Return what ``K`` of ``E xh' = A xh + B u + K (C xh - y)`` achieves, or raise when it is not perfect."""
     Ab = A + K @ C
     R, S = np.vstack([A, C]), np.vstack([E, np.zeros_like(C)])
     p = _problem(R, S, len(A), rtol, bandwidth)

@@ -351,7 +351,7 @@ def perfect_observer(
     AccuracyError
         If no gain passes the checks: relative variation of the determinant below 1e-6.
     SettingError
-        If the bandwidth is not a positive number, or is given for a sampled plant, or if ``K`` is given with
+        If the bandwidth is not a positive number, or the plant is sampled, or if ``K`` comes with
         disturbances or with ``least_order``.
 
     See Also
@@ -522,7 +522,7 @@ def check_singular(plant: Plant, rtol: float) -> None:
 
 
 def check_existence(plant: Plant, rows: list[int], rtol: float) -> None:
-    """Raise unless the pencil has full column rank at every finite ``s``, with the ``s`` where it has not."""
+    """Raise, with the values of ``s``, unless the pencil has full column rank at every finite ``s``."""
     q = len(plant.disturbances)
     if len(rows) < q:
         raise DesignError(

@@ -19,8 +19,8 @@ from residua.errors import AccuracyError, DesignError
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.poles.placement import Placement
 from residua.linear.poles.spectrum import describe_modes
+from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.far_gain import refuse_far_gain
-from residua.linear.subspaces.observability import is_stable_mode
 from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis, without_noise
 from residua.linear.systems.balancing import descriptor_units, without_rounding
 from residua.plant import Plant
@@ -151,7 +151,7 @@ def _placed(C: NDArray, A: NDArray, poles: object, margin: float | None, plant: 
 def _full_rank_columns(D: NDArray, terms: NDArray, rtol: float) -> NDArray:
     """Return an orthonormal basis of the range of the disturbances, each first brought to unit size.
 
-    What is rounding of the terms that a column is made of is no disturbance.
+    Rounding of the terms of a column is no disturbance.
     """
     size = np.linalg.norm(D, axis=0)
     real = size > ROUNDING * np.linalg.norm(terms, axis=0)

@@ -46,7 +46,7 @@ def reduced_order_observer(
     poles : sequence of complex, optional
         n - p of them (``p`` independent measurements), or as many as are free; closed under conjugation.
     margin : float, optional
-        Stability margin in 1/s when no poles are given.
+        Stability margin in 1/s, used without ``poles``.
     outputs : sequence of str, optional
         The measurements that are used, all when omitted. The errors of those that are left out are the residual:
         with all of them used there is none.

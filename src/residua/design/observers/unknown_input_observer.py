@@ -74,7 +74,7 @@ def unknown_input_observer(
     poles : sequence of complex, optional
         Poles of the error, closed under conjugation: as many as states, or as many as are free.
     margin : float, optional
-        Stability margin in 1/s when no poles are given; when omitted, the geometric mean of the sizes of the
+        Stability margin in 1/s, used without ``poles``; when omitted, the geometric mean of the sizes of the
         poles of ``T A``.
     H0 : array_like, shape (n, outputs), optional
         The free matrix of the general solution, in the units of the plant: zeros give the smallest ``H`` in these
@@ -164,7 +164,7 @@ def _with_free_matrix(
     existence: UnknownInputExistence,
     rtol: float,
 ) -> Observer:
-    """Return the observer of a given free matrix: as the equations say, in the units of the plant."""
+    """Return the observer of one free matrix: as the equations say, in the units of the plant."""
     form = output_free_form(plant, rtol=rtol)
     H = decoupling_gain(form, H0)
     T = decoupling_map(H, plant.C)

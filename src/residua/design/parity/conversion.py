@@ -40,7 +40,7 @@ class RowFraction:
 
 
 def to_parity(generator: ResidualGenerator, *, rtol: float = PENCIL_RTOL) -> ParityRelations:
-    """Return the parity relations of a generator: what is left when poles and common zeros are taken from it.
+    """Return the parity relations of a generator: the polynomials without its poles and common zeros.
 
     See :meth:`ResidualGenerator.to_parity`.
     """

@@ -51,7 +51,7 @@ def directional_parity(
     order: int | None = None,
     rtol: float = PENCIL_RTOL,
 ) -> ResidualGenerator:
-    r"""Design parity relations whose residual points in a given direction for each fault, also in transients.
+    r"""Design parity relations whose residual points in the direction of each fault, also in transients.
 
     .. math:: r^* = W(z)\, e^*, \qquad r^*(t \mid f_j) = d_j\, \gamma_j(z)\, f_j
 
@@ -109,8 +109,8 @@ def directional_parity(
     Counting: of ``m`` outputs and ``q`` decoupled signals, ``r (m - q)`` polynomials are free, of which one sets the
     scale; ``s`` directions are ``s (r - 1)`` conditions. For directions in general position there is a solution when
     ``s (r - 1) <= r (m - q) - 1``: at most ``m + 1`` directions for ``m`` residuals without disturbances. Which
-    responses can be kept from vanishing, and how many residuals are independent, is found at points of the plane,
-    whatever the degree; of a bounded degree they are looked for only when there are any. The minimal indices of the
+    responses can be kept from vanishing, and how many residuals are independent, is decided at points of the plane,
+    whatever the degree; the search at a bounded degree starts only when there are any. The minimal indices of the
     pencil add up to at most the rank of what ``z`` multiplies, ``r rank E``: no higher degree is needed.
 
     References

@@ -130,7 +130,7 @@ def changed_together(
 ) -> list[Relation]:
     """Return relations of one order in another basis, made exact there with their directions.
 
-    They are refined in units of the basis in which they are given: with sizes of one, as on the poles of a filter,
+    They are refined in units of their own basis: with sizes of one, as on the poles of a filter,
     coefficients of a fast plant are far from each other.
     """
     n, k = plant.n_states, rows[0].order

@@ -27,7 +27,7 @@ _PARALLEL = 1e-6
 _FAINT = 1e-7
 #: Nor do responses to an output smaller than this fraction of those to the others, in balanced units.
 _FAINT_OUTPUT = 1e-4
-#: Filters made of zeros and poles that miss the responses by more are not told.
+#: Filters made of zeros and poles that miss the responses by more are not reported.
 _FILTER_ERROR = 1e-3
 #: Zeros and poles nearer than this, relative to their size, cancel.
 _CANCEL = 1e-5
@@ -109,7 +109,7 @@ class Equivalence:
         return self.equivalent
 
     def transformation(self, w: NDArray[np.float64]) -> NDArray[np.complex128]:
-        r"""Return :math:`V(j\omega)` with :math:`Q_b = V Q_a`, of least norm where it is not unique.
+        r"""Return :math:`V(j\omega)` with :math:`Q_b = V Q_a`, of least norm if it is not unique.
 
         Parameters
         ----------

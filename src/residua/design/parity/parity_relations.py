@@ -49,10 +49,10 @@ def parity_relations(
     .. math:: w^T R = 0, \qquad w^T Q_{\text{ignored}} = 0
 
     is a relation :math:`r^* = w^T (Y - Q U)` of order ``n'`` that no state, no disturbance and no ignored fault
-    enters. They are found with the states as unknowns, ``p (zE - A) = q C``, so that no power of ``A`` is formed.
+    enters. The search keeps the states as unknowns, ``p (zE - A) = q C``, so that no power of ``A`` is formed.
 
-    Guaranteed (and checked): zero while nothing fails, for any state and any input; all relations of the order are
-    found, as independent ones.
+    Guaranteed (and checked): zero while nothing fails, for any state and any input; the result has all relations
+    of the order, as independent ones.
 
     Parameters
     ----------

@@ -95,7 +95,7 @@ def synthetic_division(plant: Plant, q: NDArray[np.float64], basis: PolynomialBa
 def divided(
     A: NDArray[np.float64], C: NDArray[np.float64], q: NDArray[np.float64], basis: PolynomialBasis
 ) -> tuple[NDArray[np.float64], float]:
-    r"""Return ``p`` with :math:`p (z I - A) = q C` and what is left over, relative to the terms that have to cancel.
+    r"""Return ``p`` with :math:`p (z I - A) = q C` and the remainder, relative to the terms that have to cancel.
 
     From the highest element on: :math:`\rho_{j-1} p_{j-1} = q_j C + p_j (A - a_j I) + \beta_{j+1} p_{j+1}`.
     """
@@ -135,7 +135,7 @@ def digits_lost(rows: Sequence[Relation], generator: ResidualGenerator) -> float
 
 
 def plant_rate(plant: Plant) -> float:
-    """Return the rate at which the poles of a continuous filter are put when none are given, in 1/s."""
+    """Return the rate in 1/s at which a continuous filter has its poles when the user lists none."""
     try:
         return own_rate(plant)
     except ModelError:  # a singular plant may have no poles

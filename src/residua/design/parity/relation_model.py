@@ -21,7 +21,7 @@ from residua.plant.input_output_model import InputOutputModel
 _ZERO = 1e-10
 #: A pole of as many times as there are states is scattered by the root of so many roundings.
 _SCATTER = 4
-#: States up to which one pole of all of them can be told from poles that differ: 2**-52 to the power of 1/7 is 0.006.
+#: States up to which one pole of all of them can be separated from others: 2**-52 to the power of 1/7 is 0.006.
 _MOST_OF_ONE_POLE = 7
 
 
@@ -42,7 +42,7 @@ class RelationModel:
     most : int
         No relation of a shortest set is longer.
     notes : tuple of str
-        What was done to the model before.
+        The changes to the model before.
     decouples : bool
         Whether relations ignore the disturbances.
     """

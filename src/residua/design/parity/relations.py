@@ -57,7 +57,7 @@ class ParityRelations:
     names : tuple of str
         Of the residuals.
     directions : Directions or None
-        The directions that the residuals keep together, where they were made to.
+        The directions that the residuals keep together, if the design asked for that.
 
     References
     ----------
@@ -174,7 +174,7 @@ class ParityRelations:
             If the number of poles does not fit, they are not closed under conjugation, or not stable; or if they differ
             between residuals that keep directions together, which would bend them.
         AccuracyError
-            If rounding in the coefficients shows in the residual, or, where no poles are given, more than ten digits
+            If rounding in the coefficients shows in the residual, or, without ``poles``, more than ten digits
             cancel in the moving average.
 
         References
@@ -330,7 +330,7 @@ def relations_of(
 ) -> ParityRelations:
     """Return relations as one set, each scaled so that the newest sample of an output has coefficient one.
 
-    Those that keep directions together are of one order, and all scaled by the factor of the first.
+    Relations that keep directions together are of one order, and all scaled by the factor of the first.
     """
     factors = []
     for row in rows:

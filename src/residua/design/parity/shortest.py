@@ -144,7 +144,7 @@ def shortest_relation(
     DesignError
         If there is none: which of the faults no relation sees, or that there is no relation at all.
     AccuracyError
-        If there is one by the ranks of the pencil, and none is found.
+        If there is one by the ranks of the pencil, but the search has no result.
     """
     faults = [model.plant.faults.index(name) for name in seen]
     search = _search(model, ignored)
@@ -177,7 +177,7 @@ def _shortest_seeing(search: _Search, faults: Sequence[int], most: int, rtol: fl
 def _refusal(
     model: RelationModel, search: _Search, ignored: Sequence[str], seen: Sequence[str], rtol: float
 ) -> DesignError | AccuracyError:
-    """Return what to raise where no relation was found: why there is none, or that rounding hides it."""
+    """Return what to raise when the search has no result: why there is no relation, or that rounding hides it."""
     what = ", ".join(f"'{name}'" for name in (*model.plant.disturbances, *ignored)) or "nothing"
     longest = search.space(pencil_null_vectors(search.pencil, model.most, rtol=rtol))
     space = fault_space(model.plant, rtol=max(rtol, _OF_DATA))

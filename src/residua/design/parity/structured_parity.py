@@ -48,9 +48,10 @@ def structured_parity(
 
     .. math:: w_i^T(z)\, g_j(z) = 0, \qquad w_i^T(z)\, h_j(z) = 0,
 
-    and answers to every one of its ones. Degrees are found by search, vectors from the singular values of a block
-    matrix (:func:`residua.linear.left_null_vectors`, in a basis on the poles of the plant). The shortest relation has
-    no factor common to all signals; those that the equations of an input-output model share are divided out, and told.
+    and answers to every one of its ones. A search gives the degrees, and the singular values of a block
+    matrix give the vectors (:func:`residua.linear.left_null_vectors`, in a basis on the poles of the plant). The
+    shortest relation has no factor common to all signals; factors that the equations of an input-output model share are
+    divided out, and a note says so.
 
     Parameters
     ----------
@@ -61,7 +62,7 @@ def structured_parity(
     poles : sequence of complex, or mapping of str to sequence, optional
         For all rows, which must then be of one order, or by name of the row.
     allow_missing : bool
-        Whether rows that are not attainable are left out, and told in ``failures``, instead of raised.
+        Whether rows that are not attainable are left out, and listed in ``failures``, instead of raised.
     rtol : float
         Relative tolerance of rank decisions, in balanced units.
 
@@ -131,7 +132,7 @@ def structured_parity(
 
 
 def _check_names(poles: Poles | None, rows: Sequence[str]) -> None:
-    """Raise when poles are given for rows that do not exist, or not for all."""
+    """Raise when ``poles`` names rows that do not exist, or not all of those that do."""
     if not isinstance(poles, Mapping):
         return
     unknown, missing = [name for name in poles if name not in rows], [name for name in rows if name not in poles]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, ModelError
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.subspaces.observability import is_stable_mode
+from residua.linear.poles.stability import is_stable_mode
 from residua.linear.systems.balancing import state_units
 from residua.linear.systems.state_space import StateSpace
 
@@ -92,7 +92,7 @@ def _largest(M: Matrix) -> float:
 
 @dataclass(frozen=True, eq=False)
 class TriangularTailBound:
-    r"""A bound by absolute values of a triangular form, where no norm was found in which ``A`` contracts.
+    r"""A bound by absolute values of a triangular form, for want of a norm in which ``A`` contracts.
 
     With the Schur form :math:`A = Q T Q^H` and :math:`N \ge |Q^H A Q|`, for every ``X``,
 

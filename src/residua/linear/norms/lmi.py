@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from importlib.util import find_spec
 from typing import Any
 
@@ -21,21 +20,20 @@ _ACCURACY = {"tol_gap_rel": 1e-6, "tol_gap_abs": 1e-7, "tol_feas": 1e-8}
 
 
 def has_solver() -> bool:
-    """Tell whether the packages of the extra ``lmi`` are there."""
+    """Tell whether the package of the extra ``lmi`` is there."""
     try:
-        return find_spec("cvxpy") is not None and find_spec("clarabel") is not None
+        return find_spec("clarabel") is not None
     except ValueError:  # a module that is blocked by a None in sys.modules
         return False
 
 
 def require_solver() -> Any:
-    """Return the modelling package, or raise with the name of the extra."""
+    """Return the package of the solver, or raise with the name of the extra."""
     try:
-        import clarabel  # noqa: F401  # pyright: ignore[reportMissingImports]
-        import cvxpy  # pyright: ignore[reportMissingImports]
+        import clarabel  # pyright: ignore[reportMissingImports]
     except ImportError as error:
-        raise missing_extra("cvxpy' and 'clarabel", "lmi") from error
-    return cvxpy
+        raise missing_extra("clarabel", "lmi") from error
+    return clarabel
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,12 +50,12 @@ def scalar(name: str) -> Unknown:
 
 
 def symmetric(name: str, size: int, sets: Sequence[Sequence[int]] | None = None) -> Unknown:
-    """Return an unknown symmetric matrix, zero but within each of the given index sets (one of all, when omitted)."""
+    """Return an unknown symmetric matrix, zero but within each of these index sets (one of all, when omitted)."""
     return _within(name, size, [range(size)] if sets is None else sets, 0, 1.0)
 
 
 def skew(name: str, size: int, sets: Sequence[Sequence[int]]) -> Unknown:
-    """Return an unknown skew-symmetric matrix, zero but within each of the given index sets."""
+    """Return an unknown skew-symmetric matrix, zero but within each of these index sets."""
     return _within(name, size, sets, 1, -1.0)
 
 
@@ -119,33 +117,43 @@ def solve(
     *,
     margin: float,
 ) -> NDArray[np.float64] | None:
-    """Minimise ``cost @ x`` subject to every inequality ``>= margin * I``; None where the solver found nothing.
+    """Minimise ``cost @ x`` subject to every inequality ``>= margin * I``; None if the solver has no solution.
 
     What comes back is a candidate: solvers call a point optimal that misses a little, so that whoever asked has to
     check it.
     """
-    cp = require_solver()
-    x = cp.Variable(unknowns.count)
-    constraints = []
-    numbers = [(constant - margin, row) for constant, row in inequalities if len(constant) == 1]
-    if numbers:  # one by one they would take the modelling layer longer than the solver
-        rows = scipy.sparse.vstack([row for _, row in numbers]).tocsr()
-        constraints.append(rows @ x + np.concatenate([constant.ravel() for constant, _ in numbers]) >= 0)
-    for constant, coefficients in inequalities:
+    clarabel = require_solver()
+    kinds = [[one for one in inequalities if (len(one[0]) == 1) == number] for number in (True, False)]
+    rows, constants, cones = [], [], []
+    for constant, coefficients in (*kinds[0], *kinds[1]):
         s = len(constant)
+        W = _triangle(s)
+        rows.append(W @ coefficients)
+        constants.append(W @ (constant - margin * np.eye(s)).ravel())
         if s > 1:
-            shifted = (constant - margin * np.eye(s)).ravel()
-            constraints.append(cp.reshape(coefficients @ x + shifted, (s, s), order="C") >> 0)
-    problem = cp.Problem(cp.Minimize(cost @ x), constraints)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that a solution may be inaccurate: it is checked
-        try:
-            problem.solve(solver=cp.CLARABEL, **_ACCURACY)
-        except cp.error.SolverError:
-            return None
-    if problem.status not in ("optimal", "optimal_inaccurate") or x.value is None or not np.isfinite(x.value).all():
-        return None
-    return np.asarray(x.value, dtype=float)
+            cones.append(clarabel.PSDTriangleConeT(s))
+    if kinds[0]:
+        cones.insert(0, clarabel.NonnegativeConeT(len(kinds[0])))
+    A = -scipy.sparse.csc_array(scipy.sparse.vstack(rows))
+    A.sort_indices()
+    none = scipy.sparse.csc_array((unknowns.count, unknowns.count))
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    for name, value in _ACCURACY.items():
+        setattr(settings, name, value)
+    solution = clarabel.DefaultSolver(none, cost, A, np.concatenate(constants), cones, settings).solve()
+    x = np.array(solution.x, dtype=float)
+    return x if str(solution.status) in ("Solved", "AlmostSolved") and np.isfinite(x).all() else None
+
+
+@lru_cache(maxsize=64)
+def _triangle(size: int) -> scipy.sparse.csr_array:
+    """Return the map from a symmetric matrix to its upper triangle, column by column, in which norms are the same."""
+    j, i = np.tril_indices(size)
+    weights = np.where(i == j, 0.5, 0.5 * np.sqrt(2.0))
+    count = np.arange(len(i))
+    entries = (np.r_[weights, weights], (np.r_[count, count], np.r_[i * size + j, j * size + i]))
+    return scipy.sparse.csr_array(entries, shape=(len(i), size * size))
 
 
 def smallest_eigenvalue(M: Matrix) -> float:

@@ -20,7 +20,7 @@ _TINY = float(np.finfo(float).tiny)
 
 @dataclass(frozen=True, eq=False)
 class LargestSum:
-    """The maximum found, where, and an upper bound of all values."""
+    """The largest value of a search, its direction, and an upper bound of all values."""
 
     attained: float
     direction: NDArray[np.float64]
@@ -77,7 +77,7 @@ def largest_sum(H: Matrix, *, rtol: float) -> LargestSum:
     best, direction = _ascend(terms, guess)
     upper = min(upper, _weighted_bound(terms, direction))
     if upper > best * (1 + rtol) and terms.p > 1:
-        best, direction = max(_ascend(terms, _starts(terms)), (best, direction), key=lambda found: found[0])
+        best, direction = max(_ascend(terms, _starts(terms)), (best, direction), key=lambda pair: pair[0])
         upper = min(upper, _weighted_bound(terms, direction))
     if upper > best * (1 + rtol) and terms.p > 1:
         best, direction, upper = _search_cones(terms, best, direction, upper, rtol)

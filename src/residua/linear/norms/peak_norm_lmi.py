@@ -16,7 +16,7 @@ _MARGINS = (1e-6, 1e-4, 1e-3)
 
 
 def lmi_peak(system: StableSystem, star: Ellipsoid) -> tuple[float, float, Matrix] | None:
-    """Return the bound of the inequality, its rate and ellipsoid; ``None`` where the star norm is no larger."""
+    """Return the bound of the inequality, its rate and ellipsoid; ``None`` if the star norm is no larger."""
     lmi.require_solver()
     if not star.bound or not np.any(star.Q) or not np.any(system.C):
         return None

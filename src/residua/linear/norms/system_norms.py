@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua import arrays
 from residua.errors import AccuracyError, ModelError
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.subspaces.observability import is_stable_mode
+from residua.linear.poles.stability import is_stable_mode
 from residua.linear.systems.balancing import balance_system, power_of_two
 
 Matrix = NDArray[np.float64]

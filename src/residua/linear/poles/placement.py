@@ -14,8 +14,8 @@ from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.poles.pole_assignment import polished, real_block_diagonal, robust_assignment, schur_assignment
 from residua.linear.poles.spectrum import describe_modes, match_poles, spectrum_error
+from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.far_gain import refuse_far_gain
-from residua.linear.subspaces.observability import is_stable_mode
 from residua.linear.subspaces.observable_part import ObservablePart, observable_part
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.tolerances import POLE
@@ -35,7 +35,7 @@ class Placement:
     gain : ndarray, shape (n, p)
         ``K``; the poles are those of ``A - K C``. It ignores the left null directions of ``C``: ``K = K C C^+``.
     requested : ndarray of complex
-        Poles asked for on the observable part, in the order given; empty when a margin was asked for.
+        Poles asked for on the observable part, in that order; empty when a margin was asked for.
     achieved : ndarray of complex
         Poles reached on the observable part, in the order of ``requested``.
     fixed : ndarray of complex
@@ -370,7 +370,7 @@ def place_observer_margin(
 
 
 def _shifted_riccati(problem: ObservablePart, margin: float, weight: float) -> Matrix | None:
-    """Return the gain of the filter for the shifted plant, or None where the equation is not solved."""
+    """Return the gain of the filter for the shifted plant, or None if the equation is not solved."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the caller checks the outcome

@@ -16,7 +16,7 @@ _SIMPLE = 1e8
 
 
 def real_block_diagonal(poles: NDArray[np.complex128]) -> Matrix:
-    """Return a real matrix with the given poles: 1 x 1 blocks, and ``[[a, b], [-b, a]]`` for a pair.
+    """Return a real matrix with these poles: 1 x 1 blocks, and ``[[a, b], [-b, a]]`` for a pair.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def real_block_diagonal(poles: NDArray[np.complex128]) -> Matrix:
 
 
 def robust_assignment(F: Matrix, H: Matrix, poles: NDArray[np.complex128]) -> Matrix | None:
-    """Return ``L`` with ``eig(F - L H) = poles`` and well-conditioned eigenvectors, or None where it fails.
+    """Return ``L`` with ``eig(F - L H) = poles`` and well-conditioned eigenvectors, or None if it fails.
 
     Kautsky, Nichols and Van Dooren's method as improved by Tits and Yang; it exists only when no pole occurs more
     often than there are rows in ``H``. With more than 79 states it is not tried: it would take minutes. The caller must
@@ -100,7 +100,7 @@ def _sweeps(order: int) -> int:
 
 
 def schur_assignment(F: Matrix, H: Matrix, poles: NDArray[np.complex128]) -> Matrix | None:
-    """Return ``L`` with ``eig(F - L H) = poles`` for poles of any multiplicity, or None where it breaks down.
+    """Return ``L`` with ``eig(F - L H) = poles`` for poles of any multiplicity, or None if it breaks down.
 
     One block of the real Schur form is moved at a time, to the pole nearest to it, with the smallest
     gain that does it.
@@ -187,7 +187,7 @@ def _nearest(block: Matrix, reals: list[float], pairs: list[complex]) -> tuple[f
 
 
 def _block_gain(block: Matrix, G: Matrix, target: tuple[float, float, float]) -> Matrix | None:
-    """Return the smallest found ``f`` with ``eig(block + G f)`` on target, or None when ``G`` cannot reach it."""
+    """Return the smallest known ``f`` with ``eig(block + G f)`` on target, or None when ``G`` cannot reach it."""
     trace, determinant, pole = target
     U, s, Vh = np.linalg.svd(G)
     if s[0] == 0:
@@ -208,7 +208,7 @@ def _block_gain(block: Matrix, G: Matrix, target: tuple[float, float, float]) ->
 
 
 def _targets(block: Matrix, trace: float, determinant: float) -> list[Matrix]:
-    """Return 2 x 2 matrices with the wanted trace and determinant, near to a given one."""
+    """Return 2 x 2 matrices with the wanted trace and determinant, near to ``block``."""
     centre = trace / 2
     product = centre**2 - determinant  # of the off-diagonal entries, when the diagonal is (centre, centre)
     out = []

@@ -13,7 +13,8 @@ from scipy.sparse.csgraph import connected_components
 from residua import arrays
 from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.subspaces.observability import detectability, is_stable_mode, observability_form
+from residua.linear.poles.stability import is_stable_mode
+from residua.linear.subspaces.observability import detectability, observability_form
 from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank, without_rounded_gains
 from residua.linear.systems.balancing import balance_system, power_of_two
 from residua.tolerances import RESIDUE

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.linear.subspaces.observability import modes_with_uncertainty
+from residua.linear.poles.stability import modes_with_uncertainty
 
 Poles = NDArray[np.complex128]
 _EPS = float(np.finfo(float).eps)
@@ -30,7 +30,7 @@ def spectral_radius(A: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def match_poles(wanted: Poles, achieved: Poles) -> NDArray[np.intp]:
-    """Return for each wanted pole the index of a found one, each used at most once, nearest in sum.
+    """Return for each wanted pole the index of an achieved one, each used at most once, nearest in sum.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ class PrimitivePart:
     Attributes
     ----------
     matrix : PolynomialMatrix
-        What is left.
+        The matrix without the factor.
     factor : ndarray
         Coefficients of the common factor, monic, highest power first; ``[1]`` when there is none.
     roots : ndarray
@@ -43,7 +43,7 @@ def primitive_part(P: PolynomialMatrix, *, rtol: float = 1e-9, variable: float =
     r"""Divide out the common factor of all entries of a polynomial matrix, :math:`P(z) = c(z) P_0(z)`.
 
     The degree of the factor is the dimension, less one, of the space of all :math:`Q` of the degree of ``P`` that are
-    parallel to it, :math:`Q_i P_j = Q_j P_i`; the smallest such ``Q`` is what is left. Both are found from
+    parallel to it, :math:`Q_i P_j = Q_j P_i`; the smallest such ``Q`` is what is left. Both come from
     singular values, at points on the circle ``|z| = variable``. The division is undone when it does not come out.
 
     Parameters
@@ -67,8 +67,8 @@ def primitive_part(P: PolynomialMatrix, *, rtol: float = 1e-9, variable: float =
     Examples
     --------
     >>> from residua.linear import PolynomialMatrix, primitive_part
-    >>> found = primitive_part(PolynomialMatrix.from_entries([[[1, -0.9, 0.2], [0.7, -0.35]]]))  # (z - 0.5) in both
-    >>> found.roots.real.round(12).tolist(), found.matrix.degree
+    >>> primitive = primitive_part(PolynomialMatrix.from_entries([[[1, -0.9, 0.2], [0.7, -0.35]]]))  # (z - 0.5) in both
+    >>> primitive.roots.real.round(12).tolist(), primitive.matrix.degree
     ([0.5], 1)
     """
     basis = PolynomialBasis.powers(P.degree + 1, variable)

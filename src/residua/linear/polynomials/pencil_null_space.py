@@ -89,7 +89,7 @@ def pencil_null_vectors(problem: Pencil, degree: int, *, rtol: float = PENCIL_RT
 
     .. math:: \rho_{j-1} x_{j-1} P_1 + x_j (P_0 + a_j P_1) - \beta_{j+1} x_{j+1} P_1 = 0,
 
-    a block bidiagonal (with pairs of nodes: tridiagonal) system whose left null space is found from its singular
+    a block bidiagonal (with pairs of nodes: tridiagonal) system whose left null space follows from its singular
     values. Nodes at the poles keep its blocks from being alike, which powers of ``z`` do not.
 
     Parameters

@@ -16,7 +16,7 @@ _MEETING_SIZE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class PolynomialBasis:
-    r"""Newton's basis on given nodes: :math:`N_0 = 1`, :math:`\rho_j N_{j+1} = (z - a_j) N_j + \beta_j N_{j-1}`.
+    r"""Newton's basis on nodes: :math:`N_0 = 1`, :math:`\rho_j N_{j+1} = (z - a_j) N_j + \beta_j N_{j-1}`.
 
     Every product of the first nodes is an element; a conjugate pair of nodes ``a +- bi`` takes two steps, of which the
     second has :math:`\beta = b^2 / \rho`. With all nodes zero and ``rho`` one these are the powers of ``z``.
@@ -43,7 +43,8 @@ class PolynomialBasis:
         """Return the basis on some nodes, closed under conjugation.
 
         In the order of Leja, each node as far as possible from those before it, with sizes that keep the elements near
-        one on all nodes, ``size`` where all nodes meet; or in the order given (pairs side by side) with sizes one.
+        one on all nodes, ``size`` where all nodes meet; or in the order of the input (pairs side by side) with sizes
+        one.
         """
         values = np.asarray(nodes, dtype=np.complex128).ravel()
         if in_order:
@@ -116,7 +117,7 @@ class PolynomialBasis:
         return rows
 
     def changed_to(self, other: PolynomialBasis, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the coefficients in another basis of polynomials that are given in this one, along the first axis."""
+        """Return coefficients in this basis as coefficients in another one, along the first axis."""
         k = len(coefficients) - 1
         flat = coefficients.reshape(k + 1, -1)
         L = other.elements_in(self, k)  # the other's elements in this basis

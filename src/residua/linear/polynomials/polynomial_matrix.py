@@ -129,7 +129,7 @@ class PolynomialMatrix:
         return PolynomialMatrix(np.concatenate([part.padded(degree) for part in parts], axis=1))
 
     def padded(self, degree: int) -> NDArray[np.float64]:
-        """Return the coefficients up to a degree, with zeros where there are none."""
+        """Return the coefficients up to a degree, with zeros for the others."""
         more = degree + 1 - len(self.coefficients)
         return np.concatenate([self.coefficients, np.zeros((max(more, 0), *self.shape))])
 

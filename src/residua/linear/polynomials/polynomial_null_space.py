@@ -51,7 +51,7 @@ def left_null_vectors(
        [x_0 \; \dots \; x_k]
        \begin{bmatrix} P_0 & \dots & P_d \\ & \ddots & & \ddots \\ & & P_0 & \dots & P_d \end{bmatrix} = 0,
 
-    found from its singular values, in balanced units.
+    computed from its singular values, in balanced units.
 
     Parameters
     ----------

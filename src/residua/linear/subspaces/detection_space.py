@@ -39,7 +39,7 @@ class DetectionSpace:
 
     @property
     def dimension(self) -> int:
-        """Number of poles that can be given to the fault."""
+        """Number of poles that the fault can have."""
         return self.basis.shape[1]
 
 
@@ -151,7 +151,7 @@ class Blocks:
     pairs : list of (A_i, C_i)
         One per detection space; observable, all poles free.
     rest : (A_0, C_0)
-        What is left; its unobservable modes are poles that no gain can move: invariant zeros of
+        The rest; its unobservable modes are poles that no gain can move: invariant zeros of
         ``(A, F, C)`` that belong to no single fault, and unobservable modes of ``(C, A)``.
     """
 

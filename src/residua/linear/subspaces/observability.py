@@ -10,19 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
 from residua.errors import AccuracyError
-from residua.linear.poles.matrix_poles import is_rounding_of_zero
+from residua.linear.poles.stability import dies_out, modes_with_uncertainty
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision
 from residua.linear.systems.balancing import balance_system
 from residua.linear.systems.units import system_units
 
-#: A mode of more than this fraction of the size of its matrix is not zero: a triple zero is scattered by about
-#: as much, and in units that are far apart every mode looks like one of a higher multiplicity.
-_NEAR_ZERO = 1e-5
 _EPS = float(np.finfo(float).eps)
 #: How much of ``norm(A)`` the staircase may drop in the caller's coordinates before it is called a failure.
 _MOST_DROPPED = 1e-5
-#: What a hidden mode must be inside the stability region by: a slower one does not die out in any time that counts.
-_INSIDE = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,92 +100,6 @@ class Staircase:
     def size(self) -> float:
         """Spectral norm of ``A``."""
         return float(np.linalg.norm(self.A, 2)) if self.A.size else 0.0
-
-
-def is_stable_mode(
-    modes: ArrayLike, dt: float = 0, margin: float = 0, *, uncertainty: ArrayLike = 0
-) -> NDArray[np.bool_]:
-    """Tell which modes are stable; the boundary counts as unstable.
-
-    Continuous time: ``Re(s) < -margin``. Sampled: ``abs(z) < exp(-margin * dt)``, the same decay rate.
-
-    Parameters
-    ----------
-    modes : array_like of complex
-        Eigenvalues of ``A``, in 1/s when ``dt`` is 0.
-    dt : float
-        0 for continuous time, otherwise the sample step in seconds.
-    margin : float
-        Decay rate in 1/s that must be exceeded.
-    uncertainty : array_like
-        Distance by which each mode must be inside, for what rounding may have done to it.
-
-    Returns
-    -------
-    ndarray of bool
-
-    Examples
-    --------
-    >>> is_stable_mode([-1, 0, 1j])
-    array([ True, False, False])
-    >>> is_stable_mode([0.5, 0.95], dt=0.1, margin=1)
-    array([ True, False])
-    """
-    modes = np.asarray(modes, dtype=complex)
-    inside = np.asarray(uncertainty, dtype=float)
-    if dt:
-        return np.abs(modes) + inside < np.exp(-margin * dt)
-    return np.real(modes) + inside < -margin
-
-
-def dies_out(modes: NDArray, uncertainty: NDArray, dt: float, size: float) -> NDArray[np.bool_]:
-    """Tell which hidden modes count as stable, for everything that has to live with them.
-
-    Inside the stability region by more than their uncertainty and 1e-10 on top: of the radius of the unit disk for
-    sampled systems, of ``size`` for continuous ones.
-
-    Parameters
-    ----------
-    modes : ndarray of complex
-    uncertainty : ndarray
-        See `modes_with_uncertainty`.
-    dt : float
-    size : float
-        Spectral norm of ``A`` in balanced units.
-
-    Returns
-    -------
-    ndarray of bool
-    """
-    return is_stable_mode(modes, dt, uncertainty=uncertainty + _INSIDE * (1.0 if dt else size))
-
-
-def modes_with_uncertainty(
-    A: NDArray[np.float64], perturbation: float = 0.0
-) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-    """Return eigenvalues and what a perturbation of ``A`` may do to each, from its condition number.
-
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-    perturbation : float
-        Norm of the perturbation that comes on top of rounding.
-
-    Returns
-    -------
-    modes : ndarray of complex
-    uncertainty : ndarray
-    """
-    n = A.shape[0]
-    if not n:
-        return np.zeros(0, complex), np.zeros(0)
-    modes, left, right = scipy.linalg.eig(A, left=True, right=True)
-    cosine = np.abs(np.sum(left.conj() * right, axis=0))
-    moved = n * _EPS * float(np.linalg.norm(A)) + perturbation
-    # A defective mode has cosine 0; the floor gives it the sqrt(eps) that a double mode moves by.
-    size = float(np.linalg.norm(A))
-    zero = is_rounding_of_zero(modes, cosine, size) & (np.abs(modes) <= _NEAR_ZERO * size)
-    return np.where(zero, 0.0, modes).astype(complex), moved / np.maximum(cosine, np.sqrt(_EPS))
 
 
 def _scales(A: NDArray[np.float64], C: NDArray[np.float64], rtol: float) -> tuple[float, float]:

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from residua import arrays
 from residua.errors import DesignError
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.subspaces.observability import Staircase, dies_out, modes_with_uncertainty, staircase
+from residua.linear.poles.stability import dies_out, modes_with_uncertainty
+from residua.linear.subspaces.observability import Staircase, staircase
 from residua.linear.subspaces.rank import without_rounded_gains
 
 Matrix = NDArray[np.float64]
@@ -55,7 +56,7 @@ class ObservablePart:
 
     @property
     def pseudo_inverse(self) -> Matrix:
-        """A right factor ``X`` with ``C X C = C``, found in balanced units."""
+        """A right factor ``X`` with ``C X C = C``, from balanced units."""
         form = self.form
         seen = form.Q[:, : self.order] @ (self.H.T @ self.to_outputs)
         return form.states[:, None] * seen * form.outputs

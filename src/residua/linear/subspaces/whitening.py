@@ -18,7 +18,7 @@ def whitening_matrix(covariance: NDArray[np.float64], *, floor: float = VARIANCE
     covariance : ndarray, shape (k, k)
     floor : float
         Eigenvalues of the correlation matrix below this fraction of the largest are raised to it. A residual
-        that never moved at all is given the smallest spread among the others.
+        that never moved at all gets the smallest spread among the others.
 
     Returns
     -------

@@ -159,7 +159,7 @@ def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> Ba
         left, right, _ = _factors(W, n, level, _largest)
     T, U, Y = T * right[:n], U * right[n:], Y * left[n:]
     # The scaled matrices are the same for states and inputs in c times larger, outputs in c times smaller units:
-    # of these units those nearest to the given ones are taken; the sweeps may have drifted far away from them.
+    # of these units those nearest to the original ones are taken; the sweeps may have drifted far away from them.
     size = np.sum(np.log2(T)) - np.sum(np.log2(Y))
     c = 2.0 ** np.round(size / max(len(T) + len(Y), 1))
     T, U, Y = T / c, U / c, Y * c

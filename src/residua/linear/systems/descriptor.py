@@ -116,7 +116,7 @@ def is_regular(A: ArrayLike, E: ArrayLike | None = None, *, rtol: float = DEFAUL
     r"""Tell whether :math:`\det(sE - A)` is not zero for every ``s``.
 
     Exactly then ``E x' = A x + B v`` has one solution for every smooth input and every consistent initial state.
-    The determinant is never formed: the pencil is scaled, and its rank found at several points of the plane.
+    The determinant is never formed: the pencil is scaled, and its rank decided at several points of the plane.
 
     Parameters
     ----------
@@ -206,8 +206,8 @@ def weierstrass_form(
 
     The two parts are the limits of the Wong sequences :math:`V_{i+1} = A^{-1}(E V_i)` from the whole space and
     :math:`W_{i+1} = E^{-1}(A W_i)` from zero, held by orthonormal bases; then :math:`Q = [V\ W]`,
-    :math:`P = [E V\ A W]^{-1}`. No eigenvalue has to be told from infinity: ones at infinity in long chains,
-    which rounding throws far into the plane, are found by rank decisions instead.
+    :math:`P = [E V\ A W]^{-1}`. No eigenvalue has to be separated from infinity: rank decisions reveal those
+    at infinity in long chains, which rounding throws far into the plane.
 
     Parameters
     ----------

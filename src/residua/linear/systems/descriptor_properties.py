@@ -93,8 +93,8 @@ def descriptor_observability(
 
     Examples
     --------
-    >>> found = descriptor_observability([[1, 2], [3, 4]], [[1, 0]], [[1, 0], [0, 0]])
-    >>> bool(found), found.finite, found.reasons
+    >>> observability = descriptor_observability([[1, 2], [3, 4]], [[1, 0]], [[1, 0], [0, 0]])
+    >>> bool(observability), observability.finite, observability.reasons
     (False, True, ('rank[E; C] = 1 < 2: the outputs miss a part of the state that obeys algebraic equations alone',))
     """
     A, E = checked_pencil(A, E)

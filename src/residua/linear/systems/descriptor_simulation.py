@@ -25,10 +25,10 @@ class ConsistentState:
     Attributes
     ----------
     state : ndarray, shape (n,)
-        The state right after the jump: the dynamic part of the given one, with the algebraic part that the inputs
+        The state right after the jump: the dynamic part of ``x0``, with the algebraic part that the inputs
         demand.
     consistent : bool
-        Whether the given state was consistent already.
+        Whether ``x0`` was consistent already.
     distance : float
         How far it was off, relative to the sizes of the states that are added up.
     """
@@ -79,7 +79,7 @@ def consistent_state(
     ModelError
         If the system is not regular, or derivatives are missing.
     AccuracyError
-        If its dynamic and algebraic parts cannot be told apart, see `weierstrass_form`.
+        If its dynamic and algebraic parts cannot be separated, see `weierstrass_form`.
 
     References
     ----------
@@ -89,8 +89,8 @@ def consistent_state(
     --------
     >>> from residua.linear import StateSpace, consistent_state
     >>> system = StateSpace([[-1, 0], [1, -1]], [[0], [1]], [[1, 0]], E=[[1, 0], [0, 0]])
-    >>> found = consistent_state(system, [2.0, 0.0], [0.5])
-    >>> bool(found), found.state
+    >>> start = consistent_state(system, [2.0, 0.0], [0.5])
+    >>> bool(start), start.state
     (False, array([2. , 2.5]))
     """
     form = weierstrass_form(system.A, system.E, rtol=rtol)
@@ -155,7 +155,7 @@ class DescriptorRun:
     ----------
     states : ndarray, shape (samples, n)
     outputs : ndarray, shape (samples, p)
-        For a sampled system fewer samples than inputs were given: the last ones depend on inputs still to come.
+        For a sampled system fewer samples than inputs: the last ones depend on inputs still to come.
     """
 
     states: NDArray[np.float64]
@@ -207,9 +207,9 @@ def simulate_descriptor(
     DataError
         If signals do not fit the system, or ``x0`` is not consistent; `consistent_state` makes it so.
     SettingError
-        If ``hold`` is not one of its words, or a sampled system is given derivatives.
+        If ``hold`` is not one of its words, or a sampled system gets derivatives.
     AccuracyError
-        If its dynamic and algebraic parts cannot be told apart, see `weierstrass_form`.
+        If its dynamic and algebraic parts cannot be separated, see `weierstrass_form`.
 
     References
     ----------

@@ -128,7 +128,7 @@ class StateSpace:
     def _poles(self) -> NDArray[np.complex128]:
         if self.E is None:
             return explicit_poles(self.A)
-        # Poles at infinity are found by rank decisions: rounding throws those in chains far into the plane.
+        # Rank decisions reveal the poles at infinity: rounding throws those in chains far into the plane.
         return finite_poles(self.A, self.E)
 
     def poles(self) -> NDArray[np.complex128]:

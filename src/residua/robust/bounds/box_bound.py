@@ -28,7 +28,7 @@ _LOOSE = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What is asked of every box."""
+    """The task for every box."""
 
     method: str
     worst: WorstMember

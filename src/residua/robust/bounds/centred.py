@@ -32,7 +32,7 @@ from residua.tolerances import RESPONSE_ROUNDING
 
 Matrix = NDArray[np.float64]
 Real = NDArray[np.float64]
-#: What is cut off of the impulse responses, in units of what is reached; and where a bound by them is given up.
+#: What is cut off of the impulse responses, in units of what is reached; and from where on there is no bound by them.
 _TAIL, _LARGEST_TAIL = 1e-8, 1e-3
 #: Terms of impulse responses that are computed, and numbers of them that are kept.
 _TERMS, _STORED = 1_000_000, 20_000_000
@@ -59,7 +59,7 @@ class CentredBound:
     blame : ndarray, shape (parameters,)
         About what each parameter adds to the last two.
     gain : float
-        The spectral radius of the gains around the parameters: below 1 where there is a bound.
+        The spectral radius of the gains around the parameters: below 1 if there is a bound.
     """
 
     linear: float
@@ -75,7 +75,7 @@ class CentredBound:
 
 
 def centred_bound(system: UncertainSystem) -> CentredBound | None:
-    """Bound the output of all members for inputs of unit size; None where the responses are too long for it."""
+    """Bound the output of all members for inputs of unit size; None if the responses are too long for it."""
     if not np.any((system.high - system.low)[list(system.channels)]):
         alone = peak_norm(system.member((system.low + system.high) / 2), rtol=1e-4).value
         return CentredBound(alone, 0.0, 0.0, np.zeros(system.n_parameters), 0.0)
@@ -277,7 +277,7 @@ class _Expansion:
 
 
 def _solved(gains: Matrix, once: Real) -> Real | None:
-    """Return ``x >= once + gains x``, or None where there is none to be had."""
+    """Return ``x >= once + gains x``, or None without one."""
     if not len(once):
         return once
     x = np.linalg.solve(np.eye(len(gains)) - gains, np.column_stack([once, np.ones(len(once))]))

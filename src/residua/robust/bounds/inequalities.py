@@ -140,7 +140,7 @@ class Inequalities:
         return self._storage(v, X, R) + v["g2"][0, 0] * W.T @ W - Z.T @ Z - self._sector(v, "H2", Q, R)
 
     def positive(self, v: lmi.Values) -> Matrix:
-        """Return ``V(x)`` less the multipliers; its matrix where it does not depend on the parameters."""
+        """Return ``V(x)`` less the multipliers; its matrix if it does not depend on the parameters."""
         if self.method == "quadratic":
             return v["V"]
         n, k, _ = self._sizes

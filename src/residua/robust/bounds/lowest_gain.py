@@ -1,4 +1,4 @@
-"""The member of an uncertain system, and the frequency, with the smallest gain that can be found."""
+"""The member of an uncertain system, and the frequency, with the smallest gain that a search reaches."""
 
 from __future__ import annotations
 

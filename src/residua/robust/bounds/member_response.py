@@ -105,7 +105,7 @@ class MemberResponse:
 
 
 def member_response(system: UncertainSystem, *, constant: bool) -> MemberResponse:
-    """Return a system in units of states that do not depend on those it is given in."""
+    """Return a system in units of states that do not depend on its own."""
     T = reached_units(system)
     return MemberResponse(
         (system.A - float(system.dt > 0) * np.eye(len(T))) / T[:, None] * T,
@@ -138,7 +138,7 @@ def reached_units(system: UncertainSystem) -> NDArray[np.float64]:
         Cq, Cz = system.Cq * units, system.Cz * units
         (R,) = solved((z * one - A - (Bp * middle[own]) @ Cq)[None], one[None])
         if not np.isfinite(R).all():
-            break  # a pole at the centre, which is found where members are visited
+            break  # a pole at the centre: the visits to members will meet it
         M = np.abs(R) @ (z * one + np.abs(A) + (np.abs(Bp) * widest[own]) @ np.abs(Cq))
         reached, seen = np.abs(R) @ Bw, np.abs(Cz @ R) @ Bw + np.abs(system.Dzw)
         # inputs in units of what they do to the outputs

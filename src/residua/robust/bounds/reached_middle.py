@@ -29,9 +29,9 @@ class ReachedMiddle:
     Q : ndarray, shape (n, n)
         An ellipsoid about what is reached, in these.
     reach : ndarray, shape (channels,)
-        How large ``q`` gets, about; 0 where nothing drives it.
+        How large ``q`` gets, about; 0 if nothing drives it.
     unit : float
-        How large the output gets, about; 1 where nothing reaches it.
+        How large the output gets, about; 1 if nothing reaches it.
     rate : float
         Of the smallest ellipsoid, for the outputs, about what is reached.
     """

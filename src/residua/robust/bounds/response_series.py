@@ -119,7 +119,7 @@ def _resolvent_basis(A: Array) -> tuple[Array, Array]:
 
 
 def inverse(c: Centre) -> Centre:
-    """Return the form of the inverse of the first rows, as many as there are columns; unreliable where there is none.
+    """Return the form of the inverse of the first rows, as many as there are columns; unreliable if there is none.
 
     The smallest singular value of those is not above that of all.
     """
@@ -155,9 +155,9 @@ class Series:
     rounding : ndarray, shape (boxes, p, m)
         Of the response and its terms.
     resolved : ndarray of bool, shape (boxes,)
-        Whether the series converges all over the box; nothing else holds where it does not.
+        Whether the series converges all over the box; else nothing else holds.
     weight : ndarray, shape (boxes, coordinates)
-        About how much each coordinate is to blame where it does not; 0 where rounding is.
+        About how much each coordinate is to blame if it does not; 0 where rounding is.
     """
 
     first: Array

@@ -36,7 +36,7 @@ class RobustPeakNorm:
     method : {"lifted", "popov-tsypkin", "quadratic", "star", "centred"}
         What proved it.
     attained : float
-        The largest output found, of the member ``worst``: no bound can be smaller.
+        The largest output of a visited member, ``worst``: no bound can be smaller.
     worst : dict of str to float
         Its parameters.
     visited : int
@@ -52,10 +52,10 @@ class RobustPeakNorm:
     unit : float
         What outputs are divided by in scaled coordinates: ``bound = unit * sqrt(g1 + g2)``.
     eigenvalues : dict of str to float
-        What has to be positive, as computed after solving: the smallest eigenvalue of each matrix that has to be
+        Numbers that have to be positive, computed after solving: the smallest eigenvalue of each matrix that has to be
         definite, scaled to a unit diagonal; ``"centred"``: one less the spectral radius of the gains.
     boxes : int
-        Parts that the set was cut into, each with a certificate; those given here are of the part with the largest
+        Parts that the set was cut into, each with a certificate; those here are of the part with the largest
         bound.
     note : str
         What the reader should know; empty when there is nothing.
@@ -76,7 +76,7 @@ class RobustPeakNorm:
 
     @property
     def ratio(self) -> float:
-        """The bound over what is attained: at least 1, and 1 where the bound cannot be improved."""
+        """The bound over what is attained: at least 1, and 1 if the bound cannot be improved."""
         return self.bound / self.attained if self.attained else 1.0
 
     def __float__(self) -> float:
@@ -124,7 +124,7 @@ def robust_peak_norm(
     cube of the width of the parts.
 
     Every inequality is checked after solving, :math:`g_1` and :math:`g_2` are computed anew from the other matrices, so
-    that the bound holds whatever the solver did; an ellipsoid is checked with the system as it was given, and with what
+    that the bound holds whatever the solver did; an ellipsoid is checked with the original system, and with what
     rounding may do to the check. For all methods, the exact norm of the corners (up to 12 parameters; beyond,
     of many at random, and of their neighbours) and of points inside must not exceed it.
 
@@ -137,7 +137,7 @@ def robust_peak_norm(
         to what is attained the smaller of it and ``"lifted"``, if the extra ``lmi`` is there (else ``note`` tells) and
         the system is not too large.
     boxes : int, optional
-        Most parts that the set is cut into; 1 for a given method when omitted. Bounds of a set that is cut are for
+        Most parts that the set is cut into; when omitted, 1 if ``method`` is set. Bounds of a set that is cut are for
         parameters that are constant in time.
     rtol, atol : float
         The set is not cut further once the bound is within ``rtol`` times what is attained, plus ``atol``, of it.
@@ -146,9 +146,9 @@ def robust_peak_norm(
     searches : int
         How many rates are tried for each inequality.
     samples : int
-        Members drawn inside of the set for the check, and corners where there are too many.
+        Members drawn inside of the set for the check, and corners if there are too many.
     seed : int
-        Of these.
+        Seed of the draw of these members.
 
     Returns
     -------
@@ -183,8 +183,8 @@ def robust_peak_norm(
     --------
     >>> from residua.linear import UncertainSystem, robust_peak_norm
     >>> lag = UncertainSystem([[0.5]], [[1.0]], [[1.0]], [[1.0]], [[1.0]], low=[0.0], high=[0.3], dt=1.0)
-    >>> found = robust_peak_norm(lag, method="star")
-    >>> round(found.bound, 4), round(found.attained, 4), found.worst
+    >>> norm = robust_peak_norm(lag, method="star")
+    >>> round(norm.bound, 4), round(norm.attained, 4), norm.worst
     (5.0, 5.0, {'f1': 0.3})
     """
     check_sampled(system)

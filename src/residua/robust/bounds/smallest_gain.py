@@ -32,9 +32,9 @@ class SmallestGain:
     Attributes
     ----------
     bound : float
-        No member has a smaller gain. 0 where no positive bound was proved.
+        No member has a smaller gain. 0 if no positive bound was proved.
     attained : float
-        The smallest gain found: no bound can be larger.
+        The smallest gain of a visited member: no bound can be larger.
     values : dict of str to float
         The parameters of the member that has it.
     frequency : float
@@ -57,7 +57,7 @@ class SmallestGain:
 
     @property
     def ratio(self) -> float:
-        """The bound over what is attained: at most 1, and 1 where the bound cannot be improved."""
+        """The bound over what is attained: at most 1, and 1 if the bound cannot be improved."""
         return self.bound / self.attained if self.attained else 1.0
 
     def __float__(self) -> float:
@@ -96,11 +96,11 @@ def smallest_gain(
     rtol : float
         How far the bound may stay below what is attained, relatively.
     most_boxes : int
-        How many boxes are bounded; the bound also holds where these are not enough, which ``note`` tells.
+        How many boxes are bounded; the bound also holds if these are not enough, and ``note`` says so.
     samples : int
         Members drawn inside of the set, besides its corners (up to 12 parameters; beyond, some of them at random).
     seed : int
-        Of these.
+        Seed of the draw of these members.
 
     Returns
     -------
@@ -127,7 +127,7 @@ def smallest_gain(
     Sizes that cancel are taken to be off by 1e-12: a gain below that is zero. Of sampled systems, ``A - I`` and
     ``z - 1`` are such sizes, so that slow poles cancel nothing.
 
-    What it takes grows fast with the number of parameters of a large set: a dozen are settled in tens of milliseconds,
+    The time grows fast with the number of parameters of a large set: a dozen are settled in tens of milliseconds,
     dozens only where together they change the gain by less than about a half; else the bound may stay at 0.
 
     References
@@ -140,8 +140,8 @@ def smallest_gain(
     --------
     >>> from residua.linear import UncertainSystem, smallest_gain
     >>> lag = UncertainSystem([[0.5]], [[1.0]], [[1.0]], [[1.0]], [[1.0]], low=[-0.1], high=[0.3], dt=1.0)
-    >>> found = smallest_gain(lag)  # 1 / (1 - pole)
-    >>> round(found.bound, 4), round(found.attained, 4), found.values
+    >>> gain = smallest_gain(lag)  # 1 / (1 - pole)
+    >>> round(gain.bound, 4), round(gain.attained, 4), gain.values
     (1.6667, 1.6667, {'f1': -0.1})
     """
     last = _last_frequency(system, band)
@@ -267,7 +267,7 @@ class _Search:
                 self._cut(bound, low[i], high[i], expansion.share[i])
 
     def _visit(self, centres: Points, expansion: Expansion) -> None:
-        """Descend from the best centre if it is better than what is known."""
+        """Descend from the best centre if it is better than the known ones."""
         self.unresolved = not expansion.resolved.all()
         if self.unresolved:
             check_stable(self.response, centres[~expansion.resolved, :-1])

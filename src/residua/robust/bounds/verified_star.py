@@ -1,4 +1,4 @@
-"""The check of an ellipsoid with the system as it was given: what scaling and solving have rounded is found there."""
+"""The check of an ellipsoid with the original system: it shows what scaling and solving have rounded."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class VerifiedEllipsoid:
 
 
 def verified_star(system: UncertainSystem, problem: ScaledProblem, star: CommonEllipsoid) -> VerifiedEllipsoid | None:
-    r"""Return the smallest ellipsoid about the one found that is shown to hold; None where none is.
+    r"""Return the smallest ellipsoid about ``star`` that is shown to hold; None without one.
 
     No member leaves :math:`x^T Q^{-1} x \le 1` if, with shares :math:`s` of sum one at most,
 

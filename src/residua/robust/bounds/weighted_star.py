@@ -45,7 +45,7 @@ class CommonEllipsoid:
 
 
 class _Sums:
-    """The equation of ``Q`` for given weights, in a vector of the entries of a symmetric matrix."""
+    """The equation of ``Q`` for some weights, in a vector of the entries of a symmetric matrix."""
 
     def __init__(self, s: ScaledProblem) -> None:
         half = [0.5 * s.B[:, list(g)] @ s.C[list(g)] for g in s.groups]
@@ -75,7 +75,7 @@ class _Sums:
         return full * (self._weight[:, None] * self._weight / 2)
 
     def solve(self, a: NDArray[np.float64]) -> tuple[Matrix, object, Matrix] | None:
-        """Return ``Q``, the factors of the equation, and its answer to a source of one; None where it grows without
+        """Return ``Q``, the factors of the equation, and its answer to a source of one; None if it grows without
         end with these weights.
         """
         M = np.eye(len(self.source)) - sum(w * K for w, K in zip(a[:-1], self.terms, strict=True))
@@ -91,7 +91,7 @@ class _Sums:
 
 
 def common_ellipsoid(s: ScaledProblem) -> CommonEllipsoid | None:
-    """Return the best ellipsoid, or None where there is none of this form."""
+    """Return the best ellipsoid, or None if there is none of this form."""
     sums = _Sums(s)
     a = _start(sums)
     best = None if a is None else _evaluate(sums, a)
@@ -150,7 +150,7 @@ def _start(sums: _Sums) -> NDArray[np.float64] | None:
     """Return weights with which the states die out: a guess from sizes, or those with the least spectral radius."""
     sizes = np.sqrt([max(float(np.linalg.norm(K)), np.finfo(float).tiny) for K in sums.terms])
     k = len(sizes)
-    # a slow system leaves little room: what its own decay needs is not to be given away
+    # a slow system leaves little room: what its own decay needs must be kept
     for uncertain in sums.room * np.array(_SHARES) if k > 1 else (0.0,):
         parts = np.concatenate([[1 - uncertain], uncertain * sizes[1:] / max(sizes[1:].sum(), np.finfo(float).tiny)])
         a = _feasible(sums, parts)
@@ -172,7 +172,7 @@ def _start(sums: _Sums) -> NDArray[np.float64] | None:
 
 
 def _feasible(sums: _Sums, shares: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return weights with these shares of what the inputs leave, or None where the states do not die out."""
+    """Return weights with these shares of what the inputs leave, or None if the states do not die out."""
     for own in sums.room * np.array(_SHARES):
         a = 1 / np.append(np.maximum(shares, 1e-12) * (1 - own), own)
         a *= np.sum(1 / a)

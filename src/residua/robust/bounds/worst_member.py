@@ -1,4 +1,4 @@
-"""The worst member of an uncertain system that can be found: from below, what every bound must exceed."""
+"""The worst member of an uncertain system that a search reaches: every bound must exceed its output."""
 
 from __future__ import annotations
 

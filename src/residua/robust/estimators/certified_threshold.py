@@ -24,7 +24,7 @@ from residua.robust.sets.uncertain_system import UncertainSystem
 Vector = NDArray[np.float64]
 #: Frequencies at which a system is looked at that is too slow for an ellipsoid, in parts of half the sample rate.
 _FREQUENCIES = (0.0, 1e-3, 1e-2, 0.1, 0.5, 1.0)
-#: How close bounds are to what is attained: those that count, and what is only told, in so many parts of the set.
+#: How close bounds are to what is attained: those that count, and those only reported, in so many parts of the set.
 _COUNTS, _ONLY_TOLD = 1e-2, {"rtol": 0.1, "boxes": 8}
 #: Parts that the set is cut into where a method has no answer before; a tolerance that any answer keeps to.
 _BOXES, _ANY = 32, 1e300
@@ -66,7 +66,7 @@ class CertifiedThreshold:
 
     @property
     def attained(self) -> float:
-        """The largest residual that was found for the disturbances alone: of the member ``disturbances.worst``."""
+        """The largest residual of a visited member for the disturbances alone: that of ``disturbances.worst``."""
         return self.disturbances.attained
 
     @property
@@ -120,12 +120,12 @@ def certified_threshold(
     state_map : array_like, optional
         ``T`` with ``xi = T x`` while nothing happens to the nominal loop.
     faults : sequence of str
-        Faults whose leakage is told, those with a size besides.
+        Faults whose leakage is reported, besides those with a size.
     sizes : mapping of str to float, optional
         Largest sizes of faults that the threshold covers; those of different faults are reached at once.
     method : str, optional
         Of :func:`residua.linear.robust_peak_norm`; its default when omitted, within 1 per cent of what is attained
-        where that can be had. What is only told is known to 10 per cent. A method that is given is used for the whole
+        if that is possible. What is only reported is known to 10 per cent. ``method`` is used for the whole
         set, and for parts of it where it has no answer for the whole.
     """
     sized = {name: float(size) for name, size in (sizes or {}).items() if size}
@@ -140,7 +140,7 @@ def certified_threshold(
     if not reached and not sized:
         raise _not_reached(own, scale)
     for name in dict.fromkeys((*faults, *sized)):
-        # what leaks matters by what it adds to the threshold, and hardly where it is only told
+        # what leaks matters by what it adds to the threshold, and hardly if it is only reported
         close = {"rtol": 0.0, "atol": _COUNTS * own.bound / sized[name]} if name in sized else _ONLY_TOLD
         others[name], unit = task.bound((name,), **close)
         reached |= name in sized and others[name].attained > _DECOUPLED * unit
@@ -197,7 +197,7 @@ def _bound(
     """Return a bound within tolerances of what is attained, or the best in so many parts."""
     if method is None and boxes is None:
         return robust_peak_norm(system, rtol=rtol, atol=atol)
-    # a method that is given may be wanted for what it proves of the whole: parameters that vary in time
+    # the user may want a method for what it proves of the whole: parameters that vary in time
     method, boxes = (method, 1) if method else ("centred", boxes)
     try:
         return robust_peak_norm(system, method=method, boxes=boxes, rtol=rtol, atol=atol)
@@ -235,7 +235,7 @@ def certified_thresholds(
 ) -> dict[str, CertifiedThreshold]:
     r"""Certify thresholds for the members of any residual generator of a closed loop.
 
-    For each member the smallest bound that is found of :math:`|r(k)|_2` over the whole set, for disturbances of length
+    For each member, the smallest certified bound of :math:`|r(k)|_2` over the whole set, for disturbances of length
     at most one at every sample, from rest. Guaranteed: while nothing fails, no member of the set exceeds its threshold.
 
     Parameters
@@ -259,7 +259,7 @@ def certified_thresholds(
     ModelError
         If the generator does not read the outputs of the loop, or nothing acts on it.
     DesignError
-        If a member of the set is not stable, or no bound is found; if the disturbances do not reach a residual.
+        If a member of the set is not stable, or there is no bound; if the disturbances do not reach a residual.
 
     References
     ----------
@@ -273,8 +273,8 @@ def certified_thresholds(
     >>> tank = tank.with_disturbances([[0.1]]).with_sensor_faults()
     >>> loop = UncertainPlant(tank, deltas=[Perturbation("A", [[-1.0]], [[1.0]], -0.02, 0.01)])
     >>> observer = rs.design.luenberger_observer(tank, poles=[0.5]).residual_generator()
-    >>> found = rs.design.certified_thresholds(observer, loop)
-    >>> [(name, round(one.value, 2), round(one.attained, 2)) for name, one in found.items()]
+    >>> thresholds = rs.design.certified_thresholds(observer, loop)
+    >>> [(name, round(one.value, 2), round(one.attained, 2)) for name, one in thresholds.items()]
     [('Luenberger observer', 0.22, 0.22)]
     """
     check_uncertain(loop)

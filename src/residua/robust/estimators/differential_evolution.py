@@ -35,7 +35,7 @@ class DifferentialEvolution:
     Parameters
     ----------
     population : int
-        Points of a generation; more where more starts are given.
+        Points of a generation; more if there are more starts.
     generations : int
         At most.
     patience : int
@@ -52,8 +52,8 @@ class DifferentialEvolution:
     --------
     >>> import numpy as np
     >>> from residua.design import DifferentialEvolution
-    >>> found = DifferentialEvolution(generations=60).minimise(lambda x: ((x - 1) ** 2).sum(axis=1), [-3, -3], [3, 3])
-    >>> found.x.round(3)
+    >>> best = DifferentialEvolution(generations=60).minimise(lambda x: ((x - 1) ** 2).sum(axis=1), [-3, -3], [3, 3])
+    >>> best.x.round(3)
     array([1., 1.])
     """
 
@@ -84,7 +84,7 @@ class DifferentialEvolution:
             From points, shape (k, d), to their costs, shape (k,); NaN counts as infinite.
         lower, upper : array_like, shape (d,)
         start : array_like, shape (s, d), optional
-            Points of the first generation; what is found is no worse than any of them.
+            Points of the first generation; the result is no worse than any of them.
         progress : callable, optional
             Called with (generations done, of how many, smallest cost).
 
@@ -97,10 +97,10 @@ class DifferentialEvolution:
         box = BoxedCost(cost, lower, upper)
         rng = np.random.default_rng(self.seed)
         first = first_population(rng, box, starting_points(start, box), self.population)
-        box(first)  # as they are given; SciPy scales them, and words errors of the cost its own way
+        box(first)  # in their own units; SciPy scales them, and words errors of the cost its own way
         history = [box.best]
 
-        def told(*_: Any, **__: Any) -> bool:
+        def record(*_: Any, **__: Any) -> bool:
             history.append(box.best)
             if progress is not None:
                 progress(len(history) - 1, self.generations, box.best)
@@ -121,6 +121,6 @@ class DifferentialEvolution:
                 tol=0.0,
                 atol=0.0,
                 seed=rng,
-                callback=told,
+                callback=record,
             )
         return concluded(self, box, history, "differential evolution")

@@ -149,7 +149,7 @@ def estimator_family(
 
 
 def _even_parts(plant: Plant, decoupled: tuple[str, ...]) -> ExplicitParts:
-    """Return the loop in even units; what is zero cannot be told from rounding in units that are far apart."""
+    """Return the loop in even units; in units that are far apart, zeros look like rounding."""
     aim = plant.without_disturbances().faults_as_disturbances(decoupled)
     n, B, D = plant.n_states, np.hstack([plant.Bd, plant.Bf]), np.hstack([plant.Dd, plant.Df])
     none = np.zeros((n, 0))

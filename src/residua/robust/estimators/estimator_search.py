@@ -62,7 +62,7 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class _Sought:
-    """The best estimator that was found, as a point, and the members that it was searched over."""
+    """The best estimator of a search, as a point, and the members of that search."""
 
     cost: SampledCost
     result: SearchResult
@@ -70,7 +70,7 @@ class _Sought:
 
 
 def search_estimator(task: Task, family: EstimatorFamily, tell: Progress) -> tuple[RobustEstimator, str]:
-    """Search one estimator, take the worst members among those looked at, and certify what was found.
+    """Search one estimator, take the worst members among those looked at, and certify the result.
 
     Where no threshold is certified for one as slow as it may be, a faster one is searched; a note tells of that.
     """
@@ -107,7 +107,7 @@ def _settling(task: Task, radius: float) -> float:
 
 
 def _sought(task: Task, family: EstimatorFamily, radius: float, tell: Progress) -> _Sought:
-    """Search over few members, and again with those among them that are worse for what was found."""
+    """Search over few members, and again with those among them that are worse for the result."""
     values = [task.loop.nominal_values, (task.loop.low + task.loop.high) / 2]
     points = [family.point(Z, g) for Z in starting_gains(family, radius) for g in np.eye(family.rows)]
     first = _cost(task, family, radius, values)
@@ -216,7 +216,7 @@ def _searched(task: Task, cost: SampledCost, starts: Matrix, label: str, tell: P
 def _digest(task: Task, cost: SampledCost, half: Matrix, starts: Matrix) -> str:
     """Return what tells the stages of searches apart: settings that may differ between runs of one are no part of it.
 
-    The starts of a later stage are what an earlier one has found, and so differ where that one goes on for longer.
+    The starts of a later stage are the results of an earlier one, and so differ if that one goes on for longer.
     """
     whole = sha256(json.dumps([settings_of(task.search), *map(repr, (cost.weights, cost.radius, cost.unit))]).encode())
     q, parts = cost.family.quotient, (value for part in cost.parts for value in asdict(part).values())

@@ -54,7 +54,7 @@ def save_checkpoint(path: str | Path, now: Progressed, whose: dict[str, Any]) ->
 
 
 def load_checkpoint(path: str | Path, own: dict[str, Any], box: BoxedCost) -> Progressed | None:
-    """Read the state of the search with a fingerprint; None where there is no file."""
+    """Read the state of the search with a fingerprint; None if there is no file."""
     path = Path(path)
     if not path.exists():
         return None

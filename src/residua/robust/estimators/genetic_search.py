@@ -65,7 +65,7 @@ class GeneticSearch:
     Parameters
     ----------
     population : int
-        ``N``; more where more starts are given.
+        ``N``; more if there are more starts.
     generations : int
         At most.
     crossover, mutation : float
@@ -89,8 +89,8 @@ class GeneticSearch:
     Examples
     --------
     >>> from residua.design import GeneticSearch
-    >>> found = GeneticSearch(generations=80).minimise(lambda x: ((x - 1) ** 2).sum(axis=1), [-3, -3], [3, 3])
-    >>> found.x.round(3)
+    >>> best = GeneticSearch(generations=80).minimise(lambda x: ((x - 1) ** 2).sum(axis=1), [-3, -3], [3, 3])
+    >>> best.x.round(3)
     array([1., 1.])
     """
 
@@ -128,7 +128,7 @@ class GeneticSearch:
             From points, shape (k, d), to their costs, shape (k,); NaN counts as infinite.
         lower, upper : array_like, shape (d,)
         start : array_like, shape (s, d), optional
-            Points of the first generation; what is found is no worse than any of them.
+            Points of the first generation; the result is no worse than any of them.
         progress : callable, optional
             Called with (generations done, of how many, smallest cost).
         checkpoint : str or Path, optional
@@ -161,7 +161,7 @@ class GeneticSearch:
                 save_checkpoint(checkpoint, now, whose)
             if progress is not None:
                 progress(len(now.history) - 1, self.generations, now.history[-1])
-        box.remember(now.points[0], float(now.costs[0]))  # which it has not seen where another run found it
+        box.remember(now.points[0], float(now.costs[0]))  # which it has not seen if it comes from another run
         return concluded(self, box, now.history, "genetic")
 
     def _next(self, now: Progressed, box: BoxedCost) -> Progressed:

@@ -1,4 +1,4 @@
-"""One robust l1 estimator: what was searched, what was found, and what is certain about it."""
+"""One robust l1 estimator: the search, its result, and what is certain about it."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class RobustEstimator:
     sampled_norm : float
         ``J_rw`` over these.
     search : SearchResult
-        How it was found.
+        The search that it comes from.
     members : tuple of mapping
         The parameters of these members.
     """

@@ -149,7 +149,7 @@ def robust_l1_bank(
         Faults that estimators of other faults are decoupled from; all when omitted.
     sizes : mapping of str to float, optional
         Largest sizes of faults that leak into the residuals of others, or are not decoupled: what they cause there
-        counts with the disturbances, in the cost and in the thresholds. None: the leakage is only told.
+        counts with the disturbances, in the cost and in the thresholds. None: the leakage is only reported.
     beta, gamma : float
         Weights of the cost: ``0 <= beta <= 1``, ``gamma >= 0``.
     band : float
@@ -170,7 +170,7 @@ def robust_l1_bank(
         Called with (what, done, of how many); ``True`` for a line on standard error, ``False`` for none. When omitted,
         the line where that is a terminal.
     seed : int
-        Of the search, where it is not given as an object, and of the members that are drawn.
+        Of the search, unless that is an object, and of the members that are drawn.
     rtol : float
         Relative tolerance of rank decisions, in balanced units.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -160,17 +161,28 @@ class SampledCost:
         n = self.disturbances
         return np.concatenate([np.linalg.norm(h[..., :n], axis=2, keepdims=True), np.abs(h[..., n:])], axis=2)
 
+    @cached_property
+    def _faults_through_the_members(self) -> list[tuple[complex, list[tuple[NDArray, NDArray]]]]:
+        """Return of every frequency what every member brings of the target: to what is seen, and to the error."""
+        out = []
+        for z in self.frequencies:
+            z = z.real if abs(z.imag) < 1e-15 else z
+            driving = []
+            for part in self.parts:
+                x = np.linalg.solve(z * np.eye(len(part.A)) - part.A, part.fault)
+                driving.append((part.seen @ x + part.fault_direct, part.driven @ x + part.fault_start))
+            out.append((z, driving))
+        return out
+
     def _fault(self, F: Matrix, Z: Matrix, g: Matrix) -> NDArray[np.float64]:
         """Return the smallest response to the target over frequencies and members."""
         q = self.family.quotient
         smallest = np.full(len(F), np.inf)
-        for z in self.frequencies:
-            z = z.real if abs(z.imag) < 1e-15 else z
-            for part in self.parts:
-                x = np.linalg.solve(z * np.eye(len(part.A)) - part.A, part.fault)
-                v = part.seen @ x + part.fault_direct
-                e = part.driven @ x + part.fault_start - Z @ v
-                inner = np.linalg.solve(z * np.eye(F.shape[1]) - F, e[..., None])[..., 0] if F.shape[1] else e
+        for z, driving in self._faults_through_the_members:
+            M = z * np.eye(F.shape[1]) - F
+            for v, start in driving:
+                e = start - Z @ v
+                inner = np.linalg.solve(M, e[..., None])[..., 0] if F.shape[1] else e
                 filtered, direct = np.einsum("ki,ki->k", g, inner @ q.C.T), g @ v
                 r = np.abs(filtered + direct)
                 # what is rounding against the two terms that cancel is nothing

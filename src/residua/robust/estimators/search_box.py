@@ -36,7 +36,7 @@ class BoxedCost:
     best : float
         The smallest cost so far, infinite before the first.
     point : ndarray, shape (d,)
-        Where it was found first.
+        Where it was attained first.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def _bounds(lower: ArrayLike, upper: ArrayLike) -> tuple[Matrix, Matrix]:
 
 
 def starting_points(start: ArrayLike | None, box: BoxedCost) -> Matrix:
-    """Return the points that a search is given, moved into the box; shape ``(s, d)``, ``s`` may be zero."""
+    """Return the starting points of a search, moved into the box; shape ``(s, d)``, ``s`` may be zero."""
     if start is None:
         return np.zeros((0, box.dimension))
     points = np.atleast_2d(_numbers(start, "start"))

@@ -1,4 +1,4 @@
-"""What a global search found, and how it ended."""
+"""The result of a global search, and how it ended."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """The best point that a search over a box found.
+    """The best point of a search over a box.
 
     Attributes
     ----------
@@ -27,7 +27,7 @@ class SearchResult:
     history : ndarray, shape (generations + 1,)
         Smallest cost so far, in the first population and after every generation; never rises.
     ended : {"settled", "generations used up"}
-        Whether the search came to rest. One that used up its generations may find better when given more.
+        Whether the search came to rest. One that used up its generations may find a better point with more.
     method : {"genetic", "differential evolution"}
     """
 

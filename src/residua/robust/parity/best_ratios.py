@@ -14,7 +14,7 @@ def best_ratios(
     r"""Return the stationary values of :math:`|c^T F| / |c^T D|`, the largest first, and the combinations ``c``.
 
     The generalised eigenproblem :math:`F F^T c = \lambda D D^T c`, by singular values alone, nothing is squared: with
-    :math:`D = U S V^T` of the given rank, those of :math:`S^{-1} U^T F`. Combinations that ``D`` annihilates are
+    :math:`D = U S V^T` of that rank, those of :math:`S^{-1} U^T F`. Combinations that ``D`` annihilates are
     left out; they must annihilate ``F`` too, or the ratio has no largest value. Rows that share no signal are not
     combined: where their ratios are equal, rounding would choose the combination.
 

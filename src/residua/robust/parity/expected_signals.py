@@ -168,7 +168,7 @@ def _compressed(S: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def size_factor(value: Sizes | None, names: Sequence[str], what: str) -> NDArray[np.float64]:
-    """Return ``L`` with the covariance ``L L'`` of signals of given sizes.
+    """Return ``L`` with the covariance ``L L'`` of signals of these sizes.
 
     Raises
     ------

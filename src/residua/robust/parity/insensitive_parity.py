@@ -33,7 +33,7 @@ REST = 0.1
 _FORGOTTEN = 5
 #: Name of the cause that fires everything.
 OTHER = "another fault"
-#: A parameter of which less than this share is left beside another one cannot be told from it.
+#: A parameter of which less than this share is left beside another one cannot be distinguished from it.
 _APART = 1e-6
 
 
@@ -57,7 +57,7 @@ class InsensitiveParity:
     ignored : tuple of tuple of str
         The parameters that each ignores.
     causes : tuple of str
-        What can be told: parameters, and ``"another fault"``.
+        What an alarm can name: parameters, and ``"another fault"``.
     codes : ndarray of bool, shape (members, causes)
         Which members each cause fires, as :func:`residua.decide.read_codes` takes it.
     shares : ndarray, shape (members, parameters)
@@ -70,7 +70,7 @@ class InsensitiveParity:
         How far derivatives by two steps are apart, relative to the largest.
     promised : ndarray or None, shape (members,)
         Fraction of fault-free samples over each threshold that the data of :meth:`fit` promise not to be exceeded on
-        other data, with 95 % confidence; 1 where they are too few to say anything.
+        other data, with 95 % confidence; 1 if they are too few to say anything.
     """
 
     plant: Plant = field(repr=False)
@@ -143,7 +143,7 @@ class InsensitiveParity:
         """Return the same with units and thresholds from fault-free data at the nominal parameters.
 
         The primary residuals are brought to unit covariance; then the threshold of each member is the level that its
-        statistic exceeds on the given fraction of samples, on data other than these: the statistic of each stretch of
+        statistic exceeds on that fraction of samples, on data other than these: the statistic of each stretch of
         time is in units that the others give, and where the data are too few, its tail is extended and ``promised``
         says which fraction is not exceeded.
 
@@ -228,11 +228,11 @@ def insensitive_parity(
         Returns a sampled Plant or InputOutputModel. Of a plant the equation of each output is taken; an
         InputOutputModel may have its own, such as one for each balance.
     parameters : mapping of str to float
-        Names and nominal values of all parameters that are ignored or told apart.
+        Names and nominal values of all parameters that are ignored or isolated.
     insensitive_to : sequence of str
-        Those that may drift: no residual answers to them.
+        Parameters that may drift: no residual answers to them.
     isolate : sequence of str
-        Those of which a change is a fault: for each there is a residual that ignores it, besides the one that ignores
+        Parameters whose change is a fault: for each there is a residual that ignores it, besides the one that ignores
         the drifts alone. When both are omitted: all of them, as far as there are equations.
     changes : mapping of str to float, optional
         Expected changes; a tenth of the nominal value when omitted.

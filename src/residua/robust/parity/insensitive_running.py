@@ -32,7 +32,7 @@ class ParameterResiduals:
     sensitivities : ndarray, shape (plants, time, parameters, equations)
         Their derivatives, times the expected change of each parameter.
     residuals : ndarray, shape (plants, time, members, equations)
-        What is left of these without the directions of the ignored parameters.
+        The rest of these without the directions of the ignored parameters.
     statistic : ndarray, shape (plants, time, members)
         Their root mean square over the memory; NaN before the filter has settled.
     fired : ndarray of bool, shape (plants, time, members)

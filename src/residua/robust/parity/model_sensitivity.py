@@ -33,7 +33,7 @@ class Equations:
         Weights of the samples, the oldest first.
     output_slopes, input_slopes : ndarray, shape (parameters, equations, order + 1, channels)
     errors : tuple of float
-        For each parameter how far the derivatives by two steps are apart, relative to the largest; zero where given.
+        For each parameter how far the derivatives by two steps are apart, relative to the largest; zero for the user's.
     """
 
     model: InputOutputModel

@@ -26,7 +26,7 @@ def model_spread(
 ) -> NDArray[np.float64]:
     r"""Return the root mean square of the fault-free residuals of a generator on each of several models.
 
-    Inputs and disturbances are random with the sizes given, as for :func:`multi_model_parity`; the mean square is that
+    Inputs and disturbances are random with their sizes, as for :func:`multi_model_parity`; the mean square is that
     of the stationary filter driven by the plant, from its Lyapunov equation.
 
     Parameters

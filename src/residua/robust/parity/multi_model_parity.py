@@ -147,7 +147,7 @@ def multi_model_parity(
     rank : int, optional
         How many constraints are kept, :math:`\rho`: all other left singular vectors are relations.
     relations : int, optional
-        How many relations instead: the best ones. One when neither is given.
+        How many relations instead: the best ones. One when both are omitted.
     criterion : {"leak", "faults"}
         What makes a relation good: a small leak for its length, as in the paper, or a large response to constant faults
         for its leak, which the paper leaves to chance.
@@ -215,8 +215,8 @@ def multi_model_parity(
     >>> def variant(a):
     ...     plant = rs.Plant([[a, 0], [0.1, 0.5]], [[1], [0]], [[1, 0], [0, 1]], dt=1.0)
     ...     return plant.with_sensor_faults()
-    >>> found = rs.design.multi_model_parity([variant(a) for a in (0.7, 0.8, 0.9)], order=1)
-    >>> found.singular_values.round(3)  # both outputs are of the same state: one relation is exact for all models
+    >>> parity = rs.design.multi_model_parity([variant(a) for a in (0.7, 0.8, 0.9)], order=1)
+    >>> parity.singular_values.round(3)  # both outputs are of the same state: one relation is exact for all models
     array([1.88 , 1.106, 1.   , 0.487, 0.057, 0.   ])
     """
     family = plant_family(plants, insensitive_to=insensitive_to)
@@ -334,9 +334,9 @@ def _leaks(system, driven, windows, W, names, *, moving_average: bool) -> tuple[
 
 
 def _steady(outputs: NDArray[np.float64], poles: NDArray[np.complex128], plant: Plant) -> NDArray[np.float64]:
-    """Return what the residual settles to for constant faults on a model; NaN where the model does not settle.
+    """Return what the residual settles to for constant faults on a model; NaN if the model does not settle.
 
-    Exactly zero where that is rounding of what cancels.
+    Exactly zero where that is rounding of terms that cancel.
     """
     n = plant.n_states
     if spectral_radius(plant.A) >= 1:

@@ -140,7 +140,7 @@ def optimal_parity(
     faults : sequence of str, optional
         Those to see; all but ``insensitive_to`` when omitted.
     disturbances : sequence of str, optional
-        Those that count; all when omitted. None of the others is held back.
+        The disturbances that count; all when omitted. None of the others is held back.
     insensitive_to : sequence of str
         Faults that count as disturbances.
     sizes : mapping of str to float, optional
@@ -183,7 +183,7 @@ def optimal_parity(
     Notes
     -----
     Assumes: the model is exact, linear and time-invariant; faults and disturbances of different samples are taken as
-    independent and of the sizes given, as :math:`Q_f` and :math:`Q_d` do. In continuous time samples are derivatives,
+    independent and of these sizes, as :math:`Q_f` and :math:`Q_d` do. In continuous time samples are derivatives,
     in units of the rate of the plant.
 
     With variants, states of different samples count as independent too, and as large as those of ``plant``:
@@ -199,8 +199,8 @@ def optimal_parity(
     --------
     >>> import residua as rs
     >>> plant = rs.library.gertler().with_disturbances({"gust": [1, 0, 1]})
-    >>> found = rs.design.optimal_parity(plant, order=1, faults="p2")
-    >>> found.indices.round(4), found.perfect
+    >>> parity = rs.design.optimal_parity(plant, order=1, faults="p2")
+    >>> parity.indices.round(4), parity.perfect
     (array([1.2]), False)
     >>> rs.design.optimal_parity(plant, order=2, faults="p2").perfect
     True

@@ -92,7 +92,7 @@ def select_equations(
 
     .. math:: \mu_{ik} = |r_i(\Delta\theta_k^0)| / \eta_i
 
-    with what the residual settles to for given inputs, or its root mean square over a recording, for its threshold
+    with what the residual settles to for ``inputs``, or its root mean square over a recording, for its threshold
     :math:`\eta_i`; of an increase and a decrease the larger. The cost of an equation is its largest measure.
 
     Guaranteed: no other choice that isolates as well has a smaller largest cost (``"worst"``) and, of those, a smaller
@@ -130,7 +130,7 @@ def select_equations(
     DesignError
         If a residual does not settle on a changed model, or no fault is seen.
     SettingError
-        If neither or both of ``inputs`` and ``recording`` are given, or thresholds are missing.
+        If neither or both of ``inputs`` and ``recording`` are there, or thresholds are missing.
     ModelError
         If the model has other signals.
 
@@ -138,7 +138,7 @@ def select_equations(
     -----
     Assumes: one parameter is off at a time, by no more than expected, and one fault is there at a time.
 
-    Faults that all equations treat alike share a code, and are not told apart.
+    Faults that all equations treat alike share a code, and are not isolated from each other.
 
     References
     ----------

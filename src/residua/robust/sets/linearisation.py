@@ -18,7 +18,7 @@ from residua.robust.sets.uncertain_plant import ChannelBlock, UncertainPlant, ma
 Matrix = NDArray[np.float64]
 #: Points inside of the box of parameters that are evaluated besides its corners.
 _INSIDE = 64
-#: From so many times its range on, how far an entry is off is not told: it does not vary, but for rounding.
+#: From so many times its range on, how far an entry is off is not reported: it does not vary, but for rounding.
 _MANY = 10.0
 #: What rounding may do to an entry, relative to the terms that it is the sum of.
 _ROUNDED = 1e-13
@@ -42,7 +42,7 @@ class Linearisation:
         The largest deviation of an entry of ``A``, ``B``, ``C`` or ``D``, or of the direction of a disturbance or a
         fault, relative to the range of that entry over the points.
     worst : dict of str to float
-        The parameters at which ``relative`` was found.
+        The parameters at which ``relative`` is attained.
     points : int
         Points evaluated: corners of the box, and points inside. Between them more may be left out.
     kept : dict of str to float
@@ -85,15 +85,15 @@ def uncertain_plant_from_parameters(
     """Return the uncertain plant of named physical parameters.
 
     Each parameter moves the matrices along the chord between its bounds, the others nominal. Where the matrices are
-    affine in the parameters, that is the plant itself; where they are not, it is a linearisation. Which of the two is
-    found by evaluating both at the corners of the box and at points inside: ``.linearisation`` has the outcome.
+    affine in the parameters, that is the plant itself; where they are not, it is a linearisation. Both are evaluated
+    at the corners of the box and at points inside: ``.linearisation`` says which of the two it is.
 
     Parameters
     ----------
     function : callable
         From a mapping of names to values to a :class:`residua.Plant`.
     parameters : mapping of str to (low, high) or (low, nominal, high)
-        The middle is nominal when two numbers are given.
+        The middle of two numbers is nominal.
     rtol : float
         Deviations below this fraction of an entry are rounding.
     seed : int

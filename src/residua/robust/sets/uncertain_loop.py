@@ -12,7 +12,7 @@ from residua.arrays import frozen
 from residua.errors import DesignError, ModelError
 from residua.linear import StateSpace
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.subspaces.observability import is_stable_mode
+from residua.linear.poles.stability import is_stable_mode
 from residua.plant.plant import Plant
 from residua.robust.sets.uncertain_plant import ChannelBlock, UncertainPlant, make_uncertain_plant, visited_values
 from residua.robust.sets.uncertain_system import UncertainSystem, parameter_values
@@ -347,7 +347,7 @@ def _one_sample_later(
 
 
 def loop_parameters(loop: UncertainPlant, deviations: Mapping[str, float] | ArrayLike) -> dict[str, float]:
-    """Return the parameters that have given deviations from the nominal values of an uncertain plant.
+    """Return the parameters with these deviations from the nominal values of an uncertain plant.
 
     Norms of :func:`residual_over_set` and :func:`estimator_residual` name their members by deviations.
 

@@ -25,7 +25,7 @@ _ALL_CORNERS = 10
 
 
 class ChannelBlock(NamedTuple):
-    """Channels of an uncertain plant, one after another; ``Gd`` and ``Gf`` are zero where they are not given."""
+    """Channels of an uncertain plant, one after another; ``Gd`` and ``Gf`` are zero when omitted."""
 
     Hx: Matrix
     Hy: Matrix
@@ -71,22 +71,22 @@ class UncertainPlant:
     Gd : ndarray, shape (channels, disturbances)
     Gf : ndarray, shape (channels, faults)
     linearisation : Linearisation or None
-        What the form above leaves out of the plants that it was made from; None where it was given.
+        What the form above leaves out of the plants that it was made from; None if the form itself was the input.
     plants : tuple of Plant
-        Those of :meth:`from_plants`.
+        The plants of :meth:`from_plants`.
     function : callable or None
         That of :meth:`from_parameters`, from which sampled plants are made. Not kept when the object is pickled.
 
     Raises
     ------
     ModelError
-        If a shape does not fit, or one parameter is given two different bounds.
+        If a shape does not fit, or one parameter has two different bounds.
 
     Notes
     -----
     Assumes
         Parameters are constant in time. Directions of noise, and ``E``, do not depend on them. Those of faults and
-        disturbances do as far as they are given to: plants of :meth:`from_parameters` bring theirs, while a
+        disturbances do as far as the input says so: plants of :meth:`from_parameters` bring theirs, while a
         perturbation of ``B`` leaves an actuator fault with the nominal column; perturb ``"Bf"`` as well, by the same
         name.
 
@@ -187,7 +187,7 @@ class UncertainPlant:
     # ---------------------------------------------------------------- members
 
     def member(self, values: ArrayLike | Mapping[str, float]) -> Plant:
-        """Return the plant with given parameters.
+        """Return the plant with these parameters.
 
         Parameters
         ----------
@@ -264,7 +264,7 @@ class UncertainPlant:
 
         Sampled matrices are not affine in the parameters of continuous ones: ``linearisation`` of what is returned
         tells what the affine form leaves out, the directions of disturbances and faults included. A set that was made
-        by :meth:`from_parameters` is made anew of sampled plants of its function, so that this is told of these.
+        by :meth:`from_parameters` is made anew of sampled plants of its function, so that this holds for these.
         """
         of = self.member if self.function is None else self.function
         bounds = {p.name: (p.low, p.nominal, p.high) for p in self.parameters}
@@ -279,7 +279,7 @@ class UncertainPlant:
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        # functions that are given are seldom importable, and what they have made is all here
+        # functions of users are seldom importable, and their results are all here
         return vars(self) | {"function": None}
 
     def __repr__(self) -> str:

@@ -140,7 +140,7 @@ class UncertainSystem:
         return len(self.low)
 
     def member(self, values: ArrayLike | Mapping[str, float]) -> StateSpace:
-        """Return the system from ``w`` to ``z`` with given parameters.
+        """Return the system from ``w`` to ``z`` with these parameters.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Members of an uncertain system that are visited: corners of its parameters, and what is said of unstable ones."""
+"""Members of an uncertain system that are visited: corners of its parameters, and the error for unstable ones."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from residua.errors import DesignError
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.subspaces.observability import is_stable_mode
+from residua.linear.poles.stability import is_stable_mode
 from residua.robust.sets.uncertain_system import MOST_CORNERS
 
 Points = NDArray[np.float64]
