@@ -326,7 +326,7 @@ def _remedy(plant: Plant, name: str, call: Call) -> str:
     dropped = [option for option in call.method.options if option.name in call.values and option.name not in kept]
     if dropped and _exists(_without_options(call, call.method, kept), plant):
         return f"without {_listed(tuple(flag(one) for one in dropped))} {name} exists for this plant"
-    needed = tuple(flag(option) for option in call.method.options if option.name in call.given and option.name in kept)
+    needed = tuple(flag(option) for option in call.method.options if option.name in call.values and option.name in kept)
     doubt = f"{name} needs {_listed(needed)}, and another value may do; " if needed else ""
     return doubt + _alternatives(plant, name, call)
 
