@@ -324,6 +324,13 @@ def test_an_option_that_is_in_the_way_is_named_and_no_other_method(
     assert "--method" not in refused[2]
 
 
+def test_an_option_that_is_needed_may_be_what_is_wrong(made: Path, tmp_path: Path, residua: Residua) -> None:
+    command = ("design", made / "plant.toml", "-o", tmp_path / "m.json", "--method", "directional-parity")
+    refused = residua(*command, "--directions", "leak=1,0.5; pump actuator=1,2,3")
+    doubt = "all the same number: got [2, 3]; directional-parity needs --directions, and another value may do; what"
+    assert_error(refused, doubt)
+
+
 def test_other_methods_are_tried_with_the_defaults_of_their_options(
     made: Path, tmp_path: Path, residua: Residua
 ) -> None:

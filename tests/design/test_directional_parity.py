@@ -255,8 +255,3 @@ def test_a_plant_without_states() -> None:
     assert made.relations is not None
     assert made.relations.orders == (0, 0)
     np.testing.assert_allclose(np.abs(made.directions["y2 sensor"]), [np.sqrt(0.5)] * 2, atol=1e-12)
-
-
-def test_directions_of_different_lengths_are_a_wrong_setting() -> None:
-    with pytest.raises(SettingError, match=r"one entry per residual, all the same number: got \[2, 3\]"):
-        rs.design.directional_parity(rs.library.gertler(), {"p1": [1, 2], "p2": [1, 2, 3]})

@@ -164,6 +164,50 @@ def test_a_forgotten_method_is_nowhere(plant: rs.Plant) -> None:
     assert all(one.method.name != "gain_of_three" for one in rs.suggest(plant, seconds=0).entries)
 
 
+def breaks(plant: rs.Plant) -> rs.design.Observer:
+    raise KeyError("gain")
+
+
+def returns_none(plant: rs.Plant) -> rs.design.Observer:
+    return None  # pyright: ignore[reportReturnType]
+
+
+def returns_text(plant: rs.Plant) -> rs.design.ResidualGenerator:
+    return "a design"  # pyright: ignore[reportReturnType]
+
+
+@pytest.mark.parametrize(
+    ("function", "reason"),
+    [
+        (breaks, "breaks raised KeyError: 'gain' (a defect of the method)"),
+        (returns_none, "returns_none returned NoneType, which is no design"),
+        (returns_text, "returns_text returned str, which is no design"),
+    ],
+)
+def test_a_method_that_breaks_takes_no_other_with_it(
+    function: Any, reason: str, plant: rs.Plant, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = [one.call for one in rs.suggest(plant).entries if one.works]
+    method(exists_when="never", order="n", source="this test", state="estimate")(function)
+    try:
+        answer = rs.suggest(plant)
+        plant.to_toml(tmp_path / "plant.toml")
+        command = ["design", str(tmp_path / "plant.toml"), "-o", str(tmp_path / "m.json"), "--method"]
+        assert main([*command, function.__name__]) == 2
+        alone = capsys.readouterr().err
+        assert main([*command, "perfect-observer"]) == 2
+        beside = capsys.readouterr().err
+    finally:
+        catalogue.forget(function.__name__)
+    entry = next(one for one in answer.entries if one.method.function is function)
+    assert entry.works is False
+    assert entry.reason.startswith(reason)
+    assert [one.call for one in answer.entries if one.works] == whole
+    assert alone.startswith(f"error: {reason}")
+    assert "--method luenberger-observer" in beside
+    assert function.__name__.replace("_", "-") not in beside
+
+
 def test_a_name_that_is_taken_is_refused() -> None:
     def kalman_filter(plant: rs.Plant) -> rs.design.Observer:
         return rs.design.luenberger_observer(plant)
@@ -181,6 +225,30 @@ def test_what_is_no_method_is_refused() -> None:
         method(exists_when="never", order="n", source="this test")(nothing)
     with pytest.raises(SettingError, match="designs_for must be one of plant"):
         method(exists_when="never", order="n", source="this test", designs_for="luck")(gain_of_three)  # pyright: ignore
+
+
+def test_a_method_says_what_it_returns_and_takes_a_plant() -> None:
+    declare = method(exists_when="never", order="n", source="this test")
+
+    def says_nothing(plant: rs.Plant):
+        raise AssertionError
+
+    def returns_nothing(plant: rs.Plant) -> None:
+        raise AssertionError
+
+    def takes_a_number(speed: float, plant: rs.Plant) -> rs.design.Observer:
+        raise AssertionError
+
+    def takes_anything(plant) -> rs.design.Observer:
+        raise AssertionError
+
+    for function in (says_nothing, returns_nothing):
+        with pytest.raises(SettingError, match=f"{function.__name__} does not say what it returns: write '-> rs"):
+            declare(function)
+    for function, first in ((takes_a_number, "speed"), (takes_anything, "plant")):
+        with pytest.raises(SettingError, match=f"its first parameter is not .*: write '{first}: rs.Plant'"):
+            declare(function)
+    assert not {"says_nothing", "returns_nothing", "takes_a_number", "takes_anything"} & set(METHODS)
 
 
 def test_needs_are_asked_in_their_order(plant: rs.Plant) -> None:

@@ -13,16 +13,20 @@ from residua.analysis import coding
 from residua.cli.option_types import Form, form_of
 from residua.design.catalogue import methods
 from residua.design.core.brought import brings_a_generator, for_monitor
-from residua.design.core.method import Chosen, Method
+from residua.design.core.method import Chosen, Method, check_design, defect
 from residua.design.core.needs import NOISE, ROWS, SAMPLED
 from residua.design.core.options import Option
-from residua.errors import AccuracyError, DesignError, ModelError, SettingError
+from residua.errors import AccuracyError, DesignError, ModelError, ResiduaError, SettingError
 from residua.plant import Plant
 
 AUTO = "auto"
 #: Seconds for the choice of a coding set, whose search then takes the best one so far; and for the other methods after
 #: a refusal.
 CHOICE_TIME, TRYING_TIME = 10.0, 30.0
+
+
+class MethodError(ResiduaError):
+    """A method raised what is no answer about a plant: which one, and what."""
 
 
 class OptionError(ValueError):
@@ -168,7 +172,14 @@ class Call:
                 if chosen not in self.made:
                     self.made[chosen] = chosen.make(plant, CHOICE_TIME)
                 asked[name] = self.made[chosen]
-        return for_monitor(self.method.function(self._of_the_time(plant), **asked))
+        try:
+            made = self.method.function(self._of_the_time(plant), **asked)
+            check_design(self.method, made)
+            return for_monitor(made)
+        except (ResiduaError, MemoryError):
+            raise
+        except Exception as error:
+            raise MethodError(defect(self.method, error)) from error
 
     def _sampled(self, plant: Plant) -> bool:
         """Whether the plant is sampled first: the best filter of that, rather than the continuous one, sampled."""
@@ -315,7 +326,9 @@ def _remedy(plant: Plant, name: str, call: Call) -> str:
     dropped = [option for option in call.method.options if option.name in call.values and option.name not in kept]
     if dropped and _exists(_without_options(call, call.method, kept), plant):
         return f"without {_listed(tuple(flag(one) for one in dropped))} {name} exists for this plant"
-    return _alternatives(plant, name, call)
+    needed = tuple(flag(option) for option in call.method.options if option.name in call.values and option.name in kept)
+    doubt = f"{name} needs {_listed(needed)}, and another value may do; " if needed else ""
+    return doubt + _alternatives(plant, name, call)
 
 
 def _without_options(call: Call, method: Method, kept: Iterable[str] = ()) -> Call:
@@ -345,7 +358,7 @@ def _alternatives(plant: Plant, failed: str, call: Call) -> str:
 def _exists(call: Call, plant: Plant) -> bool:
     try:
         call.run(plant)
-    except (DesignError, AccuracyError, SettingError, ModelError):
+    except (DesignError, AccuracyError, SettingError, ModelError, MethodError):
         return False
     return True
 

@@ -17,7 +17,7 @@ from residua.design.banks.matched_filters import MatchedFilters
 from residua.design.catalogue import methods
 from residua.design.core.brought import PartialDesign, as_generator, brings_a_generator, for_monitor
 from residua.design.core.generator import ResidualGenerator
-from residua.design.core.method import Chosen, Method, Noise, TimeCourse
+from residua.design.core.method import Chosen, Method, Noise, TimeCourse, check_design, defect
 from residua.design.estimation.fault_estimator import FaultEstimator
 from residua.errors import AccuracyError, DesignError, ModelError, SettingError
 from residua.plant import InputOutputModel, Plant
@@ -273,9 +273,12 @@ def _tried(one: Candidate, plant: Plant, want: str, end: float) -> Entry:
         return Entry(one.call, record, None, why)
     try:
         made = one.run(plant)
+        check_design(record, made)
         return _told(one, made, plant)
     except (DesignError, AccuracyError, ModelError) as error:
         return Entry(one.call, record, False, str(error))
+    except Exception as error:  # a method of anybody's: it must not take the others with it
+        return Entry(one.call, record, False, defect(record, error))
 
 
 def _too_much(record: Method, plant: Plant, end: float) -> str:

@@ -9,13 +9,14 @@ choice among equations are tools beside them.
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args
 
 from residua.design.core.options import Option, kinds_of, options_of, signature_of
-from residua.errors import SettingError
+from residua.errors import ModelError, SettingError
 from residua.plant import Plant
 from residua.visible import echo
 
@@ -196,6 +197,24 @@ class Method:
 METHODS: dict[str, Method] = {}
 
 
+def check_design(record: Method, made: object) -> None:
+    """Raise where what a method returned cannot be a design: it is, has and makes nothing that runs."""
+    if isinstance(made, Mapping) or any(hasattr(made, one) for one in _RUNS):
+        return
+    raise ModelError(
+        f"{record.name} returned {type(made).__name__}, which is no design: it is, has and makes nothing that runs"
+    )
+
+
+#: What a design is, has or makes: a system of its own, an observer, or a generator.
+_RUNS = ("system", "observer", "generator", "residual_generator")
+
+
+def defect(record: Method, error: Exception) -> str:
+    """Return what is said of a method that raised what is no answer about a plant."""
+    return f"{record.name} raised {type(error).__name__}: {error} (a defect of the method)"
+
+
 def recorded(name: str) -> Method:
     """Return the method of a name that is registered."""
     return METHODS[name]
@@ -265,7 +284,8 @@ def method(
     Raises
     ------
     SettingError
-        If another function has the name already, or the function takes nothing.
+        If another function has the name already, or the function takes nothing, does not say what it returns, or
+        does not take a plant first where it designs for a plant.
 
     Examples
     --------
@@ -315,6 +335,7 @@ def _check(record: Method) -> None:
         )
     if record.designs_for not in get_args(Subject):
         raise SettingError(f"designs_for must be one of {', '.join(get_args(Subject))}, got {echo(record.designs_for)}")
+    _check_annotations(record)
     same = other is None or (other.function.__module__, other.function.__qualname__) == (
         function.__module__,
         function.__qualname__,
@@ -322,3 +343,33 @@ def _check(record: Method) -> None:
     if not same:
         assert other is not None
         raise SettingError(f"the name {record.name!r} is that of {other.function.__module__}: take another")
+
+
+def _check_annotations(record: Method) -> None:
+    """Raise where a function does not say what it returns, or what it is for."""
+    annotations, first = record.function.__annotations__, next(iter(inspect.signature(record.function).parameters))
+    if annotations.get("return") in (None, "None"):
+        raise SettingError(
+            f"{record.name} does not say what it returns: write '-> rs.design.Observer', or another class of designs"
+        )
+    if record.designs_for == "plant" and _named_types(annotations.get(first)).isdisjoint(_PLANTS):
+        raise SettingError(
+            f"{record.name} designs for a plant, but its first parameter is not annotated as one: "
+            f"write '{first}: rs.Plant', or say what it designs for, designs_for=..."
+        )
+
+
+#: What may stand in the annotation of what a design for a plant takes.
+_PLANTS = frozenset({"Plant", "InputOutputModel"})
+
+
+def _named_types(annotation: object) -> set[str]:
+    """Return the names of the types in an annotation, without what they are imported from.
+
+    A module that is being imported may not have them yet, so that they are read by name.
+    """
+    if annotation is None:
+        return set()
+    parts = [annotation] if isinstance(annotation, str) else kinds_of(annotation)
+    names = (re.split(r"[^\w.]+", one) if isinstance(one, str) else [getattr(one, "__name__", "")] for one in parts)
+    return {name.rpartition(".")[2] for one in names for name in one}

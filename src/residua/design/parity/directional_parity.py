@@ -17,7 +17,7 @@ from residua.design.parity.relation import Relation
 from residua.design.parity.relation_model import RelationModel, basis_for, relation_model, state_pencil
 from residua.design.parity.relations import Poles, relations_of
 from residua.design.parity.shortest import combinations_to_try, simplest_of_the_best
-from residua.errors import AccuracyError, DesignError, SettingError
+from residua.errors import AccuracyError, DesignError
 from residua.linear.polynomials.common_factor import without_common_factor
 from residua.linear.polynomials.degree_search import at_smallest_degree
 from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL
@@ -93,8 +93,6 @@ def directional_parity(
     DesignError
         If the directions are too many, or do not go with this plant: with the numbers of conditions and unknowns, or
         the fault whose response must vanish; if the order is too low; if poles differ between the residuals.
-    SettingError
-        If the directions are of different lengths.
     AccuracyError
         If the polynomials lose so many digits that directions are missed.
 
@@ -240,7 +238,7 @@ def _checked(directions: Mapping[str, ArrayLike], plant: Plant) -> Directions:
         columns.append(vector)
     lengths = sorted({len(column) for column in columns})
     if len(lengths) > 1:
-        raise SettingError(f"directions must have one entry per residual, all the same number: got {lengths}")
+        raise DesignError(f"directions must have one entry per residual, all the same number: got {lengths}")
     return Directions(faults, np.column_stack(columns))
 
 
