@@ -14,7 +14,7 @@ from residua.robust.sets.uncertain_system import UncertainSystem
 
 Matrix = NDArray[np.float64]
 #: Channels below this fraction of the largest of their parameter are rounding of its factors.
-_RANK = 1e-12
+_INDEPENDENT = 1e-12
 #: The least extent, squared, of the ellipsoid that gives the coordinates, relative to the extents of its states.
 _FLOOR = 1e-5
 
@@ -98,7 +98,7 @@ def scaled_problem(system: UncertainSystem) -> ScaledProblem:
         mine = np.flatnonzero(own == i)
         effect = np.vstack([back @ system.Bp[:, mine], system.Dzp[:, mine]]) * scale[:, None]
         U, s, Vh = np.linalg.svd(width[i] * effect @ (system.Cq[mine] @ T), full_matrices=False)
-        keep = s > max(_RANK * s.max(initial=0.0), 1e-15)
+        keep = s > max(_INDEPENDENT * s.max(initial=0.0), 1e-15)
         if not keep.any():
             continue
         count = sum(len(g) for g in groups)

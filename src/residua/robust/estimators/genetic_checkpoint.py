@@ -26,7 +26,7 @@ _COST = NumberKind("a number, or inf", "f", lambda x: x > -np.inf)
 #: Settings that may differ: they say when a search ends, not how it goes.
 _ENDS = ("generations", "patience", "polish")
 #: How far the cost of a point may differ, relatively, from what it was: libraries round differently.
-_SAME = 1e-6
+_RESUMED = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +94,7 @@ def load_checkpoint(path: str | Path, own: dict[str, Any], box: BoxedCost) -> Pr
     ):
         raise FileFormatError(f"{path.name} is damaged: delete it to begin anew")
     # the probes may all be penalised, and then tell nothing of the cost of what is feasible
-    if not np.allclose(box.values(box.inside(progress.points)), progress.costs, rtol=_SAME, atol=0.0):
+    if not np.allclose(box.values(box.inside(progress.points)), progress.costs, rtol=_RESUMED, atol=0.0):
         raise SettingError(
             f"{path.name} belongs to another search: its points have another cost now; delete it to begin anew, or "
             "give another checkpoint"
