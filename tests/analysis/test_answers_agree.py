@@ -123,7 +123,7 @@ def test_a_benchmark_plant_of_which_the_rates_lie_far_apart(shared_data: Path) -
         assert np.array_equal(made.structure.any(axis=0), found.detectable)
         for j, name in enumerate(plant.faults):
             assert exact.exists([j]) is False
-            with pytest.raises(rs.errors.DesignError, match="all used up"):
+            with pytest.raises(rs.errors.DesignError, match="used up"):
                 rs.design.decoupled_residual(plant, insensitive_to=name)
 
 

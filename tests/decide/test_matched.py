@@ -189,3 +189,28 @@ def test_the_bound_is_exact_for_two_hypotheses() -> None:
     inside = normal.cdf([level, level], lower_limit=[-level, -level])
     assert 0.2 < abs(r) < 0.9
     assert 1 - inside == pytest.approx(0.01, rel=1e-3)
+
+
+def test_an_alarm_is_put_down_to_the_same_fault_however_time_is_cut() -> None:
+    """Random likelihoods, alarms and arrivals, some after the alarm was raised: at once and sample by sample."""
+    rng = np.random.default_rng(0)
+    for _ in range(400):
+        length = 12
+        alarm = np.repeat(rng.random(length // 3) < 0.7, 3)[None]
+        over = rng.random((1, length)) < 0.6
+        ratios, ages = rng.exponential(30, (1, length, 2)), rng.integers(-1, 6, (1, length, 2))
+        ends = []
+        for cuts in ([length], [1] * length):
+            state, parts, done = HeldState.empty(1), [], 0
+            for size in cuts:
+                part = slice(done, done + size)
+                names = ("ratios", "sizes", "deviations", "settled_sizes")
+                likelihoods = dict.fromkeys(names, ratios[:, part]) | {"ages": ages[:, part]}
+                match, state = hold_block(5, state, likelihoods, alarm[:, part], over[:, part], done)
+                done += size
+                state.check("state", 2, 5, done)
+                parts.append(
+                    np.stack([match.fault[0], np.nan_to_num(match.arrival[0], nan=-9), match.source[0]], axis=1)
+                )
+            ends.append(np.concatenate(parts))
+        np.testing.assert_array_equal(*ends)

@@ -13,7 +13,9 @@ import residua as rs
 from bank_examples import hand_made_bank, recording, sampled_plant, static_estimator, with_gaps
 from residua.decide import Directional, NormThreshold, Structured
 from residua.decide.sizes import estimates_of, fault_unit
+from residua.design.core.internal_form import leakage
 from residua.errors import ModelError, SettingError
+from residua.monitor.estimating import with_estimator
 
 FAULT = "y2 sensor"
 
@@ -184,3 +186,16 @@ def test_what_cannot_run_beside_is_refused() -> None:
 def replace_matrices(p: rs.Plant) -> rs.Plant:
     other = rs.Plant(0.9 * p.A, p.Bu, 2 * p.C, dt=p.dt)
     return other.with_sensor_faults()
+
+
+@pytest.mark.parametrize("hold", ["linear", "zero"])
+@pytest.mark.parametrize("sampled", [True, False])
+def test_a_sampled_estimator_beside_a_bank_says_how_far_inputs_reach_both(hold: str, sampled: bool) -> None:
+    """Also where the bank is exact, and has no such entry."""
+    p, dt = rs.library.vtol(), 0.3
+    exact = rs.design.sensor_fault_bank(p if sampled else p.discretize(dt), allow_missing=True).generator
+    bank = exact.discretize(dt) if sampled else exact
+    estimator = rs.design.fault_estimator(p, faults=["collective actuator"]).generator.discretize(dt, hold_outputs=hold)
+    both = with_estimator(bank, estimator)
+    for name, gain in leakage(both.system, both.plant).items():
+        assert gain == both.evidence.decoupling[f"{name}, sampled"] > 1e-7

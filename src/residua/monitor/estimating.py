@@ -7,9 +7,14 @@ import numpy as np
 from residua.design import ResidualGenerator
 from residua.design.core.decoupling import Approximate, Decoupled, Promise
 from residua.design.core.generator import make_generator
+from residua.design.core.internal_form import leakage
 from residua.design.detection_filters.detection_filter import stack_systems
 from residua.errors import ModelError
+from residua.linear import StateSpace
+from residua.tolerances import POLYNOMIAL_LEAKAGE
 
+#: How the evidence of a sampled design calls what sampling costs.
+_SAMPLED = ", sampled"
 _ALIKE = ("inputs", "outputs", "faults", "disturbances", "dt")
 _EQUAL = ("A", "E", "C", *(matrix + role for role in "udfw" for matrix in "BD"))
 
@@ -41,12 +46,13 @@ def with_estimator(bank: ResidualGenerator, estimator: ResidualGenerator) -> Res
     system = stack_systems([bank.system, estimator.system])
     form = stack_systems([bank.internal_form(), estimator.internal_form()])
     names = [*bank.residuals, *estimator.residuals]
+    sampled = _sampled_leaks(bank, estimator, system)
     return make_generator(
         system.replaced(outputs=names),
         one,
         f"{bank.method}, with {estimator.method}",
-        bank.evidence.extended(notes=(f"beside it, tested by no member: {estimator.method}",)),
-        decouples=_decouples(bank, estimator),
+        bank.evidence.extended(decoupling=sampled, notes=(f"beside it, tested by no member: {estimator.method}",)),
+        decouples=_decouples(bank, sampled),
         known_form=form.replaced(outputs=names),
         members=bank.members,
         codes=bank.codes,
@@ -54,7 +60,15 @@ def with_estimator(bank: ResidualGenerator, estimator: ResidualGenerator) -> Res
     )
 
 
-def _decouples(bank: ResidualGenerator, estimator: ResidualGenerator) -> Promise:
+def _sampled_leaks(bank: ResidualGenerator, estimator: ResidualGenerator, system: StateSpace) -> dict[str, float]:
+    """Return how far inputs reach the two together, where either was sampled: at the frequencies of both."""
+    if not any(name.endswith(_SAMPLED) for part in (bank, estimator) for name in part.evidence.decoupling):
+        return {}
+    return {f"{name}{_SAMPLED}": gain for name, gain in leakage(system, bank.plant).items()}
+
+
+def _decouples(bank: ResidualGenerator, sampled: dict[str, float]) -> Promise:
     """Return what both promise: designs that were sampled are as good as their evidence says."""
-    sampled = [name for part in (bank, estimator) for name in part.evidence.decoupling if name.endswith(", sampled")]
-    return Approximate(sampled[0]) if sampled else Decoupled(disturbances="disturbance" in bank.evidence.decoupling)
+    if sampled:
+        return Approximate(next(iter(sampled)))
+    return Decoupled(disturbances="disturbance" in bank.evidence.decoupling, limit=POLYNOMIAL_LEAKAGE)
