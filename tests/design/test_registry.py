@@ -7,6 +7,7 @@ import inspect
 import pickle
 import typing
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -249,6 +250,23 @@ def test_a_method_says_what_it_returns_and_takes_a_plant() -> None:
         with pytest.raises(SettingError, match=f"its first parameter is not .*: write '{first}: rs.Plant'"):
             declare(function)
     assert not {"says_nothing", "returns_nothing", "takes_a_number", "takes_anything"} & set(METHODS)
+
+
+@pytest.mark.parametrize("wrong", [{"noise": "low"}, {"time_course": "ramp"}], ids=lambda wrong: next(iter(wrong)))
+def test_a_value_that_is_none_of_a_declaration_is_refused(wrong: dict[str, Any]) -> None:
+    name, value = next(iter(wrong.items()))
+    with pytest.raises(SettingError, match=f"{name} must be one of .*, got '{value}'"):
+        method(exists_when="never", order="n", source="this test", **wrong)(gain_of_three)
+    assert "gain_of_three" not in METHODS
+    assert catalogue.methods() == RECORDS
+
+
+def test_a_method_is_forgotten_whatever_the_others_are() -> None:
+    METHODS["gain_of_three"] = replace(RECORDS[0], function=gain_of_three, noise="low")  # cannot be sorted
+    catalogue.forget("gain_of_three")
+    assert catalogue.methods() == RECORDS
+    with pytest.raises(SettingError, match="no design function is called 'gain_of_three'"):
+        catalogue.forget("gain_of_three")
 
 
 def test_needs_are_asked_in_their_order(plant: rs.Plant) -> None:

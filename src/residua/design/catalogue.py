@@ -59,8 +59,14 @@ def forget(name: str) -> None:
     Parameters
     ----------
     name : str
+
+    Raises
+    ------
+    SettingError
+        If there is none of this name.
     """
-    METHODS.pop(method(name).name)
+    if METHODS.pop(name, None) is None:  # of a module that is not imported yet, or of none
+        METHODS.pop(method(name).name)
 
 
 HEADER = ("function", "needs", "exists when", "state", "names the fault", "size", "decouples", "singular E", "order")

@@ -285,7 +285,8 @@ def method(
     ------
     SettingError
         If another function has the name already, or the function takes nothing, does not say what it returns, or
-        does not take a plant first where it designs for a plant.
+        does not take a plant first where it designs for a plant; or ``designs_for``, ``noise`` or ``time_course`` is
+        none of its values.
 
     Examples
     --------
@@ -333,8 +334,9 @@ def _check(record: Method) -> None:
         raise SettingError(
             f"{record.name} takes nothing: a design function takes a plant, or what it is designed for, first"
         )
-    if record.designs_for not in get_args(Subject):
-        raise SettingError(f"designs_for must be one of {', '.join(get_args(Subject))}, got {echo(record.designs_for)}")
+    for name, kinds in (("designs_for", Subject), ("noise", Noise), ("time_course", TimeCourse)):
+        if getattr(record, name) not in get_args(kinds):
+            raise SettingError(f"{name} must be one of {', '.join(get_args(kinds))}, got {echo(getattr(record, name))}")
     _check_annotations(record)
     same = other is None or (other.function.__module__, other.function.__qualname__) == (
         function.__module__,
