@@ -269,6 +269,17 @@ def test_a_method_is_forgotten_whatever_the_others_are() -> None:
         catalogue.forget("gain_of_three")
 
 
+def test_annotations_that_cannot_be_read_are_refused() -> None:
+    """A type that is imported for type checkers only has no meaning when the method is offered."""
+
+    def unread(plant: rs.Plant, *, gains: Numbers = ()) -> rs.design.Observer:  # pyright: ignore  # noqa: F821
+        raise AssertionError
+
+    with pytest.raises(SettingError, match="the annotations of unread cannot be read: name 'Numbers' is not defined"):
+        method(exists_when="never", order="n", source="this test")(unread)
+    assert "unread" not in METHODS
+
+
 def test_needs_are_asked_in_their_order(plant: rs.Plant) -> None:
     record = catalogue.method("matched_filters")
     assert [one.text for one in record.requirements if isinstance(one, Need)] == ["noise", "faults", "sampled"]

@@ -10,6 +10,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from residua.errors import SettingError
+
 #: The beginning of a parameter in numpydoc: names, and what they are.
 _HEAD = re.compile(r"^(?P<names>\w+(?:, \w+)*)(?: : (?P<kind>.*))?$")
 
@@ -55,8 +57,14 @@ def options_of(function: Callable[..., Any], signature: inspect.Signature) -> tu
 
 
 def signature_of(function: Callable[..., Any]) -> inspect.Signature:
-    """Return the signature of a function, its annotations as types."""
-    return inspect.signature(function, eval_str=True)
+    """Return the signature of a function, its annotations as types; raise where one of them has no meaning."""
+    try:
+        return inspect.signature(function, eval_str=True)
+    except Exception as error:  # an annotation is an expression of anybody's
+        raise SettingError(
+            f"the annotations of {function.__name__} cannot be read: {error}; import or define what they name above "
+            "the function, and not under 'if TYPE_CHECKING:'"
+        ) from error
 
 
 def _option(one: inspect.Parameter, kind: str, text: str) -> Option:
