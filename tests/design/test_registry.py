@@ -280,6 +280,34 @@ def test_annotations_that_cannot_be_read_are_refused() -> None:
     assert "unread" not in METHODS
 
 
+def raises(plant: rs.Plant, known: Any) -> Any:
+    raise KeyError("gain")
+
+
+@pytest.mark.parametrize(
+    ("asked", "reason"),
+    [
+        ({"calls": raises}, "gain_of_three raised KeyError: 'gain' (a defect of the method)"),
+        ({"needs": [Need("luck", raises)]}, "gain_of_three raised KeyError: 'gain' (a defect of the method)"),
+        ({"calls": lambda plant, known: [3.0]}, "gain_of_three raised TypeError: 'float' object is not iterable"),
+    ],
+    ids=["calls", "needs", "no options"],
+)
+def test_a_method_that_breaks_when_it_is_asked_takes_no_other_with_it(
+    asked: dict[str, Any], reason: str, plant: rs.Plant
+) -> None:
+    whole = [one.call for one in rs.suggest(plant).entries if one.works]
+    method(exists_when="never", order="n", source="this test", state="estimate", **asked)(gain_of_three)
+    try:
+        answer = rs.suggest(plant)
+    finally:
+        catalogue.forget("gain_of_three")
+    entry = next(one for one in answer.entries if one.method.function is gain_of_three)
+    assert entry.works is False
+    assert entry.reason.startswith(reason)
+    assert [one.call for one in answer.entries if one.works] == whole
+
+
 def test_needs_are_asked_in_their_order(plant: rs.Plant) -> None:
     record = catalogue.method("matched_filters")
     assert [one.text for one in record.requirements if isinstance(one, Need)] == ["noise", "faults", "sampled"]
