@@ -308,6 +308,20 @@ def test_a_method_that_breaks_when_it_is_asked_takes_no_other_with_it(
     assert [one.call for one in answer.entries if one.works] == whole
 
 
+def takes_more(plant: rs.Plant, *more: float, margin: float = 0.1, **others: float) -> rs.design.Observer:
+    return rs.design.luenberger_observer(plant, margin=margin)
+
+
+def test_any_number_of_arguments_is_no_option(plant: rs.Plant) -> None:
+    method(exists_when="(C, A) detectable", order="n", source="this test", state="estimate")(takes_more)
+    try:
+        assert [one.name for one in catalogue.method("takes_more").options] == ["margin"]
+        entry = next(one for one in rs.suggest(plant).entries if one.method.function is takes_more)
+    finally:
+        catalogue.forget("takes_more")
+    assert entry.works
+
+
 def test_needs_are_asked_in_their_order(plant: rs.Plant) -> None:
     record = catalogue.method("matched_filters")
     assert [one.text for one in record.requirements if isinstance(one, Need)] == ["noise", "faults", "sampled"]

@@ -51,9 +51,14 @@ class Option:
 
 
 def options_of(function: Callable[..., Any], signature: inspect.Signature) -> tuple[Option, ...]:
-    """Return the options of a function with this signature: all parameters after the first."""
+    """Return the options of a function with this signature: all parameters after the first but ``*args``, ``**kw``."""
     described = parameters_in(inspect.getdoc(function) or "")
-    return tuple(_option(one, *described.get(name, ("", ""))) for name, one in list(signature.parameters.items())[1:])
+    named = [one for one in list(signature.parameters.values())[1:] if one.kind not in _ANY_NUMBER]
+    return tuple(_option(one, *described.get(one.name, ("", ""))) for one in named)
+
+
+#: The kinds of parameters that stand for any number of arguments, none too.
+_ANY_NUMBER = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 
 def signature_of(function: Callable[..., Any]) -> inspect.Signature:
