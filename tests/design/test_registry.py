@@ -322,6 +322,22 @@ def test_any_number_of_arguments_is_no_option(plant: rs.Plant) -> None:
     assert entry.works
 
 
+def test_a_method_that_is_declared_meanwhile_does_not_disturb_the_catalogue(monkeypatch: pytest.MonkeyPatch) -> None:
+    place = catalogue.Method.place
+    declare = method(exists_when="never", order="n", source="this test")
+
+    def meanwhile(one: catalogue.Method) -> tuple[Any, ...]:
+        declare(gain_of_three)
+        return place.__get__(one)
+
+    monkeypatch.setattr(catalogue.Method, "place", property(meanwhile))
+    try:
+        assert catalogue.methods() == RECORDS
+        assert "gain_of_three" in METHODS
+    finally:
+        catalogue.forget("gain_of_three")
+
+
 def test_needs_are_asked_in_their_order(plant: rs.Plant) -> None:
     record = catalogue.method("matched_filters")
     assert [one.text for one in record.requirements if isinstance(one, Need)] == ["noise", "faults", "sampled"]

@@ -22,7 +22,8 @@ def methods() -> tuple[Method, ...]:
     facade = import_module("residua.design")
     for name in facade.__all__:  # a method declares itself when its module is imported: those of other rooms are now
         getattr(facade, name)
-    return tuple(sorted(METHODS.values(), key=lambda one: one.place))
+    registered = list(METHODS.values())  # a copy: another thread may declare a method meanwhile
+    return tuple(sorted(registered, key=lambda one: one.place))
 
 
 def method(name: str) -> Method:
