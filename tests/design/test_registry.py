@@ -7,6 +7,7 @@ import inspect
 import pickle
 import typing
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -249,6 +250,92 @@ def test_a_method_says_what_it_returns_and_takes_a_plant() -> None:
         with pytest.raises(SettingError, match=f"its first parameter is not .*: write '{first}: rs.Plant'"):
             declare(function)
     assert not {"says_nothing", "returns_nothing", "takes_a_number", "takes_anything"} & set(METHODS)
+
+
+@pytest.mark.parametrize("wrong", [{"noise": "low"}, {"time_course": "ramp"}], ids=lambda wrong: next(iter(wrong)))
+def test_a_value_that_is_none_of_a_declaration_is_refused(wrong: dict[str, Any]) -> None:
+    name, value = next(iter(wrong.items()))
+    with pytest.raises(SettingError, match=f"{name} must be one of .*, got '{value}'"):
+        method(exists_when="never", order="n", source="this test", **wrong)(gain_of_three)
+    assert "gain_of_three" not in METHODS
+    assert catalogue.methods() == RECORDS
+
+
+def test_a_method_is_forgotten_whatever_the_others_are() -> None:
+    METHODS["gain_of_three"] = replace(RECORDS[0], function=gain_of_three, noise="low")  # cannot be sorted
+    catalogue.forget("gain_of_three")
+    assert catalogue.methods() == RECORDS
+    with pytest.raises(SettingError, match="no design function is called 'gain_of_three'"):
+        catalogue.forget("gain_of_three")
+
+
+def test_annotations_that_cannot_be_read_are_refused() -> None:
+    """A type that is imported for type checkers only has no meaning when the method is offered."""
+
+    def unread(plant: rs.Plant, *, gains: Numbers = ()) -> rs.design.Observer:  # pyright: ignore  # noqa: F821
+        raise AssertionError
+
+    with pytest.raises(SettingError, match="the annotations of unread cannot be read: name 'Numbers' is not defined"):
+        method(exists_when="never", order="n", source="this test")(unread)
+    assert "unread" not in METHODS
+
+
+def raises(plant: rs.Plant, known: Any) -> Any:
+    raise KeyError("gain")
+
+
+@pytest.mark.parametrize(
+    ("asked", "reason"),
+    [
+        ({"calls": raises}, "gain_of_three raised KeyError: 'gain' (a defect of the method)"),
+        ({"needs": [Need("luck", raises)]}, "gain_of_three raised KeyError: 'gain' (a defect of the method)"),
+        ({"calls": lambda plant, known: [3.0]}, "gain_of_three raised TypeError: 'float' object is not iterable"),
+    ],
+    ids=["calls", "needs", "no options"],
+)
+def test_a_method_that_breaks_when_it_is_asked_takes_no_other_with_it(
+    asked: dict[str, Any], reason: str, plant: rs.Plant
+) -> None:
+    whole = [one.call for one in rs.suggest(plant).entries if one.works]
+    method(exists_when="never", order="n", source="this test", state="estimate", **asked)(gain_of_three)
+    try:
+        answer = rs.suggest(plant)
+    finally:
+        catalogue.forget("gain_of_three")
+    entry = next(one for one in answer.entries if one.method.function is gain_of_three)
+    assert entry.works is False
+    assert entry.reason.startswith(reason)
+    assert [one.call for one in answer.entries if one.works] == whole
+
+
+def takes_more(plant: rs.Plant, *more: float, margin: float = 0.1, **others: float) -> rs.design.Observer:
+    return rs.design.luenberger_observer(plant, margin=margin)
+
+
+def test_any_number_of_arguments_is_no_option(plant: rs.Plant) -> None:
+    method(exists_when="(C, A) detectable", order="n", source="this test", state="estimate")(takes_more)
+    try:
+        assert [one.name for one in catalogue.method("takes_more").options] == ["margin"]
+        entry = next(one for one in rs.suggest(plant).entries if one.method.function is takes_more)
+    finally:
+        catalogue.forget("takes_more")
+    assert entry.works
+
+
+def test_a_method_that_is_declared_meanwhile_does_not_disturb_the_catalogue(monkeypatch: pytest.MonkeyPatch) -> None:
+    place = catalogue.Method.place
+    declare = method(exists_when="never", order="n", source="this test")
+
+    def meanwhile(one: catalogue.Method) -> tuple[Any, ...]:
+        declare(gain_of_three)
+        return place.__get__(one)
+
+    monkeypatch.setattr(catalogue.Method, "place", property(meanwhile))
+    try:
+        assert catalogue.methods() == RECORDS
+        assert "gain_of_three" in METHODS
+    finally:
+        catalogue.forget("gain_of_three")
 
 
 def test_needs_are_asked_in_their_order(plant: rs.Plant) -> None:

@@ -22,7 +22,8 @@ def methods() -> tuple[Method, ...]:
     facade = import_module("residua.design")
     for name in facade.__all__:  # a method declares itself when its module is imported: those of other rooms are now
         getattr(facade, name)
-    return tuple(sorted(METHODS.values(), key=lambda one: one.place))
+    registered = list(METHODS.values())  # a copy: another thread may declare a method meanwhile
+    return tuple(sorted(registered, key=lambda one: one.place))
 
 
 def method(name: str) -> Method:
@@ -59,8 +60,14 @@ def forget(name: str) -> None:
     Parameters
     ----------
     name : str
+
+    Raises
+    ------
+    SettingError
+        If there is none of this name.
     """
-    METHODS.pop(method(name).name)
+    if METHODS.pop(name, None) is None:  # of a module that is not imported yet, or of none
+        METHODS.pop(method(name).name)
 
 
 HEADER = ("function", "needs", "exists when", "state", "names the fault", "size", "decouples", "singular E", "order")

@@ -214,6 +214,8 @@ class Candidate:
         The options of the call.
     pointless : str
         Why it makes no sense; empty if it does.
+    defect : str
+        What the method raised when it was asked for its calls; empty if nothing.
     made : dict
         Arguments that were made from the plant already, which candidates share.
     """
@@ -221,6 +223,7 @@ class Candidate:
     method: Method
     options: Mapping[str, Any] = field(default_factory=dict)
     pointless: str = ""
+    defect: str = ""
     made: dict[Chosen, Any] = field(default_factory=dict, repr=False)
 
     @property
@@ -254,9 +257,19 @@ def candidates(plant: Plant, known: Diagnosability | None) -> Iterator[Candidate
     for one in methods():
         asked = {option.name for option in one.options if option.required} - set(one.chosen)
         if one.takes_a_plant and not asked:
-            why = one.missing(plant, known)
-            calls = tuple(one.calls(plant, known)) or ({},)
-            yield from (Candidate(one, options, why, made) for options in calls)
+            yield from _calls_of(one, plant, known, made)
+
+
+def _calls_of(
+    one: Method, plant: Plant, known: Diagnosability | None, made: dict[Chosen, Any]
+) -> tuple[Candidate, ...]:
+    """Return the calls of a method for a plant, or the one that says what it raised when it was asked for them."""
+    try:
+        why = one.missing(plant, known)
+        calls = tuple(dict(options) for options in one.calls(plant, known)) or ({},)
+    except Exception as error:  # a method of anybody's: it must not take the others with it
+        return (Candidate(one, defect=defect(one, error), made=made),)
+    return tuple(Candidate(one, options, why, made=made) for options in calls)
 
 
 def _typed(value: Any) -> str:
@@ -268,6 +281,8 @@ def _typed(value: Any) -> str:
 
 def _tried(one: Candidate, plant: Plant, want: str, end: float) -> Entry:
     record = one.method
+    if one.defect:
+        return Entry(one.call, record, False, one.defect)
     why = one.pointless or _too_much(record, plant, end)
     if why:
         return Entry(one.call, record, None, why)

@@ -9,7 +9,6 @@ choice among equations are tools beside them.
 from __future__ import annotations
 
 import inspect
-import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -17,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args
 
 from residua.design.core.options import Option, kinds_of, options_of, signature_of
 from residua.errors import ModelError, SettingError
-from residua.plant import Plant
+from residua.plant import InputOutputModel, Plant
 from residua.visible import echo
 
 if TYPE_CHECKING:
@@ -285,7 +284,8 @@ def method(
     ------
     SettingError
         If another function has the name already, or the function takes nothing, does not say what it returns, or
-        does not take a plant first where it designs for a plant.
+        does not take a plant first where it designs for a plant; or an annotation names what its module does not
+        have; or ``designs_for``, ``noise`` or ``time_course`` is none of its values.
 
     Examples
     --------
@@ -329,12 +329,13 @@ def method(
 def _check(record: Method) -> None:
     """Raise where a function cannot be a method of this name."""
     function, other = record.function, METHODS.get(record.name)
-    if not inspect.signature(function).parameters:
+    if not record.signature.parameters:
         raise SettingError(
             f"{record.name} takes nothing: a design function takes a plant, or what it is designed for, first"
         )
-    if record.designs_for not in get_args(Subject):
-        raise SettingError(f"designs_for must be one of {', '.join(get_args(Subject))}, got {echo(record.designs_for)}")
+    for name, kinds in (("designs_for", Subject), ("noise", Noise), ("time_course", TimeCourse)):
+        if getattr(record, name) not in get_args(kinds):
+            raise SettingError(f"{name} must be one of {', '.join(get_args(kinds))}, got {echo(getattr(record, name))}")
     _check_annotations(record)
     same = other is None or (other.function.__module__, other.function.__qualname__) == (
         function.__module__,
@@ -347,29 +348,17 @@ def _check(record: Method) -> None:
 
 def _check_annotations(record: Method) -> None:
     """Raise where a function does not say what it returns, or what it is for."""
-    annotations, first = record.function.__annotations__, next(iter(inspect.signature(record.function).parameters))
-    if annotations.get("return") in (None, "None"):
+    first = next(iter(record.signature.parameters.values()))
+    if record.result is None or record.result is inspect.Signature.empty:
         raise SettingError(
             f"{record.name} does not say what it returns: write '-> rs.design.Observer', or another class of designs"
         )
-    if record.designs_for == "plant" and _named_types(annotations.get(first)).isdisjoint(_PLANTS):
+    if record.designs_for == "plant" and not any(kind in _PLANTS for kind in kinds_of(first.annotation)):
         raise SettingError(
             f"{record.name} designs for a plant, but its first parameter is not annotated as one: "
-            f"write '{first}: rs.Plant', or say what it designs for, designs_for=..."
+            f"write '{first.name}: rs.Plant', or say what it designs for, designs_for=..."
         )
 
 
 #: What may stand in the annotation of what a design for a plant takes.
-_PLANTS = frozenset({"Plant", "InputOutputModel"})
-
-
-def _named_types(annotation: object) -> set[str]:
-    """Return the names of the types in an annotation, without what they are imported from.
-
-    A module that is being imported may not have them yet, so that they are read by name.
-    """
-    if annotation is None:
-        return set()
-    parts = [annotation] if isinstance(annotation, str) else kinds_of(annotation)
-    names = (re.split(r"[^\w.]+", one) if isinstance(one, str) else [getattr(one, "__name__", "")] for one in parts)
-    return {name.rpartition(".")[2] for one in names for name in one}
+_PLANTS = (Plant, InputOutputModel)

@@ -10,6 +10,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from residua.errors import SettingError
+
 #: The beginning of a parameter in numpydoc: names, and what they are.
 _HEAD = re.compile(r"^(?P<names>\w+(?:, \w+)*)(?: : (?P<kind>.*))?$")
 
@@ -49,14 +51,25 @@ class Option:
 
 
 def options_of(function: Callable[..., Any], signature: inspect.Signature) -> tuple[Option, ...]:
-    """Return the options of a function with this signature: all parameters after the first."""
+    """Return the options of a function with this signature: all parameters after the first but ``*args``, ``**kw``."""
     described = parameters_in(inspect.getdoc(function) or "")
-    return tuple(_option(one, *described.get(name, ("", ""))) for name, one in list(signature.parameters.items())[1:])
+    named = [one for one in list(signature.parameters.values())[1:] if one.kind not in _ANY_NUMBER]
+    return tuple(_option(one, *described.get(one.name, ("", ""))) for one in named)
+
+
+#: The kinds of parameters that stand for any number of arguments, none too.
+_ANY_NUMBER = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 
 def signature_of(function: Callable[..., Any]) -> inspect.Signature:
-    """Return the signature of a function, its annotations as types."""
-    return inspect.signature(function, eval_str=True)
+    """Return the signature of a function, its annotations as types; raise where one of them has no meaning."""
+    try:
+        return inspect.signature(function, eval_str=True)
+    except Exception as error:  # an annotation is an expression of anybody's
+        raise SettingError(
+            f"the annotations of {function.__name__} cannot be read: {error}; import or define what they name above "
+            "the function, and not under 'if TYPE_CHECKING:'"
+        ) from error
 
 
 def _option(one: inspect.Parameter, kind: str, text: str) -> Option:
