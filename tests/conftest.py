@@ -5,15 +5,15 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-import pytest
-
-from guards import reached_guards  # noqa: F401
-from refusals import pytest_configure, refused  # noqa: F401
-
 # Before NumPy is imported: with matrices of ten rows the threads of the linear algebra do nothing but wait for each
 # other, which takes twice the time on two cores.
 for _library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
+
+import pytest  # noqa: E402
+
+from guards import reached_guards  # noqa: E402, F401
+from refusals import pytest_configure, refused  # noqa: E402, F401
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
