@@ -48,13 +48,3 @@ def listed(names: object, most: int = MAX_ECHO) -> str:
         if len(out) > most:
             break
     return shortened(out, most) or "none"
-
-
-def counted(count: int, noun: str) -> str:
-    """Return a number with its noun."""
-    return f"{count} {noun}{'' if count == 1 else 's'}"
-
-
-def used_up(measurements: int) -> str:
-    """Return that so many measurements are used up."""
-    return f"{counted(measurements, 'measurement')} {'is' if measurements == 1 else 'are all'} used up"

@@ -48,3 +48,13 @@ def listing(names: Iterable[str], last: str = "and") -> str:
     if len(items) < 2:
         return "".join(items)
     return f"{', '.join(items[:-1])} {last} {items[-1]}"
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a number with its noun."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def used_up(measurements: int) -> str:
+    """Return that so many measurements are used up."""
+    return f"{counted(measurements, 'measurement')} {'is' if measurements == 1 else 'are all'} used up"

@@ -12,7 +12,7 @@ from residua.analysis.diagnosability import group_twins
 from residua.analysis.fault_space import FaultSpace, fault_space
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
-from residua.visible import counted
+from residua.words import counted
 
 #: Attainable rows that are listed, unless the caller says otherwise.
 MOST_ROWS = 5000

@@ -19,7 +19,7 @@ from residua.analysis.fault_space import FaultSpace, fault_space
 from residua.errors import DesignError, SettingError
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
-from residua.visible import counted
+from residua.words import counted
 
 #: Seconds that the choice may take, unless the caller says otherwise.
 TIME_LIMIT = 30.0

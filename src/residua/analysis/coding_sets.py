@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua import arrays
 from residua.analysis.codes import equal_codes, strongly_isolating
 from residua.errors import DesignError
-from residua.visible import counted
+from residua.words import counted
 
 #: Codes that may become others, as a text names them at most.
 NAMED = 6

@@ -18,6 +18,7 @@ from residua.design.core.needs import NOISE, ROWS, SAMPLED
 from residua.design.core.options import Option
 from residua.errors import AccuracyError, DesignError, ModelError, ResiduaError, SettingError
 from residua.plant import Plant
+from residua.words import listing
 
 AUTO = "auto"
 #: Seconds for the choice of a coding set, whose search then takes the best one so far; and for the other methods after
@@ -272,11 +273,7 @@ def call_of(name: str, asked: Mapping[str, Any], settings: Mapping[str, Any], sa
 def _not_of(option: str, name: str) -> str:
     one = next(one for one in options() if one.name == option)
     written = one.flags[0].partition("/")[0]
-    return f"{written} is for --method {_listed(one.methods)}, not for {name}"
-
-
-def _listed(names: tuple[str, ...]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+    return f"{written} is for --method {listing(one.methods)}, not for {name}"
 
 
 def _read(option: Option, value: Any) -> Any:
@@ -325,9 +322,9 @@ def _remedy(plant: Plant, name: str, call: Call) -> str:
     kept = {option.name for option in call.method.options if option.required} - set(call.method.chosen)
     dropped = [option for option in call.method.options if option.name in call.values and option.name not in kept]
     if dropped and _exists(_without_options(call, call.method, kept), plant):
-        return f"without {_listed(tuple(flag(one) for one in dropped))} {name} exists for this plant"
+        return f"without {listing(flag(one) for one in dropped)} {name} exists for this plant"
     needed = tuple(flag(option) for option in call.method.options if option.name in call.values and option.name in kept)
-    doubt = f"{name} needs {_listed(needed)}, and another value may do; " if needed else ""
+    doubt = f"{name} needs {listing(needed)}, and another value may do; " if needed else ""
     return doubt + _alternatives(plant, name, call)
 
 

@@ -27,6 +27,7 @@ from residua.monitor.diagnosis import Alarm, Diagnosis
 from residua.report.tables import alarm_times
 from residua.report.verdict import verdict
 from residua.visible import visible
+from residua.words import counted
 
 #: Alarms that are listed at most; ``--alarms`` writes all of them.
 MAX_ALARMS = 20
@@ -100,10 +101,6 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _count(number: int, thing: str) -> str:
-    return f"{number} {thing}" + ("" if number == 1 else "s")
-
-
 # ----------------------------------------------------------------- diagnosability
 
 
@@ -112,9 +109,9 @@ def show_diagnosability(answer: Diagnosability) -> None:
     plant = answer.plant
     time = f"sampled at {plant.dt:g} s" if plant.is_discrete else "continuous"
     say(
-        f"{plant.name}: {_count(plant.n_states, 'state')}, {_count(len(plant.inputs), 'input')}, "
-        f"{_count(plant.n_outputs, 'output')}, {_count(len(plant.disturbances), 'disturbance')}, "
-        f"{_count(len(plant.faults), 'fault')}, {time}"
+        f"{plant.name}: {counted(plant.n_states, 'state')}, {counted(len(plant.inputs), 'input')}, "
+        f"{counted(plant.n_outputs, 'output')}, {counted(len(plant.disturbances), 'disturbance')}, "
+        f"{counted(len(plant.faults), 'fault')}, {time}"
     )
     show_table(
         [

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.words import counted
+
 #: Pairs of faults, and nearest codes, that a text names at most.
 NAMED = 3
 #: Single faults that explain a pattern, as a text names them at most.
@@ -76,12 +78,13 @@ class CodeReading:
         name = quoted(self.faults, self.settled)
         if self.answer == "none":
             return "no fault"
+        off = counted(self.distance, "member")
         if self.answer == "exact":
             return f"code of {name} (exact){self._pairs(', or of two at once: ')}"
         if self.answer == "degraded":
-            return f"code of {name} with {_count(self.distance)} silent (degraded){self._pairs(', or two at once: ')}"
+            return f"code of {name} with {off} silent (degraded){self._pairs(', or two at once: ')}"
         if self.answer == "nearest":
-            return f"nearest code: {name}, {_count(self.distance)} off (nearest){self._pairs(', or two at once: ')}"
+            return f"nearest code: {name}, {off} off (nearest){self._pairs(', or two at once: ')}"
         if self.answer == "several":
             *others, last = (f"({quoted(group)})" if len(group) > 1 else quoted(group) for group in self.together)
             return f"several faults: {', '.join(others)} and {last}"
@@ -94,7 +97,7 @@ class CodeReading:
             return UNKNOWN + together
         if self.nearest:
             several = "codes" if len(self.nearest) > 1 else "code"
-            return f"{UNKNOWN}: nearest {several} {_listed(map(quoted, self.nearest))}, {_count(self.distance)} off"
+            return f"{UNKNOWN}: nearest {several} {_listed(map(quoted, self.nearest))}, {off} off"
         return UNKNOWN
 
     @property
@@ -130,10 +133,6 @@ def quoted(faults: Sequence[str], settled: Sequence[str] = ()) -> str:
     own = " or ".join(f"'{name}'" for name in faults if name not in settled)
     later = " or ".join(f"'{name}'" for name in faults if name in settled)
     return f"{own}{', or of ' if own else ''}{later} once constant" if later else own
-
-
-def _count(members: int) -> str:
-    return f"{members} member{'' if members == 1 else 's'}"
 
 
 def _listed(items: Iterable[str]) -> str:

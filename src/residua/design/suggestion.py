@@ -22,7 +22,7 @@ from residua.design.estimation.fault_estimator import FaultEstimator
 from residua.errors import AccuracyError, DesignError, ModelError, SettingError
 from residua.plant import InputOutputModel, Plant
 from residua.robust.sets.uncertain_plant import UncertainPlant
-from residua.visible import counted
+from residua.words import counted
 
 WANTS = ("name", "size", "state")
 #: Larger plants are tried with the single observers only, and the largest not at all.

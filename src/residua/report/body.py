@@ -29,8 +29,7 @@ from residua.report.tables import (
 )
 from residua.report.text import escape
 from residua.report.verdict import BEGAN_RULE, verdict
-from residua.visible import counted
-from residua.words import listing, number, percent, score, some
+from residua.words import counted, listing, number, percent, score, some
 
 if TYPE_CHECKING:
     from residua.design.core.generator import ResidualGenerator

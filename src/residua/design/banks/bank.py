@@ -21,7 +21,7 @@ from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
 from residua.plant import Plant
 from residua.plant.comparable_units import canonical_units
-from residua.visible import counted
+from residua.words import counted
 
 #: Designs one member: takes its name, and the plant in which what the member ignores are disturbances.
 MemberDesign = Callable[[str, Plant], ResidualGenerator]

@@ -32,7 +32,7 @@ from residua.linear.subspaces.observable_part import UndetectableError
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 from residua.plant.comparable_units import even_plant
-from residua.visible import used_up
+from residua.words import used_up
 
 _EPS = float(np.finfo(float).eps)
 

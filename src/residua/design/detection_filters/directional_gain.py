@@ -16,7 +16,7 @@ from residua.linear.subspaces.detection_space import DetectionSpace, detection_s
 from residua.linear.subspaces.far_gain import refuse_far_gain
 from residua.linear.subspaces.observability import detectability, observability_form
 from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank
-from residua.visible import counted
+from residua.words import counted
 
 Poles = Sequence[complex] | ArrayLike | Mapping[str, Sequence[complex]] | None
 

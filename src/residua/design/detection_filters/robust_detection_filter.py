@@ -25,7 +25,7 @@ from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.linear.systems.balancing import without_rounding
 from residua.plant import Plant
 from residua.plant.comparable_units import own_units
-from residua.visible import counted, used_up
+from residua.words import counted, used_up
 
 
 @method(

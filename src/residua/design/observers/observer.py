@@ -19,7 +19,7 @@ from residua.linear.systems.balancing import power_of_two
 from residua.plant import Plant
 from residua.plant.comparable_units import EvenPlant, even_plant
 from residua.tolerances import TINY, above_rounding
-from residua.visible import counted, used_up
+from residua.words import counted, used_up
 
 
 @dataclass(frozen=True, eq=False, repr=False)

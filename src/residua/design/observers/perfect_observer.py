@@ -27,7 +27,7 @@ from residua.linear.systems.descriptor import scaled_pencil
 from residua.linear.systems.response_terms import response_terms
 from residua.plant import Plant
 from residua.tolerances import RESPONSE_ROUNDING, above_rounding
-from residua.visible import counted, used_up
+from residua.words import counted, used_up
 
 REFERENCE = "Twardy and Kaczorek, part I, eqs. (30) to (33), Theorem 4, Procedure 2"
 #: States of a filter beyond which its peak gain is not computed.

@@ -32,7 +32,7 @@ from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision
 from residua.linear.systems.balancing import without_rounding
 from residua.plant import Plant
 from residua.tolerances import IDENTITY, TINY, above_rounding
-from residua.visible import counted
+from residua.words import counted
 
 REFERENCE = "Chen, Patton and Zhang (1996), Int. J. Control 63(1), eqs. (2) to (13)"
 

@@ -26,7 +26,7 @@ from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_b
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
 from residua.tolerances import TINY
-from residua.visible import counted
+from residua.words import counted
 
 #: A response, or a singular value of what is read, below this fraction of the largest possible counts as none.
 _SEEN = 1e-9

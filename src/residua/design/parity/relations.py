@@ -26,7 +26,7 @@ from residua.linear.systems.balancing import descriptor_units
 from residua.plant import Plant
 from residua.plant.comparable_units import PlantUnits, canonical_units
 from residua.tolerances import POLYNOMIAL_LEAKAGE, RESIDUE, above_rounding
-from residua.visible import counted
+from residua.words import counted
 
 #: What the states may be missed by, relative to the terms that have to cancel.
 _REMAINDER = 1e-8

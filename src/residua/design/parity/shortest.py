@@ -23,7 +23,7 @@ from residua.linear.polynomials.pencil_null_space import (
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.rank import RankDecision
 from residua.tolerances import POLYNOMIAL_LEAKAGE
-from residua.visible import used_up
+from residua.words import used_up
 
 #: A fault is seen by a relation when more than this of the largest response that its size allows is left.
 _SEEN = 1e-9

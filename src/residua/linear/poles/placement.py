@@ -19,7 +19,7 @@ from residua.linear.subspaces.far_gain import refuse_far_gain
 from residua.linear.subspaces.observable_part import ObservablePart, observable_part
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.tolerances import POLE
-from residua.visible import counted
+from residua.words import counted
 
 Matrix = NDArray[np.float64]
 _EPS = float(np.finfo(float).eps)
