@@ -42,7 +42,8 @@ ROOMS = (
         "json_files",
         "records",
     ),
-    *("linear", "plant", "recording", "analysis", "design", "decide", "robust", "library", "monitor", "validate"),
+    *("linear", "plant", "recording", "analysis", "design", "decide", "robust", "library", "identify"),
+    *("monitor", "validate"),
     *("report", "testing", "demos", "cli", "residua", "__main__"),
 )
 LOOSE = ROOMS[: ROOMS.index("linear")]

@@ -7,7 +7,7 @@ component.
 from importlib import import_module
 from types import ModuleType
 
-from residua import analysis, decide, design, errors, library, linear, monitor, plant
+from residua import analysis, decide, design, errors, identify, library, linear, monitor, plant
 from residua.analysis import coding, diagnosability
 from residua.design.observers.general_residual_generator import residual_generator_from_observer
 from residua.design.suggestion import suggest
@@ -32,6 +32,7 @@ __all__ = [
     "design",
     "diagnosability",
     "errors",
+    "identify",
     "library",
     "linear",
     "load_plant",

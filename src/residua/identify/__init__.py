@@ -1,0 +1,3 @@
+"""Plants and residual generators from recordings: one method, one file."""
+
+__all__: list[str] = []

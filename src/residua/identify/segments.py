@@ -1,0 +1,371 @@
+"""Recordings for identification: the wanted channels, cut where a value is missing, read block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from residua.arrays import names as checked_names, unique
+from residua.errors import DataError, ModelError, SettingError
+from residua.recording.recording import Recording, read_recording, recording_from_frame
+from residua.visible import echo, listed
+from residua.words import counted
+
+#: Rows that are read at a time, so that a recording on disk is never in memory as a whole.
+BLOCK = 65_536
+#: Largest difference of the steps of two recordings, as a fraction.
+_SAME_STEP = 1e-3
+
+Names = Sequence[str] | str | None
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """Rows without a missing value, one after the other.
+
+    Attributes
+    ----------
+    u, y : ndarray, shape (time, columns)
+        The arrays of the recording, all rows of it: nothing is copied.
+    input_columns, output_columns : tuple of int
+        The columns of ``u``, then of ``y``, that are the inputs; and the outputs.
+    start, stop : int
+        The rows of this segment.
+    recording : int
+        The number of its recording, from 0.
+    """
+
+    u: NDArray
+    y: NDArray
+    input_columns: tuple[int, ...]
+    output_columns: tuple[int, ...]
+    start: int
+    stop: int
+    recording: int
+
+    def __len__(self) -> int:
+        return self.stop - self.start
+
+    def rows(self, start: int, stop: int) -> NDArray[np.float64]:
+        """Return rows of the segment, counted from its start: inputs, then outputs, in their own units."""
+        return _columns(
+            self.u, self.y, self.input_columns + self.output_columns, self.start + start, self.start + stop
+        )
+
+    def cut(self, start: int, stop: int) -> Segment:
+        """Return a part of it, counted from its start."""
+        return Segment(
+            self.u,
+            self.y,
+            self.input_columns,
+            self.output_columns,
+            self.start + start,
+            self.start + stop,
+            self.recording,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Gathered:
+    """The recordings that a model is identified from.
+
+    Attributes
+    ----------
+    inputs, outputs : tuple of str
+    dt : float
+        Step in seconds.
+    segments : tuple of Segment
+        Nothing is interpolated between them.
+    sources : tuple of str
+        What each recording is called.
+    samples : tuple of int
+        Rows of each recording, those with missing values included.
+    notes : tuple of str
+    """
+
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    dt: float
+    segments: tuple[Segment, ...]
+    sources: tuple[str, ...]
+    samples: tuple[int, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Inputs, then outputs."""
+        return self.inputs + self.outputs
+
+    @property
+    def n_samples(self) -> int:
+        """Rows without a missing value."""
+        return sum(len(one) for one in self.segments)
+
+    def blocks(self, size: int = BLOCK) -> Iterator[tuple[Segment, NDArray[np.float64]]]:
+        """Yield the rows of every segment, at most so many at a time: inputs, then outputs, in their own units."""
+        for segment in self.segments:
+            for start in range(0, len(segment), size):
+                yield segment, segment.rows(start, min(start + size, len(segment)))
+
+    def data(self) -> list[NDArray[np.float64]]:
+        """Return every segment whole: inputs, then outputs, in their own units; for methods that need it in memory."""
+        return [segment.rows(0, len(segment)) for segment in self.segments]
+
+    def divided(self, held_out: float) -> tuple[Gathered, Gathered]:
+        """Return the first part of each recording, and its last, which is the fraction ``held_out`` of its rows."""
+        first, last = [], []
+        for segment in self.segments:
+            border = int(np.ceil((1 - held_out) * self.samples[segment.recording])) - segment.start
+            border = min(max(border, 0), len(segment))
+            first += [segment.cut(0, border)] if border else []
+            last += [segment.cut(border, len(segment))] if border < len(segment) else []
+        return self._with(first), self._with(last)
+
+    def _with(self, segments: Sequence[Segment]) -> Gathered:
+        return Gathered(self.inputs, self.outputs, self.dt, tuple(segments), self.sources, self.samples, self.notes)
+
+
+def gather(
+    recordings: Any,
+    y: ArrayLike | None = None,
+    *,
+    inputs: Names = None,
+    outputs: Names = None,
+    dt: float | None = None,
+) -> Gathered:
+    """Return recordings as segments of the wanted channels.
+
+    Parameters
+    ----------
+    recordings : Recording, data frame, path, array, pair (u, y), or a list of these
+        An array alone has the inputs in its first columns, then the outputs; with ``y`` it has the inputs only
+        (``None`` for none).
+    y : array_like, shape (time, outputs), optional
+    inputs, outputs : sequence of str, optional
+        The channels by name. Of a recording or a data frame the outputs are all columns that are no inputs, when
+        omitted. Of arrays the names are ``u1..`` and ``y1..`` when omitted.
+    dt : float, optional
+        Step in seconds; that of the recordings when omitted, 1 s of arrays.
+
+    Raises
+    ------
+    DataError
+        If a channel is missing, a recording is empty, the steps differ, or no row is complete.
+    SettingError
+        If a channel is named twice, or ``dt`` is none.
+    """
+    if dt is not None and not (np.ndim(dt) == 0 and np.isfinite(dt) and dt > 0):
+        raise SettingError(f"dt must be a positive step in seconds, got {echo(dt)}")
+    wanted = _wanted(inputs, "inputs"), _wanted(outputs, "outputs")
+    several = [(recordings, y)] if y is not None else _listed(recordings)
+    if not several:
+        raise DataError("the list of recordings is empty")
+    tables = [_table(one, *wanted, dt, number) for number, one in enumerate(several, 1)]
+    first = tables[0]
+    if not first.outputs:
+        raise DataError("there are no outputs: name them, outputs=[...]")
+    for number, one in enumerate(tables, 1):
+        if (one.inputs, one.outputs) != (first.inputs, first.outputs):
+            raise DataError(
+                f"recording {number} has the channels {listed(one.inputs + one.outputs)}, the first one "
+                f"{listed(first.inputs + first.outputs)}: name those to use, inputs=[...], outputs=[...]"
+            )
+    step, notes = _common_step(tables, dt)
+    return _cut(tables, step, notes)
+
+
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """One recording: its arrays, and which of their columns are which channels."""
+
+    u: NDArray
+    y: NDArray
+    input_columns: tuple[int, ...]
+    output_columns: tuple[int, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    dt: float | None
+    source: str
+
+
+def _wanted(channels: Names, what: str) -> tuple[str, ...] | None:
+    if channels is None:
+        return None
+    listed_names = (channels,) if isinstance(channels, str) else tuple(channels)
+    if not all(isinstance(one, str) and one for one in listed_names):
+        raise SettingError(f"{what} must be names, got {echo(channels)}")
+    return listed_names
+
+
+def _listed(recordings: Any) -> list[tuple[Any, Any]]:
+    """Return what was handed over as pairs, ``y`` being ``None`` where one thing has all channels."""
+
+    def is_pair(one: Any) -> bool:
+        return isinstance(one, tuple) and len(one) == 2 and (one[0] is None or np.ndim(one[0]) > 0)
+
+    if is_pair(recordings):
+        return [recordings]
+    if isinstance(recordings, (list, tuple)):
+        return [one if is_pair(one) else (one, None) for one in recordings]
+    return [(recordings, None)]
+
+
+def _table(
+    pair: tuple[Any, Any], inputs: tuple[str, ...] | None, outputs: tuple[str, ...] | None, dt: float | None, number: int
+) -> _Table:
+    one, y = pair
+    if y is not None or isinstance(one, np.ndarray):
+        return _table_of_arrays(one, y, inputs, outputs, dt, f"recording {number}")
+    if isinstance(one, (str, Path)):
+        one = read_recording(one, dt=dt)
+    elif hasattr(one, "columns") and not isinstance(one, Recording):
+        one = recording_from_frame(one, dt=dt, source=f"recording {number}")
+    if not isinstance(one, Recording):
+        raise DataError(
+            f"recording {number}: expected a recording, a data frame, a path or arrays (u, y), got {type(one).__name__}"
+        )
+    channels = tuple(one.columns)
+    chosen_inputs = channels[: one.u.shape[1]] if inputs is None else inputs
+    chosen_outputs = outputs if outputs is not None else tuple(name for name in channels if name not in chosen_inputs)
+    for name in (*chosen_inputs, *chosen_outputs):
+        if name not in channels:
+            raise DataError(f"{one.source or f'recording {number}'} has no channel {echo(name)}: {listed(channels)}")
+    _check_once(chosen_inputs, chosen_outputs)
+    place = {name: i for i, name in enumerate(channels)}
+    return _Table(
+        one.u,
+        one.y,
+        tuple(place[name] for name in chosen_inputs),
+        tuple(place[name] for name in chosen_outputs),
+        chosen_inputs,
+        chosen_outputs,
+        one.dt,
+        one.source or f"recording {number}",
+    )
+
+
+def _table_of_arrays(
+    u: Any, y: Any, inputs: tuple[str, ...] | None, outputs: tuple[str, ...] | None, dt: float | None, source: str
+) -> _Table:
+    if y is None:
+        whole = _two_dimensional(u, source)
+        m = len(inputs or ())
+        if whole.shape[1] < m + len(outputs or ()):
+            raise DataError(
+                f"{source} has {counted(whole.shape[1], 'column')}, and {m} inputs and {len(outputs or ())} outputs "
+                "are named: inputs first, then outputs"
+            )
+        u, y = whole[:, :m], whole[:, m:]
+    y = _two_dimensional(y, f"{source}: y")
+    u = np.zeros((len(y), 0)) if u is None else _two_dimensional(u, f"{source}: u")
+    if len(u) != len(y):
+        raise DataError(f"{source}: u has {len(u)} rows, y has {len(y)}")
+    try:
+        input_names = checked_names(inputs, u.shape[1], "u", "inputs")
+        output_names = checked_names(outputs, y.shape[1], "y", "outputs")
+    except ModelError as error:
+        raise DataError(f"{source}: {error}") from error
+    _check_once(input_names, output_names)
+    m, p = u.shape[1], y.shape[1]
+    return _Table(u, y, tuple(range(m)), tuple(range(m, m + p)), input_names, output_names, dt, source)
+
+
+def _two_dimensional(data: Any, what: str) -> NDArray:
+    array = data if isinstance(data, np.ndarray) else np.asarray(data)
+    if array.dtype.kind not in "fiub":
+        raise DataError(f"{what}: expected numbers, got values of type {array.dtype}")
+    if array.ndim == 1:
+        array = array[:, None]
+    if array.ndim != 2:
+        raise DataError(f"{what} has the shape {array.shape}: expected (time, channels)")
+    return array
+
+
+def _check_once(inputs: tuple[str, ...], outputs: tuple[str, ...]) -> None:
+    twice = sorted(set(inputs) & set(outputs))
+    if twice:
+        raise SettingError(f"{listed(twice)} cannot be an input and an output: leave it out of one")
+    try:
+        unique(inputs + outputs, "inputs and outputs")
+    except ModelError as error:
+        raise SettingError(str(error)) from error
+
+
+def _common_step(tables: Sequence[_Table], dt: float | None) -> tuple[float, tuple[str, ...]]:
+    steps = [one.dt for one in tables if one.dt is not None]
+    if not steps:
+        return 1.0, ("no step was given: the samples are taken to be 1 s apart (dt=)",)
+    step = dt if dt is not None else steps[0]
+    for number, one in enumerate(tables, 1):
+        if one.dt is not None and abs(one.dt - step) > _SAME_STEP * step:
+            raise DataError(f"recording {number} ({one.source}) has a step of {one.dt:g} s, expected {step:g} s")
+    return float(step), ()
+
+
+def _cut(tables: Sequence[_Table], dt: float, notes: tuple[str, ...]) -> Gathered:
+    segments: list[Segment] = []
+    missing = 0
+    for number, one in enumerate(tables):
+        if not len(one.y):
+            raise DataError(f"recording {number + 1} ({one.source}) is empty")
+        runs = _complete_runs(one)
+        missing += len(one.y) - sum(stop - start for start, stop in runs)
+        segments += [
+            Segment(one.u, one.y, one.input_columns, one.output_columns, start, stop, number) for start, stop in runs
+        ]
+    samples = tuple(len(one.y) for one in tables)
+    if not segments:
+        raise DataError(f"no row is complete: {_emptiest(tables)}")
+    if missing:
+        notes += (
+            f"{counted(missing, 'row')} of {sum(samples)} with a missing value left out, which cuts the data into "
+            f"{counted(len(segments), 'segment')}",
+        )
+    first = tables[0]
+    return Gathered(
+        first.inputs, first.outputs, dt, tuple(segments), tuple(one.source for one in tables), samples, notes
+    )
+
+
+def _complete_runs(table: _Table) -> list[tuple[int, int]]:
+    """Return the runs of rows without a missing value, as (start, stop)."""
+    runs: list[tuple[int, int]] = []
+    for start in range(0, len(table.y), BLOCK):
+        stop = min(start + BLOCK, len(table.y))
+        complete = np.isfinite(
+            _columns(table.u, table.y, table.input_columns + table.output_columns, start, stop)
+        ).all(axis=1)
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], complete, [False]]).astype(np.int8)))
+        for first, last in zip(edges[::2] + start, edges[1::2] + start, strict=True):
+            if runs and runs[-1][1] == first:
+                runs[-1] = (runs[-1][0], int(last))
+            else:
+                runs.append((int(first), int(last)))
+    return runs
+
+
+def _emptiest(tables: Sequence[_Table]) -> str:
+    """Name the channel with the most missing values."""
+    channels = tables[0].inputs + tables[0].outputs
+    absent = np.zeros(len(channels))
+    for one in tables:
+        for start in range(0, len(one.y), BLOCK):
+            block = _columns(one.u, one.y, one.input_columns + one.output_columns, start, start + BLOCK)
+            absent += (~np.isfinite(block)).sum(axis=0)
+    worst = int(absent.argmax())
+    total = sum(len(one.y) for one in tables)
+    return f"{channels[worst]!r} is missing in {int(absent[worst])} of {total} rows; leave it out, or other channels"
+
+
+def _columns(u: NDArray, y: NDArray, columns: tuple[int, ...], start: int, stop: int) -> NDArray[np.float64]:
+    """Return rows of some columns of two arrays side by side, as numbers."""
+    m = u.shape[1]
+    out = np.empty((min(stop, len(y)) - start, len(columns)))
+    for i, column in enumerate(columns):
+        out[:, i] = u[start:stop, column] if column < m else y[start:stop, column - m]
+    return out
