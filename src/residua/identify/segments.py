@@ -53,9 +53,7 @@ class Segment:
 
     def rows(self, start: int, stop: int) -> NDArray[np.float64]:
         """Return rows of the segment, counted from its start: inputs, then outputs, in their own units."""
-        return _columns(
-            self.u, self.y, self.input_columns + self.output_columns, self.start + start, self.start + stop
-        )
+        return _columns(self.u, self.y, self.input_columns + self.output_columns, self.start + start, self.start + stop)
 
     def cut(self, start: int, stop: int) -> Segment:
         """Return a part of it, counted from its start."""
@@ -216,7 +214,11 @@ def _listed(recordings: Any) -> list[tuple[Any, Any]]:
 
 
 def _table(
-    pair: tuple[Any, Any], inputs: tuple[str, ...] | None, outputs: tuple[str, ...] | None, dt: float | None, number: int
+    pair: tuple[Any, Any],
+    inputs: tuple[str, ...] | None,
+    outputs: tuple[str, ...] | None,
+    dt: float | None,
+    number: int,
 ) -> _Table:
     one, y = pair
     if y is not None or isinstance(one, np.ndarray):
@@ -337,9 +339,9 @@ def _complete_runs(table: _Table) -> list[tuple[int, int]]:
     runs: list[tuple[int, int]] = []
     for start in range(0, len(table.y), BLOCK):
         stop = min(start + BLOCK, len(table.y))
-        complete = np.isfinite(
-            _columns(table.u, table.y, table.input_columns + table.output_columns, start, stop)
-        ).all(axis=1)
+        complete = np.isfinite(_columns(table.u, table.y, table.input_columns + table.output_columns, start, stop)).all(
+            axis=1
+        )
         edges = np.flatnonzero(np.diff(np.concatenate([[False], complete, [False]]).astype(np.int8)))
         for first, last in zip(edges[::2] + start, edges[1::2] + start, strict=True):
             if runs and runs[-1][1] == first:
@@ -364,8 +366,5 @@ def _emptiest(tables: Sequence[_Table]) -> str:
 
 def _columns(u: NDArray, y: NDArray, columns: tuple[int, ...], start: int, stop: int) -> NDArray[np.float64]:
     """Return rows of some columns of two arrays side by side, as numbers."""
-    m = u.shape[1]
-    out = np.empty((min(stop, len(y)) - start, len(columns)))
-    for i, column in enumerate(columns):
-        out[:, i] = u[start:stop, column] if column < m else y[start:stop, column - m]
-    return out
+    whole = np.hstack([u[start:stop], y[start:stop]]) if u.shape[1] else y[start:stop]
+    return np.asarray(whole[:, list(columns)], dtype=float)
