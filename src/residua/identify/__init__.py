@@ -1,3 +1,7 @@
 """Plants and residual generators from recordings: one method, one file."""
 
-__all__: list[str] = []
+from residua.identify.identified_model import IdentifiedModel
+from residua.identify.model_report import IdentificationReport
+from residua.identify.subspace import subspace
+
+__all__ = ["IdentificationReport", "IdentifiedModel", "subspace"]
