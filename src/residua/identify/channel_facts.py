@@ -83,6 +83,11 @@ class ChannelFacts:
 
     def check(self) -> None:
         """Raise where a channel is constant, or a linear function of others: no model tells their parts apart."""
+        vast = [name for name, one in zip(self.channels, self.deviation, strict=True) if not np.isfinite(one)]
+        if vast:
+            raise DataError(
+                f"{listed(vast)}: values so large that their squares overflow; mark what is no value as NaN"
+            )
         still = self.constant()
         if still:
             left = [name for name in self.channels if name not in still]
@@ -139,6 +144,11 @@ class ChannelFacts:
 
 def channel_facts(gathered: Gathered) -> ChannelFacts:
     """Return the facts of the channels, read block by block."""
+    with np.errstate(over="ignore", invalid="ignore"):  # values that overflow are refused by their name
+        return _facts(gathered)
+
+
+def _facts(gathered: Gathered) -> ChannelFacts:
     n, recordings = len(gathered.channels), len(gathered.sources)
     first = gathered.segments[0].rows(0, 1)[0]
     count, total = np.zeros(recordings), np.zeros((recordings, n))
