@@ -1,3 +1,6 @@
 """Plants and residual generators from recordings: one method, one file."""
 
-__all__: list[str] = []
+from residua.identify.grey_box import GreyBox, grey_box
+from residua.identify.linearise import TangentModel, linearise, tangent_model
+
+__all__ = ["GreyBox", "TangentModel", "grey_box", "linearise", "tangent_model"]
