@@ -274,14 +274,14 @@ def _best_column(
     f: Callable[[Vector], Vector], z: Vector, j: int, candidates: tuple[float, ...], look: FirstLook
 ) -> _Column:
     """Return the column by the size that gives the smallest error; one with a kink only where every size does."""
-    made = [_extrapolated(f, z, look.value, j, size) for size in candidates]
+    made = [_extrapolated(f, z, look, j, size) for size in candidates]
     terms = np.maximum(look.terms, TINY)
     return min(made, key=lambda c: (c.kinks.any() or c.outside, float((c.error * c.size / terms).max(initial=0.0))))
 
 
-def _extrapolated(f: Callable[[Vector], Vector], z: Vector, value: Vector, j: int, size: float) -> _Column:
+def _extrapolated(f: Callable[[Vector], Vector], z: Vector, look: FirstLook, j: int, size: float) -> _Column:
     """Extrapolate central differences to a step of zero, and compare the slopes to both sides."""
-    steps = size * 2.0**-_POWERS
+    value, steps = look.value, size * 2.0**-_POWERS
     up, down = (np.array([f(_moved(z, j, sign * h)) for h in steps]) for sign in (1, -1))
     # what was added is a little different from the step
     width_up, width_down = (z[j] + steps) - z[j], z[j] - (z[j] - steps)
@@ -290,7 +290,7 @@ def _extrapolated(f: Callable[[Vector], Vector], z: Vector, value: Vector, j: in
         ahead, behind = (up - value) / width_up[:, None], (value - down) / width_down[:, None]
         central = (up - down) / (width_up + width_down)[:, None]
         every = np.abs(np.vstack([up, down, value]))
-        most = np.where(np.isfinite(every), every, 0.0).max(axis=0)
+        most = np.maximum(np.where(np.isfinite(every), every, 0.0).max(axis=0), look.terms)
         noise = _EPS * most / h
         slope, error = _romberg(central, noise)
         spread = np.fmax(np.abs(ahead - slope), np.abs(behind - slope))

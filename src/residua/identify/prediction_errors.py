@@ -14,12 +14,14 @@ from residua.linear.poles.riccati import filter_riccati
 from residua.linear.subspaces.rank import range_basis
 from residua.linear.systems.recursion import run_filter
 from residua.plant import Plant
-from residua.tolerances import DATA_ROUNDING, RESPONSE_ROUNDING, SAME, TINY
+from residua.tolerances import DATA_ROUNDING, RESPONSE_ROUNDING, ROUNDING, SAME, TINY
 from residua.words import counted
 
 Matrix = NDArray[np.float64]
 #: Rows after which it is looked at how much is left of the start.
 _CHUNK = 256
+#: Doublings after which a Riccati equation counts as not solved: 2^40 steps of its recursion.
+_MOST_DOUBLINGS = 40
 #: Smallest eigenvalue of the correlations of the errors: outputs that say the same would get weights without bound.
 _LEAST_CORRELATION = 2.0**-20
 
@@ -49,14 +51,54 @@ def predictor(plant: Plant, dt: float, *, simulation: bool = False) -> Predictor
     A, B, C, D = sampled.A, sampled.Bu, sampled.C, sampled.Du
     K, covariance = np.zeros((len(A), len(C))), None
     if np.any(sampled.process_noise) and not simulation:
-        solution = filter_riccati(
-            A, C, sampled.process_noise, sampled.measurement_noise, sampled.cross_noise, dt=sampled.dt
-        )
-        K, covariance = np.asarray(solution.gain), np.asarray(solution.innovation_covariance)
+        K, covariance = _kalman_gain(sampled)
     elif np.any(sampled.measurement_noise) and not simulation:
         covariance = np.asarray(sampled.measurement_noise)
     point = np.array([*plant.operating_point.inputs, *plant.operating_point.outputs])
     return Predictor(A - K @ C, np.hstack([B - K @ D, K]), -C, np.hstack([-D, np.eye(len(C))]), point, covariance)
+
+
+def _kalman_gain(plant: Plant) -> tuple[Matrix, Matrix]:
+    r"""Return the gain of the stationary predictor and the covariance of its errors.
+
+    A search asks for hundreds of them, so the Riccati equation is solved by doubling here,
+
+    .. math::
+
+       W = (I + G H)^{-1}, \quad A \leftarrow A W A, \quad G \leftarrow G + A W G A^T, \quad
+       H \leftarrow H + A^T H W A,
+
+    and by :func:`filter_riccati`, which says what is wrong, where that does not settle on a stable predictor.
+
+    References
+    ----------
+    Chu, Fan, Lin and Wang (2004), Int. J. Control 77(8), algorithm SDA.
+    """
+    Q, R, S = plant.process_noise, plant.measurement_noise, plant.cross_noise
+    with np.errstate(all="ignore"):
+        try:
+            gain = np.linalg.solve(R, S.T).T
+            P = _doubled((plant.A - gain @ plant.C).T, plant.C.T @ np.linalg.solve(R, plant.C), Q - gain @ S.T)
+            covariance = plant.C @ P @ plant.C.T + R
+            K = np.linalg.solve(covariance, (plant.A @ P @ plant.C.T + S).T).T
+            if np.abs(np.linalg.eigvals(plant.A - K @ plant.C)).max(initial=0.0) < 1:
+                return K, covariance
+        except (np.linalg.LinAlgError, ValueError):
+            pass
+    solution = filter_riccati(plant.A, plant.C, Q, R, S, dt=plant.dt)
+    return np.asarray(solution.gain), np.asarray(solution.innovation_covariance)
+
+
+def _doubled(A: Matrix, G: Matrix, H: Matrix) -> Matrix:
+    """Return the limit of the doubling iteration; raises where it has none."""
+    for _ in range(_MOST_DOUBLINGS):
+        W = np.linalg.inv(np.eye(len(A)) + G @ H)
+        after = H + A.T @ H @ W @ A
+        A, G, before, H = A @ W @ A, G + A @ W @ G @ A.T, H, (after + after.T) / 2
+        size = np.sqrt(np.abs(np.diag(H)))
+        if np.all(np.abs(H - before) <= ROUNDING * np.outer(size, size)):
+            return H
+    raise ValueError
 
 
 @dataclass(frozen=True, eq=False)
