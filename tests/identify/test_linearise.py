@@ -1,4 +1,4 @@
-"""A user's own equations, linearised: against derivatives by hand, the library's matrices, and functions without any."""
+"""A user's own equations, linearised: against derivatives by hand, the library's matrices, and kinks."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_the_three_tanks_own_equations_give_the_librarys_matrices() -> None:
         reference = getattr(wanted, name)[:, columns]
         np.testing.assert_allclose(getattr(made, name), reference, rtol=DIGITS, atol=DIGITS * abs(reference).max())
     assert made.operating_point == wanted.operating_point
-    assert "do not" not in made.description and "differences" in made.description
+    assert "differences" in made.description
 
 
 def test_the_levels_of_the_three_tanks_tell_their_flows() -> None:
@@ -160,7 +160,9 @@ def test_a_value_of_zero_is_stepped_by_what_has_an_effect() -> None:
     def rate(x: np.ndarray, u: np.ndarray, f: np.ndarray) -> list[float]:
         return [float(u[0] - 1e-4 * np.sqrt(2 * 9.81 * x[0]) - (f[0] + 1e3 * f[0] ** 2) * np.sqrt(2 * 9.81 * x[0]))]
 
-    model = rs.identify.tangent_model(rate, at=([0.5], [4e-4]), faults=["leak"], inputs="q", states="h", outputs="level")
+    model = rs.identify.tangent_model(
+        rate, at=([0.5], [4e-4]), faults=["leak"], inputs="q", states="h", outputs="level"
+    )
     assert not model.complex_step
     assert model.sizes["leak"] < 1e-2
     level = model.states["h"]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from residua.errors import DataError, ModelError
 from residua.linear.poles.riccati import filter_riccati
+from residua.linear.poles.spectrum import spectral_radius
 from residua.linear.subspaces.rank import range_basis
 from residua.linear.systems.recursion import run_filter
 from residua.plant import Plant
@@ -80,7 +81,7 @@ def _kalman_gain(plant: Plant) -> tuple[Matrix, Matrix]:
             gain = np.linalg.solve(R, S.T).T
             P = _doubled((plant.A - gain @ plant.C).T, plant.C.T @ np.linalg.solve(R, plant.C), Q - gain @ S.T)
             covariance = plant.C @ P @ plant.C.T + R
-            K = np.linalg.solve(covariance, (plant.A @ P @ plant.C.T + S).T).T
+            K = np.asarray(np.linalg.solve(covariance, (plant.A @ P @ plant.C.T + S).T).T, dtype=np.float64)
             if np.abs(np.linalg.eigvals(plant.A - K @ plant.C)).max(initial=0.0) < 1:
                 return K, covariance
         except (np.linalg.LinAlgError, ValueError):
@@ -144,7 +145,8 @@ def prediction_errors(filter_: Predictor, data: Sequence[Matrix], offsets: Seque
         _, e = run_filter(*filter_[:4], np.zeros((1, n)), deviations[None])
         raw.append(e[0])
         nuisance.append(_responses(filter_, len(block), offsets))
-    if not all(np.isfinite(e).all() for e in raw):
+    growth = np.log(max(spectral_radius(filter_.A), 1.0)) * max(map(len, data), default=0)
+    if growth > -np.log(DATA_ROUNDING) or not all(np.isfinite(e).all() for e in raw):
         raise ModelError(
             "its predictions grow without bound: the plant is unstable and has no process noise, from which a stable "
             "predictor would be made (with_noise)"
