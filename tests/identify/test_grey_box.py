@@ -226,7 +226,10 @@ def test_a_combination_that_nothing_tells_is_named() -> None:
         return spring(left + right, damping)
 
     box = {"left": (0.1, 3.0), "right": (0.1, 3.0), "damping": (0.05, 1.0)}
-    with pytest.raises(DataError, match=r"do not tell left from right: moved together, .* they change no prediction"):
+    with pytest.raises(
+        DataError,
+        match=r"do not tell left from right: moved together, .* they change no prediction by more than the noise hides",
+    ):
         grey_box(two_springs, data, box)
     model = grey_box(two_springs, data, box, priors={"left": (0.5, 0.01)})
     assert any("left from right" in note and "the priors do" in note for note in model.notes)
@@ -282,6 +285,20 @@ def raising(stiffness: float, damping: float) -> rs.Plant:
     if stiffness > 1.9:
         raise RuntimeError("too stiff")
     return spring(stiffness, damping)
+
+
+def test_starts_that_cannot_be_tried_are_said() -> None:
+    def stiff(stiffness: float, damping: float) -> rs.Plant:
+        if stiffness > 3.2:
+            raise RuntimeError("too stiff")
+        return spring(stiffness, damping)
+
+    box = {"stiffness": (1.0, 4.0), "damping": (0.05, 1.0)}
+    model = grey_box(stiff, record(spring(**TRUE), 400, 1), box)
+    assert distance(model, TRUE) < SPREAD
+    assert any("starts within the bounds could not be tried" in note and "too stiff" in note for note in model.notes)
+    with pytest.raises(ModelError, match="too stiff"):
+        grey_box(raising, record(spring(**TRUE), 400, 1), {"stiffness": (2.0, 4.0), "damping": (0.05, 1.0)})
 
 
 @pytest.mark.parametrize(

@@ -232,7 +232,7 @@ def search(task: Task, starts: int) -> Found:
     Least squares within bounds (trust region, reflective), with the errors weighted by their covariance; estimate and
     weights take turns until they stand, which is where :math:`\log\det \sum_t e_t e_t^T` is stationary.
     """
-    z = _best_start(task, starts)
+    z, said = _best_start(task, starts)
     signal = np.sqrt(
         np.mean(np.concatenate([np.diff(d[:, -task.n_outputs :], axis=0) ** 2 for d in task.data]), axis=0)
     )
@@ -274,7 +274,7 @@ def search(task: Task, starts: int) -> Found:
     near = ((z - low <= _AT_BOUND) & (fit.grad > 0)) | ((high - z <= _AT_BOUND) & (fit.grad < 0))
     z = np.where(near & (fit.grad > 0), low, np.where(near, high, z))
     covariance = _covariance(task, z)
-    return Found(z, weights_of(covariance, signal)[0], covariance, near, notes)
+    return Found(z, weights_of(covariance, signal)[0], covariance, near, (*said, *notes))
 
 
 def _covariance(task: Task, z: Vector) -> Matrix:
@@ -289,10 +289,10 @@ def _covariance(task: Task, z: Vector) -> Matrix:
     return covariance
 
 
-def _best_start(task: Task, starts: int) -> Vector:
+def _best_start(task: Task, starts: int) -> tuple[Vector, tuple[str, ...]]:
     """Return the start, or the best of points that fill the box evenly where the user has given none."""
     k = len(task.parameters)
-    best, least = np.zeros(k), np.inf
+    best, least, failures = np.zeros(k), np.inf, []
     low, high = task.bounds()
     root = _EVENLY
     for _ in range(60):
@@ -300,8 +300,17 @@ def _best_start(task: Task, starts: int) -> Vector:
     for j in range(max(starts, 1)):
         z = low + (high - low) * ((0.5 + j * root ** -np.arange(1.0, k + 1)) % 1.0) if j else np.zeros(k)
         if starts < 2:
-            return z
-        value = float(np.linalg.slogdet(_covariance(task, z))[1])
-        if j == 0 or value < least:
+            return z, ()
+        try:
+            value = float(np.linalg.slogdet(_covariance(task, z))[1])
+        except ModelError as error:
+            failures.append(error)
+            continue
+        if value < least:
             best, least = z, value
-    return best
+    if len(failures) == starts:
+        raise failures[0]
+    notes = (
+        (f"{len(failures)} of {starts} starts within the bounds could not be tried: {failures[0]}",) if failures else ()
+    )
+    return best, notes
