@@ -310,7 +310,7 @@ def test_starts_that_cannot_be_tried_are_said() -> None:
         ({"parameters": BOX | {"damping": (0.0, np.inf)}}, SettingError, "without bounds a start"),
         ({"parameters": {"wrong": (0.0, 1.0)}}, ModelError, "the parameters are wrong"),
         ({"plant_at": 3}, ModelError, "must be a function"),
-        ({"plant_at": lambda **p: 3}, ModelError, "must return a Plant, got int"),
+        ({"plant_at": lambda **p: 3}, ModelError, "must return a Plant or NonlinearModel, got int"),
         ({"plant_at": raising}, ModelError, r"plant_at\(stiffness=.*, damping=.*\) raised RuntimeError: too stiff"),
         ({"plant_at": lambda **p: bare_spring(**p).with_noise(process=1.0)}, ModelError, r"R is singular"),
         ({"plant_at": lambda **p: rs.Plant([[1.5]], [[1]], [[1], [1]], dt=DT)}, ModelError, "without bound"),

@@ -13,8 +13,9 @@ from scipy.stats import chi2, norm
 from residua.arrays import frozen, positions
 from residua.errors import DataError, SettingError
 from residua.identify.information import Identifiability, identifiability, sandwich_covariance
+from residua.identify.nonlinear_model import NonlinearModel, model_errors
 from residua.identify.parameter_search import Found, Parameter, PlantAt, Task, parameters_of, search
-from residua.identify.prediction_errors import prediction_errors, predictor
+from residua.identify.prediction_errors import predictor
 from residua.identify.segments import Gathered, gather
 from residua.plant import Plant
 from residua.robust.sets.uncertain_plant import UncertainPlant
@@ -160,7 +161,7 @@ class GreyBox:
 
 
 def grey_box(
-    plant_at: Callable[..., Plant],
+    plant_at: Callable[..., Plant | NonlinearModel],
     recordings: Any,
     parameters: Mapping[str, Sequence[float]],
     *,
@@ -189,8 +190,9 @@ def grey_box(
     Parameters
     ----------
     plant_at : callable
-        ``plant_at(**parameters)``, or a function of one mapping, which returns a :class:`residua.Plant`: for example by
-        :func:`linearise`. Faults and disturbances are kept, and play no part in the fit.
+        ``plant_at(**parameters)``, or a function of one mapping, which returns a :class:`residua.Plant`, for example by
+        :func:`linearise`; or a :class:`NonlinearModel`, for recordings that move far from one operating point. Faults
+        and disturbances are kept, and play no part in the fit.
     recordings : Recording, data frame, path, pair (u, y), or a list of these
         Without faults. The channels of the plant are looked up by name; arrays have them in the plant's order. Rows
         with a missing value cut a recording, and nothing is interpolated.
@@ -226,6 +228,7 @@ def grey_box(
     See Also
     --------
     linearise : A plant from one's own equations.
+    NonlinearModel : The equations as they are.
 
     Notes
     -----
@@ -254,7 +257,7 @@ def grey_box(
     """
     known, started = parameters_of(parameters)
     call = PlantAt(plant_at, tuple(p.name for p in known))
-    first = call({p.name: p.start for p in known})
+    first = call.plant({p.name: p.start for p in known})
     step = dt if dt is not None or not first.is_discrete else first.dt
     everything = gather(recordings, y, inputs=first.inputs, outputs=first.outputs, dt=step)
     if not (isinstance(held_out, (int, float)) and 0 <= held_out < 1):
@@ -377,7 +380,7 @@ def _with_noise(task: Task, found: Found) -> Callable[[Mapping[str, float]], Pla
     covariance = found.covariance
 
     def plant_with_noise(values: Mapping[str, float]) -> Plant:
-        plant = task.plant_at(values)
+        plant = task.plant_at.plant(values)
         if plant.noises:
             return plant
         return plant.with_noise(measurement=covariance if plant.is_discrete else covariance * task.dt)
@@ -393,10 +396,11 @@ def _checks(
     size = np.sqrt(np.diag(found.covariance))
     weights = np.diag(1 / np.where(size > 0, size, 1.0))
     mean = np.vstack([d[:, -p:] for d in data]).mean(axis=0)
+    model = task.plant_at(task.values(found.z))
     spread = np.sqrt(sum(((d[:, -p:] - mean) ** 2).sum(axis=0) for d in data))
     out = []
     for simulation in (False, True):
-        errors = prediction_errors(predictor(plant, task.dt, simulation=simulation), data, task.offsets).left(weights)
+        errors = model_errors(model, data, task.dt, task.offsets, simulation=simulation).left(weights)
         left = np.sqrt(sum((e**2).sum(axis=0) for e in errors)) / np.diag(weights)
         out.append(1 - left / np.where(spread > 0, spread, np.nan))
         if not simulation:
@@ -439,7 +443,7 @@ def _remarks(
             f"standard errors are {number(float(ratio.min()), 2)} to {number(float(ratio.max()), 2)} times those for "
             f"white errors (over {counted(lags, 'lag')})"
         )
-    said = task.predictor(found.z).innovation_covariance
+    said = predictor(task.plant_at.plant(task.values(found.z)), task.dt).innovation_covariance
     if said is not None:
         variances = np.diag(found.covariance) / np.diag(said)
         names = task.plant_at.like.outputs if task.plant_at.like else ()

@@ -83,8 +83,8 @@ class Identifiability:
         *others, last = moves
         together = listing(f"{name} by {number(value, 3)}" for name, value in moves.items())
         return (
-            f"the data do not tell {listing(others)} from {last}: moved together, {together}, they change no prediction "
-            f"by more than the noise hides (standard error {error} times the distance of their bounds)"
+            f"the data do not tell {listing(others)} from {last}: moved together, {together}, they change no "
+            f"prediction by more than the noise hides (standard error {error} times the distance of their bounds)"
         )
 
 

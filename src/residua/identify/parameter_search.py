@@ -12,14 +12,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from residua.errors import DataError, ModelError, SettingError
-from residua.identify.prediction_errors import (
-    Errors,
-    Predictor,
-    error_covariance,
-    prediction_errors,
-    predictor,
-    weights_of,
-)
+from residua.identify.nonlinear_model import NonlinearModel, model_errors, plant_of
+from residua.identify.prediction_errors import Errors, error_covariance, weights_of
 from residua.plant import Plant
 from residua.tolerances import RESPONSE_ROUNDING
 from residua.visible import echo
@@ -74,7 +68,7 @@ def parameters_of(parameters: Mapping[str, Sequence[float]]) -> tuple[tuple[Para
 class PlantAt:
     """The user's function from parameters to a plant, called by keywords or with a mapping, its answers checked."""
 
-    def __init__(self, function: Callable[..., Plant], names: tuple[str, ...]) -> None:
+    def __init__(self, function: Callable[..., Plant | NonlinearModel], names: tuple[str, ...]) -> None:
         if not callable(function):
             raise ModelError(f"plant_at must be a function of the parameters, got {type(function).__name__}")
         self.function, self.names = function, names
@@ -97,15 +91,16 @@ class PlantAt:
             "one mapping of names to values"
         )
 
-    def __call__(self, values: Mapping[str, float]) -> Plant:
-        """Return the plant with these parameters."""
+    def __call__(self, values: Mapping[str, float]) -> Plant | NonlinearModel:
+        """Return the model with these parameters."""
         given = {name: float(values[name]) for name in self.names}
         try:
-            plant = self.function(**given) if self.by_keywords else self.function(given)
+            model = self.function(**given) if self.by_keywords else self.function(given)
         except Exception as error:  # whatever a user's function raises
             raise ModelError(f"{self.said(given)} raised {type(error).__name__}: {error}") from error
-        if not isinstance(plant, Plant):
-            raise ModelError(f"{self.said(given)} must return a Plant, got {type(plant).__name__}")
+        if not isinstance(model, (Plant, NonlinearModel)):
+            raise ModelError(f"{self.said(given)} must return a Plant or NonlinearModel, got {type(model).__name__}")
+        plant = plant_of(model)
         like = self.like or plant
         for what in ("inputs", "outputs", "dt"):
             if getattr(plant, what) != getattr(like, what):
@@ -114,7 +109,11 @@ class PlantAt:
                     f"other parameters give {getattr(like, what)}"
                 )
         self.like = like
-        return plant
+        return model
+
+    def plant(self, values: Mapping[str, float]) -> Plant:
+        """Return the linear plant with these parameters."""
+        return plant_of(self(values))
 
     def said(self, values: Mapping[str, float]) -> str:
         """Return the call in words."""
@@ -167,24 +166,16 @@ class Task:
         low = np.array([(p.low - p.start) / p.width for p in self.parameters])
         return low, np.array([(p.high - p.start) / p.width for p in self.parameters])
 
-    def predictor(self, z: Vector) -> Predictor:
-        """Return the predictor at a point of the search."""
+    def errors(self, z: Vector) -> Errors:
+        """Return the prediction errors at a point of the search."""
         values = self.values(z)
-        plant = self.plant_at(values)
+        model = self.plant_at(values)
         try:
-            return predictor(plant, self.dt)
+            return model_errors(model, self.data, self.dt, self.offsets)
         except DataError:
             raise
-        except Exception as error:
+        except Exception as error:  # of a user's equations too
             raise ModelError(f"{self.plant_at.said(values)}: {error}") from error
-
-    def errors(self, z: Vector, data: list[Matrix] | None = None) -> Errors:
-        """Return the prediction errors at a point of the search."""
-        try:
-            return prediction_errors(self.predictor(z), self.data if data is None else data, self.offsets)
-        except ModelError as error:
-            said = self.plant_at.said(self.values(z))
-            raise error if said in str(error) else ModelError(f"{said}: {error}") from error
 
     def left(self, z: Vector, weights: Matrix) -> list[Matrix]:
         """Return the weighted errors without what start and offsets explain."""
