@@ -12,8 +12,9 @@ import scipy.io
 import residua as rs
 from residua.errors import DataError, ModelError, SettingError
 from residua.identify import GreyBox, grey_box
-from residua.library.three_tank import FLOWS, GRAVITY, LEVELS, PIPE, three_tank, three_tank_rate
+from residua.library.three_tank import CLOGS, FLOWS, GRAVITY, LEAKS, LEVELS, PIPE, three_tank, three_tank_rate
 from residua.plant import UncertainPlant
+from three_tank_faults import FAILED, diagnosis
 
 DT = 0.2
 TRUE = {"stiffness": 2.0, "damping": 0.3}
@@ -322,6 +323,7 @@ def test_starts_that_cannot_be_tried_are_said() -> None:
         ({"offsets": ["wrong"]}, ModelError, "unknown offsets: channel 'wrong'"),
         ({"dt": 0.3}, DataError, "dt=0.2 s"),
         ({"recordings": (np.ones((8, 1)), np.ones((8, 2)))}, DataError, "too few for 4 unknowns"),
+        ({"recordings": (np.eye(80)[:, :1], np.eye(80)[:, :2] * [0, 1])}, DataError, "position never moves"),
         ({"recordings": (np.ones((80, 2)), np.ones((80, 2)))}, DataError, "expected 2 names, got 1: force"),
         ({"recordings": (np.ones((80, 1)), np.full((80, 2), np.nan))}, DataError, "no row is complete"),
     ],
@@ -348,19 +350,27 @@ FLOW_COEFFICIENTS = {"a1": 0.46, "a2": 0.60, "a3": 0.45}
 
 
 def tanks(a1: float, a2: float, a3: float) -> rs.Plant:
-    """Return the three tanks' own equations, linearised at rest at the nominal levels."""
+    """Return the three tanks' own equations with their faults, linearised at rest at the nominal levels."""
 
-    def rate(h: np.ndarray, q: np.ndarray) -> np.ndarray:
-        def flow(a: float, drop: float) -> float:
-            return float(a * PIPE * np.sign(drop) * np.sqrt(2 * GRAVITY * abs(drop)))
+    def rate(h: np.ndarray, q: np.ndarray, f: np.ndarray) -> np.ndarray:
+        def flow(a: float, drop: float, clog: float) -> float:
+            return float(a * PIPE * (1 - clog) * np.sign(drop) * np.sqrt(2 * GRAVITY * abs(drop)))
 
-        q13, q20, q32 = flow(a1, h[0] - h[2]), flow(a2, h[1]), flow(a3, h[2] - h[1])
-        return np.array([q[0] - q13, q[1] + q32 - q20, q13 - q32]) / 154.0
+        q13, q20, q32 = flow(a1, h[0] - h[2], f[3]), flow(a2, h[1], f[4]), flow(a3, h[2] - h[1], f[5])
+        leaks = f[:3] * np.sqrt(2 * GRAVITY * h)
+        return (np.array([q[0] - q13, q[1] + q32 - q20, q13 - q32]) - leaks) / 154.0
 
     levels = ["h1", "h2", "h3"]
     plant = rs.identify.linearise(
-        rate, at=(LEVELS, FLOWS), hold={"h1": 41.0, "h2": 32.0}, inputs=["Q1", "Q2"], states=levels, outputs=levels
+        rate,
+        at=(LEVELS, FLOWS),
+        hold={"h1": 41.0, "h2": 32.0},
+        faults=[*LEAKS, *CLOGS],
+        inputs=["Q1", "Q2"],
+        states=levels,
+        outputs=levels,
     )
+    plant = plant.with_actuator_faults().with_sensor_faults()
     return plant.discretize(1.0).with_noise(process=1e-4, measurement=0.02)
 
 
@@ -370,10 +380,34 @@ def test_the_three_tanks_equations_by_hand_are_the_librarys() -> None:
     assert abs(three_tank_rate(LEVELS, FLOWS)).max() < 1e-3
 
 
-def test_the_flow_coefficients_of_the_three_tanks(shared_data: Path) -> None:
+@pytest.fixture(scope="module")
+def normal(shared_data: Path) -> np.ndarray:
     data = scipy.io.loadmat(shared_data / "three_tank_dts200" / "train_5ch.mat")
-    rows = next(value for key, value in data.items() if not key.startswith("__"))[:6000]
-    model = grey_box(tanks, (rows[:, :2], rows[:, 2:]), dict.fromkeys(FLOW_COEFFICIENTS, (0.2, 1.0)))
-    assert distance(model, FLOW_COEFFICIENTS) < SPREAD
-    assert max(model.standard_errors.values()) < 2e-3
-    assert min(model.whiteness.values()) > 0.01
+    return next(value for key, value in data.items() if not key.startswith("__"))
+
+
+@pytest.fixture(scope="module")
+def from_recording(normal: np.ndarray) -> GreyBox:
+    return grey_box(tanks, (normal[:6000, :2], normal[:6000, 2:]), dict.fromkeys(FLOW_COEFFICIENTS, (0.2, 1.0)))
+
+
+def test_the_flow_coefficients_of_the_three_tanks(from_recording: GreyBox) -> None:
+    assert distance(from_recording, FLOW_COEFFICIENTS) < SPREAD
+    assert max(from_recording.standard_errors.values()) < 2e-3
+    assert min(from_recording.whiteness.values()) > 0.01
+
+
+def test_the_faults_of_the_three_tanks_are_named(
+    from_recording: GreyBox, normal: np.ndarray, shared_data: Path
+) -> None:
+    """With the demo's settings and the plant of the recording; the model as published names 11 too."""
+    test = rs.decide.NormThreshold(persistence=5, window=10, false_alarm_rate=0.005)
+    monitor = rs.Monitor(rs.design.kalman_filter(from_recording.plant), test=test).fit(normal[:, :2], normal[:, 2:])
+    faulty = scipy.io.loadmat(shared_data / "three_tank_dts200" / "test_5ch.mat")
+    named = 0
+    for number in range(1, 13):
+        found = diagnosis(monitor, faulty[f"fault{number:02d}"])
+        wanted = {FAILED[number]} if number > 1 else {"Q1 actuator", "Q2 actuator"}
+        alarm = found.main_alarm
+        named += bool(alarm and alarm.candidates and wanted & set(alarm.candidates[0].faults))
+    assert named >= 11

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+import scipy.integrate
 
 import residua as rs
 from guards import trips
@@ -167,6 +168,30 @@ def test_a_value_of_zero_is_stepped_by_what_has_an_effect() -> None:
     assert model.sizes["leak"] < 1e-2
     level = model.states["h"]
     assert model.plant.Bf[0, 0] == pytest.approx(-np.sqrt(2 * 9.81 * level), rel=DIGITS)
+
+
+def test_a_function_may_change_its_arguments() -> None:
+    def changing(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        x -= 1
+        u *= 2
+        return u - x
+
+    model = rs.identify.tangent_model(changing, lambda x, u: 3 * x + u, at=([1.0], [2.0]))
+    assert (model.states["x1"], model.outputs["y1"]) == pytest.approx((5.0, 17.0))
+    plain = rs.identify.tangent_model(changing, at=([1.0], [2.0]))
+    assert plain.outputs["x1"] == plain.states["x1"] == pytest.approx(5.0)
+
+
+def test_a_step_by_a_solver_has_slopes() -> None:
+    """The next state by adaptive integration, whose tolerance is a noise of the function."""
+
+    def after(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        out = scipy.integrate.solve_ivp(lambda _, z: u - np.sqrt(z), (0, 0.5), x, rtol=1e-9, atol=1e-12)
+        return np.asarray(out.y[:, -1], dtype=float)
+
+    plant = rs.identify.linearise(after, at=([4.0], [2.1]), dt=0.5)
+    assert plant.operating_point.outputs[0] == pytest.approx(4.41)
+    assert plant.A[0, 0] == pytest.approx(np.exp(-0.5 / 2 / 2.1), rel=1e-6)
 
 
 def test_an_integrator_rests_where_it_is() -> None:

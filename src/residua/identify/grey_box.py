@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import chi2, norm
+from scipy.special import chdtrc, ndtri
 
 from residua.arrays import frozen, positions
 from residua.errors import DataError, SettingError
@@ -19,6 +19,7 @@ from residua.identify.prediction_errors import predictor
 from residua.identify.segments import Gathered, gather
 from residua.plant import Plant
 from residua.robust.sets.uncertain_plant import UncertainPlant
+from residua.tolerances import DATA_ROUNDING
 from residua.visible import echo
 from residua.words import counted, number, some
 
@@ -104,7 +105,7 @@ class GreyBox:
         if not (isinstance(level, (int, float)) and 0 < level < 1):
             raise SettingError(f"level must lie between 0 and 1, got {echo(level)}")
         out = (1 - level) / (2 * len(self.parameters) if together else 2)
-        width = float(norm.isf(out))
+        width = -float(ndtri(out))
         return {
             name: (max(low, value - width * error), min(high, value + width * error))
             for (name, value), (low, high), error in zip(
@@ -150,7 +151,7 @@ class GreyBox:
         outputs = [["output", "prediction fit", "simulation fit", "whiteness p", "std. of errors"]]
         for i, name in enumerate(self.plant.outputs):
             spread = float(np.sqrt(self.innovation_covariance[i, i]))
-            shares = [f"{100 * part[name]:.1f} %" for part in (self.fit, self.simulation_fit)]
+            shares = [_percent(part[name]) for part in (self.fit, self.simulation_fit)]
             outputs.append([name, *shares, number(self.whiteness[name], 2), number(spread, 3)])
         where = f"{self.held_out} held-out samples" if self.held_out else "the fitted samples: nothing was held out"
         head = (
@@ -271,7 +272,7 @@ def grey_box(
         _offset_columns(offsets, first),
         _prior_numbers(priors, known),
     )
-    _check_length(task, first, everything)
+    _check_data(task, first, everything)
     found = search(task, 1 if started else _count(starts))
     return _outcome(task, found, rest.data(), everything.notes)
 
@@ -308,8 +309,8 @@ def _prior_numbers(priors: Mapping[str, Sequence[float]] | None, known: tuple[Pa
     return out
 
 
-def _check_length(task: Task, plant: Plant, everything: Gathered) -> None:
-    """Raise unless there are numbers enough for what is estimated."""
+def _check_data(task: Task, plant: Plant, everything: Gathered) -> None:
+    """Raise unless there are numbers enough for what is estimated, and every output moves."""
     unknowns = len(task.parameters) + len(task.data) * (plant.n_states + len(task.offsets))
     rows = sum(map(len, task.data))
     if rows * plant.n_outputs < _FOR_EACH_UNKNOWN * unknowns:
@@ -318,6 +319,13 @@ def _check_length(task: Task, plant: Plant, everything: Gathered) -> None:
             f"{counted(plant.n_outputs, 'output')} are too few for {unknowns} unknowns: "
             f"{len(task.parameters)} parameters, and {plant.n_states} states and {len(task.offsets)} offsets in "
             f"each of {len(task.data)} stretches; at least {_FOR_EACH_UNKNOWN} numbers for each are needed"
+        )
+    y = np.vstack(task.data)[:, -plant.n_outputs :]
+    still = np.ptp(y, axis=0) <= DATA_ROUNDING * np.abs(y).max(axis=0)
+    if still.any():
+        raise DataError(
+            f"{some(n for n, s in zip(plant.outputs, still, strict=True) if s)} never moves in the {len(y)} fitted "
+            "rows: a sensor that stands still says nothing of parameters; leave the output out of the plant"
         )
 
 
@@ -417,7 +425,7 @@ def _whiteness(errors: list[Matrix]) -> NDArray[np.float64]:
     for lag in range(1, lags + 1):
         r = sum((e[:-lag] * e[lag:]).sum(axis=0) for e in errors if len(e) > lag) / np.where(power > 0, power, 1.0)
         statistic += r**2 / (samples - lag)
-    return chi2.sf(samples * (samples + 2) * statistic, lags)
+    return np.asarray(chdtrc(lags, samples * (samples + 2) * statistic))
 
 
 def _remarks(
@@ -439,10 +447,8 @@ def _remarks(
             "its noise is another one; the standard errors count that, the predictions do not"
         )
     if ratio.max() > _APART or ratio.min() < 1 / _APART:
-        out.append(
-            f"standard errors are {number(float(ratio.min()), 2)} to {number(float(ratio.max()), 2)} times those for "
-            f"white errors (over {counted(lags, 'lag')})"
-        )
+        times = " to ".join(dict.fromkeys(number(float(r), 2) for r in (ratio.min(), ratio.max())))
+        out.append(f"standard errors are {times} times those for white errors (over {counted(lags, 'lag')})")
     said = predictor(task.plant_at.plant(task.values(found.z)), task.dt).innovation_covariance
     if said is not None:
         variances = np.diag(found.covariance) / np.diag(said)
@@ -457,6 +463,10 @@ def _remarks(
                 f"the variance of the prediction errors is not what the noise of the plant gives, but times {some(off)}"
             )
     return tuple(out)
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %" if np.isfinite(share) else number(share)
 
 
 def _table(rows: list[list[str]]) -> list[str]:

@@ -295,9 +295,11 @@ class _Model:
     def everything(self, z: Vector) -> Vector:
         """Return rates and outputs at states, inputs and faults, one after another."""
         f = z[len(self.states) + len(self.inputs) :]
-        arguments = (*(part.copy() for part in self.parts(z)), *((f.copy(),) if self.faults else ()))
-        rates = np.atleast_1d(np.asarray(self.rate(*arguments)))
-        measured = arguments[0] if self.output is None else np.atleast_1d(np.asarray(self.output(*arguments)))
+        parts = (*self.parts(z), *((f,) if self.faults else ()))
+        # copies for each: a function may change its arguments
+        rates = np.atleast_1d(np.asarray(self.rate(*(part.copy() for part in parts))))
+        measured = parts[0] if self.output is None else self.output(*(part.copy() for part in parts))
+        measured = np.atleast_1d(np.asarray(measured))
         if rates.shape != (len(self.states),):
             raise ModelError(f"rate must give {len(self.states)} numbers, one for each state, got shape {rates.shape}")
         if measured.ndim != 1:

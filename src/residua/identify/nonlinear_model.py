@@ -134,7 +134,7 @@ class NonlinearModel:
 
     @staticmethod
     def _values(function: Equations, x: Vector, u: Vector) -> Vector:
-        return np.atleast_1d(np.asarray(function(x, u), dtype=float))
+        return np.atleast_1d(np.asarray(function(x.copy(), u.copy()), dtype=float))  # it may change its arguments
 
     def measured(self, x: Vector, u: Vector) -> Vector:
         """Return the outputs."""

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from residua.errors import DataError, ModelError, SettingError
 from residua.identify.nonlinear_model import NonlinearModel, model_errors, plant_of
@@ -223,6 +222,8 @@ def search(task: Task, starts: int) -> Found:
     Least squares within bounds (trust region, reflective), with the errors weighted by their covariance; estimate and
     weights take turns until they stand, which is where :math:`\log\det \sum_t e_t e_t^T` is stationary.
     """
+    from scipy.optimize import least_squares  # slow to import, and not needed to run a monitor
+
     z, said = _best_start(task, starts)
     signal = np.sqrt(
         np.mean(np.concatenate([np.diff(d[:, -task.n_outputs :], axis=0) ** 2 for d in task.data]), axis=0)
