@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.linear.systems.array_cache import cached_by_entries
-from residua.linear.systems.units import matrix_units, pencil_units, system_units, without_residue
+from residua.linear.systems.units import bordered, matrix_units, pencil_units, system_units, without_residue
 from residua.tolerances import RESIDUE, above_rounding
 
 #: Couplings this far below the largest may have been scaled away.
@@ -153,7 +153,7 @@ def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> Ba
     start = system_units(A0, B0, C0, D0)
     T, U, Y = start.states, start.inputs, start.outputs
     A, B, C, D = A0 / T[:, None] * T, B0 / T[:, None] * U, Y[:, None] * C0 * T, Y[:, None] * D0 * U
-    W = without_residue(np.block([[A, B], [C, D]]))
+    W = without_residue(bordered(A, B, C, D))
     # Only couplings count in a sweep; the diagonal of A does not change with the units of the states.
     np.fill_diagonal(W[:n, :n], 0.0)
     # The spectral radius of A sets the level for the channels, whose units are free: it has no units of states.
