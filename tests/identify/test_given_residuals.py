@@ -51,7 +51,7 @@ def test_a_fault_is_named_by_its_column(fault: int, exponent: int) -> None:
     assert diagnosis.onset == pytest.approx(100, abs=5)
 
 
-def test_it_is_saved_and_shown(tmp_path) -> None:  # noqa: ANN001
+def test_it_is_saved_and_shown(tmp_path) -> None:
     monitor = rs.Monitor(rs.identify.given_residuals(4, CODES, faults=FAULTS), test=NormThreshold(window=5))
     monitor.fit(None, samples(2, 600)).save(tmp_path / "monitor.json")
     loaded = rs.Monitor.load(tmp_path / "monitor.json")

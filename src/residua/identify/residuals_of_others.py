@@ -17,9 +17,7 @@ from residua.linear import StateSpace
 from residua.plant import Plant
 
 #: What a signature matrix does not say.
-_CODES = (
-    "the signature matrix says which residuals answer to a fault, not by how much: faults are named by code (Structured)"
-)
+_CODES = "a signature matrix says which residuals answer to a fault, not by how much: isolate by code (Structured)"
 
 
 def given_residuals(
@@ -90,8 +88,8 @@ def given_residuals(
     >>> import residua as rs
     >>> made = rs.identify.given_residuals(["r1", "r2", "r3"], {"pump": ["r1", "r2"], "valve": ["r2", "r3"]})
     >>> monitor = rs.Monitor(made)
-    >>> rng = np.random.default_rng(0)
-    >>> diagnosis = monitor.fit(None, rng.standard_normal((2000, 3))).run(None, rng.standard_normal((200, 3)) + [9, 9, 0])
+    >>> normal, new = np.split(np.random.default_rng(0).standard_normal((2200, 3)), [2000])
+    >>> diagnosis = monitor.fit(None, normal).run(None, new + [9, 9, 0])
     >>> diagnosis.candidates[0].name
     'pump'
     """
