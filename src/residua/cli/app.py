@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from residua import __version__
@@ -27,6 +28,7 @@ from residua.cli.recording_options import (
     Transpose,
     Variable,
 )
+from residua.decide.false_alarms import ENOUGH, within_tolerance
 from residua.demos import Outcome
 from residua.errors import AccuracyError, DataError
 from residua.files import check_input, real
@@ -136,11 +138,24 @@ def fit(
     )
     for note in watch.fit_check.notes if watch.fit_check else ():
         warn(in_cli_words(note))
-    if judged * rate < 10:
-        warn(
-            f"{judged} samples are too few to see a false alarm rate of {rate:g}: give {int(10 / rate) + 1} or more, "
-            "or ask for a higher rate with --false-alarm-rate"
-        )
+    _warn_of_few(watch, judged, rate)
+
+
+def _warn_of_few(watch: Monitor, judged: int, rate: float) -> None:
+    """Say where the data cannot show the rate that was asked for: where the basis says so, with the same number."""
+    promised = getattr(watch.norm_test, "promised", None)  # a test of a user's own need not promise anything
+    if promised is None and (judged * rate >= ENOUGH or watch.norm_test.is_bound):
+        return
+    if promised is not None and within_tolerance(promised, rate):
+        told = ""
+    if promised is not None:
+        told = "these promise no rate, " if promised >= 1 else f"these promise at most {promised:.2g}, "
+    lasting = getattr(watch.norm_test, "persistence", 1) + watch.norm_test.release - 1
+    warn(
+        f"{judged} samples are too few to see a false alarm rate of {rate:g}: {told}"
+        f"{int(np.ceil(ENOUGH / rate)) * lasting:,} or so show it, more where residuals vary slowly; "
+        "give more, or ask for a higher rate with --false-alarm-rate"
+    )
 
 
 def _start_left_out(text: str) -> int | str:

@@ -17,8 +17,8 @@ from residua.records import Record
 from residua.tolerances import SIGNAL_ROUNDING
 from residua.words import some
 
-#: How unlikely a change must be without one, for all residuals of a recording together.
-SIGNIFICANCE = 1e-3
+#: How sure a change is, for all residuals of a recording together.
+CONFIDENCE = 0.999
 #: Smallest change that is reported, in standard deviations of the residual.
 NOTABLE = 0.5
 #: Means over stretches of time that a recording is looked at by, at most.
@@ -126,7 +126,7 @@ def changes(run: FaultFreeRun, names: Sequence[str]) -> tuple[Change, ...]:
         if len(rows) < _LEAST:
             continue
         level = np.log(np.maximum(norm[rows], _SMALLEST * np.sqrt(np.mean(norm[rows] ** 2))))
-        limit = SIGNIFICANCE / len(whole.parts)
+        limit = (1 - CONFIDENCE) / len(whole.parts)
         length = part.stop - part.start
         place = likeliest_change(level, limit)
         if place is not None:

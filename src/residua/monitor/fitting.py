@@ -66,7 +66,7 @@ def fitted_test(
         kept = settings.kept(watched)
         window = 1 if kept is None else kept[1]
         rows = held_out_rows(run, held_out, window)
-        test = settings.fitted(watched, run if rows is None else replace(run, usable=run.usable & ~rows), rate)
+        test, rows = _fitted(settings, watched, run, rows, rate)
     except DataError as error:
         if 2 * blank.settle * len(recordings) < len(run.usable):
             raise
@@ -74,6 +74,18 @@ def fitted_test(
     held = None if rows is None else alarms_held_out(test, run, rows, rate)
     check = FitCheck(held, changes(run, generator.residuals), left_out, len(recordings))
     return _with_basis(test, len(recordings), f"; {_checked(check, held_out, int(run.usable.sum()))}"), check
+
+
+def _fitted(
+    settings: TestSettings, watched: Watched, run: FaultFreeRun, held: NDArray[np.bool_] | None, rate: float
+) -> tuple[ResidualTest, NDArray[np.bool_] | None]:
+    """Return the fitted test, and what was held out: nothing, where what is left would be too little."""
+    if held is not None:
+        try:
+            return settings.fitted(watched, replace(run, usable=run.usable & ~held), rate), held
+        except DataError:  # raised again, or not, by all samples; the basis says that none were held out
+            pass
+    return settings.fitted(watched, run, rate), None
 
 
 def _checked(check: FitCheck, share: float, samples: int) -> str:
@@ -97,7 +109,7 @@ def check_held_out(held_out: Any, transient: Any) -> None:
 
 def _with_basis(test: ResidualTest, recordings: int, more: str) -> ResidualTest:
     several = f"; {recordings} recordings, each from its own start" if recordings > 1 else ""
-    return replace(test, basis=f"{test.basis}{several}{more}")  # pyright: ignore[reportArgumentType]
+    return replace(test, basis=f"{test.basis}{more}{several}")  # pyright: ignore[reportArgumentType]
 
 
 def _without_transients(run: FaultFreeRun, transient: int | str, residuals: Sequence[str]) -> tuple[FaultFreeRun, int]:

@@ -271,7 +271,8 @@ class Monitor:
         held_out : float
             Part of the usable samples of each recording, the last ones, that only checks the fit; 0: none. Where that
             would be under thirty samples, or under two windows of the test, none are, and the basis says so; nor for
-            thresholds that data do not change.
+            thresholds that data do not change. Once the check is seen, a fit with ``held_out=0`` uses all samples:
+            what only the last part shows of normal operation is no part of the model otherwise.
         transient : int or "auto"
             Samples at the start of each recording, counted with those over which the filter settles, that the fit
             leaves out. ``"auto"``: those that are not like the rest, the norm of the residuals being larger there, if
