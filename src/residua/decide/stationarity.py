@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from residua.decide.dependence import correlation_times
 from residua.decide.fault_free import FaultFree
 from residua.decide.test import FaultFreeRun
+from residua.decide.whitening import whitening_matrix
 from residua.number_kinds import COUNT, ENTRY, NumberKind
 from residua.records import Record
 from residua.tolerances import SIGNAL_ROUNDING
@@ -27,6 +28,8 @@ _STRETCHES = 1000
 _LEAST = 60
 #: Fewest independent samples of a recording that say anything: in fewer, slow noise and drifts are the same.
 _INDEPENDENT = 12.0
+#: Samples to a residual with which moments of all samples are as good as those of others: of correlation times to 100.
+_PLENTY = 2000
 #: The norm counts as at least that part of its root mean square: the logarithm of one near zero says nothing.
 _SMALLEST = 0.1
 #: Residuals that a sentence lists.
@@ -119,7 +122,7 @@ def changes(run: FaultFreeRun, names: Sequence[str]) -> tuple[Change, ...]:
     size = int(run.usable.sum())
     if size < _LEAST or whole.spread <= SIGNAL_ROUNDING * run.signal_size():
         return ()
-    norm = whole.cross_fitted(whole.moments(), whiten=True)
+    norm = _norm(whole, size)
     found = []
     for number, part in enumerate(whole.parts, 1):
         rows = part.start + np.flatnonzero(run.usable[part])
@@ -135,6 +138,15 @@ def changes(run: FaultFreeRun, names: Sequence[str]) -> tuple[Change, ...]:
             found.append(Change((), number, int(rows[at]) - part.start, factor, length))
         found += _of_means(run.residuals[rows], rows - part.start, names, number, limit, length)
     return tuple(found)
+
+
+def _norm(whole: FaultFree, samples: int) -> NDArray[np.float64]:
+    """Return the norm of the whitened residual; of few samples whitened by moments of others, far from each."""
+    if samples < _PLENTY * whole.residuals.shape[1]:
+        return whole.cross_fitted(whole.moments(), whiten=True)
+    used = whole.deviations[whole.usable]
+    whitening = whitening_matrix(used.T @ used / len(used))
+    return np.linalg.norm(whole.deviations @ whitening, axis=1)
 
 
 def _of_means(
