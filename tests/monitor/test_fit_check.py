@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import importlib
 import os
 from pathlib import Path
 
@@ -15,7 +17,8 @@ from residua.decide.stationarity import Change
 from residua.errors import FileFormatError, SettingError
 from residua.json_files import dumps, loads
 
-DATA = Path(os.environ.get("RESIDUA_SHARED_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
+REPOSITORY = Path(__file__).resolve().parents[2]
+DATA = Path(os.environ.get("RESIDUA_SHARED_DATA", REPOSITORY.parent / "shared" / "data"))
 
 
 def white(seed: int, time: int, k: int = 3) -> np.ndarray:
@@ -198,3 +201,15 @@ def test_a_fit_without_leaving_the_transient_out_says_so(engine: tuple) -> None:
     watch = rs.Monitor(rs.identify.given_residuals(42), test=NormThreshold(window=20), isolate=None)
     notes = watch.fit(None, residuals["NF"]).run(None, residuals["NF"]).notes
     assert any("fault-free samples are not like the rest" in note for note in notes)
+
+
+def test_the_table_of_the_page_is_what_the_command_writes(engine: tuple, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(REPOSITORY / "benchmarks"))
+    module = importlib.import_module("engine_detection")
+    made = list(module.rows(module.read(DATA / "engine_frisk_residuals")))
+    with (REPOSITORY / "docs" / "data" / "engine_detection.csv").open(encoding="utf-8", newline="") as file:
+        written = list(csv.reader(file))
+    assert made[0] == written[0]
+    for one, other in zip(made[1:], written[1:], strict=True):
+        values = [[float(x or -1) for x in row] for row in (one, other)]
+        assert values[0] == pytest.approx(values[1], abs=0.02)

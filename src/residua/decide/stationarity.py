@@ -136,7 +136,10 @@ def changes(run: FaultFreeRun, names: Sequence[str]) -> tuple[Change, ...]:
             at, _ = place
             factor = float(np.exp(level[at:].mean() - level[:at].mean()))
             found.append(Change((), number, int(rows[at]) - part.start, factor, length))
-        found += _of_means(run.residuals[rows], rows - part.start, names, number, limit, length)
+        means = _of_means(run.residuals[rows], rows - part.start, names, number, limit, length)
+        if means and found and found[-1].recording == number and not found[-1].is_transient:
+            found.pop()  # the same in other words
+        found += means
     return tuple(found)
 
 
