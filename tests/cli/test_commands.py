@@ -434,6 +434,17 @@ def test_fit_reports_and_warns(made: Path, tmp_path: Path, residua: Residua) -> 
     assert "too few to see a false alarm rate of 1e-06" in err
 
 
+@pytest.mark.parametrize("samples", [60, 300, 3000])
+@pytest.mark.parametrize("rate", ["0.3", "0.01", "0.0001"])
+def test_a_warning_of_few_samples_is_there_where_the_basis_says_so(
+    made: Path, tmp_path: Path, residua: Residua, samples: int, rate: str
+) -> None:
+    path = write_csv(tmp_path / "normal.csv", simulate(samples, 4))
+    status, out, err = residua("fit", made / "design.json", path, "-o", tmp_path / "m.json", "--false-alarm-rate", rate)
+    assert status == 0
+    assert ("give more" in out) == ("too few to see a false alarm rate" in err)
+
+
 def test_fit_may_overwrite_its_monitor(made: Path, tmp_path: Path, residua: Residua) -> None:
     path = tmp_path / "m.json"
     path.write_bytes((made / "design.json").read_bytes())

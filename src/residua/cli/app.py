@@ -147,7 +147,8 @@ def _warn_of_few(watch: Monitor, judged: int, rate: float) -> None:
     if promised is None and (judged * rate >= ENOUGH or watch.norm_test.is_bound):
         return
     if promised is not None and within_tolerance(promised, rate):
-        told = ""
+        return
+    told = ""
     if promised is not None:
         told = "these promise no rate, " if promised >= 1 else f"these promise at most {promised:.2g}, "
     lasting = getattr(watch.norm_test, "persistence", 1) + watch.norm_test.release - 1
