@@ -1,5 +1,22 @@
 """Plants and residual generators from recordings: one method, one file."""
 
+from residua.identify.grey_box import GreyBox, grey_box
+from residua.identify.identified_model import IdentifiedModel
+from residua.identify.linearise import TangentModel, linearise, tangent_model
+from residua.identify.model_report import IdentificationReport
+from residua.identify.nonlinear_model import NonlinearModel
 from residua.identify.residuals_of_others import given_residuals
+from residua.identify.subspace import subspace
 
-__all__ = ["given_residuals"]
+__all__ = [
+    "GreyBox",
+    "IdentificationReport",
+    "IdentifiedModel",
+    "NonlinearModel",
+    "TangentModel",
+    "given_residuals",
+    "grey_box",
+    "linearise",
+    "subspace",
+    "tangent_model",
+]
