@@ -5,6 +5,7 @@ from residua.identify.identified_model import IdentifiedModel
 from residua.identify.linearise import TangentModel, linearise, tangent_model
 from residua.identify.model_report import IdentificationReport
 from residua.identify.nonlinear_model import NonlinearModel
+from residua.identify.residuals_of_others import given_residuals
 from residua.identify.subspace import subspace
 
 __all__ = [
@@ -13,6 +14,7 @@ __all__ = [
     "IdentifiedModel",
     "NonlinearModel",
     "TangentModel",
+    "given_residuals",
     "grey_box",
     "linearise",
     "subspace",
