@@ -14,6 +14,7 @@ from residua.identify.horizon import NOISE_FREE, log_determinant
 from residua.identify.state_map import StateMap
 from residua.linear import StateSpace
 from residua.linear.poles.riccati import filter_riccati
+from residua.tolerances import IDENTITY
 
 Matrix = NDArray[np.float64]
 
@@ -60,7 +61,7 @@ class Innovations:
         if not n:
             return np.zeros(0), self.output_constant, 0.0
         M = np.eye(n) - self.A
-        x, _, _, _ = np.linalg.lstsq(M, self.state_constant, rcond=1e-8)
+        x, _, _, _ = np.linalg.lstsq(M, self.state_constant, rcond=IDENTITY)
         left = float(np.abs(M @ x - self.state_constant).max(initial=0.0))
         return np.asarray(x, dtype=float), self.C @ x + self.output_constant, left
 

@@ -13,13 +13,14 @@ from numpy.typing import ArrayLike, NDArray
 from residua.arrays import names as checked_names, unique
 from residua.errors import DataError, ModelError, SettingError
 from residua.recording.recording import Recording, read_recording, recording_from_frame
+from residua.recording.time_axis import REGULAR
 from residua.visible import echo, listed
 from residua.words import counted
 
 #: Rows that are read at a time, so that a recording on disk is never in memory as a whole.
 BLOCK = 65_536
 #: Largest difference of the steps of two recordings, as a fraction.
-_SAME_STEP = 1e-3
+_SAME_STEP = REGULAR / 10
 
 Names = Sequence[str] | str | None
 

@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from residua.errors import DataError, SettingError
 from residua.identify.canonical_weights import canonical_weights
 from residua.identify.channel_facts import ChannelFacts, channel_facts
-from residua.identify.delayed_plant import with_input_delays
 from residua.identify.excitation import excitation
 from residua.identify.hankel_factor import HankelFactor, hankel_factor
 from residua.identify.horizon import choose_horizon
-from residua.identify.identified_model import IdentifiedModel, plant_of
+from residua.identify.identified_model import IdentifiedModel, plant_of, with_input_delays
 from residua.identify.model_report import IdentificationReport, SteadyGain
 from residua.identify.moesp import moesp
 from residua.identify.n4sid import n4sid
@@ -27,6 +26,7 @@ from residua.identify.segments import Gathered, Names, gather
 from residua.identify.state_map import StateMap
 from residua.plant import Plant
 from residua.progress import Progress, progress_of
+from residua.tolerances import POLE
 from residua.visible import echo
 
 Method = Literal["pbsid", "cva", "n4sid", "moesp"]
@@ -36,8 +36,8 @@ _WRITTEN = {"pbsid": "PBSID", "cva": "CVA", "n4sid": "N4SID", "moesp": "MOESP"}
 _MOST_ORDERS = 25
 #: A spread is estimated from at least so many parts of the data.
 _LEAST_PARTS = 6
-#: A plant this near to a pole at one has no steady gain that the data could say.
-_INTEGRATES = 1e-6
+#: The part of their size by which states may move in a row at the operating point without a word.
+_UNBALANCED = 0.01
 
 
 def subspace(
@@ -222,7 +222,7 @@ class _Made:
                 f"the plant has a pole of size {radius:.6g}: it integrates, drifts, or was held by a controller"
             )
         left = model.at_rest()[2]
-        if left > 1e-3:
+        if left > _UNBALANCED:
             notes.append(f"no operating point balances the model: its states move by {left:.2g} a row at mean inputs")
         return tuple(notes)
 
@@ -269,7 +269,7 @@ class _Made:
 
 def _steady_gain(plant: Plant, others: list[Plant]) -> SteadyGain | None:
     poles = np.linalg.eigvals(plant.A)
-    if not plant.inputs or (len(poles) and np.abs(poles - 1).min() < _INTEGRATES):
+    if not plant.inputs or (len(poles) and np.abs(poles - 1).min() < POLE):
         return None
     gains = np.array([_gain(one) for one in others])
     count = len(gains)
