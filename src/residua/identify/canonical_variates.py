@@ -318,7 +318,7 @@ def _criteria_of_lags(gathered: Gathered, units: Standard) -> dict[int, float]:
         value = _criterion(left.T @ left, stacked.count, (lags * q + m) * (q - m))
         if value is not None:
             out[lags] = value
-    return out or {1: float("nan")}
+    return out
 
 
 def _criteria_of_states(past: _Past, m: int, p: int) -> dict[int, float]:
@@ -328,7 +328,7 @@ def _criteria_of_states(past: _Past, m: int, p: int) -> dict[int, float]:
         value = _criterion(past.innovations(n)[1], past.count, n * (2 * p + m) + m * p)
         if value is not None:
             out[n] = value
-    return out or {1: float("nan")}
+    return out
 
 
 def _criterion(covariance: NDArray[np.float64], count: int, parameters: int) -> float | None:

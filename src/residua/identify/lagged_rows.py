@@ -38,12 +38,12 @@ class Standard:
 
 @dataclass(frozen=True, eq=False)
 class LaggedRows:
-    """The rows ``[z_k, z_{k-1}, ..., z_{k-lags}]`` of all segments, as far as each reaches back, as ``Z = Q R``.
+    """The rows ``[z_k, z_{k-1}, ..., z_{k-lags}]`` of all segments, as far as each reaches back, less their mean: ``Q R``.
 
     Attributes
     ----------
     factor : ndarray, shape (d, d)
-        Upper triangular, ``R' R = Z' Z``: column ``lag * channels + channel``.
+        Upper triangular, ``R' R = (Z - mean)' (Z - mean)``: column ``lag * channels + channel``.
     count : int
         Rows of ``Z``.
     channels, lags : int
@@ -104,21 +104,21 @@ def lagged_rows(gathered: Gathered, units: Standard, lags: int) -> LaggedRows:
     q = len(gathered.channels)
     d = q * (lags + 1)
     count = sum(max(0, len(segment) - lags) for segment in gathered.segments)
-    if count <= d:
+    if count <= d + 1:
         longest = max(len(segment) for segment in gathered.segments)
         raise DataError(
             f"{counted(gathered.n_samples, 'complete row')} in {counted(len(gathered.segments), 'segment')}, the "
             f"longest of {longest}, make {counted(count, 'row')} of {d} columns ({q} channels, {lags} lags), but more "
-            f"than {d} are needed: give a longer recording, fewer lags, or fewer channels"
+            f"than {d + 1} are needed: give a longer recording, fewer lags, or fewer channels"
         )
-    factor = np.zeros((0, d))
+    factor = np.zeros((0, 1 + d))  # a column of ones first, which takes the mean of every column out of the others
     for segment in gathered.segments:
         for start in range(lags, len(segment), _ROWS):
             stop = min(start + _ROWS, len(segment))
             rows = units.units(segment.rows(start - lags, stop))
             beside = [rows[lags - lag : len(rows) - lag] for lag in range(lags + 1)]
-            factor = np.linalg.qr(np.vstack([factor, np.hstack(beside)]), mode="r")
-    return LaggedRows(factor, count, q, lags)
+            factor = np.linalg.qr(np.vstack([factor, np.hstack([np.ones((stop - start, 1)), *beside])]), mode="r")
+    return LaggedRows(factor[1:, 1:], count, q, lags)
 
 
 def few_rows(count: int, columns: int) -> tuple[str, ...]:
