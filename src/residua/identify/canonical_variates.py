@@ -16,14 +16,13 @@ from residua.errors import DataError, SettingError
 from residua.identify.channel_filter import channel_generator, checked_count, names_of_groups
 from residua.identify.lagged_rows import LaggedRows, Standard, few_rows, lagged_rows, standard
 from residua.identify.segments import Gathered, Names, gather
-from residua.linear.subspaces.rank import RankDecision
+from residua.linear.subspaces.rank import RankDecision, null_basis
+from residua.tolerances import RANK
 from residua.visible import echo, listed
 from residua.words import counted
 
 #: Lags that are tried at most when they are not given.
 _MOST_LAGS = 20
-#: A variance this far below that of one channel is rounding: some channels determine another exactly.
-_EXACT = 1e-10
 _METHOD = "canonical variates"
 STATES, REST = "T2 of states", "T2 of residuals"
 _KINDS = ("innovations", "variates")
@@ -166,7 +165,7 @@ def canonical_variates(
     >>> y = plant.system().simulate(u) + 0.1 * rng.standard_normal((2000, 2))
     >>> made = rs.identify.canonical_variates(u[:1000], y[:1000], inputs=["valve"], outputs=["a", "b"])
     >>> made
-    CanonicalVariates(2 states of 6 lags, 3 channels)
+    CanonicalVariates(2 states of 13 lags, 3 channels)
     >>> monitor = rs.Monitor(made).fit(None, np.hstack([u, y])[1000:])
     """
     if residuals not in _KINDS:
@@ -251,7 +250,7 @@ class _Past:
         R = stacked.rearranged([*past, *now]) / scale
         _check_regular(R[:d, :d], channels, "the past")
         F = stacked.rearranged([*past, *future]) / scale
-        _check_regular(np.linalg.qr(F[:, d:], mode="r"), channels[m:], "the future")
+        _check_regular(np.asarray(np.linalg.qr(F[:, d:], mode="r")), channels[m:], "the future")
         basis = np.linalg.qr(F[:, d:])[0]
         U, s, _ = np.linalg.svd(_same_signs(F, R, d) @ basis[:d])
         U = U * _signs(U)
@@ -269,7 +268,7 @@ class _Past:
         known[:n, :n] = np.eye(n)
         known[:, n:] = self.present[:, :m]
         wanted = self.present[:, m:]
-        weights = np.linalg.lstsq(known, wanted, rcond=None)[0]
+        weights = np.asarray(np.linalg.lstsq(known, wanted, rcond=None)[0], dtype=float)
         left = wanted - known @ weights
         assert d + len(self.present[0]) == len(self.present)
         return weights, left.T @ left
@@ -288,13 +287,13 @@ def _signs(directions: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _check_regular(factor: NDArray[np.float64], channels: tuple[str, ...], what: str) -> None:
     """Raise where columns determine one another: their covariance has no inverse."""
-    _, values, rows = np.linalg.svd(factor)
-    if values[-1] ** 2 > _EXACT:
+    still, decision = null_basis(factor, rtol=np.sqrt(RANK), scale=1.0)
+    if not still.size:
         return
-    weight = np.abs(rows[values**2 <= _EXACT]).max(axis=0).reshape(-1, len(channels)).max(axis=0)
-    names = [name for name, one in zip(channels, weight, strict=True) if one > np.sqrt(_EXACT)]
+    weight = np.abs(still).max(axis=1).reshape(-1, len(channels)).max(axis=0)
+    names = [name for name, one in zip(channels, weight, strict=True) if one > np.sqrt(RANK)]
     raise DataError(
-        f"the covariance of {what} is singular (smallest variance {values[-1] ** 2:.2g} of a channel's): "
+        f"the covariance of {what} is singular (smallest spread {decision.singular_values[-1]:.2g} of a channel's): "
         f"{listed(names)} determine one another exactly, such as a channel that is there twice; leave one of them out"
     )
 

@@ -31,7 +31,9 @@ def channel_plant(gathered: Gathered, units: Standard) -> Plant:
     """
     q = len(gathered.channels)
     nothing = np.zeros((0, 0))
-    plant = Plant(nothing, nothing, np.zeros((q, 0)), dt=gathered.dt, outputs=gathered.channels, name="recorded channels")
+    plant = Plant(
+        nothing, nothing, np.zeros((q, 0)), dt=gathered.dt, outputs=gathered.channels, name="recorded channels"
+    )
     for i, name in enumerate(gathered.inputs):
         column = np.zeros(q)
         column[i] = -1.0
@@ -90,7 +92,11 @@ def channel_generator(
 
 def names_of_groups(groups: dict[str, int], generator: ResidualGenerator) -> dict[str, tuple[str, ...]]:
     """Return the names of the residuals of each group."""
-    return {one.name: tuple(generator.residuals[i] for i in one.residuals) for one in generator.members if one.name in groups}
+    return {
+        one.name: tuple(generator.residuals[i] for i in one.residuals)
+        for one in generator.members
+        if one.name in groups
+    }
 
 
 def checked_count(value: object, name: str, least: int = 0) -> int:

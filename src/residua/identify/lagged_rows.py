@@ -38,12 +38,12 @@ class Standard:
 
 @dataclass(frozen=True, eq=False)
 class LaggedRows:
-    """The rows ``[z_k, z_{k-1}, ..., z_{k-lags}]`` of all segments, as far as each reaches back, less their mean: ``Q R``.
+    """The rows ``[z_k, z_{k-1}, ..., z_{k-lags}]`` of all segments, as far as each reaches back, less their mean.
 
     Attributes
     ----------
     factor : ndarray, shape (d, d)
-        Upper triangular, ``R' R = (Z - mean)' (Z - mean)``: column ``lag * channels + channel``.
+        Upper triangular ``R``, ``R' R = (Z - mean)' (Z - mean)``: column ``lag * channels + channel``.
     count : int
         Rows of ``Z``.
     channels, lags : int
@@ -61,7 +61,7 @@ class LaggedRows:
 
     def rearranged(self, columns: list[int]) -> NDArray[np.float64]:
         """Return the triangular factor of these columns in this order."""
-        return np.linalg.qr(self.factor[:, columns], mode="r")
+        return np.asarray(np.linalg.qr(self.factor[:, columns], mode="r"))
 
 
 def standard(gathered: Gathered) -> Standard:
@@ -117,7 +117,8 @@ def lagged_rows(gathered: Gathered, units: Standard, lags: int) -> LaggedRows:
             stop = min(start + _ROWS, len(segment))
             rows = units.units(segment.rows(start - lags, stop))
             beside = [rows[lags - lag : len(rows) - lag] for lag in range(lags + 1)]
-            factor = np.linalg.qr(np.vstack([factor, np.hstack([np.ones((stop - start, 1)), *beside])]), mode="r")
+            block = np.vstack([factor, np.hstack([np.ones((stop - start, 1)), *beside])])
+            factor = np.asarray(np.linalg.qr(block, mode="r"))
     return LaggedRows(factor[1:, 1:], count, q, lags)
 
 
@@ -126,6 +127,6 @@ def few_rows(count: int, columns: int) -> tuple[str, ...]:
     if count >= KNOWN * columns:
         return ()
     return (
-        f"{counted(count, 'row')} for {columns} columns: the covariance is known badly, and the thresholds of a monitor "
-        f"have to come from other rows than these ({KNOWN * columns} would do)",
+        f"{counted(count, 'row')} for {columns} columns: the covariance is known badly, and the thresholds of a "
+        f"monitor have to come from other rows than these ({KNOWN * columns} would do)",
     )

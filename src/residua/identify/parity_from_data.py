@@ -15,15 +15,11 @@ from residua.errors import DataError, SettingError
 from residua.identify.channel_filter import channel_generator, checked_count
 from residua.identify.lagged_rows import LaggedRows, few_rows, lagged_rows, standard
 from residua.identify.segments import Names, gather
-from residua.linear.subspaces.rank import RankDecision
-from residua.tolerances import SAME
+from residua.linear.subspaces.rank import RankDecision, null_basis
+from residua.tolerances import DATA_ROUNDING, SAME
 from residua.visible import echo, listed
 from residua.words import counted
 
-#: Noise below this fraction of the channels counts as that much: nothing is divided by rounding.
-_NOISE_FLOOR = 1e-8
-#: Inputs whose samples determine one another to this fraction do not excite a plant enough.
-_EXCITATION = 1e-7
 #: A combination is a relation if what the past says of it has no more than this many times the variance of chance; the
 #: windows overlap, so that chance alone reaches some times its plain value.
 _CHANCE = 10.0
@@ -133,13 +129,13 @@ def parity_from_data(
 
     Notes
     -----
-    Assumes: a linear plant around one point; noise that past and inputs do not foretell beyond ``s`` samples, and inputs
-    that do not depend on it: in a closed loop the relations are biased by what the controller feeds back.
+    Assumes: a linear plant around one point; noise that past and inputs do not foretell beyond ``s`` samples, and
+    inputs that do not depend on it: in a closed loop the relations are biased by what the controller feeds back.
     Thresholds are fitted by :meth:`residua.Monitor.fit`.
 
     A fault of an actuator, ``"NAME actuator"``, and of a sensor, ``"NAME sensor"``, moves the residual exactly as the
-    column of its channel says, whatever the plant does: of the inputs what is recorded is what was asked for. In a closed
-    loop that holds too, since the relation holds for whatever the inputs become.
+    column of its channel says, whatever the plant does: of the inputs what is recorded is what was asked for. In a
+    closed loop that holds too, since the relation holds for whatever the inputs become.
 
     References
     ----------
@@ -179,7 +175,7 @@ def parity_from_data(
     vectors = basis.T.reshape(k, s + 1, q)
     weights = vectors.transpose(1, 0, 2)
     kept = len(correlations) - k
-    gap = float(correlations[kept - 1] / max(correlations[kept], _NOISE_FLOOR)) if kept else np.inf
+    gap = float(correlations[kept - 1] / max(correlations[kept], DATA_ROUNDING)) if kept else np.inf
     evidence = Evidence(
         _METHOD,
         requested_poles=np.zeros(0, dtype=complex) if poles is None else np.asarray(poles, dtype=complex),
@@ -211,7 +207,7 @@ def _correlations(
     if m:
         _check_excitation(R[:n, n_past:n], inputs, s)
     ours = R[:, n_past:]  # inputs of the window, then its outputs
-    T = np.linalg.qr(np.vstack([ours, _NOISE_FLOOR * np.eye(ours.shape[1])]), mode="r")
+    T = np.linalg.qr(np.vstack([ours, DATA_ROUNDING * np.eye(ours.shape[1])]), mode="r")
     inverse = np.linalg.inv(T)
     _, correlations, rows = np.linalg.svd(ours[:n] @ inverse, full_matrices=True)
     correlations = np.minimum(np.concatenate([correlations, np.zeros(len(rows) - len(correlations))]), 1.0)
@@ -225,13 +221,14 @@ def _correlations(
 
 def _check_excitation(factor: NDArray[np.float64], inputs: tuple[str, ...], s: int) -> None:
     """Raise where samples of the inputs determine one another: then a relation may be one of inputs alone."""
-    _, values, rows = np.linalg.svd(factor)
-    if values[-1] > _EXCITATION:
+    still, decision = null_basis(factor, rtol=DATA_ROUNDING, scale=1.0)
+    if not still.size:
         return
-    weight = np.abs(rows[values <= _EXCITATION]).max(axis=0).reshape(-1, len(inputs)).max(axis=0)
-    names = [name for name, one in zip(inputs, weight, strict=True) if one > np.sqrt(_EXCITATION)]
+    weight = np.abs(still).max(axis=1).reshape(-1, len(inputs)).max(axis=0)
+    names = [name for name, one in zip(inputs, weight, strict=True) if one > np.sqrt(DATA_ROUNDING)]
+    smallest = decision.singular_values[-1]
     raise DataError(
-        f"{s + 1} samples of {listed(names)} determine one another (smallest singular value {values[-1]:.2g} of their "
+        f"{s + 1} samples of {listed(names)} determine one another (smallest singular value {smallest:.2g} of their "
         "spread): the recording does not excite the plant enough for relations of this order; record with inputs that "
         "move more freely, lower order, or leave an input out"
     )
@@ -245,9 +242,9 @@ def _count(
         if supported:
             return supported
         raise DataError(
-            f"past and inputs foretell every combination of {s + 1} samples better than by chance (smallest correlation "
-            f"{correlations[-1]:.3g}, by chance {chance:.3g}): no relation of order {s} holds; raise order, name inputs "
-            "that are missing, or ask for those that hold best, relations=..."
+            f"past and inputs foretell every combination of {s + 1} samples better than by chance (smallest "
+            f"correlation {correlations[-1]:.3g}, by chance {chance:.3g}): no relation of order {s} holds; raise "
+            "order, name inputs that are missing, or ask for those that hold best, relations=..."
         )
     k = checked_count(relations, "relations", 1)
     if k > most:
@@ -261,8 +258,8 @@ def _about_the_gap(
     """Return notes where more relations are used than hold, or the number of them is not clear."""
     if k > supported:
         return (
-            f"{k} relations were asked for, and {supported} hold: past and inputs foretell the others with a correlation "
-            f"of up to {correlations[len(correlations) - k]:.3g}, by chance {chance:.3g}",
+            f"{k} relations were asked for, and {supported} hold: past and inputs foretell the others with a "
+            f"correlation of up to {correlations[len(correlations) - k]:.3g}, by chance {chance:.3g}",
         )
     if k == supported and gap < _CLEAR:
         return (

@@ -17,11 +17,10 @@ from residua.identify.channel_filter import channel_generator, checked_count, na
 from residua.identify.lagged_rows import few_rows, lagged_rows, standard
 from residua.identify.segments import Names, gather
 from residua.linear.subspaces.rank import RankDecision
+from residua.tolerances import RANK
 from residua.visible import echo, listed
 from residua.words import counted
 
-#: A variance this far below that of one channel is rounding: some channels determine another exactly.
-_EXACT = 1e-10
 _METHOD = "principal components"
 
 
@@ -101,8 +100,8 @@ def principal_components(
       squares is :math:`Q` (SPE), how far the channels leave what they do together.
 
     A :class:`residua.Monitor` without a test of its own tests :math:`T` and :math:`\sqrt Q` each against its threshold
-    (``made.test``, which is ``NormThreshold(groups=made.groups, whiten="none")``). A test that whitens ``Q`` is another one: it weighs each
-    direction by its own variance, so that those that hardly ever move count most.
+    (``made.test``, which is ``NormThreshold(groups=made.groups, whiten="none")``). A test that whitens ``Q`` is another
+    one: it weighs each direction by its own variance, so that those that hardly ever move count most.
 
     Guaranteed: the same bits when a channel has other units, as far as these differ by a power of two. The residual of
     a fault of a channel is exactly the filter's own response to that channel.
@@ -138,14 +137,16 @@ def principal_components(
     Notes
     -----
     Assumes: operation around one point, with means and covariances that last; what is learnt is what the recordings
-    show, so that another load or another controller raises alarms. Thresholds are fitted by :meth:`residua.Monitor.fit`,
-    best on other fault-free rows than these: the components fit their own rows better than any others.
+    show, so that another load or another controller raises alarms. Thresholds are fitted by
+    :meth:`residua.Monitor.fit`, best on other fault-free rows than these: the components fit their own rows better than
+    any others.
 
     Faults are those of records: each moves its own channel only. One that acts back through the plant, such as a drift
     of a sensor in a control loop, moves others too, and is then named only as far as its own channel stands out.
-    ``Directional`` isolation is here the reconstruction of Dunia and Qin: its squared score is the part of the (windowed)
-    squared norm of the residual that the best reconstruction of one channel, all its lags together, takes away. Two
-    channels of the same direction in the space of the residuals cannot be told apart, and are one group.
+    Isolation by direction (:class:`residua.decide.Directional`) is here the reconstruction of Dunia and Qin: the
+    squared score is the part of the squared norm of the residual, averaged over its window, that the best reconstruction of
+    one channel takes away, of all its lags together. It is unique where no two channels have the same direction in the
+    space of the residuals; those that have are one group.
 
     References
     ----------
@@ -168,28 +169,28 @@ def principal_components(
     >>> rows = load @ [[1.0, 2.0, -1.0]] + 0.1 * rng.standard_normal((1000, 3))
     >>> made = rs.identify.principal_components(rows[:500], outputs=["flow", "speed", "pressure"])
     >>> made
-    PrincipalComponents(1 component of 3, 99.4 % of the variance, 3 channels, 0 lags)
+    PrincipalComponents(1 component of 3, 99.5 % of the variance, 3 channels, 0 lags)
     >>> monitor = rs.Monitor(made).fit(None, rows[500:])
     >>> rows[-50:, 1] += 2.0
-    >>> monitor.run(None, rows[500:]).culprit
-    'speed sensor'
+    >>> monitor.run(None, rows[500:]).named
+    (('speed sensor',),)
     """
     lags = checked_count(lags, "lags")
     gathered = gather(recordings, y, inputs=inputs, outputs=outputs, dt=dt)
     units = standard(gathered)
     stacked = lagged_rows(gathered, units, lags)
     d, q = len(stacked.factor), stacked.channels
-    _, values, rows = np.linalg.svd(stacked.factor / np.sqrt(stacked.count - 1))
-    variances, loadings = values**2, _with_signs(rows.T)
+    values, vectors = np.linalg.eigh(stacked.factor.T @ stacked.factor / (stacked.count - 1))
+    variances, loadings = np.maximum(values[::-1], 0.0), _with_signs(vectors[:, ::-1])
     edge = (1 + np.sqrt(d / stacked.count)) ** 2
     kept = _kept(components, variances, edge)
     scale = np.ones(d)
-    scale[:kept] = 1 / values[:kept]
+    scale[:kept] = 1 / np.sqrt(variances[:kept])
     weights = (loadings * scale).T.reshape(d, lags + 1, q).transpose(1, 0, 2)
     groups = {"T2": kept} | ({"Q": d - kept} if kept < d else {})
     evidence = Evidence(
         _METHOD if lags == 0 else f"dynamic {_METHOD}",
-        ranks={"components": RankDecision(kept, values, float(values[kept - 1]))},
+        ranks={"components": RankDecision(kept, variances, float(variances[kept - 1]))},
         conditions={"share of the variance": float(variances[:kept].sum() / variances.sum())},
         notes=(*few_rows(stacked.count, d), *_exact_relations(variances, loadings, gathered.channels)),
         references=("Jackson and Mudholkar (1979)", "Ku, Storer and Georgakis (1995)", "Dunia and Qin (1998)"),
@@ -227,25 +228,25 @@ def _kept(components: object, variances: NDArray[np.float64], edge: float) -> in
     if isinstance(components, (int, np.integer)):
         if not 1 <= components <= d:
             raise SettingError(f"{wanted}, got {echo(components)}")
-        if not variances[int(components) - 1] > _EXACT:
-            known = int(np.count_nonzero(variances > _EXACT))
+        if not variances[int(components) - 1] > RANK:
+            known = int(np.count_nonzero(variances > RANK))
             raise SettingError(f"only {known} of {d} components move at all: ask for {known} at most")
         return int(components)
     if not 0 < components < 1:
         raise SettingError(f"{wanted}, got {echo(components)}")
     shares = np.cumsum(variances) / variances.sum()
-    return min(int(np.count_nonzero(shares < components)) + 1, int(np.count_nonzero(variances > _EXACT)))
+    return min(int(np.count_nonzero(shares < components)) + 1, int(np.count_nonzero(variances > RANK)))
 
 
 def _exact_relations(
     variances: NDArray[np.float64], loadings: NDArray[np.float64], channels: tuple[str, ...]
 ) -> tuple[str, ...]:
     """Return a note where some channels determine others to the last digit, such as a channel that is there twice."""
-    exact = np.flatnonzero(variances <= _EXACT)
+    exact = np.flatnonzero(variances <= RANK)
     if not len(exact):
         return ()
     weight = np.abs(loadings[:, exact]).max(axis=1).reshape(-1, len(channels)).max(axis=0)
-    names = [name for name, one in zip(channels, weight, strict=True) if one > np.sqrt(_EXACT)]
+    names = [name for name, one in zip(channels, weight, strict=True) if one > np.sqrt(RANK)]
     return (
         f"{counted(len(exact), 'combination')} of {listed(names)} never moved: these channels determine one another "
         "exactly (one may be there twice), and the smallest deviation from that counts in Q with its plain size",
