@@ -111,6 +111,17 @@ def test_the_score_is_what_reconstruction_takes_away() -> None:
             assert np.isclose(1 - least / (r @ r), score**2, atol=1e-8)
 
 
+def test_channels_of_one_direction_are_one_group() -> None:
+    """A single relation says that something is wrong, and nothing of which channel it is."""
+    one = recorded(1, 0.1, outputs=3)
+    made = rs.identify.parity_from_data(
+        one.u, one.y, order=3, relations=1, inputs=one.plant.inputs, outputs=one.plant.outputs
+    )
+    out = diagnosed(rs.Monitor(made).fit(None, one.rows), one.rows)
+    assert sorted(name for group in (*out.groups, out.unjudged) for name in group) == sorted(made.generator.faults)
+    assert len(out.groups) == 1
+
+
 @pytest.mark.parametrize("make", [m for name, m in MAKERS.items() if "components" not in name])
 def test_faults_of_channels_are_named(make: Maker) -> None:
     """Each channel moves by two of its standard deviations in the second half."""

@@ -76,7 +76,7 @@ def standard(gathered: Gathered) -> Standard:
     largest = np.zeros(len(gathered.channels))
     for _, rows in gathered.blocks():
         largest = np.maximum(largest, np.abs(rows).max(axis=0))
-    size = np.exp2(np.ceil(np.log2(np.where(largest > 0, largest, 1.0))))  # squares of what is scaled do not overflow
+    size = np.exp2(np.floor(np.log2(np.where(largest > 0, largest, 1.0))))  # squares of what is scaled do not overflow
     total, squares = np.zeros(len(size)), np.zeros(len(size))
     for _, rows in gathered.blocks():
         total += (rows / size).sum(axis=0)

@@ -144,9 +144,9 @@ def principal_components(
     Faults are those of records: each moves its own channel only. One that acts back through the plant, such as a drift
     of a sensor in a control loop, moves others too, and is then named only as far as its own channel stands out.
     Isolation by direction (:class:`residua.decide.Directional`) is here the reconstruction of Dunia and Qin: the
-    squared score is the part of the squared norm of the residual, averaged over its window, that the best reconstruction of
-    one channel takes away, of all its lags together. It is unique where no two channels have the same direction in the
-    space of the residuals; those that have are one group.
+    squared score is the part of the squared norm of the residual, averaged over its window, that the best
+    reconstruction of one channel takes away, of all its lags together. It is unique where no two channels have the
+    same direction in the space of the residuals; those that have are one group.
 
     References
     ----------
