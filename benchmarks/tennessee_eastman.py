@@ -5,8 +5,8 @@
 FOLDER has ``d00.dat`` to ``d21_te.dat`` of the Braatz group; it writes ``docs/data/tennessee_eastman.csv``. Generators
 are made from d00, their tests are fitted to d00_te, both fault-free, at 1 % of samples in alarm. False alarms are
 counted on the first 160 rows of the 21 test files, where nothing has failed yet, missed detections on the others:
-samples that are not in alarm. Nothing is chosen by a test file: lags, states and components are those that the fault-free data ask
-for, and the tests the defaults, besides what the table says.
+samples that are not in alarm. Nothing is chosen by a test file: lags, states and components are those that the
+fault-free data ask for, and the tests the defaults, besides what the table says.
 """
 
 from __future__ import annotations
