@@ -15,6 +15,7 @@ from recorded_examples import diagnosed, recorded
 from residua.decide import Directional, NormThreshold
 from residua.design.core.brought import DesignWithTest
 from residua.errors import DataError, ModelError, SettingError
+from residua.report.contributions import channels_by_reconstruction
 from residua.testing import check_residual_generator
 
 Maker = Callable[..., Any]
@@ -109,6 +110,22 @@ def test_the_score_is_what_reconstruction_takes_away() -> None:
             direction = made.generator.steady_directions[group[0]]
             least = scipy.optimize.minimize_scalar(lambda f, d=direction, r=r: ((r - f * d) ** 2).sum()).fun
             assert np.isclose(1 - least / (r @ r), score**2, atol=1e-8)
+
+
+def test_the_page_shows_what_reconstruction_of_each_channel_takes_away(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    rows = rng.standard_normal((3000, 2)) @ rng.standard_normal((2, 6)) + 0.1 * rng.standard_normal((3000, 6))
+    monitor = rs.Monitor(rs.identify.principal_components(rows, components=2)).fit(None, rows)
+    wrong = rows[:400].copy()
+    wrong[200:, 3] += 2.0
+    out = diagnosed(monitor, wrong)
+    assert out.main_alarm is not None
+    name, share = channels_by_reconstruction(out)[0]
+    taken = out.scores[out.main_alarm.start : out.main_alarm.stop, out.group_names.index(name)] ** 2
+    assert name == "y4 sensor"
+    assert np.isclose(share, taken.mean())
+    out.to_html(tmp_path / "page.html")
+    assert "Which channel explains it" in (tmp_path / "page.html").read_text()
 
 
 def test_channels_of_one_direction_are_one_group() -> None:
