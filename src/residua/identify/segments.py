@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,8 @@ class Segment:
         The rows of this segment.
     recording : int
         The number of its recording, from 0.
+    delays : tuple of int
+        For each channel, how many rows before the others it is read.
     """
 
     u: NDArray
@@ -47,25 +49,26 @@ class Segment:
     start: int
     stop: int
     recording: int
+    delays: tuple[int, ...] = ()
 
     def __len__(self) -> int:
         return self.stop - self.start
 
     def rows(self, start: int, stop: int) -> NDArray[np.float64]:
         """Return rows of the segment, counted from its start: inputs, then outputs, in their own units."""
-        return _columns(self.u, self.y, self.input_columns + self.output_columns, self.start + start, self.start + stop)
+        first, columns = max(self.delays, default=0), self.input_columns + self.output_columns
+        block = _columns(self.u, self.y, columns, self.start + start - first, self.start + stop)
+        if not first:
+            return block
+        return np.column_stack([block[first - d : len(block) - d, i] for i, d in enumerate(self.delays)])
 
     def cut(self, start: int, stop: int) -> Segment:
         """Return a part of it, counted from its start."""
-        return Segment(
-            self.u,
-            self.y,
-            self.input_columns,
-            self.output_columns,
-            self.start + start,
-            self.start + stop,
-            self.recording,
-        )
+        return replace(self, start=self.start + start, stop=self.start + stop)
+
+    def delayed(self, delays: tuple[int, ...]) -> Segment:
+        """Return the segment with some channels read some rows earlier; what that takes from its start is left out."""
+        return replace(self, start=min(self.start + max(delays), self.stop), delays=delays)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,9 +125,28 @@ class Gathered:
             border = min(max(border, 0), len(segment))
             first += [segment.cut(0, border)] if border else []
             last += [segment.cut(border, len(segment))] if border < len(segment) else []
-        return self._with(first), self._with(last)
+        return self.with_segments(first), self.with_segments(last)
 
-    def _with(self, segments: Sequence[Segment]) -> Gathered:
+    def delayed(self, delays: Mapping[str, int]) -> Gathered:
+        """Return the same with some inputs read so many rows earlier than the outputs.
+
+        Raises
+        ------
+        SettingError
+            If a delay is of no input, or no whole number of rows.
+        """
+        for name, rows in delays.items():
+            if name not in self.inputs:
+                raise SettingError(f"delays: {echo(name)} is no input; there are {listed(self.inputs) or 'none'}")
+            if not isinstance(rows, (int, np.integer)) or isinstance(rows, bool) or rows < 0:
+                raise SettingError(f"delays: {echo(name)} must be a whole number of samples, got {echo(rows)}")
+        rows_of = tuple(int(delays.get(name, 0)) for name in self.channels)
+        if not any(rows_of):
+            return self
+        return self.with_segments([one for one in (part.delayed(rows_of) for part in self.segments) if len(one)])
+
+    def with_segments(self, segments: Sequence[Segment]) -> Gathered:
+        """Return the same with other segments."""
         return Gathered(self.inputs, self.outputs, self.dt, tuple(segments), self.sources, self.samples, self.notes)
 
 

@@ -1,0 +1,206 @@
+"""What the channels of recordings are like: size, drift, steps, and which of them say the same."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import DataError
+from residua.identify.segments import BLOCK, Gathered
+from residua.linear.systems.balancing import power_of_two
+from residua.tolerances import DATA_ROUNDING, RANK
+from residua.visible import listed
+
+#: A straight line over a recording that explains more than this part of a channel's variance is a drift.
+_DRIFT = 0.5
+#: Fewer different values than this in a block of rows: a channel in steps.
+_FEW_VALUES = 12
+#: Two recordings whose spread in a channel differs by more than this factor may have it in different units.
+_OTHER_UNITS = 30.0
+#: A part of a linear dependence that is named, relative to the largest.
+_SHARE = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelFacts:
+    """The channels of recordings in numbers: inputs, then outputs.
+
+    Attributes
+    ----------
+    channels : tuple of str
+    n_inputs : int
+    mean, deviation : ndarray, shape (channels,)
+        Over all rows.
+    covariance : ndarray, shape (channels, channels)
+    recording_mean, recording_deviation : ndarray, shape (recordings, channels)
+        Of each recording by itself.
+    drift : ndarray, shape (channels,)
+        The part of the variance within the recordings that a straight line over each explains.
+    values : ndarray of int, shape (channels,)
+        Different values in the largest block of rows that was counted; and ``rows``, its length.
+    rows : int
+    """
+
+    channels: tuple[str, ...]
+    n_inputs: int
+    mean: NDArray[np.float64]
+    deviation: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    recording_mean: NDArray[np.float64]
+    recording_deviation: NDArray[np.float64]
+    drift: NDArray[np.float64]
+    values: NDArray[np.int_]
+    rows: int
+
+    @property
+    def units(self) -> NDArray[np.float64]:
+        """A power of two near the standard deviation of each channel: what it is divided by."""
+        return power_of_two(np.where(self.deviation > 0, self.deviation, 1.0))
+
+    def constant(self) -> tuple[str, ...]:
+        """Return the channels that never move, beyond the rounding of their values."""
+        still = self.deviation <= DATA_ROUNDING * np.abs(self.mean)
+        return tuple(name for name, one in zip(self.channels, still, strict=True) if one)
+
+    def dependent(self) -> tuple[tuple[str, ...], ...]:
+        """Return the groups of channels of which one is a linear function of the others at every sample."""
+        size = np.where(self.deviation > 0, self.deviation, 1.0)
+        values, vectors = np.linalg.eigh(self.covariance / np.outer(size, size))
+        # the covariance is known to the square root of what the data are
+        basis = vectors[:, values <= max(RANK, np.finfo(float).eps * len(values)) * values[-1]]
+        groups = []
+        while basis.shape[1]:  # the vector of fewest channels first: eliminate as in row echelon form
+            pivot = int(np.abs(basis).max(axis=1).argmax())
+            chosen = int(np.abs(basis[pivot]).argmax())
+            vector = basis[:, chosen] / basis[pivot, chosen]
+            basis = np.delete(basis - np.outer(vector, basis[pivot]), chosen, axis=1)
+            named = np.flatnonzero(np.abs(vector) > _SHARE * np.abs(vector).max())
+            groups.append(tuple(self.channels[i] for i in named))
+        return tuple(groups)
+
+    def check(self) -> None:
+        """Raise where a channel is constant, or a linear function of others: no model tells their parts apart."""
+        vast = [name for name, one in zip(self.channels, self.deviation, strict=True) if not np.isfinite(one)]
+        if vast:
+            raise DataError(
+                f"{listed(vast)}: values so large that their squares overflow; mark what is no value as NaN"
+            )
+        still = self.constant()
+        if still:
+            left = [name for name in self.channels if name not in still]
+            raise DataError(
+                f"{listed(still)} never {'moves' if len(still) == 1 else 'move'}: the data cannot say what a channel "
+                f"does that stands still; leave {'it' if len(still) == 1 else 'them'} out "
+                f"(there are {listed(left) if left else 'no others'})"
+            )
+        groups = self.dependent()
+        if groups:
+            texts = "; ".join(self._dependence(group) for group in groups[:3])
+            raise DataError(f"{texts}: no model can tell their parts apart; leave one of each group out")
+
+    def _dependence(self, group: Sequence[str]) -> str:
+        if len(group) != 2:
+            return f"{listed(group)} are linear functions of one another at every sample"
+        kinds = {name in self.channels[: self.n_inputs] for name in group}
+        if len(kinds) == 2:
+            return f"the output {group[1]!r} is the input {group[0]!r}, times a number"
+        return f"{group[0]!r} and {group[1]!r} are the same signal, times a number"
+
+    def notes(self, sources: Sequence[str]) -> tuple[str, ...]:
+        """Return what should be known of the channels: drifts, few values, recordings in other units."""
+        found = []
+        for i, name in enumerate(self.channels):
+            if self.drift[i] > _DRIFT:
+                found.append(
+                    f"{name!r} drifts: a straight line explains {100 * self.drift[i]:.0f} % of its variance within a "
+                    "recording; a model of it is one of this drift"
+                )
+            if self.values[i] < _FEW_VALUES:
+                found.append(f"{name!r} takes only {self.values[i]} different values in {self.rows} rows")
+        return (*found, *self._other_units(sources))
+
+    def _other_units(self, sources: Sequence[str]) -> list[str]:
+        spread = self.recording_deviation
+        if len(spread) < 2:
+            return []
+        usual = np.median(spread, axis=0)
+        notes = []
+        for k, source in enumerate(sources):
+            for i in range(len(self.channels)):
+                factor = float(spread[k, i] / usual[i]) if usual[i] > 0 else np.inf
+                if not 1 / _OTHER_UNITS <= factor <= _OTHER_UNITS:
+                    notes.append(self._spread_note(i, source, factor))
+        return notes
+
+    def _spread_note(self, i: int, source: str, factor: float) -> str:
+        return (
+            f"{self.channels[i]!r} moves {factor:.3g} times as much in {source} as in the usual recording: "
+            "is it in the same units there?"
+        )
+
+
+def channel_facts(gathered: Gathered) -> ChannelFacts:
+    """Return the facts of the channels, read block by block."""
+    with np.errstate(over="ignore", invalid="ignore"):  # values that overflow are refused by their name
+        return _facts(gathered)
+
+
+def _facts(gathered: Gathered) -> ChannelFacts:
+    n, recordings = len(gathered.channels), len(gathered.sources)
+    first = gathered.segments[0].rows(0, 1)[0]
+    count, total = np.zeros(recordings), np.zeros((recordings, n))
+    for segment, block in gathered.blocks():
+        count[segment.recording] += len(block)
+        total[segment.recording] += (block - first).sum(axis=0)
+    seen = count > 0
+    own_mean = first + total / np.maximum(count, 1.0)[:, None]
+    mean = first + total.sum(axis=0) / count.sum()
+    outer, within = np.zeros((n, n)), np.zeros((recordings, n))
+    slope, spread_of_time = np.zeros((recordings, n)), np.zeros(recordings)
+    middle = _middle_of_times(gathered, count)
+    for segment, block in gathered.blocks():
+        k = segment.recording
+        centred = block - mean
+        outer += centred.T @ centred
+        own = block - own_mean[k]
+        within[k] += (own**2).sum(axis=0)
+    for segment in gathered.segments:
+        k = segment.recording
+        for start in range(0, len(segment), BLOCK):
+            block = segment.rows(start, min(start + BLOCK, len(segment))) - own_mean[k]
+            times = segment.start + start + np.arange(len(block)) - middle[k]
+            slope[k] += times @ block
+            spread_of_time[k] += times @ times
+    explained = (slope**2 / np.maximum(spread_of_time, 1.0)[:, None])[seen].sum(axis=0)
+    within_all = within[seen].sum(axis=0)
+    values, rows = _different_values(gathered)
+    return ChannelFacts(
+        gathered.channels,
+        len(gathered.inputs),
+        mean,
+        np.sqrt(np.diag(outer) / count.sum()),
+        outer / count.sum(),
+        own_mean[seen],
+        np.sqrt(within / np.maximum(count, 1.0)[:, None])[seen],
+        explained / np.where(within_all > 0, within_all, 1.0),
+        values,
+        rows,
+    )
+
+
+def _middle_of_times(gathered: Gathered, count: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the mean row number of each recording's complete rows."""
+    total = np.zeros(len(count))
+    for one in gathered.segments:
+        total[one.recording] += len(one) * (one.start + one.stop - 1) / 2
+    return total / np.maximum(count, 1.0)
+
+
+def _different_values(gathered: Gathered) -> tuple[NDArray[np.int_], int]:
+    """Return how many values each channel takes in the longest segment, up to a block of rows of it."""
+    longest = max(gathered.segments, key=len)
+    block = longest.rows(0, min(len(longest), BLOCK))
+    return np.array([len(np.unique(column)) for column in block.T]), len(block)

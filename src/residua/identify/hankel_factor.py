@@ -1,0 +1,205 @@
+"""The triangular factor of the joint Hankel matrix of inputs and outputs, built block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import get_lapack_funcs, solve_triangular
+
+from residua.errors import DataError
+from residua.identify.channel_facts import ChannelFacts
+from residua.identify.segments import Gathered, Segment
+from residua.progress import Progress
+from residua.tolerances import RANK
+from residua.words import counted
+
+#: Rows of a block for each column of the Hankel matrix: with eight, the factor of before adds an eighth to the work.
+_ROWS_PER_COLUMN = 8
+#: How far from orthonormal the first factorisation may leave the columns, for the second one to be exact to rounding.
+_NEARLY_ORTHOGONAL = 0.1
+#: Parts of the data whose factors are kept, for the spread of estimates between them.
+PARTS = 24
+
+
+@dataclass(frozen=True, eq=False)
+class HankelFactor:
+    r"""``R`` of the QR factorisation of the Hankel matrix: its columns stand for the signals at each time of a window.
+
+    .. math:: H = Q R, \qquad H_k = \begin{bmatrix} 1 & u_k & y_k & u_{k+1} & \dots & y_{k+L-1} \end{bmatrix}
+
+    with a row for every window of ``L`` rows that no missing value cuts. Any regression among these signals has the
+    same solution, and the same residual, for the columns of ``R``.
+
+    Attributes
+    ----------
+    R : ndarray, shape (columns, columns)
+    parts : tuple of ndarray
+        The factors of successive parts of the data, of which ``R`` is the factor.
+    windows : int
+        Rows of the Hankel matrix.
+    length : int
+        Rows of the recording in a window, ``L``.
+    n_inputs, n_outputs : int
+    reference, units : ndarray, shape (channels,)
+        What was subtracted from each channel, and then divided by.
+    """
+
+    R: NDArray[np.float64]
+    parts: tuple[NDArray[np.float64], ...]
+    windows: int
+    length: int
+    n_inputs: int
+    n_outputs: int
+    reference: NDArray[np.float64]
+    units: NDArray[np.float64]
+
+    @property
+    def n_channels(self) -> int:
+        """Inputs and outputs."""
+        return self.n_inputs + self.n_outputs
+
+    def inputs(self, *times: int) -> list[int]:
+        """Return the columns of the inputs at times of the window."""
+        return [1 + time * self.n_channels + i for time in times for i in range(self.n_inputs)]
+
+    def outputs(self, *times: int) -> list[int]:
+        """Return the columns of the outputs at times of the window."""
+        return [1 + time * self.n_channels + self.n_inputs + i for time in times for i in range(self.n_outputs)]
+
+    def signals(self, times: Iterable[int]) -> list[int]:
+        """Return the columns of inputs and outputs at times of the window, in the order of the times."""
+        return [1 + time * self.n_channels + i for time in times for i in range(self.n_channels)]
+
+
+@dataclass(frozen=True, eq=False)
+class Regression:
+    """A least-squares fit among columns of the factor.
+
+    Attributes
+    ----------
+    coefficients : ndarray, shape (targets, regressors)
+    residual : ndarray, shape (rows of the factor, targets)
+        Its products are those of the residual of the data.
+    rank : int
+        Of the regressors; the coefficients are the smallest ones where it is not full.
+    """
+
+    coefficients: NDArray[np.float64]
+    residual: NDArray[np.float64]
+    rank: int
+
+
+def regress(targets: NDArray, regressors: NDArray) -> Regression:
+    """Return the least-squares fit of columns by others, in units that make the regressors equally large."""
+    k = regressors.shape[1]
+    if not k:
+        return Regression(np.zeros((targets.shape[1], 0)), targets, 0)
+    size = np.linalg.norm(regressors, axis=0)
+    size = np.where(size > 0, size, 1.0)
+    solution, _, rank, _ = np.linalg.lstsq(regressors / size, targets, rcond=RANK)
+    return Regression((solution / size[:, None]).T, targets - regressors / size @ solution, int(rank))
+
+
+def count_windows(gathered: Gathered, length: int) -> int:
+    """Return how many windows of a length the data have."""
+    return sum(max(len(one) - length + 1, 0) for one in gathered.segments)
+
+
+def hankel_factor(
+    gathered: Gathered, length: int, facts: ChannelFacts, *, progress: Progress | None = None
+) -> HankelFactor:
+    """Return the factor of the joint Hankel matrix of windows of ``length`` rows.
+
+    Raises
+    ------
+    DataError
+        If no segment is as long as a window, or there are fewer windows than columns.
+    """
+    columns = 1 + length * len(gathered.channels)
+    windows = count_windows(gathered, length)
+    if windows < columns:
+        longest = max((len(one) for one in gathered.segments), default=0)
+        raise DataError(
+            f"{counted(windows, 'window')} of {length} rows in the data, for {columns} columns of the Hankel matrix: "
+            f"the longest segment has {counted(longest, 'row')}; give a longer recording, or a shorter horizon"
+        )
+    borders = np.linspace(0, windows, min(PARTS, max(windows // columns, 1)) + 1).astype(int)
+    reference, units = facts.mean, facts.units
+    size = max(_ROWS_PER_COLUMN * columns, 512)
+    parts, done = [], 0
+    pieces = _pieces(gathered.segments, length, borders, size)
+    current: NDArray | None = None
+    for segment, start, stop, ends in pieces:
+        Z = (segment.rows(start, stop + length - 1) - reference) / units
+        block = _hankel_rows(Z, stop - start, length, current)
+        current = _triangle(block)
+        done += stop - start
+        if progress is not None:
+            progress("Hankel matrix", done, windows)
+        if ends:
+            parts.append(current)
+            current = None
+    R = _triangle(np.vstack(parts)) if len(parts) > 1 else parts[0]
+    return HankelFactor(R, tuple(parts), windows, length, len(gathered.inputs), len(gathered.outputs), reference, units)
+
+
+def _pieces(
+    segments: Sequence[Segment], length: int, borders: NDArray[np.int_], size: int
+) -> Iterable[tuple[Segment, int, int, bool]]:
+    """Yield (segment, first window, last window, whether a part of the data ends with it)."""
+    done, part = 0, 1
+    for segment in segments:
+        start, stop = 0, len(segment) - length + 1
+        while start < stop:
+            end = min(start + size, stop, start + int(borders[part]) - done)
+            done += end - start
+            ends = done == borders[part]
+            part += int(ends)
+            yield segment, start, end, ends
+            start = end
+
+
+def _hankel_rows(Z: NDArray, windows: int, length: int, above: NDArray | None) -> NDArray:
+    """Return windows of the signals, a row each, below a factor that is there already."""
+    n = Z.shape[1]
+    rows = 0 if above is None else len(above)
+    block = np.empty((rows + windows, 1 + length * n), order="F")
+    if above is not None:
+        block[:rows] = above
+    block[rows:, 0] = 1.0
+    for time in range(length):
+        block[rows:, 1 + time * n : 1 + (time + 1) * n] = Z[time : time + windows]
+    return block
+
+
+def _triangle(block: NDArray) -> NDArray[np.float64]:
+    """Return the triangular factor of a matrix, square even if it has fewer rows than columns.
+
+    Twice by the Cholesky factor of the matrix of products, which is as accurate as Householder's reflections up to a
+    condition of about 1e8 and consists of matrix products; by reflections beyond.
+    """
+    if len(block) >= block.shape[1]:
+        try:
+            first = np.linalg.cholesky(block.T @ block).T
+            even = solve_triangular(first, block.T, trans="T", check_finite=False).T
+            products = even.T @ even
+            if np.abs(products - np.eye(len(products))).max() < _NEARLY_ORTHOGONAL:
+                return np.linalg.cholesky(products).T @ first
+        except np.linalg.LinAlgError:  # not positive definite to rounding
+            pass
+    return _reflected(block)
+
+
+def _reflected(block: NDArray) -> NDArray[np.float64]:
+    """Return the triangular factor by Householder's reflections."""
+    geqrf, query = get_lapack_funcs(("geqrf", "geqrf_lwork"), (block,))
+    work, _ = query(*block.shape)
+    factor, _, _, _ = geqrf(np.asfortranarray(block), lwork=int(work), overwrite_a=True)
+    n = block.shape[1]
+    R = np.zeros((n, n))
+    rows = min(n, len(block))
+    R[:rows] = np.triu(factor[:rows])
+    return R

@@ -1,0 +1,93 @@
+"""How many rows of the past a predictor needs: the order of an autoregression with inputs, by Akaike's criterion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import DataError
+from residua.identify.channel_facts import ChannelFacts
+from residua.identify.hankel_factor import count_windows, hankel_factor
+from residua.identify.segments import Gathered
+
+#: Rows from which the horizon is chosen: that choice need not be exact.
+_ROWS = 100_000
+#: Columns of the Hankel matrix of the longest past that is tried, and rows for each of its columns.
+_MOST_COLUMNS, _LEAST_ROWS = 400, 4
+#: The longest past that is tried.
+_LONGEST = 60
+#: A prediction error below this part of an output's standard deviation counts as none.
+NOISE_FREE = 1e-7
+
+
+@dataclass(frozen=True, eq=False)
+class Horizon:
+    """The number of past rows from which outputs are predicted.
+
+    Attributes
+    ----------
+    past : int
+    tried : tuple of int
+    criterion : ndarray
+        Akaike's, corrected for few samples, for each number that was tried; the smallest is zero.
+    """
+
+    past: int
+    tried: tuple[int, ...]
+    criterion: NDArray[np.float64]
+
+
+def choose_horizon(
+    gathered: Gathered, facts: ChannelFacts, *, feedthrough: bool, longest: int | None = None
+) -> Horizon:
+    """Return the past that predicts the outputs best by Akaike's criterion, corrected for few samples.
+
+    Raises
+    ------
+    DataError
+        If the data are too few for a single row of the past.
+    """
+    data = _some(gathered)
+    n = len(gathered.channels)
+    most = min(longest or _LONGEST, _MOST_COLUMNS // n)
+    while most > 1 and count_windows(data, most + 1) < _LEAST_ROWS * (1 + n * (most + 1)):
+        most -= 1
+    windows = count_windows(data, most + 1)
+    if windows < 2 * (1 + 2 * n):
+        rows = max((len(one) for one in data.segments), default=0)
+        raise DataError(
+            f"too few data for a model of {n} channels: the longest segment without a missing value has {rows} rows, "
+            f"{2 * (1 + 2 * n) + 1} in a row are the least; take fewer channels, or a longer recording"
+        )
+    factor = hankel_factor(data, most + 1, facts)
+    newest_first = [column for time in reversed(range(most)) for column in factor.signals([time])]
+    fixed = [0, *(factor.inputs(most) if feedthrough else [])]
+    T = np.asarray(np.linalg.qr(factor.R[:, [*fixed, *newest_first, *factor.outputs(most)]], mode="r"))
+    tried = tuple(range(1, most + 1))
+    criterion = np.array([_akaike(T, len(fixed) + past * n, gathered, windows) for past in tried])
+    criterion -= criterion.min()
+    return Horizon(tried[int(criterion.argmin())], tried, criterion)
+
+
+def _some(gathered: Gathered) -> Gathered:
+    """Return the first rows of the data, from every segment as large a part, where there are more than needed."""
+    if gathered.n_samples <= _ROWS:
+        return gathered
+    share = _ROWS / gathered.n_samples
+    return gathered.with_segments([one.cut(0, int(np.ceil(share * len(one)))) for one in gathered.segments])
+
+
+def log_determinant(residual: NDArray, samples: int) -> float:
+    """Return the logarithm of the determinant of a covariance, from columns whose products over ``samples`` it is."""
+    s = np.linalg.svd(residual, compute_uv=False) / np.sqrt(samples)
+    return 2 * float(np.log(np.maximum(s, NOISE_FREE)).sum())
+
+
+def _akaike(T: NDArray, regressors: int, gathered: Gathered, windows: int) -> float:
+    outputs = len(gathered.outputs)
+    left = windows - regressors - outputs - 1
+    if left <= 0:
+        return np.inf
+    return windows * log_determinant(T[regressors:, -outputs:], windows) + 2 * outputs * regressors * windows / left

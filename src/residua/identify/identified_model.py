@@ -1,0 +1,183 @@
+"""A model identified from recordings: the plant with its noise, the report, and how uncertain its matrices are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.stats
+from numpy.typing import NDArray
+
+from residua.errors import DataError, SettingError
+from residua.identify.model_report import IdentificationReport
+from residua.identify.realisation import Innovations
+from residua.plant import OperatingPoint, Perturbation, Plant, UncertainPlant
+from residua.tolerances import RANK
+
+#: Directions of the uncertainty that are kept, unless the caller says otherwise.
+_DIRECTIONS = 6
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class IdentifiedModel:
+    """A plant from recordings, in innovation form, and what is known of it.
+
+    Attributes
+    ----------
+    plant : Plant
+        Sampled; the operating point holds the means of the inputs and the outputs at rest with them, and the noise is
+        that of the innovations: ``process = K V K'``, ``measurement = V``, ``cross = K V``.
+    report : IdentificationReport
+        ``print(model.report)`` shows it.
+    gain : ndarray, shape (n, outputs)
+        ``K``, of the stable one-step predictor.
+    innovation_covariance : ndarray, shape (outputs, outputs)
+        ``V``.
+    resampled : tuple of Plant
+        The same model from the data without each of their parts in turn, in the same coordinates; empty where the
+        data are too few for that.
+    """
+
+    plant: Plant
+    report: IdentificationReport
+    gain: NDArray[np.float64]
+    innovation_covariance: NDArray[np.float64]
+    resampled: tuple[Plant, ...] = ()
+
+    def uncertain_plant(
+        self, plant: Plant | None = None, *, level: float = 0.95, directions: int = _DIRECTIONS
+    ) -> UncertainPlant:
+        r"""Return the plant with the uncertainty of its matrices, as far as the data leave it open.
+
+        The covariance of the entries of ``A``, ``B``, ``C`` and ``D`` over parts of the data (the jackknife) is
+        :math:`\sum_k \lambda_k v_k v_k^T`; the leading directions :math:`v_k` are the parameters, each within
+        :math:`\pm q \sqrt{\lambda_k}` with the quantile ``q`` of the level for all of them together. A controller
+        that moved during the recording, or a plant that is not linear, widens it: the parts then differ by more than
+        noise.
+
+        Parameters
+        ----------
+        plant : Plant, optional
+            The model's plant with faults; :attr:`plant` when omitted. The columns of actuator faults vary with those
+            of their inputs.
+        level : float
+            Probability that a Gaussian estimate lies in the box.
+        directions : int
+            Directions that are kept, the largest ones first.
+
+        Raises
+        ------
+        DataError
+            If there are too few parts of data for a spread.
+        SettingError
+            If the level is no probability, or the plant is not this one with faults.
+
+        Notes
+        -----
+        What the directions that are left out would add is not covered.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import residua as rs
+        >>> rng = np.random.default_rng(0)
+        >>> u = rng.standard_normal((2000, 1))
+        >>> plant = rs.Plant([[0.8]], [[1.0]], [[1.0]], dt=1)
+        >>> y = plant.system("control").simulate(u) + 0.1 * rng.standard_normal((2000, 1))
+        >>> model = rs.identify.subspace(u, y, order=1)
+        >>> model.uncertain_plant().names
+        ('model 1', 'model 2')
+        """
+        if not 0 < level < 1:
+            raise SettingError(f"level must be a probability between 0 and 1, got {level!r}")
+        if len(self.resampled) < 3:
+            raise DataError("too few parts of data to tell how uncertain the model is: identify from more rows")
+        nominal = self.plant if plant is None else plant
+        if nominal.A.shape != self.plant.A.shape or not np.array_equal(nominal.A, self.plant.A):
+            raise SettingError("plant must be the plant of this model, with faults added")
+        values, vectors = self._spread(directions)
+        quantile = float(scipy.stats.norm.isf((1 - level ** (1 / max(len(values), 1))) / 2))
+        deltas: list[Perturbation] = []
+        for k, (size, vector) in enumerate(zip(values, vectors, strict=True)):
+            deltas += _perturbations(nominal, vector, quantile * size, f"model {k + 1}")
+        return UncertainPlant(nominal, deltas)
+
+    def _spread(self, directions: int) -> tuple[NDArray[np.float64], list[dict[str, NDArray[np.float64]]]]:
+        """Return the sizes of the leading directions of the jackknife's covariance, and what each does to a matrix."""
+        names = ("A", "Bu", "C", "Du")
+        nominal = [getattr(self.plant, name) for name in names]
+        # entries are compared in units of their rows and columns: those of signals of mean square one
+        rows = np.array([np.concatenate([getattr(one, name).ravel() for name in names]) for one in self.resampled])
+        count = len(rows)
+        spread = (rows - rows.mean(axis=0)) * np.sqrt((count - 1) / count)
+        unit = np.linalg.norm(spread, axis=0)
+        unit = np.where(unit > 0, unit, 1.0)
+        _, s, Vt = np.linalg.svd(spread / unit, full_matrices=False)
+        keep = min(directions, int(np.count_nonzero(s > RANK * s[0])) if s[0] > 0 else 0)
+        vectors = []
+        for row in Vt[:keep] * unit:
+            parts = np.split(row, np.cumsum([M.size for M in nominal])[:-1])
+            vectors.append({name: part.reshape(M.shape) for name, part, M in zip(names, parts, nominal, strict=True)})
+        return s[:keep], vectors
+
+    def __repr__(self) -> str:
+        return f"IdentifiedModel(order {self.report.order} by {self.report.method}, {self.plant!r})"
+
+
+def _perturbations(
+    plant: Plant, direction: dict[str, NDArray[np.float64]], size: float, name: str
+) -> list[Perturbation]:
+    """Return what one parameter does to the matrices: a channel for each singular value."""
+    actuators = [(i, plant.inputs.index(f.component)) for i, f in enumerate(plant.fault_list) if f.kind == "actuator"]
+    Bf, Df = np.zeros(plant.Bf.shape), np.zeros(plant.Df.shape)
+    for column, given in actuators:
+        Bf[:, column], Df[:, column] = direction["Bu"][:, given], direction["Du"][:, given]
+    matrices = {"A": direction["A"], "B": direction["Bu"], "C": direction["C"], "D": direction["Du"]}
+    matrices |= {"Bf": Bf, "Df": Df}
+    deltas = []
+    for letter, M in matrices.items():
+        if not M.any():
+            continue
+        U, s, Vt = np.linalg.svd(M, full_matrices=False)
+        keep = s > RANK * s[0]
+        root = np.sqrt(s[keep])
+        names = [name] * int(keep.sum())
+        deltas.append(Perturbation(letter, -U[:, keep] * root, root[:, None] * Vt[keep], -size, size, names))
+    return deltas
+
+
+def plant_of(
+    model: Innovations,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    dt: float,
+    reference: NDArray[np.float64],
+    scale: NDArray[np.float64],
+    **options: object,
+) -> tuple[Plant, NDArray[np.float64], NDArray[np.float64]]:
+    """Return the plant of a model in innovation form, in the units of the recordings, with its gain and covariance.
+
+    ``reference`` was subtracted from the channels, which were then divided by ``scale``.
+    """
+    m = len(inputs)
+    su, sy = scale[:m], scale[m:]
+    _, level, _ = model.at_rest()
+    plant = Plant(
+        model.A,
+        model.B / su,
+        sy[:, None] * model.C,
+        sy[:, None] * model.D / su,
+        dt=dt,
+        inputs=inputs,
+        outputs=outputs,
+        operating_point=OperatingPoint(tuple(reference[:m]), tuple(reference[m:] + sy * level)),
+        **options,  # pyright: ignore[reportArgumentType]
+    )
+    V = sy[:, None] * model.covariance * sy
+    K = model.K / sy
+    values, vectors = np.linalg.eigh(model.covariance)
+    root = sy[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    if root.any():
+        plant = plant.with_noise_input(K @ root, root)
+    return plant, K, V

@@ -1,0 +1,112 @@
+"""The order of a model: by singular values, an information criterion and the error on held-out data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import DataError
+from residua.identify.hankel_factor import HankelFactor
+from residua.identify.prediction import predictions
+from residua.identify.realisation import criterion, realise
+from residua.identify.segments import Gathered
+from residua.identify.state_map import StateMap
+from residua.progress import Progress
+
+#: Held-out rows on which orders are compared.
+_ROWS = 50_000
+
+
+@dataclass(frozen=True, eq=False)
+class OrderChoice:
+    """The order of a model and what it was compared with.
+
+    Attributes
+    ----------
+    order : int
+    reason : str
+    orders : tuple of int
+    criterion : ndarray
+        Schwarz's; the smallest is zero.
+    held_out_errors : ndarray
+        The geometric mean over the outputs of the prediction error, relative to the outputs' standard deviations; NaN
+        where nothing is held out or no stable predictor exists.
+    """
+
+    order: int
+    reason: str
+    orders: tuple[int, ...]
+    criterion: NDArray[np.float64]
+    held_out_errors: NDArray[np.float64]
+
+
+def choose_order(
+    factor: HankelFactor,
+    states: StateMap,
+    most: int,
+    held_out: Gathered,
+    wanted: int | Literal["auto"],
+    *,
+    feedthrough: bool,
+    progress: Progress,
+) -> OrderChoice:
+    """Return the order by Schwarz's criterion, or the one that is wanted, compared with the others.
+
+    Raises
+    ------
+    DataError
+        If the data have fewer candidates for states than the order that is wanted.
+    """
+    most = max(most, wanted) if isinstance(wanted, int) else most
+    if most > len(states.T):
+        raise DataError(
+            f"the data support {len(states.T)} states at most with {states.past} rows of the past, {most} are asked "
+            "for: give a longer past, or a smaller order"
+        )
+    orders = tuple(range(most + 1))
+    values = criterion(factor, states, most, feedthrough=feedthrough)
+    short = _shortened(held_out)
+    errors = np.full(len(orders), np.nan)
+    for order in orders:
+        errors[order] = _error(factor, states, order, short, feedthrough)
+        progress("orders", order + 1, len(orders))
+    if wanted != "auto":
+        return OrderChoice(int(wanted), "as asked for", orders, values, errors)
+    best = int(values.argmin())
+    reason = "the smallest information criterion"
+    if best == most and most == len(orders) - 1 and best:
+        reason += ", which is still falling at the largest order that was compared (max_order)"
+    if np.isfinite(errors).any():
+        lowest = int(np.nanargmin(errors))
+        reason += f"; the held-out error is smallest at order {lowest}"
+    return OrderChoice(best, reason, orders, values, errors)
+
+
+def _shortened(held_out: Gathered) -> Gathered:
+    if held_out.n_samples <= _ROWS:
+        return held_out
+    share = _ROWS / held_out.n_samples
+    return held_out.with_segments([one.cut(0, int(np.ceil(share * len(one)))) for one in held_out.segments])
+
+
+def _error(factor: HankelFactor, states: StateMap, order: int, held_out: Gathered, feedthrough: bool) -> float:
+    """Return the prediction error of an order on the held-out part."""
+    try:
+        model = realise(factor, states, order, feedthrough=feedthrough)
+    except DataError:  # no stable predictor of this order
+        return np.nan
+    p = factor.n_outputs
+    rows, total, squares, errors = 0, np.zeros(p), np.zeros(p), np.zeros(p)
+    for _, y, predicted in predictions(model, held_out, factor.reference, factor.units):
+        rows += len(y)
+        total += y.sum(axis=0)
+        squares += (y**2).sum(axis=0)
+        errors += ((y - predicted) ** 2).sum(axis=0)
+    if not rows:
+        return np.nan
+    variance = squares - total**2 / rows
+    share = errors / np.where(variance > 0, variance, 1.0)
+    return float(np.exp(np.log(np.maximum(share, np.finfo(float).tiny)).mean() / 2))

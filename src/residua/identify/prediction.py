@@ -1,0 +1,162 @@
+"""One-step predictions of a model on data, and what their errors say: fit, whiteness, feedback."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.stats
+from numpy.typing import NDArray
+
+from residua.identify.realisation import Innovations
+from residua.identify.segments import BLOCK, Gathered
+from residua.linear import StateSpace
+
+#: Rows by which errors are compared with themselves and with inputs.
+LAGS = 20
+#: Correlations that chance gives once in so many data sets count as real, all lags and channels together.
+_CHANCE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorFacts:
+    """What prediction errors on data say of a model.
+
+    Attributes
+    ----------
+    rows : int
+        Rows that were predicted.
+    error : ndarray, shape (outputs,)
+        Root mean square of the prediction error, in the outputs' units.
+    fit : ndarray, shape (outputs,)
+        ``1 - |y - yhat| / |y - mean y|``: one for a perfect prediction, zero for none, below for a worse one.
+    simulated_fit : ndarray or None, shape (outputs,)
+        The same for outputs simulated from the inputs alone; ``None`` for a plant that is not stable or has no inputs.
+    covariance : ndarray, shape (outputs, outputs)
+        Of the errors, in units of the factor.
+    autocorrelation : ndarray, shape (outputs,)
+        The largest one of each output's errors at lags 1 to 20, in size.
+    whiteness : ndarray, shape (outputs,)
+        Probability that white errors are as correlated (Ljung and Box).
+    feedback : tuple of (str, str, float)
+        The outputs whose errors later inputs follow, with the largest correlation.
+    missed : tuple of (str, str, float)
+        The inputs whose past the errors of an output still hold, with the largest correlation.
+    """
+
+    rows: int
+    error: NDArray[np.float64]
+    fit: NDArray[np.float64]
+    simulated_fit: NDArray[np.float64] | None
+    covariance: NDArray[np.float64]
+    autocorrelation: NDArray[np.float64]
+    whiteness: NDArray[np.float64]
+    feedback: tuple[tuple[str, str, float], ...]
+    missed: tuple[tuple[str, str, float], ...]
+
+
+def predictions(
+    model: Innovations, gathered: Gathered, reference: NDArray, units: NDArray
+) -> Iterator[tuple[NDArray, NDArray, NDArray]]:
+    """Yield inputs, outputs and predicted outputs of pieces of the data, in units of the factor, from rest.
+
+    The state at the start of each piece is that of the rows before it.
+    """
+    predictor, m = model.predictor(), len(gathered.inputs)
+    rest, level, _ = model.at_rest()
+    for segment in gathered.segments:
+        for start in range(0, len(segment) - model.past, BLOCK):
+            rows = segment.rows(start, min(start + BLOCK + model.past, len(segment)))
+            Z = (rows - reference) / units
+            x = model.states @ Z[: model.past].ravel() - rest
+            Z = Z[model.past :] - np.concatenate([np.zeros(m), level])
+            yield Z[:, :m], Z[:, m:], predictor.simulate(Z, x)
+
+
+def error_facts(model: Innovations, gathered: Gathered, reference: NDArray, units: NDArray) -> ErrorFacts | None:
+    """Return what the prediction errors on data say; ``None`` where no segment is long enough to predict any row."""
+    m, p, rows = len(gathered.inputs), len(gathered.outputs), 0
+    squares, total, sizes = np.zeros(p), np.zeros(p), np.zeros(p)
+    products, inputs = np.zeros((LAGS + 1, p, p)), np.zeros(m)
+    mean_error, mean_input = np.zeros(p), np.zeros(m)
+    crossed = np.zeros((2 * LAGS + 1, p, m))
+    simulated = _Simulated(model, m, p)
+    for u, y, predicted in predictions(model, gathered, reference, units):
+        e = y - predicted
+        rows += len(e)
+        squares += (y**2).sum(axis=0)
+        total += y.sum(axis=0)
+        sizes += (e**2).sum(axis=0)
+        mean_error += e.sum(axis=0)
+        mean_input += u.sum(axis=0)
+        inputs += (u**2).sum(axis=0)
+        for lag in range(min(LAGS + 1, len(e))):
+            products[lag] += e[lag:].T @ e[: len(e) - lag]
+            crossed[LAGS + lag] += e[: len(e) - lag].T @ u[lag:]
+            crossed[LAGS - lag] += (e[lag:].T @ u[: len(e) - lag]) if lag else 0.0
+        simulated.add(u, y)
+    if not rows:
+        return None
+    variance = np.maximum(squares - total**2 / rows, 0.0)
+    fit = np.asarray(1 - np.sqrt(sizes / np.where(variance > 0, variance, 1.0)))
+    # without their means: a level that is off is no correlation
+    e_mean, u_mean = mean_error / rows, mean_input / rows
+    products -= rows * np.outer(e_mean, e_mean)
+    crossed -= rows * np.outer(e_mean, u_mean)
+    power = np.diag(products[0]), np.maximum(inputs - rows * u_mean**2, 0.0)
+    own = np.array([np.diag(one) for one in products[1:]]) / np.where(power[0] > 0, power[0], 1.0)
+    correlation = crossed / np.sqrt(np.maximum(np.outer(*power), 1e-300))
+    names = gathered.outputs, gathered.inputs
+    return ErrorFacts(
+        rows,
+        np.sqrt(sizes / rows) * units[m:],
+        fit,
+        simulated.fit(variance / rows),
+        products[0] / rows + np.outer(e_mean, e_mean),
+        np.abs(own).max(axis=0),
+        _ljung_box(own, rows),
+        _significant(correlation[LAGS + 1 :], rows, *names),
+        _significant(correlation[:LAGS], rows, *names),
+    )
+
+
+def _ljung_box(own: NDArray, rows: int) -> NDArray[np.float64]:
+    lags = np.arange(1, len(own) + 1)
+    left = np.maximum(rows - lags, 1)[:, None]
+    return np.asarray(scipy.stats.chi2.sf(rows * (rows + 2) * (own**2 / left).sum(axis=0), len(own)))
+
+
+def _significant(
+    correlation: NDArray, rows: int, outputs: tuple[str, ...], inputs: tuple[str, ...]
+) -> tuple[tuple[str, str, float], ...]:
+    """Return the pairs whose errors and inputs are correlated by more than chance, the largest first."""
+    if not correlation.size:
+        return ()
+    limit = scipy.stats.norm.isf(_CHANCE / (2 * correlation.size)) / np.sqrt(rows)
+    largest = np.abs(correlation).max(axis=0)
+    pairs = [(outputs[i], inputs[j], float(largest[i, j])) for i, j in zip(*np.nonzero(largest > limit), strict=True)]
+    return tuple(sorted(pairs, key=lambda one: -one[2]))
+
+
+class _Simulated:
+    """Errors of outputs that are simulated from the inputs alone, piece by piece, the start of each left out."""
+
+    def __init__(self, model: Innovations, m: int, p: int) -> None:
+        radius = float(np.abs(np.linalg.eigvals(model.A)).max(initial=0.0))
+        self._runs = bool(m) and radius < 1
+        self._skip = model.past if radius < 1e-6 else int(np.ceil(np.log(1e-2) / np.log(min(radius, 1 - 1e-9))))
+        self._system = StateSpace(model.A, model.B, model.C, model.D, dt=1.0)
+        self._squares, self._rows = np.zeros(p), 0
+
+    def add(self, u: NDArray, y: NDArray) -> None:
+        """Take a piece of the data, in deviations from rest."""
+        if self._runs and len(u) > 2 * self._skip:
+            self._squares += ((y - self._system.simulate(u))[self._skip :] ** 2).sum(axis=0)
+            self._rows += len(u) - self._skip
+
+    def fit(self, variance: NDArray) -> NDArray[np.float64] | None:
+        """Return the fit for outputs of a variance."""
+        if not self._rows:
+            return None
+        return np.asarray(1 - np.sqrt(self._squares / self._rows / np.where(variance > 0, variance, 1.0)))

@@ -1,0 +1,176 @@
+"""The matrices of a model in innovation form, by regressions among its states, inputs and outputs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import AccuracyError, DataError, DesignError
+from residua.identify.hankel_factor import HankelFactor, regress
+from residua.identify.horizon import NOISE_FREE, log_determinant
+from residua.identify.state_map import StateMap
+from residua.linear import StateSpace
+from residua.linear.poles.riccati import filter_riccati
+
+Matrix = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Innovations:
+    r"""A model in innovation form, in units of the factor.
+
+    .. math:: x_{k+1} = A x_k + B u_k + K e_k + c_x, \qquad y_k = C x_k + D u_k + c_y + e_k
+
+    Attributes
+    ----------
+    A, B, C, D, K : ndarray
+    state_constant, output_constant : ndarray
+    covariance : ndarray
+        Of the innovations.
+    states : ndarray, shape (n, past rows x channels)
+        What takes the past to the states.
+    past : int
+    note : str
+        The repair of the gain, if it needed one.
+    """
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+    K: Matrix
+    state_constant: Matrix
+    output_constant: Matrix
+    covariance: Matrix
+    states: Matrix
+    past: int
+    note: str = ""
+
+    @property
+    def order(self) -> int:
+        """Number of states."""
+        return len(self.A)
+
+    def at_rest(self) -> tuple[Matrix, Matrix, float]:
+        """Return states and outputs at rest for inputs of zero, and what of the constants no rest balances."""
+        n = self.order
+        if not n:
+            return np.zeros(0), self.output_constant, 0.0
+        M = np.eye(n) - self.A
+        x, _, _, _ = np.linalg.lstsq(M, self.state_constant, rcond=1e-8)
+        left = float(np.abs(M @ x - self.state_constant).max(initial=0.0))
+        return np.asarray(x, dtype=float), self.C @ x + self.output_constant, left
+
+    def predictor(self) -> StateSpace:
+        """Return what predicts the outputs from inputs and outputs, one row ahead, in deviations from rest."""
+        return StateSpace(
+            self.A - self.K @ self.C,
+            np.hstack([self.B - self.K @ self.D, self.K]),
+            self.C,
+            np.hstack([self.D, np.zeros((len(self.C), len(self.C)))]),
+            dt=1.0,
+        )
+
+
+def realise(factor: HankelFactor, states: StateMap, order: int, *, feedthrough: bool) -> Innovations:
+    """Return the model of an order: outputs by states and inputs, then the next states by these and the innovations.
+
+    Where the gain of that regression leaves the predictor unstable, the gain is that of the Riccati equation for the
+    covariances of both residuals.
+
+    Raises
+    ------
+    DataError
+        If no stable predictor has these covariances.
+    """
+    return _solved(_signals(factor.R, factor, states, order), factor, states, order, factor.windows, feedthrough)
+
+
+def resampled(factor: HankelFactor, states: StateMap, order: int, *, feedthrough: bool) -> list[Innovations]:
+    """Return the models of the data without each of their parts in turn, with the same states.
+
+    Their spread is that of the estimate (the jackknife), however the noise is correlated within a part.
+    """
+    small = [_triangle_of(_signals(one, factor, states, order)) for one in factor.parts]
+    models, windows = [], factor.windows * (len(small) - 1) // max(len(small), 1)
+    for left_out in range(len(small)):
+        rest = np.vstack([one for k, one in enumerate(small) if k != left_out])
+        models.append(_solved(rest, factor, states, order, windows, feedthrough))
+    return models
+
+
+def _triangle_of(columns: Matrix) -> Matrix:
+    return np.asarray(np.linalg.qr(columns, mode="r"))
+
+
+def _signals(R: Matrix, factor: HankelFactor, states: StateMap, order: int) -> Matrix:
+    """Return a constant, the states, the inputs, the outputs and the next states, as columns."""
+    T, now = states.T[:order], states.past
+    x0 = R[:, factor.signals(range(now))] @ T.T
+    x1 = R[:, factor.signals(range(1, now + 1))] @ T.T
+    return np.hstack([R[:, [0]], x0, R[:, factor.inputs(now)], R[:, factor.outputs(now)], x1])
+
+
+def _solved(
+    columns: Matrix, factor: HankelFactor, states: StateMap, order: int, windows: int, feedthrough: bool
+) -> Innovations:
+    m, p = factor.n_inputs, factor.n_outputs
+    one, x0, u, y, x1 = np.split(columns, np.cumsum([1, order, m, p]), axis=1)
+    A, C = _from_shift(states, order, p)
+    target = y if C is None else y - x0 @ C.T
+    fit = regress(target, np.hstack([one, *([u] if feedthrough else []), *([x0] if C is None else [])]))
+    c_y, e = fit.coefficients[:, 0], fit.residual
+    D = fit.coefficients[:, 1 : 1 + m] if feedthrough else np.zeros((p, m))
+    C = fit.coefficients[:, fit.coefficients.shape[1] - order :] if C is None else C
+    e = np.where(np.linalg.norm(e, axis=0) > NOISE_FREE * np.sqrt(windows), e, 0.0)
+    target = x1 if A is None else x1 - x0 @ A.T
+    step = regress(target, np.hstack([one, u, *([x0] if A is None else []), e]))
+    c_x, B, K = step.coefficients[:, 0], step.coefficients[:, 1 : 1 + m], step.coefficients[:, -p:]
+    A = step.coefficients[:, 1 + m : 1 + m + order] if A is None else A
+    samples = max(windows - order - 1 - (m if feedthrough else 0), 1)
+    V, W = e.T @ e / samples, step.residual.T @ step.residual / samples
+    K, note = _stable_gain(A, C, K, W, V)
+    return Innovations(A, B, C, D, K, c_x, c_y, V, states.T[:order], states.past, note)
+
+
+def _from_shift(states: StateMap, order: int, outputs: int) -> tuple[Matrix | None, Matrix | None]:
+    """Return ``A`` and ``C`` from the shift of the observability matrix, for a method that has one."""
+    if states.observability is None:
+        return None, None
+    G = states.observability[:, :order]
+    A, _, _, _ = np.linalg.lstsq(G[:-outputs], G[outputs:], rcond=None)
+    return np.asarray(A, dtype=float), G[:outputs]
+
+
+def _stable_gain(A: Matrix, C: Matrix, K: Matrix, W: Matrix, V: Matrix) -> tuple[Matrix, str]:
+    """Return the gain of a stable predictor, and what is said if it is not the one that was estimated."""
+    radius = float(np.abs(np.linalg.eigvals(A - K @ C)).max(initial=0.0))
+    if radius < 1:
+        return K, ""
+    floor = NOISE_FREE**2 * np.eye(len(V))
+    cross = K @ V
+    try:
+        solution = filter_riccati(A, C, K @ cross.T + W + NOISE_FREE**2 * np.eye(len(A)), V + floor, cross, dt=1.0)
+    except (DesignError, AccuracyError) as error:
+        raise DataError(
+            f"no stable predictor of order {len(A)} fits the data ({error}): choose another order, or method"
+        ) from error
+    note = (
+        f"the estimated gain left the predictor unstable (a pole of size {radius:.4g}): it is replaced by that of the "
+        "Riccati equation for the same covariances"
+    )
+    return np.asarray(solution.gain), note
+
+
+def criterion(factor: HankelFactor, states: StateMap, most: int, *, feedthrough: bool) -> NDArray[np.float64]:
+    """Return Schwarz's criterion of the orders 0 to ``most``, by their prediction errors; the smallest is zero."""
+    N, m, p = factor.windows, factor.n_inputs, factor.n_outputs
+    x = factor.R[:, factor.signals(range(states.past))] @ states.T[:most].T
+    fixed = factor.R[:, [0, *(factor.inputs(states.past) if feedthrough else [])]]
+    T = np.asarray(np.linalg.qr(np.hstack([fixed, x, factor.R[:, factor.outputs(states.past)]]), mode="r"))
+    values = [
+        N * log_determinant(T[fixed.shape[1] + n :, -p:], N) + n * (2 * p + m) * np.log(N) for n in range(most + 1)
+    ]
+    return np.array(values) - min(values)
