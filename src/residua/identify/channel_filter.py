@@ -83,7 +83,7 @@ def channel_generator(
         system,
         plant,
         evidence.method,
-        evidence.extended(poles=system.poles(), notes=gathered.notes),
+        evidence.extended(poles=system.poles(), notes=(*gathered.notes, *units.facts.notes(gathered.sources))),
         decouples=Decoupled(),
         state_map=np.zeros((lags * q, 0)),
         members=members,

@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import DataError
+from residua.identify.channel_facts import ChannelFacts, channel_facts
+from residua.identify.hankel_factor import count_windows, hankel_factor
 from residua.identify.segments import Gathered
-from residua.tolerances import DATA_ROUNDING
 from residua.visible import listed
 from residua.words import counted
 
-#: Rows that are factored at a time.
-_ROWS = 4096
 #: Rows for each column from which on a covariance counts as known; with fewer, the evidence says so.
 KNOWN = 10
 
@@ -25,15 +24,13 @@ class Standard:
 
     Attributes
     ----------
+    facts : ChannelFacts
     mean, spread : ndarray, shape (channels,)
     """
 
+    facts: ChannelFacts
     mean: NDArray[np.float64]
     spread: NDArray[np.float64]
-
-    def units(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return rows less their mean, in standard deviations."""
-        return (rows - self.mean) / self.spread
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +40,7 @@ class LaggedRows:
     Attributes
     ----------
     factor : ndarray, shape (d, d)
-        Upper triangular ``R``, ``R' R = (Z - mean)' (Z - mean)``: column ``lag * channels + channel``.
+        ``F`` with ``F' F = (Z - mean)' (Z - mean)``: column ``lag * channels + channel``.
     count : int
         Rows of ``Z``.
     channels, lags : int
@@ -70,27 +67,19 @@ def standard(gathered: Gathered) -> Standard:
     Raises
     ------
     DataError
-        If a channel never changes.
+        If a channel never changes, or has values whose squares overflow.
     """
-    count = gathered.n_samples
-    largest = np.zeros(len(gathered.channels))
-    for _, rows in gathered.blocks():
-        largest = np.maximum(largest, np.abs(rows).max(axis=0))
-    size = np.exp2(np.floor(np.log2(np.where(largest > 0, largest, 1.0))))  # squares of what is scaled do not overflow
-    total, squares = np.zeros(len(size)), np.zeros(len(size))
-    for _, rows in gathered.blocks():
-        total += (rows / size).sum(axis=0)
-    mean = total / count
-    for _, rows in gathered.blocks():
-        squares += ((rows / size - mean) ** 2).sum(axis=0)
-    spread = np.sqrt(squares / max(1, count - 1))
-    still = [name for name, one in zip(gathered.channels, spread <= DATA_ROUNDING, strict=True) if one]
+    facts, count = channel_facts(gathered), gathered.n_samples
+    vast = [name for name, one in zip(facts.channels, facts.deviation, strict=True) if not np.isfinite(one)]
+    if vast:
+        raise DataError(f"{listed(vast)}: values so large that their squares overflow; mark what is no value as NaN")
+    still = facts.constant()
     if still:
         raise DataError(
             f"{listed(still)} never {'changes' if len(still) == 1 else 'change'} in {counted(count, 'row')}: "
             "a constant channel shows nothing of what is normal; leave it out"
         )
-    return Standard(mean * size, spread * size)
+    return Standard(facts, facts.mean, facts.deviation * np.sqrt(count / (count - 1)))
 
 
 def lagged_rows(gathered: Gathered, units: Standard, lags: int) -> LaggedRows:
@@ -102,8 +91,7 @@ def lagged_rows(gathered: Gathered, units: Standard, lags: int) -> LaggedRows:
         If there are no more rows than columns.
     """
     q = len(gathered.channels)
-    d = q * (lags + 1)
-    count = sum(max(0, len(segment) - lags) for segment in gathered.segments)
+    d, count = q * (lags + 1), count_windows(gathered, lags + 1)
     if count <= d + 1:
         longest = max(len(segment) for segment in gathered.segments)
         raise DataError(
@@ -111,15 +99,11 @@ def lagged_rows(gathered: Gathered, units: Standard, lags: int) -> LaggedRows:
             f"longest of {longest}, make {counted(count, 'row')} of {d} columns ({q} channels, {lags} lags), but more "
             f"than {d + 1} are needed: give a longer recording, fewer lags, or fewer channels"
         )
-    factor = np.zeros((0, 1 + d))  # a column of ones first, which takes the mean of every column out of the others
-    for segment in gathered.segments:
-        for start in range(lags, len(segment), _ROWS):
-            stop = min(start + _ROWS, len(segment))
-            rows = units.units(segment.rows(start - lags, stop))
-            beside = [rows[lags - lag : len(rows) - lag] for lag in range(lags + 1)]
-            block = np.vstack([factor, np.hstack([np.ones((stop - start, 1)), *beside])])
-            factor = np.asarray(np.linalg.qr(block, mode="r"))
-    return LaggedRows(factor[1:, 1:], count, q, lags)
+    hankel = hankel_factor(gathered, lags + 1, units.facts)
+    latest_first = hankel.signals(range(lags, -1, -1))
+    scale = np.tile(hankel.units / units.spread, lags + 1)
+    # without the row of the column of ones, which holds the means of the others
+    return LaggedRows(hankel.R[1:, latest_first] * scale, count, q, lags)
 
 
 def few_rows(count: int, columns: int) -> tuple[str, ...]:
