@@ -88,7 +88,7 @@ def parity_from_data(
        \alpha \begin{bmatrix} U_f \\ Y_f \end{bmatrix} \Pi = 0
 
     with the Hankel matrices of ``s + 1`` samples of inputs and outputs, less their means and in standard deviations,
-    and the projection :math:`\Pi` onto the ``s`` samples before them and the inputs, which takes out what noise adds.
+    and the projection :math:`\Pi` onto as many samples before them and the inputs, which takes out what noise adds.
     The rows of :math:`\alpha` are the data-driven form of the stable kernel representation. Of all combinations those
     are chosen of which past and inputs say least, relative to their variance: the smallest canonical correlations.
     With ``poles`` the residual is :math:`r_k / d(q^{-1})`, which is the observer form of the same relations.
@@ -123,13 +123,13 @@ def parity_from_data(
     ------
     DataError
         If a channel never changes, inputs determine one another, there are no more rows than columns
-        ``(2 s + 1) channels``, or the data support no relation.
+        ``2 (s + 1) channels``, or the data support no relation.
     SettingError
         If ``order``, ``relations`` or ``poles`` are out of range, or a channel is named twice.
 
     Notes
     -----
-    Assumes: a linear plant around one point; noise that past and inputs do not foretell beyond ``s`` samples, and
+    Assumes: a linear plant around one point; noise of the ``s + 1`` samples that those before do not foretell, and
     inputs that do not depend on it: in a closed loop the relations are biased by what the controller feeds back.
     Thresholds are fitted by :meth:`residua.Monitor.fit`.
 
@@ -164,7 +164,7 @@ def parity_from_data(
     denominator = _denominator(poles, s)
     gathered = gather(recordings, y, inputs=inputs, outputs=outputs, dt=dt)
     units = standard(gathered)
-    stacked = lagged_rows(gathered, units, 2 * s)
+    stacked = lagged_rows(gathered, units, 2 * s + 1)
     m, q = len(gathered.inputs), stacked.channels
     correlations, directions, chance = _correlations(stacked, s, m, gathered.inputs)
     most = (q - m) * (s + 1)
@@ -199,11 +199,11 @@ def _correlations(
     Combinations are the columns of an array, shape ((s + 1) channels, as many), in the order of the channels.
     """
     q = stacked.channels
-    window, past = range(s + 1), range(s + 1, 2 * s + 1)
+    window, past = range(s + 1), range(s + 1, 2 * s + 2)
     known = [*stacked.columns(past), *stacked.columns(window, range(m))]
     outputs = stacked.columns(window, range(m, q))
     R = stacked.rearranged([*known, *outputs]) / np.sqrt(stacked.count)
-    n, n_past = len(known), s * q
+    n, n_past = len(known), (s + 1) * q
     if m:
         _check_excitation(R[:n, n_past:n], inputs, s)
     ours = R[:, n_past:]  # inputs of the window, then its outputs
