@@ -28,8 +28,11 @@ def continuous() -> rs.Plant:
     return three_tank(dt=0)
 
 
+@cache
 def recording(steps: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     found = rs.library.simulate_three_tank(steps, seed=seed)
+    for shared in (found.u, found.y):
+        shared.flags.writeable = False
     return found.u, found.y
 
 

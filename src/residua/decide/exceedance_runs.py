@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -115,46 +114,91 @@ class RunModel:
     def _fractions(self, level: float, *, whole: bool) -> NDArray[np.float64]:
         """Return the fraction from all data, or from all but each stretch of time."""
         at = min(level, self.limit)
-        number = int(self.groups.max(initial=0)) + 1
-        over = self.statistic > at
-        groups = self.groups[self.counted]
-
-        def left(values: NDArray) -> NDArray[np.float64]:
-            total = values.sum(axis=0, keepdims=True).astype(float)
-            return total if whole else total - values
-
-        def counts(which: NDArray[np.bool_], longest: int) -> NDArray[np.float64]:
-            run = np.minimum(_run_lengths(which, self.begins)[self.counted], longest + 1)
-            table = np.bincount(groups * (longest + 2) + run, minlength=number * (longest + 2))
-            return left(table.reshape(number, longest + 2))
-
-        up, down = counts(over, self.persistence), counts(~over, self.release)
-        samples = up.sum(axis=1)
-        B, raised = _runs(up, samples, self.persistence)
-        C, ended = _runs(down, samples, self.release)
+        course = self._course(at, whole)
+        B, raised, C, ended = course.B, course.raised, course.C, course.ended
         if level > at:
-            seen = samples - up[:, 0]
-            factor = self._over(
-                level, lambda values: left(np.bincount(groups, values, minlength=number)[:, None])[:, 0]
-            )
-            factor = factor / np.maximum(seen, 1)
+            factor = self._over(level, whole) / np.maximum(course.seen, 1)
             B, raised = B * factor, raised * factor
         time_up = np.maximum(1 - B, TINY) / np.maximum(raised, TINY)
         time_down = np.maximum(1 - C, TINY) / np.maximum(ended, TINY)
         return time_down / (time_down + time_up)
 
-    def _over(self, level: float, left: Callable[[NDArray], NDArray[np.float64]]) -> NDArray[np.float64]:
+    @cached_property
+    def _number(self) -> int:
+        """How many stretches of time there are."""
+        return int(self.groups.max(initial=0)) + 1
+
+    @cached_property
+    def _counted_groups(self) -> NDArray[np.int64]:
+        return self.groups[self.counted]
+
+    @cached_property
+    def _counted_values(self) -> NDArray[np.float64]:
+        return self.statistic[self.counted]
+
+    @cached_property
+    def _sorted(self) -> NDArray[np.float64]:
+        return np.sort(self.statistic)
+
+    @cached_property
+    def _courses(self) -> dict[tuple[int, bool], _Course]:
+        return {}
+
+    @cached_property
+    def _beyond(self) -> dict[bool, tuple[NDArray[np.float64], NDArray[np.float64], float]]:
+        return {}
+
+    def _left(self, values: NDArray, whole: bool) -> NDArray[np.float64]:
+        """Return the sum of values by stretches of time, or that of all others in place of each."""
+        total = values.sum(axis=0, keepdims=True).astype(float)
+        return total if whole else total - values
+
+    def _by_stretches(self, values: NDArray[np.float64], whole: bool) -> NDArray[np.float64]:
+        return self._left(np.bincount(self._counted_groups, values, minlength=self._number)[:, None], whole)[:, 0]
+
+    def _course(self, at: float, whole: bool) -> _Course:
+        """Return the course of runs; between two values of the statistic it is the same, and is kept."""
+        key = int(np.searchsorted(self._sorted, at, side="right")), whole
+        if key not in self._courses:
+            over = self.statistic > at
+            up, down = self._counts(over, self.persistence, whole), self._counts(~over, self.release, whole)
+            samples = up.sum(axis=1)
+            runs = *_runs(up, samples, self.persistence), *_runs(down, samples, self.release)
+            self._courses[key] = _Course(*runs, samples - up[:, 0])
+        return self._courses[key]
+
+    def _counts(self, which: NDArray[np.bool_], longest: int, whole: bool) -> NDArray[np.float64]:
+        """Return how many samples have a run of 0, 1, ..., ``longest``, and more, up to them."""
+        run = np.minimum(_run_lengths(which, self.begins)[self.counted], longest + 1)
+        table = np.bincount(self._counted_groups * (longest + 2) + run, minlength=self._number * (longest + 2))
+        return self._left(table.reshape(self._number, longest + 2), whole)
+
+    def _over(self, level: float, whole: bool) -> NDArray[np.float64]:
         """Return how many samples are over a level: beyond the start of the tail, how many are to be expected."""
-        values = self.statistic[self.counted]
+        values = self._counted_values
         if level <= self.tail.start:
-            return left((values > level).astype(float))
-        over = values > self.tail.start
-        start = float(depths(self.tail.scale, self.tail.start))
-        excess = np.zeros(len(values))
-        excess[over] = depths(self.tail.scale, values[over]) - start
-        count = left(over.astype(float))
-        slope = slope_of(self.tail.worth, left(excess) / np.maximum(count, 1))
+            return self._by_stretches((values > level).astype(float), whole)
+        if whole not in self._beyond:
+            over = values > self.tail.start
+            start = float(depths(self.tail.scale, self.tail.start))
+            excess = np.zeros(len(values))
+            excess[over] = depths(self.tail.scale, values[over]) - start
+            count = self._by_stretches(over.astype(float), whole)
+            slope = slope_of(self.tail.worth, self._by_stretches(excess, whole) / np.maximum(count, 1))
+            self._beyond[whole] = count, slope, start
+        count, slope, start = self._beyond[whole]
         return count * np.exp(-slope * (float(depths(self.tail.scale, level)) - start))
+
+
+@dataclass(frozen=True, eq=False)
+class _Course:
+    """Of runs over a level and under it: the fractions of samples that end one, how often they begin, samples over."""
+
+    B: NDArray[np.float64]
+    raised: NDArray[np.float64]
+    C: NDArray[np.float64]
+    ended: NDArray[np.float64]
+    seen: NDArray[np.float64]
 
 
 def _run_lengths(which: NDArray[np.bool_], begins: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -178,8 +222,9 @@ def _runs(
     rows = np.arange(len(counts))
     begun, ends = reached[rows, last], longer[rows, last]
     goes_on = (ends - begun + 0.5) / (ends + 1.0)  # never none and never all
-    begins = begun * goes_on ** (length - 1 - last) / samples
-    fraction = np.where(last == length - 1, ends / samples, begins / (1 - goes_on))
+    with np.errstate(invalid="ignore"):  # without the only group that counts nothing is known: no rate is promised
+        begins = begun * goes_on ** (length - 1 - last) / samples
+        fraction = np.where(last == length - 1, ends / samples, begins / (1 - goes_on))
     return fraction, begins
 
 

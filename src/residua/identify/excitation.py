@@ -21,8 +21,9 @@ class Excitation:
     Attributes
     ----------
     unexplained : ndarray, shape (inputs,)
-        The part of each input's variance that neither the past nor the other inputs determine: from it alone the
-        effect of the input is told from that of a controller.
+        The part of each input's variance that neither the past nor the other inputs determine (nor, without
+        feedthrough, the outputs of the same row): from it alone the effect of the input is told from that of a
+        controller.
     order : int
         Independent directions of the inputs over the past, of ``full`` at most.
     full : int
@@ -40,15 +41,19 @@ class Excitation:
     instant: tuple[tuple[int, int], ...]
 
 
-def excitation(factor: HankelFactor, past: int) -> Excitation:
-    """Return what the inputs can show, from windows of ``past`` rows and the one after them."""
+def excitation(factor: HankelFactor, past: int, *, feedthrough: bool) -> Excitation:
+    """Return what the inputs can show, from windows of ``past`` rows and the one after them.
+
+    Without feedthrough an input that goes with the output of its row is moved by it.
+    """
     m, now = factor.n_inputs, past
     before = factor.R[:, [0, *factor.signals(range(past))]]
     u = factor.R[:, factor.inputs(now)]
+    together = factor.R[:, [] if feedthrough else factor.outputs(now)]
     unexplained = np.ones(m)
     power = np.linalg.norm(u - np.outer(before[:, 0], before[:, 0] @ u) / (before[:, 0] @ before[:, 0]), axis=0)
     for i in range(m):
-        rest = regress(u[:, [i]], np.hstack([before, np.delete(u, i, axis=1)])).residual
+        rest = regress(u[:, [i]], np.hstack([before, np.delete(u, i, axis=1), together])).residual
         unexplained[i] = float(np.linalg.norm(rest) / max(power[i], np.finfo(float).tiny)) ** 2
     own = factor.R[:, factor.inputs(*range(past))]
     own = regress(own, before[:, :1]).residual if m else own

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ _ROWS_PER_COLUMN = 8
 #: How far from orthonormal the first factorisation may leave the columns, for the second one to be exact to rounding.
 _NEARLY_ORTHOGONAL = 0.1
 #: Parts of the data whose factors are kept, for the spread of estimates between them.
-PARTS = 24
+PARTS = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +72,13 @@ class HankelFactor:
     def signals(self, times: Iterable[int]) -> list[int]:
         """Return the columns of inputs and outputs at times of the window, in the order of the times."""
         return [1 + time * self.n_channels + i for time in times for i in range(self.n_channels)]
+
+    def without_each_part(self) -> Iterator[HankelFactor]:
+        """Yield the factors of all parts of the data but one."""
+        for left_out in range(len(self.parts)):
+            rest = [one for k, one in enumerate(self.parts) if k != left_out]
+            windows = round(self.windows * len(rest) / len(self.parts))
+            yield replace(self, R=_triangle(np.vstack(rest)), parts=(), windows=windows)
 
 
 @dataclass(frozen=True, eq=False)

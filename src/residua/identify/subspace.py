@@ -203,7 +203,7 @@ class _Made:
     ) -> None:
         self.method, self.first, self.last, self.facts, self.factor = method, first, last, facts, factor
         self.states, self.choice, self.model, self.feedthrough = states, choice, model, feedthrough
-        self.excitation = excitation(factor, states.past)
+        self.excitation = excitation(factor, states.past, feedthrough=feedthrough)
 
     def notes(self) -> tuple[str, ...]:
         """Return what is said of the model itself."""
@@ -233,7 +233,11 @@ class _Made:
         plant, K, V = plant_of(model, *around, **options)
         others: list[Plant] = []
         if len(self.factor.parts) >= _LEAST_PARTS:
-            parts = resampled(self.factor, self.states, model.order, feedthrough=self.feedthrough)
+
+            def find(factor: HankelFactor) -> StateMap:
+                return _states(self.method, factor, self.states.past, self.feedthrough)
+
+            parts = resampled(self.factor, self.states, model.order, find, feedthrough=self.feedthrough)
             others = [plant_of(one, *around)[0] for one in parts]
         fitted = error_facts(model, first, facts.mean, facts.units)
         assert fitted is not None  # there are windows longer than the past

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -153,12 +155,25 @@ def three_tank_rate(
     >>> bool(abs(three_tank_rate(LEVELS, FLOWS)).max() < 3e-4)
     True
     """
-    h = np.asarray(h, dtype=float)
-    q1, q2 = _parts(np.asarray(q, dtype=float))
+    h, q, leaks, clogs = (np.asarray(one, dtype=float) for one in (h, q, leaks, clogs))
+    if h.ndim == q.ndim == leaks.ndim == clogs.ndim == 1:
+        return np.array(_rate_at(*(one.tolist() for one in (h, q, leaks, clogs))))
+    q1, q2 = np.moveaxis(q, -1, 0)
     q13, q20, q32 = pipe_flows(h, clogs)
-    parts = q1 - q13, q2 + q32 - q20, q13 - q32
-    net = np.stack(parts, axis=-1) if np.ndim(parts[0]) else np.array(parts)
-    return (net - np.asarray(leaks, dtype=float) * np.sqrt(2 * GRAVITY * np.maximum(h, 0.0))) / AREA
+    net = np.stack(np.broadcast_arrays(q1 - q13, q2 + q32 - q20, q13 - q32), axis=-1)
+    return (net - leaks * np.sqrt(2 * GRAVITY * np.maximum(h, 0.0))) / AREA
+
+
+def _rate_at(h: list[float], q: list[float], leaks: list[float], clogs: list[float]) -> list[float]:
+    """Return the rates of one state, to the same bits: a simulation asks for one at a time."""
+    h1, h2, h3 = h
+    c13, c20, c32 = (PIPE * (1.0 - clog) for clog in clogs)
+    q13 = OUTFLOW_13 * c13 * math.copysign(1.0, h1 - h3) * math.sqrt(2 * GRAVITY * abs(h1 - h3))
+    q20 = OUTFLOW_20 * c20 * math.sqrt(2 * GRAVITY * max(h2, 0.0))
+    q32 = OUTFLOW_32 * c32 * math.copysign(1.0, h3 - h2) * math.sqrt(2 * GRAVITY * abs(h3 - h2))
+    net = q[0] - q13, q[1] + q32 - q20, q13 - q32
+    out = (leak * math.sqrt(2 * GRAVITY * max(level, 0.0)) for leak, level in zip(leaks, h, strict=True))
+    return [(one - other) / AREA for one, other in zip(net, out, strict=True)]
 
 
 def three_tank_fault(number: int, steps: int = 2001, *, dt: float = 1.0, onset: float = 200.0) -> dict[str, NDArray]:

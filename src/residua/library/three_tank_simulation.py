@@ -27,6 +27,7 @@ from residua.library.three_tank import (
 
 #: Proportional gains in cm2/s and integral time in s of the two level controllers.
 GAINS, INTEGRAL_TIME = (5.0, 3.0), 60.0
+_POINT, _PROPORTIONAL = np.array(FLOWS), np.array(GAINS)
 
 
 def simulate_three_tank(
@@ -99,18 +100,23 @@ def simulate_three_tank(
             q[k], integral = _control(wanted[k] - y[k, :2], integral, dt)
         else:
             q[k] = commands[k]
-        real = np.clip(q[k] + extra[k] + flow[k], 0.0, LARGEST_FLOW)
+        real = _within(q[k] + extra[k] + flow[k], LARGEST_FLOW)
         rate = partial(three_tank_rate, q=real, leaks=leaks[k], clogs=clogs[k])
         h = runge_kutta(rate, h, dt) + level[k]
-        h = np.clip(h, 0.0, HIGHEST_LEVEL)
+        h = _within(h, HIGHEST_LEVEL)
     return SimulatedRecording(np.arange(steps, dtype=np.float64) * dt, q, y, x, float(dt))
 
 
 def _control(error: NDArray, integral: NDArray, dt: float) -> tuple[NDArray, NDArray]:
     """Return the commands of the two controllers; the integral stands still while a pump is at its limit."""
-    wanted = np.array(FLOWS) + np.array(GAINS) * (error + integral)
-    q = np.clip(wanted, 0.0, LARGEST_FLOW)
+    wanted = _POINT + _PROPORTIONAL * (error + integral)
+    q = _within(wanted, LARGEST_FLOW)
     return q, np.where(q == wanted, integral + error * dt / INTEGRAL_TIME, integral)
+
+
+def _within(value: NDArray, highest: float) -> NDArray:
+    """Return what is neither below zero nor above a limit; ``np.clip`` takes three times as long for three numbers."""
+    return np.minimum(np.maximum(value, 0.0), highest)
 
 
 def _noise(steps: int, dt: float, factor: float, seed: int) -> tuple[NDArray, NDArray, NDArray]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -197,11 +198,20 @@ class Plant(FaultFacts):
 
     def system(self, roles: Iterable[str] = ("control", "disturbance", "fault", "noise")) -> StateSpace:
         """Return the plant as a plain system driven by the inputs of the given roles, in that order."""
-        chosen = []
-        for role in (roles,) if isinstance(roles, str) else tuple(roles):
+        chosen = (roles,) if isinstance(roles, str) else tuple(roles)
+        if chosen not in self._systems:
+            self._systems[chosen] = self._system(chosen)
+        return self._systems[chosen]
+
+    @cached_property
+    def _systems(self) -> dict[tuple[str, ...], StateSpace]:
+        """The systems that were asked for: a design asks for each many times, and they keep their poles."""
+        return {}
+
+    def _system(self, chosen: tuple[str, ...]) -> StateSpace:
+        for role in chosen:
             if role not in ROLES:
                 raise ModelError(f"unknown role {role!r}; known: {', '.join(ROLES)}")
-            chosen.append(role)
         channels = {
             "control": self.inputs,
             "disturbance": self.disturbances,
@@ -209,7 +219,7 @@ class Plant(FaultFacts):
             "noise": self.noises,
         }
         letters = [ROLES[role] for role in chosen]
-        labels = [name for role in chosen for name in channels[role]]
+        labels = tuple(name for role in chosen for name in channels[role])
         empty_B, empty_D = np.zeros((self.n_states, 0)), np.zeros((self.n_outputs, 0))
         return StateSpace(
             self.A,
@@ -218,7 +228,7 @@ class Plant(FaultFacts):
             np.hstack([empty_D, *(getattr(self, "D" + letter) for letter in letters)]),
             E=self.E,
             dt=self.dt,
-            inputs=labels if len(set(labels)) == len(labels) else by_role(chosen, channels),
+            inputs=labels if len(set(labels)) == len(labels) else by_role(list(chosen), channels),
             outputs=self.outputs,
             states=self.states,
         )

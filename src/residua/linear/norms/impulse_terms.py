@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import scipy.linalg
@@ -195,11 +196,11 @@ def response_blocks(A: Matrix, B: Matrix, C: Matrix, terms: int) -> Iterator[tup
 
 def _stepped(A: Matrix, X: Matrix, C: Matrix) -> tuple[Matrix, Matrix]:
     """Return a block of terms by one step after the other, and the state after it."""
-    states = np.empty((_BLOCK, *X.shape))
-    for k in range(_BLOCK):
-        states[k] = X
-        X = A @ X
-    return C @ states, X
+    states = np.empty((_BLOCK + 1, *X.shape))
+    states[0] = X
+    for now, after in pairwise(states):
+        np.matmul(A, now, out=after)
+    return C @ states[:-1], states[-1].copy()
 
 
 class _Jumps:

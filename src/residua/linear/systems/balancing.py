@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.linear.systems.array_cache import cached_by_entries
-from residua.linear.systems.units import matrix_units, pencil_units, system_units, without_residue
+from residua.linear.systems.units import bordered, matrix_units, pencil_units, system_units, without_residue
 from residua.tolerances import RESIDUE, above_rounding
 
 #: Couplings this far below the largest may have been scaled away.
@@ -27,6 +27,9 @@ _WIDEST = 64
 _LARGEST = 2.0**200
 #: Ratios of scales that move by more than this power of two in the second half of the sweeps will not come to rest.
 _DRIFT = 4
+#: Ratios of a row to its column, and of a channel to its level, from here to the inverse surely round to a factor of
+#: one: those up to 1/2 and to the root of 1/2 do, and what is nearer to these than rounding is decided by logarithms.
+_EVEN, _NEAR = 0.501, 0.708
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +69,7 @@ class BalancedSystem:
 def power_of_two(x: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the power of two nearest to each positive number; one where it is zero."""
     x = np.asarray(x, dtype=float)
-    return np.exp2(np.round(np.log2(np.where(x > 0, x, 1.0))))
+    return np.exp2(np.rint(np.log2(np.where(x > 0, x, 1.0))))
 
 
 def without_rounding(*factors: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -95,8 +98,8 @@ def evened(
         rows, columns = matrix_units(W)
     W = without_residue(W, rows, columns)
     for _ in range(sweeps):
-        rows = rows / power_of_two(np.linalg.norm(rows[:, None] * W * columns, axis=1))
-        columns = columns / power_of_two(np.linalg.norm(rows[:, None] * W * columns, axis=0))
+        rows = rows / power_of_two(_lengths(rows[:, None] * W * columns, axis=1))
+        columns = columns / power_of_two(_lengths(rows[:, None] * W * columns, axis=0))
     return rows, columns
 
 
@@ -109,6 +112,11 @@ def _root(numerator: float, denominator: float) -> float:
 def _length(x: NDArray[np.float64]) -> float:
     """Return the norm of a vector; called so often that the checks of ``numpy.linalg.norm`` would take longer."""
     return math.sqrt(x.dot(x))
+
+
+def _lengths(M: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+    """Return the norms of rows or of columns, without those checks either."""
+    return np.sqrt(np.add.reduce(M * M, axis=axis))
 
 
 def _largest(x: NDArray[np.float64]) -> float:
@@ -145,7 +153,7 @@ def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> Ba
     start = system_units(A0, B0, C0, D0)
     T, U, Y = start.states, start.inputs, start.outputs
     A, B, C, D = A0 / T[:, None] * T, B0 / T[:, None] * U, Y[:, None] * C0 * T, Y[:, None] * D0 * U
-    W = without_residue(np.block([[A, B], [C, D]]))
+    W = without_residue(bordered(A, B, C, D))
     # Only couplings count in a sweep; the diagonal of A does not change with the units of the states.
     np.fill_diagonal(W[:n, :n], 0.0)
     # The spectral radius of A sets the level for the channels, whose units are free: it has no units of states.
@@ -177,22 +185,74 @@ def _vanished(W: NDArray[np.float64]) -> bool:
     return bool(smallest < _VANISHED * W.max(initial=0.0))
 
 
+@dataclass(frozen=True, eq=False)
+class _Swept:
+    """A matrix after a sweep, with the factors of its rows and columns so far."""
+
+    W: NDArray[np.float64]
+    left: NDArray[np.float64]
+    right: NDArray[np.float64]
+
+    def in_range(self, n: int) -> bool:
+        """Return whether the factors of ``n`` states are within the range that sweeps leave them, the others finite."""
+        factors = np.concatenate([self.left, self.right])
+        states = self.right[:n]
+        return bool(
+            np.all((states > 1 / _LARGEST) & (states < _LARGEST)) and np.all((factors > 0) & np.isfinite(factors))
+        )
+
+
 def _factors(
     W: NDArray[np.float64], n: int, level: float, length: Callable[[NDArray[np.float64]], float]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
-    """Sweep ``W`` in place; return factors of rows and of columns, and whether their ratios came to rest."""
+    """Sweep ``W`` in place; return factors of rows and of columns, and whether their ratios came to rest.
+
+    A sweep depends on ``W`` alone, as long as no state is at the end of its range: where ``W`` comes back to what it
+    was before, what the sweeps that are left will do is known.
+    """
     left, right = np.ones(W.shape[0]), np.ones(W.shape[1])
-    middle = left, right
-    for k in range(_SWEEPS):
-        if k == _SWEEPS // 2:
-            middle = left.copy(), right.copy()
+    turned = W.T.copy()  # kept equal to W: the sums over a column run as fast as those over a row, in one order
+    past: list[_Swept] = []
+    first: dict[bytes, int] = {}
+    before, free = 0, True
+    while len(past) < _SWEEPS:
         moved = _scale_channels(W, left, right, n, level, length)
-        moved |= _sweep(W, left, right, n, level, length)
-        if not moved:
+        if moved:
+            turned[...] = W.T
+        swept, held = _sweep(W, turned, left, right, n, level, length)
+        if not (moved or swept):
             return left, right, True
+        past.append(_Swept(W.copy(), left.copy(), right.copy()))
+        free &= not held
+        last = len(past) - 1
+        before = first.setdefault(W.tobytes(), last)
+        if free and before < last:
+            ends = range(max(last + 1, _SWEEPS - (last - before)), _SWEEPS)
+            free = all(_after(past, before, k).in_range(n) for k in ends)
+            if free:
+                break
+    middle, end = (_after(past, before, k) for k in (_SWEEPS // 2 - 1, _SWEEPS - 1))
+    W[...] = end.W
     # All states and inputs may drift one way and all outputs the other: the scaled matrices do not show that.
-    drift = np.log2(np.concatenate([right / middle[1], middle[0][n:] / left[n:]]))
-    return left, right, bool(np.ptp(drift) <= _DRIFT)
+    drift = np.log2(np.concatenate([end.right / middle.right, middle.left[n:] / end.left[n:]]))
+    return end.left, end.right, bool(np.ptp(drift) <= _DRIFT)
+
+
+def _after(past: list[_Swept], before: int, k: int) -> _Swept:
+    """Return what sweep ``k`` leaves; of one to come where the matrix is again what it was ``before``.
+
+    The factors, powers of two, grow by the same in every round.
+    """
+    if k < len(past):
+        return past[k]
+    start, end = past[before], past[-1]
+    times, rest = divmod(k - before, len(past) - 1 - before)
+    like = past[before + rest]
+    left, right = (
+        np.ldexp(own, times * (np.frexp(after / earlier)[1] - 1))
+        for own, earlier, after in ((like.left, start.left, end.left), (like.right, start.right, end.right))
+    )
+    return _Swept(like.W, left, right)
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,27 +305,35 @@ def state_units(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike | None = 
 
 def _sweep(
     W: NDArray[np.float64],
+    turned: NDArray[np.float64],
     left: NDArray[np.float64],
     right: NDArray[np.float64],
     n: int,
     level: float,
     length: Callable[[NDArray[np.float64]], float],
-) -> bool:
-    """Even out row and column of each of the first ``n`` indices, in place; return whether anything moved.
+) -> tuple[bool, bool]:
+    """Even out row and column of each of the first ``n`` indices, in place.
 
-    A state that nothing sees, or nothing drives, has one side only, which is brought to ``level``.
+    Return whether anything moved, and whether something was held back that would have left the range of scales. A
+    state that nothing sees, or nothing drives, has one side only, which is brought to ``level``.
     """
-    moved = False
-    for i in range(n):
-        row, column = length(W[i]), length(W[:, i].copy())
+    moved = held = False
+    for i, (of_row, of_column) in enumerate(zip(W[:n], turned[:n], strict=True)):
+        row, column = length(of_row), length(of_column)
+        if _EVEN * column < row < column / _EVEN:
+            continue
         f = _root(row, column) if row and column else _root(row or level, column or level) ** 2
-        if f != 1.0 and 1 / _LARGEST < right[i] * f < _LARGEST:
+        if f != 1.0 and not 1 / _LARGEST < right[i] * f < _LARGEST:
+            held = True
+        elif f != 1.0:
             moved = True
-            W[i] /= f
+            of_row /= f
+            turned[:, i] /= f
+            of_column *= f
             W[:, i] *= f
             left[i] /= f
             right[i] *= f
-    return moved
+    return moved, held
 
 
 def _scale_channels(
@@ -278,10 +346,13 @@ def _scale_channels(
 ) -> bool:
     """Bring the rows of outputs and the columns of inputs of ``W`` to one norm, in place."""
     moved = False
+    low, high = _NEAR * level, level / _NEAR
     for axis, factors, block in ((1, left, W[n:]), (0, right, W[:, n:])):
         if not block.size:
             continue
-        norms = block.max(axis=axis) if length is _largest else np.sqrt(np.sum(block * block, axis=axis))
+        norms = block.max(axis=axis) if length is _largest else _lengths(block, axis)
+        if all(low < norm < high or not norm for norm in norms.tolist()):
+            continue
         real = norms > RESIDUE * norms.max(initial=0.0)
         f = np.where(real, power_of_two(level / np.where(real, norms, level)), 1.0)
         moved |= bool(np.any(f != 1.0))

@@ -79,13 +79,42 @@ class StateSpace:
         outputs: Iterable[str] | None = None,
         states: Iterable[str] | None = None,
     ) -> None:
-        A_ = square(A, "A")
+        self._fill(A, B, C, D, E, dt, inputs, outputs, states, checked=())
+
+    def _fill(
+        self,
+        A: ArrayLike,
+        B: ArrayLike,
+        C: ArrayLike,
+        D: ArrayLike | None,
+        E: ArrayLike | None,
+        dt: float,
+        inputs: Iterable[str] | None,
+        outputs: Iterable[str] | None,
+        states: Iterable[str] | None,
+        *,
+        checked: tuple[NDArray | None, ...],
+    ) -> None:
+        """Set the fields; of matrices of another system, which are ``checked``, only the shapes are looked at."""
+
+        def own(M: Any, rows: int, columns: int) -> bool:
+            if not any(M is one for one in checked if one is not None):
+                return False
+            return rows in (-1, M.shape[0]) and columns in (-1, M.shape[1])
+
+        A_: Any = A if own(A, -1, -1) and np.shape(A)[0] == np.shape(A)[1] else square(A, "A")
         n = A_.shape[0]
-        B_ = arrays.matrix(B, "B", (n, None), what="one row per state")
-        C_ = arrays.matrix(C, "C", (None, n), what="one column per state")
+        B_: Any = B if own(B, n, -1) else arrays.matrix(B, "B", (n, None), what="one row per state")
+        C_: Any = C if own(C, -1, n) else arrays.matrix(C, "C", (None, n), what="one column per state")
         m, p = B_.shape[1], C_.shape[0]
-        D_ = frozen(np.zeros((p, m))) if D is None else arrays.matrix(D, "D", (p, m), what="outputs x inputs")
-        E_ = None if E is None else arrays.matrix(E, "E", (n, n), what="one row per state")
+        D_: Any = D
+        if D is None:
+            D_ = frozen(np.zeros((p, m)))
+        elif not own(D, p, m):
+            D_ = arrays.matrix(D, "D", (p, m), what="outputs x inputs")
+        E_: Any = E
+        if E is not None and not own(E, n, n):
+            E_ = arrays.matrix(E, "E", (n, n), what="one row per state")
         if E_ is not None and np.array_equal(E_, np.eye(n)):
             E_ = None
         fields = {
@@ -182,8 +211,12 @@ class StateSpace:
 
     def replaced(self, **changes: object) -> StateSpace:
         """Return a copy with some of the constructor's arguments changed."""
+        if unknown := changes.keys() - set(_FIELDS):
+            raise TypeError(f"a system has no {', '.join(sorted(unknown))}; known: {', '.join(_FIELDS)}")
         fields: dict[str, Any] = {name: getattr(self, name) for name in _FIELDS} | changes
-        return StateSpace(**fields)
+        new = object.__new__(StateSpace)
+        new._fill(**fields, checked=(self.A, self.B, self.C, self.D, self.E))
+        return new
 
     def select(
         self, *, outputs: Iterable[str | int] | None = None, inputs: Iterable[str | int] | None = None

@@ -96,10 +96,10 @@ def _rounded(v: NDArray[np.float64], n: int, q: int) -> Units:
 def _system_potentials(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> NDArray[np.float64]:
     """Return the potentials of states, inputs and outputs."""
     n = len(A)
-    W = np.abs(np.block([[A, B], [C, D]]).astype(float))
+    W = np.abs(bordered(A, B, C, D))
     v = _potentials_of(W, n)
     u = _rounded(v, n, W.shape[1] - n)
-    if _is_far(W, np.r_[1 / u.states, u.outputs], np.r_[u.states, u.inputs]):
+    if _is_far(W, np.concatenate([1 / u.states, u.outputs]), np.concatenate([u.states, u.inputs])):
         v = _potentials_of(_without_wide_residue(W), n)
     return v
 
@@ -107,12 +107,12 @@ def _system_potentials(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> NDArra
 def _potentials_of(W: NDArray[np.float64], n: int) -> NDArray[np.float64]:
     """Return the potentials for the sizes of the entries of ``[A B; C D]`` with ``n`` states."""
     W = W.copy()
-    diagonal = W[np.arange(n), np.arange(n)]
+    diagonal = W.diagonal()[:n].copy()
     level = float(np.log2(diagonal.max())) if np.any(diagonal) else 0.0
-    W[np.arange(n), np.arange(n)] = 0.0  # the units of the states do not change it
+    np.fill_diagonal(W[:n, :n], 0.0)  # the units of the states do not change it
     q, p = W.shape[1] - n, W.shape[0] - n
     # Nodes: states, inputs, outputs; scaling multiplies the entry from column j to row i by 2^(v_j - v_i).
-    row_node = np.r_[np.arange(n), n + q + np.arange(p)].astype(int)
+    row_node = np.concatenate([np.arange(n), n + q + np.arange(p)])
     column_node = np.arange(n + q)
     return _potentials(W, row_node, column_node, n + q + p, diagonal, level)
 
@@ -162,11 +162,20 @@ def _pencil_units(a: NDArray[np.float64], e: NDArray[np.float64]) -> PencilUnits
     return PencilUnits(1.0 / T[:p], T[p:], float(powers_of_two(np.array(unit))))
 
 
+def bordered(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> NDArray[np.float64]:
+    """Return ``[A B; C D]``; called so often that the checks of ``numpy.block`` would take longer."""
+    n, q = len(A), np.shape(B)[1]
+    M = np.empty((n + len(C), n + q))
+    M[:n, :n], M[:n, n:], M[n:, :n], M[n:, n:] = A, B, C, D
+    return M
+
+
 def _is_far(W: NDArray[np.float64], rows: NDArray[np.float64], columns: NDArray[np.float64]) -> bool:
     """Tell whether residue has drawn a fit off: the largest entry is left far above the one in the middle."""
     scaled = rows[:, None] * W * columns
-    present = scaled[scaled > 0]
-    return bool(present.size and present.max() > _FAR * np.median(present))
+    present = np.sort(scaled[scaled > 0])
+    count = present.size
+    return bool(count and present[-1] > _FAR * (0.5 * (present[(count - 1) // 2] + present[count // 2])))
 
 
 def _without_wide_residue(W: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -221,7 +230,7 @@ def _potentials(
         v = _least_squares(row_node[i], column_node[j], np.log2(W[i, j]) - level, count)
         scaled = W * np.exp2(v[column_node][None, :] - v[row_node][:, None])
         largest = scaled.copy()
-        largest[np.arange(len(diagonal)), np.arange(len(diagonal))] = diagonal
+        np.fill_diagonal(largest[: len(diagonal), : len(diagonal)], diagonal)
         keep = _real(scaled, largest)
         if np.array_equal(keep, W > 0):
             break

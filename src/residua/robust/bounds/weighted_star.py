@@ -11,6 +11,7 @@ terms are products of their powers), so that a point at which no weight wants to
 
 from __future__ import annotations
 
+import math
 import warnings
 from dataclasses import dataclass
 
@@ -184,13 +185,14 @@ def _feasible(sums: _Sums, shares: NDArray[np.float64]) -> NDArray[np.float64] |
 def _perron(K: Matrix, sums: _Sums) -> tuple[NDArray[np.float64], float]:
     # A little of everything keeps the two vectors from having nothing in common where the system falls into parts.
     start = sums.vector(np.eye(sums.n)) / np.sqrt(sums.n)
-    v, rho = start, 0.0
+    v, rho, tiny = start, 0.0, float(np.finfo(float).tiny)
     for _ in range(200):
         new = K @ v
-        new = new + 1e-6 * float(np.linalg.norm(new)) * start
-        size = float(np.linalg.norm(new)) / max(float(np.linalg.norm(v)), np.finfo(float).tiny)
+        new = new + 1e-6 * math.sqrt(new.dot(new)) * start
+        length = math.sqrt(new.dot(new))
+        size = length / max(math.sqrt(v.dot(v)), tiny)
         done = abs(size - rho) <= 1e-6 * size
-        v, rho = new / max(float(np.linalg.norm(new)), np.finfo(float).tiny), size
+        v, rho = new / max(length, tiny), size
         if done:
             break
     return v, rho

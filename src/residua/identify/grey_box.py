@@ -1,0 +1,474 @@
+"""Physical parameters from recordings, by the prediction-error method."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import chdtrc, ndtri
+
+from residua.arrays import frozen, positions
+from residua.errors import DataError, SettingError
+from residua.identify.information import Identifiability, identifiability, sandwich_covariance
+from residua.identify.nonlinear_model import NonlinearModel, model_errors
+from residua.identify.parameter_search import Found, Parameter, PlantAt, Task, parameters_of, search
+from residua.identify.prediction_errors import predictor
+from residua.identify.segments import Gathered, gather
+from residua.plant import Plant
+from residua.robust.sets.uncertain_plant import UncertainPlant
+from residua.tolerances import DATA_ROUNDING
+from residua.visible import echo
+from residua.words import counted, number, some
+
+Matrix = NDArray[np.float64]
+#: Numbers that a fit needs at least for each unknown.
+_FOR_EACH_UNKNOWN = 5
+#: Lags of the test of whiteness, and the share of the samples that these may be.
+_LAGS, _LAG_SHARE = 20, 0.2
+#: Below this probability a residual is called coloured.
+_COLOURED = 0.01
+#: From so large a ratio of variances on, the noise of the plant is said to be another one than that of the data.
+_OTHER_NOISE = 1.5
+#: Standard errors of the two kinds that differ by more are said to.
+_APART = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class GreyBox:
+    """Parameters of a plant that were estimated from recordings.
+
+    Attributes
+    ----------
+    parameters : dict of str to float
+    bounds : dict of str to (float, float)
+    standard_errors : dict of str to float
+        Roots of the diagonal of ``covariance``.
+    covariance : ndarray, shape (parameters, parameters)
+        Of the estimate, which holds where the errors are coloured too (sandwich).
+    plain_covariance : ndarray, shape (parameters, parameters)
+        That for white errors.
+    plant : Plant
+        What the function gives at the estimate; with the measurement noise of the fit, where it has no noise.
+    innovation_covariance : ndarray, shape (outputs, outputs)
+        Of the one-step prediction errors, over the fitted samples.
+    identifiability : Identifiability
+        What the data alone say of combinations of the parameters.
+    at_bounds : tuple of str
+        Parameters whose estimate is one of their bounds.
+    fit : dict of str to float
+        Per output, the part of its spread that the one-step predictions explain, 1 less the ratio of the norms, on the
+        part that was held out (of all, if none was).
+    simulation_fit : dict of str to float
+        The same for what the inputs alone explain, from a fitted start.
+    whiteness : dict of str to float
+        Per output, the probability of so much correlation over time if the held-out errors were white.
+    samples, held_out : int
+        Rows that were fitted, and that were not.
+    notes : tuple of str
+    """
+
+    parameters: dict[str, float]
+    bounds: dict[str, tuple[float, float]]
+    standard_errors: dict[str, float]
+    covariance: Matrix
+    plain_covariance: Matrix
+    plant: Plant
+    innovation_covariance: Matrix
+    identifiability: Identifiability
+    at_bounds: tuple[str, ...]
+    fit: dict[str, float]
+    simulation_fit: dict[str, float]
+    whiteness: dict[str, float]
+    samples: int
+    held_out: int
+    notes: tuple[str, ...]
+    function: Callable[[Mapping[str, float]], Plant] = field(repr=False)
+
+    def interval(self, level: float = 0.95, *, together: bool = False) -> dict[str, tuple[float, float]]:
+        """Return an interval for each parameter, within its bounds.
+
+        Parameters
+        ----------
+        level : float
+            The probability that the interval holds the parameter, for normal errors.
+        together : bool
+            That all intervals hold at once, by Bonferroni's inequality.
+
+        Raises
+        ------
+        SettingError
+            If the level is no probability below 1.
+        """
+        if not (isinstance(level, (int, float)) and 0 < level < 1):
+            raise SettingError(f"level must lie between 0 and 1, got {echo(level)}")
+        out = (1 - level) / (2 * len(self.parameters) if together else 2)
+        width = -float(ndtri(out))
+        return {
+            name: (max(low, value - width * error), min(high, value + width * error))
+            for (name, value), (low, high), error in zip(
+                self.parameters.items(), self.bounds.values(), self.standard_errors.values(), strict=True
+            )
+        }
+
+    def uncertain_plant(self, level: float = 0.95) -> UncertainPlant:
+        """Return the plants within a box that holds the parameters with a probability: the estimate is nominal.
+
+        The box is that of :meth:`interval` with ``together``. Its corners are further out than the covariance says
+        where parameters are correlated; no member of the ellipsoid's projection on an axis is left out.
+
+        Parameters
+        ----------
+        level : float
+
+        Returns
+        -------
+        UncertainPlant
+            Of :meth:`residua.UncertainPlant.from_parameters`; ``.linearisation`` says what its affine form leaves out.
+        """
+        box = self.interval(level, together=True)
+        return UncertainPlant.from_parameters(
+            self.function, {name: (low, self.parameters[name], high) for name, (low, high) in box.items()}
+        )
+
+    @property
+    def report(self) -> str:
+        """The estimate as a table, with what should be known of it."""
+        return str(self)
+
+    def __str__(self) -> str:
+        plain = np.sqrt(np.diag(self.plain_covariance))
+        rows = [["parameter", "estimate", "std. error", "if white", "bounds"]]
+        for (name, value), error, white in zip(
+            self.parameters.items(), self.standard_errors.values(), plain, strict=True
+        ):
+            low, high = self.bounds[name]
+            edge = " (at a bound)" if name in self.at_bounds else ""
+            cells = [name, number(value, 6), number(error, 2), number(float(white), 2)]
+            rows.append([*cells, f"{number(low)} to {number(high)}{edge}"])
+        outputs = [["output", "prediction fit", "simulation fit", "whiteness p", "std. of errors"]]
+        for i, name in enumerate(self.plant.outputs):
+            spread = float(np.sqrt(self.innovation_covariance[i, i]))
+            shares = [_percent(part[name]) for part in (self.fit, self.simulation_fit)]
+            outputs.append([name, *shares, number(self.whiteness[name], 2), number(spread, 3)])
+        where = f"{self.held_out} held-out samples" if self.held_out else "the fitted samples: nothing was held out"
+        head = (
+            f"grey box: {counted(len(self.parameters), 'parameter')} of {self.plant.name!r} from {self.samples} samples"
+        )
+        notes = [f"note: {note}" for note in self.notes]
+        return "\n".join([head, *_table(rows), f"on {where}", *_table(outputs), *notes])
+
+
+def grey_box(
+    plant_at: Callable[..., Plant | NonlinearModel],
+    recordings: Any,
+    parameters: Mapping[str, Sequence[float]],
+    *,
+    y: ArrayLike | None = None,
+    dt: float | None = None,
+    offsets: bool | Iterable[str] = False,
+    priors: Mapping[str, Sequence[float]] | None = None,
+    held_out: float = 0.25,
+    starts: int = 8,
+) -> GreyBox:
+    r"""Estimate physical parameters of a plant from fault-free recordings.
+
+    .. math::
+
+       \hat\theta = \arg\min_\theta \log\det \sum_t e_t(\theta) e_t(\theta)^T, \qquad
+       e_t = y_t - \hat y_{t | t - 1}(\theta)
+
+    with the one-step predictions of the stationary Kalman filter where the plant has process noise; without, those of
+    a simulation (output error). A continuous plant is sampled at the step of the recordings. The state at the start of
+    each stretch of data is estimated with the parameters. The plant's operating point is part of the model: what it
+    says of the parameters counts, unless ``offsets`` are estimated too.
+
+    Guaranteed: an estimate is returned only where the data (with the priors) say more of every combination of
+    parameters than its bounds do. Nothing depends on units.
+
+    Parameters
+    ----------
+    plant_at : callable
+        ``plant_at(**parameters)``, or a function of one mapping, which returns a :class:`residua.Plant`, for example by
+        :func:`linearise`; or a :class:`NonlinearModel`, for recordings that move far from one operating point. Faults
+        and disturbances are kept, and play no part in the fit.
+    recordings : Recording, data frame, path, pair (u, y), or a list of these
+        Without faults. The channels of the plant are looked up by name; arrays have them in the plant's order. Rows
+        with a missing value cut a recording, and nothing is interpolated.
+    parameters : mapping of str to (low, high) or (low, start, high)
+        Bounds, which may be infinite with a start.
+    y : array_like, shape (time, outputs), optional
+        With ``recordings`` as the inputs, shape (time, inputs).
+    dt : float, optional
+        Step in seconds, for arrays; that of a sampled plant when omitted.
+    offsets : bool or sequence of str
+        Channels with an unknown constant offset in each stretch of data; all outputs for ``True``.
+    priors : mapping of str to (mean, standard deviation), optional
+        What is known of parameters besides the data, as normal distributions.
+    held_out : float
+        The last part of each recording that is not fitted: fit and whiteness are those of it. 0 holds nothing out.
+    starts : int
+        Points within the bounds that are compared before the search, where no start is given.
+
+    Returns
+    -------
+    GreyBox
+
+    Raises
+    ------
+    DataError
+        If a channel is missing, there are too few samples, or the data say nothing of a combination of parameters: the
+        message names it.
+    ModelError
+        If ``plant_at`` raises or gives no plant, or no predictor exists: the message says for which values.
+    SettingError
+        If bounds, priors, or ``held_out`` are none.
+
+    See Also
+    --------
+    linearise : A plant from one's own equations.
+    NonlinearModel : The equations as they are.
+
+    Notes
+    -----
+    Assumes: no faults in the recordings; a linear plant near its operating point; the structure is right. Standard
+    errors hold for many samples and inside of the bounds. In closed loop the noise model must be right, or the
+    estimate is off by what the controller feeds back of it: coloured errors say so. With ``offsets`` the start of a
+    stretch and its offsets are taken out of the errors by projection, exactly. Sensitivities are differences.
+
+    References
+    ----------
+    Ljung (1999), System Identification, sections 7.2 (prediction errors), 9.2 and 9.3 (covariance), 16.5 (whiteness);
+    Golub and Pereyra (1973), SIAM J. Numer. Anal. 10(2) (start and offsets); Newey and West (1987), Econometrica 55(3).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import residua as rs
+    >>> def tank(outflow):
+    ...     return rs.Plant([[-outflow]], [[1.0]], [[1.0]], inputs="inflow", outputs="level")
+    >>> rng = np.random.default_rng(0)
+    >>> u = np.repeat(rng.standard_normal((40, 1)), 10, axis=0)
+    >>> level = tank(0.2).discretize(1.0).system().simulate(u) + 0.1 * rng.standard_normal((400, 1))
+    >>> model = rs.identify.grey_box(tank, (u, level), {"outflow": (0.05, 1.0)}, dt=1.0)
+    >>> abs(model.parameters["outflow"] - 0.2) < 3 * model.standard_errors["outflow"] < 0.01
+    True
+    """
+    known, started = parameters_of(parameters)
+    call = PlantAt(plant_at, tuple(p.name for p in known))
+    first = call.plant({p.name: p.start for p in known})
+    step = dt if dt is not None or not first.is_discrete else first.dt
+    everything = gather(recordings, y, inputs=first.inputs, outputs=first.outputs, dt=step)
+    if not (isinstance(held_out, (int, float)) and 0 <= held_out < 1):
+        raise SettingError(f"held_out must be a fraction from 0 to below 1, got {echo(held_out)}")
+    fitted, rest = everything.divided(held_out)
+    task = Task(
+        call,
+        known,
+        fitted.data(),
+        everything.dt,
+        _offset_columns(offsets, first),
+        _prior_numbers(priors, known),
+    )
+    _check_data(task, first, everything)
+    found = search(task, 1 if started else _count(starts))
+    return _outcome(task, found, rest.data(), everything.notes)
+
+
+def _count(starts: int) -> int:
+    if not isinstance(starts, (int, np.integer)) or starts < 1:
+        raise SettingError(f"starts must be a positive whole number, got {echo(starts)}")
+    return int(starts)
+
+
+def _offset_columns(offsets: bool | Iterable[str], plant: Plant) -> tuple[int, ...]:
+    """Return the columns of ``[u, y]`` with an unknown offset."""
+    channels = plant.inputs + plant.outputs
+    if isinstance(offsets, bool):
+        return tuple(range(len(plant.inputs), len(channels))) if offsets else ()
+    return tuple(positions(offsets, channels, "offsets: channel"))
+
+
+def _prior_numbers(priors: Mapping[str, Sequence[float]] | None, known: tuple[Parameter, ...]) -> Matrix:
+    """Return means and standard deviations of the priors in the units of the search."""
+    out = np.vstack([np.zeros(len(known)), np.full(len(known), np.inf)])
+    names = [p.name for p in known]
+    for name, values in (priors or {}).items():
+        if name not in names:
+            raise SettingError(f"priors: {echo(name)} is no parameter; known: {some(names)}")
+        p = known[names.index(name)]
+        try:
+            mean, spread = (float(v) for v in values)
+        except (TypeError, ValueError) as error:
+            raise SettingError(f"priors[{name!r}] must be (mean, standard deviation), got {echo(values)}") from error
+        if not (np.isfinite([mean, spread]).all() and spread > 0):
+            raise SettingError(f"priors[{name!r}] must be (mean, standard deviation), finite, got {echo(values)}")
+        out[:, names.index(name)] = (mean - p.start) / p.width, spread / p.width
+    return out
+
+
+def _check_data(task: Task, plant: Plant, everything: Gathered) -> None:
+    """Raise unless there are numbers enough for what is estimated, and every output moves."""
+    unknowns = len(task.parameters) + len(task.data) * (plant.n_states + len(task.offsets))
+    rows = sum(map(len, task.data))
+    if rows * plant.n_outputs < _FOR_EACH_UNKNOWN * unknowns:
+        raise DataError(
+            f"{counted(rows, 'row')} to fit ({everything.n_samples} in all, some held out) of "
+            f"{counted(plant.n_outputs, 'output')} are too few for {unknowns} unknowns: "
+            f"{len(task.parameters)} parameters, and {plant.n_states} states and {len(task.offsets)} offsets in "
+            f"each of {len(task.data)} stretches; at least {_FOR_EACH_UNKNOWN} numbers for each are needed"
+        )
+    y = np.vstack(task.data)[:, -plant.n_outputs :]
+    still = np.ptp(y, axis=0) <= DATA_ROUNDING * np.abs(y).max(axis=0)
+    if still.any():
+        raise DataError(
+            f"{some(n for n, s in zip(plant.outputs, still, strict=True) if s)} never moves in the {len(y)} fitted "
+            "rows: a sensor that stands still says nothing of parameters; leave the output out of the plant"
+        )
+
+
+def _outcome(task: Task, found: Found, held_out: list[Matrix], notes: tuple[str, ...]) -> GreyBox:
+    """Return the estimate with its covariance and checks, or say what the data do not tell."""
+    names = tuple(p.name for p in task.parameters)
+    S = task.sensitivities(found.z, found.weights)
+    facts = identifiability(S, names, task.widths)
+    rows = task.prior_rows(found.z)[1]
+    notes += found.notes + _unknown_combinations(facts, S, rows, task.widths)
+    errors = task.left(found.z, found.weights)
+    sandwich, plain, lags = sandwich_covariance(S, errors, rows.T @ rows)
+    scale = np.outer(task.widths, task.widths)
+    values = task.values(found.z)
+    function = _with_noise(task, found)
+    plant = function(values)
+    checked = held_out if sum(map(len, held_out)) > _LAGS else task.data
+    prediction, simulation, whiteness = _checks(task, plant, checked, found)
+    at_bounds = tuple(name for name, at in zip(names, found.at_bound, strict=True) if at)
+    spread = np.sqrt(np.diag(sandwich * scale))
+    notes += _remarks(task, found, at_bounds, whiteness, np.sqrt(np.diag(sandwich) / np.diag(plain)), lags)
+    return GreyBox(
+        values,
+        {p.name: (p.low, p.high) for p in task.parameters},
+        {name: float(s) for name, s in zip(names, spread, strict=True)},
+        frozen(sandwich * scale),
+        frozen(plain * scale),
+        plant,
+        frozen(found.covariance),
+        facts,
+        at_bounds,
+        prediction,
+        simulation,
+        whiteness,
+        sum(map(len, task.data)),
+        sum(map(len, held_out)) if checked is held_out else 0,
+        notes,
+        function,
+    )
+
+
+def _unknown_combinations(
+    facts: Identifiability, S: list[NDArray[np.float64]], rows: Matrix, widths: NDArray[np.float64]
+) -> tuple[str, ...]:
+    """Return notes on combinations that only the priors tell; raise where these do not either."""
+    if not facts.unknown:
+        return ()
+    both = identifiability([*S, rows[:, None, :]], facts.parameters, widths) if len(rows) else facts
+    if both.unknown:
+        nothing = "; ".join(both.sentence(i) for i in both.unknown)
+        raise DataError(
+            f"{nothing}. Fix a parameter of the combination, give a prior "
+            "(priors={name: (mean, standard deviation)}), or a recording in which the inputs move more"
+        )
+    return tuple(f"{facts.sentence(i)}; the priors do" for i in facts.unknown)
+
+
+def _with_noise(task: Task, found: Found) -> Callable[[Mapping[str, float]], Plant]:
+    """Return the function of the parameters, with measurement noise where its plants have none."""
+    covariance = found.covariance
+
+    def plant_with_noise(values: Mapping[str, float]) -> Plant:
+        plant = task.plant_at.plant(values)
+        if plant.noises:
+            return plant
+        return plant.with_noise(measurement=covariance if plant.is_discrete else covariance * task.dt)
+
+    return plant_with_noise
+
+
+def _checks(
+    task: Task, plant: Plant, data: list[Matrix], found: Found
+) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+    """Return the fit of predictions and of simulations, and the whiteness of the errors, for each output."""
+    p = plant.n_outputs
+    size = np.sqrt(np.diag(found.covariance))
+    weights = np.diag(1 / np.where(size > 0, size, 1.0))
+    mean = np.vstack([d[:, -p:] for d in data]).mean(axis=0)
+    model = task.plant_at(task.values(found.z))
+    spread = np.sqrt(sum(((d[:, -p:] - mean) ** 2).sum(axis=0) for d in data))
+    out = []
+    for simulation in (False, True):
+        errors = model_errors(model, data, task.dt, task.offsets, simulation=simulation).left(weights)
+        left = np.sqrt(sum((e**2).sum(axis=0) for e in errors)) / np.diag(weights)
+        out.append(1 - left / np.where(spread > 0, spread, np.nan))
+        if not simulation:
+            white = _whiteness(errors)
+    return tuple({n: float(v) for n, v in zip(plant.outputs, one, strict=True)} for one in (*out, white))  # pyright: ignore
+
+
+def _whiteness(errors: list[Matrix]) -> NDArray[np.float64]:
+    """Return the probability of so much correlation over time in each column if it was white (Ljung and Box)."""
+    samples = sum(map(len, errors))
+    lags = max(min(_LAGS, int(_LAG_SHARE * samples)), 1)
+    power = sum((e**2).sum(axis=0) for e in errors)
+    statistic = np.zeros(errors[0].shape[1])
+    for lag in range(1, lags + 1):
+        r = sum((e[:-lag] * e[lag:]).sum(axis=0) for e in errors if len(e) > lag) / np.where(power > 0, power, 1.0)
+        statistic += r**2 / (samples - lag)
+    return np.asarray(chdtrc(lags, samples * (samples + 2) * statistic))
+
+
+def _remarks(
+    task: Task,
+    found: Found,
+    at_bounds: tuple[str, ...],
+    whiteness: dict[str, float],
+    ratio: NDArray[np.float64],
+    lags: int,
+) -> tuple[str, ...]:
+    """Return what should be known of the estimate."""
+    out = []
+    if at_bounds:
+        out.append(f"{some(at_bounds)}: the estimate is a bound, and its standard error holds only inside")
+    coloured = [name for name, p in whiteness.items() if p < _COLOURED]
+    if coloured:
+        out.append(
+            f"the prediction errors of {some(coloured)} are correlated over time: the model leaves out something, or "
+            "its noise is another one; the standard errors count that, the predictions do not"
+        )
+    if ratio.max() > _APART or ratio.min() < 1 / _APART:
+        times = " to ".join(dict.fromkeys(number(float(r), 2) for r in (ratio.min(), ratio.max())))
+        out.append(f"standard errors are {times} times those for white errors (over {counted(lags, 'lag')})")
+    said = predictor(task.plant_at.plant(task.values(found.z)), task.dt).innovation_covariance
+    if said is not None:
+        variances = np.diag(found.covariance) / np.diag(said)
+        names = task.plant_at.like.outputs if task.plant_at.like else ()
+        off = [
+            f"{n} {number(float(v), 2)}"
+            for n, v in zip(names, variances, strict=True)
+            if not 1 / _OTHER_NOISE < v < _OTHER_NOISE
+        ]
+        if off:
+            out.append(
+                f"the variance of the prediction errors is not what the noise of the plant gives, but times {some(off)}"
+            )
+    return tuple(out)
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %" if np.isfinite(share) else number(share)
+
+
+def _table(rows: list[list[str]]) -> list[str]:
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return ["  " + "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
