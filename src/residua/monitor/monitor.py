@@ -68,8 +68,8 @@ class Monitor:
         Of an object that is not a generator itself, its ``generator`` is run.
     test : NormThreshold, PeakThreshold or TestSettings, optional
         When to raise an alarm. When omitted, for a design that brings certified thresholds (its ``thresholds``, one for
-        each member) :class:`residua.decide.PeakThreshold` with those, for any other
-        :class:`residua.decide.NormThreshold`.
+        each member) :class:`residua.decide.PeakThreshold` with those, for one that brings a test that it is made for
+        (its ``test``) that one, for any other :class:`residua.decide.NormThreshold`.
     isolate : Directional, Structured, Matched, IsolationSettings, None or "auto"
         How to name the fault. With :class:`residua.decide.Structured` every member of a bank has its own
         whitening, threshold and alarm, each with its share of the false alarm rate; the monitor is in alarm while
