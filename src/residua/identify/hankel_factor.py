@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import get_lapack_funcs, solve_triangular
+from scipy.linalg import get_lapack_funcs
 
 from residua.errors import DataError
 from residua.identify.channel_facts import ChannelFacts
@@ -18,6 +18,8 @@ from residua.words import counted
 
 #: Rows of a block for each column of the Hankel matrix: with eight, the factor of before adds an eighth to the work.
 _ROWS_PER_COLUMN = 8
+#: The inverse of a condition whose square, in rounding, is no loss that data would show: one in 1e10.
+_WELL_CONDITIONED = 0.002
 #: How far from orthonormal the first factorisation may leave the columns, for the second one to be exact to rounding.
 _NEARLY_ORTHOGONAL = 0.1
 #: Parts of the data whose factors are kept, for the spread of estimates between them.
@@ -185,13 +187,17 @@ def _hankel_rows(Z: NDArray, windows: int, length: int, above: NDArray | None) -
 def _triangle(block: NDArray) -> NDArray[np.float64]:
     """Return the triangular factor of a matrix, square even if it has fewer rows than columns.
 
-    Twice by the Cholesky factor of the matrix of products, which is as accurate as Householder's reflections up to a
-    condition of about 1e8 and consists of matrix products; by reflections beyond.
+    By the Cholesky factor of the matrix of products, where its condition is small; beyond that by the factor of what
+    it leaves as well, which is as accurate as Householder's reflections up to a condition of about 1e8; and by these
+    beyond.
     """
     if len(block) >= block.shape[1]:
         try:
             first = np.linalg.cholesky(block.T @ block).T
-            even = solve_triangular(first, block.T, trans="T", check_finite=False).T
+            condition, invert = get_lapack_funcs(("trcon", "trtri"), (first,))
+            if condition(first)[0] > _WELL_CONDITIONED:
+                return first
+            even = block @ invert(first)[0]
             products = even.T @ even
             if np.abs(products - np.eye(len(products))).max() < _NEARLY_ORTHOGONAL:
                 return np.linalg.cholesky(products).T @ first

@@ -128,6 +128,13 @@ class Gathered:
             last += [segment.cut(border, len(segment))] if border < len(segment) else []
         return self.with_segments(first), self.with_segments(last)
 
+    def shortened(self, rows: int) -> Gathered:
+        """Return about so many rows: the first ones of every segment, of each as large a part."""
+        if self.n_samples <= rows:
+            return self
+        share = rows / self.n_samples
+        return self.with_segments([one.cut(0, int(np.ceil(share * len(one)))) for one in self.segments])
+
     def delayed(self, delays: Mapping[str, int]) -> Gathered:
         """Return the same with some inputs read so many rows earlier than the outputs.
 
@@ -390,4 +397,6 @@ def _emptiest(tables: Sequence[_Table]) -> str:
 def _columns(u: NDArray, y: NDArray, columns: tuple[int, ...], start: int, stop: int) -> NDArray[np.float64]:
     """Return rows of some columns of two arrays side by side, as numbers."""
     whole = np.hstack([u[start:stop], y[start:stop]]) if u.shape[1] else y[start:stop]
+    if columns == tuple(range(whole.shape[1])):
+        return np.asarray(whole, dtype=float)
     return np.asarray(whole[:, list(columns)], dtype=float)

@@ -34,6 +34,8 @@ Method = Literal["pbsid", "cva", "n4sid", "moesp"]
 _WRITTEN = {"pbsid": "PBSID", "cva": "CVA", "n4sid": "N4SID", "moesp": "MOESP"}
 #: Orders that are compared at most, unless the caller says otherwise.
 _MOST_ORDERS = 25
+#: Rows on which a model is judged at most, of its own and of those that are held out.
+_JUDGED = 500_000
 #: A spread is estimated from at least so many parts of the data.
 _LEAST_PARTS = 6
 #: The part of their size by which states may move in a row at the operating point without a word.
@@ -239,7 +241,7 @@ class _Made:
 
             parts = resampled(self.factor, self.states, model.order, find, feedthrough=self.feedthrough)
             others = [plant_of(one, *around)[0] for one in parts]
-        fitted = error_facts(model, first, facts.mean, facts.units)
+        fitted = error_facts(model, first.shortened(_JUDGED), facts.mean, facts.units)
         assert fitted is not None  # there are windows longer than the past
         report = IdentificationReport(
             method=_WRITTEN[self.method],
@@ -254,7 +256,7 @@ class _Made:
             held_out_errors=self.choice.held_out_errors,
             past=self.states.past,
             samples=first.n_samples,
-            held_out=error_facts(model, self.last, facts.mean, facts.units),
+            held_out=error_facts(model, self.last.shortened(_JUDGED), facts.mean, facts.units),
             fitted=fitted,
             excitation=self.excitation,
             poles=np.linalg.eigvals(model.A).astype(complex),
