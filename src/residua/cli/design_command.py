@@ -149,9 +149,10 @@ class Commands(GuardedGroup):
     """The commands, of which ``design`` has the options of all methods that are registered when it is called."""
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Return their names: what looks at a plant, then ``design``, then what runs."""
+        """Return their names: from data to a model, what looks at a plant, then ``design``, then what runs."""
         names = super().list_commands(ctx)
-        return [*names[:3], "design", *names[3:]]
+        border = names.index("fit")
+        return [*names[:border], "design", *names[border:]]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return a command by its name."""

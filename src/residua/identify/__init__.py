@@ -1,7 +1,7 @@
 """Plants and residual generators from recordings: one method, one file."""
 
 from residua.identify.grey_box import GreyBox, grey_box
-from residua.identify.identified_model import IdentifiedModel
+from residua.identify.identified_model import IdentifiedModel, Prediction
 from residua.identify.linearise import TangentModel, linearise, tangent_model
 from residua.identify.model_report import IdentificationReport
 from residua.identify.nonlinear_model import NonlinearModel
@@ -12,6 +12,7 @@ __all__ = [
     "IdentificationReport",
     "IdentifiedModel",
     "NonlinearModel",
+    "Prediction",
     "TangentModel",
     "grey_box",
     "linearise",
