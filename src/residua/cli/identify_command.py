@@ -246,7 +246,9 @@ def identify(
     plant.to_toml(output)
     written = [output]
     if report is not None:
-        write_model_page(model, [part(one, 1 - held_out, 1) for one in data] if held_out else data, report)
+        last = [part(one, 1 - held_out, 1) for one in data]
+        shown = [one for one in last if np.isfinite(np.hstack([one.u, one.y])).all(axis=1).any()]
+        write_model_page(model, shown or data, report)
         written.append(report)
     screen.say(fault_text(plant), *(f"written: {path}" for path in written))
 

@@ -10,7 +10,7 @@ import numpy as np
 import typer
 
 from residua.cli import screen
-from residua.cli.checks import check_outputs, check_recordings, checked_rate
+from residua.cli.checks import FALSE_ALARM_RATE, check_outputs, check_recordings, checked_rate
 from residua.cli.design_command import thresholds
 from residua.cli.guard import in_cli_words, warn
 from residua.cli.identify_command import (
@@ -54,11 +54,12 @@ from residua.design import kalman_filter
 from residua.monitor import Monitor
 from residua.monitor.diagnosis import Diagnosis
 from residua.recording.recording import Recording
+from residua.words import counted
 
 #: Of each recording: where the model's part ends, and where that of the threshold ends; the rest is the check.
 _MODEL, _THRESHOLD = 0.5, 0.75
-#: Rows for each output from which on a threshold is fitted on rows that the model is not from: with them the covariance of
-#: the residuals is known to a tenth.
+#: Rows for each output from which on a threshold is fitted on rows that the model is not from: with them the covariance
+#: of the residuals is known to a tenth.
 _ENOUGH = 100
 
 
@@ -77,7 +78,7 @@ def learn(
     actuator_faults: ActuatorFaults = True,
     false_alarm_rate: Annotated[
         float, typer.Option(callback=checked_rate, metavar="RATE", help="Fraction of fault-free samples in alarm.")
-    ] = 1e-4,
+    ] = FALSE_ALARM_RATE,
     persistence: Annotated[
         int, typer.Option(min=1, metavar="N", help="Samples in a row over the threshold that raise an alarm.")
     ] = 3,
@@ -141,8 +142,8 @@ def _fit(monitor: Monitor, data: Sequence[Recording], before: Sequence[Recording
         return f"threshold from {sum(complete)} rows that the model is not from, the third quarter of each recording"
     monitor.fit(list(before))
     return (
-        f"threshold from all rows before the last quarter, those of the model included: its own are judged too well, but "
-        f"{sum(complete)} others are fewer than {needed}, or too short in one of the recordings for the filter to settle"
+        "threshold from all rows before the last quarter, those of the model included: its own are judged too well, "
+        f"but {sum(complete)} others are fewer than {needed}, or too few in a recording for the filter to settle"
     )
 
 
@@ -158,6 +159,6 @@ def _check(monitor: Monitor, data: Sequence[Recording]) -> tuple[int, int, str]:
     rate = f"{alarmed / judged:.3g}" if judged else "-"
     text = (
         f"held-out check on the last quarter of each recording: {alarmed} of {judged} judged samples in alarm, "
-        f"a fraction of {rate}, in {alarms} alarms"
+        f"a fraction of {rate}, in {counted(alarms, 'alarm')}"
     )
     return alarmed, judged, text

@@ -91,8 +91,8 @@ def _headline(model: IdentifiedModel) -> str:
     report = model.report
     rows = "held-out rows" if report.held_out else "the rows that it is from"
     return (
-        f"A model of order {report.order} predicts {counted(len(report.outputs), 'output')} one step ahead with a fit of "
-        f"{_percent(float(report.checked.fit.min()))} or better on {rows}."
+        f"A model of order {report.order} predicts {counted(len(report.outputs), 'output')} one step ahead with a fit "
+        f"of {_percent(float(report.checked.fit.min()))} or better on {rows}."
     )
 
 
@@ -175,8 +175,8 @@ def _curves(model: IdentifiedModel, drawn: Prediction, charts: dict[str, Any]) -
         for k, name in enumerate(model.plant.outputs)
     ]
     text = (
-        f"{drawn.source}, {len(drawn.measured):,} rows; time counts from the first of them. Each prediction is from all "
-        "rows before. Over the grey stretches there is none: a value is missing, or the state is estimated there."
+        f"{drawn.source}, {len(drawn.measured):,} rows; time counts from the first of them. Each prediction is from "
+        "all rows before. Over the grey stretches there is none: a value is missing, or the state is estimated there."
     )
     if charts["binned"] > 1:
         text += f" Drawn as the smallest and the largest value of every {charts['binned']} rows."
@@ -228,8 +228,8 @@ def _correlations(model: IdentifiedModel, seen: tuple[Prediction, ...]) -> str:
         for i, name in enumerate(model.plant.outputs)
     ]
     text = (
-        f"Of the errors at lags of 1 to {kept} rows. Of white errors one bar in twenty leaves the band; many that do say that "
-        "the model misses dynamics of that output, so that its residual is not white either."
+        f"Of the errors at lags of 1 to {kept} rows. Of white errors one bar in twenty leaves the band; many that do "
+        "say that the model misses dynamics of that output, so that its residual is not white either."
     )
     first, more = pictures[:SHOWN_OUTPUTS], pictures[SHOWN_OUTPUTS:]
     behind = f'<details><summary>{len(more)} more outputs</summary><div class="pair">{"".join(more)}</div></details>'

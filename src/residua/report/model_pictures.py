@@ -14,8 +14,8 @@ _WIDTH, _HEIGHT = 340, 210
 _LEFT, _TOP, _RIGHT, _BOTTOM = 62, 14, 8, 38
 #: Ticks of a vertical axis, and labels of a horizontal one, about.
 _TICKS, _LABELS = 4, 8
-#: A logarithmic axis reaches down so far below its top.
-_DECADES = 1e-8
+#: A logarithmic axis reaches down so many decades from its top.
+_DECADES = 8
 
 
 def stems(
@@ -85,8 +85,9 @@ def stems(
         f'style="fill:var(--muted);font-size:12px">{escape(y_label)}</text>'
     )
     return (
-        f'<figure style="margin:0 0 10px"><figcaption>{escape(title)}</figcaption><svg viewBox="0 0 {_WIDTH} {_HEIGHT}" '
-        f'width="{_WIDTH}" height="{_HEIGHT}" style="max-width:100%" role="img" aria-label="{escape(title)}">'
+        f'<figure style="margin:0 0 10px"><figcaption>{escape(title)}</figcaption>'
+        f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" width="{_WIDTH}" height="{_HEIGHT}" style="max-width:100%" '
+        f'role="img" aria-label="{escape(title)}">'
         f"{''.join(parts)}</svg></figure>"
     )
 
@@ -108,7 +109,7 @@ def _linear(values: np.ndarray, bound: float | None) -> tuple[float, float, list
     high = high if high > low else low + 1.0
     step = 10.0 ** np.floor(np.log10((high - low) / _TICKS))
     step *= next(k for k in (1, 2, 5, 10) if (high - low) / (k * step) <= _TICKS + 1)
-    first, last = int(np.floor(low / step + 1e-9)), int(np.ceil(high / step - 1e-9))
+    first, last = int(np.floor(round(low / step, 6))), int(np.ceil(round(high / step, 6)))
     low, high = first * step, last * step
     return low, high, [float(step * k) for k in range(first, last + 1)]
 
@@ -116,7 +117,7 @@ def _linear(values: np.ndarray, bound: float | None) -> tuple[float, float, list
 def _logarithmic(values: np.ndarray) -> tuple[float, float, list[float]]:
     """Return the ends of a logarithmic axis, as exponents, and its ticks."""
     top = float(values.max())
-    low, high = int(np.floor(np.log10(max(values.min(), top * _DECADES)))), int(np.ceil(np.log10(top)))
+    low, high = int(np.floor(np.log10(max(values.min(), top / 10.0**_DECADES)))), int(np.ceil(np.log10(top)))
     high = max(high, low + 1)
     every = -(-(high - low) // _TICKS)
     return float(low), float(high), [10.0**k for k in range(low, high + 1, every)]
