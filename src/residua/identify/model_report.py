@@ -134,10 +134,9 @@ class IdentificationReport:
         )
         poles = ", ".join(format_pole(one) for one in self.poles[:8]) or "none"
         more = " ..." if len(self.poles) > 8 else ""
-        return "\n".join(
-            [head, f"order: {self.order_reason}", *self._order_table(), f"poles: {poles}{more}", "", *self._fit_table()]
-            + ["", *(f"- {line}" for line in self.remarks)]
-        )
+        lines = [head, f"order: {self.order_reason}", *self._order_table(), f"poles: {poles}{more}", ""]
+        remarks = [f"- {line}" for line in self.remarks]
+        return "\n".join([*lines, *self._fit_table(), *(["", *remarks] if remarks else [])])
 
     def __repr__(self) -> str:
         return f"IdentificationReport(order {self.order} by {self.method}, {self.samples} rows)"

@@ -137,10 +137,10 @@ def _fit(model: IdentifiedModel) -> str:
 
 def _charts(model: IdentifiedModel, drawn: Prediction) -> dict[str, Any]:
     """Return what the page's script draws: measured and predicted outputs."""
-    time = model.report.dt * np.arange(len(drawn.measured))
+    time = np.asarray(model.report.dt * np.arange(len(drawn.measured)), dtype=np.float64)
     bins = choose_bins(len(time), MAX_POINTS)
-    missing = np.isnan(drawn.measured).any(axis=1)
-    undecided = np.isnan(drawn.predicted).any(axis=1) & ~missing
+    missing = np.asarray(np.isnan(drawn.measured).any(axis=1))
+    undecided = np.asarray(np.isnan(drawn.predicted).any(axis=1)) & ~missing
     charts = [
         {
             "kind": "signal",
