@@ -103,6 +103,16 @@ def test_which_faults_the_plant_gets(
     assert ("no faults in the plant" in out) == (not faults)
 
 
+def test_an_input_without_effect_gets_no_fault(tmp_path: Path, residua: Residua) -> None:
+    noise = np.random.default_rng(0).standard_normal((800, 2))
+    path = write_csv(tmp_path / "white.csv", np.column_stack([np.arange(800), noise]), "time,a,b")
+    for command in ("identify", "learn"):
+        status, out, _ = residua(command, path, "--inputs", "a", "-o", tmp_path / "out")
+        assert status == 0
+        assert "model of order 0" in out
+        assert "faults: b sensor; none of a, of which the model finds no effect" in out
+
+
 def test_a_known_delay_and_several_recordings(logs: Path, tmp_path: Path, residua: Residua) -> None:
     files = (logs / "normal.csv", logs / "other.csv")
     status, out, _ = residua(

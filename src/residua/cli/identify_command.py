@@ -179,16 +179,24 @@ def part(one: Recording, start: float, stop: float) -> Recording:
 
 
 def with_fault_list(plant: Plant, *, sensors: bool, actuators: bool) -> Plant:
-    """Return the plant with a fault of every output, of every input, or both."""
+    """Return the plant with a fault of every output, of every input that has an effect, or both."""
     plant = plant.with_sensor_faults() if sensors else plant
-    return plant.with_actuator_faults() if actuators and plant.inputs else plant
+    effective = [name for name in plant.inputs if name not in _idle(plant)]
+    return plant.with_actuator_faults(effective) if actuators and effective else plant
+
+
+def _idle(plant: Plant) -> list[str]:
+    """Return the inputs that do nothing in the model."""
+    return [name for name, b, d in zip(plant.inputs, plant.Bu.T, plant.Du.T, strict=True) if not (b.any() or d.any())]
 
 
 def fault_text(plant: Plant) -> str:
-    """Say which faults the plant has."""
+    """Say which faults the plant has, and which it cannot have."""
+    idle = _idle(plant)
+    why = f"; none of {listed(idle)}, of which the model finds no effect" if idle else ""
     if not plant.faults:
-        return "no faults in the plant: a design needs some, [[faults]] in the plant file"
-    return f"faults: {listing(plant.faults)}"
+        return f"no faults in the plant{why}: a design needs some, [[faults]] in the plant file"
+    return f"faults: {listing(plant.faults)}{why}"
 
 
 def identified(data: Sequence[Recording], settings: Mapping[str, Any]) -> IdentifiedModel:
