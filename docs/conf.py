@@ -62,6 +62,7 @@ html_sidebars = {
     for name in (
         "install",
         "getting-started",
+        "identification",
         "choose-a-method",
         "plant-file",
         "command-line",

@@ -27,6 +27,7 @@ PUBLIC = (
     "decide",
     "design",
     "errors",
+    "identify",
     "library",
     "linear",
     "monitor",

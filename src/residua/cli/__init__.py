@@ -1,4 +1,4 @@
-"""The command ``residua``: analyze, codes, suggest, design, fit, run, demo."""
+"""The command ``residua``: identify, learn, analyze, codes, suggest, design, fit, run, demo."""
 
 from __future__ import annotations
 

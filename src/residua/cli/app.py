@@ -10,8 +10,8 @@ import numpy as np
 import typer
 
 from residua import __version__
-from residua.cli import plant_commands, screen
-from residua.cli.checks import check_outputs, checked_rate
+from residua.cli import identify_command, learn_command, plant_commands, screen
+from residua.cli.checks import check_outputs, check_recordings, checked_rate
 from residua.cli.design_command import Commands, thresholds
 from residua.cli.guard import FAULT, NO_FAULT, GuardedGroup, in_cli_words, warn
 from residua.cli.recording_options import (
@@ -31,7 +31,7 @@ from residua.cli.recording_options import (
 from residua.decide.false_alarms import ENOUGH, within_tolerance
 from residua.demos import Outcome
 from residua.errors import AccuracyError, DataError
-from residua.files import check_input, real
+from residua.files import check_input
 from residua.monitor import Diagnosis, Monitor
 from residua.monitor.inputs import settling_reason
 from residua.recording.recording import Recording
@@ -70,6 +70,8 @@ def _common(
     pass
 
 
+app.command()(identify_command.identify)
+app.command()(learn_command.learn)
 app.command()(plant_commands.analyze)
 app.command()(plant_commands.codes)
 app.command()(plant_commands.suggest)
@@ -106,12 +108,8 @@ def fit(
 ) -> None:
     """Set the threshold from fault-free data."""
     check_input(monitor, "a monitor")
-    for path in normal:
-        check_input(path, "a recording")
+    check_recordings(normal)
     check_outputs([output], normal)
-    twice = next((path for path in normal if [real(p) for p in normal].count(real(path)) > 1), None)
-    if twice is not None:
-        raise DataError(f"{twice} is given twice: data that are counted twice seem to tell more than they do")
     watch = Monitor.load(monitor)
     reading = Reading(time, dt, variable, fill_gaps, tolerance, day_first, time_format, decimal, columns, transpose)
     data = [reading.read(path, watch) for path in normal]

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import typer
 
 from residua.errors import DataError, SettingError
-from residua.files import check_output, real, special
+from residua.files import check_input, check_output, real, special
 from residua.tolerances import SAME
+
+#: Fraction of fault-free samples in alarm, unless another is asked for.
+FALSE_ALARM_RATE = 1e-4
 
 
 def checked_rate(value: float | None) -> float | None:
@@ -33,6 +36,15 @@ def check_sample_time(sample_time: float | None, dt: float) -> None:
             f"the plant is sampled, dt={dt:g} s, and --sample-time is {sample_time:g} s: leave it out, or give a "
             "plant file for that step"
         )
+
+
+def check_recordings(paths: Sequence[Path]) -> None:
+    """Raise unless every fault-free recording is a file, and none is given twice."""
+    for path in paths:
+        check_input(path, "a recording")
+    twice = next((path for path in paths if [real(p) for p in paths].count(real(path)) > 1), None)
+    if twice is not None:
+        raise DataError(f"{twice} is given twice: data that are counted twice seem to tell more than they do")
 
 
 def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path] = ()) -> None:

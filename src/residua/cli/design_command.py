@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from residua.cli import methods, screen
-from residua.cli.checks import check_outputs, check_sample_time, checked_positive, checked_rate
+from residua.cli.checks import FALSE_ALARM_RATE, check_outputs, check_sample_time, checked_positive, checked_rate
 from residua.cli.guard import GuardedGroup, in_cli_words, note
 from residua.cli.plant_commands import PlantFile
 from residua.decide import Directional, Matched, NormThreshold, Structured
@@ -70,7 +70,7 @@ def design(
     ] = None,
     false_alarm_rate: Annotated[
         float, typer.Option(callback=checked_rate, metavar="RATE", help="Fraction of fault-free samples in alarm.")
-    ] = 1e-4,
+    ] = FALSE_ALARM_RATE,
     persistence: Annotated[
         int, typer.Option(min=1, metavar="N", help="Samples in a row over the threshold that raise an alarm.")
     ] = 3,
@@ -149,9 +149,10 @@ class Commands(GuardedGroup):
     """The commands, of which ``design`` has the options of all methods that are registered when it is called."""
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Return their names: what looks at a plant, then ``design``, then what runs."""
+        """Return their names: from data to a model, what looks at a plant, then ``design``, then what runs."""
         names = super().list_commands(ctx)
-        return [*names[:3], "design", *names[3:]]
+        border = names.index("fit")
+        return [*names[:border], "design", *names[border:]]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return a command by its name."""

@@ -15,6 +15,7 @@ import typer
 from residua.cli import screen
 from residua.errors import ModelError, ResiduaError
 from residua.monitor import Monitor
+from residua.plant import Plant
 from residua.recording.recording import Recording, read_recording
 
 
@@ -131,6 +132,10 @@ class Reading:
             plant = watch.generator.plant  # sampled: knows the step of recordings without times
         except ModelError:
             plant = watch.design.plant
+        return self.read_channels(path, plant)
+
+    def read_channels(self, path: Path, plant: Plant | None) -> Recording:
+        """Read a recording for the channels of a plant; without one, every column as an output."""
         columns: Mapping[str, str] | Sequence[str] | None = (
             None if self.columns is None else parse_columns(self.columns)
         )

@@ -2,7 +2,7 @@
 
 from residua.identify.canonical_variates import CanonicalVariates, canonical_variates
 from residua.identify.grey_box import GreyBox, grey_box
-from residua.identify.identified_model import IdentifiedModel
+from residua.identify.identified_model import IdentifiedModel, Prediction
 from residua.identify.linearise import TangentModel, linearise, tangent_model
 from residua.identify.model_report import IdentificationReport
 from residua.identify.nonlinear_model import NonlinearModel
@@ -18,6 +18,7 @@ __all__ = [
     "IdentificationReport",
     "IdentifiedModel",
     "NonlinearModel",
+    "Prediction",
     "PrincipalComponents",
     "TangentModel",
     "canonical_variates",

@@ -4,19 +4,46 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtri
 
 from residua.errors import DataError, SettingError
 from residua.identify.model_report import IdentificationReport
 from residua.identify.realisation import Innovations
+from residua.identify.segments import gather
+from residua.linear import StateSpace
 from residua.linear.subspaces.rank import range_basis
 from residua.plant import OperatingPoint, Perturbation, Plant, UncertainPlant
 
 #: Directions of the uncertainty that are kept, unless the caller says otherwise.
 _DIRECTIONS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """The outputs of one recording, each predicted from all rows before.
+
+    Attributes
+    ----------
+    source : str
+        What the recording is called.
+    measured : ndarray, shape (T, outputs)
+        In plant units; NaN in rows with a missing value.
+    predicted : ndarray, shape (T, outputs)
+        NaN there too, and in the first rows after, from which the state is estimated.
+    """
+
+    source: str
+    measured: NDArray[np.float64]
+    predicted: NDArray[np.float64]
+
+    @property
+    def error(self) -> NDArray[np.float64]:
+        """What was measured less what was predicted, shape (T, outputs)."""
+        return self.measured - self.predicted
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -102,6 +129,80 @@ class IdentifiedModel:
         for k, (size, vector) in enumerate(zip(values, vectors, strict=True)):
             deltas += _perturbations(nominal, vector, quantile * size, f"model {k + 1}")
         return UncertainPlant(nominal, deltas)
+
+    def predict(self, recordings: Any, y: ArrayLike | None = None) -> tuple[Prediction, ...]:
+        r"""Return the one-step predictions of the outputs of recordings, in plant units.
+
+        .. math:: \hat y_k = C x_k + D u_k, \qquad x_{k+1} = A x_k + B u_k + K (y_k - \hat y_k)
+
+        in deviations from the operating point. The state at the start of each stretch without missing values is the
+        one that explains its first rows best, by least squares in units of the innovations; these rows, the ``past``
+        of the report and the delays, have no prediction.
+
+        Parameters
+        ----------
+        recordings : Recording, data frame, path, array, pair (u, y), or a list of these
+            As in :func:`residua.identify.subspace`; they need not be those that the model is from.
+        y : array_like, shape (time, outputs), optional
+
+        Returns
+        -------
+        tuple of Prediction
+            One for each recording.
+
+        Raises
+        ------
+        DataError
+            If a channel is missing, the step is another, or no row is complete.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import residua as rs
+        >>> rng = np.random.default_rng(0)
+        >>> u = rng.standard_normal((2000, 1))
+        >>> plant = rs.Plant([[0.8]], [[1.0]], [[1.0]], dt=1)
+        >>> y = plant.system("control").simulate(u) + 0.1 * rng.standard_normal((2000, 1))
+        >>> model = rs.identify.subspace(u, y, order=1)
+        >>> [seen] = model.predict(u, y)
+        >>> float(np.nanstd(seen.error).round(1))
+        0.1
+        """
+        plant = self.plant
+        gathered = gather(recordings, y, inputs=plant.inputs, outputs=plant.outputs, dt=plant.dt)
+        point, m = np.array([*plant.operating_point.inputs, *plant.operating_point.outputs]), len(plant.inputs)
+        shapes = [(rows, plant.n_outputs) for rows in gathered.samples]
+        measured, predicted = ([np.full(shape, np.nan) for shape in shapes] for _ in range(2))
+        for segment in gathered.segments:
+            Z = segment.rows(0, len(segment))
+            rows = slice(segment.start, segment.stop)
+            measured[segment.recording][rows] = Z[:, m:]
+            predicted[segment.recording][rows] = self._predicted(Z - point) + point[m:]
+        return tuple(map(Prediction, gathered.sources, measured, predicted))
+
+    def _predicted(self, Z: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the predictions for inputs and outputs without gaps, all in deviations."""
+        plant, K, m, p = self.plant, self.gain, len(self.plant.inputs), self.plant.n_outputs
+        A = plant.A - K @ plant.C
+        first = self.report.past + plant.n_states - self.report.order
+        if len(Z) <= first:
+            return np.full((len(Z), p), np.nan)
+        given = np.hstack([plant.Bu - K @ plant.Du, K]), np.hstack([plant.Du, np.zeros((p, p))])
+        system = StateSpace(A, given[0], plant.C, given[1], dt=plant.dt)
+        from_rest = system.simulate(Z[:first])
+        error = Z[:first, m:] - from_rest
+        unit = np.sqrt(np.diag(self.innovation_covariance))
+        unit = np.where(unit > 0, unit, np.maximum(np.abs(error).max(axis=0), np.finfo(float).tiny))
+        responses = [plant.C]
+        for _ in range(first - 1):
+            responses.append(responses[-1] @ A)
+        seen = np.vstack(responses) / np.tile(unit, first)[:, None]
+        size = np.linalg.norm(seen, axis=0)
+        size = np.where(size > 0, size, 1.0)
+        start = np.linalg.lstsq(seen / size, (error / unit).ravel(), rcond=RANK)[0] / size
+        predicted = system.simulate(Z, start)
+        predicted[:first] = np.nan
+        return predicted
 
     def _spread(self, directions: int) -> tuple[NDArray[np.float64], list[dict[str, NDArray[np.float64]]]]:
         """Return the sizes of the leading directions of the jackknife's covariance, and what each does to a matrix."""

@@ -134,10 +134,9 @@ class IdentificationReport:
         )
         poles = ", ".join(format_pole(one) for one in self.poles[:8]) or "none"
         more = " ..." if len(self.poles) > 8 else ""
-        return "\n".join(
-            [head, f"order: {self.order_reason}", *self._order_table(), f"poles: {poles}{more}", "", *self._fit_table()]
-            + ["", *self._words()]
-        )
+        lines = [head, f"order: {self.order_reason}", *self._order_table(), f"poles: {poles}{more}", ""]
+        remarks = [f"- {line}" for line in self.remarks]
+        return "\n".join([*lines, *self._fit_table(), *(["", *remarks] if remarks else [])])
 
     def __repr__(self) -> str:
         return f"IdentificationReport(order {self.order} by {self.method}, {self.samples} rows)"
@@ -172,7 +171,9 @@ class IdentificationReport:
             )
         return lines
 
-    def _words(self) -> list[str]:
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What should be known of the model, in sentences: the notes, then what the numbers say."""
         lines = list(self.notes)
         if self.feedback:
             pairs = listing(f"{given!r} follows {output!r}" for output, given in self.feedback[:4])
@@ -195,7 +196,7 @@ class IdentificationReport:
                 f"the errors of {listing(map(repr, self.coloured))} are correlated in time: its residuals are "
                 "not white, so let a threshold be fitted, with a window or persistence"
             )
-        return [f"- {line}" for line in lines]
+        return tuple(lines)
 
 
 def _share(value: float) -> str:

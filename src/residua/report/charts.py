@@ -78,7 +78,7 @@ def chart_data(diagnosis: Diagnosis) -> dict[str, Any]:
     alarms = np.array([[a.start, a.stop] for a in diagnosis.alarms], dtype=np.int64).reshape(-1, 2)
     ends = [float(diagnosis.time[0]), float(diagnosis.time[-1])] if len(diagnosis.time) else [0.0, 1.0]
     return {
-        "x": _axis(bins.times(diagnosis.time)),
+        "x": time_axis(bins.times(diagnosis.time)),
         "clock": _clock_of(diagnosis),
         "ends": ends,
         "binned": bins.width,
@@ -224,7 +224,12 @@ def _clock_of(diagnosis: Diagnosis) -> dict[str, Any]:
     moment = diagnosis.clock.moment
     if moment is not None:
         return {"base": (moment - datetime(1970, 1, 1)).total_seconds(), "unit": "", "factor": 1.0}
-    span = float(np.ptp(diagnosis.time)) if len(diagnosis.time) else 0.0
+    return plain_clock(diagnosis.time)
+
+
+def plain_clock(time: NDArray[np.float64]) -> dict[str, Any]:
+    """Return what the seconds of a chart without dates are called: a unit that fits their length."""
+    span = float(np.ptp(time)) if len(time) else 0.0
     unit, factor = next(((u, f) for u, f, least in _UNITS if span >= least), ("s", 1.0))
     return {"base": None, "unit": unit, "factor": factor}
 
@@ -274,7 +279,7 @@ def _score_charts(diagnosis: Diagnosis, bins: Bins) -> list[dict[str, Any]]:
     ]
 
 
-def _axis(time: NDArray[np.float64]) -> dict[str, Any]:
+def time_axis(time: NDArray[np.float64]) -> dict[str, Any]:
     """Return times as start, step and count when they are even, as a list otherwise."""
     n = len(time)
     if n > 2:

@@ -110,7 +110,7 @@ def render(sections: Sequence[Section], title: str, introduction: Sequence[str] 
     """
     shown = [(k, s) for k, s in enumerate(sections, 1) if s.diagnosis is not None]
     filters = _filters(sections)
-    body = [f"<header><h1>{escape(title)}</h1>{_paragraphs(introduction)}</header>"]
+    body = [f"<header><h1>{escape(title)}</h1>{paragraphs(introduction)}</header>"]
     if len(shown) > 1:
         body.append(
             summary_html(
@@ -126,7 +126,7 @@ def render(sections: Sequence[Section], title: str, introduction: Sequence[str] 
         body.append(f'<section id="s{k}">')
         if section.heading:
             body.append(f"<h2>{escape(section.heading)}</h2>")
-        body.append(_paragraphs(section.paragraphs))
+        body.append(paragraphs(section.paragraphs))
         if section.table is not None:
             body.append(text_table(section.table))
         if section.diagnosis is not None:
@@ -138,8 +138,8 @@ def render(sections: Sequence[Section], title: str, introduction: Sequence[str] 
     for k, (generator, users) in enumerate(filters, 1):
         used = listing(h for h in users if h) if len(filters) > 1 else ""
         body.append(filter_html(generator, number=k, several=len(filters) > 1, used_by=used))
-    body.append(_footer())
-    return _document(title, "\n".join(body), safe_json({"diagnoses": data}))
+    body.append(footer())
+    return document(title, "\n".join(body), safe_json({"diagnoses": data}))
 
 
 def _filters(sections: Sequence[Section]) -> list[tuple[ResidualGenerator, list[str]]]:
@@ -166,7 +166,8 @@ def _names(names: Sequence[str] | str) -> tuple[str, ...]:
     return (names,) if isinstance(names, str) else tuple(names)
 
 
-def _paragraphs(text: Sequence[str] | str) -> str:
+def paragraphs(text: Sequence[str] | str) -> str:
+    """Return text as paragraphs, escaped."""
     return "".join(f"<p>{escape(paragraph)}</p>" for paragraph in _names(text))
 
 
@@ -179,7 +180,8 @@ def _version() -> str:
         return "of unknown version"
 
 
-def _footer() -> str:
+def footer() -> str:
+    """Return what stands at the end of every page."""
     return (
         f'<footer class="muted">Made by residua {escape(_version())}. Charts: uPlot by Leon Sorokin, MIT licence '
         "(text in the source of this page). This file is complete in itself and loads nothing from elsewhere.</footer>"
@@ -191,7 +193,8 @@ def _static(name: str) -> str:
     return resources.files("residua.report").joinpath("static", name).read_text(encoding="utf-8")
 
 
-def _document(title: str, body: str, data: str) -> str:
+def document(title: str, body: str, data: str) -> str:
+    """Return a whole page: its text, and what its script draws, as JSON."""
     # Hashes let exactly these scripts run: even a name that slipped through unescaped could not.
     scripts = [_static("guard.js"), _static("uplot.min.js"), _static("page.js")]
     allowed = " ".join(_hash(script) for script in scripts)
