@@ -17,6 +17,7 @@ from residua.identify.segments import gather
 from residua.linear import StateSpace
 from residua.linear.subspaces.rank import range_basis
 from residua.plant import OperatingPoint, Perturbation, Plant, UncertainPlant
+from residua.tolerances import RANK
 
 #: Directions of the uncertainty that are kept, unless the caller says otherwise.
 _DIRECTIONS = 6
