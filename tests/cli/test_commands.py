@@ -417,7 +417,12 @@ def test_poles_as_text() -> None:
 
 def test_fit_reports_and_warns(made: Path, tmp_path: Path, residua: Residua) -> None:
     status, out, err = residua("fit", made / "design.json", made / "normal.csv", "-o", tmp_path / "m.json")
-    assert (status, err) == (0, "")
+    assert status == 0
+    assert "held out of the fit" in out
+    # the same as the basis says, with the same number
+    promised = float(out.split("with 95 % confidence at most ")[1].split()[0])
+    assert f"too few to see a false alarm rate of 0.01: these promise at most {promised:g}, 57,000 or so show it" in err
+    assert "which these data cannot promise" in out
     assert "threshold: " in out
     assert "fraction in alarm: " in out
     assert "3000 over 2999 s" in out
@@ -427,6 +432,17 @@ def test_fit_reports_and_warns(made: Path, tmp_path: Path, residua: Residua) -> 
     assert status == 0
     assert err.startswith("warning: ")
     assert "too few to see a false alarm rate of 1e-06" in err
+
+
+@pytest.mark.parametrize("samples", [60, 300, 3000])
+@pytest.mark.parametrize("rate", ["0.3", "0.01", "0.0001"])
+def test_a_warning_of_few_samples_is_there_where_the_basis_says_so(
+    made: Path, tmp_path: Path, residua: Residua, samples: int, rate: str
+) -> None:
+    path = write_csv(tmp_path / "normal.csv", simulate(samples, 4))
+    status, out, err = residua("fit", made / "design.json", path, "-o", tmp_path / "m.json", "--false-alarm-rate", rate)
+    assert status == 0
+    assert ("give more" in out) == ("too few to see a false alarm rate" in err)
 
 
 def test_fit_may_overwrite_its_monitor(made: Path, tmp_path: Path, residua: Residua) -> None:

@@ -42,7 +42,7 @@ def make(
     plant = sampled_plant(seed)
     generator = hand_made_bank(plant, dedicated=dedicated)
     monitor = rs.Monitor(generator, test=NormThreshold(window=average), isolate=Structured(window=window))
-    return monitor.fit(*recording(plant, samples, seed=99), false_alarm_rate=rate)
+    return monitor.fit(*recording(plant, samples, seed=99), false_alarm_rate=rate, held_out=0.0)
 
 
 def run(monitor: rs.Monitor, u: np.ndarray, y: np.ndarray) -> rs.Diagnosis:

@@ -254,7 +254,7 @@ def test_given_thresholds_are_held_against_the_recording_too() -> None:
 
 def test_without_thresholds_fit_chooses_them() -> None:
     normal = recording(650.0, seed=5)  # the tail of bounded signals is lighter than assumed
-    monitor = rs.Monitor(BANK.generator, test=PeakThreshold()).fit(None, normal, false_alarm_rate=0.03)
+    monitor = rs.Monitor(BANK.generator, test=PeakThreshold()).fit(None, normal, false_alarm_rate=0.03, held_out=0.0)
     test = monitor.norm_test
     assert isinstance(test, BankTest)
     assert not test.center.any()

@@ -71,11 +71,11 @@ def test_nothing_goes_across_a_seam(kind: str, settings: dict[str, int]) -> None
     gap = np.full((100, 1), np.nan), np.full((100, 2), np.nan)
     apart = [np.concatenate([flights[0][i], gap[i], flights[1][i], gap[i], flights[2][i]]) for i in (0, 1)]
     joined = [np.concatenate([f[i] for f in flights]) for i in (0, 1)]
-    fitted = monitor(kind, **settings).fit(flights, false_alarm_rate=0.02)
-    reference = monitor(kind, **settings).fit(*apart, false_alarm_rate=0.02)
+    fitted = monitor(kind, **settings).fit(flights, false_alarm_rate=0.02, held_out=0.0)
+    reference = monitor(kind, **settings).fit(*apart, false_alarm_rate=0.02, held_out=0.0)
     # the folds of a fit, and runs of alarms that a gap does not end, may differ by a little
     np.testing.assert_allclose(numbers(fitted), numbers(reference), rtol=0.05, atol=1e-3)
-    wrong = monitor(kind, **settings).fit(*joined, false_alarm_rate=0.02)
+    wrong = monitor(kind, **settings).fit(*joined, false_alarm_rate=0.02, held_out=0.0)
     assert np.abs(numbers(wrong) - numbers(fitted)).max() > 0.2 * np.abs(numbers(fitted)).max()
     assert fitted.norm_test.basis.endswith("; 3 recordings, each from its own start")
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from residua import __version__
@@ -27,6 +28,7 @@ from residua.cli.recording_options import (
     Transpose,
     Variable,
 )
+from residua.decide.false_alarms import ENOUGH, within_tolerance
 from residua.demos import Outcome
 from residua.errors import AccuracyError, DataError
 from residua.files import check_input
@@ -34,6 +36,7 @@ from residua.monitor import Diagnosis, Monitor
 from residua.monitor.inputs import settling_reason
 from residua.recording.recording import Recording
 from residua.recording.table_writer import write_table
+from residua.visible import echo
 
 app = typer.Typer(
     cls=Commands,
@@ -85,6 +88,13 @@ def fit(
         float | None,
         typer.Option(callback=checked_rate, metavar="RATE", help="Fraction in alarm; that of the design when omitted."),
     ] = None,
+    held_out: Annotated[
+        float, typer.Option(metavar="PART", help="Last part of each recording that only checks the fit.")
+    ] = 0.2,
+    transient: Annotated[
+        str,
+        typer.Option(metavar="SAMPLES|auto", help="Samples at each start to leave out; auto: those that are unlike."),
+    ] = "0",
     time: TimeColumn = None,
     dt: Step = None,
     variable: Variable = None,
@@ -104,7 +114,12 @@ def fit(
     reading = Reading(time, dt, variable, fill_gaps, tolerance, day_first, time_format, decimal, columns, transpose)
     data = [reading.read(path, watch) for path in normal]
     rate = watch.test.false_alarm_rate if false_alarm_rate is None else false_alarm_rate
-    watch.fit(data if len(data) > 1 else data[0], false_alarm_rate=rate)
+    watch.fit(
+        data if len(data) > 1 else data[0],
+        false_alarm_rate=rate,
+        held_out=held_out,
+        transient=_start_left_out(transient),
+    )
     runs = [_run(watch, one) for one in data]
     watch.reset()
     watch.save(output)
@@ -119,11 +134,35 @@ def fit(
         *(f"{one.source}: {note}" for one in data for note in one.notes),
         f"written: {output}",
     )
-    if judged * rate < 10:
-        warn(
-            f"{judged} samples are too few to see a false alarm rate of {rate:g}: give {int(10 / rate) + 1} or more, "
-            "or ask for a higher rate with --false-alarm-rate"
-        )
+    for note in watch.fit_check.notes if watch.fit_check else ():
+        warn(in_cli_words(note))
+    _warn_of_few(watch, judged, rate)
+
+
+def _warn_of_few(watch: Monitor, judged: int, rate: float) -> None:
+    """Say where the data cannot show the rate that was asked for: where the basis says so, with the same number."""
+    promised = getattr(watch.norm_test, "promised", None)  # a test of a user's own need not promise anything
+    if promised is None and (judged * rate >= ENOUGH or watch.norm_test.is_bound):
+        return
+    if promised is not None and within_tolerance(promised, rate):
+        return
+    told = ""
+    if promised is not None:
+        told = "these promise no rate, " if promised >= 1 else f"these promise at most {promised:.2g}, "
+    lasting = getattr(watch.norm_test, "persistence", 1) + watch.norm_test.release - 1
+    warn(
+        f"{judged} samples are too few to see a false alarm rate of {rate:g}: {told}"
+        f"{int(np.ceil(ENOUGH / rate)) * lasting:,} or so show it, more where residuals vary slowly; "
+        "give more, or ask for a higher rate with --false-alarm-rate"
+    )
+
+
+def _start_left_out(text: str) -> int | str:
+    """Return the samples that are left out at a start."""
+    if text != "auto" and not text.isdecimal():
+        why = f"must be a whole number of samples, or auto, got {echo(text)}"
+        raise typer.BadParameter(why, param_hint="--transient")
+    return text if text == "auto" else int(text)
 
 
 def _fitted_samples(runs: list[Diagnosis], judged: int) -> str:

@@ -124,7 +124,7 @@ _WORDS = {
     r"NormThreshold\(persistence=(\d+|\.\.\.)\)": r"--persistence \1",
     r"\b(poles|margin|faults)=(?:\[\.\.\.\]|\.\.\.|(?=[,;. )]|$))": r"--\1",
     r"\bstructure=(?:\.\.\.|(?=[,;. )]|$))": "--rows",
-    r"\b(observer|scheme)='([a-z-]+)'": r"--\1 \2",
+    r"\b(observer|scheme|transient)='([a-z-]+)'": r"--\1 \2",
 }
 
 

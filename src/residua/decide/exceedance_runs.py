@@ -222,8 +222,9 @@ def _runs(
     rows = np.arange(len(counts))
     begun, ends = reached[rows, last], longer[rows, last]
     goes_on = (ends - begun + 0.5) / (ends + 1.0)  # never none and never all
-    begins = begun * goes_on ** (length - 1 - last) / samples
-    fraction = np.where(last == length - 1, ends / samples, begins / (1 - goes_on))
+    with np.errstate(invalid="ignore"):  # without the only group that counts nothing is known: no rate is promised
+        begins = begun * goes_on ** (length - 1 - last) / samples
+        fraction = np.where(last == length - 1, ends / samples, begins / (1 - goes_on))
     return fraction, begins
 
 

@@ -64,6 +64,11 @@ def alarm_levels(statistic: NDArray[np.float64], persistence: int, release: int)
     return low
 
 
+def within_tolerance(promised: float, asked: float) -> bool:
+    """Tell whether a rate that is promised is what was asked for, within a factor of 1.5."""
+    return promised <= TOLERATED * asked * (1 + 1e-6)
+
+
 @dataclass(frozen=True)
 class Promise:
     """A threshold, and what fault-free data say of the rate of alarms on other data.
@@ -90,7 +95,7 @@ class Promise:
     @property
     def holds(self) -> bool:
         """Whether the data promise what was asked for, within a factor of 1.5."""
-        return self.promised <= TOLERATED * self.asked * (1 + 1e-6)
+        return within_tolerance(self.promised, self.asked)
 
     def __str__(self) -> str:
         text = f"about {self.aimed:.2g} of them in alarm"
@@ -287,4 +292,4 @@ def coincidence(members: Sequence[Observed], share: float) -> float:
     return best
 
 
-__all__ = ["ENOUGH", "Observed", "Promise", "coincidence", "observed", "promise_of"]
+__all__ = ["ENOUGH", "Observed", "Promise", "coincidence", "observed", "promise_of", "within_tolerance"]

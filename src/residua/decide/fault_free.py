@@ -15,6 +15,7 @@ from residua.decide.whitening import whitening_matrix
 from residua.decide.window import empty_window, moving_sum
 from residua.errors import DataError
 from residua.linear.subspaces.whitening import VARIANCE_FLOOR
+from residua.words import counted
 
 #: With that many independent samples to each residual a covariance counts as known, and is left as it is.
 KNOWN = 10.0
@@ -300,7 +301,7 @@ def check_enough(samples: int, k: int, window: int) -> None:
     least = max(30, 2 * window)
     if samples < least:
         raise DataError(
-            f"{samples} usable samples are too few to fit {k} residuals with a window of {window}: give at "
+            f"{samples} usable samples are too few to fit {counted(k, 'residual')} with a window of {window}: give at "
             f"least {least} fault-free samples after the filter has settled"
         )
 

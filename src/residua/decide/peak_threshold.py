@@ -22,6 +22,7 @@ from residua.number_kinds import COUNT, POSITIVE, PROBABILITY
 from residua.records import field_names, float_in, joined, record, values_in, values_out, whole_in
 from residua.tolerances import SIGNAL_ROUNDING
 from residua.visible import echo
+from residua.words import counted
 
 #: How the basis of a test begins whose thresholds are certified by the design, or set by the user.
 CERTIFIED = "certified by the design over its uncertainty set"
@@ -549,8 +550,8 @@ def _observed(
     count, least = int(usable.sum()), max(30, 10 * settings.window)
     if count < least:
         raise DataError(
-            f"{count} usable samples are too few to fit {residuals.shape[1]} residuals with a window of "
-            f"{settings.window}: give at least {least} fault-free samples after the filter has settled"
+            f"{count} usable samples are too few to fit {counted(residuals.shape[1], 'residual')} with a "
+            f"window of {settings.window}: give at least {least} fault-free samples after the filter has settled"
         )
     norms = np.where(usable, row_norms(residuals), 0.0)
     data = FaultFree(residuals, usable, settings.window, tuple(seams))

@@ -1,21 +1,32 @@
 """Plants and residual generators from recordings: one method, one file."""
 
+from residua.identify.canonical_variates import CanonicalVariates, canonical_variates
 from residua.identify.grey_box import GreyBox, grey_box
 from residua.identify.identified_model import IdentifiedModel, Prediction
 from residua.identify.linearise import TangentModel, linearise, tangent_model
 from residua.identify.model_report import IdentificationReport
 from residua.identify.nonlinear_model import NonlinearModel
+from residua.identify.parity_from_data import DataParity, parity_from_data
+from residua.identify.principal_components import PrincipalComponents, principal_components
+from residua.identify.residuals_of_others import given_residuals
 from residua.identify.subspace import subspace
 
 __all__ = [
+    "CanonicalVariates",
+    "DataParity",
     "GreyBox",
     "IdentificationReport",
     "IdentifiedModel",
     "NonlinearModel",
     "Prediction",
+    "PrincipalComponents",
     "TangentModel",
+    "canonical_variates",
+    "given_residuals",
     "grey_box",
     "linearise",
+    "parity_from_data",
+    "principal_components",
     "subspace",
     "tangent_model",
 ]

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from residua.identify.hankel_factor import HankelFactor, regress
 from residua.identify.state_map import StateMap, future_by_past, states_of
-from residua.tolerances import RANK
+from residua.linear.subspaces.rank import range_basis
 
 
 def canonical_weights(factor: HankelFactor, past: int) -> StateMap:
@@ -28,8 +26,7 @@ def canonical_weights(factor: HankelFactor, past: int) -> StateMap:
     joint = future_by_past(factor, past)
     future = regress(joint.future, joint.given).residual
     past_left = regress(joint.past, joint.given).residual
-    _, s, Vt = np.linalg.svd(future, full_matrices=False)
-    keep = s > RANK * s[0]  # outputs to come without noise depend on one another
-    weight = Vt[keep] / s[keep][:, None]
+    V, decision = range_basis(future.T)  # outputs to come without noise depend on one another
+    weight = V.T / decision.singular_values[: decision.rank, None]
     states, _ = states_of(weight @ joint.by_past, past_left, factor.windows, past)
     return replace(states, observability=None)

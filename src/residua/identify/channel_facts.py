@@ -161,18 +161,15 @@ def _facts(gathered: Gathered) -> ChannelFacts:
     outer, within = np.zeros((n, n)), np.zeros((recordings, n))
     slope, spread_of_time = np.zeros((recordings, n)), np.zeros(recordings)
     middle = _middle_of_times(gathered, count)
-    for segment, block in gathered.blocks():
-        k = segment.recording
-        centred = block - mean
-        outer += centred.T @ centred
-        own = block - own_mean[k]
-        within[k] += (own**2).sum(axis=0)
     for segment in gathered.segments:
         k = segment.recording
         for start in range(0, len(segment), BLOCK):
-            block = segment.rows(start, min(start + BLOCK, len(segment))) - own_mean[k]
-            times = segment.start + start + np.arange(len(block)) - middle[k]
-            slope[k] += times @ block
+            centred = segment.rows(start, min(start + BLOCK, len(segment))) - mean
+            outer += centred.T @ centred
+            own = centred - (own_mean[k] - mean)
+            within[k] += np.einsum("ij,ij->j", own, own)
+            times = segment.start + start + np.arange(len(own)) - middle[k]
+            slope[k] += times @ own
             spread_of_time[k] += times @ times
     explained = (slope**2 / np.maximum(spread_of_time, 1.0)[:, None])[seen].sum(axis=0)
     within_all = within[seen].sum(axis=0)

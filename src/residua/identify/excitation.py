@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.identify.hankel_factor import HankelFactor, regress
+from residua.linear.subspaces.rank import decide_rank
 from residua.tolerances import RANK
 
 #: Standard errors that the effect of an input must reach to count as one.
@@ -21,8 +22,9 @@ class Excitation:
     Attributes
     ----------
     unexplained : ndarray, shape (inputs,)
-        The part of each input's variance that neither the past nor the other inputs determine: from it alone the
-        effect of the input is told from that of a controller.
+        The part of each input's variance that neither the past nor the other inputs determine (nor, without
+        feedthrough, the outputs of the same row): from it alone the effect of the input is told from that of a
+        controller.
     order : int
         Independent directions of the inputs over the past, of ``full`` at most.
     full : int
@@ -40,20 +42,23 @@ class Excitation:
     instant: tuple[tuple[int, int], ...]
 
 
-def excitation(factor: HankelFactor, past: int) -> Excitation:
-    """Return what the inputs can show, from windows of ``past`` rows and the one after them."""
+def excitation(factor: HankelFactor, past: int, *, feedthrough: bool) -> Excitation:
+    """Return what the inputs can show, from windows of ``past`` rows and the one after them.
+
+    Without feedthrough an input that goes with the output of its row is moved by it.
+    """
     m, now = factor.n_inputs, past
     before = factor.R[:, [0, *factor.signals(range(past))]]
     u = factor.R[:, factor.inputs(now)]
+    together = factor.R[:, [] if feedthrough else factor.outputs(now)]
     unexplained = np.ones(m)
     power = np.linalg.norm(u - np.outer(before[:, 0], before[:, 0] @ u) / (before[:, 0] @ before[:, 0]), axis=0)
     for i in range(m):
-        rest = regress(u[:, [i]], np.hstack([before, np.delete(u, i, axis=1)])).residual
+        rest = regress(u[:, [i]], np.hstack([before, np.delete(u, i, axis=1), together])).residual
         unexplained[i] = float(np.linalg.norm(rest) / max(power[i], np.finfo(float).tiny)) ** 2
     own = factor.R[:, factor.inputs(*range(past))]
     own = regress(own, before[:, :1]).residual if m else own
-    s = np.linalg.svd(own, compute_uv=False) if m else np.zeros(0)
-    order = int(np.count_nonzero(s > RANK**0.5 * s[0])) if len(s) else 0
+    order = decide_rank(own, rtol=RANK**0.5).rank  # of data, in whose squares a rank would be judged
     delays, instant = _delays(factor, past)
     return Excitation(unexplained, order, m * past, delays, instant)
 
@@ -66,9 +71,7 @@ def _delays(factor: HankelFactor, past: int) -> tuple[NDArray[np.int_], tuple[tu
     fit = regress(y, X)
     size = np.linalg.norm(X, axis=0)
     size = np.where(size > 0, size, 1.0)
-    _, s, Vt = np.linalg.svd(X / size, full_matrices=False)
-    keep = s > RANK * s[0]
-    spread = np.sqrt(((Vt[keep] / s[keep][:, None]) ** 2).sum(axis=0)) / size
+    spread = np.linalg.norm(np.linalg.pinv(X / size, rcond=RANK), axis=1) / size
     noise = np.linalg.norm(fit.residual, axis=0) / np.sqrt(max(factor.windows - len(columns), 1))
     scale = np.maximum(np.outer(noise, spread), np.finfo(float).tiny)
     strength = np.abs(fit.coefficients) / scale

@@ -49,7 +49,7 @@ def choose_horizon(
     DataError
         If the data are too few for a single row of the past.
     """
-    data = _some(gathered)
+    data = gathered.shortened(_ROWS)
     n = len(gathered.channels)
     most = min(longest or _LONGEST, _MOST_COLUMNS // n)
     while most > 1 and count_windows(data, most + 1) < _LEAST_ROWS * (1 + n * (most + 1)):
@@ -69,14 +69,6 @@ def choose_horizon(
     criterion = np.array([_akaike(T, len(fixed) + past * n, gathered, windows) for past in tried])
     criterion -= criterion.min()
     return Horizon(tried[int(criterion.argmin())], tried, criterion)
-
-
-def _some(gathered: Gathered) -> Gathered:
-    """Return the first rows of the data, from every segment as large a part, where there are more than needed."""
-    if gathered.n_samples <= _ROWS:
-        return gathered
-    share = _ROWS / gathered.n_samples
-    return gathered.with_segments([one.cut(0, int(np.ceil(share * len(one)))) for one in gathered.segments])
 
 
 def log_determinant(residual: NDArray, samples: int) -> float:

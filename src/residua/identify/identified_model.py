@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.stats
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtri
 
 from residua.errors import DataError, SettingError
 from residua.identify.model_report import IdentificationReport
 from residua.identify.realisation import Innovations
 from residua.identify.segments import gather
 from residua.linear import StateSpace
+from residua.linear.subspaces.rank import range_basis
 from residua.plant import OperatingPoint, Perturbation, Plant, UncertainPlant
 from residua.tolerances import RANK
 
@@ -124,7 +125,7 @@ class IdentifiedModel:
         if nominal.A.shape != self.plant.A.shape or not np.array_equal(nominal.A, self.plant.A):
             raise SettingError("plant must be the plant of this model, with faults added")
         values, vectors = self._spread(directions)
-        quantile = float(scipy.stats.norm.isf((1 - level ** (1 / max(len(values), 1))) / 2))
+        quantile = float(-ndtri((1 - level ** (1 / max(len(values), 1))) / 2))
         deltas: list[Perturbation] = []
         for k, (size, vector) in enumerate(zip(values, vectors, strict=True)):
             deltas += _perturbations(nominal, vector, quantile * size, f"model {k + 1}")
@@ -214,13 +215,13 @@ class IdentifiedModel:
         spread = (rows - rows.mean(axis=0)) * np.sqrt((count - 1) / count)
         unit = np.linalg.norm(spread, axis=0)
         unit = np.where(unit > 0, unit, 1.0)
-        _, s, Vt = np.linalg.svd(spread / unit, full_matrices=False)
-        keep = min(directions, int(np.count_nonzero(s > RANK * s[0])) if s[0] > 0 else 0)
+        basis, decision = range_basis((spread / unit).T)
+        keep = min(directions, decision.rank)
         vectors = []
-        for row in Vt[:keep] * unit:
+        for row in basis.T[:keep] * unit:
             parts = np.split(row, np.cumsum([M.size for M in nominal])[:-1])
             vectors.append({name: part.reshape(M.shape) for name, part, M in zip(names, parts, nominal, strict=True)})
-        return s[:keep], vectors
+        return decision.singular_values[:keep], vectors
 
     def __repr__(self) -> str:
         return f"IdentifiedModel(order {self.report.order} by {self.report.method}, {self.plant!r})"
@@ -240,11 +241,8 @@ def _perturbations(
     for letter, M in matrices.items():
         if not M.any():
             continue
-        U, s, Vt = np.linalg.svd(M, full_matrices=False)
-        keep = s > RANK * s[0]
-        root = np.sqrt(s[keep])
-        names = [name] * int(keep.sum())
-        deltas.append(Perturbation(letter, -U[:, keep] * root, root[:, None] * Vt[keep], -size, size, names))
+        U, _ = range_basis(M)
+        deltas.append(Perturbation(letter, -U, U.T @ M, -size, size, [name] * U.shape[1]))
     return deltas
 
 
@@ -282,3 +280,42 @@ def plant_of(
     if root.any():
         plant = plant.with_noise_input(K @ root, root)
     return plant, K, V
+
+
+def with_input_delays(plant: Plant, delays: Mapping[str, int]) -> Plant:
+    """Return a sampled plant without faults and disturbances whose inputs act so many samples later.
+
+    Each sample of delay is a state: ``w1[k+1] = u[k]``, ``w2[k+1] = w1[k]``, and so on.
+    """
+    total = sum(delays.values())
+    if not total:
+        return plant
+    n, m = plant.n_states, len(plant.inputs)
+    A, C = np.zeros((n + total, n + total)), np.zeros((plant.n_outputs, n + total))
+    B, D = np.zeros((n + total, m)), np.array(plant.Du)
+    A[:n, :n], C[:, :n], B[:n] = plant.A, plant.C, plant.Bu
+    first = n
+    for name, rows in delays.items():
+        j = plant.inputs.index(name)
+        if not rows:
+            continue
+        last = first + rows - 1
+        A[:n, last], C[:, last], D[:, j] = plant.Bu[:, j], plant.Du[:, j], 0.0
+        B[:n, j], B[first, j] = 0.0, 1.0
+        A[range(first + 1, last + 1), range(first, last)] = 1.0
+        first += rows
+    made = Plant(
+        A,
+        B,
+        C,
+        D,
+        dt=plant.dt,
+        inputs=plant.inputs,
+        outputs=plant.outputs,
+        name=plant.name,
+        operating_point=plant.operating_point,
+        units=plant.units,
+    )
+    if not plant.Bw.shape[1]:
+        return made
+    return made.with_noise_input(np.vstack([plant.Bw, np.zeros((total, plant.Bw.shape[1]))]), plant.Dw)

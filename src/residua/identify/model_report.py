@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from residua.design.core.evidence import format_pole
 from residua.identify.excitation import Excitation
-from residua.identify.prediction import ErrorFacts
+from residua.identify.prediction import CHANCE, ErrorFacts
 from residua.words import counted, listing, number
 
-#: An output's errors with a larger correlation than this, and less likely by chance than that, are called coloured.
-_COLOURED, _UNLIKELY = 0.1, 1e-3
+#: An output's errors with a larger correlation than this, where chance is no reason, are called coloured.
+_COLOURED = 0.1
 #: Orders that a text lists on each side of the chosen one.
 _AROUND = 3
 #: Less than this of an input's variance is its own: the data hardly tell its effect from that of a controller.
@@ -102,7 +102,7 @@ class IdentificationReport:
     def coloured(self) -> tuple[str, ...]:
         """The outputs whose prediction errors are correlated in time: the model misses some of their dynamics."""
         facts = self.checked
-        strong = (facts.autocorrelation > _COLOURED) & (facts.whiteness < _UNLIKELY)
+        strong = (facts.autocorrelation > _COLOURED) & (facts.whiteness < CHANCE)
         return tuple(name for name, one in zip(self.outputs, strong, strict=True) if one)
 
     @property

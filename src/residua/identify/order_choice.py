@@ -68,7 +68,7 @@ def choose_order(
         )
     orders = tuple(range(most + 1))
     values = criterion(factor, states, most, feedthrough=feedthrough)
-    short = _shortened(held_out)
+    short = held_out.shortened(_ROWS)
     errors = np.full(len(orders), np.nan)
     for order in orders:
         errors[order] = _error(factor, states, order, short, feedthrough)
@@ -83,13 +83,6 @@ def choose_order(
         lowest = int(np.nanargmin(errors))
         reason += f"; the held-out error is smallest at order {lowest}"
     return OrderChoice(best, reason, orders, values, errors)
-
-
-def _shortened(held_out: Gathered) -> Gathered:
-    if held_out.n_samples <= _ROWS:
-        return held_out
-    share = _ROWS / held_out.n_samples
-    return held_out.with_segments([one.cut(0, int(np.ceil(share * len(one)))) for one in held_out.segments])
 
 
 def _error(factor: HankelFactor, states: StateMap, order: int, held_out: Gathered, feedthrough: bool) -> float:

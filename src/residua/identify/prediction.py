@@ -6,17 +6,18 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.stats
 from numpy.typing import NDArray
+from scipy.special import gammaincc, ndtri
 
 from residua.identify.realisation import Innovations
 from residua.identify.segments import BLOCK, Gathered
 from residua.linear import StateSpace
+from residua.tolerances import TINY
 
 #: Rows by which errors are compared with themselves and with inputs.
 LAGS = 20
 #: Correlations that chance gives once in so many data sets count as real, all lags and channels together.
-_CHANCE = 1e-3
+CHANCE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +41,7 @@ class ErrorFacts:
     whiteness : ndarray, shape (outputs,)
         Probability that white errors are as correlated (Ljung and Box).
     feedback : tuple of (str, str, float)
-        The outputs whose errors later inputs follow, with the largest correlation.
+        The outputs whose errors the inputs of their row or later ones follow, with the largest correlation.
     missed : tuple of (str, str, float)
         The inputs whose past the errors of an output still hold, with the largest correlation.
     """
@@ -106,7 +107,7 @@ def error_facts(model: Innovations, gathered: Gathered, reference: NDArray, unit
     crossed -= rows * np.outer(e_mean, u_mean)
     power = np.diag(products[0]), np.maximum(inputs - rows * u_mean**2, 0.0)
     own = np.array([np.diag(one) for one in products[1:]]) / np.where(power[0] > 0, power[0], 1.0)
-    correlation = crossed / np.sqrt(np.maximum(np.outer(*power), 1e-300))
+    correlation = crossed / np.sqrt(np.maximum(np.outer(*power), TINY))
     names = gathered.outputs, gathered.inputs
     return ErrorFacts(
         rows,
@@ -116,7 +117,7 @@ def error_facts(model: Innovations, gathered: Gathered, reference: NDArray, unit
         products[0] / rows + np.outer(e_mean, e_mean),
         np.abs(own).max(axis=0),
         _ljung_box(own, rows),
-        _significant(correlation[LAGS + 1 :], rows, *names),
+        _significant(correlation[LAGS:], rows, *names),
         _significant(correlation[:LAGS], rows, *names),
     )
 
@@ -124,7 +125,8 @@ def error_facts(model: Innovations, gathered: Gathered, reference: NDArray, unit
 def _ljung_box(own: NDArray, rows: int) -> NDArray[np.float64]:
     lags = np.arange(1, len(own) + 1)
     left = np.maximum(rows - lags, 1)[:, None]
-    return np.asarray(scipy.stats.chi2.sf(rows * (rows + 2) * (own**2 / left).sum(axis=0), len(own)))
+    # the upper tail of chi-squared
+    return np.asarray(gammaincc(len(own) / 2, rows * (rows + 2) * (own**2 / left).sum(axis=0) / 2))
 
 
 def _significant(
@@ -133,7 +135,7 @@ def _significant(
     """Return the pairs whose errors and inputs are correlated by more than chance, the largest first."""
     if not correlation.size:
         return ()
-    limit = scipy.stats.norm.isf(_CHANCE / (2 * correlation.size)) / np.sqrt(rows)
+    limit = -ndtri(CHANCE / (2 * correlation.size)) / np.sqrt(rows)
     largest = np.abs(correlation).max(axis=0)
     pairs = [(outputs[i], inputs[j], float(largest[i, j])) for i, j in zip(*np.nonzero(largest > limit), strict=True)]
     return tuple(sorted(pairs, key=lambda one: -one[2]))
@@ -145,7 +147,10 @@ class _Simulated:
     def __init__(self, model: Innovations, m: int, p: int) -> None:
         radius = float(np.abs(np.linalg.eigvals(model.A)).max(initial=0.0))
         self._runs = bool(m) and radius < 1
-        self._skip = model.past if radius < 1e-6 else int(np.ceil(np.log(1e-2) / np.log(min(radius, 1 - 1e-9))))
+        self._skip = BLOCK
+        if self._runs:  # until 1 % is left of the start
+            with np.errstate(divide="ignore"):
+                self._skip = int(min(np.ceil(np.log(0.01) / np.log(radius)), BLOCK))
         self._system = StateSpace(model.A, model.B, model.C, model.D, dt=1.0)
         self._squares, self._rows = np.zeros(p), 0
 

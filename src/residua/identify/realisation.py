@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from residua.identify.horizon import NOISE_FREE, log_determinant
 from residua.identify.state_map import StateMap
 from residua.linear import StateSpace
 from residua.linear.poles.riccati import filter_riccati
+from residua.tolerances import IDENTITY
 
 Matrix = NDArray[np.float64]
 
@@ -59,7 +61,7 @@ class Innovations:
         if not n:
             return np.zeros(0), self.output_constant, 0.0
         M = np.eye(n) - self.A
-        x, _, _, _ = np.linalg.lstsq(M, self.state_constant, rcond=1e-8)
+        x, _, _, _ = np.linalg.lstsq(M, self.state_constant, rcond=IDENTITY)
         left = float(np.abs(M @ x - self.state_constant).max(initial=0.0))
         return np.asarray(x, dtype=float), self.C @ x + self.output_constant, left
 
@@ -85,39 +87,8 @@ def realise(factor: HankelFactor, states: StateMap, order: int, *, feedthrough: 
     DataError
         If no stable predictor has these covariances.
     """
-    return _solved(_signals(factor.R, factor, states, order), factor, states, order, factor.windows, feedthrough)
-
-
-def resampled(factor: HankelFactor, states: StateMap, order: int, *, feedthrough: bool) -> list[Innovations]:
-    """Return the models of the data without each of their parts in turn, with the same states.
-
-    Their spread is that of the estimate (the jackknife), however the noise is correlated within a part.
-    """
-    small = [_triangle_of(_signals(one, factor, states, order)) for one in factor.parts]
-    models, windows = [], factor.windows * (len(small) - 1) // max(len(small), 1)
-    for left_out in range(len(small)):
-        rest = np.vstack([one for k, one in enumerate(small) if k != left_out])
-        models.append(_solved(rest, factor, states, order, windows, feedthrough))
-    return models
-
-
-def _triangle_of(columns: Matrix) -> Matrix:
-    return np.asarray(np.linalg.qr(columns, mode="r"))
-
-
-def _signals(R: Matrix, factor: HankelFactor, states: StateMap, order: int) -> Matrix:
-    """Return a constant, the states, the inputs, the outputs and the next states, as columns."""
-    T, now = states.T[:order], states.past
-    x0 = R[:, factor.signals(range(now))] @ T.T
-    x1 = R[:, factor.signals(range(1, now + 1))] @ T.T
-    return np.hstack([R[:, [0]], x0, R[:, factor.inputs(now)], R[:, factor.outputs(now)], x1])
-
-
-def _solved(
-    columns: Matrix, factor: HankelFactor, states: StateMap, order: int, windows: int, feedthrough: bool
-) -> Innovations:
-    m, p = factor.n_inputs, factor.n_outputs
-    one, x0, u, y, x1 = np.split(columns, np.cumsum([1, order, m, p]), axis=1)
+    m, p, windows = factor.n_inputs, factor.n_outputs, factor.windows
+    one, x0, u, y, x1 = _signals(factor, states, order)
     A, C = _from_shift(states, order, p)
     target = y if C is None else y - x0 @ C.T
     fit = regress(target, np.hstack([one, *([u] if feedthrough else []), *([x0] if C is None else [])]))
@@ -133,6 +104,49 @@ def _solved(
     V, W = e.T @ e / samples, step.residual.T @ step.residual / samples
     K, note = _stable_gain(A, C, K, W, V)
     return Innovations(A, B, C, D, K, c_x, c_y, V, states.T[:order], states.past, note)
+
+
+def resampled(
+    factor: HankelFactor, states: StateMap, order: int, find: Callable[[HankelFactor], StateMap], *, feedthrough: bool
+) -> list[Innovations]:
+    """Return the models of the data without each of their parts in turn, in the coordinates of the whole.
+
+    Their spread is that of the estimate (the jackknife), however the noise is correlated within a part. ``find`` looks
+    for the states again each time: with those of the whole the spread would be too small.
+    """
+    models = []
+    now = factor.R[:, factor.signals(range(states.past))]
+    for one in factor.without_each_part():
+        own = find(one)
+        if len(own.T) < order:
+            continue
+        model = realise(one, own, order, feedthrough=feedthrough)
+        # the same states in other coordinates: S takes their own to those of the whole, for the rows of all data
+        S = regress(now @ states.T[:order].T, now @ own.T[:order].T).coefficients
+        models.append(_in_coordinates(model, S))
+    return models
+
+
+def _in_coordinates(model: Innovations, S: Matrix) -> Innovations:
+    """Return a model with the states ``S x``."""
+    back = np.linalg.pinv(S)
+    return replace(
+        model,
+        A=S @ model.A @ back,
+        B=S @ model.B,
+        C=model.C @ back,
+        K=S @ model.K,
+        state_constant=S @ model.state_constant,
+        states=S @ model.states,
+    )
+
+
+def _signals(factor: HankelFactor, states: StateMap, order: int) -> tuple[Matrix, ...]:
+    """Return a constant, the states, the inputs, the outputs and the next states, as columns."""
+    R, T, now = factor.R, states.T[:order], states.past
+    x0 = R[:, factor.signals(range(now))] @ T.T
+    x1 = R[:, factor.signals(range(1, now + 1))] @ T.T
+    return R[:, [0]], x0, R[:, factor.inputs(now)], R[:, factor.outputs(now)], x1
 
 
 def _from_shift(states: StateMap, order: int, outputs: int) -> tuple[Matrix | None, Matrix | None]:
@@ -151,8 +165,9 @@ def _stable_gain(A: Matrix, C: Matrix, K: Matrix, W: Matrix, V: Matrix) -> tuple
         return K, ""
     floor = NOISE_FREE**2 * np.eye(len(V))
     cross = K @ V
+    process = K @ cross.T + W + NOISE_FREE**2 * np.eye(len(A))
     try:
-        solution = filter_riccati(A, C, K @ cross.T + W + NOISE_FREE**2 * np.eye(len(A)), V + floor, cross, dt=1.0)
+        solution = filter_riccati(A, C, (process + process.T) / 2, V + floor, cross, dt=1.0)
     except (DesignError, AccuracyError) as error:
         raise DataError(
             f"no stable predictor of order {len(A)} fits the data ({error}): choose another order, or method"

@@ -13,13 +13,14 @@ from numpy.typing import ArrayLike, NDArray
 from residua.arrays import names as checked_names, unique
 from residua.errors import DataError, ModelError, SettingError
 from residua.recording.recording import Recording, read_recording, recording_from_frame
+from residua.recording.time_axis import REGULAR
 from residua.visible import echo, listed
 from residua.words import counted
 
 #: Rows that are read at a time, so that a recording on disk is never in memory as a whole.
 BLOCK = 65_536
 #: Largest difference of the steps of two recordings, as a fraction.
-_SAME_STEP = 1e-3
+_SAME_STEP = REGULAR / 10
 
 Names = Sequence[str] | str | None
 
@@ -126,6 +127,13 @@ class Gathered:
             first += [segment.cut(0, border)] if border else []
             last += [segment.cut(border, len(segment))] if border < len(segment) else []
         return self.with_segments(first), self.with_segments(last)
+
+    def shortened(self, rows: int) -> Gathered:
+        """Return about so many rows: the first ones of every segment, of each as large a part."""
+        if self.n_samples <= rows:
+            return self
+        share = rows / self.n_samples
+        return self.with_segments([one.cut(0, int(np.ceil(share * len(one)))) for one in self.segments])
 
     def delayed(self, delays: Mapping[str, int]) -> Gathered:
         """Return the same with some inputs read so many rows earlier than the outputs.
@@ -389,4 +397,6 @@ def _emptiest(tables: Sequence[_Table]) -> str:
 def _columns(u: NDArray, y: NDArray, columns: tuple[int, ...], start: int, stop: int) -> NDArray[np.float64]:
     """Return rows of some columns of two arrays side by side, as numbers."""
     whole = np.hstack([u[start:stop], y[start:stop]]) if u.shape[1] else y[start:stop]
+    if columns == tuple(range(whole.shape[1])):
+        return np.asarray(whole, dtype=float)
     return np.asarray(whole[:, list(columns)], dtype=float)

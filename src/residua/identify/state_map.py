@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.identify.hankel_factor import HankelFactor, regress
-from residua.tolerances import RANK
+from residua.linear.subspaces.rank import range_basis
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +69,6 @@ def states_of(weighted: NDArray, past: NDArray, samples: int, n_past: int) -> tu
 
     Also the factors by which the combinations ``U' weighted`` were divided.
     """
-    U, s, _ = np.linalg.svd(weighted @ past.T, full_matrices=False)
-    keep = s > RANK * s[0] if len(s) and s[0] > 0 else np.zeros(len(s), dtype=bool)
-    U = U[:, keep]
+    U, decision = range_basis(weighted @ past.T)
     size = np.linalg.norm(U.T @ weighted @ past.T, axis=1) / np.sqrt(samples)
-    return StateMap(U.T @ weighted / size[:, None], s, n_past, U), size
+    return StateMap(U.T @ weighted / size[:, None], decision.singular_values, n_past, U), size

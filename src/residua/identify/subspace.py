@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from residua.errors import DataError, SettingError
 from residua.identify.canonical_weights import canonical_weights
 from residua.identify.channel_facts import ChannelFacts, channel_facts
-from residua.identify.delayed_plant import with_input_delays
 from residua.identify.excitation import excitation
 from residua.identify.hankel_factor import HankelFactor, hankel_factor
 from residua.identify.horizon import choose_horizon
-from residua.identify.identified_model import IdentifiedModel, plant_of
+from residua.identify.identified_model import IdentifiedModel, plant_of, with_input_delays
 from residua.identify.model_report import IdentificationReport, SteadyGain
 from residua.identify.moesp import moesp
 from residua.identify.n4sid import n4sid
@@ -27,6 +26,7 @@ from residua.identify.segments import Gathered, Names, gather
 from residua.identify.state_map import StateMap
 from residua.plant import Plant
 from residua.progress import Progress, progress_of
+from residua.tolerances import POLE
 from residua.visible import echo
 
 Method = Literal["pbsid", "cva", "n4sid", "moesp"]
@@ -34,10 +34,12 @@ Method = Literal["pbsid", "cva", "n4sid", "moesp"]
 _WRITTEN = {"pbsid": "PBSID", "cva": "CVA", "n4sid": "N4SID", "moesp": "MOESP"}
 #: Orders that are compared at most, unless the caller says otherwise.
 _MOST_ORDERS = 25
+#: Rows on which a model is judged at most, of its own and of those that are held out.
+_JUDGED = 500_000
 #: A spread is estimated from at least so many parts of the data.
 _LEAST_PARTS = 6
-#: A plant this near to a pole at one has no steady gain that the data could say.
-_INTEGRATES = 1e-6
+#: The part of their size by which states may move in a row at the operating point without a word.
+_UNBALANCED = 0.01
 
 
 def subspace(
@@ -203,7 +205,7 @@ class _Made:
     ) -> None:
         self.method, self.first, self.last, self.facts, self.factor = method, first, last, facts, factor
         self.states, self.choice, self.model, self.feedthrough = states, choice, model, feedthrough
-        self.excitation = excitation(factor, states.past)
+        self.excitation = excitation(factor, states.past, feedthrough=feedthrough)
 
     def notes(self) -> tuple[str, ...]:
         """Return what is said of the model itself."""
@@ -222,7 +224,7 @@ class _Made:
                 f"the plant has a pole of size {radius:.6g}: it integrates, drifts, or was held by a controller"
             )
         left = model.at_rest()[2]
-        if left > 1e-3:
+        if left > _UNBALANCED:
             notes.append(f"no operating point balances the model: its states move by {left:.2g} a row at mean inputs")
         return tuple(notes)
 
@@ -233,9 +235,13 @@ class _Made:
         plant, K, V = plant_of(model, *around, **options)
         others: list[Plant] = []
         if len(self.factor.parts) >= _LEAST_PARTS:
-            parts = resampled(self.factor, self.states, model.order, feedthrough=self.feedthrough)
+
+            def find(factor: HankelFactor) -> StateMap:
+                return _states(self.method, factor, self.states.past, self.feedthrough)
+
+            parts = resampled(self.factor, self.states, model.order, find, feedthrough=self.feedthrough)
             others = [plant_of(one, *around)[0] for one in parts]
-        fitted = error_facts(model, first, facts.mean, facts.units)
+        fitted = error_facts(model, first.shortened(_JUDGED), facts.mean, facts.units)
         assert fitted is not None  # there are windows longer than the past
         report = IdentificationReport(
             method=_WRITTEN[self.method],
@@ -250,7 +256,7 @@ class _Made:
             held_out_errors=self.choice.held_out_errors,
             past=self.states.past,
             samples=first.n_samples,
-            held_out=error_facts(model, self.last, facts.mean, facts.units),
+            held_out=error_facts(model, self.last.shortened(_JUDGED), facts.mean, facts.units),
             fitted=fitted,
             excitation=self.excitation,
             poles=np.linalg.eigvals(model.A).astype(complex),
@@ -265,7 +271,7 @@ class _Made:
 
 def _steady_gain(plant: Plant, others: list[Plant]) -> SteadyGain | None:
     poles = np.linalg.eigvals(plant.A)
-    if not plant.inputs or (len(poles) and np.abs(poles - 1).min() < _INTEGRATES):
+    if not plant.inputs or (len(poles) and np.abs(poles - 1).min() < POLE):
         return None
     gains = np.array([_gain(one) for one in others])
     count = len(gains)

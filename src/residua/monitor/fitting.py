@@ -4,18 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.checks import check_samples, is_number
+from residua.decide.held_out import alarms_held_out, held_out_rows
 from residua.decide.isolation import NoIsolation
+from residua.decide.stationarity import changes, transient_samples
 from residua.decide.test import FaultFreeRun, ResidualTest, TestSettings, Watched
-from residua.errors import DataError
+from residua.errors import DataError, SettingError
 from residua.monitor.filtering import plausible_values
+from residua.monitor.fit_check import FitCheck
 from residua.monitor.inputs import settling_reason, settling_samples, signal_levels
 from residua.monitor.running import initial_state, run_block
 from residua.monitor.setup import blank_test, specification
 from residua.monitor.specification import Specification
+from residua.visible import echo
+
+#: Largest part that may be held out.
+MOST_HELD_OUT = 0.5
 
 
 def fitted_test(
@@ -28,8 +37,13 @@ def fitted_test(
     max_hold: int,
     plausible: NDArray[np.float64],
     start: str,
-) -> ResidualTest:
-    """Return the test fitted to fault-free recordings, each of shape (1, time, channels), in plant units."""
+    held_out: float,
+    transient: int | str,
+) -> tuple[ResidualTest, FitCheck]:
+    """Return the test fitted to fault-free recordings of shape (1, time, channels), in plant units, and its check.
+
+    The last part of every recording, ``held_out`` of its usable samples, is left to the check.
+    """
     generator, known = watched.generator, settings.known(watched)
     _check_recordings(recordings, len(generator.plant.inputs))
     if known is not None and known.is_bound:  # bounds want a longer wait, and hold from rest
@@ -46,15 +60,67 @@ def fitted_test(
     )
     run = _run(blank, watched, recordings, settling_reason(generator, blank.settle))
     try:
-        test = settings.fitted(watched, run, rate)
+        if known is not None and known.is_bound:  # data change no threshold
+            return _with_basis(settings.fitted(watched, run, rate), len(recordings), ""), FitCheck(None)
+        run, left_out = _without_transients(run, transient, generator.residuals)
+        kept = settings.kept(watched)
+        window = 1 if kept is None else kept[1]
+        rows = held_out_rows(run, held_out, window)
+        test, rows = _fitted(settings, watched, run, rows, rate)
     except DataError as error:
         if 2 * blank.settle * len(recordings) < len(run.usable):
             raise
         raise DataError(f"{error}; {settling_reason(generator, blank.settle)}") from error
-    if len(recordings) == 1:
-        return test
-    basis = f"{test.basis}; {len(recordings)} recordings, each from its own start"
-    return replace(test, basis=basis)  # pyright: ignore[reportArgumentType]
+    held = None if rows is None else alarms_held_out(test, run, rows, rate)
+    check = FitCheck(held, changes(run, generator.residuals), left_out, len(recordings))
+    return _with_basis(test, len(recordings), f"; {_checked(check, held_out, int(run.usable.sum()))}"), check
+
+
+def _fitted(
+    settings: TestSettings, watched: Watched, run: FaultFreeRun, held: NDArray[np.bool_] | None, rate: float
+) -> tuple[ResidualTest, NDArray[np.bool_] | None]:
+    """Return the fitted test, and what was held out: nothing, where what is left would be too little."""
+    if held is not None:
+        try:
+            return settings.fitted(watched, replace(run, usable=run.usable & ~held), rate), held
+        except DataError:  # raised again, or not, by all samples; the basis says that none were held out
+            pass
+    return settings.fitted(watched, run, rate), None
+
+
+def _checked(check: FitCheck, share: float, samples: int) -> str:
+    """Say in the words of a basis what a fit was checked on."""
+    if check.held_out is not None:
+        out = str(check.held_out)
+    else:
+        out = f"no samples held out, {samples} are too few" if share else "no samples held out"
+    if check.left_out:
+        out += f"; the first {check.left_out} left out as a transient"
+    return out
+
+
+def check_held_out(held_out: Any, transient: Any) -> None:
+    """Raise unless the part that is held out, and the start that is left out, are such."""
+    if not (is_number(held_out) and 0 <= held_out <= MOST_HELD_OUT):
+        raise SettingError(f"held_out must be a part from 0 to {MOST_HELD_OUT:g}, got {echo(held_out)}")
+    if transient != "auto":
+        check_samples(transient, "transient", least=0)
+
+
+def _with_basis(test: ResidualTest, recordings: int, more: str) -> ResidualTest:
+    several = f"; {recordings} recordings, each from its own start" if recordings > 1 else ""
+    return replace(test, basis=f"{test.basis}{more}{several}")  # pyright: ignore[reportArgumentType]
+
+
+def _without_transients(run: FaultFreeRun, transient: int | str, residuals: Sequence[str]) -> tuple[FaultFreeRun, int]:
+    """Return a run without the beginnings of its recordings, and how many samples these are."""
+    if transient == 0:
+        return run, 0
+    usable, found = run.usable.copy(), changes(run, residuals) if transient == "auto" else ()
+    for number, start in enumerate((0, *run.seams), 1):
+        samples = transient_samples(found, number) if transient == "auto" else int(transient)
+        usable[start : start + samples] = False
+    return replace(run, usable=usable), int(run.usable.sum() - usable.sum())
 
 
 def _check_recordings(recordings: Sequence[NDArray[np.float64]], n_inputs: int) -> None:

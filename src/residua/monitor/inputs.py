@@ -16,6 +16,7 @@ from residua.linear.systems.balancing import state_units
 from residua.plant import Plant
 from residua.recording.recording import Recording, recording_from_frame
 from residua.recording.time_axis import regular_step, seconds_from_dates
+from residua.tolerances import ROUNDING
 from residua.visible import echo
 
 #: What is left of the slowest pole once a filter counts as settled: where thresholds come from data or a noise model,
@@ -174,7 +175,22 @@ def _forgotten(generator: ResidualGenerator, left: float) -> int:
 
 def _samples_until(generator: ResidualGenerator, left: float) -> int:
     slowest = float(np.abs(generator.system.poles()).max(initial=0.0))
-    return 1 if slowest < 1e-6 else int(np.ceil(np.log(left) / np.log(min(slowest, 1 - 1e-9))))
+    if slowest < 1e-6:  # a moving average: what it was before the start is gone with the last sample that it reads
+        return _last_read(generator)
+    return int(np.ceil(np.log(left) / np.log(min(slowest, 1 - 1e-9))))
+
+
+def _last_read(generator: ResidualGenerator) -> int:
+    """Return after how many samples a state at the start leaves nothing in the residual of a moving average."""
+    s = generator.system.explicit()
+    units = state_units(s.A, s.B, s.C, s.D)
+    rows, step = s.C * units, s.A / units[:, None] * units
+    largest = float(np.abs(rows).max(initial=0.0))
+    for k in range(s.n_states):
+        if not np.abs(rows).max(initial=0.0) > ROUNDING * largest:
+            return max(k, 1)
+        rows = rows @ step
+    return max(s.n_states, 1)
 
 
 def signal_levels(generator: ResidualGenerator, v: NDArray[np.float64]) -> NDArray[np.float64]:

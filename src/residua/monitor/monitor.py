@@ -20,7 +20,8 @@ from residua.errors import DataError, ModelError, NotFittedError, SettingError
 from residua.monitor.decision import Decision, decision_from
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.estimating import with_estimator
-from residua.monitor.fitting import fitted_test
+from residua.monitor.fit_check import FitCheck
+from residua.monitor.fitting import check_held_out, fitted_test
 from residua.monitor.inputs import settling_samples, several_signals, signals
 from residua.monitor.outcome import Recorded, compared_outputs, diagnosis_from
 from residua.monitor.plausible import (
@@ -67,8 +68,8 @@ class Monitor:
         Of an object that is not a generator itself, its ``generator`` is run.
     test : NormThreshold, PeakThreshold or TestSettings, optional
         When to raise an alarm. When omitted, for a design that brings certified thresholds (its ``thresholds``, one for
-        each member) :class:`residua.decide.PeakThreshold` with those, for any other
-        :class:`residua.decide.NormThreshold`.
+        each member) :class:`residua.decide.PeakThreshold` with those, for one that brings a test that it is made for
+        (its ``test``) that one, for any other :class:`residua.decide.NormThreshold`.
     isolate : Directional, Structured, Matched, IsolationSettings, None or "auto"
         How to name the fault. With :class:`residua.decide.Structured` every member of a bank has its own
         whitening, threshold and alarm, each with its share of the false alarm rate; the monitor is in alarm while
@@ -164,6 +165,7 @@ class Monitor:
         self.notes: tuple[str, ...] = ()
         self._generator: ResidualGenerator | None = None
         self._test: ResidualTest | None = None
+        self._check: FitCheck | None = None
         self._spec: Specification | None = None
         self._state: State | None = None
         if generator.system.is_discrete:
@@ -208,6 +210,11 @@ class Monitor:
         return self.norm_test.threshold
 
     @property
+    def fit_check(self) -> FitCheck | None:
+        """What the last fit says of its own recordings; ``None`` where nothing was fitted."""
+        return self._check
+
+    @property
     def groups(self) -> tuple[tuple[str, ...], ...]:
         """The faults, those that this monitor cannot tell apart in one group.
 
@@ -233,8 +240,15 @@ class Monitor:
         time: ArrayLike | None = None,
         dt: float | None = None,
         false_alarm_rate: float | None = None,
+        held_out: float = 0.2,
+        transient: int | str = 0,
     ) -> Monitor:
         """Fit mean, covariance and threshold to one or several fault-free recordings.
+
+        The last fifth of every recording is held out: used neither for the covariance nor for the threshold. How many
+        of its samples are in alarm, with the confidence interval of that, is in ``norm_test.basis`` and in
+        :attr:`fit_check`. Where it is more than was asked for, or the residuals change within a recording (a step or a
+        drift in what was taken for fault-free), the notes of every diagnosis say so, with what to do.
 
         Several (flights, days, batches) each have a start of their own, over which the filter settles, and nothing is
         summed or counted from one to the next. A finite-horizon test has thresholds alone, and a fit
@@ -254,6 +268,17 @@ class Monitor:
             Step, for a continuous generator without ``time``.
         false_alarm_rate : float, optional
             Fraction of fault-free samples in alarm that is aimed at; that of the test when omitted.
+        held_out : float
+            Part of the usable samples of each recording, the last ones, that only checks the fit; 0: none. Where that
+            would be under thirty samples, or under two windows of the test, none are, and the basis says so; nor for
+            thresholds that data do not change. Once the check is seen, a fit with ``held_out=0`` uses all samples:
+            what only the last part shows of normal operation is no part of the model otherwise.
+        transient : int or "auto"
+            Samples at the start of each recording, counted with those over which the filter settles, that the fit
+            leaves out. ``"auto"``: those that are not like the rest, the norm of the residuals being larger there, if
+            there are any (:func:`residua.decide.stationarity.changes`); half of the recording at most. What the plant
+            does at its start is no part of what is normal then, and raises alarms: set ``settle`` where that should
+            not be.
 
         Returns
         -------
@@ -267,6 +292,7 @@ class Monitor:
         """
         rate = self.test.false_alarm_rate if false_alarm_rate is None else float(false_alarm_rate)
         check_rate(rate)
+        check_held_out(held_out, transient)
         parts = several_signals(u, y, time, dt, self.design.plant)
         for one in parts:
             self._learn_step(one.dt)
@@ -274,7 +300,7 @@ class Monitor:
         blank = blank_test(self.generator)
         samples = np.concatenate([data.reshape(-1, data.shape[2]) for data in recordings])
         ranges = fitted_ranges(self.plausible, samples, guarded_ranges(self.generator, blank))
-        self._test = fitted_test(
+        self._test, self._check = fitted_test(
             self._settings,
             self._watched(self.generator),
             recordings,
@@ -283,6 +309,8 @@ class Monitor:
             max_hold=self.max_hold,
             plausible=self._limits(ranges, blank),
             start=self.start,
+            held_out=float(held_out),
+            transient=transient,
         )
         self._ranges = ranges
         self._spec = self._state = None
@@ -341,7 +369,7 @@ class Monitor:
         self._state = state
         clock = generator.dt * np.arange(data.shape[1]) if measured.time is None else measured.time
         decisions, compared = joined_decisions(parts), compared_outputs(self.design)
-        notes = (*self.notes, *measured.notes)
+        notes = (*self.notes, *(self._check.notes if self._check else ()), *measured.notes)
         whole = []
         for p in range(len(data)):
             recorded = Recorded(clock, data[p], measured.source, measured.origin, compared)
@@ -459,7 +487,7 @@ class Monitor:
 
     def _use(self, sampled: ResidualGenerator) -> None:
         self._generator = sampled
-        self._test = self._settings.from_model(self._watched(sampled))
+        self._test, self._check = self._settings.from_model(self._watched(sampled)), None
         self._spec = self._state = None
 
     def _learn_step(self, dt: float | None) -> None:

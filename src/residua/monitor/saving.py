@@ -23,6 +23,7 @@ from residua.errors import FileFormatError, ResiduaError
 from residua.files import read_bytes, write_text
 from residua.json_files import CHECKSUM, check_checksum
 from residua.monitor.design_records import generator_in, generator_out, sampled_in, sampled_out
+from residua.monitor.fit_check import FitCheck
 from residua.monitor.monitor import Monitor
 from residua.monitor.older_files import OLDER, renewed
 from residua.monitor.partial_update import PartialUpdate
@@ -45,6 +46,7 @@ from residua.records import (
     table_in,
     text_in,
     texts_in,
+    values_in,
     values_out,
     whole_in,
 )
@@ -101,8 +103,10 @@ def save_monitor(monitor: Monitor, path: str | Path) -> None:
         "running": None if test is None or generator is None else _running_out(monitor._specification()),
         "state": None if monitor._state is None else values_out(monitor._state),
     }
-    if monitor._bounds:  # an entry of its own where there is something to tell: any other file stays as it was
+    if monitor._bounds:  # entries of their own where there is something to tell: any other file stays as it was
         content["bounds"] = bounds_out(monitor._bounds)
+    if monitor._check is not None:
+        content["fit_check"] = values_out(monitor._check)
     write_text(path, dumps(content))
 
 
@@ -126,7 +130,7 @@ def load_monitor(path: str | Path) -> Monitor:
         )
     try:
         with np.errstate(all="ignore"):  # what overflows is refused; that it did is no news
-            monitor = _monitor_in(record(renewed(content), "", (*_ENTRIES, "bounds", CHECKSUM)))
+            monitor = _monitor_in(record(renewed(content), "", (*_ENTRIES, "bounds", "fit_check", CHECKSUM)))
     except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError, MemoryError, ResiduaError) as error:
         raise FileFormatError(f"{path.name}: {shortened(str(error), 1000)}") from error
     if content["version"] >= _CHECKED and not check_checksum(content, path.name) and EDITED not in monitor.notes:
@@ -161,6 +165,8 @@ def _monitor_in(content: Mapping[str, Any]) -> Monitor:
         watched = monitor._watched(monitor.generator)
         monitor._test = monitor._settings.test_from_record(content["fitted"], "fitted", watched)
         monitor._spec = _running_in(monitor._specification(), content["running"], monitor, watched)
+        if content["fit_check"] is not None:
+            monitor._check = values_in(content["fit_check"], "fit_check", FitCheck)
     if content["state"] is not None:
         monitor._state = _state_in(content["state"], monitor._specification())
     return monitor

@@ -15,7 +15,7 @@ from residua.decide.norm_threshold import NormTest, NormThreshold
 from residua.decide.peak_threshold import PeakThreshold
 from residua.decide.test import ResidualTest, TestSettings, Watched
 from residua.design import ResidualGenerator
-from residua.design.core.brought import BoundedDesign, CertifiedDesign
+from residua.design.core.brought import BoundedDesign, CertifiedDesign, DesignWithTest
 from residua.errors import ModelError, SettingError
 from residua.monitor.inputs import settling_samples
 from residua.monitor.partial_update import partial_update
@@ -47,7 +47,8 @@ def chosen_test(
 ) -> tuple[TestSettings, dict[str, float]]:
     """Return the settings of the test, and the thresholds that the design has certified; empty if none are used.
 
-    Without settings: :class:`PeakThreshold` for a design with certified thresholds, else :class:`NormThreshold`.
+    Without settings: :class:`PeakThreshold` for a design with certified thresholds, the test that a design is made for
+    where it brings one, else :class:`NormThreshold`.
     """
     if test is not None and not isinstance(test, TestSettings):
         raise SettingError(
@@ -57,9 +58,17 @@ def chosen_test(
     if test is None or test.takes_certified:
         certified = brought_thresholds(design, generator)
     if test is None:
-        test = PeakThreshold() if certified else NormThreshold()
+        test = PeakThreshold() if certified else brought_test(design)
     isolate.test_of(test).check(Watched(generator, isolate.parts(generator), certified))
     return test, certified if test.uses_certified else {}
+
+
+def brought_test(design: Any) -> TestSettings:
+    """Return the settings of the test that a design is made for; of one that brings none those of a norm."""
+    test = design.test if isinstance(design, DesignWithTest) else NormThreshold()
+    if not isinstance(test, TestSettings):
+        raise ModelError(f"the test of this design must be TestSettings, got {echo(test)}")
+    return test
 
 
 def brought_thresholds(design: Any, generator: ResidualGenerator) -> dict[str, float]:

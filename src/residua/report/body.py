@@ -13,7 +13,7 @@ from residua.recording.clock import length
 from residua.report.charts import by_interest, residual_unit
 from residua.report.choosing import SHOWN_FAULTS, look_alikes, shown_groups
 from residua.report.codes import code_alarm_table, code_table, present_table
-from residua.report.contributions import contribution_html, inside_band
+from residua.report.contributions import contribution_html, inside_band, reconstruction_html
 from residua.report.figures import band_text, charts_html
 from residua.report.pictures import direction_picture
 from residua.report.signatures import Signatures, judged_signatures
@@ -130,6 +130,7 @@ def diagnosis_html(diagnosis: Diagnosis, charts: dict[str, Any], *, number: int,
             _recording(diagnosis),
             charts_html(diagnosis, charts, number),
             contribution_html(diagnosis),
+            reconstruction_html(diagnosis),
             "<h3>Alarms</h3>",
             code_alarm_table(diagnosis) if by_code and diagnosis.alarms else alarm_table(diagnosis),
             present_table(diagnosis),

@@ -43,6 +43,16 @@ class BoundedDesign(Protocol):
 
 
 @runtime_checkable
+class DesignWithTest(Protocol):
+    """A design whose residuals are made for a test of some kind: T2 and Q of principal components, for example."""
+
+    @property
+    def test(self) -> Any:
+        """Settings of that test, a :class:`residua.decide.TestSettings`."""
+        ...
+
+
+@runtime_checkable
 class Watcher(Protocol):
     """A design, such as an observer, that makes a generator when it is asked which residuals are meant."""
 

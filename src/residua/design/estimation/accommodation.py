@@ -17,7 +17,7 @@ from residua.errors import DesignError, ModelError, SettingError
 from residua.linear import StateSpace
 from residua.linear.systems.balancing import descriptor_units
 from residua.plant import Plant
-from residua.tolerances import TINY
+from residua.tolerances import RESPONSE_ROUNDING, TINY
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,7 @@ def compensation_gain(plant: Plant, faults: Iterable[str] | str | None = None) -
     gain = np.linalg.pinv(Bu / size, rcond=1e-9) @ Bf / size[:, None]
     whole = np.linalg.norm(Bf, axis=0)
     rest = np.linalg.norm(Bf - Bu @ gain, axis=0) / np.where(whole > 0, whole, 1.0)
-    rest = np.where(rest > 1e-12, rest, 0.0)
+    rest = np.where(rest > RESPONSE_ROUNDING, rest, 0.0)
     names = tuple(plant.faults[i] for i in columns)
     return Compensation(gain, names, {name: float(part) for name, part in zip(names, rest, strict=True)})
 

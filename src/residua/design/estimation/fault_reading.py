@@ -11,7 +11,7 @@ from residua.errors import AccuracyError, DesignError
 from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis, null_basis
 from residua.linear.systems.balancing import descriptor_units
 from residua.plant import Plant
-from residua.tolerances import ROUNDING
+from residua.tolerances import RESPONSE_ROUNDING, ROUNDING
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +90,7 @@ def read_faults(plant: Plant, faults: tuple[str, ...], *, rtol: float) -> FaultR
     U, sizes, Vh = np.linalg.svd(at_once)
     r = int(np.count_nonzero(sizes > rtol))
     rest = whole @ Vh[r:].T
-    rest[np.abs(rest).max(axis=1, initial=0.0) <= 1e-12] = 0.0
+    rest[np.abs(rest).max(axis=1, initial=0.0) <= RESPONSE_ROUNDING] = 0.0
     L_d = rest @ _inverse(late @ Vh[r:].T, rtol * max(1.0, float(np.linalg.norm(R))))
     left = whole - L_d @ late
     L_s = _reading_what_it_needs(left @ Vh[:r].T / sizes[:r], U[:, :r].T, at_once, left, rtol)

@@ -17,7 +17,7 @@ from residua.linear.polynomials.pencil_null_space import pencil, refined
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.rank import left_null_basis
 from residua.plant import Plant
-from residua.tolerances import TINY
+from residua.tolerances import RESPONSE_ROUNDING, TINY
 
 #: Terms below this fraction of the largest, in balanced units, may be nothing but rounding.
 _TAKES_PART = 1e-6
@@ -84,7 +84,7 @@ def _algebraic(x: NDArray[np.float64], plant: Plant) -> NDArray[np.float64]:
         return np.zeros(n)
     N = left_null_basis(plant.E)[0]
     highest = N @ (N.T @ x[-1, :n])
-    return highest if np.abs(highest).max(initial=0.0) > 1e-12 * np.abs(x).max() else np.zeros(n)
+    return highest if np.abs(highest).max(initial=0.0) > RESPONSE_ROUNDING * np.abs(x).max() else np.zeros(n)
 
 
 def synthetic_division(plant: Plant, q: NDArray[np.float64], basis: PolynomialBasis) -> NDArray[np.float64]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 import scipy.linalg
@@ -198,8 +197,8 @@ def _stepped(A: Matrix, X: Matrix, C: Matrix) -> tuple[Matrix, Matrix]:
     """Return a block of terms by one step after the other, and the state after it."""
     states = np.empty((_BLOCK + 1, *X.shape))
     states[0] = X
-    for now, after in pairwise(states):
-        np.matmul(A, now, out=after)
+    for k in range(_BLOCK):
+        np.matmul(A, states[k], out=states[k + 1])
     return C @ states[:-1], states[-1].copy()
 
 

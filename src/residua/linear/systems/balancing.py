@@ -248,10 +248,11 @@ def _after(past: list[_Swept], before: int, k: int) -> _Swept:
     start, end = past[before], past[-1]
     times, rest = divmod(k - before, len(past) - 1 - before)
     like = past[before + rest]
-    left, right = (
-        np.ldexp(own, times * (np.frexp(after / earlier)[1] - 1))
-        for own, earlier, after in ((like.left, start.left, end.left), (like.right, start.right, end.right))
-    )
+    with np.errstate(over="ignore"):  # what overflows is out of range, and the sweeps then go on one by one
+        left, right = (
+            np.ldexp(own, times * (np.frexp(after / earlier)[1] - 1))
+            for own, earlier, after in ((like.left, start.left, end.left), (like.right, start.right, end.right))
+        )
     return _Swept(like.W, left, right)
 
 

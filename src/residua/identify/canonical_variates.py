@@ -1,0 +1,370 @@
+"""Canonical variate analysis of recorded channels: what of the past says most of the future, and the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from residua.decide.norm_threshold import NormThreshold
+from residua.design.core.evidence import Evidence
+from residua.design.core.generator import ResidualGenerator
+from residua.errors import DataError, SettingError
+from residua.identify.channel_filter import channel_generator, checked_count, names_of_groups
+from residua.identify.lagged_rows import LaggedRows, Standard, few_rows, lagged_rows, standard
+from residua.identify.segments import Gathered, Names, gather
+from residua.linear.subspaces.rank import RankDecision, null_basis
+from residua.tolerances import RANK
+from residua.visible import echo, listed
+from residua.words import counted
+
+#: Lags that are tried at most when they are not given.
+_MOST_LAGS = 20
+_METHOD = "canonical variates"
+STATES, REST = "T2 of states", "T2 of residuals"
+_KINDS = ("innovations", "variates")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CanonicalVariates:
+    """Canonical variates of recorded channels, with the generator of states and residuals.
+
+    Attributes
+    ----------
+    generator : ResidualGenerator
+        What a :class:`residua.Monitor` runs.
+    test : NormThreshold
+        What a monitor tests when it gets no other test: the norm of each group.
+    groups : mapping of str to tuple of str
+        ``"T2 of states"`` and ``"T2 of residuals"``, with the residuals of each.
+    lags, states : int
+    correlations : ndarray
+        Canonical correlations of past and future, largest first.
+    criterion_of_lags, criterion_of_states : mapping of int to float
+        Akaike's criterion for each number that was tried; empty where it was given.
+    mean, spread : ndarray, shape (channels,)
+        Of each channel, in its own units.
+    samples : int
+        Rows that they are from.
+    """
+
+    generator: ResidualGenerator
+    test: NormThreshold = field(repr=False)
+    groups: Mapping[str, tuple[str, ...]] = field(repr=False)
+    lags: int
+    states: int
+    correlations: NDArray[np.float64] = field(repr=False)
+    criterion_of_lags: Mapping[int, float] = field(repr=False)
+    criterion_of_states: Mapping[int, float] = field(repr=False)
+    mean: NDArray[np.float64] = field(repr=False)
+    spread: NDArray[np.float64] = field(repr=False)
+    samples: int
+
+    def __repr__(self) -> str:
+        return (
+            f"CanonicalVariates({counted(self.states, 'state')} of {counted(self.lags, 'lag')}, "
+            f"{len(self.generator.plant.outputs)} channels)"
+        )
+
+
+def canonical_variates(
+    recordings: Any,
+    y: ArrayLike | None = None,
+    *,
+    inputs: Names = None,
+    outputs: Names = None,
+    lags: int | str = "auto",
+    states: int | str = "auto",
+    residuals: str = "innovations",
+    dt: float | None = None,
+) -> CanonicalVariates:
+    r"""Return canonical states and residuals of fault-free recordings as a residual generator, without any model.
+
+    .. math::
+
+       p_k = [z_k, \dots, z_{k-L+1}], \quad f_k = [y_{k+1}, \dots, y_{k+L}], \qquad
+       \Sigma_{pp}^{-1/2} \Sigma_{pf} \Sigma_{ff}^{-1/2} = U S V^T, \qquad
+       x_k = U_n^T \Sigma_{pp}^{-1/2} p_k
+
+    with the channels ``z`` (inputs and outputs) and the outputs ``y``, each less its mean and in standard deviations.
+    The states ``x`` are the ``n`` combinations of the past that say most of the future. The residuals are of two
+    groups:
+
+    - ``T2 of states``: ``x``; its sum of squares is :math:`T_s^2`, how unusual the state is.
+    - ``T2 of residuals``: with ``residuals="innovations"`` :math:`e_k = y_k - \hat C x_{k-1} - \hat D u_k` by least
+      squares, in symmetric units of its covariance, :math:`\Sigma_e^{-1/2} e_k`: what the states do not foretell.
+      With ``residuals="variates"`` the other canonical variates, :math:`U_r^T \Sigma_{pp}^{-1/2} p_k`; their sum of
+      squares is :math:`T_r^2`.
+
+    A :class:`residua.Monitor` without a test of its own tests the norm of each group, whitened by mean and covariance
+    of the rows that it is fitted to (``made.test``).
+
+    Guaranteed: the same bits when a channel has other units, as far as these differ by a power of two. The residual of
+    a fault of a channel is exactly the filter's own response to that channel.
+
+    Parameters
+    ----------
+    recordings : Recording, data frame, path, array, pair (u, y), or a list of these
+        Fault-free; rows with a missing value cut them into segments.
+    y : array_like, shape (time, outputs), optional
+    inputs, outputs : sequence of str, optional
+        Channels by name; without inputs all columns are outputs.
+    lags : int or "auto"
+        ``L``, samples of the past and of the future. ``"auto"``: where the small-sample form of Akaike's criterion of
+        :math:`y_k` regressed on ``L`` samples of the past is least.
+    states : int or "auto"
+        ``n``. ``"auto"``: where the same criterion of the innovations is least (Larimore).
+    residuals : {"innovations", "variates"}
+    dt : float, optional
+        Step in seconds of arrays.
+
+    Returns
+    -------
+    CanonicalVariates
+
+    Raises
+    ------
+    DataError
+        If a channel never changes, channels determine one another exactly (such as one that is there twice), or there
+        are no more rows than columns, ``2 L channels``.
+    SettingError
+        If ``lags``, ``states`` or ``residuals`` are out of range, or a channel is named twice.
+
+    Notes
+    -----
+    Assumes: operation around one point, with a mean and covariances that last. Future inputs are not held constant:
+    where inputs can be foretold from the past, states say that too. Thresholds are fitted by
+    :meth:`residua.Monitor.fit`, best on other fault-free rows than these: residuals fit their own rows better than any
+    others, the more so the more lags.
+
+    Faults are those of records: each moves its own channel only; one that acts back through the plant moves others
+    too. See :func:`residua.identify.principal_components` for what isolation by direction then is.
+
+    References
+    ----------
+    Larimore (1983), Proc. American Control Conference, 445-451 (states by Akaike's criterion). Negiz and Cinar (1997),
+    AIChE Journal 43(8), 2002-2020. Russell, Chiang and Braatz (2000), Chemometrics and Intelligent Laboratory Systems
+    51(1), 81-93 (both statistics). Odiowei and Cao (2010), IEEE Transactions on Industrial Informatics 6(1), 36-45.
+    Hurvich and Tsai (1989), Biometrika 76(2), 297-307 (small samples).
+
+    See Also
+    --------
+    residua.identify.principal_components : components of largest variance.
+    residua.identify.parity_from_data : relations between inputs and outputs.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import residua as rs
+    >>> plant = rs.Plant([[0.9, 0.2], [0, 0.7]], [[0], [1.0]], [[1.0, 0], [1, 1]], dt=1, inputs=["valve"])
+    >>> rng = np.random.default_rng(0)
+    >>> u = rng.standard_normal((2000, 1))
+    >>> y = plant.system().simulate(u) + 0.1 * rng.standard_normal((2000, 2))
+    >>> made = rs.identify.canonical_variates(u[:1000], y[:1000], inputs=["valve"], outputs=["a", "b"])
+    >>> made
+    CanonicalVariates(2 states of 13 lags, 3 channels)
+    >>> monitor = rs.Monitor(made).fit(None, np.hstack([u, y])[1000:])
+    """
+    if residuals not in _KINDS:
+        raise SettingError(f"residuals must be 'innovations' or 'variates', got {echo(residuals)}")
+    gathered = gather(recordings, y, inputs=inputs, outputs=outputs, dt=dt)
+    units = standard(gathered)
+    by_lags: dict[int, float] = {}
+    if lags == "auto":
+        by_lags = _criteria_of_lags(gathered, units)
+        lags = min(by_lags, key=lambda one: by_lags[one])
+    else:
+        lags = checked_count(lags, "lags", 1)
+    stacked = lagged_rows(gathered, units, 2 * lags - 1)
+    m, p = len(gathered.inputs), len(gathered.outputs)
+    past = _Past.of(stacked, lags, m, gathered.channels)
+    by_states: dict[int, float] = {}
+    if states == "auto":
+        by_states = _criteria_of_states(past, m, p)
+        n = min(by_states, key=lambda one: by_states[one])
+    else:
+        n = checked_count(states, "states", 1)
+        if n > len(past.correlations):
+            raise SettingError(
+                f"{lags} lags have {len(past.correlations)} canonical variates that say anything of the future: ask "
+                f"for that many states at most, not {n}"
+            )
+    weights, rest = _weights(past, n, residuals)
+    groups = {STATES: n} | ({REST: rest} if rest else {})
+    evidence = Evidence(
+        _METHOD,
+        ranks={"states": RankDecision(n, past.correlations, float(past.correlations[n - 1]))},
+        conditions={"smallest correlation kept": float(past.correlations[n - 1])},
+        notes=few_rows(stacked.count, 2 * lags * stacked.channels),
+        references=("Larimore (1983)", "Negiz and Cinar (1997)", "Russell, Chiang and Braatz (2000)"),
+    )
+    generator = channel_generator(gathered, units, weights, groups, evidence)
+    members = names_of_groups(groups, generator)
+    return CanonicalVariates(
+        generator,
+        NormThreshold(groups=members),
+        members,
+        lags,
+        n,
+        past.correlations,
+        by_lags,
+        by_states,
+        units.mean,
+        units.spread,
+        stacked.count,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Past:
+    """The past in coordinates in which its rows are orthonormal, and what then belongs to the present.
+
+    Attributes
+    ----------
+    to_variates : ndarray, shape (d, d)
+        ``p @ to_variates`` are the canonical variates, of variance one.
+    correlations : ndarray
+        Of each with its counterpart of the future; as many as the smaller of the two has columns.
+    present : ndarray, shape (d + inputs + outputs, inputs + outputs)
+        The next sample: its covariance with the variates in the first rows, by ``sqrt(count - 1)``; the rest below.
+    count, lags, inputs : int
+    """
+
+    to_variates: NDArray[np.float64]
+    correlations: NDArray[np.float64]
+    present: NDArray[np.float64]
+    count: int
+    lags: int
+    inputs: int
+
+    @classmethod
+    def of(cls, stacked: LaggedRows, lags: int, m: int, channels: tuple[str, ...]) -> _Past:
+        q = stacked.channels
+        past = stacked.columns(range(lags, 2 * lags))
+        future = stacked.columns(range(lags), range(m, q))
+        now = stacked.columns(range(lags - 1, lags))
+        d, scale = len(past), np.sqrt(stacked.count - 1)
+        R = stacked.rearranged([*past, *now]) / scale
+        _check_regular(R[:d, :d], channels, "the past")
+        F = stacked.rearranged([*past, *future]) / scale
+        _check_regular(np.asarray(np.linalg.qr(F[:, d:], mode="r")), channels[m:], "the future")
+        basis = np.linalg.qr(F[:, d:])[0]
+        U, s, _ = np.linalg.svd(_same_signs(F, R, d) @ basis[:d])
+        U = U * _signs(U)
+        to_variates = np.linalg.solve(R[:d, :d], U)
+        present = np.vstack([U.T @ R[:d, d:], R[d:, d:]])
+        return cls(to_variates, np.minimum(s, 1.0), present, stacked.count, lags, m)
+
+    def innovations(self, n: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the least-squares weights of ``n`` states and the present inputs for the outputs, and what is left.
+
+        As coefficients, shape (n + inputs, outputs), and a covariance.
+        """
+        m, d = self.inputs, len(self.to_variates)
+        known = np.zeros((len(self.present), n + m))
+        known[:n, :n] = np.eye(n)
+        known[:, n:] = self.present[:, :m]
+        wanted = self.present[:, m:]
+        weights = np.asarray(np.linalg.lstsq(known, wanted, rcond=None)[0], dtype=float)
+        left = wanted - known @ weights
+        assert d + len(self.present[0]) == len(self.present)
+        return weights, left.T @ left
+
+
+def _same_signs(F: NDArray[np.float64], R: NDArray[np.float64], d: int) -> NDArray[np.float64]:
+    """Return what turns the orthonormal past of one factorisation into that of another: signs."""
+    return np.diag(np.where(np.diag(F)[:d] * np.diag(R)[:d] < 0, -1.0, 1.0))
+
+
+def _signs(directions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the signs that make the largest entry of each direction positive."""
+    largest = directions[np.abs(directions).argmax(axis=0), np.arange(directions.shape[1])]
+    return np.where(largest < 0, -1.0, 1.0)
+
+
+def _check_regular(factor: NDArray[np.float64], channels: tuple[str, ...], what: str) -> None:
+    """Raise where columns determine one another: their covariance has no inverse."""
+    still, decision = null_basis(factor, rtol=np.sqrt(RANK), scale=1.0)
+    if not still.size:
+        return
+    weight = np.abs(still).max(axis=1).reshape(-1, len(channels)).max(axis=0)
+    names = [name for name, one in zip(channels, weight, strict=True) if one > np.sqrt(RANK)]
+    raise DataError(
+        f"the covariance of {what} is singular (smallest spread {decision.singular_values[-1]:.2g} of a channel's): "
+        f"{listed(names)} determine one another exactly, such as a channel that is there twice; leave one of them out"
+    )
+
+
+def _criteria_of_lags(gathered: Gathered, units: Standard) -> dict[int, float]:
+    """Return Akaike's criterion of regressions on the past, for each number of lags that the rows suffice for."""
+    q, m = len(gathered.channels), len(gathered.inputs)
+    longest = max(len(segment) for segment in gathered.segments)
+    most = 1
+    for lags in range(2, _MOST_LAGS + 1):
+        rows = sum(max(0, len(segment) - 2 * lags + 1) for segment in gathered.segments)
+        if rows <= 2 * lags * q or longest < 2 * lags:
+            break
+        most = lags
+    stacked = lagged_rows(gathered, units, most)
+    out: dict[int, float] = {}
+    for lags in range(1, most + 1):
+        columns = [*stacked.columns(range(1, lags + 1)), *stacked.columns(range(1))]
+        factor = stacked.rearranged(columns) / np.sqrt(stacked.count)
+        left = factor[lags * q + m :, lags * q + m :]
+        value = _criterion(left.T @ left, stacked.count, (lags * q + m) * (q - m))
+        if value is not None:
+            out[lags] = value
+    return out
+
+
+def _criteria_of_states(past: _Past, m: int, p: int) -> dict[int, float]:
+    """Return Akaike's criterion of the innovations for each number of states."""
+    out: dict[int, float] = {}
+    for n in range(1, len(past.correlations) + 1):
+        value = _criterion(past.innovations(n)[1], past.count, n * (2 * p + m) + m * p)
+        if value is not None:
+            out[n] = value
+    return out
+
+
+def _criterion(covariance: NDArray[np.float64], count: int, parameters: int) -> float | None:
+    r"""Return :math:`N \ln |\Sigma| + 2 \delta M`, or ``None`` where rows are too few for so many parameters.
+
+    ``M`` counts those of the covariance as well, :math:`\delta = N / (N - (M / p + (p + 1) / 2))`.
+
+    References
+    ----------
+    Hurvich and Tsai (1989); Larimore (1996).
+    """
+    p = len(covariance)
+    total = parameters + p * (p + 1) / 2
+    room = count - (total / p + (p + 1) / 2)
+    if not room > 0:
+        return None
+    sign, logarithm = np.linalg.slogdet(covariance)
+    if not sign > 0:
+        return -np.inf
+    return float(count * logarithm + 2 * total * count / room)
+
+
+def _weights(past: _Past, n: int, residuals: str) -> tuple[NDArray[np.float64], int]:
+    """Return the weights of the filter, shape (lags + 1, residuals, channels), and how many residuals are no states."""
+    d, q = len(past.to_variates), len(past.present[0])
+    lags = past.lags
+    states = past.to_variates[:, :n].T.reshape(n, lags, q).transpose(1, 0, 2)
+    if residuals == "variates":
+        every = past.to_variates.T.reshape(d, lags, q).transpose(1, 0, 2)
+        return every, d - n
+    gains, covariance = past.innovations(n)
+    m, p = past.inputs, q - past.inputs
+    W = np.zeros((lags + 1, n + p, q))
+    W[:lags, :n] = states
+    values, vectors = np.linalg.eigh(covariance)
+    root = (vectors / np.sqrt(values)) @ vectors.T
+    W[0, n:, m:] = root
+    W[0, n:, :m] = -root @ gains[n:].T
+    W[1:, n:] = -np.einsum("ij,ljc->lic", root @ gains[:n].T, states)
+    return W, p

@@ -1,0 +1,287 @@
+"""Parity relations straight from recorded inputs and outputs, by the null space of their Hankel matrices."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from residua.design.core.evidence import Evidence
+from residua.design.core.generator import ResidualGenerator
+from residua.errors import DataError, SettingError
+from residua.identify.channel_filter import channel_generator, checked_count
+from residua.identify.lagged_rows import LaggedRows, few_rows, lagged_rows, standard
+from residua.identify.segments import Names, gather
+from residua.linear.subspaces.rank import RankDecision, null_basis
+from residua.tolerances import DATA_ROUNDING, SAME
+from residua.visible import echo, listed
+from residua.words import counted
+
+#: A combination is a relation if what the past says of it has no more than this many times the variance of chance; the
+#: windows overlap, so that chance alone reaches some times its plain value.
+_CHANCE = 10.0
+#: A gap of the correlations below this factor is no clear one.
+_CLEAR = 2.0
+_METHOD = "parity relations from data"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DataParity:
+    r"""Parity relations that recorded inputs and outputs obey, with the generator of their residuals.
+
+    Attributes
+    ----------
+    generator : ResidualGenerator
+        What a :class:`residua.Monitor` runs.
+    order : int
+        ``s``: samples before the present one in each relation.
+    relations : int
+    supported : int
+        Relations that the data support.
+    correlations : ndarray
+        For each combination of the ``s + 1`` samples how well past and inputs foretell it, largest first: 1 for inputs
+        and states, that of chance for relations.
+    vectors : ndarray, shape (relations, s + 1, channels)
+        The relations, orthonormal in standard units: weights of ``z[k], z[k-1], ...``, inputs first.
+    mean, spread : ndarray, shape (channels,)
+        Of each channel, in its own units.
+    samples : int
+        Windows that they are from.
+    """
+
+    generator: ResidualGenerator
+    order: int
+    relations: int
+    supported: int
+    correlations: NDArray[np.float64] = field(repr=False)
+    vectors: NDArray[np.float64] = field(repr=False)
+    mean: NDArray[np.float64] = field(repr=False)
+    spread: NDArray[np.float64] = field(repr=False)
+    samples: int
+
+    def __repr__(self) -> str:
+        return (
+            f"DataParity({counted(self.relations, 'relation')} of order {self.order}, {self.supported} supported, "
+            f"{len(self.generator.plant.outputs)} channels)"
+        )
+
+
+def parity_from_data(
+    recordings: Any,
+    y: ArrayLike | None = None,
+    *,
+    inputs: Names = None,
+    outputs: Names = None,
+    order: int = 8,
+    relations: int | None = None,
+    poles: Sequence[complex] | None = None,
+    dt: float | None = None,
+) -> DataParity:
+    r"""Return parity relations of fault-free recordings as a residual generator, without a model in between.
+
+    .. math::
+
+       r_k = \sum_{i=0}^{s} \left( \alpha_i\, z_{k-i} \right), \qquad
+       \alpha \begin{bmatrix} U_f \\ Y_f \end{bmatrix} \Pi = 0
+
+    with the Hankel matrices of ``s + 1`` samples of inputs and outputs, less their means and in standard deviations,
+    and the projection :math:`\Pi` onto as many samples before them and the inputs, which takes out what noise adds.
+    The rows of :math:`\alpha` are the data-driven form of the stable kernel representation. Of all combinations those
+    are chosen of which past and inputs say least, relative to their variance: the smallest canonical correlations.
+    With ``poles`` the residual is :math:`r_k / d(q^{-1})`, which is the observer form of the same relations.
+
+    Guaranteed: without noise and with inputs that excite the plant, the relations span all of order ``s`` that the
+    model has, :math:`p (s + 1) - n` of them. The same bits when a channel has other units, as far as these differ by a
+    power of two.
+
+    Parameters
+    ----------
+    recordings : Recording, data frame, path, array, pair (u, y), or a list of these
+        Fault-free; rows with a missing value cut them into segments.
+    y : array_like, shape (time, outputs), optional
+    inputs, outputs : sequence of str, optional
+        Channels by name; without inputs all columns are outputs.
+    order : int
+        ``s``, at least the order of the plant, or of the part of it that a relation is to describe.
+    relations : int, optional
+        How many are used, those that hold best first; when omitted, all that the data support: those whose correlation
+        with past and inputs is that of chance.
+    poles : sequence of complex, optional
+        ``order`` stable poles, closed under conjugation, that all residuals have; all zero, the moving average, when
+        omitted.
+    dt : float, optional
+        Step in seconds of arrays.
+
+    Returns
+    -------
+    DataParity
+
+    Raises
+    ------
+    DataError
+        If a channel never changes, inputs determine one another, there are no more rows than columns
+        ``2 (s + 1) channels``, or the data support no relation.
+    SettingError
+        If ``order``, ``relations`` or ``poles`` are out of range, or a channel is named twice.
+
+    Notes
+    -----
+    Assumes: a linear plant around one point; noise of the ``s + 1`` samples that those before do not foretell, and
+    inputs that do not depend on it: in a closed loop the relations are biased by what the controller feeds back.
+    Thresholds are fitted by :meth:`residua.Monitor.fit`.
+
+    A fault of an actuator, ``"NAME actuator"``, and of a sensor, ``"NAME sensor"``, moves the residual exactly as the
+    column of its channel says, whatever the plant does: of the inputs what is recorded is what was asked for. In a
+    closed loop that holds too, since the relation holds for whatever the inputs become.
+
+    References
+    ----------
+    Ding (2014), Data-driven Design of Fault Diagnosis and Fault-tolerant Control Systems, Springer, chapter 9 (stable
+    kernel representation from data). Wang, Gao and Qin (2005), IFAC World Congress (order of parity spaces from data).
+
+    See Also
+    --------
+    residua.design.parity_relations : from a model.
+    residua.identify.canonical_variates : the states besides.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import residua as rs
+    >>> plant = rs.Plant([[0.9, 0.2], [0, 0.7]], [[0], [1.0]], [[1.0, 0], [1, 1]], dt=1, inputs=["valve"])
+    >>> rng = np.random.default_rng(0)
+    >>> u = rng.standard_normal((3000, 1))
+    >>> y = plant.system().simulate(u) + 0.05 * rng.standard_normal((3000, 2))
+    >>> made = rs.identify.parity_from_data(u, y, inputs=["valve"], outputs=["a", "b"], order=3)
+    >>> made
+    DataParity(6 relations of order 3, 6 supported, 3 channels)
+    >>> monitor = rs.Monitor(made).fit(None, np.hstack([u, y]))
+    """
+    s = checked_count(order, "order", 1)
+    denominator = _denominator(poles, s)
+    gathered = gather(recordings, y, inputs=inputs, outputs=outputs, dt=dt)
+    units = standard(gathered)
+    stacked = lagged_rows(gathered, units, 2 * s + 1)
+    m, q = len(gathered.inputs), stacked.channels
+    correlations, directions, chance = _correlations(stacked, s, m, gathered.inputs)
+    most = (q - m) * (s + 1)
+    supported = min(most, int(np.count_nonzero(correlations <= chance)))
+    k = _count(relations, supported, most, correlations, chance, s)
+    basis = np.linalg.qr(directions[:, ::-1][:, :k])[0]
+    basis *= np.sign(basis[np.abs(basis).argmax(axis=0), np.arange(k)])
+    vectors = basis.T.reshape(k, s + 1, q)
+    weights = vectors.transpose(1, 0, 2)
+    kept = len(correlations) - k
+    gap = float(correlations[kept - 1] / max(correlations[kept], DATA_ROUNDING)) if kept else np.inf
+    evidence = Evidence(
+        _METHOD,
+        requested_poles=np.zeros(0, dtype=complex) if poles is None else np.asarray(poles, dtype=complex),
+        ranks={"inputs and states": RankDecision(kept, correlations, chance)},
+        conditions={"gap of the correlations": gap},
+        notes=(
+            *few_rows(stacked.count, len(stacked.factor)),
+            *_about_the_gap(correlations, k, supported, gap, chance),
+        ),
+        references=("Ding (2014), chapter 9",),
+    )
+    generator = channel_generator(gathered, units, weights, {"relation": k}, evidence, denominator=denominator)
+    return DataParity(generator, s, k, supported, correlations, vectors, units.mean, units.spread, stacked.count)
+
+
+def _correlations(
+    stacked: LaggedRows, s: int, m: int, inputs: tuple[str, ...]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Return canonical correlations of the window with past and inputs, its combinations, and the limit of chance.
+
+    Combinations are the columns of an array, shape ((s + 1) channels, as many), in the order of the channels.
+    """
+    q = stacked.channels
+    window, past = range(s + 1), range(s + 1, 2 * s + 2)
+    known = [*stacked.columns(past), *stacked.columns(window, range(m))]
+    outputs = stacked.columns(window, range(m, q))
+    R = stacked.rearranged([*known, *outputs]) / np.sqrt(stacked.count)
+    n, n_past = len(known), (s + 1) * q
+    if m:
+        _check_excitation(R[:n, n_past:n], inputs, s)
+    ours = R[:, n_past:]  # inputs of the window, then its outputs
+    T = np.linalg.qr(np.vstack([ours, DATA_ROUNDING * np.eye(ours.shape[1])]), mode="r")
+    inverse = np.linalg.inv(T)
+    _, correlations, rows = np.linalg.svd(ours[:n] @ inverse, full_matrices=True)
+    correlations = np.minimum(np.concatenate([correlations, np.zeros(len(rows) - len(correlations))]), 1.0)
+    combinations = inverse @ rows.T
+    combinations /= np.linalg.norm(combinations, axis=0)
+    place = {column: i for i, column in enumerate([*stacked.columns(window, range(m)), *outputs])}
+    order = [place[column] for column in stacked.columns(window)]
+    limit = _CHANCE * n / (_CHANCE * n + stacked.count - n)
+    return correlations, combinations[order], float(np.sqrt(limit))
+
+
+def _check_excitation(factor: NDArray[np.float64], inputs: tuple[str, ...], s: int) -> None:
+    """Raise where samples of the inputs determine one another: then a relation may be one of inputs alone."""
+    still, decision = null_basis(factor, rtol=DATA_ROUNDING, scale=1.0)
+    if not still.size:
+        return
+    weight = np.abs(still).max(axis=1).reshape(-1, len(inputs)).max(axis=0)
+    names = [name for name, one in zip(inputs, weight, strict=True) if one > np.sqrt(DATA_ROUNDING)]
+    smallest = decision.singular_values[-1]
+    raise DataError(
+        f"{s + 1} samples of {listed(names)} determine one another (smallest singular value {smallest:.2g} of their "
+        "spread): the recording does not excite the plant enough for relations of this order; record with inputs that "
+        "move more freely, lower order, or leave an input out"
+    )
+
+
+def _count(
+    relations: int | None, supported: int, most: int, correlations: NDArray[np.float64], chance: float, s: int
+) -> int:
+    """Return how many relations are used."""
+    if relations is None:
+        if supported:
+            return supported
+        raise DataError(
+            f"past and inputs foretell every combination of {s + 1} samples better than by chance (smallest "
+            f"correlation {correlations[-1]:.3g}, by chance {chance:.3g}): no relation of order {s} holds; raise "
+            "order, name inputs that are missing, or ask for those that hold best, relations=..."
+        )
+    k = checked_count(relations, "relations", 1)
+    if k > most:
+        raise SettingError(f"relations of order {s} are {most} at most, got {k}")
+    return k
+
+
+def _about_the_gap(
+    correlations: NDArray[np.float64], k: int, supported: int, gap: float, chance: float
+) -> tuple[str, ...]:
+    """Return notes where more relations are used than hold, or the number of them is not clear."""
+    if k > supported:
+        return (
+            f"{k} relations were asked for, and {supported} hold: past and inputs foretell the others with a "
+            f"correlation of up to {correlations[len(correlations) - k]:.3g}, by chance {chance:.3g}",
+        )
+    if k == supported and gap < _CLEAR:
+        return (
+            f"no clear gap: the combinations beside the relations have a correlation of {gap:.3g} times theirs; "
+            "other numbers of relations are as good, relations=...",
+        )
+    return ()
+
+
+def _denominator(poles: Any, order: int) -> list[float]:
+    """Return the coefficients of the polynomial with these poles, after the first."""
+    if poles is None:
+        return []
+    try:
+        values = np.atleast_1d(np.asarray(poles, dtype=complex))
+    except (TypeError, ValueError) as error:
+        raise SettingError(f"poles must be numbers: {error}") from error
+    if values.shape != (order,):
+        raise SettingError(f"relations of order {order} take {counted(order, 'pole')}, got {echo(values.size)}")
+    if not (np.isfinite(values).all() and np.abs(values).max() < 1):
+        raise SettingError(f"poles must be stable, inside the unit circle, got {echo(poles)}")
+    coefficients = np.poly(values)
+    if np.abs(np.imag(coefficients)).max() > SAME:
+        raise SettingError(f"complex poles must come with their conjugates, got {echo(poles)}")
+    return np.real(coefficients)[1:].tolist()

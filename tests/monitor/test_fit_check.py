@@ -1,0 +1,215 @@
+"""What a fit says of its own recordings: alarms on the part held out, steps, drifts and transients."""
+
+from __future__ import annotations
+
+import csv
+import importlib
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+
+import residua as rs
+from residua.decide import NormThreshold, PeakThreshold
+from residua.decide.stationarity import Change
+from residua.errors import FileFormatError, SettingError
+from residua.json_files import dumps, loads
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+DATA = Path(os.environ.get("RESIDUA_SHARED_DATA", REPOSITORY.parent / "shared" / "data"))
+
+
+def white(seed: int, time: int, k: int = 3) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal((time, k))
+
+
+def monitor(k: int = 3, **options: object) -> rs.Monitor:
+    test = NormThreshold(**{"persistence": 1, "false_alarm_rate": 0.01, **options})  # pyright: ignore
+    return rs.Monitor(rs.identify.given_residuals(k), test=test)
+
+
+def test_the_last_part_changes_neither_covariance_nor_threshold() -> None:
+    data = white(1, 2001)  # the first sample settles
+    other = data.copy()
+    other[1601:] *= 5
+    one, two = monitor().fit(None, data), monitor().fit(None, other)
+    assert one.threshold == two.threshold
+    np.testing.assert_array_equal(one.norm_test.whitening, two.norm_test.whitening)
+    alone = monitor().fit(None, data[:1601], held_out=0.0)
+    assert alone.threshold == one.threshold
+    assert alone.fit_check is not None
+    assert alone.fit_check.held_out is None
+
+
+def test_the_rate_on_what_was_held_out_is_that_of_a_run() -> None:
+    data = white(2, 5001)
+    watch = monitor().fit(None, data)
+    check = watch.fit_check
+    assert check is not None
+    assert check.held_out is not None
+    assert check.held_out.samples == 1000
+    assert check.held_out.alarmed == int(watch.run(None, data).alarm[-1000:].sum())
+    assert (
+        f"of the last 1000 samples, which were held out of the fit, {check.held_out.rate:.2g}" in watch.norm_test.basis
+    )
+    assert check.notes == ()
+
+
+def test_a_last_part_that_is_unlike_is_said_with_what_to_do(tmp_path: Path) -> None:
+    data = white(3, 3000)
+    data[2400:] *= 1.6  # no change of a mean
+    watch = monitor().fit(None, data)
+    assert watch.fit_check is not None
+    held = watch.fit_check.held_out
+    assert held is not None
+    assert held.is_over
+    notes = watch.run(None, white(4, 100)).notes
+    assert any("samples that were held out are in alarm, 0.01 was asked for" in note for note in notes)
+    watch.run(None, white(4, 100)).to_html(tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "held out of the fit" in page
+    assert "samples that were held out are in alarm" in page
+    assert monitor().fit(None, white(3, 3000)).fit_check.notes == ()  # pyright: ignore
+
+
+@pytest.mark.parametrize("kind", ["step", "drift"])
+def test_a_step_and_a_drift_are_said_by_name(kind: str) -> None:
+    data = white(5, 2000)
+    data[:, 1] += 3 * (np.arange(2000) > 1200) if kind == "step" else np.linspace(0, 4, 2000)
+    notes = monitor().fit(None, data).run(None, white(6, 100)).notes
+    assert any("r2 changes its mean" in note for note in notes)
+
+
+def test_a_transient_is_left_out_by_request() -> None:
+    data = white(7, 1500)
+    data[:150] += 6
+    kept, left = monitor().fit(None, data), monitor().fit(None, data, transient="auto")
+    assert kept.fit_check is not None
+    assert any(one.is_transient for one in kept.fit_check.changes)
+    assert left.fit_check is not None
+    assert left.fit_check.left_out == pytest.approx(150, abs=5)
+    assert left.fit_check.changes == ()
+    assert left.threshold < kept.threshold
+    counted = monitor().fit(None, data, transient=150)
+    assert counted.threshold == monitor().fit(None, data[149:]).threshold  # the first sample settles
+    assert "left out as a transient" in counted.norm_test.basis
+
+
+def test_without_a_transient_none_is_left_out() -> None:
+    data = white(8, 1000)
+    one, auto = monitor().fit(None, data), monitor().fit(None, data, transient="auto")
+    assert one.threshold == auto.threshold
+
+
+def test_several_recordings_each_hold_out_their_own_end() -> None:
+    flights = [(None, white(9, 1001)), (None, white(10, 501) + 1)]
+    check = monitor().fit(flights).fit_check
+    assert check is not None
+    assert check.held_out is not None
+    assert check.held_out.samples == 200 + 100
+    assert check.recordings == 2
+
+
+def test_too_few_are_all_used_and_that_is_said() -> None:
+    watch = monitor().fit(None, white(11, 100))
+    assert watch.fit_check is not None
+    assert watch.fit_check.held_out is None
+    assert "no samples held out, 99 are too few" in watch.norm_test.basis
+
+
+def test_thresholds_that_data_do_not_change_hold_nothing_out() -> None:
+    watch = rs.Monitor(rs.identify.given_residuals(3), test=PeakThreshold(9.0, window=5), isolate=None)
+    watch.fit(None, white(12, 1000))
+    assert watch.fit_check is not None
+    assert watch.fit_check.held_out is None
+    assert "held out" not in watch.norm_test.basis
+
+
+@pytest.mark.parametrize("test", [NormThreshold(groups="each"), PeakThreshold(window=20)])
+def test_other_tests_are_checked_too(test: object) -> None:
+    watch = rs.Monitor(rs.identify.given_residuals(3), test=test, isolate=None).fit(None, white(13, 2000))  # pyright: ignore
+    assert watch.fit_check is not None
+    assert watch.fit_check.held_out is not None
+    assert watch.fit_check.held_out.rate < 0.05
+
+
+def test_the_check_is_saved(tmp_path: Path) -> None:
+    data = white(14, 1000)
+    data[:, 2] += np.linspace(0, 5, 1000)
+    watch = monitor().fit(None, data)
+    watch.save(tmp_path / "monitor.json")
+    loaded = rs.Monitor.load(tmp_path / "monitor.json")
+    assert loaded.fit_check == watch.fit_check
+    assert loaded.run(None, data).notes == watch.run(None, data).notes
+    content = loads((tmp_path / "monitor.json").read_bytes(), "monitor.json")
+    del content["fit_check"]
+    content["checksum"] = None
+    (tmp_path / "older.json").write_text(dumps(content), encoding="utf-8")
+    assert rs.Monitor.load(tmp_path / "older.json").fit_check is None
+    content["fit_check"] = {"held_out": None, "changes": [], "left_out": -1, "recordings": 1}
+    (tmp_path / "wrong.json").write_text(dumps(content), encoding="utf-8")
+    with pytest.raises(FileFormatError, match=r"fit_check\.left_out"):
+        rs.Monitor.load(tmp_path / "wrong.json")
+
+
+@pytest.mark.parametrize("options", [{"held_out": 0.9}, {"held_out": -0.1}, {"transient": -1}, {"transient": "some"}])
+def test_settings_that_make_no_sense_are_refused(options: dict) -> None:
+    with pytest.raises(SettingError, match=next(iter(options))):
+        monitor().fit(None, white(15, 500), **options)
+
+
+def test_a_change_of_several_residuals_names_the_largest_first() -> None:
+    text = Change(("a", "b"), 2, 40, -3.0, 100).told(True)
+    assert text.startswith("a and b change their means by up to 3 standard deviations about sample 40 of recording 2")
+
+
+# -------------------------------------------------------------- residuals of a real engine
+
+
+@pytest.fixture(scope="module")
+def engine() -> tuple[dict[str, np.ndarray], np.ndarray]:
+    path = DATA / "engine_frisk_residuals" / "data.mat"
+    if not path.exists():
+        pytest.skip("the residuals of the engine are not here")
+    modes, res, mode, codes = scipy.io.loadmat(path, squeeze_me=True)["data"].item()
+    return {str(name): np.asarray(res[mode == k], dtype=float) for k, name in enumerate(modes)}, codes[:, 1:]
+
+
+LEAST = {
+    "fp_af": 0.5, "fw_af": 0.99, "fw_th": 0.99, "fyw_af": 0.99, "fyp_im": 0.95, "fyp_ic": 0.99, "fyT_ic": 0.9,
+}  # fmt: skip
+
+
+def test_the_faults_of_an_engine_are_detected_after_a_fit_to_few_samples(engine: tuple) -> None:
+    """307 fault-free samples of 42 residuals, of which the first are a transient; means of 20 as by hand."""
+    residuals, codes = engine
+    made = rs.identify.given_residuals(42, codes, faults=[name for name in residuals if name != "NF"])
+    watch = rs.Monitor(made, test=NormThreshold(window=20, persistence=1, false_alarm_rate=0.01), isolate=None)
+    watch.fit(None, residuals["NF"], transient="auto")
+    assert watch.fit_check is not None
+    assert watch.fit_check.held_out is not None
+    assert watch.fit_check.held_out.alarmed == 0
+    assert 40 < watch.fit_check.left_out < 100
+    detected = {name: watch.run(None, residuals[name]).alarm[19:].mean() for name in LEAST}
+    assert {name: rate for name, rate in detected.items() if rate < LEAST[name]} == {}
+
+
+def test_a_fit_without_leaving_the_transient_out_says_so(engine: tuple) -> None:
+    residuals, _ = engine
+    watch = rs.Monitor(rs.identify.given_residuals(42), test=NormThreshold(window=20), isolate=None)
+    notes = watch.fit(None, residuals["NF"]).run(None, residuals["NF"]).notes
+    assert any("fault-free samples are not like the rest" in note for note in notes)
+
+
+def test_the_table_of_the_page_is_what_the_command_writes(engine: tuple, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(REPOSITORY / "benchmarks"))
+    module = importlib.import_module("engine_detection")
+    made = list(module.rows(module.read(DATA / "engine_frisk_residuals")))
+    with (REPOSITORY / "docs" / "data" / "engine_detection.csv").open(encoding="utf-8", newline="") as file:
+        written = list(csv.reader(file))
+    assert made[0] == written[0]
+    for one, other in zip(made[1:], written[1:], strict=True):
+        values = [[float(x or -1) for x in row] for row in (one, other)]
+        assert values[0] == pytest.approx(values[1], abs=0.02)
