@@ -16,10 +16,11 @@ from residua.progress import Progress
 from residua.tolerances import RANK
 from residua.words import counted
 
-#: Rows of a block for each column of the Hankel matrix: with eight, the factor of before adds an eighth to the work.
-_ROWS_PER_COLUMN = 8
-#: The inverse of a condition whose square, in rounding, is no loss that data would show: one in 1e10.
-_WELL_CONDITIONED = 0.002
+#: Rows of a block for each column of the Hankel matrix: with 24, the factor of before adds little to the work.
+_ROWS_PER_COLUMN = 24
+#: The inverse of a condition up to which products alone serve: the smallest singular value is then off by 1e-7 of
+#: itself, which is less than chance moves it in any number of rows that a recording has.
+_WELL_CONDITIONED = 1e-5
 #: How far from orthonormal the first factorisation may leave the columns, for the second one to be exact to rounding.
 _NEARLY_ORTHOGONAL = 0.1
 #: Parts of the data whose factors are kept, for the spread of estimates between them.

@@ -163,11 +163,11 @@ def _stable_gain(A: Matrix, C: Matrix, K: Matrix, W: Matrix, V: Matrix) -> tuple
     radius = float(np.abs(np.linalg.eigvals(A - K @ C)).max(initial=0.0))
     if radius < 1:
         return K, ""
-    floor = NOISE_FREE**2 * np.eye(len(V))
-    cross = K @ V
-    process = K @ cross.T + W + NOISE_FREE**2 * np.eye(len(A))
+    n, cross = len(A), K @ V
+    joint = np.block([[K @ cross.T + W, cross], [cross.T, V]]) + NOISE_FREE**2 * np.eye(n + len(V))
+    joint = _without_negative(joint)
     try:
-        solution = filter_riccati(A, C, (process + process.T) / 2, V + floor, cross, dt=1.0)
+        solution = filter_riccati(A, C, joint[:n, :n], joint[n:, n:], joint[:n, n:], dt=1.0)
     except (DesignError, AccuracyError) as error:
         raise DataError(
             f"no stable predictor of order {len(A)} fits the data ({error}): choose another order, or method"
@@ -177,6 +177,13 @@ def _stable_gain(A: Matrix, C: Matrix, K: Matrix, W: Matrix, V: Matrix) -> tuple
         "Riccati equation for the same covariances"
     )
     return np.asarray(solution.gain), note
+
+
+def _without_negative(joint: Matrix) -> Matrix:
+    """Return a covariance without the negative eigenvalues that rounding left in its correlations."""
+    size = np.sqrt(np.diag(joint))
+    values, vectors = np.linalg.eigh(joint / np.outer(size, size))
+    return np.outer(size, size) * ((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
 def criterion(factor: HankelFactor, states: StateMap, most: int, *, feedthrough: bool) -> NDArray[np.float64]:
