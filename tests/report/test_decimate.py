@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from residua.report.charts import _axis
+from residua.report.charts import time_axis
 from residua.report.decimate import choose_bins, runs, spans
 from residua.report.text import rounded
 
@@ -77,6 +77,6 @@ def test_rounding_keeps_what_a_chart_shows(offset, ripple):
 
 
 def test_even_times_are_sent_as_three_numbers():
-    assert _axis(0.1 * np.arange(5000)) == {"start": 0.0, "step": pytest.approx(0.1), "n": 5000}
-    uneven = _axis(np.array([0.0, 1.0, 3.0]))
+    assert time_axis(0.1 * np.arange(5000)) == {"start": 0.0, "step": pytest.approx(0.1), "n": 5000}
+    uneven = time_axis(np.array([0.0, 1.0, 3.0]))
     assert uneven == {"list": [0.0, 1.0, 3.0]}

@@ -123,6 +123,8 @@ def learn(
         f"{text} (asked for: at most {false_alarm_rate:g})",
         f"written: {output}",
     )
+    for note in monitor.fit_check.notes if monitor.fit_check else ():
+        warn(in_cli_words(note))
     if not judged:
         warn("no sample of the last quarter could be judged, so the monitor is unchecked: give longer recordings")
     elif alarmed > false_alarm_rate * judged:
@@ -138,9 +140,9 @@ def _fit(monitor: Monitor, data: Sequence[Recording], before: Sequence[Recording
     complete = [int(np.isfinite(np.hstack([one.u, one.y])).all(axis=1).sum()) for one in unseen]
     needed = _ENOUGH * monitor.design.plant.n_outputs
     if sum(complete) >= needed and min(complete) > 2 * monitor.settling_samples:
-        monitor.fit(list(unseen))
+        monitor.fit(list(unseen), held_out=0.0)  # the last quarter is the check
         return f"threshold from {sum(complete)} rows that the model is not from, the third quarter of each recording"
-    monitor.fit(list(before))
+    monitor.fit(list(before), held_out=0.0)
     return (
         "threshold from all rows before the last quarter, those of the model included: its own are judged too well, "
         f"but {sum(complete)} others are fewer than {needed}, or too few in a recording for the filter to settle"

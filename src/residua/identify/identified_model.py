@@ -115,7 +115,7 @@ class IdentifiedModel:
         >>> y = plant.system("control").simulate(u) + 0.1 * rng.standard_normal((2000, 1))
         >>> model = rs.identify.subspace(u, y, order=1)
         >>> model.uncertain_plant().names
-        ('model 1', 'model 2')
+        ('model 1', 'model 2', 'model 3')
         """
         if not 0 < level < 1:
             raise SettingError(f"level must be a probability between 0 and 1, got {level!r}")
