@@ -37,7 +37,9 @@ def test_poles_converge_at_the_root_of_the_samples(method: str) -> None:
         plant = generated_plant(rng, 3, 1, 2, least=0.1)
         for k, rows in enumerate((1500, 13_500)):
             u, y = recorded(plant, np.random.default_rng(case), rows, 10, process=True)
-            errors[k, case] = off(rs.identify.subspace(u, y, method=method, order=3, max_order=3, past=15, dt=1.0), plant)
+            errors[k, case] = off(
+                rs.identify.subspace(u, y, method=method, order=3, max_order=3, past=15, dt=1.0), plant
+            )
     ratio = np.median(errors[0] / errors[1])
     assert 2.0 < ratio < 4.5  # nine times the samples: 3
 
@@ -269,6 +271,15 @@ def test_drift_few_values_and_other_units_are_said() -> None:
     parts[1][1][:, 0] *= 1000
     notes = " ".join(rs.identify.subspace(parts, dt=1.0).report.notes)
     assert "'y1' moves 1e+03 times as much in recording 2" in notes
+
+
+def test_a_model_of_nothing_and_a_check_of_nothing_are_said() -> None:
+    rng = np.random.default_rng(13)
+    notes = rs.identify.subspace(rng.standard_normal((500, 1)), rng.standard_normal((500, 1)), dt=1.0).report.notes
+    assert any("no states" in note for note in notes)
+    report = rs.identify.subspace(*good(), held_out=0.001, dt=1.0).report
+    assert report.held_out is None
+    assert any("nothing is judged on held-out rows: 3 in a row" in note for note in report.notes)
 
 
 def test_little_dither_is_said_with_its_share() -> None:

@@ -218,6 +218,13 @@ class _Made:
                     f"within a row {', '.join(pairs[:4])} move together: feedthrough=True if the plant answers within "
                     "a row; leave it if a controller does"
                 )
+        if not model.order:
+            notes.append("the model has no states: nothing of the past, and no input, tells what the outputs will be")
+        rows = max((len(one) for one in self.last.segments), default=0)
+        if self.last.n_samples and rows <= model.past:
+            notes.append(
+                f"nothing is judged on held-out rows: {rows} in a row, and a prediction needs {model.past} before it"
+            )
         radius = float(np.abs(np.linalg.eigvals(model.A)).max(initial=0.0))
         if radius >= 1:
             notes.append(
