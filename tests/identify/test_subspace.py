@@ -307,3 +307,21 @@ def test_never_worse_than_another_n4sid_on_held_out_data() -> None:
         assert report.held_out is not None
         ours.append(report.held_out.error[0])
     assert np.all(np.array(ours) <= 1.02 * np.array(theirs))
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("order", None), ("past", None), ("max_order", "auto"), ("held_out", "a"), ("held_out", None), ("order", 2.0)],
+)
+def test_options_of_another_kind_are_refused_by_name(option: str, value: object) -> None:
+    u, y = recorded(rs.Plant([[0.8]], [[1.0]], [[1.0]], dt=1.0), np.random.default_rng(0), 300, 10)
+    with pytest.raises(SettingError, match=f"^{option} must be"):
+        rs.identify.subspace(u, y, dt=1.0, **{option: value})
+
+
+def test_an_order_may_be_a_numpy_integer() -> None:
+    u, y = recorded(rs.Plant([[0.8]], [[1.0]], [[1.0]], dt=1.0), np.random.default_rng(0), 600, 10)
+    with pytest.raises(DataError, match="states at most"):
+        rs.identify.subspace(u, y, dt=1.0, past=3, order=np.int64(100))
+    # beyond the orders that are compared otherwise
+    assert rs.identify.subspace(u, y, dt=1.0, past=5, order=np.int64(3), max_order=1).report.orders == (0, 1, 2, 3)
