@@ -325,3 +325,14 @@ def test_an_order_may_be_a_numpy_integer() -> None:
         rs.identify.subspace(u, y, dt=1.0, past=3, order=np.int64(100))
     # beyond the orders that are compared otherwise
     assert rs.identify.subspace(u, y, dt=1.0, past=5, order=np.int64(3), max_order=1).report.orders == (0, 1, 2, 3)
+
+
+def test_a_recording_of_which_no_row_is_left_moves_no_note_to_another() -> None:
+    """A delay takes the whole of a short recording: notes on the others keep their names."""
+    plant = rs.Plant([[0.8]], [[1.0]], [[1.0]], dt=1.0)
+    u, y = recorded(plant, np.random.default_rng(0), 2003, 10)
+    short, usual, large = (u[:3], y[:3]), (u[3:1503], y[3:1503]), (100 * u[1503:], 100 * y[1503:])
+    model = rs.identify.subspace([short, usual, usual, large], dt=1.0, inputs=["u1"], delays={"u1": 5})
+    notes = [note for note in model.report.notes if "times as much" in note]
+    assert notes
+    assert all("in recording 4" in note for note in notes)
