@@ -336,3 +336,26 @@ def test_a_recording_of_which_no_row_is_left_moves_no_note_to_another() -> None:
     notes = [note for note in model.report.notes if "times as much" in note]
     assert notes
     assert all("in recording 4" in note for note in notes)
+
+
+def test_moesp_has_no_states_that_its_shift_cannot_tell_apart() -> None:
+    plant = rs.Plant([[0.8, 0.2], [0.0, 0.5]], [[1.0], [0.5]], np.eye(2), dt=1.0)
+    u, y = recorded(plant, np.random.default_rng(0), 2000, 10)
+    with pytest.raises(SettingError, match="at least 2 for 'moesp'"):
+        rs.identify.subspace(u, y, dt=1.0, method="moesp", past=1)
+    with pytest.raises(DataError, match="the data support 4 states at most"):
+        rs.identify.subspace(u, y, dt=1.0, method="moesp", past=3, order=5)
+    model = rs.identify.subspace(u, y, dt=1.0, method="moesp", past=2, order=2)
+    np.testing.assert_allclose(np.sort(model.report.poles.real), [0.5, 0.8], atol=0.05)
+
+
+def test_moesp_takes_two_rows_where_one_is_enough_for_a_predictor() -> None:
+    rng = np.random.default_rng(1)
+    u, noise = rng.standard_normal((2, 1500, 1))
+    y = np.zeros((1500, 1))
+    for k in range(1499):
+        y[k + 1] = 0.8 * y[k] + u[k] + 0.1 * noise[k]
+    assert rs.identify.subspace(u, y, dt=1.0, past="auto").report.past == 1
+    model = rs.identify.subspace(u, y, dt=1.0, method="moesp")
+    assert model.report.past == 2
+    np.testing.assert_allclose(model.report.poles.real, [0.8], atol=0.02)

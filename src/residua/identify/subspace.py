@@ -159,6 +159,10 @@ def subspace(
         facts = channel_facts(first)
         facts.check()
         horizon = choose_horizon(first, facts, feedthrough=feedthrough).past if past == "auto" else int(past)
+        if method == "moesp" and horizon < 2:
+            if past != "auto":
+                raise SettingError("past must be at least 2 for 'moesp', whose dynamics are a shift by a row, got 1")
+            horizon = 2
         length = horizon + 1 if method == "pbsid" else 2 * horizon
         factor = hankel_factor(first, length, facts, progress=tell)
         states = _states(method, factor, horizon, feedthrough)
