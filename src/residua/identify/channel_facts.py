@@ -124,7 +124,7 @@ class ChannelFacts:
 
     def _other_units(self, sources: Sequence[str]) -> list[str]:
         spread = self.recording_deviation
-        seen = np.isfinite(spread).all(axis=1)
+        seen = np.asarray(np.isfinite(spread).all(axis=1))
         if np.count_nonzero(seen) < 2:
             return []
         usual = np.median(spread[seen], axis=0)
