@@ -318,3 +318,55 @@ def test_never_worse_than_another_n4sid_on_held_out_data() -> None:
         assert report.held_out is not None
         ours.append(report.held_out.error[0])
     assert np.all(np.array(ours) <= 1.02 * np.array(theirs))
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("order", None), ("past", None), ("max_order", "auto"), ("held_out", "a"), ("held_out", None), ("order", 2.0)],
+)
+def test_options_of_another_kind_are_refused_by_name(option: str, value: object) -> None:
+    u, y = recorded(rs.Plant([[0.8]], [[1.0]], [[1.0]], dt=1.0), np.random.default_rng(0), 300, 10)
+    with pytest.raises(SettingError, match=f"^{option} must be"):
+        rs.identify.subspace(u, y, dt=1.0, **{option: value})
+
+
+def test_an_order_may_be_a_numpy_integer() -> None:
+    u, y = recorded(rs.Plant([[0.8]], [[1.0]], [[1.0]], dt=1.0), np.random.default_rng(0), 600, 10)
+    with pytest.raises(DataError, match="states at most"):
+        rs.identify.subspace(u, y, dt=1.0, past=3, order=np.int64(100))
+    # beyond the orders that are compared otherwise
+    assert rs.identify.subspace(u, y, dt=1.0, past=5, order=np.int64(3), max_order=1).report.orders == (0, 1, 2, 3)
+
+
+def test_a_recording_of_which_no_row_is_left_moves_no_note_to_another() -> None:
+    """A delay takes the whole of a short recording: notes on the others keep their names."""
+    plant = rs.Plant([[0.8]], [[1.0]], [[1.0]], dt=1.0)
+    u, y = recorded(plant, np.random.default_rng(0), 2003, 10)
+    short, usual, large = (u[:3], y[:3]), (u[3:1503], y[3:1503]), (100 * u[1503:], 100 * y[1503:])
+    model = rs.identify.subspace([short, usual, usual, large], dt=1.0, inputs=["u1"], delays={"u1": 5})
+    notes = [note for note in model.report.notes if "times as much" in note]
+    assert notes
+    assert all("in recording 4" in note for note in notes)
+
+
+def test_moesp_has_no_states_that_its_shift_cannot_tell_apart() -> None:
+    plant = rs.Plant([[0.8, 0.2], [0.0, 0.5]], [[1.0], [0.5]], np.eye(2), dt=1.0)
+    u, y = recorded(plant, np.random.default_rng(0), 2000, 10)
+    with pytest.raises(SettingError, match="at least 2 for 'moesp'"):
+        rs.identify.subspace(u, y, dt=1.0, method="moesp", past=1)
+    with pytest.raises(DataError, match="the data support 4 states at most"):
+        rs.identify.subspace(u, y, dt=1.0, method="moesp", past=3, order=5)
+    model = rs.identify.subspace(u, y, dt=1.0, method="moesp", past=2, order=2)
+    np.testing.assert_allclose(np.sort(model.report.poles.real), [0.5, 0.8], atol=0.05)
+
+
+def test_moesp_takes_two_rows_where_one_is_enough_for_a_predictor() -> None:
+    rng = np.random.default_rng(1)
+    u, noise = rng.standard_normal((2, 1500, 1))
+    y = np.zeros((1500, 1))
+    for k in range(1499):
+        y[k + 1] = 0.8 * y[k] + u[k] + 0.1 * noise[k]
+    assert rs.identify.subspace(u, y, dt=1.0, past="auto").report.past == 1
+    model = rs.identify.subspace(u, y, dt=1.0, method="moesp")
+    assert model.report.past == 2
+    np.testing.assert_allclose(model.report.poles.real, [0.8], atol=0.02)

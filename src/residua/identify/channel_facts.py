@@ -36,7 +36,7 @@ class ChannelFacts:
         Over all rows.
     covariance : ndarray, shape (channels, channels)
     recording_mean, recording_deviation : ndarray, shape (recordings, channels)
-        Of each recording by itself.
+        Of each recording by itself; NaN for one of which no row is left.
     drift : ndarray, shape (channels,)
         The part of the variance within the recordings that a straight line over each explains.
     values : ndarray of int, shape (channels,)
@@ -124,11 +124,12 @@ class ChannelFacts:
 
     def _other_units(self, sources: Sequence[str]) -> list[str]:
         spread = self.recording_deviation
-        if len(spread) < 2:
+        seen = np.asarray(np.isfinite(spread).all(axis=1))
+        if np.count_nonzero(seen) < 2:
             return []
-        usual = np.median(spread, axis=0)
+        usual = np.median(spread[seen], axis=0)
         notes = []
-        for k, source in enumerate(sources):
+        for k, source in ((k, source) for k, source in enumerate(sources) if seen[k]):
             for i in range(len(self.channels)):
                 factor = float(spread[k, i] / usual[i]) if usual[i] > 0 else np.inf
                 if not 1 / _OTHER_UNITS <= factor <= _OTHER_UNITS:
@@ -180,8 +181,8 @@ def _facts(gathered: Gathered) -> ChannelFacts:
         mean,
         np.sqrt(np.diag(outer) / count.sum()),
         outer / count.sum(),
-        own_mean[seen],
-        np.sqrt(within / np.maximum(count, 1.0)[:, None])[seen],
+        np.where(seen[:, None], own_mean, np.nan),
+        np.where(seen[:, None], np.sqrt(within / np.maximum(count, 1.0)[:, None]), np.nan),
         explained / np.where(within_all > 0, within_all, 1.0),
         values,
         rows,

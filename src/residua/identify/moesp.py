@@ -15,6 +15,8 @@ def moesp(factor: HankelFactor, past: int) -> StateMap:
     :math:`\Theta_z Z_p \Pi_{U_f}^\perp`; its left singular vectors :math:`U_1` are the extended observability
     matrix, whose shift gives :math:`A` and :math:`C`.
 
+    The shift needs two rows of the future, and tells apart ``(past - 1) outputs`` states at most.
+
     Consistent where the inputs do not depend on past outputs.
 
     References
@@ -26,4 +28,11 @@ def moesp(factor: HankelFactor, past: int) -> StateMap:
     rest = regress(joint.past, joint.given).residual
     states, size = states_of(joint.by_past, rest, factor.windows, past)
     assert states.observability is not None
-    return replace(states, observability=states.observability * size)
+    # the shift drops a row: a state beyond the rows that are left would get poles that no data say
+    most = min(len(size), (past - 1) * factor.n_outputs)
+    return replace(
+        states,
+        T=states.T[:most],
+        singular_values=states.singular_values[:most],
+        observability=states.observability[:, :most] * size[:most],
+    )

@@ -60,7 +60,7 @@ def choose_order(
     DataError
         If the data have fewer candidates for states than the order that is wanted.
     """
-    most = max(most, wanted) if isinstance(wanted, int) else most
+    most = most if wanted == "auto" else max(most, int(wanted))
     if most > len(states.T):
         raise DataError(
             f"the data support {len(states.T)} states at most with {states.past} rows of the past, {most} are asked "

@@ -159,6 +159,10 @@ def subspace(
         facts = channel_facts(first)
         facts.check()
         horizon = choose_horizon(first, facts, feedthrough=feedthrough).past if past == "auto" else int(past)
+        if method == "moesp" and horizon < 2:
+            if past != "auto":
+                raise SettingError("past must be at least 2 for 'moesp', whose dynamics are a shift by a row, got 1")
+            horizon = 2
         length = horizon + 1 if method == "pbsid" else 2 * horizon
         factor = hankel_factor(first, length, facts, progress=tell)
         states = _states(method, factor, horizon, feedthrough)
@@ -174,11 +178,15 @@ def subspace(
 
 
 def _check_numbers(order: Any, max_order: Any, past: Any, held_out: Any) -> None:
-    for value, what, least in ((order, "order", 0), (max_order, "max_order", 0), (past, "past", 1)):
-        fine = value is None or value == "auto" or (isinstance(value, (int, np.integer)) and value >= least)
-        if not fine or isinstance(value, bool):
-            raise SettingError(f"{what} must be a whole number of at least {least}, or 'auto', got {echo(value)}")
-    if not (np.ndim(held_out) == 0 and 0 <= held_out <= 0.9):
+    for value, what, least, other in (
+        (order, "order", 0, "auto"),
+        (max_order, "max_order", 0, None),
+        (past, "past", 1, "auto"),
+    ):
+        whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+        if not (value >= least if whole else type(value) is type(other) and value == other):
+            raise SettingError(f"{what} must be a whole number of at least {least}, or {other!r}, got {echo(value)}")
+    if not (isinstance(held_out, (int, float, np.integer, np.floating)) and 0 <= held_out <= 0.9):
         raise SettingError(f"held_out must be a fraction from 0 to 0.9, got {echo(held_out)}")
 
 
