@@ -17,6 +17,7 @@ from residua.identify.segments import gather
 from residua.linear import StateSpace
 from residua.linear.subspaces.rank import range_basis
 from residua.plant import OperatingPoint, Perturbation, Plant, UncertainPlant
+from residua.recording.time_axis import REGULAR
 from residua.tolerances import RANK
 
 #: Directions of the uncertainty that are kept, unless the caller says otherwise.
@@ -170,7 +171,9 @@ class IdentifiedModel:
         0.1
         """
         plant = self.plant
-        gathered = gather(recordings, y, inputs=plant.inputs, outputs=plant.outputs, dt=plant.dt)
+        gathered = gather(recordings, y, inputs=plant.inputs, outputs=plant.outputs)
+        if gathered.timed and abs(gathered.dt - plant.dt) > REGULAR * plant.dt:
+            raise DataError(f"the model has a step of {plant.dt:g} s, the recordings have {gathered.dt:g} s")
         point, m = np.array([*plant.operating_point.inputs, *plant.operating_point.outputs]), len(plant.inputs)
         shapes = [(rows, plant.n_outputs) for rows in gathered.samples]
         measured, predicted = ([np.full(shape, np.nan) for shape in shapes] for _ in range(2))

@@ -79,7 +79,7 @@ def error_facts(model: Innovations, gathered: Gathered, reference: NDArray, unit
     """Return what the prediction errors on data say; ``None`` where no segment is long enough to predict any row."""
     m, p, rows = len(gathered.inputs), len(gathered.outputs), 0
     squares, total, sizes = np.zeros(p), np.zeros(p), np.zeros(p)
-    products, inputs = np.zeros((LAGS + 1, p, p)), np.zeros(m)
+    products, inputs, counts = np.zeros((LAGS + 1, p, p)), np.zeros(m), np.zeros(LAGS + 1)
     mean_error, mean_input = np.zeros(p), np.zeros(m)
     crossed = np.zeros((2 * LAGS + 1, p, m))
     simulated = _Simulated(model, m, p)
@@ -93,6 +93,7 @@ def error_facts(model: Innovations, gathered: Gathered, reference: NDArray, unit
         mean_input += u.sum(axis=0)
         inputs += (u**2).sum(axis=0)
         for lag in range(min(LAGS + 1, len(e))):
+            counts[lag] += len(e) - lag
             products[lag] += e[lag:].T @ e[: len(e) - lag]
             crossed[LAGS + lag] += e[: len(e) - lag].T @ u[lag:]
             crossed[LAGS - lag] += (e[lag:].T @ u[: len(e) - lag]) if lag else 0.0
@@ -103,11 +104,15 @@ def error_facts(model: Innovations, gathered: Gathered, reference: NDArray, unit
     fit = np.asarray(1 - np.sqrt(sizes / np.where(variance > 0, variance, 1.0)))
     # without their means: a level that is off is no correlation
     e_mean, u_mean = mean_error / rows, mean_input / rows
-    products -= rows * np.outer(e_mean, e_mean)
-    crossed -= rows * np.outer(e_mean, u_mean)
+    both = np.concatenate([counts[:0:-1], counts])
+    products -= counts[:, None, None] * np.outer(e_mean, e_mean)
+    crossed -= both[:, None, None] * np.outer(e_mean, u_mean)
     power = np.diag(products[0]), np.maximum(inputs - rows * u_mean**2, 0.0)
+    # many short pieces have fewer pairs of rows at a lag than rows
+    share = np.maximum(both, 1.0)[:, None, None] / rows
     own = np.array([np.diag(one) for one in products[1:]]) / np.where(power[0] > 0, power[0], 1.0)
-    correlation = crossed / np.sqrt(np.maximum(np.outer(*power), TINY))
+    own /= share[LAGS + 1 :, 0]
+    correlation = crossed / np.sqrt(np.maximum(np.outer(*power), TINY)) / share
     names = gathered.outputs, gathered.inputs
     return ErrorFacts(
         rows,
@@ -116,29 +121,33 @@ def error_facts(model: Innovations, gathered: Gathered, reference: NDArray, unit
         simulated.fit(variance / rows),
         products[0] / rows + np.outer(e_mean, e_mean),
         np.abs(own).max(axis=0),
-        _ljung_box(own, rows),
-        _significant(correlation[LAGS:], rows, *names),
-        _significant(correlation[:LAGS], rows, *names),
+        _ljung_box(own, counts),
+        _significant(correlation[LAGS:], both[LAGS:], *names),
+        _significant(correlation[:LAGS], both[:LAGS], *names),
     )
 
 
-def _ljung_box(own: NDArray, rows: int) -> NDArray[np.float64]:
-    lags = np.arange(1, len(own) + 1)
-    left = np.maximum(rows - lags, 1)[:, None]
-    # the upper tail of chi-squared
-    return np.asarray(gammaincc(len(own) / 2, rows * (rows + 2) * (own**2 / left).sum(axis=0) / 2))
+def _ljung_box(own: NDArray, counts: NDArray) -> NDArray[np.float64]:
+    """Return the probability of autocorrelations at lags from 1, for so many pairs of rows at each lag."""
+    rows, pairs = counts[0], counts[1:][counts[1:] > 0]
+    if not len(pairs):
+        return np.ones(own.shape[1])
+    # each is of variance (pairs) / (rows (rows + 2)) of rows in one piece, and of 1 / pairs in general
+    statistic = ((rows + 2) / rows * pairs[:, None] * own[: len(pairs)] ** 2).sum(axis=0)
+    return np.asarray(gammaincc(len(pairs) / 2, statistic / 2))  # the upper tail of chi-squared
 
 
 def _significant(
-    correlation: NDArray, rows: int, outputs: tuple[str, ...], inputs: tuple[str, ...]
+    correlation: NDArray, pairs: NDArray, outputs: tuple[str, ...], inputs: tuple[str, ...]
 ) -> tuple[tuple[str, str, float], ...]:
-    """Return the pairs whose errors and inputs are correlated by more than chance, the largest first."""
+    """Return the outputs and inputs that are correlated by more than chance at some lag, the largest first."""
     if not correlation.size:
         return ()
-    limit = -ndtri(CHANCE / (2 * correlation.size)) / np.sqrt(rows)
-    largest = np.abs(correlation).max(axis=0)
-    pairs = [(outputs[i], inputs[j], float(largest[i, j])) for i, j in zip(*np.nonzero(largest > limit), strict=True)]
-    return tuple(sorted(pairs, key=lambda one: -one[2]))
+    limit = -ndtri(CHANCE / (2 * correlation.size)) / np.sqrt(np.maximum(pairs, 1.0))
+    strong = (np.abs(correlation) > limit[:, None, None]) & (pairs > 0)[:, None, None]
+    largest = np.where(strong, np.abs(correlation), 0.0).max(axis=0)
+    places = zip(*np.nonzero(largest), strict=True)
+    return tuple(sorted(((outputs[i], inputs[j], float(largest[i, j])) for i, j in places), key=lambda one: -one[2]))
 
 
 class _Simulated:

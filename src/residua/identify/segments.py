@@ -22,6 +22,9 @@ BLOCK = 65_536
 #: Largest difference of the steps of two recordings, as a fraction.
 _SAME_STEP = REGULAR / 10
 
+#: What is said of arrays without a step.
+UNTIMED = "no step was given: the samples are taken to be 1 s apart (dt=)"
+
 Names = Sequence[str] | str | None
 
 
@@ -88,6 +91,8 @@ class Gathered:
     samples : tuple of int
         Rows of each recording, those with missing values included.
     notes : tuple of str
+    timed : bool
+        Whether the recordings said themselves how far apart their rows are.
     """
 
     inputs: tuple[str, ...]
@@ -97,6 +102,7 @@ class Gathered:
     sources: tuple[str, ...]
     samples: tuple[int, ...]
     notes: tuple[str, ...] = ()
+    timed: bool = True
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -143,6 +149,8 @@ class Gathered:
         SettingError
             If a delay is of no input, or no whole number of rows.
         """
+        if not isinstance(delays, Mapping):
+            raise SettingError(f"delays must be a mapping of inputs to rows, got {echo(delays)}")
         for name, rows in delays.items():
             if name not in self.inputs:
                 raise SettingError(f"delays: {echo(name)} is no input; there are {listed(self.inputs) or 'none'}")
@@ -155,7 +163,7 @@ class Gathered:
 
     def with_segments(self, segments: Sequence[Segment]) -> Gathered:
         """Return the same with other segments."""
-        return Gathered(self.inputs, self.outputs, self.dt, tuple(segments), self.sources, self.samples, self.notes)
+        return replace(self, segments=tuple(segments))
 
 
 def gather(
@@ -187,7 +195,7 @@ def gather(
     SettingError
         If a channel is named twice, or ``dt`` is none.
     """
-    if dt is not None and not (np.ndim(dt) == 0 and np.isfinite(dt) and dt > 0):
+    if dt is not None and not (isinstance(dt, (int, float, np.number)) and np.isfinite(dt) and dt > 0):
         raise SettingError(f"dt must be a positive step in seconds, got {echo(dt)}")
     wanted = _wanted(inputs, "inputs"), _wanted(outputs, "outputs")
     several = [(recordings, y)] if y is not None else _listed(recordings)
@@ -219,6 +227,7 @@ class _Table:
     outputs: tuple[str, ...]
     dt: float | None
     source: str
+    notes: tuple[str, ...] = ()
 
 
 def _wanted(channels: Names, what: str) -> tuple[str, ...] | None:
@@ -278,6 +287,7 @@ def _table(
         chosen_outputs,
         one.dt,
         one.source or f"recording {number}",
+        one.notes,
     )
 
 
@@ -331,7 +341,7 @@ def _check_once(inputs: tuple[str, ...], outputs: tuple[str, ...]) -> None:
 def _common_step(tables: Sequence[_Table], dt: float | None) -> tuple[float, tuple[str, ...]]:
     steps = [one.dt for one in tables if one.dt is not None]
     if not steps:
-        return 1.0, ("no step was given: the samples are taken to be 1 s apart (dt=)",)
+        return 1.0, (UNTIMED,)
     step = dt if dt is not None else steps[0]
     for number, one in enumerate(tables, 1):
         if one.dt is not None and abs(one.dt - step) > _SAME_STEP * step:
@@ -358,9 +368,17 @@ def _cut(tables: Sequence[_Table], dt: float, notes: tuple[str, ...]) -> Gathere
             f"{counted(missing, 'row')} of {sum(samples)} with a missing value left out, which cuts the data into "
             f"{counted(len(segments), 'segment')}",
         )
+    notes += tuple(dict.fromkeys(f"{one.source}: {note}" for one in tables for note in one.notes))
     first = tables[0]
     return Gathered(
-        first.inputs, first.outputs, dt, tuple(segments), tuple(one.source for one in tables), samples, notes
+        first.inputs,
+        first.outputs,
+        dt,
+        tuple(segments),
+        tuple(one.source for one in tables),
+        samples,
+        notes,
+        UNTIMED not in notes,
     )
 
 
