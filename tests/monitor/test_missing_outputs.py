@@ -234,3 +234,18 @@ def test_other_generators_hold_values_as_before() -> None:
     for generator in (rs.design.detection_filter(plant()), rs.design.sensor_fault_bank(plant()).generator):
         assert rs.Monitor(generator, test=NormThreshold(threshold=1.0))._specification().partial is None
     assert rs.Monitor(rs.design.kalman_filter(plant()))._specification().partial is not None
+
+
+@pytest.mark.parametrize("inputs", [True, False])
+def test_recordings_that_lie_in_memory_by_columns_run_the_same(inputs: bool) -> None:
+    rng = np.random.default_rng(0)
+    plant = rs.Plant([[0.9]], [[0.1]] if inputs else np.zeros((1, 0)), [[1.0], [0.5]], dt=1)
+    plant = plant.with_sensor_faults().with_noise(process=1e-2, measurement=1e-2)
+    u, y = (rng.standard_normal((300, 1)) if inputs else None), 0.1 * rng.standard_normal((300, 2))
+    y[50, 0] = y[51] = np.nan
+    monitor = rs.Monitor(rs.design.kalman_filter(plant))
+    one = monitor.run(u, y)
+    other = monitor.run(None if u is None else np.asfortranarray(u), np.asfortranarray(y))
+    assert isinstance(one, rs.Diagnosis)
+    assert isinstance(other, rs.Diagnosis)
+    np.testing.assert_array_equal(one.residuals, other.residuals)

@@ -198,7 +198,11 @@ def _middle_of_times(gathered: Gathered, count: NDArray[np.float64]) -> NDArray[
 
 
 def _different_values(gathered: Gathered) -> tuple[NDArray[np.int_], int]:
-    """Return how many values each channel takes in the longest segment, up to a block of rows of it."""
-    longest = max(gathered.segments, key=len)
-    block = longest.rows(0, min(len(longest), BLOCK))
-    return np.array([len(np.unique(column)) for column in block.T]), len(block)
+    """Return how many values each channel takes in the longest segments, up to a block of rows of them."""
+    blocks, rows = [], 0
+    for one in sorted(gathered.segments, key=len, reverse=True):
+        blocks.append(one.rows(0, min(len(one), BLOCK - rows)))
+        rows += len(blocks[-1])
+        if rows >= BLOCK:
+            break
+    return np.array([len(np.unique(column)) for column in np.vstack(blocks).T]), rows

@@ -36,7 +36,7 @@ def discretized_filter(system: StateSpace, plant: Plant, dt: float, hold_outputs
 
 
 def stack_signals(plant: Plant, u: ArrayLike | None, y: ArrayLike) -> NDArray[np.float64]:
-    """Return ``[u, y]`` as one block, after checking widths and lengths against the plant."""
+    """Return ``[u, y]`` as one block with time down the rows in memory too, after checking it against the plant."""
     y_ = _numbers(y, "y")
     n_u, n_y = len(plant.inputs), plant.n_outputs
     if y_.ndim == 1 and n_y == 1:
@@ -46,7 +46,7 @@ def stack_signals(plant: Plant, u: ArrayLike | None, y: ArrayLike) -> NDArray[np
     if u is None:
         if n_u:
             raise DataError(f"u is missing: this plant has the inputs {', '.join(plant.inputs)}")
-        return y_
+        return np.ascontiguousarray(y_)
     u_ = _numbers(u, "u")
     if u_.ndim == y_.ndim - 1 and n_u == 1:
         u_ = u_[..., None]
@@ -55,7 +55,7 @@ def stack_signals(plant: Plant, u: ArrayLike | None, y: ArrayLike) -> NDArray[np
             f"u must be {(*y_.shape[:-1], n_u)} with the columns {', '.join(plant.inputs) or 'none'} "
             f"to go with y of shape {y_.shape}, got {u_.shape}"
         )
-    return np.concatenate([u_, y_], axis=-1)
+    return np.ascontiguousarray(np.concatenate([u_, y_], axis=-1))  # columns of a table lie the other way round
 
 
 def _numbers(value: ArrayLike, name: str) -> NDArray[np.float64]:
