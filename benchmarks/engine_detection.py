@@ -12,14 +12,12 @@ else is as by default; no setting is fitted to samples with a fault.
 
 from __future__ import annotations
 
-import argparse
 import csv
-import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from engine_residuals import Recording, read
+from engine_residuals import Recording, data_folder, read
 
 import residua as rs
 from residua.decide import NormThreshold
@@ -54,13 +52,7 @@ def rows(recording: Recording) -> Iterator[list[str]]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Write the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, help="folder with data.mat, or the one above it")
-    options = parser.parse_args(arguments)
-    folder = options.data or Path(os.environ.get("RESIDUA_SHARED_DATA", ""))
-    folder = folder / "engine_frisk_residuals" if (folder / "engine_frisk_residuals").is_dir() else folder
-    if not (folder / "data.mat").exists():
-        parser.error("no data.mat in the folder: give --data or set RESIDUA_SHARED_DATA")
+    folder = data_folder(__doc__, arguments)
     table = list(rows(read(folder)))
     with OUTPUT.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows(table)

@@ -158,15 +158,21 @@ def table(folder: Path) -> list[list[Any]]:
     return [[str(cell) for cell in line] for line in out]
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Write the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def data_folder(description: str | None, arguments: list[str] | None) -> Path:
+    """Return the folder with the recording, as the command line or the environment says."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, help="folder with data.mat, or the one above it")
     options = parser.parse_args(arguments)
     folder = options.data or Path(os.environ.get("RESIDUA_SHARED_DATA", ""))
     folder = folder / "engine_frisk_residuals" if (folder / "engine_frisk_residuals").is_dir() else folder
     if not (folder / "data.mat").exists():
         parser.error("no data.mat in the folder: give --data or set RESIDUA_SHARED_DATA")
+    return folder
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Write the table."""
+    folder = data_folder(__doc__, arguments)
     lines = table(folder)
     with OUTPUT.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows(lines)

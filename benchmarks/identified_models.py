@@ -16,13 +16,9 @@ import numpy as np
 import scipy.io
 
 import residua as rs
+from residua.library import three_tank_fault
 
 TABLE = Path(__file__).parents[1] / "docs/data/identified_models.csv"
-#: The component at fault in each of the twelve recordings of the three tanks; the fault of the first is of two pumps.
-NAMES = (
-    *({"Q1 actuator", "Q2 actuator"}, {"Q1 actuator"}, {"Q2 actuator"}, {"h1 sensor"}, {"h2 sensor"}, {"h3 sensor"}),
-    *({"leak 1"}, {"leak 2"}, {"leak 3"}, {"clog 13"}, {"clog 20"}, {"clog 32"}),
-)
 TANK = ("Q1", "Q2"), ("h1", "h2", "h3")
 VALVE = (
     *("time", "inlet pressure", "outlet pressure", "temperature", "flow", "command", "position", "process value"),
@@ -43,14 +39,14 @@ def three_tanks(folder: Path, plant: rs.Plant, model: str, window: int) -> list[
     faulty = scipy.io.loadmat(folder / "test_5ch.mat")
     monitor = monitor_of(plant, normal, window)
     detected, false, right = [], [], 0
-    for number, names in enumerate(NAMES, 1):
+    for number in range(1, 13):
         data = faulty[f"fault{number:02d}"]
         diagnosis = monitor.run(data[:, :2], data[:, 2:])
         assert isinstance(diagnosis, rs.Diagnosis)
         detected.append(float(np.mean(diagnosis.alarm[200:])))
         false.append(float(np.mean(diagnosis.alarm[:200])))
         last = diagnosis.alarms[-1].candidates if diagnosis.alarms else ()
-        right += bool(last) and last[0].name in names
+        right += bool(last) and last[0].name in three_tank_fault(number)
     shown = f"{np.mean(detected):.3f}", f"{np.mean(false):.4f}", f"{right} of 12"
     return ["three tanks", model, str(window), *shown]
 

@@ -81,13 +81,17 @@ class ChannelFacts:
             groups.append(tuple(self.channels[i] for i in named))
         return tuple(groups)
 
-    def check(self) -> None:
-        """Raise where a channel is constant, or a linear function of others: no model tells their parts apart."""
+    def check_size(self) -> None:
+        """Raise where values are so large that nothing can be computed from their squares."""
         vast = [name for name, one in zip(self.channels, self.deviation, strict=True) if not np.isfinite(one)]
         if vast:
             raise DataError(
                 f"{listed(vast)}: values so large that their squares overflow; mark what is no value as NaN"
             )
+
+    def check(self) -> None:
+        """Raise where a channel is constant, or a linear function of others: no model tells their parts apart."""
+        self.check_size()
         still = self.constant()
         if still:
             left = [name for name in self.channels if name not in still]

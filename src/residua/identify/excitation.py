@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.identify.hankel_factor import HankelFactor, regress
-from residua.linear.subspaces.rank import decide_rank
 from residua.tolerances import RANK
 
 #: Standard errors that the effect of an input must reach to count as one.
@@ -25,9 +24,6 @@ class Excitation:
         The part of each input's variance that neither the past nor the other inputs determine (nor, without
         feedthrough, the outputs of the same row): from it alone the effect of the input is told from that of a
         controller.
-    order : int
-        Independent directions of the inputs over the past, of ``full`` at most.
-    full : int
     delays : ndarray of int, shape (outputs, inputs)
         The first row after which an input moves an output by more than four standard errors; -1 where none does
         within the past.
@@ -36,8 +32,6 @@ class Excitation:
     """
 
     unexplained: NDArray[np.float64]
-    order: int
-    full: int
     delays: NDArray[np.int_]
     instant: tuple[tuple[int, int], ...]
 
@@ -56,11 +50,8 @@ def excitation(factor: HankelFactor, past: int, *, feedthrough: bool) -> Excitat
     for i in range(m):
         rest = regress(u[:, [i]], np.hstack([before, np.delete(u, i, axis=1), together])).residual
         unexplained[i] = float(np.linalg.norm(rest) / max(power[i], np.finfo(float).tiny)) ** 2
-    own = factor.R[:, factor.inputs(*range(past))]
-    own = regress(own, before[:, :1]).residual if m else own
-    order = decide_rank(own, rtol=RANK**0.5).rank  # of data, in whose squares a rank would be judged
     delays, instant = _delays(factor, past)
-    return Excitation(unexplained, order, m * past, delays, instant)
+    return Excitation(unexplained, delays, instant)
 
 
 def _delays(factor: HankelFactor, past: int) -> tuple[NDArray[np.int_], tuple[tuple[int, int], ...]]:

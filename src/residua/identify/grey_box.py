@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import chdtrc, ndtri
+from scipy.special import ndtri
 
 from residua.arrays import frozen, positions
 from residua.errors import DataError, SettingError
 from residua.identify.information import Identifiability, identifiability, sandwich_covariance
 from residua.identify.nonlinear_model import NonlinearModel, model_errors
 from residua.identify.parameter_search import Found, Parameter, PlantAt, Task, parameters_of, search
+from residua.identify.prediction import ljung_box
 from residua.identify.prediction_errors import predictor
 from residua.identify.segments import Gathered, gather
 from residua.plant import Plant
@@ -417,15 +418,14 @@ def _checks(
 
 
 def _whiteness(errors: list[Matrix]) -> NDArray[np.float64]:
-    """Return the probability of so much correlation over time in each column if it was white (Ljung and Box)."""
+    """Return the probability of the correlation over time in each column if it was white."""
     samples = sum(map(len, errors))
     lags = max(min(_LAGS, int(_LAG_SHARE * samples)), 1)
     power = sum((e**2).sum(axis=0) for e in errors)
-    statistic = np.zeros(errors[0].shape[1])
+    products = np.zeros((lags, errors[0].shape[1]))
     for lag in range(1, lags + 1):
-        r = sum((e[:-lag] * e[lag:]).sum(axis=0) for e in errors if len(e) > lag) / np.where(power > 0, power, 1.0)
-        statistic += r**2 / (samples - lag)
-    return np.asarray(chdtrc(lags, samples * (samples + 2) * statistic))
+        products[lag - 1] = sum((e[:-lag] * e[lag:]).sum(axis=0) for e in errors if len(e) > lag)
+    return ljung_box(products / np.where(power > 0, power, 1.0), samples - np.arange(1, lags + 1), samples)
 
 
 def _remarks(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,27 +20,8 @@ _LONGEST = 60
 NOISE_FREE = 1e-7
 
 
-@dataclass(frozen=True, eq=False)
-class Horizon:
-    """The number of past rows from which outputs are predicted.
-
-    Attributes
-    ----------
-    past : int
-    tried : tuple of int
-    criterion : ndarray
-        Akaike's, corrected for few samples, for each number that was tried; the smallest is zero.
-    """
-
-    past: int
-    tried: tuple[int, ...]
-    criterion: NDArray[np.float64]
-
-
-def choose_horizon(
-    gathered: Gathered, facts: ChannelFacts, *, feedthrough: bool, longest: int | None = None
-) -> Horizon:
-    """Return the past that predicts the outputs best by Akaike's criterion, corrected for few samples.
+def choose_past(gathered: Gathered, facts: ChannelFacts, *, feedthrough: bool) -> int:
+    """Return the rows of the past that predict the outputs best by Akaike's criterion, corrected for few samples.
 
     Raises
     ------
@@ -51,7 +30,7 @@ def choose_horizon(
     """
     data = gathered.shortened(_ROWS)
     n = len(gathered.channels)
-    most = min(longest or _LONGEST, _MOST_COLUMNS // n)
+    most = min(_LONGEST, _MOST_COLUMNS // n)
     while most > 1 and count_windows(data, most + 1) < _LEAST_ROWS * (1 + n * (most + 1)):
         most -= 1
     windows = count_windows(data, most + 1)
@@ -65,10 +44,7 @@ def choose_horizon(
     newest_first = [column for time in reversed(range(most)) for column in factor.signals([time])]
     fixed = [0, *(factor.inputs(most) if feedthrough else [])]
     T = np.asarray(np.linalg.qr(factor.R[:, [*fixed, *newest_first, *factor.outputs(most)]], mode="r"))
-    tried = tuple(range(1, most + 1))
-    criterion = np.array([_akaike(T, len(fixed) + past * n, gathered, windows) for past in tried])
-    criterion -= criterion.min()
-    return Horizon(tried[int(criterion.argmin())], tried, criterion)
+    return min(range(1, most + 1), key=lambda past: _akaike(T, len(fixed) + past * n, gathered, windows))
 
 
 def log_determinant(residual: NDArray, samples: int) -> float:

@@ -70,9 +70,7 @@ def standard(gathered: Gathered) -> Standard:
         If a channel never changes, or has values whose squares overflow.
     """
     facts, count = channel_facts(gathered), gathered.n_samples
-    vast = [name for name, one in zip(facts.channels, facts.deviation, strict=True) if not np.isfinite(one)]
-    if vast:
-        raise DataError(f"{listed(vast)}: values so large that their squares overflow; mark what is no value as NaN")
+    facts.check_size()
     still = facts.constant()
     if still:
         raise DataError(

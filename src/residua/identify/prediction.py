@@ -12,6 +12,7 @@ from scipy.special import gammaincc, ndtri
 from residua.identify.realisation import Innovations
 from residua.identify.segments import BLOCK, Gathered
 from residua.linear import StateSpace
+from residua.linear.poles.spectrum import spectral_radius
 from residua.tolerances import TINY
 
 #: Rows by which errors are compared with themselves and with inputs.
@@ -34,27 +35,21 @@ class ErrorFacts:
         ``1 - |y - yhat| / |y - mean y|``: one for a perfect prediction, zero for none, below for a worse one.
     simulated_fit : ndarray or None, shape (outputs,)
         The same for outputs simulated from the inputs alone; ``None`` for a plant that is not stable or has no inputs.
-    covariance : ndarray, shape (outputs, outputs)
-        Of the errors, in units of the factor.
     autocorrelation : ndarray, shape (outputs,)
         The largest one of each output's errors at lags 1 to 20, in size.
     whiteness : ndarray, shape (outputs,)
         Probability that white errors are as correlated (Ljung and Box).
     feedback : tuple of (str, str, float)
         The outputs whose errors the inputs of their row or later ones follow, with the largest correlation.
-    missed : tuple of (str, str, float)
-        The inputs whose past the errors of an output still hold, with the largest correlation.
     """
 
     rows: int
     error: NDArray[np.float64]
     fit: NDArray[np.float64]
     simulated_fit: NDArray[np.float64] | None
-    covariance: NDArray[np.float64]
     autocorrelation: NDArray[np.float64]
     whiteness: NDArray[np.float64]
     feedback: tuple[tuple[str, str, float], ...]
-    missed: tuple[tuple[str, str, float], ...]
 
 
 def predictions(
@@ -78,63 +73,65 @@ def predictions(
 def error_facts(model: Innovations, gathered: Gathered, reference: NDArray, units: NDArray) -> ErrorFacts | None:
     """Return what the prediction errors on data say; ``None`` where no segment is long enough to predict any row."""
     m, p, rows = len(gathered.inputs), len(gathered.outputs), 0
-    squares, total, sizes = np.zeros(p), np.zeros(p), np.zeros(p)
-    products, inputs, counts = np.zeros((LAGS + 1, p, p)), np.zeros(m), np.zeros(LAGS + 1)
+    squares, total = np.zeros(p), np.zeros(p)
+    products, inputs, counts = np.zeros((LAGS + 1, p)), np.zeros(m), np.zeros(LAGS + 1)
     mean_error, mean_input = np.zeros(p), np.zeros(m)
-    crossed = np.zeros((2 * LAGS + 1, p, m))
+    crossed = np.zeros((LAGS + 1, p, m))
     simulated = _Simulated(model, m, p)
     for u, y, predicted in predictions(model, gathered, reference, units):
         e = y - predicted
         rows += len(e)
         squares += (y**2).sum(axis=0)
         total += y.sum(axis=0)
-        sizes += (e**2).sum(axis=0)
         mean_error += e.sum(axis=0)
         mean_input += u.sum(axis=0)
         inputs += (u**2).sum(axis=0)
         for lag in range(min(LAGS + 1, len(e))):
             counts[lag] += len(e) - lag
-            products[lag] += e[lag:].T @ e[: len(e) - lag]
-            crossed[LAGS + lag] += e[: len(e) - lag].T @ u[lag:]
-            crossed[LAGS - lag] += (e[lag:].T @ u[: len(e) - lag]) if lag else 0.0
+            products[lag] += np.einsum("ij,ij->j", e[lag:], e[: len(e) - lag])
+            crossed[lag] += e[: len(e) - lag].T @ u[lag:]
         simulated.add(u, y)
     if not rows:
         return None
     variance = np.maximum(squares - total**2 / rows, 0.0)
+    sizes = products[0].copy()
     fit = np.asarray(1 - np.sqrt(sizes / np.where(variance > 0, variance, 1.0)))
     # without their means: a level that is off is no correlation
     e_mean, u_mean = mean_error / rows, mean_input / rows
-    both = np.concatenate([counts[:0:-1], counts])
-    products -= counts[:, None, None] * np.outer(e_mean, e_mean)
-    crossed -= both[:, None, None] * np.outer(e_mean, u_mean)
-    power = np.diag(products[0]), np.maximum(inputs - rows * u_mean**2, 0.0)
+    products -= counts[:, None] * e_mean**2
+    crossed -= counts[:, None, None] * np.outer(e_mean, u_mean)
+    power = products[0], np.maximum(inputs - rows * u_mean**2, 0.0)
     # many short pieces have fewer pairs of rows at a lag than rows
-    share = np.maximum(both, 1.0)[:, None, None] / rows
-    own = np.array([np.diag(one) for one in products[1:]]) / np.where(power[0] > 0, power[0], 1.0)
-    own /= share[LAGS + 1 :, 0]
-    correlation = crossed / np.sqrt(np.maximum(np.outer(*power), TINY)) / share
-    names = gathered.outputs, gathered.inputs
+    share = np.maximum(counts, 1.0)[:, None] / rows
+    own = products[1:] / np.where(power[0] > 0, power[0], 1.0)
+    correlation = crossed / np.sqrt(np.maximum(np.outer(*power), TINY)) / share[:, None]
     return ErrorFacts(
         rows,
         np.sqrt(sizes / rows) * units[m:],
         fit,
         simulated.fit(variance / rows),
-        products[0] / rows + np.outer(e_mean, e_mean),
-        np.abs(own).max(axis=0),
-        _ljung_box(own, counts),
-        _significant(correlation[LAGS:], both[LAGS:], *names),
-        _significant(correlation[:LAGS], both[:LAGS], *names),
+        np.abs(own / share[1:]).max(axis=0),
+        ljung_box(own, counts[1:], rows),
+        _significant(correlation, counts, gathered.outputs, gathered.inputs),
     )
 
 
-def _ljung_box(own: NDArray, counts: NDArray) -> NDArray[np.float64]:
-    """Return the probability of autocorrelations at lags from 1, for so many pairs of rows at each lag."""
-    rows, pairs = counts[0], counts[1:][counts[1:] > 0]
-    if not len(pairs):
-        return np.ones(own.shape[1])
-    # each is of variance (pairs) / (rows (rows + 2)) of rows in one piece, and of 1 / pairs in general
-    statistic = ((rows + 2) / rows * pairs[:, None] * own[: len(pairs)] ** 2).sum(axis=0)
-    return np.asarray(gammaincc(len(pairs) / 2, statistic / 2))  # the upper tail of chi-squared
+def ljung_box(correlations: NDArray, pairs: NDArray, rows: int) -> NDArray[np.float64]:
+    """Return the probability of so much correlation over time in each column if it was white (Ljung and Box).
+
+    Parameters
+    ----------
+    correlations : ndarray, shape (lags, columns)
+        Sums of products at lags from 1, relative to the sum of squares.
+    pairs : ndarray, shape (lags,)
+        The products in each sum; lags without any do not count.
+    rows : int
+    """
+    seen = pairs > 0
+    if not seen.any():
+        return np.ones(correlations.shape[1])
+    statistic = rows * (rows + 2) * (correlations[seen] ** 2 / pairs[seen, None]).sum(axis=0)
+    return np.asarray(gammaincc(seen.sum() / 2, statistic / 2))  # the upper tail of chi-squared
 
 
 def _significant(
@@ -154,7 +151,7 @@ class _Simulated:
     """Errors of outputs that are simulated from the inputs alone, piece by piece, the start of each left out."""
 
     def __init__(self, model: Innovations, m: int, p: int) -> None:
-        radius = float(np.abs(np.linalg.eigvals(model.A)).max(initial=0.0))
+        radius = float(spectral_radius(model.A))
         self._runs = bool(m) and radius < 1
         self._skip = BLOCK
         if self._runs:  # until 1 % is left of the start

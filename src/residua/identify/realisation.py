@@ -14,6 +14,7 @@ from residua.identify.horizon import NOISE_FREE, log_determinant
 from residua.identify.state_map import StateMap
 from residua.linear import StateSpace
 from residua.linear.poles.riccati import filter_riccati
+from residua.linear.poles.spectrum import spectral_radius
 from residua.tolerances import IDENTITY
 
 Matrix = NDArray[np.float64]
@@ -160,7 +161,7 @@ def _from_shift(states: StateMap, order: int, outputs: int) -> tuple[Matrix | No
 
 def _stable_gain(A: Matrix, C: Matrix, K: Matrix, W: Matrix, V: Matrix) -> tuple[Matrix, str]:
     """Return the gain of a stable predictor, and what is said if it is not the one that was estimated."""
-    radius = float(np.abs(np.linalg.eigvals(A - K @ C)).max(initial=0.0))
+    radius = float(spectral_radius(A - K @ C))
     if radius < 1:
         return K, ""
     n, cross = len(A), K @ V

@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from residua.errors import DataError, SettingError
 from residua.identify.canonical_weights import canonical_weights
 from residua.identify.channel_facts import ChannelFacts, channel_facts
 from residua.identify.excitation import excitation
 from residua.identify.hankel_factor import HankelFactor, hankel_factor
-from residua.identify.horizon import choose_horizon
+from residua.identify.horizon import choose_past
 from residua.identify.identified_model import IdentifiedModel, plant_of, with_input_delays
 from residua.identify.model_report import IdentificationReport, SteadyGain
 from residua.identify.moesp import moesp
@@ -24,6 +24,7 @@ from residua.identify.prediction import error_facts
 from residua.identify.realisation import Innovations, realise, resampled
 from residua.identify.segments import Gathered, Names, gather
 from residua.identify.state_map import StateMap
+from residua.linear.poles.spectrum import spectral_radius
 from residua.plant import Plant
 from residua.progress import Progress, progress_of
 from residua.tolerances import POLE
@@ -158,7 +159,7 @@ def subspace(
             raise DataError("nothing is left to identify from: hold out less")
         facts = channel_facts(first)
         facts.check()
-        horizon = choose_horizon(first, facts, feedthrough=feedthrough).past if past == "auto" else int(past)
+        horizon = choose_past(first, facts, feedthrough=feedthrough) if past == "auto" else int(past)
         if method == "moesp" and horizon < 2:
             if past != "auto":
                 raise SettingError("past must be at least 2 for 'moesp', whose dynamics are a shift by a row, got 1")
@@ -233,7 +234,7 @@ class _Made:
             notes.append(
                 f"nothing is judged on held-out rows: {rows} in a row, and a prediction needs {model.past} before it"
             )
-        radius = float(np.abs(np.linalg.eigvals(model.A)).max(initial=0.0))
+        radius = float(spectral_radius(model.A))
         if radius >= 1:
             notes.append(
                 f"the plant has a pole of size {radius:.6g}: it integrates, drifts, or was held by a controller"
@@ -288,11 +289,7 @@ def _steady_gain(plant: Plant, others: list[Plant]) -> SteadyGain | None:
     poles = np.linalg.eigvals(plant.A)
     if not plant.inputs or (len(poles) and np.abs(poles - 1).min() < POLE):
         return None
-    gains = np.array([_gain(one) for one in others])
+    gains = np.array([one.system("control").dc_gain() for one in others])
     count = len(gains)
     error = np.sqrt((count - 1) / count * ((gains - gains.mean(axis=0)) ** 2).sum(axis=0)) if count else None
-    return SteadyGain(_gain(plant), error)
-
-
-def _gain(plant: Plant) -> NDArray[np.float64]:
-    return np.asarray(plant.C @ np.linalg.solve(np.eye(plant.n_states) - plant.A, plant.Bu) + plant.Du)
+    return SteadyGain(plant.system("control").dc_gain(), error)
