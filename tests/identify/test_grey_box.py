@@ -315,6 +315,19 @@ def test_starts_that_cannot_be_tried_are_said() -> None:
         ({"plant_at": raising}, ModelError, r"plant_at\(stiffness=.*, damping=.*\) raised RuntimeError: too stiff"),
         ({"plant_at": lambda **p: bare_spring(**p).with_noise(process=1.0)}, ModelError, r"R is singular"),
         ({"plant_at": lambda **p: rs.Plant([[1.5]], [[1]], [[1], [1]], dt=DT)}, ModelError, "without bound"),
+        (
+            {"plant_at": lambda stiffness: spring(-stiffness, 0.1), "parameters": {"stifness": (1.0, 2.0)}},
+            ModelError,
+            r"plant_at\(stiffness\) was called with the mapping \{stifness: 1.5\}, .* takes no keyword of these names",
+        ),
+        (
+            {
+                "plant_at": lambda stiffness, damping=0.1: spring(stiffness, damping),
+                "parameters": BOX | {"mass": (1, 2)},
+            },
+            ModelError,
+            r"plant_at takes \(stiffness, damping=0.1\), the parameters are stiffness, damping and mass",
+        ),
         ({"priors": {"wrong": (0.0, 1.0)}}, SettingError, "is no parameter"),
         ({"priors": {"damping": (0.0, 0.0)}}, SettingError, "standard deviation"),
         ({"priors": {"damping": 3.0}}, SettingError, "standard deviation"),
