@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 import residua as rs
 from recorded_plants import generated_plant, in_closed_loop, markov_parameters, recorded
 from residua.errors import DataError, SettingError
+from residua.identify import realisation
 
 METHODS = ("pbsid", "cva", "n4sid", "moesp")
 
@@ -338,8 +341,7 @@ def test_an_order_may_be_a_numpy_integer() -> None:
     u, y = recorded(rs.Plant([[0.8]], [[1.0]], [[1.0]], dt=1.0), np.random.default_rng(0), 600, 10)
     with pytest.raises(DataError, match="states at most"):
         rs.identify.subspace(u, y, dt=1.0, past=3, order=np.int64(100))
-    # beyond the orders that are compared otherwise
-    assert rs.identify.subspace(u, y, dt=1.0, past=5, order=np.int64(3), max_order=1).report.orders == (0, 1, 2, 3)
+    assert rs.identify.subspace(u, y, dt=1.0, past=5, order=np.int64(3), max_order=3).report.orders == (0, 1, 2, 3)
 
 
 def test_a_recording_of_which_no_row_is_left_moves_no_note_to_another() -> None:
@@ -374,3 +376,60 @@ def test_moesp_takes_two_rows_where_one_is_enough_for_a_predictor() -> None:
     model = rs.identify.subspace(u, y, dt=1.0, method="moesp")
     assert model.report.past == 2
     np.testing.assert_allclose(model.report.poles.real, [0.8], atol=0.02)
+
+
+# ---------------------------------------------------------------------- what is said of little data
+
+
+def test_a_largest_order_below_the_order_is_refused() -> None:
+    u, y = good()
+    with pytest.raises(SettingError, match="max_order must be at least the order that is asked for, 3, got 2"):
+        rs.identify.subspace(u, y, order=3, max_order=2, dt=1.0)
+    assert rs.identify.subspace(u, y, order=2, max_order=2, dt=1.0).report.order == 2
+
+
+def slow(rows: int, *, pole: float = 0.9995) -> tuple[np.ndarray, np.ndarray]:
+    return recorded(rs.Plant([[pole]], [[1 - pole]], [[1.0]], dt=1.0), np.random.default_rng(0), rows, 10)
+
+
+def test_a_steady_gain_by_transients_alone_is_said_to_be_one() -> None:
+    """A time constant of about 2000 rows: not in 4000, but in 40000."""
+    notes = rs.identify.subspace(*slow(4000), order=1, dt=2.0).report.notes
+    (note,) = (one for one in notes if "a pole lies near one" in one)
+    assert "the longest stretch without a gap has 6000 s" in note
+    for data in (slow(4000, pole=0.9), slow(40_000)):
+        notes = rs.identify.subspace(*data, order=1, dt=2.0).report.notes
+        assert not any("a pole lies near one" in one for one in notes)
+
+
+def test_what_standard_errors_are_from_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    u, y = good(80)
+    model = rs.identify.subspace(u, y, order=1, past=4, dt=1.0)
+    assert not model.resampled
+    assert any("no standard errors: the rows make" in one for one in model.report.notes)
+    u, y = good()
+    assert not any("standard errors" in one for one in rs.identify.subspace(u, y, dt=1.0).report.notes)
+    real, calls = realisation.realise, []
+
+    def failing(factor: Any, *rest: Any, **options: Any) -> Any:
+        calls.append(factor)
+        if len(calls) in (2, 5):
+            raise DataError("no stable predictor")
+        return real(factor, *rest, **options)
+
+    monkeypatch.setattr(realisation, "realise", failing)
+    model = rs.identify.subspace(u, y, order=2, dt=1.0)
+    assert len(model.resampled) == 14
+    assert any("standard errors are from 14 of 16 parts of the data" in one for one in model.report.notes)
+
+
+def test_why_there_is_no_fit_from_inputs_is_said() -> None:
+    u, y = slow(12_000, pole=0.999)
+    pieces = [(u[k : k + 3000], y[k : k + 3000]) for k in range(0, 12_000, 3000)]
+    short = rs.identify.subspace(pieces, order=1, dt=1.0).report
+    assert short.checked.simulated_fit is None
+    assert "no fit from inputs: the start of a simulation is left out until 1 % of it is left" in str(short)
+    whole = rs.identify.subspace(u, y, order=1, dt=1.0, held_out=0.0).report
+    assert whole.checked.simulated_fit is not None
+    assert "no fit from inputs" not in str(whole)
+    assert "there are no inputs" in str(rs.identify.subspace(None, y, order=1, dt=1.0).report)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from residua.design.core.evidence import format_pole
 from residua.identify.excitation import Excitation
-from residua.identify.prediction import CHANCE, ErrorFacts
+from residua.identify.prediction import CHANCE, ErrorFacts, rows_to_forget
 from residua.words import counted, listing, number
 
 #: An output's errors with a larger correlation than this, where chance is no reason, are called coloured.
@@ -124,6 +124,21 @@ class IdentificationReport:
         places = zip(*np.nonzero(error > 0.5 * np.abs(gain)), strict=True)
         return tuple((self.outputs[i], self.inputs[j], float(gain[i, j]), float(error[i, j])) for i, j in places)
 
+    @property
+    def no_simulation(self) -> str:
+        """Why no fit from inputs alone is given, in words; empty where one is."""
+        if self.checked.simulated_fit is not None:
+            return ""
+        if not self.inputs:
+            return "there are no inputs"
+        radius = float(np.abs(self.poles).max(initial=0.0))
+        if radius >= 1:
+            return f"a simulation never forgets its start, by a pole of size {radius:.4g}"
+        return (
+            f"the start of a simulation is left out until 1 % of it is left, {counted(rows_to_forget(radius), 'row')}, "
+            f"and no stretch without a gap is more than twice as long"
+        )
+
     # ------------------------------------------------------------------ words
 
     def __str__(self) -> str:
@@ -169,7 +184,7 @@ class IdentificationReport:
                 f"  {name:<{width}}  {_share(facts.fit[i]):>14}   {simulated:>11}   "
                 f"{number(float(facts.error[i])):>9}   {facts.autocorrelation[i]:.2f} {coloured}"
             )
-        return lines
+        return [*lines, *([f"  no fit from inputs: {self.no_simulation}"] if self.no_simulation else [])]
 
     @property
     def remarks(self) -> tuple[str, ...]:

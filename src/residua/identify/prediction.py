@@ -147,16 +147,19 @@ def _significant(
     return tuple(sorted(((outputs[i], inputs[j], float(largest[i, j])) for i, j in places), key=lambda one: -one[2]))
 
 
+def rows_to_forget(radius: float) -> int:
+    """Return after how many rows 1 % is left of the start of a simulation, for a spectral radius below one."""
+    with np.errstate(divide="ignore"):
+        return int(min(np.ceil(np.log(0.01) / np.log(radius)), BLOCK))
+
+
 class _Simulated:
     """Errors of outputs that are simulated from the inputs alone, piece by piece, the start of each left out."""
 
     def __init__(self, model: Innovations, m: int, p: int) -> None:
         radius = float(spectral_radius(model.A))
         self._runs = bool(m) and radius < 1
-        self._skip = BLOCK
-        if self._runs:  # until 1 % is left of the start
-            with np.errstate(divide="ignore"):
-                self._skip = int(min(np.ceil(np.log(0.01) / np.log(radius)), BLOCK))
+        self._skip = rows_to_forget(radius) if self._runs else BLOCK
         self._system = StateSpace(model.A, model.B, model.C, model.D, dt=1.0)
         self._squares, self._rows = np.zeros(p), 0
 

@@ -113,7 +113,8 @@ def resampled(
     """Return the models of the data without each of their parts in turn, in the coordinates of the whole.
 
     Their spread is that of the estimate (the jackknife), however the noise is correlated within a part. ``find`` looks
-    for the states again each time: with those of the whole the spread would be too small.
+    for the states again each time: with those of the whole the spread would be too small. A part without which there
+    is no stable model of this order has none: the list is then shorter than the parts.
     """
     models = []
     now = factor.R[:, factor.signals(range(states.past))]
@@ -121,7 +122,10 @@ def resampled(
         own = find(one)
         if len(own.T) < order:
             continue
-        model = realise(one, own, order, feedthrough=feedthrough)
+        try:
+            model = realise(one, own, order, feedthrough=feedthrough)
+        except DataError:  # no stable predictor: counted by who asks
+            continue
         # the same states in other coordinates: S takes their own to those of the whole, for the rows of all data
         S = regress(now @ states.T[:order].T, now @ own.T[:order].T).coefficients
         models.append(_in_coordinates(model, S))
