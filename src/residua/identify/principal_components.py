@@ -185,8 +185,8 @@ def principal_components(
     if stacked.count < _ROWS_FOR_EACH * d:
         raise DataError(
             f"{counted(stacked.count, 'row')} for {d} columns ({q} channels, {lags} lags): components of so few rows "
-            f"are those of chance; at least {_ROWS_FOR_EACH * d} are needed, and {KNOWN * d} for thresholds that can be "
-            "trusted: give a longer recording, fewer lags, or fewer channels"
+            f"are those of chance; at least {_ROWS_FOR_EACH * d} are needed, and {KNOWN * d} for thresholds that can "
+            "be trusted: give a longer recording, fewer lags, or fewer channels"
         )
     values, vectors = np.linalg.eigh(stacked.factor.T @ stacked.factor / (stacked.count - 1))
     variances, loadings = np.maximum(values[::-1], 0.0), _with_signs(vectors[:, ::-1])
