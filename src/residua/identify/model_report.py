@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from residua.design.core.evidence import format_pole
 from residua.identify.excitation import Excitation
 from residua.identify.prediction import CHANCE, ErrorFacts
+from residua.plant import Identification
 from residua.words import counted, listing, number
 
 #: An output's errors with a larger correlation than this, where chance is no reason, are called coloured.
@@ -123,6 +124,12 @@ class IdentificationReport:
         gain, error = self.steady_gain.gain, self.steady_gain.error
         places = zip(*np.nonzero(error > 0.5 * np.abs(gain)), strict=True)
         return tuple((self.outputs[i], self.inputs[j], float(gain[i, j]), float(error[i, j])) for i, j in places)
+
+    @property
+    def identification(self) -> Identification:
+        """What the plant carries of this, into files and for :func:`residua.suggest`."""
+        gains = tuple((output, given) for output, given, _, _ in self.uncertain_gains)
+        return Identification(self.method, self.samples, self.coloured, self.weak_inputs, gains)
 
     # ------------------------------------------------------------------ words
 
