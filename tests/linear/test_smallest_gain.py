@@ -92,8 +92,8 @@ def check_tightness(seeds: range, make, band: float) -> tuple[int, int, int]:
     return positive, tight, none
 
 
-# Of 200 systems 60 or so have a member whose gain is zero, or fewer outputs than inputs; of the first 40, 19. Some need more boxes for the
-# whole circle.
+# Of 200 systems 60 or so have a member whose gain is zero, or fewer outputs than inputs; of the first 40, 19. Some need
+# more boxes for the whole circle.
 @pytest.mark.parametrize("band", [0.0, 0.5, np.pi])
 def test_no_member_falls_below_the_bound(band):
     count = 40 if band > 1 else 80
