@@ -10,6 +10,7 @@ import pytest
 import scipy.io
 
 import residua as rs
+from effort import rounds
 from residua.errors import DataError, ModelError, SettingError
 from residua.identify import GreyBox, grey_box
 from residua.library.three_tank import CLOGS, FLOWS, GRAVITY, LEAKS, LEVELS, PIPE, three_tank, three_tank_rate
@@ -87,9 +88,10 @@ def test_data_without_noise_give_the_parameters_to_many_digits() -> None:
     assert any("without noise" in note for note in model.notes)
 
 
-def test_the_intervals_cover() -> None:
-    """Of 200 intervals for 95 % some 190 hold the parameter; the least and most that chance allows in one of 200."""
-    true, inside, runs = {"pole": 0.8, "gain": 2.0}, 0, 100
+@pytest.mark.parametrize("runs", rounds(50, 200))
+def test_the_intervals_cover(runs: int) -> None:
+    """Of 100 intervals for 95 % some 95 hold the parameter; the bounds are what chance allows."""
+    true, inside = {"pole": 0.8, "gain": 2.0}, 0
 
     def lag(pole: float, gain: float) -> rs.Plant:
         return rs.Plant([[pole]], [[gain * (1 - pole)]], [[1.0]], dt=1.0).with_noise(process=0.04, measurement=0.1)
@@ -102,10 +104,11 @@ def test_the_intervals_cover() -> None:
     assert 0.88 <= inside / (2 * runs) <= 0.99
 
 
-def test_standard_errors_count_coloured_errors() -> None:
+@pytest.mark.parametrize("runs", rounds(20, 80))
+def test_standard_errors_count_coloured_errors(runs: int) -> None:
     """Slow noise on the output of a plant without process noise: those for white errors are too small by half."""
     plant, estimates, said, plain = bare_spring(**TRUE).discretize(DT), [], [], []
-    for seed in range(40):
+    for seed in range(runs):
         u, _ = record(spring(**TRUE), 400, seed, hold=40)
         slow = np.random.default_rng(seed).standard_normal((400, 2))
         for k in range(1, 400):

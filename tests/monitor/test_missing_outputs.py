@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import residua as rs
+from effort import rounds
 from residua.decide import Matched, NormThreshold
 from residua.monitor.partial_update import PartialUpdate
 from residua.monitor.running import initial_state, run_block
@@ -82,14 +83,14 @@ def test_it_is_the_kalman_filter_of_the_book(seed: int, share: float) -> None:
 
 
 def test_innovations_stay_white_with_covariance_one() -> None:
-    """Of 15,000 samples 0.05 are four deviations of a variance; held values make it many times that."""
+    """Of 7,000 samples 0.07 are four deviations of a variance; held values make it many times that."""
     made = generated(5)
     monitor = rs.Monitor(rs.design.kalman_filter(made))
-    data = with_holes(simulated(made, 15_000, 1), 2, 0.1)
+    data = with_holes(simulated(made, 7000, 1), 2, 0.1)
     found = monitor.run(data[:, :1], data[:, 1:])
     assert isinstance(found, rs.Diagnosis)
     r = found.residuals[found.decided] @ monitor.norm_test.whitening
-    np.testing.assert_allclose(np.cov(r.T), np.eye(r.shape[1]), atol=0.05)
+    np.testing.assert_allclose(np.cov(r.T), np.eye(r.shape[1]), atol=0.07)
     before = rs.Monitor(rs.design.kalman_filter(made))
     before._spec = replace(before._specification(), partial=None)
     assert found.decided.mean() > 2 * before.run(data[:, :1], data[:, 1:]).decided.mean()  # type: ignore[union-attr]
@@ -180,13 +181,14 @@ def test_a_settled_fault_stays_named_while_outputs_are_missing() -> None:
         assert found.match.settled_sizes[k, 1] == pytest.approx(3.0, abs=4 * found.match.deviations[k, 1])
 
 
-def test_names_under_two_per_cent_of_missing_values_are_those_without() -> None:
+@pytest.mark.parametrize("runs", rounds(24, 48))
+def test_names_under_two_per_cent_of_missing_values_are_those_without(runs: int) -> None:
     """Held values date half of them, and name one in thirty wrongly that whole data name rightly."""
     made = rs.library.gertler(sensor_faults=True).with_noise(process=0.01, measurement=0.1)
     matched = rs.design.matched_filters(made, window=40)
     size, monitor, rng = matched.deviation(), rs.Monitor(matched), np.random.default_rng(0)
     wrong, dated = [0, 0], [0, 0]
-    for run in range(48):
+    for run in range(runs):
         f = np.zeros((300, 4))
         f[150:, run % 4] = 12 * size[made.faults[run % 4]]
         u, w = rng.standard_normal((300, 1)), rng.standard_normal((300, len(made.noises)))
@@ -197,8 +199,8 @@ def test_names_under_two_per_cent_of_missing_values_are_those_without() -> None:
             wrong[k] += found.candidates[0].faults != (made.faults[run % 4],)
             dated[k] += abs((found.onset or 0.0) - 150) <= 5
     assert wrong[1] <= wrong[0] + 1
-    assert dated[1] >= dated[0] - 3
-    assert dated[0] > 42
+    assert dated[1] >= dated[0] - runs // 16
+    assert dated[0] > 0.875 * runs
 
 
 def test_one_output_that_never_comes_back_leaves_the_others_at_work() -> None:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from residua.design.core.evidence import format_pole
 from residua.identify.excitation import Excitation
 from residua.identify.prediction import CHANCE, ErrorFacts, rows_to_forget
+from residua.plant import Identification
 from residua.words import counted, listing, number
 
 #: An output's errors with a larger correlation than this, where chance is no reason, are called coloured.
@@ -138,6 +139,12 @@ class IdentificationReport:
             f"the start of a simulation is left out until 1 % of it is left, {counted(rows_to_forget(radius), 'row')}, "
             f"and no stretch without a gap is more than twice as long"
         )
+
+    @property
+    def identification(self) -> Identification:
+        """What the plant carries of this, into files and for :func:`residua.suggest`."""
+        gains = tuple((output, given) for output, given, _, _ in self.uncertain_gains)
+        return Identification(self.method, self.samples, self.coloured, self.weak_inputs, gains)
 
     # ------------------------------------------------------------------ words
 

@@ -306,7 +306,8 @@ class _Made:
         )
         delayed = [with_input_delays(one, delays) for one in (plant, *others)]
         rows = delayed[0].n_states - plant.n_states
-        return IdentifiedModel(delayed[0], report, np.vstack([K, np.zeros((rows, len(V)))]), V, tuple(delayed[1:]))
+        noted = delayed[0].with_identification(report.identification)
+        return IdentifiedModel(noted, report, np.vstack([K, np.zeros((rows, len(V)))]), V, tuple(delayed[1:]))
 
 
 def _steady_gain(plant: Plant, others: list[Plant]) -> SteadyGain | None:
