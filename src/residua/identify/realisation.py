@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, DataError, DesignError
 from residua.identify.hankel_factor import HankelFactor, regress
-from residua.identify.horizon import NOISE_FREE, log_determinant
+from residua.identify.horizon import NOISE_FREE
 from residua.identify.state_map import StateMap
 from residua.linear import StateSpace
 from residua.linear.poles.riccati import filter_riccati
@@ -189,15 +189,3 @@ def _without_negative(joint: Matrix) -> Matrix:
     size = np.sqrt(np.diag(joint))
     values, vectors = np.linalg.eigh(joint / np.outer(size, size))
     return np.outer(size, size) * ((vectors * np.maximum(values, 0.0)) @ vectors.T)
-
-
-def criterion(factor: HankelFactor, states: StateMap, most: int, *, feedthrough: bool) -> NDArray[np.float64]:
-    """Return Schwarz's criterion of the orders 0 to ``most``, by their prediction errors; the smallest is zero."""
-    N, m, p = factor.windows, factor.n_inputs, factor.n_outputs
-    x = factor.R[:, factor.signals(range(states.past))] @ states.T[:most].T
-    fixed = factor.R[:, [0, *(factor.inputs(states.past) if feedthrough else [])]]
-    T = np.asarray(np.linalg.qr(np.hstack([fixed, x, factor.R[:, factor.outputs(states.past)]]), mode="r"))
-    values = [
-        N * log_determinant(T[fixed.shape[1] + n :, -p:], N) + n * (2 * p + m) * np.log(N) for n in range(most + 1)
-    ]
-    return np.array(values) - min(values)

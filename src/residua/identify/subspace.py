@@ -172,7 +172,7 @@ def subspace(
         states = _states(method, factor, horizon, feedthrough)
         most = len(states.T) if max_order is None else min(max_order, len(states.T))
         most = min(most, _MOST_ORDERS) if max_order is None else most
-        choice = choose_order(factor, states, most, last, order, feedthrough=feedthrough, progress=tell)
+        choice = choose_order(factor, states, most, first, last, order, feedthrough=feedthrough, progress=tell)
         model = realise(factor, states, choice.order, feedthrough=feedthrough)
         made = _Made(method, first, last, facts, factor, states, choice, model, feedthrough)
         notes = (*gathered.notes, *facts.notes(gathered.sources), *made.notes())
