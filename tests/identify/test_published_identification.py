@@ -7,7 +7,7 @@ routine IB01BD, whose published matrices and Kalman gain are from all of it. SLI
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 import pytest
@@ -25,7 +25,8 @@ A = np.array(
 B, D = np.array([[-0.2142], [-0.1968], [0.0525], [0.0361]]), np.array([[-0.0041]])
 C, K = np.array([[-0.4442, 0.6663, 0.3961, 0.4102]]), np.array([[-1.9513], [-0.1867], [0.6348], [-0.3486]])
 SETTLED = 60  # rows after which the state at the start no longer matters
-METHODS = ("pbsid", "cva", "n4sid", "moesp")
+Method = Literal["pbsid", "cva", "n4sid", "moesp"]
+METHODS = get_args(Method)
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +48,9 @@ def test_the_recording_is_the_published_one(dryer: tuple[np.ndarray, np.ndarray]
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_no_worse_than_the_published_model_of_the_same_order(method: str, dryer: tuple[np.ndarray, np.ndarray]) -> None:
+def test_no_worse_than_the_published_model_of_the_same_order(
+    method: Method, dryer: tuple[np.ndarray, np.ndarray]
+) -> None:
     theirs = published_error(*dryer)
     options: dict[str, Any] = {"order": 4, "past": 15, "method": method, "dt": 0.08, "feedthrough": True}
     whole = rs.identify.subspace(*dryer, **options, held_out=0)
@@ -60,9 +63,11 @@ def test_no_worse_than_the_published_model_of_the_same_order(method: str, dryer:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_the_order_is_that_from_which_on_nothing_is_gained(method: str, dryer: tuple[np.ndarray, np.ndarray]) -> None:
+def test_the_order_is_that_from_which_on_nothing_is_gained(
+    method: Method, dryer: tuple[np.ndarray, np.ndarray]
+) -> None:
     """The leading combination of the past alone predicts the next row well, and is no model of a slow plant."""
-    report = rs.identify.subspace(*dryer, dt=0.08, **{"method": method}).report
+    report = rs.identify.subspace(*dryer, method=method, dt=0.08).report
     assert report.order in (4, 5)
     assert report.held_out_errors[report.order] < 1.03 * np.nanmin(report.held_out_errors)
     assert not report.coloured
