@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from residua.identify.excitation import Excitation
 from residua.identify.prediction import CHANCE, ErrorFacts
 from residua.plant import Identification
-from residua.words import counted, listing, number
+from residua.words import listing, number
 
 #: An output's errors with a larger correlation than this, where chance is no reason, are called coloured.
 _COLOURED = 0.1
