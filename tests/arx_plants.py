@@ -26,12 +26,15 @@ class TrueEquations:
 
     def simulated(self, u: NDArray[np.float64], e: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the outputs from rest."""
-        y, last = np.zeros(e.shape), len(self.a) - 1
+        last, p = len(self.a) - 1, e.shape[1]
+        pushed = e + sum(
+            np.vstack([np.zeros((row, p)), u[: len(u) - row] @ self.b[row].T]) for row in range(1, last + 1)
+        )
+        weights = np.hstack(list(self.a[:0:-1]))  # the oldest row first
+        y = np.zeros((len(e) + last, p))
         for k in range(len(e)):
-            y[k] = e[k]
-            for row in range(1, min(last, k) + 1):
-                y[k] += self.a[row] @ y[k - row] + self.b[row] @ u[k - row]
-        return y
+            y[k + last] = pushed[k] + weights @ y[k : k + last].ravel()
+        return y[last:]
 
 
 def true_equations(rng: np.random.Generator, orders: tuple[int, ...], m: int) -> TrueEquations:

@@ -213,7 +213,7 @@ def _check_options(order: Any, max_order: Any, past_of: Any, held_out: Any) -> N
 
 
 def _whole(value: Any) -> bool:
-    return isinstance(value, (int, np.integer)) and not isinstance(value, bool) and value >= 0
+    return isinstance(value, (int, np.integer)) and not isinstance(value, bool) and int(value) >= 0
 
 
 def _wanted(order: Any, gathered: Gathered) -> dict[str, int]:

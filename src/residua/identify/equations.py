@@ -15,9 +15,11 @@ from residua.identify.hankel_factor import HankelFactor
 from residua.identify.horizon import NOISE_FREE
 from residua.identify.realisation import Innovations
 from residua.tolerances import DATA_ROUNDING
-from residua.words import counted
+from residua.words import counted, listing
 
 Matrix = NDArray[np.float64]
+#: Signals that a message names at most, and the part of the largest from which on one is named.
+_NAMED, _SHARE = 4, 0.05
 
 
 @dataclass(frozen=True)
@@ -195,21 +197,29 @@ def fit_equations(
         Q, T = np.linalg.qr(X)
         left = determined(T)
         if left.min() <= DATA_ROUNDING:
-            first = int(np.argmax(left <= DATA_ROUNDING))
-            raise DataError(_determined_text(names, terms[first - 1], float(left[first]), shape, names[m + i]))
+            raise DataError(_determined_text(T, left, terms, shape, names, names[m + i]))
         inverse = np.asarray(solve_triangular(T, Q.T), dtype=float)
         theta = inverse @ y
         each.append(FittedEquation(shape, terms, float(theta[0]), theta[1:], y - X @ theta, inverse))
     return Equations(tuple(each), m, factor.windows)
 
 
-def _determined_text(names: tuple[str, ...], term: Term, left: float, shape: Shape, output: str) -> str:
-    channel, row = term
-    what = repr(names[channel])
-    if row:
-        what += f" {counted(row, 'row')} before"
+def _determined_text(
+    T: Matrix, left: Matrix, terms: Sequence[Term], shape: Shape, names: tuple[str, ...], output: str
+) -> str:
+    """Return which signal of an equation follows from which others."""
+
+    def text(term: Term) -> str:
+        return repr(names[term[0]]) + (f" {counted(term[1], 'row')} before" if term[1] else "")
+
+    first = int(np.argmax(left <= DATA_ROUNDING))
+    size = np.linalg.norm(T[:, :first], axis=0)
+    share = np.abs(np.linalg.solve(T[:first, :first], T[:first, first]) * size)[1:]
+    largest = [k for k in np.argsort(-share, kind="stable")[:_NAMED] if share[k] > _SHARE * share.max()]
+    row = terms[first - 1][1]
     return (
-        f"the equation of {output!r} with {counted(shape.order, 'row')} of the past is not determined: its nearer "
-        f"signals determine {what} but for {left:.2g} of its size; ask for a lower order (below {max(row, 1)}), move the "
-        "inputs more freely, or leave a channel out that follows from others"
+        f"the equation of {output!r} with {counted(shape.order, 'row')} of the past is not determined: "
+        f"{text(terms[first - 1])} follows from {listing(text(terms[k]) for k in sorted(largest))} but for "
+        f"{left[first]:.2g} of its size; ask for a lower order (below {max(row, 1)}), move the inputs more freely, or "
+        "leave a channel out that follows from others"
     )
