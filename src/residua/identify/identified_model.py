@@ -118,19 +118,10 @@ class IdentifiedModel:
         >>> model.uncertain_plant().names
         ('model 1', 'model 2', 'model 3')
         """
-        if not 0 < level < 1:
-            raise SettingError(f"level must be a probability between 0 and 1, got {level!r}")
         if len(self.resampled) < 3:
             raise DataError("too few parts of data to tell how uncertain the model is: identify from more rows")
-        nominal = self.plant if plant is None else plant
-        if nominal.A.shape != self.plant.A.shape or not np.array_equal(nominal.A, self.plant.A):
-            raise SettingError("plant must be the plant of this model, with faults added")
-        values, vectors = self._spread(directions)
-        quantile = float(-ndtri((1 - level ** (1 / max(len(values), 1))) / 2))
-        deltas: list[Perturbation] = []
-        for k, (size, vector) in enumerate(zip(values, vectors, strict=True)):
-            deltas += _perturbations(nominal, vector, quantile * size, f"model {k + 1}")
-        return UncertainPlant(nominal, deltas)
+        nominal = with_faults_of(self.plant, plant)
+        return uncertain_along(nominal, *self._spread(directions), level)
 
     def predict(self, recordings: Any, y: ArrayLike | None = None) -> tuple[Prediction, ...]:
         r"""Return the one-step predictions of the outputs of recordings, in plant units.
@@ -228,6 +219,36 @@ class IdentifiedModel:
 
     def __repr__(self) -> str:
         return f"IdentifiedModel(order {self.report.order} by {self.report.method}, {self.plant!r})"
+
+
+def with_faults_of(nominal: Plant, plant: Plant | None) -> Plant:
+    """Return the plant with faults that a caller handed over, if it is the model's own."""
+    if plant is None:
+        return nominal
+    if plant.A.shape != nominal.A.shape or not np.array_equal(plant.A, nominal.A):
+        raise SettingError("plant must be the plant of this model, with faults added")
+    return plant
+
+
+def uncertain_along(
+    nominal: Plant, sizes: NDArray[np.float64], directions: Sequence[dict[str, NDArray[np.float64]]], level: float
+) -> UncertainPlant:
+    """Return a plant whose matrices vary along directions, each a parameter of its own with this standard deviation.
+
+    The box holds a Gaussian estimate with a probability of ``level``.
+
+    Raises
+    ------
+    SettingError
+        If the level is no probability.
+    """
+    if not 0 < level < 1:
+        raise SettingError(f"level must be a probability between 0 and 1, got {level!r}")
+    quantile = float(-ndtri((1 - level ** (1 / max(len(sizes), 1))) / 2))
+    deltas: list[Perturbation] = []
+    for k, (size, vector) in enumerate(zip(sizes, directions, strict=True)):
+        deltas += _perturbations(nominal, vector, quantile * size, f"model {k + 1}")
+    return UncertainPlant(nominal, deltas)
 
 
 def _perturbations(

@@ -12,10 +12,11 @@ from residua.errors import DataError, SettingError
 from residua.identify.canonical_weights import canonical_weights
 from residua.identify.channel_facts import ChannelFacts, channel_facts
 from residua.identify.excitation import excitation
+from residua.identify.fit_report import SteadyGain
 from residua.identify.hankel_factor import HankelFactor, hankel_factor
 from residua.identify.horizon import choose_past
 from residua.identify.identified_model import IdentifiedModel, plant_of, with_input_delays
-from residua.identify.model_report import IdentificationReport, SteadyGain
+from residua.identify.model_report import IdentificationReport
 from residua.identify.moesp import moesp
 from residua.identify.n4sid import n4sid
 from residua.identify.order_choice import OrderChoice, choose_order
