@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from residua.errors import DataError
 from residua.identify.hankel_factor import HankelFactor
-from residua.identify.prediction import predictions
+from residua.identify.prediction import ErrorSums, predictions
 from residua.identify.realisation import criterion, realise
 from residua.identify.segments import Gathered
 from residua.identify.state_map import StateMap
@@ -91,15 +91,9 @@ def _error(factor: HankelFactor, states: StateMap, order: int, held_out: Gathere
         model = realise(factor, states, order, feedthrough=feedthrough)
     except DataError:  # no stable predictor of this order
         return np.nan
-    p = factor.n_outputs
-    rows, total, squares, errors = 0, np.zeros(p), np.zeros(p), np.zeros(p)
+    sums = ErrorSums(factor.n_outputs)
     for _, y, predicted in predictions(model, held_out, factor.reference, factor.units):
-        rows += len(y)
-        total += y.sum(axis=0)
-        squares += (y**2).sum(axis=0)
-        errors += ((y - predicted) ** 2).sum(axis=0)
-    if not rows:
+        sums.add(y, y - predicted)
+    if not sums.rows:
         return np.nan
-    variance = squares - total**2 / rows
-    share = errors / np.where(variance > 0, variance, 1.0)
-    return float(np.exp(np.log(np.maximum(share, np.finfo(float).tiny)).mean() / 2))
+    return float(np.exp(np.log(np.maximum(sums.share, np.finfo(float).tiny)).mean() / 2))
