@@ -13,6 +13,7 @@ import residua as rs
 from effort import rounds
 from residua.errors import DataError, ModelError, SettingError
 from residua.identify import GreyBox, grey_box
+from residua.identify.grey_box import _whiteness
 from residua.library.three_tank import CLOGS, FLOWS, GRAVITY, LEAKS, LEVELS, PIPE, three_tank, three_tank_rate
 from residua.plant import UncertainPlant
 from three_tank_faults import FAILED, diagnosis
@@ -427,3 +428,10 @@ def test_the_faults_of_the_three_tanks_are_named(
         alarm = found.main_alarm
         named += bool(alarm and alarm.candidates and wanted & set(alarm.candidates[0].faults))
     assert named >= 11
+
+
+def test_whiteness_counts_only_pairs_of_rows_within_a_stretch() -> None:
+    """Of white errors in many short stretches the probabilities are even; 0.06 are four deviations of their mean."""
+    rng = np.random.default_rng(0)
+    found = [_whiteness([rng.standard_normal((8, 1)) for _ in range(40)])[0] for _ in range(400)]
+    assert np.mean(found) == pytest.approx(0.5, abs=0.06)

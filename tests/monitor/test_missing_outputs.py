@@ -340,3 +340,19 @@ def test_what_was_not_judged_for_want_of_values_is_said_with_its_reason_and_reme
     u[::10, 1] = np.nan
     (note,) = (one for one in rs.Monitor(kalman).run(u, y).notes if "not judged" in one)  # type: ignore[union-attr]
     assert note.startswith("12 % of the recording")
+
+
+def test_states_that_delay_an_input_are_not_lost_when_it_is_missing() -> None:
+    """Nothing is known of them without noise but what the input is: the filter does not start anew for that."""
+    A, B = np.array([[0.9, 0.1, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]), np.array([[0.0], [0.0], [1.0]])
+    late = rs.Plant(A, B, [[1.0, 0.0, 0.0]], dt=1).with_sensor_faults()
+    late = late.with_noise(process=np.diag([1e-2, 0.0, 0.0]), measurement=1e-2)
+    rng = np.random.default_rng(0)
+    u, w = 10 * rng.standard_normal((600, 1)), rng.standard_normal((600, len(late.noises)))
+    y = late.system(("control", "noise")).simulate(np.hstack([u, w]))
+    u[100::50] = np.nan
+    found = rs.Monitor(rs.design.kalman_filter(late)).run(u, y)
+    assert isinstance(found, rs.Diagnosis)
+    assert found.resets == 0
+    assert np.array_equal(found.decided[100:], np.isfinite(u[100:, 0]))
+    assert not found.alarm.any()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from residua.errors import DataError
 from residua.identify.hankel_factor import HankelFactor
 from residua.identify.horizon import log_determinant
-from residua.identify.prediction import predictions
+from residua.identify.prediction import ErrorSums, predictions
 from residua.identify.realisation import Innovations, realise
 from residua.identify.segments import Gathered
 from residua.identify.state_map import StateMap
@@ -118,15 +118,9 @@ def criterion(model: Innovations, fitted: Gathered, factor: HankelFactor, *, fee
 
 def _error(model: Innovations, held_out: Gathered, factor: HankelFactor) -> float:
     """Return the prediction error of a model on the held-out part."""
-    p = factor.n_outputs
-    rows, total, squares, errors = 0, np.zeros(p), np.zeros(p), np.zeros(p)
+    sums = ErrorSums(factor.n_outputs)
     for _, y, predicted in predictions(model, held_out, factor.reference, factor.units):
-        rows += len(y)
-        total += y.sum(axis=0)
-        squares += (y**2).sum(axis=0)
-        errors += ((y - predicted) ** 2).sum(axis=0)
-    if not rows:
+        sums.add(y, y - predicted)
+    if not sums.rows:
         return np.nan
-    variance = squares - total**2 / rows
-    share = errors / np.where(variance > 0, variance, 1.0)
-    return float(np.exp(np.log(np.maximum(share, np.finfo(float).tiny)).mean() / 2))
+    return float(np.exp(np.log(np.maximum(sums.share, np.finfo(float).tiny)).mean() / 2))

@@ -68,13 +68,15 @@ class Innovations:
 
     def predictor(self) -> StateSpace:
         """Return what predicts the outputs from inputs and outputs, one row ahead, in deviations from rest."""
-        return StateSpace(
-            self.A - self.K @ self.C,
-            np.hstack([self.B - self.K @ self.D, self.K]),
-            self.C,
-            np.hstack([self.D, np.zeros((len(self.C), len(self.C)))]),
-            dt=1.0,
-        )
+        return one_step_predictor(self.A, self.B, self.C, self.D, self.K, dt=1.0)
+
+
+def one_step_predictor(A: Matrix, B: Matrix, C: Matrix, D: Matrix, K: Matrix, *, dt: float) -> StateSpace:
+    r"""Return the filter from inputs and outputs to the outputs predicted one row ahead, of a model with a gain.
+
+    .. math:: x_{k+1} = (A - K C) x_k + (B - K D) u_k + K y_k, \qquad \hat y_k = C x_k + D u_k
+    """
+    return StateSpace(A - K @ C, np.hstack([B - K @ D, K]), C, np.hstack([D, np.zeros((len(C), len(C)))]), dt=dt)
 
 
 def realise(factor: HankelFactor, states: StateMap, order: int, *, feedthrough: bool) -> Innovations:

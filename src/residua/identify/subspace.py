@@ -23,7 +23,7 @@ from residua.identify.order_choice import OrderChoice, choose_order
 from residua.identify.pbsid import pbsid
 from residua.identify.prediction import error_facts
 from residua.identify.realisation import Innovations, realise, resampled
-from residua.identify.segments import Gathered, Names, gather
+from residua.identify.segments import Gathered, Names, checked_count, gather
 from residua.identify.state_map import StateMap
 from residua.linear.poles.spectrum import spectral_radius
 from residua.plant import Plant
@@ -188,9 +188,8 @@ def _check_numbers(order: Any, max_order: Any, past: Any, held_out: Any) -> None
         (max_order, "max_order", 0, None),
         (past, "past", 1, "auto"),
     ):
-        whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-        if not (value >= least if whole else type(value) is type(other) and value == other):
-            raise SettingError(f"{what} must be a whole number of at least {least}, or {other!r}, got {echo(value)}")
+        if not (type(value) is type(other) and value == other):
+            checked_count(value, what, least, repr(other))
     if max_order is not None and order != "auto" and max_order < order:
         raise SettingError(f"max_order must be at least the order that is asked for, {order}, got {max_order}")
     if not (isinstance(held_out, (int, float, np.integer, np.floating)) and 0 <= held_out <= 0.9):

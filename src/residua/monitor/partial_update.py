@@ -141,6 +141,18 @@ class PartialUpdate:
         return np.where(moved > 0, _UNKNOWN / np.where(moved > 0, moved, 1.0), 0.0)
 
     @cached_property
+    def _most(self) -> Matrix:
+        """Variance of each state beyond which the filter is lost: far more than one missing input can cause.
+
+        A state without noise, such as one that delays an input, is uncertain by its inputs alone.
+        """
+        moved, by = np.zeros(len(self.A)), self.B * np.sqrt(self.free_input / _UNKNOWN)
+        for _ in range(len(self.A)):
+            moved = np.maximum(moved, np.sum(by**2, axis=1))
+            by = _product(self.A, by)
+        return _LOST * (np.diag(self.spread) + moved)
+
+    @cached_property
     def nominal(self) -> tuple[Matrix, Matrix]:
         """Responses of the stationary innovation by age, the settled one last: (ages + 1, faults, p); their scale.
 
@@ -193,7 +205,7 @@ class PartialUpdate:
             following = following + _product(held * self.free_input[~given], held.T)
         following = (following + following.T) / 2
         reached = bool(np.all(np.abs(following - self.covariance) <= _REACHED * self.spread))
-        lost = not bool(np.all(np.diag(following) <= _LOST * np.diag(self.spread)))
+        lost = not bool(np.all(np.diag(following) <= self._most))
         units = _product(self._stationary_root, inverse) if there.all() and not stationary else np.eye(p)
         matrices = (A, np.hstack([B, K]), -_product(units, self.C), np.hstack([-_product(units, self.D), units]))
         white = _product(units.T, self.whitening)
