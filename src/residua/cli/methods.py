@@ -167,12 +167,7 @@ class Call:
 
     def run(self, plant: Plant) -> Any:
         """Make the call, and return what a monitor takes of it."""
-        asked = self.asked
-        for name, chosen in self.method.chosen.items():
-            if name not in asked:
-                if chosen not in self.made:
-                    self.made[chosen] = chosen.make(plant, CHOICE_TIME)
-                asked[name] = self.made[chosen]
+        asked = self.method.with_chosen(plant, self.asked, self.made, CHOICE_TIME)
         try:
             made = self.method.function(self._of_the_time(plant), **asked)
             check_design(self.method, made)

@@ -28,6 +28,7 @@ from residua.decide.matched_responses import MatchedTest
 from residua.decide.sizes import fault_unit
 from residua.decide.statement import (
     POOR_SCORE,
+    SURE,
     Statement,
     headline_of,
     how_sure,
@@ -69,13 +70,9 @@ MATCH_RULES = (
     "a step with the arrival given, with one standard deviation."
 )
 
-_SURE = {
-    "clear lead": "a clear lead",
-    "moderate lead": "a moderate lead",
-    "close call": "a close call",
+_SURE = SURE | {
     "no good match": "neither fits: the model is in error, or the fault is no step, or none of these",
     "inexact match": NO_FIT,
-    "short alarm": "judged over a window that is longer than the alarm",
 }
 
 

@@ -15,7 +15,8 @@ CLEAR_MARGIN = 0.10
 #: Below this score no listed fault explains the residual well (it points more than 45 degrees away).
 POOR_SCORE = 0.70
 
-_SURE = {
+#: How confidences are said.
+SURE = {
     "clear lead": "a clear lead",
     "moderate lead": "a moderate lead",
     "close call": "a close call",
@@ -149,7 +150,7 @@ def _comparison(
         return f"{text}; there is no other candidate to compare with."
     following = candidates[1]
     next_one = score(following.score) + (f" ({beside(following.score)})" if beside else "")
-    return f"{text}; next is {following.name} with {next_one}: {_SURE[confidence]}, margin {score(margin)}."
+    return f"{text}; next is {following.name} with {next_one}: {SURE[confidence]}, margin {score(margin)}."
 
 
 def angle(cosine: float) -> str:

@@ -235,13 +235,7 @@ class Candidate:
 
     def run(self, plant: Plant) -> Any:
         """Make the call."""
-        chosen = {name: self._made(one, plant) for name, one in self.method.chosen.items()}
-        return self.method.function(plant, **chosen, **self.options)
-
-    def _made(self, one: Chosen, plant: Plant) -> Any:
-        if one not in self.made:
-            self.made[one] = one.make(plant, _CHOICE_TIME)
-        return self.made[one]
+        return self.method.function(plant, **self.method.with_chosen(plant, self.options, self.made, _CHOICE_TIME))
 
 
 def candidates(plant: Plant, known: Diagnosability | None) -> Iterator[Candidate]:

@@ -196,9 +196,10 @@ def _check_leaks(generator: ResidualGenerator, where: str) -> None:
     """
     promised = dict(generator.evidence.decoupling)
     promised.setdefault("disturbance", promised.get(IGNORED, np.inf))
+    cost = generator.evidence.cost_of_sampling
     w = frequency_grid(generator.system, generator.plant.system(()))[::_EVERY]
     for name, gain in leakage(generator.system, generator.plant, w).items():
-        known = max(promised.get(name, np.inf), promised.get(f"{name}, sampled", 0.0))
+        known = max(promised.get(name, np.inf), cost.get(name, 0.0))
         if not gain <= max(2 * POLYNOMIAL_LEAKAGE, 1.01 * known):  # twice, for other rounding than where it was made
             raise FileFormatError(
                 f"{where}: the {name} inputs reach the residual, by {gain:.2g} of the terms that should cancel"

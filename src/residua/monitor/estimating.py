@@ -6,6 +6,7 @@ import numpy as np
 
 from residua.design import ResidualGenerator
 from residua.design.core.decoupling import Approximate, Decoupled, Promise
+from residua.design.core.evidence import of_sampling
 from residua.design.core.generator import make_generator
 from residua.design.core.internal_form import leakage
 from residua.design.detection_filters.detection_filter import stack_systems
@@ -13,8 +14,6 @@ from residua.errors import ModelError
 from residua.linear import StateSpace
 from residua.tolerances import POLYNOMIAL_LEAKAGE
 
-#: How the evidence of a sampled design calls what sampling costs.
-_SAMPLED = ", sampled"
 _ALIKE = ("inputs", "outputs", "faults", "disturbances", "dt")
 _EQUAL = ("A", "E", "C", *(matrix + role for role in "udfw" for matrix in "BD"))
 
@@ -62,9 +61,9 @@ def with_estimator(bank: ResidualGenerator, estimator: ResidualGenerator) -> Res
 
 def _sampled_leaks(bank: ResidualGenerator, estimator: ResidualGenerator, system: StateSpace) -> dict[str, float]:
     """Return how far inputs reach the two together, where either was sampled: at the frequencies of both."""
-    if not any(name.endswith(_SAMPLED) for part in (bank, estimator) for name in part.evidence.decoupling):
+    if not any(part.evidence.cost_of_sampling for part in (bank, estimator)):
         return {}
-    return {f"{name}{_SAMPLED}": gain for name, gain in leakage(system, bank.plant).items()}
+    return of_sampling(leakage(system, bank.plant))
 
 
 def _decouples(bank: ResidualGenerator, sampled: dict[str, float]) -> Promise:

@@ -150,10 +150,10 @@ def _missing(spec: Specification) -> str:
 def _sampling_notes(generator: ResidualGenerator) -> tuple[str, ...]:
     """Return a warning where sampling a continuous design let a notable part of a signal through."""
     return tuple(
-        f"sampling at {generator.dt:g} s lets {100 * gain:.2g} % of the {name.removesuffix(', sampled')} signals "
+        f"sampling at {generator.dt:g} s lets {100 * gain:.2g} % of the {name} signals "
         "into the residual at some frequency: design on the sampled plant, plant.discretize(dt), to avoid it"
-        for name, gain in generator.evidence.decoupling.items()
-        if name.endswith(", sampled") and gain > 0.01
+        for name, gain in generator.evidence.cost_of_sampling.items()
+        if gain > 0.01
     )
 
 

@@ -59,7 +59,7 @@ def check_residual_generator(
         raise AccuracyError(f"takes {generator.system.n_inputs} signals, the plant has {width}")
     if decoupled is None:
         decoupled = "disturbance" in generator.evidence.decoupling
-    allowed = {name: generator.evidence.decoupling.get(f"{name}, sampled", 0.0) for name in ("control", "disturbance")}
+    allowed = {"control": 0.0, "disturbance": 0.0} | generator.evidence.cost_of_sampling
     for name, gain in leakage(generator.system, plant).items():
         if (name == "control" or decoupled) and gain > tolerance + 1.01 * allowed[name]:
             raise AccuracyError(f"answers to the {name} inputs: relative gain {gain:.2g}")

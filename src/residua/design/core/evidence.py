@@ -10,6 +10,14 @@ from numpy.typing import NDArray
 
 from residua.linear.subspaces.rank import RankDecision
 
+#: How the decoupling of a sampled design calls what sampling costs, after the name of the group of inputs.
+_SAMPLED = ", sampled"
+
+
+def of_sampling(gains: Mapping[str, float]) -> dict[str, float]:
+    """Return gains to the residual as entries of a decoupling that are the cost of sampling."""
+    return {f"{name}{_SAMPLED}": gain for name, gain in gains.items()}
+
 
 def _empty() -> NDArray[np.complex128]:
     return np.zeros(0, dtype=complex)
@@ -51,6 +59,12 @@ class Evidence:
     conditions: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     references: tuple[str, ...] = ()
+
+    @property
+    def cost_of_sampling(self) -> dict[str, float]:
+        """The entries of ``decoupling`` that sampling a continuous design cost, by group of inputs."""
+        gains = self.decoupling.items()
+        return {name.removesuffix(_SAMPLED): gain for name, gain in gains if name.endswith(_SAMPLED)}
 
     def extended(
         self,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.design.core.decoupling import Approximate, Decoupled, Promise
-from residua.design.core.evidence import Evidence, format_pole
+from residua.design.core.evidence import Evidence, format_pole, of_sampling
 from residua.design.core.internal_form import (
     check_known_form,
     check_state_map,
@@ -287,7 +287,7 @@ class ResidualGenerator:
         """
         system = discretized_filter(self.system, self.plant, dt, hold_outputs)
         plant = self.plant.discretize(dt)
-        cost = {f"{name}, sampled": value for name, value in leakage(system, plant).items()}
+        cost = of_sampling(leakage(system, plant))
         note = (
             f"sampled at {system.dt:g} s: inputs held, outputs {hold_outputs} between samples; "
             "the gains marked 'sampled' are what that costs"

@@ -132,6 +132,21 @@ class Method:
     chosen: Mapping[str, Chosen] = field(default_factory=dict, repr=False)
     calls: Calls = field(default=one_call, repr=False)
 
+    def with_chosen(
+        self, plant: Plant, asked: Mapping[str, Any], made: dict[Chosen, Any], seconds: float
+    ) -> dict[str, Any]:
+        """Return arguments with those that are made from the plant, where they are not among them.
+
+        ``made`` keeps these for other calls; each takes at most so many seconds.
+        """
+        arguments = dict(asked)
+        for name, one in self.chosen.items():
+            if name not in arguments:
+                if one not in made:
+                    made[one] = one.make(plant, seconds)
+                arguments[name] = made[one]
+        return arguments
+
     @property
     def name(self) -> str:
         """The name of the function."""
