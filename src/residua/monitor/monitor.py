@@ -376,7 +376,7 @@ class Monitor:
         whole = []
         for p in range(len(data)):
             recorded = Recorded(clock, data[p], measured.source, measured.origin, compared)
-            told = (*notes, *self._unlike_the_fit(data[p]))
+            told = (*notes, *self._unlike_the_fit(data[p], decisions.aside[p]))
             diagnosis = diagnosis_from(decisions.of(p), recorded, spec, generator, state.filter, p, told, self._bounds)
             whole.append(diagnosis)
         return whole if np.ndim(measured.y) == 3 else whole[0]
@@ -507,13 +507,14 @@ class Monitor:
                 "or design for this step"
             )
 
-    def _unlike_the_fit(self, data: NDArray[np.float64]) -> list[str]:
+    def _unlike_the_fit(self, data: NDArray[np.float64], aside: NDArray[np.bool_]) -> list[str]:
         """Say which channels never come near what they were in the recordings that were fitted."""
         if self._check is None or not self._check.mean:
             return []
         plant = self.generator.plant
         was = np.array(self._check.mean), np.array(self._check.spread)
-        return units_of((*plant.inputs, *plant.outputs), data, *was, "the recordings that the monitor was fitted on")
+        seen = np.where(aside, np.nan, data)
+        return units_of((*plant.inputs, *plant.outputs), seen, *was, "the recordings that the monitor was fitted on")
 
     def _block(self, u: ArrayLike | None, y: ArrayLike) -> NDArray[np.float64]:
         data = stack_signals(self.generator.plant, u, y)
