@@ -8,6 +8,7 @@ from residua.identify.model_report import IdentificationReport
 from residua.identify.nonlinear_model import NonlinearModel
 from residua.identify.parity_from_data import DataParity, parity_from_data
 from residua.identify.principal_components import PrincipalComponents, principal_components
+from residua.identify.regimes import OperatingMode, Regimes, regimes
 from residua.identify.residuals_of_others import given_residuals
 from residua.identify.subspace import subspace
 
@@ -18,8 +19,10 @@ __all__ = [
     "IdentificationReport",
     "IdentifiedModel",
     "NonlinearModel",
+    "OperatingMode",
     "Prediction",
     "PrincipalComponents",
+    "Regimes",
     "TangentModel",
     "canonical_variates",
     "given_residuals",
@@ -27,6 +30,7 @@ __all__ = [
     "linearise",
     "parity_from_data",
     "principal_components",
+    "regimes",
     "subspace",
     "tangent_model",
 ]
