@@ -152,8 +152,8 @@ def regimes(
     y : array_like, shape (time, outputs), optional
     by : sequence of str, or mapping of str to (sequence of float or None)
         The signals of the modes, which are channels of the recordings with few values (numbers: on and off are 1 and
-        0). A mapping has the values that divide a signal: ``{"heating": None, "fan speed": [0.05]}`` has a mode for each
-        value of ``heating``, with a fan speed below 0.05, and from 0.05 on.
+        0). A mapping has the values that divide a signal: ``{"heating": None, "fan speed": [0.05]}`` has a mode for
+        each value of ``heating``, with a fan speed below 0.05, and from 0.05 on.
     inputs, outputs : sequence of str, optional
         Channels by name, in their own units; all columns when omitted. A signal of the modes without edges has one
         value in a mode, and is no channel of its design, wherever it is named.

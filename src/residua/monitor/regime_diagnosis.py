@@ -69,7 +69,7 @@ class RegimeDiagnosis:
 
     @property
     def alarms(self) -> tuple[RegimeAlarm, ...]:
-        """The alarms of all modes in the order of their times; one that goes on in another mode is raised there again."""
+        """The alarms of all modes in order of time; one that goes on in another mode is raised there again."""
         every = [RegimeAlarm(name, alarm) for name, one in self.judged.items() for alarm in one.alarms]
         return tuple(sorted(every, key=lambda one: one.alarm.start))
 

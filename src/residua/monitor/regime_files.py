@@ -73,8 +73,8 @@ def load_regimes(path: str | Path) -> RegimeMonitor:
         raise FileFormatError(f'{path.name} is no monitor by operating mode (no "format": {FORMAT!r} in it)')
     if content.get("version") != VERSION:
         raise FileFormatError(
-            f"{path.name} has schema version {echo(content.get('version'))}, this residua reads version {VERSION}: make "
-            "the monitor anew with this version"
+            f"{path.name} has schema version {echo(content.get('version'))}, this residua reads version {VERSION}: "
+            "make the monitor anew with this version"
         )
     edited = not check_checksum(content, path.name)
     try:

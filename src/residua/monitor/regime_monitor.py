@@ -21,12 +21,13 @@ from residua.monitor.monitor import Monitor
 from residua.monitor.regime_diagnosis import RegimeDiagnosis
 from residua.plant import Plant
 from residua.recording.recording import Recording, read_recording
-from residua.visible import echo, listed
+from residua.recording.time_axis import REGULAR
+from residua.visible import listed
 
 #: What is said of a mode that no recording showed.
 NEVER_SEEN = "a mode never seen"
 #: Steps of a recording and of the monitor may differ by that part, as for a :class:`residua.Monitor`.
-SAME_STEP = 1e-3
+SAME_STEP = REGULAR / 10
 
 
 class RegimeMonitor:
@@ -216,7 +217,7 @@ class RegimeMonitor:
         keys = self._keys(rows)
         old, label = ages(keys), self.regimes.signals.label
         here = distinct([keys])
-        clock = self.regimes.dt * np.arange(len(rows)) if measured.time is None else measured.time
+        clock = np.arange(len(rows), dtype=np.float64) * self.regimes.dt if measured.time is None else measured.time
         modes = tuple(label(key) for key in here)
         number = np.full(len(rows), -1)
         judged: dict[str, Diagnosis] = {}

@@ -143,7 +143,7 @@ def monitor_from(content: Mapping[str, Any], source: str) -> Monitor:
         )
     try:
         with np.errstate(all="ignore"):  # what overflows is refused; that it did is no news
-            return _monitor_in(record(renewed(content), "", (*_ENTRIES, "bounds", "fit_check", CHECKSUM)))
+            return _monitor_in(record(renewed(dict(content)), "", (*_ENTRIES, "bounds", "fit_check", CHECKSUM)))
     except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError, MemoryError, ResiduaError) as error:
         raise FileFormatError(f"{source}: {shortened(str(error), 1000)}") from error
 
