@@ -69,7 +69,8 @@ def test_one_model_for_all_modes_does_not_see_what_a_model_for_each_sees(monitor
     rows[400:550, NAMES.index("supply")] += 8 * NOISE
     diagnosis = monitor.run(None, rows)
     assert diagnosis.named == (("supply sensor",),)
-    assert diagnosis.main_alarm is not None and diagnosis.main_alarm.mode == "fan = 0, heating = 0"
+    assert diagnosis.main_alarm is not None
+    assert diagnosis.main_alarm.mode == "fan = 0, heating = 0"
     assert diagnosis.main_alarm.alarm.onset == pytest.approx(400, abs=5)
     assert diagnosis.alarm[410:550].mean() > 0.9
     one = rs.Monitor(rs.identify.principal_components(switched(0, NORMAL)[:, 2:])).fit(None, switched(1, NORMAL)[:, 2:])
@@ -84,7 +85,8 @@ def test_nothing_is_decided_in_a_mode_never_seen(monitor: rs.RegimeMonitor) -> N
     diagnosis = monitor.run(None, rows)
     assert diagnosis.unjudged == {"fan = 0, heating = 1": "a mode never seen"}
     assert diagnosis.samples("fan = 0, heating = 1") == 150
-    assert not diagnosis.decided[200:350].any() and not diagnosis.alarm[200:350].any()
+    assert not diagnosis.decided[200:350].any()
+    assert not diagnosis.alarm[200:350].any()
     assert np.isnan(diagnosis.statistic[200:350]).all()
     assert "not judged: fan = 0, heating = 1 (a mode never seen), 150 samples" in str(diagnosis)
 
@@ -99,7 +101,8 @@ def test_a_mode_is_judged_as_if_the_recording_had_no_other() -> None:
     first, second = (monitor.run(None, one).judged["fan = 1, heating = 0"] for one in (rows, other))
     assert np.array_equal(first.statistic, second.statistic, equal_nan=True)
     assert np.array_equal(first.decided, second.decided)
-    assert not first.decided[400:402].any() and first.decided[403:].all()
+    assert not first.decided[400:402].any()
+    assert first.decided[403:].all()
 
 
 def test_transients_are_found_and_masked() -> None:
@@ -112,7 +115,8 @@ def test_transients_are_found_and_masked() -> None:
     diagnosis = monitor.run(None, switched(2, short, decay=0.8))
     assert diagnosis.false_alarm_fraction < 0.03
     first = made.modes[MODES[1]].transient
-    assert not diagnosis.decided[150 : 150 + first].any() and diagnosis.decided[150 + first + 1 : 300].all()
+    assert not diagnosis.decided[150 : 150 + first].any()
+    assert diagnosis.decided[150 + first + 1 : 300].all()
     assert any("transients after changes of mode" in line for line in diagnosis.not_judged)
     # without it the same plant raises alarms after changes, or has thresholds that are too high
     loud = rs.RegimeMonitor(rs.identify.regimes(switched(0, short), outputs=NAMES, by=["fan", "heating"], transient=0))
@@ -142,8 +146,10 @@ def test_a_missing_signal_of_the_modes_means_no_decision(monitor: rs.RegimeMonit
     rows[100:120, 0] = np.nan
     rows[200, 3] = np.nan
     diagnosis = monitor.run(None, rows)
-    assert (diagnosis.mode[100:120] == -1).all() and not diagnosis.decided[100:121].any()
-    assert not diagnosis.decided[200:202].any() and diagnosis.decided[150:200].all()
+    assert (diagnosis.mode[100:120] == -1).all()
+    assert not diagnosis.decided[100:121].any()
+    assert not diagnosis.decided[200:202].any()
+    assert diagnosis.decided[150:200].all()
     assert "not judged: a signal of the modes is missing, 20 samples" in diagnosis.not_judged
 
 
