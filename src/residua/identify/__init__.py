@@ -9,6 +9,7 @@ from residua.identify.nonlinear_model import NonlinearModel
 from residua.identify.parity_from_data import DataParity, parity_from_data
 from residua.identify.principal_components import PrincipalComponents, principal_components
 from residua.identify.regimes import OperatingMode, Regimes, regimes
+from residua.identify.regression import Regression, regression
 from residua.identify.residuals_of_others import given_residuals
 from residua.identify.subspace import subspace
 
@@ -23,6 +24,7 @@ __all__ = [
     "Prediction",
     "PrincipalComponents",
     "Regimes",
+    "Regression",
     "TangentModel",
     "canonical_variates",
     "given_residuals",
@@ -31,6 +33,7 @@ __all__ = [
     "parity_from_data",
     "principal_components",
     "regimes",
+    "regression",
     "subspace",
     "tangent_model",
 ]
