@@ -1,5 +1,8 @@
 """Plants and residual generators from recordings: one method, one file."""
 
+from residua.identify.arx import arx
+from residua.identify.arx_model import ArxModel
+from residua.identify.arx_report import Equation, EquationReport
 from residua.identify.canonical_variates import CanonicalVariates, canonical_variates
 from residua.identify.grey_box import GreyBox, grey_box
 from residua.identify.identified_model import IdentifiedModel, Prediction
@@ -14,8 +17,11 @@ from residua.identify.residuals_of_others import given_residuals
 from residua.identify.subspace import subspace
 
 __all__ = [
+    "ArxModel",
     "CanonicalVariates",
     "DataParity",
+    "Equation",
+    "EquationReport",
     "GreyBox",
     "IdentificationReport",
     "IdentifiedModel",
@@ -26,6 +32,7 @@ __all__ = [
     "Regimes",
     "Regression",
     "TangentModel",
+    "arx",
     "canonical_variates",
     "given_residuals",
     "grey_box",
