@@ -13,7 +13,6 @@ from residua.design import kalman_filter
 from residua.design.core.brought import for_monitor
 from residua.errors import DataError, ModelError, SettingError
 from residua.identify.channel_facts import channel_facts
-from residua.identify.channel_filter import checked_count
 from residua.identify.identified_model import IdentifiedModel
 from residua.identify.lagged_rows import KNOWN
 from residua.identify.operating_modes import (
@@ -27,7 +26,7 @@ from residua.identify.operating_modes import (
     transient_rows,
 )
 from residua.identify.principal_components import principal_components
-from residua.identify.segments import Gathered, Names, Segment, gather
+from residua.identify.segments import Gathered, Names, Segment, checked_count, gather
 from residua.visible import echo, listed
 from residua.words import counted
 
@@ -186,7 +185,9 @@ def regimes(
     Notes
     -----
     Assumes: fault-free recordings in which each mode is visited; the plant is the same whatever mode it came from, once
-    the transient is over. A filter with a memory starts anew at each visit and settles besides.
+    the transient is over. A filter with a memory starts anew at each visit and settles besides. Where a mode was
+    visited once or twice, a slow drift over the visit looks like a transient, and more is left out than need be: name
+    ``transient`` then.
 
     See Also
     --------

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
 from residua.errors import SettingError
-from residua.identify.channel_filter import channel_generator, checked_count
+from residua.identify.channel_filter import channel_generator
 from residua.identify.lagged_rows import few_rows, lagged_rows, standard
-from residua.identify.segments import Names, gather
+from residua.identify.segments import Names, checked_count, gather
 from residua.linear.subspaces.rank import RankDecision
 from residua.tolerances import DATA_ROUNDING
 from residua.visible import listed
