@@ -14,7 +14,7 @@ from residua.errors import SettingError
 from residua.identify.channel_filter import channel_generator
 from residua.identify.lagged_rows import few_rows, lagged_rows, standard
 from residua.identify.segments import Names, checked_count, gather
-from residua.linear.subspaces.rank import RankDecision
+from residua.linear.subspaces.rank import null_basis, range_basis
 from residua.tolerances import DATA_ROUNDING
 from residua.visible import listed
 from residua.words import counted
@@ -108,7 +108,8 @@ def regression(
 
     See Also
     --------
-    residua.identify.parity_from_data : all linear relations at once, with the outputs' own past.
+    residua.identify.arx : with the outputs' own past, and a model that any design takes.
+    residua.identify.parity_from_data : all linear relations at once.
     residua.identify.regimes : one for each operating mode.
 
     Examples
@@ -134,9 +135,9 @@ def regression(
     known = stacked.columns(range(lags + 1), range(m))
     wanted = stacked.columns(range(1), range(m, q))
     X, Y = stacked.factor[:, known], stacked.factor[:, wanted]
-    left, values, right = np.linalg.svd(X, full_matrices=False) if m else (X, np.zeros(0), np.zeros((0, 0)))
-    kept = int(np.count_nonzero(values > DATA_ROUNDING * values[:1].max(initial=0.0)))
-    theta = (right[:kept].T / values[:kept]) @ (left[:, :kept].T @ Y) if kept else np.zeros((len(known), q - m))
+    moved, decision = range_basis(X.T, rtol=DATA_ROUNDING)
+    Q, R = np.linalg.qr(X @ moved)
+    theta = moved @ np.linalg.solve(R, Q.T @ Y)
     explained = 1 - np.sum((Y - X @ theta) ** 2, axis=0) / np.sum(Y**2, axis=0)
     size = units.spread[m:]
     weights = np.zeros((lags + 1, q - m, q))
@@ -144,9 +145,9 @@ def regression(
     weights[:, :, :m] = -theta.reshape(lags + 1, m, q - m).transpose(0, 2, 1) * size[:, None]
     evidence = Evidence(
         _METHOD,
-        ranks={"inputs": RankDecision(kept, values, float(DATA_ROUNDING * values[:1].max(initial=0.0)))},
+        ranks={"inputs": decision},
         conditions={"least part explained": float(explained.min())},
-        notes=(*few_rows(stacked.count, len(known) + 1), *_shared(right[kept:], gathered.inputs)),
+        notes=(*few_rows(stacked.count, len(known) + 1), *_shared(X, gathered.inputs)),
         references=("Draper and Smith (1998)",),
     )
     groups = dict.fromkeys(gathered.outputs, 1)
@@ -155,13 +156,14 @@ def regression(
     return Regression(generator, lags, coefficients, explained, units.mean, stacked.count)
 
 
-def _shared(directions: NDArray[np.float64], inputs: tuple[str, ...]) -> tuple[str, ...]:
+def _shared(factor: NDArray[np.float64], inputs: tuple[str, ...]) -> tuple[str, ...]:
     """Return a note where inputs determine one another."""
-    if not len(directions):
+    still, _ = null_basis(factor, rtol=DATA_ROUNDING)
+    if not still.size:
         return ()
-    weight = np.abs(directions).max(axis=0).reshape(-1, len(inputs)).max(axis=0)
+    weight = np.abs(still).max(axis=1).reshape(-1, len(inputs)).max(axis=0)
     names = [name for name, one in zip(inputs, weight, strict=True) if one > np.sqrt(DATA_ROUNDING)]
     return (
-        f"{counted(len(directions), 'combination')} of {listed(names)} never moved: they determine one another, and "
+        f"{counted(still.shape[1], 'combination')} of {listed(names)} never moved: they determine one another, and "
         "share their coefficients",
     )
