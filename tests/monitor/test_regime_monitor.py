@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from functools import partial
 from pathlib import Path
 
@@ -232,8 +233,38 @@ def test_a_saved_monitor_says_the_same(monitor: rs.RegimeMonitor, tmp_path: Path
     (tmp_path / "broken.json").write_text(text.replace('"transient": 0', '"transient": 9', 1))
     with pytest.raises(FileFormatError, match="checksum"):
         rs.RegimeMonitor.load(tmp_path / "broken.json")
-    with pytest.raises(FileFormatError, match="not a monitor"):
+    with pytest.raises(FileFormatError, match=r"RegimeMonitor\.load"):
         rs.Monitor.load(tmp_path / "modes.json")
+
+
+def test_a_file_that_was_edited_says_so(monitor: rs.RegimeMonitor, tmp_path: Path) -> None:
+    monitor.save(tmp_path / "modes.json")
+    content = json.loads((tmp_path / "modes.json").read_text())
+    content["modes"][1]["transient"] = 30
+    content["checksum"] = None
+    (tmp_path / "modes.json").write_text(json.dumps(content))
+    loaded = rs.RegimeMonitor.load(tmp_path / "modes.json")
+    diagnosis = loaded.run(None, switched(36, visits((0, 0, 100), (1, 0, 100))))
+    assert not diagnosis.decided[100:130].any()
+    assert any("was edited" in note for note in diagnosis.notes)
+    for entry, value in {
+        "by": [["fog", None]],
+        "modes": 3,
+        "dt": -1,
+        "outputs": ["fan", "heating"],
+        "version": 9,
+    }.items():
+        (tmp_path / "broken.json").write_text(json.dumps({**content, entry: value}))
+        with pytest.raises(FileFormatError, match=r"broken\.json"):
+            rs.RegimeMonitor.load(tmp_path / "broken.json")
+
+
+def test_a_page_on_one_mode(monitor: rs.RegimeMonitor, tmp_path: Path) -> None:
+    rows = switched(37, visits((1, 0, 200), (1, 1, 200)))
+    rows[300:, 4] += 2.0
+    diagnosis = monitor.run(None, rows, source="tuesday")
+    page = diagnosis.judged["fan = 1, heating = 1"].to_html(tmp_path / "page.html")
+    assert "supply sensor" in page.read_text()
 
 
 def test_what_is_refused(monitor: rs.RegimeMonitor) -> None:

@@ -13,7 +13,7 @@ from residua.identify.regimes import OperatingMode, Regimes
 from residua.json_files import CHECKSUM, check_checksum, dumps, loads
 from residua.monitor.monitor import Monitor
 from residua.monitor.regime_monitor import SAME_STEP, RegimeMonitor
-from residua.monitor.saving import EDITED, monitor_from, monitor_out
+from residua.monitor.saving import EDITED, REGIMES, monitor_from, monitor_out
 from residua.number_kinds import POSITIVE
 from residua.records import (
     float_in,
@@ -28,7 +28,6 @@ from residua.records import (
 )
 from residua.visible import echo, listed, shortened
 
-FORMAT = "residua-regime-monitor"
 VERSION = 1
 _ENTRIES = (
     *("format", "version", "by", "inputs", "outputs", "dt", "without_model", "unfitted", "notes", "modes"),
@@ -42,7 +41,7 @@ def save_regimes(monitor: RegimeMonitor, path: str | Path) -> None:
     regimes = monitor.regimes
     signals = regimes.signals
     content = {
-        "format": FORMAT,
+        "format": REGIMES,
         "version": VERSION,
         "by": [[name, None if e is None else list(e)] for name, e in zip(signals.names, signals.edges, strict=True)],
         "inputs": list(regimes.inputs),
@@ -69,8 +68,8 @@ def load_regimes(path: str | Path) -> RegimeMonitor:
     """Read a monitor by operating mode; raises :class:`FileFormatError` that says which entry is wrong."""
     path = Path(path)
     content = loads(read_bytes(path, "a monitor"), path.name)
-    if content.get("format") != FORMAT:
-        raise FileFormatError(f'{path.name} is no monitor by operating mode (no "format": {FORMAT!r} in it)')
+    if content.get("format") != REGIMES:
+        raise FileFormatError(f'{path.name} is no monitor by operating mode (no "format": {REGIMES!r} in it)')
     if content.get("version") != VERSION:
         raise FileFormatError(
             f"{path.name} has schema version {echo(content.get('version'))}, this residua reads version {VERSION}: "
@@ -137,4 +136,4 @@ def _texts(value: Any, where: str) -> dict[str, str]:
     return {name: text_in(text, joined(where, name)) for name, text in table_in(value, where).items()}
 
 
-__all__ = ["FORMAT", "VERSION", "load_regimes", "save_regimes"]
+__all__ = ["VERSION", "load_regimes", "save_regimes"]

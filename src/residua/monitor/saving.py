@@ -53,6 +53,8 @@ from residua.records import (
 from residua.visible import echo, shortened
 
 FORMAT = "residua-monitor"
+#: That of monitors by operating mode (``regime_files``), of which each holds several.
+REGIMES = "residua-regime-monitor"
 VERSION = 7
 #: The first version whose files have a checksum.
 _CHECKED = 6
@@ -134,6 +136,8 @@ def load_monitor(path: str | Path) -> Monitor:
 
 def monitor_from(content: Mapping[str, Any], source: str) -> Monitor:
     """Return the monitor of a record, whose checksum is the caller's to check."""
+    if content.get("format") == REGIMES:
+        raise FileFormatError(f"{source} is a monitor by operating mode: read it by residua.RegimeMonitor.load")
     if content.get("format") != FORMAT:
         raise FileFormatError(f'{source} is not a monitor of residua (no "format": {FORMAT!r} in it)')
     if content.get("version") not in (*OLDER, VERSION):
@@ -323,4 +327,4 @@ def _check_start(spec: Specification, start: NDArray[np.float64]) -> None:
         raise FileFormatError("running.start must be the state that the filter settles to, (I - A)^-1 B")
 
 
-__all__ = ["FORMAT", "VERSION", "load_monitor", "monitor_from", "monitor_out", "save_monitor"]
+__all__ = ["FORMAT", "REGIMES", "VERSION", "load_monitor", "monitor_from", "monitor_out", "save_monitor"]
