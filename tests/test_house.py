@@ -60,6 +60,7 @@ FACADES = {
     "residua.design.core.generator": "residua.design",  # to_parity, equivalent_to, observer
     "residua.design.suggestion": "residua.robust.sets",  # suggest, for an uncertain plant too
     "residua.monitor.monitor": "residua.monitor",  # save, load
+    "residua.monitor.regime_monitor": "residua.monitor",  # save, load
     "residua.monitor.diagnosis": "residua.report",  # plot, to_html
     "residua.cli": "residua.cli",  # main, which says what package is missing
     "residua.cli.app": "residua.demos",  # demo

@@ -11,6 +11,8 @@ from residua.identify.model_report import IdentificationReport
 from residua.identify.nonlinear_model import NonlinearModel
 from residua.identify.parity_from_data import DataParity, parity_from_data
 from residua.identify.principal_components import PrincipalComponents, principal_components
+from residua.identify.regimes import OperatingMode, Regimes, regimes
+from residua.identify.regression import Regression, regression
 from residua.identify.residuals_of_others import given_residuals
 from residua.identify.subspace import subspace
 
@@ -24,8 +26,11 @@ __all__ = [
     "IdentificationReport",
     "IdentifiedModel",
     "NonlinearModel",
+    "OperatingMode",
     "Prediction",
     "PrincipalComponents",
+    "Regimes",
+    "Regression",
     "TangentModel",
     "arx",
     "canonical_variates",
@@ -34,6 +39,8 @@ __all__ = [
     "linearise",
     "parity_from_data",
     "principal_components",
+    "regimes",
+    "regression",
     "subspace",
     "tangent_model",
 ]

@@ -4,6 +4,8 @@ from residua.decide.alarm import Alarm, Beginning, Candidate, PresentFault, Size
 from residua.monitor.decision import Decision
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.monitor import Monitor
+from residua.monitor.regime_diagnosis import RegimeAlarm, RegimeDiagnosis
+from residua.monitor.regime_monitor import RegimeMonitor
 from residua.monitor.running import Decisions
 from residua.recording.recording import Recording, read_recording, recording_from_frame
 from residua.recording.table_writer import write_table
@@ -18,6 +20,9 @@ __all__ = [
     "Monitor",
     "PresentFault",
     "Recording",
+    "RegimeAlarm",
+    "RegimeDiagnosis",
+    "RegimeMonitor",
     "Size",
     "read_recording",
     "recording_from_frame",

@@ -53,6 +53,8 @@ from residua.records import (
 from residua.visible import echo, shortened
 
 FORMAT = "residua-monitor"
+#: That of monitors by operating mode (``regime_files``), of which each holds several.
+REGIMES = "residua-regime-monitor"
 VERSION = 7
 #: The first version whose files have a checksum.
 _CHECKED = 6
@@ -84,6 +86,11 @@ _ENTRIES = (
 
 def save_monitor(monitor: Monitor, path: str | Path) -> None:
     """Write a monitor with its thresholds and running state; the file appears whole or not at all."""
+    write_text(path, dumps(monitor_out(monitor)))
+
+
+def monitor_out(monitor: Monitor) -> dict[str, Any]:
+    """Return a monitor as a record."""
     generator, test = monitor._generator, monitor._test
     resampled = generator is not None and generator is not monitor.design
     content: dict[str, Any] = {
@@ -107,7 +114,7 @@ def save_monitor(monitor: Monitor, path: str | Path) -> None:
         content["bounds"] = bounds_out(monitor._bounds)
     if monitor._check is not None:
         content["fit_check"] = values_out(monitor._check)
-    write_text(path, dumps(content))
+    return content
 
 
 def load_monitor(path: str | Path) -> Monitor:
@@ -121,21 +128,28 @@ def load_monitor(path: str | Path) -> Monitor:
     if path.suffix.lower() == ".toml":
         raise FileFormatError(f"{path.name} looks like a plant file: design a monitor from it first (residua design)")
     content = loads(read_bytes(path, "a monitor"), path.name)
+    monitor = monitor_from(content, path.name)
+    if content["version"] >= _CHECKED and not check_checksum(content, path.name) and EDITED not in monitor.notes:
+        monitor.notes = (*monitor.notes, EDITED)
+    return monitor
+
+
+def monitor_from(content: Mapping[str, Any], source: str) -> Monitor:
+    """Return the monitor of a record, whose checksum is the caller's to check."""
+    if content.get("format") == REGIMES:
+        raise FileFormatError(f"{source} is a monitor by operating mode: read it by residua.RegimeMonitor.load")
     if content.get("format") != FORMAT:
-        raise FileFormatError(f'{path.name} is not a monitor of residua (no "format": {FORMAT!r} in it)')
+        raise FileFormatError(f'{source} is not a monitor of residua (no "format": {FORMAT!r} in it)')
     if content.get("version") not in (*OLDER, VERSION):
         raise FileFormatError(
-            f"{path.name} has schema version {echo(content.get('version'))}, this residua reads version {VERSION} (and "
+            f"{source} has schema version {echo(content.get('version'))}, this residua reads version {VERSION} (and "
             f"{' and '.join(map(str, OLDER))}): make the monitor anew with this version"
         )
     try:
         with np.errstate(all="ignore"):  # what overflows is refused; that it did is no news
-            monitor = _monitor_in(record(renewed(content), "", (*_ENTRIES, "bounds", "fit_check", CHECKSUM)))
+            return _monitor_in(record(renewed(dict(content)), "", (*_ENTRIES, "bounds", "fit_check", CHECKSUM)))
     except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError, MemoryError, ResiduaError) as error:
-        raise FileFormatError(f"{path.name}: {shortened(str(error), 1000)}") from error
-    if content["version"] >= _CHECKED and not check_checksum(content, path.name) and EDITED not in monitor.notes:
-        monitor.notes = (*monitor.notes, EDITED)
-    return monitor
+        raise FileFormatError(f"{source}: {shortened(str(error), 1000)}") from error
 
 
 def _monitor_in(content: Mapping[str, Any]) -> Monitor:
@@ -313,4 +327,4 @@ def _check_start(spec: Specification, start: NDArray[np.float64]) -> None:
         raise FileFormatError("running.start must be the state that the filter settles to, (I - A)^-1 B")
 
 
-__all__ = ["FORMAT", "VERSION", "load_monitor", "save_monitor"]
+__all__ = ["FORMAT", "REGIMES", "VERSION", "load_monitor", "monitor_from", "monitor_out", "save_monitor"]

@@ -1,0 +1,415 @@
+"""One monitor for each operating mode, and the switch between them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from residua.decide.isolation import IsolationSettings
+from residua.decide.test import TestSettings
+from residua.errors import DataError, ModelError
+from residua.identify.operating_modes import ages, distinct, rows_in
+from residua.identify.regimes import OperatingMode, Regimes
+from residua.monitor.diagnosis import Diagnosis
+from residua.monitor.inputs import Signals, several_signals, signals
+from residua.monitor.monitor import Monitor
+from residua.monitor.regime_diagnosis import RegimeDiagnosis
+from residua.plant import Plant
+from residua.recording.recording import Recording, read_recording
+from residua.recording.time_axis import REGULAR
+from residua.visible import listed
+
+#: What is said of a mode that no recording showed.
+NEVER_SEEN = "a mode never seen"
+#: Steps of a recording and of the monitor may differ by that part, as for a :class:`residua.Monitor`.
+SAME_STEP = REGULAR / 10
+
+
+class RegimeMonitor:
+    """Watches recorded data for faults by one monitor for each operating mode.
+
+    A sample is judged by the monitor of its own mode. Nothing is decided in a mode without a model, where a signal of
+    the modes is missing, over the transient after a change of mode (:attr:`OperatingMode.transient
+    <residua.identify.OperatingMode>`), nor until the filter of the mode has settled after it: it starts anew at every
+    visit, and after every missing value. What the recording holds of these is said in the diagnosis, with the numbers
+    of samples. Each monitor has the false alarm rate that was asked for, so all together have it too.
+
+    Parameters
+    ----------
+    regimes : Regimes
+        From :func:`residua.identify.regimes`.
+    test : TestSettings, optional
+        When to raise an alarm, in every mode; what each design brings, when omitted (:class:`residua.Monitor`).
+    isolate : IsolationSettings, None or "auto"
+        How to name the fault, as in :class:`residua.Monitor`.
+    settle : int, optional
+        Samples after the transient in which nothing is decided; by the slowest pole of each filter when omitted.
+
+    Attributes
+    ----------
+    monitors : mapping of str to Monitor
+        By name of the mode. They see NaN wherever another mode is.
+    unfitted : mapping of str to str
+        The modes whose monitor the last fit could not fit, and why.
+
+    Notes
+    -----
+    It runs whole recordings; live samples (``step``) are for :class:`residua.Monitor`. A page on one mode:
+    ``diagnosis.judged[name].to_html(path)``.
+
+    See Also
+    --------
+    residua.identify.regimes : makes the designs.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import residua as rs
+    >>> rng = np.random.default_rng(0)
+    >>> def recorded(heating):
+    ...     air = rng.standard_normal(len(heating))
+    ...     supply = air + 10 * heating + 0.1 * rng.standard_normal(len(heating))
+    ...     return np.column_stack([heating, air, supply])
+    >>> normal = recorded(np.repeat([0.0, 1, 0, 1], 300))
+    >>> made = rs.identify.regimes(normal, outputs=["heating", "air", "supply"], by=["heating"])
+    >>> monitor = rs.RegimeMonitor(made).fit(None, recorded(np.repeat([0.0, 1, 0, 1], 300)))
+    >>> new = recorded(np.repeat([0.0, 1, 2], 100))
+    >>> new[150:200, 2] += 3.0
+    >>> diagnosis = monitor.run(None, new)
+    >>> diagnosis.named, diagnosis.onset
+    ((('supply sensor',),), 150.0)
+    >>> diagnosis.not_judged[0]
+    'not judged: heating = 2 (a mode never seen), 100 samples'
+    """
+
+    def __init__(
+        self,
+        regimes: Regimes,
+        *,
+        test: TestSettings | None = None,
+        isolate: IsolationSettings | str | None = "auto",
+        settle: int | None = None,
+    ) -> None:
+        if not isinstance(regimes, Regimes):
+            raise ModelError(f"expected what residua.identify.regimes returns, got {type(regimes).__name__}")
+        self.regimes = regimes
+        self.monitors: dict[str, Monitor] = {
+            name: Monitor(one.design, test=test, isolate=isolate, settle=settle, max_hold=0)
+            for name, one in regimes.modes.items()
+        }
+        self.unfitted: dict[str, str] = {}
+
+    @classmethod
+    def of(cls, regimes: Regimes, monitors: Mapping[str, Monitor], unfitted: Mapping[str, str]) -> RegimeMonitor:
+        """Return the switch between monitors that are there already, one for each mode.
+
+        Parameters
+        ----------
+        regimes : Regimes
+        monitors, unfitted : mapping of str
+            By name of the mode: the attributes of the same name.
+
+        Returns
+        -------
+        RegimeMonitor
+        """
+        made = cls(regimes)
+        made.monitors, made.unfitted = dict(monitors), dict(unfitted)
+        return made
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Inputs, then outputs, of the recordings that it takes."""
+        return self.regimes.inputs + self.regimes.outputs
+
+    @property
+    def is_fitted(self) -> bool:
+        """Whether some mode has a threshold."""
+        return any(one.is_fitted for one in self.monitors.values())
+
+    def fit(
+        self,
+        u: Any,
+        y: ArrayLike | None = None,
+        *,
+        time: ArrayLike | None = None,
+        dt: float | None = None,
+        false_alarm_rate: float | None = None,
+        held_out: float = 0.2,
+    ) -> RegimeMonitor:
+        """Fit the monitor of every mode to its rows of one or several fault-free recordings.
+
+        Parameters
+        ----------
+        u, y, time, dt
+            As for :meth:`residua.Monitor.fit`: with the channels of the regimes, the signals of the modes included, by
+            name or, of arrays, in the same columns.
+        false_alarm_rate, held_out : float
+            As for :meth:`residua.Monitor.fit`, in every mode.
+
+        Returns
+        -------
+        RegimeMonitor
+            Itself.
+
+        Raises
+        ------
+        DataError
+            If a channel is missing, or no mode can be fitted. A mode that cannot is judged no more: ``unfitted``.
+        """
+        parts = [self._matched(one) for one in self._several(u, y, time, dt)]
+        keys = [self._keys(one) for one, _ in parts]
+        old = [ages(one) for one in keys]
+        unfitted: dict[str, str] = {}
+        fitted: dict[str, Monitor] = {}
+        for name, mode in self.regimes.modes.items():
+            monitor = self.monitors[name]
+            own = [self._own(mode, *one) for one in zip((rows for rows, _ in parts), keys, old, strict=True)]
+            long_enough = [one for one in own if _longest(one) > monitor.settling_samples]
+            pairs = [self._split(mode, one) for one in long_enough]
+            if not pairs:
+                unfitted[name] = f"no visit of more than {monitor.settling_samples} settled samples to fit it to"
+                continue
+            try:
+                fitted[name] = monitor.fit(pairs, false_alarm_rate=false_alarm_rate, held_out=held_out)
+            except DataError as error:
+                unfitted[name] = f"not fitted: {error}"
+        if not fitted:
+            raise DataError(f"no mode can be fitted: {'; '.join(f'{name}: {why}' for name, why in unfitted.items())}")
+        self.unfitted = unfitted
+        return self
+
+    def run(
+        self,
+        u: Any,
+        y: ArrayLike | None = None,
+        *,
+        time: ArrayLike | None = None,
+        dt: float | None = None,
+        source: str = "",
+    ) -> RegimeDiagnosis:
+        """Run over a whole recording, each sample by the monitor of its mode.
+
+        Parameters
+        ----------
+        u, y, time, dt, source
+            As for :meth:`residua.Monitor.run`, of one plant; the channels as for :meth:`fit`.
+
+        Returns
+        -------
+        RegimeDiagnosis
+
+        Raises
+        ------
+        DataError
+            If a channel is missing, or the step is another.
+        NotFittedError
+            If the monitor of a mode that occurs has no threshold yet.
+        """
+        if y is not None and np.ndim(y) == 3:
+            raise DataError("a monitor by operating mode takes one plant: (time, channels)")
+        rows, measured = self._matched(signals(*self._one(u, y), time, dt, source, self._plant()))
+        keys = self._keys(rows)
+        old, label = ages(keys), self.regimes.signals.label
+        here = distinct([keys])
+        clock = np.arange(len(rows), dtype=np.float64) * self.regimes.dt if measured.time is None else measured.time
+        modes = tuple(label(key) for key in here)
+        number = np.full(len(rows), -1)
+        judged: dict[str, Diagnosis] = {}
+        unjudged: dict[str, str] = {}
+        transient = np.zeros(len(rows), dtype=bool)
+        for k, (key, name) in enumerate(zip(here, modes, strict=True)):
+            in_mode = rows_in(keys, key)
+            number[in_mode] = k
+            why = self._why_not(name)
+            if why:
+                unjudged[name] = why
+                continue
+            mode = self.regimes.modes[name]
+            transient |= in_mode & (old < mode.transient)
+            pair = self._split(mode, self._own(mode, rows, keys, old))
+            one = self.monitors[name].run(*pair, time=clock, source=measured.source)
+            assert isinstance(one, Diagnosis)
+            judged[name] = replace(one, origin=measured.origin, notes=(*_about(one.notes), *_still(mode)))
+        return _joined(clock, number, modes, judged, unjudged, transient, measured)
+
+    def save(self, path: str | Path) -> None:
+        """Write the monitors of all modes and the switch between them as JSON.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file appears whole or not at all.
+
+        Raises
+        ------
+        FileFormatError
+            If the folder does not exist.
+        """
+        from residua.monitor.regime_files import save_regimes
+
+        save_regimes(self, path)
+
+    @staticmethod
+    def load(path: str | Path) -> RegimeMonitor:
+        """Read what :meth:`save` wrote: it says of any recording what the saved one said, to the last bit.
+
+        Parameters
+        ----------
+        path : str or Path
+
+        Returns
+        -------
+        RegimeMonitor
+
+        Raises
+        ------
+        FileFormatError
+            If the file is no such monitor, or an entry is not what it may be.
+        """
+        from residua.monitor.regime_files import load_regimes
+
+        return load_regimes(path)
+
+    # ------------------------------------------------------------------ helpers
+
+    def _plant(self) -> Plant:
+        """Return the channels as a plant: what measurements are matched to."""
+        m, p = len(self.regimes.inputs), len(self.regimes.outputs)
+        return Plant(
+            np.zeros((0, 0)),
+            np.zeros((0, m)),
+            np.zeros((p, 0)),
+            np.zeros((p, m)),
+            dt=self.regimes.dt,
+            inputs=self.regimes.inputs,
+            outputs=self.regimes.outputs,
+            name="recorded channels",
+        )
+
+    def _one(self, u: Any, y: Any) -> tuple[Any, Any]:
+        """Return a recording with its channels in our order."""
+        if y is None and isinstance(u, (str, Path)):
+            u = read_recording(u, self._plant())
+        if y is None and isinstance(u, Recording):
+            return self._in_order(u), None
+        return u, y
+
+    def _in_order(self, one: Recording) -> Recording:
+        names = list(one.columns)
+        absent = [name for name in self.channels if name not in names]
+        if absent:
+            raise DataError(
+                f"{one.source or 'the recording'} has no channel {listed(absent)}; there are {listed(names)}"
+            )
+        rows = np.hstack([one.u, one.y])[:, [names.index(name) for name in self.channels]]
+        m = len(self.regimes.inputs)
+        return replace(one, u=rows[:, :m], y=rows[:, m:])
+
+    def _several(self, u: Any, y: Any, time: ArrayLike | None, dt: float | None) -> list[Signals]:
+        if y is None and isinstance(u, (list, tuple)):
+            u = [self._one(one, None)[0] for one in u]
+        else:
+            u, y = self._one(u, y)
+        return several_signals(u, y, time, dt, self._plant())
+
+    def _matched(self, one: Signals) -> tuple[NDArray[np.float64], Signals]:
+        """Return the rows of all channels."""
+        m, p = len(self.regimes.inputs), len(self.regimes.outputs)
+        y = np.asarray(one.y, dtype=float)
+        u = np.zeros((len(y), 0)) if one.u is None else np.asarray(one.u, dtype=float)
+        u, y = (a[:, None] if a.ndim == 1 else a for a in (u, y))
+        if u.shape != (len(y), m) or y.shape != (len(y), p):
+            raise DataError(
+                f"u has shape {u.shape} and y {y.shape}; expected (time, {m}) and (time, {p}), the channels "
+                f"{listed(self.channels)}"
+            )
+        if one.dt is not None and abs(one.dt - self.regimes.dt) > SAME_STEP * self.regimes.dt:
+            raise DataError(
+                f"the monitor runs at dt={self.regimes.dt:g} s, the recording has {one.dt:g} s: resample it"
+            )
+        return np.hstack([u, y]), one
+
+    def _keys(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        names = self.regimes.signals.names
+        return self.regimes.signals.keys(rows[:, [self.channels.index(name) for name in names]])
+
+    def _own(
+        self, mode: OperatingMode, rows: NDArray[np.float64], keys: NDArray[np.float64], old: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """Return the rows with NaN wherever this mode does not judge."""
+        return np.where((rows_in(keys, mode.key) & (old >= mode.transient))[:, None], rows, np.nan)
+
+    def _split(self, mode: OperatingMode, rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return inputs and outputs of the plant of a mode."""
+        plant = self.monitors[mode.name].design.plant
+        u, y = ([self.channels.index(name) for name in group] for group in (plant.inputs, plant.outputs))
+        return rows[:, u], rows[:, y]
+
+    def _why_not(self, name: str) -> str:
+        """Say why a mode is not judged; nothing for one that is."""
+        if name in self.regimes.without_model:
+            return f"no model: {self.regimes.without_model[name]}"
+        if name not in self.regimes.modes:
+            return NEVER_SEEN
+        return self.unfitted.get(name, "")
+
+    def __repr__(self) -> str:
+        state = "fitted" if self.is_fitted else "not fitted"
+        return f"RegimeMonitor({len(self.monitors)} modes by {listed(self.regimes.signals.names)}, {state})"
+
+
+def _longest(rows: NDArray[np.float64]) -> int:
+    """Return the largest number of rows in a row that are there."""
+    there = np.concatenate([[False], np.isfinite(rows).any(axis=1), [False]]).astype(np.int8)
+    edges = np.flatnonzero(np.diff(there)).reshape(-1, 2)
+    return int((edges[:, 1] - edges[:, 0]).max(initial=0))
+
+
+def _about(notes: Sequence[str]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(notes))
+
+
+def _still(mode: OperatingMode) -> tuple[str, ...]:
+    """Return which channels are not looked at."""
+    if not mode.still:
+        return ()
+    return (f"not looked at, because they never moved in this mode when it was learnt: {listed(mode.still)}",)
+
+
+def _joined(
+    time: NDArray[np.float64],
+    number: NDArray[np.int64],
+    modes: tuple[str, ...],
+    judged: Mapping[str, Diagnosis],
+    unjudged: Mapping[str, str],
+    transient: NDArray[np.bool_],
+    measured: Signals,
+) -> RegimeDiagnosis:
+    statistic = np.full(len(time), np.nan)
+    decided, alarm = np.zeros(len(time), dtype=bool), np.zeros(len(time), dtype=bool)
+    notes: list[str] = []
+    for name, one in judged.items():
+        statistic[one.decided] = one.statistic[one.decided] / one.threshold
+        decided |= one.decided
+        alarm |= one.alarm
+        notes += [f"with {name}: {note}" for note in one.notes if note not in measured.notes]
+    return RegimeDiagnosis(
+        time,
+        number,
+        modes,
+        judged,
+        unjudged,
+        statistic,
+        decided,
+        alarm,
+        transient,
+        measured.source,
+        measured.origin,
+        (*measured.notes, *notes),
+    )
