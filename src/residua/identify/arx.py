@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from residua.arrays import index_of
 from residua.errors import DataError, ModelError, SettingError
-from residua.identify.arx_model import ArxModel, Basis, scaled_covariance, steady_gain
+from residua.identify.arx_model import ArxModel, Basis, steady_gain
 from residua.identify.arx_orders import EquationChoice, choose_equations, most_orders
 from residua.identify.arx_report import Equation, EquationReport
 from residua.identify.channel_facts import channel_facts
@@ -194,7 +194,7 @@ def arx(
     )
     model = basis.model(name=name, units=units, plant=plant)
     noted = plant.with_identification(report.identification)
-    return ArxModel(model, noted, report, V, scaled_covariance(basis, basis.scale()), basis)
+    return ArxModel(model, noted, report, V, basis)
 
 
 def _check_options(order: Any, max_order: Any, past_of: Any, held_out: Any) -> None:
@@ -247,13 +247,10 @@ def _about_the_model(equations: Equations, last: Gathered) -> list[str]:
 
 def _in_own_units(basis: Basis, choices: tuple[EquationChoice, ...]) -> tuple[Equation, ...]:
     """Return the equations as users see them."""
-    made, place = [], 0
+    made = []
     channels, m = basis.inputs + basis.outputs, len(basis.inputs)
-    covariance = basis.equations.covariance
     for i, (one, size, choice) in enumerate(zip(basis.equations.each, basis.scale(), choices, strict=True)):
-        own = slice(place, place + len(one.terms))
-        place += len(one.terms)
-        C = covariance[own, own] * np.outer(size, size)
+        C = basis.equations.covariance_of(i) * np.outer(size, size)
         terms = tuple((channels[c], row + basis.delays.get(channels[c], 0)) for c, row in one.terms)
         error = float(np.sqrt(basis.equations.error_covariance[i, i]) * basis.units[m + i])
         made.append(
