@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.identify.excitation import Excitation
-from residua.identify.prediction import CHANCE, ErrorFacts
+from residua.identify.prediction import CHANCE, ErrorFacts, rows_to_forget
 from residua.plant import Identification
-from residua.words import listing, number
+from residua.words import counted, listing, number
 
 #: An output's errors with a larger correlation than this, where chance is no reason, are called coloured.
 _COLOURED = 0.1
@@ -26,11 +26,20 @@ class SteadyGain:
     ----------
     gain : ndarray, shape (outputs, inputs)
     error : ndarray or None, shape (outputs, inputs)
-        Standard errors, from estimates on parts of the data; ``None`` where there are too few parts.
+        Standard errors, from estimates on parts of the data; infinite for an input that the past determines wholly,
+        ``None`` where there are too few parts.
     """
 
     gain: NDArray[np.float64]
     error: NDArray[np.float64] | None
+
+    def text(self, output: int, given: int) -> str:
+        """Return one of them with its standard error, as far as that is known."""
+        gain = number(float(self.gain[output, given]))
+        if self.error is None:
+            return gain
+        error = float(self.error[output, given])
+        return f"{gain} ± {number(error)}" if np.isfinite(error) else "unknown"
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -104,6 +113,21 @@ class FitReport:
         return tuple((self.outputs[i], self.inputs[j], float(gain[i, j]), float(error[i, j])) for i, j in places)
 
     @property
+    def no_simulation(self) -> str:
+        """Why no fit from inputs alone is given, in words; empty where one is."""
+        if self.checked.simulated_fit is not None:
+            return ""
+        if not self.inputs:
+            return "there are no inputs"
+        radius = float(np.abs(self.poles).max(initial=0.0))
+        if radius >= 1:
+            return f"a simulation never forgets its start, by a pole of size {radius:.4g}"
+        return (
+            f"the start of a simulation is left out until 1 % of it is left, {counted(rows_to_forget(radius), 'row')}, "
+            f"and no stretch without a gap is more than twice as long"
+        )
+
+    @property
     def identification(self) -> Identification:
         """What the plant carries of this, into files and for :func:`residua.suggest`."""
         gains = tuple((output, given) for output, given, _, _ in self.uncertain_gains)
@@ -129,7 +153,7 @@ class FitReport:
                 f"  {name:<{width}}  {share(facts.fit[i]):>14}   {simulated:>11}   "
                 f"{number(float(facts.error[i])):>9}   {facts.autocorrelation[i]:.2f} {coloured}"
             )
-        return lines
+        return [*lines, *([f"  no fit from inputs: {self.no_simulation}"] if self.no_simulation else [])]
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -139,15 +163,17 @@ class FitReport:
             pairs = listing(f"{given!r} follows {output!r}" for output, given in self.feedback[:4])
             lines.append(f"closed loop: {pairs}, {self.about_feedback}")
         for name in self.weak_inputs:
-            share = self.excitation.unexplained[self.inputs.index(name)]
+            own = self.excitation.unexplained[self.inputs.index(name)]
             lines.append(
-                f"the past determines {name!r} but for {share(share)} of its variance: its effect is hardly "
+                f"the past determines {name!r} but for {share(own)} of its variance: its effect is hardly "
                 "told from that of a controller; move it on purpose (dither)"
             )
         if self.uncertain_gains:
+            assert self.steady_gain is not None  # else there is none to be uncertain
             some = [
-                f"{given!r} on {output!r}: {number(gain)} +- {number(error)}"
-                for output, given, gain, error in self.uncertain_gains[:6]
+                f"{given!r} on {output!r}: "
+                + self.steady_gain.text(self.outputs.index(output), self.inputs.index(given))
+                for output, given, _, _ in self.uncertain_gains[:6]
             ]
             lines.append(f"steady gains that the data hardly say: {listing(some)}")
         if self.coloured:

@@ -12,9 +12,8 @@ from scipy.special import ndtri
 
 from residua.errors import DataError, SettingError
 from residua.identify.model_report import IdentificationReport
-from residua.identify.realisation import Innovations
+from residua.identify.realisation import Innovations, one_step_predictor
 from residua.identify.segments import gather
-from residua.linear import StateSpace
 from residua.linear.subspaces.rank import range_basis
 from residua.plant import OperatingPoint, Perturbation, Plant, UncertainPlant
 from residua.recording.time_axis import REGULAR
@@ -178,19 +177,17 @@ class IdentifiedModel:
     def _predicted(self, Z: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the predictions for inputs and outputs without gaps, all in deviations."""
         plant, K, m, p = self.plant, self.gain, len(self.plant.inputs), self.plant.n_outputs
-        A = plant.A - K @ plant.C
         first = self.report.past + plant.n_states - self.report.order
         if len(Z) <= first:
             return np.full((len(Z), p), np.nan)
-        given = np.hstack([plant.Bu - K @ plant.Du, K]), np.hstack([plant.Du, np.zeros((p, p))])
-        system = StateSpace(A, given[0], plant.C, given[1], dt=plant.dt)
+        system = one_step_predictor(plant.A, plant.Bu, plant.C, plant.Du, K, dt=plant.dt)
         from_rest = system.simulate(Z[:first])
         error = Z[:first, m:] - from_rest
         unit = np.sqrt(np.diag(self.innovation_covariance))
         unit = np.where(unit > 0, unit, np.maximum(np.abs(error).max(axis=0), np.finfo(float).tiny))
         responses = [plant.C]
         for _ in range(first - 1):
-            responses.append(responses[-1] @ A)
+            responses.append(responses[-1] @ system.A)
         seen = np.vstack(responses) / np.tile(unit, first)[:, None]
         size = np.linalg.norm(seen, axis=0)
         size = np.where(size > 0, size, 1.0)

@@ -13,11 +13,11 @@ from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
 from residua.errors import DataError, SettingError
 from residua.identify.channel_facts import channel_facts
-from residua.identify.channel_filter import channel_generator, checked_count
+from residua.identify.channel_filter import channel_generator
 from residua.identify.hankel_factor import count_windows
 from residua.identify.lagged_rows import LaggedRows, Standard, enough_windows, few_rows, lagged_of, standard
 from residua.identify.parity_memory import Alarms, ParityMemory, checked_forgetting, without_alarms
-from residua.identify.segments import Gathered, Names, gather
+from residua.identify.segments import Gathered, Names, checked_count, gather
 from residua.linear.subspaces.rank import RankDecision, null_basis
 from residua.recording.time_axis import REGULAR
 from residua.tolerances import DATA_ROUNDING, SAME
