@@ -18,7 +18,7 @@ from residua.identify.equations import Equations, fit_equations
 from residua.identify.excitation import excitation
 from residua.identify.hankel_factor import hankel_factor
 from residua.identify.prediction import error_facts
-from residua.identify.segments import Gathered, Names, gather
+from residua.identify.segments import Gathered, Names, checked_count, gather
 from residua.linear.poles.spectrum import spectral_radius
 from residua.progress import Progress, progress_of
 from residua.visible import echo
@@ -200,20 +200,13 @@ def arx(
 def _check_options(order: Any, max_order: Any, past_of: Any, held_out: Any) -> None:
     if past_of not in get_args(PastOf):
         raise SettingError(f"past_of must be one of {', '.join(get_args(PastOf))}, got {echo(past_of)}")
-    named = isinstance(order, Mapping)
-    for value in order.values() if named else [order]:
-        if not (_whole(value) or (not named and isinstance(value, str) and value == "auto")):
-            raise SettingError(
-                f"order must be a whole number of at least 0, by output too, or 'auto', got {echo(order)}"
-            )
-    if max_order is not None and not _whole(max_order):
-        raise SettingError(f"max_order must be a whole number of at least 0, got {echo(max_order)}")
+    chosen = isinstance(order, str) and order == "auto"
+    for value in order.values() if isinstance(order, Mapping) else [] if chosen else [order]:
+        checked_count(value, "order", 0, "'auto'")
+    if max_order is not None:
+        checked_count(max_order, "max_order")
     if not (isinstance(held_out, (int, float, np.integer, np.floating)) and 0 <= held_out <= 0.9):
         raise SettingError(f"held_out must be a fraction from 0 to 0.9, got {echo(held_out)}")
-
-
-def _whole(value: Any) -> bool:
-    return isinstance(value, (int, np.integer)) and not isinstance(value, bool) and int(value) >= 0
 
 
 def _wanted(order: Any, gathered: Gathered) -> dict[str, int]:
