@@ -256,7 +256,42 @@ def test_bits_do_not_depend_on_units() -> None:
         assert a.terms == b.terms
         assert np.array_equal(a.coefficients * factor, b.coefficients)
         assert np.array_equal(a.standard_errors * factor, b.standard_errors)
-    assert np.array_equal(one.plant.A.shape, other.plant.A.shape)
+    assert np.array_equal(one.plant.A, other.plant.A)
+    assert np.array_equal(one.plant.C * powers[2:, None], other.plant.C)
+    (gain, error), (other_gain, other_error) = (judged(x) for x in (one, other))
+    assert np.array_equal(gain * powers[2:, None] / powers[:2], other_gain)
+    assert np.array_equal(error * powers[2:], other_error)
+
+
+def judged(made: ArxModel) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the errors of the steady gains, and those of the predictions of held-out rows."""
+    gain, held_out = made.report.steady_gain, made.report.held_out
+    assert gain is not None
+    assert gain.error is not None
+    assert held_out is not None
+    return gain.error, held_out.error
+
+
+def test_an_equation_may_have_no_past() -> None:
+    rng = np.random.default_rng(18)
+    u = rng.standard_normal((400, 1))
+    made = rs.identify.arx(u, 3 * u + 0.1 * rng.standard_normal((400, 1)) + 7, feedthrough=True, max_order=0)
+    [one] = made.report.equations
+    assert one.terms == (("u1", 0),)
+    assert abs(one.coefficients[0] - 3) < FAR * one.standard_errors[0]
+    assert made.plant.n_states == 0
+    level = rs.identify.arx(None, rng.standard_normal((400, 2)) + 7, order=0)
+    assert [len(one.terms) for one in level.report.equations] == [0, 0]
+    [seen] = level.predict(None, np.full((5, 2), 7.0))
+    assert np.allclose(seen.predicted, 7, atol=0.3)
+
+
+def test_too_many_coefficients_for_an_uncertain_plant_are_refused() -> None:
+    rng = np.random.default_rng(19)
+    made = rs.identify.arx(None, rng.standard_normal((3000, 26)), order=3, max_order=3, past_of="all", held_out=0)
+    assert made.report.steady_gain is None
+    with pytest.raises(SettingError, match="covariance of 2028 coefficients"):
+        made.uncertain_plant()
 
 
 def test_the_past_of_other_outputs_is_taken_where_it_helps() -> None:

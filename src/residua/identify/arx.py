@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from residua.arrays import index_of
 from residua.errors import DataError, ModelError, SettingError
-from residua.identify.arx_model import ArxModel, Basis, scaled_covariance, steady_gain
+from residua.identify.arx_model import ArxModel, Basis, steady_gain
 from residua.identify.arx_orders import EquationChoice, choose_equations, most_orders
 from residua.identify.arx_report import Equation, EquationReport
 from residua.identify.channel_facts import channel_facts
@@ -18,7 +18,7 @@ from residua.identify.equations import Equations, fit_equations
 from residua.identify.excitation import excitation
 from residua.identify.hankel_factor import hankel_factor
 from residua.identify.prediction import error_facts
-from residua.identify.segments import Gathered, Names, gather
+from residua.identify.segments import Gathered, Names, checked_count, gather
 from residua.linear.poles.spectrum import spectral_radius
 from residua.progress import Progress, progress_of
 from residua.visible import echo
@@ -194,26 +194,19 @@ def arx(
     )
     model = basis.model(name=name, units=units, plant=plant)
     noted = plant.with_identification(report.identification)
-    return ArxModel(model, noted, report, V, scaled_covariance(basis, basis.scale()), basis)
+    return ArxModel(model, noted, report, V, basis)
 
 
 def _check_options(order: Any, max_order: Any, past_of: Any, held_out: Any) -> None:
     if past_of not in get_args(PastOf):
         raise SettingError(f"past_of must be one of {', '.join(get_args(PastOf))}, got {echo(past_of)}")
-    named = isinstance(order, Mapping)
-    for value in order.values() if named else [order]:
-        if not (_whole(value) or (not named and isinstance(value, str) and value == "auto")):
-            raise SettingError(
-                f"order must be a whole number of at least 0, by output too, or 'auto', got {echo(order)}"
-            )
-    if max_order is not None and not _whole(max_order):
-        raise SettingError(f"max_order must be a whole number of at least 0, got {echo(max_order)}")
+    chosen = isinstance(order, str) and order == "auto"
+    for value in order.values() if isinstance(order, Mapping) else [] if chosen else [order]:
+        checked_count(value, "order", 0, "'auto'")
+    if max_order is not None:
+        checked_count(max_order, "max_order")
     if not (isinstance(held_out, (int, float, np.integer, np.floating)) and 0 <= held_out <= 0.9):
         raise SettingError(f"held_out must be a fraction from 0 to 0.9, got {echo(held_out)}")
-
-
-def _whole(value: Any) -> bool:
-    return isinstance(value, (int, np.integer)) and not isinstance(value, bool) and int(value) >= 0
 
 
 def _wanted(order: Any, gathered: Gathered) -> dict[str, int]:
@@ -247,13 +240,10 @@ def _about_the_model(equations: Equations, last: Gathered) -> list[str]:
 
 def _in_own_units(basis: Basis, choices: tuple[EquationChoice, ...]) -> tuple[Equation, ...]:
     """Return the equations as users see them."""
-    made, place = [], 0
+    made = []
     channels, m = basis.inputs + basis.outputs, len(basis.inputs)
-    covariance = basis.equations.covariance
     for i, (one, size, choice) in enumerate(zip(basis.equations.each, basis.scale(), choices, strict=True)):
-        own = slice(place, place + len(one.terms))
-        place += len(one.terms)
-        C = covariance[own, own] * np.outer(size, size)
+        C = basis.equations.covariance_of(i) * np.outer(size, size)
         terms = tuple((channels[c], row + basis.delays.get(channels[c], 0)) for c, row in one.terms)
         error = float(np.sqrt(basis.equations.error_covariance[i, i]) * basis.units[m + i])
         made.append(

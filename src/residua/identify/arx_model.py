@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.errors import DataError
+from residua.errors import DataError, SettingError
 from residua.identify.arx_report import EquationReport
 from residua.identify.equations import Equations
 from residua.identify.fit_report import SteadyGain
@@ -30,6 +30,8 @@ from residua.tolerances import POLE
 Matrix = NDArray[np.float64]
 #: Directions of the uncertainty that are kept, unless the caller says otherwise.
 _DIRECTIONS = 6
+#: Coefficients whose covariance is taken apart at most.
+_MOST_COEFFICIENTS = 2000
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -47,16 +49,24 @@ class ArxModel:
         ``print(model.report)`` shows it; its ``equations`` have the coefficients with their covariance.
     innovation_covariance : ndarray, shape (outputs, outputs)
         Of the equation errors.
-    covariance : ndarray, shape (coefficients, coefficients)
-        Of the coefficients of all equations together, in the order of ``report.equations`` and their terms.
+    basis : Basis
+        What makes the plant of the coefficients.
     """
 
     model: InputOutputModel
     plant: Plant
     report: EquationReport
     innovation_covariance: Matrix
-    covariance: Matrix
     basis: Basis = field(repr=False)
+
+    @property
+    def covariance(self) -> Matrix:
+        """Covariance of the coefficients of all equations, in the order of ``report.equations`` and their terms.
+
+        In the units of the channels, shape (coefficients, coefficients).
+        """
+        size = np.concatenate(self.basis.scale())
+        return self.basis.equations.covariance * np.outer(size, size)
 
     def uncertain_plant(
         self, plant: Plant | None = None, *, level: float = 0.95, directions: int = _DIRECTIONS
@@ -80,7 +90,8 @@ class ArxModel:
         Raises
         ------
         SettingError
-            If the level is no probability, or the plant is not this one with faults.
+            If the level is no probability, the plant is not this one with faults, or there are more than 2000
+            coefficients.
 
         Notes
         -----
@@ -200,6 +211,12 @@ class Basis:
 
     def directions(self, most: int) -> tuple[Matrix, list[dict[str, Matrix]]]:
         """Return the largest standard deviations of the coefficients, and what each does to the plant's matrices."""
+        count = sum(len(one.terms) for one in self.equations.each)
+        if count > _MOST_COEFFICIENTS:
+            raise SettingError(
+                f"the covariance of {count} coefficients, over {_MOST_COEFFICIENTS}, is too large to take apart: "
+                "ask for fewer, with past_of='own' or a lower order"
+            )
         root, decision = range_basis(self.equations.covariance)
         keep = min(most, decision.rank)
         sizes = np.sqrt(decision.singular_values[:keep])
@@ -249,14 +266,9 @@ def steady_gain(basis: Basis) -> SteadyGain | None:
     M = np.linalg.inv(np.eye(len(theta)) - theta[:, m:])
     gain = M @ theta[:, :m]
     seen = np.vstack([np.eye(m), gain])  # what a channel is at rest for each input
-    slopes = [M[:, [i], None] * seen[None, [c for c, _ in one.terms]] for i, one in enumerate(equations.each)]
-    slope = np.concatenate([one for one in slopes if one.size] or [np.zeros((len(theta), 0, m))], axis=1)
-    variance = np.einsum("rkj,kl,rlj->rj", slope, equations.covariance, slope)
+    variance = np.zeros(gain.shape)
+    for r, j in np.ndindex(gain.shape):
+        slopes = [M[r, i] * seen[[c for c, _ in one.terms], j] for i, one in enumerate(equations.each)]
+        variance[r, j] = equations.variance(slopes)
     scale = basis.units[m:, None] / basis.units[:m]
-    return SteadyGain(gain * scale, np.sqrt(np.maximum(variance, 0.0)) * scale)
-
-
-def scaled_covariance(basis: Basis, scale: Sequence[Matrix]) -> Matrix:
-    """Return the covariance of all coefficients in the units of the recordings."""
-    size = np.concatenate(scale)
-    return basis.equations.covariance * np.outer(size, size)
+    return SteadyGain(gain * scale, np.sqrt(variance) * scale)

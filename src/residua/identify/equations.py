@@ -115,10 +115,18 @@ class Equations:
 
         for errors that are white and do not depend on the past.
         """
-        V = self.error_covariance
-        # the true size of errors that count as none in the noise of the model: an error of the estimate all the same
-        P = [one.inverse[1:] for one in self.each]
+        V, P = self.error_covariance, [one.inverse[1:] for one in self.each]
         return np.block([[V[i, j] * (P[i] @ P[j].T) for j in range(len(P))] for i in range(len(P))])
+
+    def covariance_of(self, i: int) -> Matrix:
+        """Return the covariance of the coefficients of one equation."""
+        inverse = self.each[i].inverse[1:]
+        return self.error_covariance[i, i] * (inverse @ inverse.T)
+
+    def variance(self, slopes: Sequence[Matrix]) -> float:
+        """Return the variance of a sum over the coefficients of each equation times its slopes."""
+        moved = np.array([slope @ one.inverse[1:] for slope, one in zip(slopes, self.each, strict=True)])
+        return max(float(np.sum(self.error_covariance * (moved @ moved.T))), 0.0)
 
     def with_values(self, values: Matrix) -> Equations:
         """Return the same equations with other coefficients, those of the first one first."""

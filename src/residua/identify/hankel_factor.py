@@ -156,6 +156,24 @@ def hankel_factor(
     return HankelFactor(R, tuple(parts), windows, length, len(gathered.inputs), len(gathered.outputs), reference, units)
 
 
+def discounted_factor(factor: HankelFactor, gathered: Gathered, forgetting: float) -> HankelFactor:
+    r"""Return a factor after more windows: each takes ``forgetting`` of the weight of all before it.
+
+    .. math:: R^T R \leftarrow \lambda R^T R + h h^T
+    """
+    R, length, new = factor.R, factor.length, count_windows(gathered, factor.length)
+    size = max(_ROWS_PER_COLUMN * len(R), 512)
+    for segment, start, stop, _ in _pieces(gathered.segments, length, np.array([0, new]), size):
+        Z = (segment.rows(start, stop + length - 1) - factor.reference) / factor.units
+        block = _hankel_rows(Z, stop - start, length, R)
+        if forgetting < 1:
+            weights = np.sqrt(forgetting) ** np.arange(stop - start, -1, -1)
+            block[: len(R)] *= weights[0]
+            block[len(R) :] *= weights[1:, None]
+        R = _triangle(block)
+    return replace(factor, R=R, parts=(), windows=factor.windows + new)
+
+
 def _pieces(
     segments: Sequence[Segment], length: int, borders: NDArray[np.int_], size: int
 ) -> Iterable[tuple[Segment, int, int, bool]]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from residua.errors import DataError
 from residua.identify.channel_facts import ChannelFacts, channel_facts
-from residua.identify.hankel_factor import count_windows, hankel_factor
+from residua.identify.hankel_factor import HankelFactor, count_windows, hankel_factor
 from residua.identify.segments import Gathered
 from residua.visible import listed
 from residua.words import counted
@@ -89,6 +89,18 @@ def lagged_rows(gathered: Gathered, units: Standard, lags: int) -> LaggedRows:
     DataError
         If there are no more rows than columns.
     """
+    hankel = enough_windows(gathered, units, lags)
+    return lagged_of(hankel, units, hankel.windows)
+
+
+def enough_windows(gathered: Gathered, units: Standard, lags: int) -> HankelFactor:
+    """Return the factor of the Hankel matrix of a recording, if it has more windows than columns.
+
+    Raises
+    ------
+    DataError
+        If there are no more rows than columns.
+    """
     q = len(gathered.channels)
     d, count = q * (lags + 1), count_windows(gathered, lags + 1)
     if count <= d + 1:
@@ -98,11 +110,16 @@ def lagged_rows(gathered: Gathered, units: Standard, lags: int) -> LaggedRows:
             f"longest of {longest}, make {counted(count, 'row')} of {d} columns ({q} channels, {lags} lags), but more "
             f"than {d + 1} are needed: give a longer recording, fewer lags, or fewer channels"
         )
-    hankel = hankel_factor(gathered, lags + 1, units.facts)
+    return hankel_factor(gathered, lags + 1, units.facts)
+
+
+def lagged_of(hankel: HankelFactor, units: Standard, count: int) -> LaggedRows:
+    """Return the lagged rows of a Hankel matrix in standard units."""
+    lags = hankel.length - 1
     latest_first = hankel.signals(range(lags, -1, -1))
     scale = np.tile(hankel.units / units.spread, lags + 1)
     # without the row of the column of ones, which holds the means of the others
-    return LaggedRows(hankel.R[1:, latest_first] * scale, count, q, lags)
+    return LaggedRows(hankel.R[1:, latest_first] * scale, count, hankel.n_channels, lags)
 
 
 def few_rows(count: int, columns: int) -> tuple[str, ...]:

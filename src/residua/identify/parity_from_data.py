@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,10 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
 from residua.errors import DataError, SettingError
+from residua.identify.channel_facts import channel_facts
 from residua.identify.channel_filter import channel_generator
-from residua.identify.lagged_rows import LaggedRows, few_rows, lagged_rows, standard
-from residua.identify.segments import Names, checked_count, gather
+from residua.identify.hankel_factor import count_windows
+from residua.identify.lagged_rows import LaggedRows, Standard, enough_windows, few_rows, lagged_of, standard
+from residua.identify.parity_memory import Alarms, ParityMemory, checked_forgetting, without_alarms
+from residua.identify.segments import Gathered, Names, checked_count, gather
 from residua.linear.subspaces.rank import RankDecision, null_basis
+from residua.recording.time_axis import REGULAR
 from residua.tolerances import DATA_ROUNDING, SAME
 from residua.visible import echo, listed
 from residua.words import counted
@@ -49,7 +53,9 @@ class DataParity:
     mean, spread : ndarray, shape (channels,)
         Of each channel, in its own units.
     samples : int
-        Windows that they are from.
+        Windows that they are from; after forgetting, as many as are worth as much.
+    memory : ParityMemory
+        What :meth:`updated` goes on from.
     """
 
     generator: ResidualGenerator
@@ -61,6 +67,101 @@ class DataParity:
     mean: NDArray[np.float64] = field(repr=False)
     spread: NDArray[np.float64] = field(repr=False)
     samples: int
+    memory: ParityMemory = field(repr=False)
+
+    def updated(
+        self,
+        recordings: Any,
+        y: ArrayLike | None = None,
+        *,
+        forgetting: float = 1.0,
+        alarms: Alarms | Sequence[Alarms] = None,
+    ) -> DataParity:
+        r"""Return the relations after more recordings, with those before them forgotten little by little.
+
+        .. math:: R^T R \leftarrow \lambda R^T R + h h^T
+
+        for every new window ``h`` of one and the signals ``z[k], z[k-1], ...``: the triangular factor of the Hankel
+        matrix is all that is kept of the past, so that the work is that of the new rows. The relations are those of the
+        weighted data; their number is the same as before, and a note says where the data now support another. They are
+        orthonormal in the new standard deviations, which are weighted likewise.
+
+        Guaranteed: with ``forgetting=1``, the relations of all recordings together.
+
+        Parameters
+        ----------
+        recordings : Recording, data frame, path, array, pair (u, y), or a list of these
+            With the same channels; an array holds the inputs, then the outputs.
+        y : array_like, shape (time, outputs), optional
+        forgetting : float
+            The weight :math:`\lambda` that a window keeps with each new one: some :math:`2 / (1 - \lambda)` windows are
+            remembered in the end. Windows that are left out forget nothing.
+        alarms : array_like of bool, sequence of Alarm, or a sequence of these, optional
+            For each row whether an alarm stands, or ``diagnosis.alarms``, which count from the earliest time at which
+            their cause may have begun (from the first row where that is not known); one entry for each recording
+            where there are several. What stands in alarm is left out as if it was missing, with every window that
+            overlaps it.
+
+        Returns
+        -------
+        DataParity
+            A new one; a monitor of it is fitted as that of any other design.
+
+        Raises
+        ------
+        DataError
+            If a channel is missing, the step is another, a channel no longer changes, or too little is remembered for
+            relations of this order.
+        SettingError
+            If ``forgetting`` or ``alarms`` are none.
+
+        Notes
+        -----
+        A fault that raises no alarm is learnt as normal, the sooner the more is forgotten.
+
+        References
+        ----------
+        Golub and Van Loan (2013), Matrix Computations, 4th edition, section 6.5 (updates of triangular factors); Naik,
+        Yin, Ding and Zhang (2010), Journal of Process Control 20(8) (recursive identification of parity spaces).
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import residua as rs
+        >>> rng = np.random.default_rng(0)
+        >>> def day(pole):
+        ...     u, y = rng.standard_normal((2000, 1)), np.zeros((2000, 1))
+        ...     for k in range(1, 2000):
+        ...         y[k] = pole * y[k - 1] + u[k - 1] + 0.1 * rng.standard_normal()
+        ...     return u, y
+        >>> made = rs.identify.parity_from_data(*day(0.8), order=1)
+        >>> later = made.updated(*day(0.6), forgetting=0.995)
+        >>> for one in (made, later):
+        ...     relation = one.vectors[0] / one.spread
+        ...     print((-relation[1, 1] / relation[0, 1]).round(1))
+        0.8
+        0.6
+        """
+        memory, weight = self.memory, checked_forgetting(forgetting)
+        gathered = gather(recordings, y, inputs=memory.inputs, outputs=memory.outputs)
+        if gathered.timed and abs(gathered.dt - memory.dt) > REGULAR * memory.dt:
+            raise DataError(f"the relations have a step of {memory.dt:g} s, the recordings have {gathered.dt:g} s")
+        gathered, left_out = without_alarms(replace(gathered, dt=memory.dt), alarms)
+        notes = (f"{counted(left_out, 'row')} in alarm left out of the update",) if left_out else ()
+        if not count_windows(gathered, memory.hankel.length):
+            note = f"nothing was learnt: no {memory.hankel.length} rows in a row that are complete and without an alarm"
+            evidence = self.generator.evidence.extended(notes=(*notes, note))
+            return replace(self, generator=replace(self.generator, evidence=evidence))
+        facts = channel_facts(gathered)
+        facts.check_size()
+        after = memory.updated(gathered, weight)
+        units = after.standard(facts)
+        made = _parity(after, gathered, units, after.lagged(units), self.relations, notes)
+        if made.supported <= made.relations:  # where it is less, there is a note already
+            return made
+        note = f"the data now support {counted(made.supported, 'relation')}, and {made.relations} are kept as before"
+        evidence = made.generator.evidence.extended(notes=(note,))
+        return replace(made, generator=replace(made.generator, evidence=evidence))
 
     def __repr__(self) -> str:
         return (
@@ -91,7 +192,14 @@ def parity_from_data(
     and the projection :math:`\Pi` onto as many samples before them and the inputs, which takes out what noise adds.
     The rows of :math:`\alpha` are the data-driven form of the stable kernel representation. Of all combinations those
     are chosen of which past and inputs say least, relative to their variance: the smallest canonical correlations.
-    With ``poles`` the residual is :math:`r_k / d(q^{-1})`, which is the observer form of the same relations.
+    With ``poles`` the residual is :math:`r_k / d(q^{-1})`: what a diagnostic observer of order ``s`` with these poles
+    gives,
+
+    .. math::
+
+       x_{j,k+1} = x_{j+1,k} + \alpha_j z_k - d_j r_k, \quad j = 1, \dots, s, \qquad r_k = x_{1,k} + \alpha_0 z_k,
+
+    whose state follows a map of the plant's, whatever both start from.
 
     Guaranteed: without noise and with inputs that excite the plant, the relations span all of order ``s`` that the
     model has, :math:`p (s + 1) - n` of them. The same bits when a channel has other units, as far as these differ by a
@@ -140,10 +248,12 @@ def parity_from_data(
     References
     ----------
     Ding (2014), Data-driven Design of Fault Diagnosis and Fault-tolerant Control Systems, Springer, chapter 9 (stable
-    kernel representation from data). Wang, Gao and Qin (2005), IFAC World Congress (order of parity spaces from data).
+    kernel representation from data), chapter 10 (observers from parity vectors). Wang, Gao and Qin (2005), IFAC
+    World Congress (order of parity spaces from data).
 
     See Also
     --------
+    DataParity.updated : recursive updates with forgetting, for a plant that changes slowly.
     residua.design.parity_relations : from a model.
     residua.identify.canonical_variates : the states besides.
 
@@ -161,12 +271,26 @@ def parity_from_data(
     >>> monitor = rs.Monitor(made).fit(None, np.hstack([u, y]))
     """
     s = checked_count(order, "order", 1)
-    denominator = _denominator(poles, s)
+    _denominator(poles, s)
     gathered = gather(recordings, y, inputs=inputs, outputs=outputs, dt=dt)
     units = standard(gathered)
-    stacked = lagged_rows(gathered, units, 2 * s + 1)
-    m, q = len(gathered.inputs), stacked.channels
-    correlations, directions, chance = _correlations(stacked, s, m, gathered.inputs)
+    hankel = enough_windows(gathered, units, 2 * s + 1)
+    stacked = lagged_of(hankel, units, hankel.windows)
+    return _parity(ParityMemory.of(hankel, gathered, units, poles), gathered, units, stacked, relations)
+
+
+def _parity(
+    memory: ParityMemory,
+    gathered: Gathered,
+    units: Standard,
+    stacked: LaggedRows,
+    relations: int | None,
+    notes: tuple[str, ...] = (),
+) -> DataParity:
+    """Return the relations of what is remembered, with their generator."""
+    s, m, q = stacked.lags // 2, len(memory.inputs), stacked.channels
+    poles = memory.poles
+    correlations, directions, chance = _correlations(stacked, s, m, memory.inputs)
     most = (q - m) * (s + 1)
     supported = min(most, int(np.count_nonzero(correlations <= chance)))
     k = _count(relations, supported, most, correlations, chance, s)
@@ -178,17 +302,21 @@ def parity_from_data(
     gap = float(correlations[kept - 1] / max(correlations[kept], DATA_ROUNDING)) if kept else np.inf
     evidence = Evidence(
         _METHOD,
-        requested_poles=np.zeros(0, dtype=complex) if poles is None else np.asarray(poles, dtype=complex),
+        requested_poles=np.asarray(poles or (), dtype=complex),
         ranks={"inputs and states": RankDecision(kept, correlations, chance)},
         conditions={"gap of the correlations": gap},
         notes=(
             *few_rows(stacked.count, len(stacked.factor)),
             *_about_the_gap(correlations, k, supported, gap, chance),
+            *notes,
         ),
         references=("Ding (2014), chapter 9",),
     )
+    denominator = _denominator(poles, s)
     generator = channel_generator(gathered, units, weights, {"relation": k}, evidence, denominator=denominator)
-    return DataParity(generator, s, k, supported, correlations, vectors, units.mean, units.spread, stacked.count)
+    return DataParity(
+        generator, s, k, supported, correlations, vectors, units.mean, units.spread, stacked.count, memory
+    )
 
 
 def _correlations(
