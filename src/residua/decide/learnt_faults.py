@@ -140,7 +140,7 @@ def learnt_direction(
     error = np.sum([one.error for one in seen], axis=0) / len(seen) ** 2
     noise = np.mean([one.noise for one in seen], axis=0)
     between = _between(mean, [one.mean for one in seen])
-    cone = cone_angle(mean, error, between, len(seen))
+    cone = cone_angle(mean, error, between, len(seen), sum(one.independent for one in seen))
     if not cone <= WIDEST:
         raise DataError(
             f"the direction of {name!r} is known to {cone:.0f}° only (95 % confidence), no more than {WIDEST:g}° is "
@@ -164,16 +164,24 @@ def _occurrence(name: str, q: NDArray[np.float64], window: int, number: int, of:
     if count < 2:
         raise DataError(f"{which} of {name!r} has {counted(count, 'usable sample')} in the interval of the fault")
     mean = q.mean(axis=0)
-    values, vectors = np.linalg.eigh((q - mean).T @ (q - mean) / (count - 1))
-    values = np.maximum(values, 1.0)  # less scatter than without a fault is chance
-    times = np.minimum(correlation_times((q - mean) @ vectors, [slice(0, count)]), float(count))
+    away = q - mean
+    if not np.any(mean):
+        raise DataError(f"{which} of {name!r} shows no fault: the mean of its residuals is the fault-free one")
+    # What a fault that grows or wavers does along its own direction is no error of the direction.
+    direction = mean / np.linalg.norm(mean)
+    values, vectors = np.linalg.eigh(across(direction, away.T @ away / (count - 1)))
+    vectors[:, 0] = direction  # at right angles to all others, where nothing is left
+    vectors = np.linalg.qr(vectors)[0]
+    values = np.maximum(np.sum((away @ vectors) ** 2, axis=0) / (count - 1), 1.0)  # less than without a fault is chance
+    times = _times(away @ vectors)
     lasting = values * times
     error, noise = (
         (vectors * weights) @ vectors.T for weights in (lasting / count, np.minimum(lasting / window, values))
     )
-    independent = float(count * values.sum() / lasting.sum())
-    square = float(np.sum((vectors.T @ mean) ** 2 * count / lasting))
-    chance = float(fdtrc(k, max(independent - 1, 1.0) * k, square / k))
+    sideways = slice(1, None) if k > 1 else slice(None)
+    independent = float(count * values[sideways].sum() / lasting[sideways].sum())
+    square = float(np.sum((vectors.T @ mean) ** 2 * count / times))
+    chance = float(fdtrc(k, max(count / times.mean() - 1, 1.0) * k, square / k))
     if not chance < _NO_FAULT:
         raise DataError(
             f"{which} of {name!r} shows no fault: the mean of its residuals over {count} samples (worth "
@@ -181,6 +189,18 @@ def _occurrence(name: str, q: NDArray[np.float64], window: int, number: int, of:
             f"probability of {chance:.2g}; give the interval of the fault, or a recording with a larger one"
         )
     return _Occurrence(mean, error, noise, count, independent)
+
+
+def _times(columns: NDArray[np.float64]) -> NDArray[np.float64]:
+    r"""Return the correlation times of columns whose own mean was taken off.
+
+    That lowers each correlation by :math:`\tau / N`, and the sum over ``L`` lags by :math:`2 L \tau / N`, with ``L`` of
+    five times :math:`\tau`, and a quarter of the samples at most.
+    """
+    count = len(columns)
+    times = correlation_times(columns, [slice(0, count)])
+    lost = 2 * np.minimum(5 * times, count / 4) / count
+    return np.minimum(np.where(times > 1, times / (1 - lost), times), float(count))
 
 
 def _between(mean: NDArray[np.float64], shifts: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
@@ -198,14 +218,21 @@ def across(direction: NDArray[np.float64], covariance: NDArray[np.float64]) -> N
     return P @ covariance @ P
 
 
-def square_at(covariance: NDArray[np.float64], share: float) -> float:
-    """Return what the squared length of a Gaussian vector stays below with a probability, by its first two moments."""
-    from scipy.special import chdtri  # slow to import, and needed only here
+def square_at(covariance: NDArray[np.float64], share: float, independent: float = math.inf) -> float:
+    """Return what the squared length of a Gaussian vector stays below with a probability, by its first two moments.
+
+    ``independent`` is the number of independent samples that the covariance is from.
+    """
+    from scipy.special import chdtri, fdtri  # slow to import, and needed only here
 
     total, squares = float(np.trace(covariance)), float(np.sum(covariance**2))
     if not total > 0 or not squares > 0:
         return 0.0
-    return squares / total * float(chdtri(total**2 / squares, 1 - share))
+    dimensions = total**2 / squares
+    if not math.isfinite(independent):
+        return total / dimensions * float(chdtri(dimensions, 1 - share))
+    freedom = max(2.0, dimensions * (independent - 1))
+    return total * float(fdtri(dimensions, freedom, share))
 
 
 def occurrence_square(between: NDArray[np.float64], recordings: int, share: float, new: bool) -> float:
@@ -227,14 +254,18 @@ def occurrence_square(between: NDArray[np.float64], recordings: int, share: floa
 
 
 def cone_angle(
-    mean: NDArray[np.float64], error: NDArray[np.float64], between: NDArray[np.float64], recordings: int
+    mean: NDArray[np.float64],
+    error: NDArray[np.float64],
+    between: NDArray[np.float64],
+    recordings: int,
+    independent: float,
 ) -> float:
     """Return the half-angle in degrees of the cone about a mean that holds its direction with 95 % confidence."""
     size = float(np.linalg.norm(mean))
     if not size > 0:
         return 90.0
     sideways = across(mean / size, error)
-    radius = max(square_at(sideways, CONE_SHARE), occurrence_square(between, recordings, CONE_SHARE, new=False))
+    radius = max(square_at(sideways, CONE_SHARE, independent), occurrence_square(between, recordings, CONE_SHARE, new=False))
     length = size**2 - float(np.trace(sideways))  # errors lengthen what is measured
     return math.degrees(math.atan2(math.sqrt(radius), math.sqrt(max(length, 0.0))))
 

@@ -33,6 +33,8 @@ from residua.linear.systems.recursion import ordered_product
 from residua.recording.clock import Clock
 from residua.words import counted, listing
 
+#: How far off its direction a residual may be at most, in degrees, however noisy it is: as for any signature.
+FARTHEST = math.degrees(math.acos(POOR_SCORE))
 #: Says of each learnt fault what it was learnt from.
 _MEANING = (
     "The score is the cosine of the angle between the residual and a signature, over the monitor's window. A learnt "
@@ -119,7 +121,7 @@ class LearntDirections(Isolation):
                 for M in (fault.noise, fault.error, fault.between)
             )
             occurrence = occurrence_square(between, fault.recordings, WINDOW_SHARE, new=True)
-            out.append((square_at(noise, WINDOW_SHARE), max(square_at(error, WINDOW_SHARE), occurrence)))
+            out.append((square_at(noise, WINDOW_SHARE), max(square_at(error, WINDOW_SHARE, fault.independent), occurrence)))
         return out
 
     # ------------------------------------------------------------------------ running
@@ -150,25 +152,31 @@ class LearntDirections(Isolation):
             noise, error = self._squares[j]
             ratio = (size * cosine / float(self.sizes[j])) ** 2
             allowed = math.sqrt(max(1.0, ratio) * noise + ratio * error) / size
-            degrees = math.degrees(math.asin(min(1.0, allowed)))
+            degrees = min(math.degrees(math.asin(min(1.0, allowed))), FARTHEST)
             out.append(LearntMatch(label, cosine, math.degrees(math.acos(cosine)), degrees))
         return tuple(out)
 
     def _with_learnt(self, named: Named, scores: NDArray[np.float64], size: float) -> Named:
-        """Return an attribution with the learnt faults; without a name where what is nearest is excluded.
+        """Return an attribution with the learnt faults; without a name where nothing explains the residual.
 
-        What the model predicts has no cone: it is believed where no excluded fault explains more, and it explains well.
+        What the model predicts has no cone: it is believed where it explains the residual well, and no learnt fault
+        that is excluded explains more. A learnt fault goes before one of the model that it cannot be told from here.
         """
         matches = self.matches(scores, size)
         if not matches:
             return named
-        own = [Candidate((m.fault,), m.score, math.sqrt(max(0.0, 1 - m.score**2))) for m in matches if m.agrees]
+        agree = {m.fault: m for m in matches if m.agrees}
+        own = [Candidate((m.fault,), m.score, math.sqrt(max(0.0, 1 - m.score**2))) for m in agree.values()]
         ranked = sorted((*named.candidates, *own), key=lambda c: -round(c.score, 3) if c.score == c.score else 1.0)
         excluded = max((m.score for m in matches if not m.agrees), default=0.0)
-        learnt = {m.fault for m in matches if m.agrees}
+        first = next((c for c in ranked if c.faults[0] in agree), None)
+        if first is not None and ranked[0] is not first:
+            apart = dict(self.angles(self.labels.index(first.faults[0])))
+            if apart.get(ranked[0].name, 90.0) <= agree[first.faults[0]].allowed:
+                ranked = [first, *(c for c in ranked if c is not first)]
         best = ranked[0] if ranked else None
         believed = best is not None and (
-            (best.faults[0] in learnt or best.score >= POOR_SCORE) and best.score > excluded - CLOSE_MARGIN
+            best.faults[0] in agree or (best.score >= POOR_SCORE and best.score > excluded - CLOSE_MARGIN)
         )
         return replace(named, candidates=tuple(ranked) if believed else (), learnt=matches)
 
