@@ -265,7 +265,9 @@ def cone_angle(
     if not size > 0:
         return 90.0
     sideways = across(mean / size, error)
-    radius = max(square_at(sideways, CONE_SHARE, independent), occurrence_square(between, recordings, CONE_SHARE, new=False))
+    radius = max(
+        square_at(sideways, CONE_SHARE, independent), occurrence_square(between, recordings, CONE_SHARE, new=False)
+    )
     length = size**2 - float(np.trace(sideways))  # errors lengthen what is measured
     return math.degrees(math.atan2(math.sqrt(radius), math.sqrt(max(length, 0.0))))
 

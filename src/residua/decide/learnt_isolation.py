@@ -121,7 +121,9 @@ class LearntDirections(Isolation):
                 for M in (fault.noise, fault.error, fault.between)
             )
             occurrence = occurrence_square(between, fault.recordings, WINDOW_SHARE, new=True)
-            out.append((square_at(noise, WINDOW_SHARE), max(square_at(error, WINDOW_SHARE, fault.independent), occurrence)))
+            out.append(
+                (square_at(noise, WINDOW_SHARE), max(square_at(error, WINDOW_SHARE, fault.independent), occurrence))
+            )
         return out
 
     # ------------------------------------------------------------------------ running
@@ -263,6 +265,9 @@ class LearntDirections(Isolation):
         if about and basis[about[0].fault].recordings == 1:
             more += ("How much one occurrence of it differs from another is not known: one recording shows none.",)
         lines = tuple(f"learnt from {basis[m.fault].basis}; {m.text}" for m in about)
+        if not any(m.agrees for m in alarm.learnt):
+            lines = (f"{_none_of(alarm)}: nearest is {_nearest(alarm).fault}, {_nearest(alarm).text}",)
+            more = (f"It is {lines[0]}.",)
         return replace(said, sentences=(*said.sentences, *more), lines=(*said.lines, *lines))
 
     def same_event(self, before: Alarm, alarm: Alarm) -> bool:
@@ -303,12 +308,18 @@ class LearntCodes(CodeTest):
 
 def _unknown(alarm: Alarm, clock: Clock) -> Statement:
     """Return the words for an alarm that no fault, learnt or of the model, explains."""
-    nearest = min(alarm.learnt, key=lambda m: m.angle)
-    what = f"none of {counted(len(alarm.learnt), 'learnt fault')}" if len(alarm.learnt) > 1 else "not the learnt fault"
-    headline = f"A fault was found, {raised_text(alarm, clock)}: an unknown one, {what}."
-    line = f"unknown fault, {what}: nearest is {nearest.fault}, {nearest.text}"
+    headline = f"A fault was found, {raised_text(alarm, clock)}: an unknown one, {_none_of(alarm)}."
+    line = f"unknown fault, {_none_of(alarm)}: nearest is {_nearest(alarm).fault}, {_nearest(alarm).text}"
     sentences = tuple(f"{m.fault}: {m.text}." for m in sorted(alarm.learnt, key=lambda m: m.angle))
     return Statement(headline, "unknown fault", None, sentences, (line,), rules=_MEANING)
+
+
+def _nearest(alarm: Alarm) -> LearntMatch:
+    return min(alarm.learnt, key=lambda m: m.angle)
+
+
+def _none_of(alarm: Alarm) -> str:
+    return f"none of {counted(len(alarm.learnt), 'learnt fault')}" if len(alarm.learnt) > 1 else "not the learnt fault"
 
 
 def learnt_label(name: str, modelled: set[str]) -> str:

@@ -199,8 +199,7 @@ def _chosen(interval: Any, time: NDArray[np.float64], decisions: Decisions, whic
         on = np.flatnonzero(decisions.alarm)
         if not on.size:
             raise DataError(
-                f"{which} raises no alarm: say when the fault was there, interval=(start, stop), in the units of its "
-                "time"
+                f"{which} raises no alarm: say when the fault was there, interval=(start, stop), in seconds"
             )
         return np.arange(len(time)) >= on[0]
     mask = np.asarray(interval)
