@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 import residua as rs
+from bank_examples import hand_made_bank, recording as bank_recording, sampled_plant
 from recorded_plants import generated_plant
 from residua.decide.learnt_faults import learnt_direction
 from residua.errors import DataError, FileFormatError, NotFittedError, SettingError
@@ -363,3 +364,53 @@ def test_matched_filters_and_monitors_without_thresholds_do_not_learn() -> None:
     monitor, seen, _ = taught()
     with pytest.raises(NotFittedError):
         rs.Monitor(monitor.design).learn_fault("leak", None, seen)
+
+
+# -------------------------------------------------------------------------- codes
+
+
+def test_a_bank_learns_a_code(tmp_path: Path) -> None:
+    """Two sensors that fail together fire every member, which no single sensor does."""
+    plant = sampled_plant(0)
+    monitor = rs.Monitor(hand_made_bank(plant))
+    both = {plant.faults[0]: 1.5, plant.faults[1]: -1.5}
+    monitor.learn_fault("cable", *bank_recording(plant, faults=both))
+    [row] = monitor.learnt_faults
+    assert row.cone is None
+    assert row.fires == tuple(member.name for member in monitor.design.members)
+    run = bank_recording(plant, faults={name: -2 * size for name, size in both.items()}, seed=1)
+    diagnosis = monitor.run(*run)
+    assert isinstance(diagnosis, rs.Diagnosis)
+    assert diagnosis.named == (("cable",),)
+    monitor.save(tmp_path / "bank.json")
+    again = rs.Monitor.load(tmp_path / "bank.json")
+    assert str(again.run(*run)) == str(diagnosis)
+    assert "Learnt faults" in diagnosis.to_html(tmp_path / "page.html").read_text()
+    single = monitor.run(*bank_recording(plant, faults={plant.faults[2]: 2.0}))
+    assert isinstance(single, rs.Diagnosis)
+    assert single.named == ((plant.faults[2],),)
+
+
+def test_a_code_that_is_known_already_joins_its_group() -> None:
+    plant = sampled_plant(0)
+    monitor = rs.Monitor(hand_made_bank(plant))
+    shown = bank_recording(plant, faults={plant.faults[2]: 2.0})
+    monitor.learn_fault("loose plug", *shown)
+    assert monitor.learnt_faults[0].nearest == plant.faults[2]
+    diagnosis = monitor.run(*shown)
+    assert isinstance(diagnosis, rs.Diagnosis)
+    assert diagnosis.named == ((plant.faults[2], "loose plug"),)
+    with pytest.raises(DataError, match=r"the recordings of 'x' fire different members"):
+        monitor.learn_fault("x", [shown, bank_recording(plant, faults={plant.faults[1]: 2.0})])
+    with pytest.raises(DataError, match="no member of the bank fires in the interval of 'x'"):
+        monitor.learn_fault("x", *shown, interval=(100, 200))
+
+
+def test_a_code_that_is_several_faults_at_once_is_refused() -> None:
+    """In a dedicated bank, where each member that fires names a fault of its own."""
+    plant = sampled_plant(3, states=2)
+    monitor = rs.Monitor(hand_made_bank(plant, dedicated=True))
+    with pytest.raises(DataError, match="by its code it is those faults at once"):
+        monitor.learn_fault("x", *bank_recording(plant, faults={name: 9.0 for name in plant.faults}))
+    assert not monitor.learnt_faults
+    assert str(monitor.learnt_faults) == "no learnt faults"

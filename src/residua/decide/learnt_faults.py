@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.dependence import correlation_times
+from residua.decide.whitened_norm import BAND_SHARE
 from residua.errors import DataError
 from residua.number_kinds import COUNT, PART, POSITIVE, NumberKind
 from residua.records import Record
@@ -20,8 +21,6 @@ from residua.words import counted
 CONE_SHARE, WINDOW_SHARE = 0.95, 0.99
 #: Half-angle in degrees from which on a cone says nothing: a line lies within 90 degrees of any other.
 WIDEST = 60.0
-#: A mean that fault-free residuals have with this probability is no fault.
-_NO_FAULT = 1e-3
 #: Degrees of freedom from which on the spread between recordings is judged by the F distribution.
 _LEAST_FREEDOM = 3
 
@@ -182,7 +181,7 @@ def _occurrence(name: str, q: NDArray[np.float64], window: int, number: int, of:
     independent = float(count * values[sideways].sum() / lasting[sideways].sum())
     square = float(np.sum((vectors.T @ mean) ** 2 * count / times))
     chance = float(fdtrc(k, max(count / times.mean() - 1, 1.0) * k, square / k))
-    if not chance < _NO_FAULT:
+    if not chance < 1 - BAND_SHARE:
         raise DataError(
             f"{which} of {name!r} shows no fault: the mean of its residuals over {count} samples (worth "
             f"{independent:.3g} independent ones) is as far from the fault-free mean as chance takes it with a "
