@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from residua.errors import DataError, FileFormatError, NotFittedError, SettingEr
 #: A fault as (input direction of the states, size): nothing of a model knows it.
 Leak = tuple[NDArray[np.float64], float]
 ROWS, ONSET = 500, 150
+REPOSITORY = Path(__file__).resolve().parents[2]
 
 
 def noisy(seed: int, outputs: int = 5) -> tuple[rs.Plant, np.random.Generator]:
@@ -78,16 +80,17 @@ def channels(monitor: rs.Monitor, u: NDArray[np.float64], y: NDArray[np.float64]
 @cache
 def outcome(kind: str, plants: int) -> dict[str, float]:
     """Return how often a learnt fault is named right, another learnt one instead, and an unknown one a learnt one."""
+    unit = 10.0 if kind == "components" else 1.0  # static components see no fault that is small beside the signals
     right = wrong = unknown = seen = mistaken = missed = 0
     for seed in range(plants):
         plant, rng = noisy(seed)
         monitor = monitor_of(kind, plant, rng)
         a, b, stranger = leaks(rng, 3, len(plant.C))
         for name, leak in (("leak", a), ("clog", b)):
-            shown = channels(monitor, *recording(plant, rng, leak=(leak, 3.0)))
+            shown = channels(monitor, *recording(plant, rng, leak=(leak, 3.0 * unit)))
             monitor.learn_fault(name, *shown, interval=(ONSET, ROWS))
         for name, leak in (("leak", a), ("clog", b), ("", stranger)):
-            size = rng.choice([-1, 1]) * rng.uniform(1.5, 6.0)
+            size = rng.choice([-1, 1]) * rng.uniform(1.5, 6.0) * unit
             diagnosis = monitor.run(*channels(monitor, *recording(plant, rng, leak=(leak, float(size)))))
             assert isinstance(diagnosis, rs.Diagnosis)
             names = {one for group in diagnosis.named for one in group} & {"leak", "clog"}
@@ -108,12 +111,14 @@ def outcome(kind: str, plants: int) -> dict[str, float]:
     }
 
 
-@pytest.mark.parametrize(("kind", "plants"), [("kalman", 60), ("identified", 12), ("parity", 20), ("components", 20)])
+@pytest.mark.parametrize(
+    ("kind", "plants"), [("kalman", 60), ("identified", 8), ("parity", 12), ("components", 12), ("variates", 8)]
+)
 def test_a_learnt_fault_is_named_on_another_recording(kind: str, plants: int) -> None:
     """Of another size, sign and noise; what was never seen is not called by a name that was learnt."""
     rates = outcome(kind, plants)
     print(kind, rates)
-    assert rates["missed"] < (0.3 if kind == "components" else 0.1)  # noise that the scores hide the fault in
+    assert rates["missed"] < 0.1
     assert rates["right"] > 0.9
     assert rates["wrong"] < 0.05
     assert rates["mistaken"] < 0.1
@@ -250,8 +255,8 @@ def test_units_do_not_matter(low: int) -> None:
     plain, scaled = taught(), taught(scale=scale)
     for one, other in zip(plain[0].learnt_faults, scaled[0].learnt_faults, strict=True):
         assert one.cone == pytest.approx(other.cone, rel=1e-6)
-    for k in (1, 2):
-        a, b = told(plain[0], plain[k]), told(scaled[0], scaled[k])
+    for rows, same in zip(plain[1:], scaled[1:], strict=True):
+        a, b = told(plain[0], rows), told(scaled[0], same)
         assert a.named == b.named
         for x, y in zip(a.alarms[0].learnt, b.alarms[0].learnt, strict=True):
             assert (x.angle, x.allowed) == pytest.approx((y.angle, y.allowed), rel=1e-6)
@@ -411,6 +416,28 @@ def test_a_code_that_is_several_faults_at_once_is_refused() -> None:
     plant = sampled_plant(3, states=2)
     monitor = rs.Monitor(hand_made_bank(plant, dedicated=True))
     with pytest.raises(DataError, match="by its code it is those faults at once"):
-        monitor.learn_fault("x", *bank_recording(plant, faults={name: 9.0 for name in plant.faults}))
+        monitor.learn_fault("x", *bank_recording(plant, faults=dict.fromkeys(plant.faults, 9.0)))
     assert not monitor.learnt_faults
     assert str(monitor.learnt_faults) == "no learnt faults"
+
+
+# --------------------------------------------------------- recordings that others made
+
+
+def test_tennessee_eastman_faults_are_named_from_one_recording(
+    shared_data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Six of seven by principal components; 14, which moves no mean, is refused, and not called by another's name."""
+    folder = shared_data / "tep"
+    if not folder.is_dir():
+        pytest.skip("the Tennessee Eastman recordings are not present")
+    monkeypatch.syspath_prepend(str(REPOSITORY / "benchmarks"))
+    bench = import_module("learnt_faults")
+    monitor = bench.monitors(folder)["PCA"]
+    [refused] = bench.taught(monitor, folder)
+    assert refused.startswith("fault 14: the recording of 'fault 14' shows no fault")
+    [right, other, _, unknown, mistaken], _ = bench.rates(monitor, folder)
+    assert right > 0.85
+    assert other == 0
+    assert unknown < 0.15
+    assert mistaken < 0.3
