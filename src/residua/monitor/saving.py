@@ -176,6 +176,8 @@ def _monitor_in(content: Mapping[str, Any]) -> Monitor:
         if content["fit_check"] is not None:
             monitor._check = values_in(content["fit_check"], "fit_check", FitCheck)
         monitor._normal, monitor._learnt = _learnt_in(content, monitor)
+    elif content["learnt"]:
+        raise FileFormatError("learnt must be empty where fitted is null")
     if content["state"] is not None:
         monitor._state = _state_in(content["state"], monitor._specification())
     return monitor
