@@ -175,6 +175,10 @@ def _monitor_in(content: Mapping[str, Any]) -> Monitor:
         monitor._spec = _running_in(monitor._plain_specification(), content["running"], monitor, watched)
         if content["fit_check"] is not None:
             monitor._check = values_in(content["fit_check"], "fit_check", FitCheck)
+            for name in ("mean", "spread"):
+                count, channels = len(getattr(monitor._check, name)), len(monitor.generator.system.inputs)
+                if count not in (0, channels):
+                    raise FileFormatError(f"fit_check.{name} must have {channels} numbers, got {count}")
         monitor._normal, monitor._learnt = _learnt_in(content, monitor)
     elif content["learnt"]:
         raise FileFormatError("learnt must be empty where fitted is null")

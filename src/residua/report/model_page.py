@@ -132,6 +132,8 @@ def _fit(model: IdentifiedModel) -> str:
         f"On {where}. The fit is 1 less the root mean square of the error over the standard deviation of the output: "
         "100 % is a perfect prediction, 0 % is no better than the mean."
     )
+    if report.no_simulation:
+        text += f" There is no fit from inputs alone: {report.no_simulation}."
     return html_table(header, rows) + f'<p class="muted">{escape(text)}</p>'
 
 
@@ -288,13 +290,8 @@ def _gains(model: IdentifiedModel) -> str:
     report = model.report
     if report.steady_gain is None:
         return ""
-    gain, error = report.steady_gain.gain, report.steady_gain.error
     rows = [
-        [escape(output)]
-        + [
-            _num(number(float(gain[i, j])) + ("" if error is None else f" ± {number(float(error[i, j]))}"))
-            for j in range(len(report.inputs))
-        ]
+        [escape(output), *(_num(report.steady_gain.text(i, j)) for j in range(len(report.inputs)))]
         for i, output in enumerate(report.outputs)
     ]
     units = [f"{name} [{_unit(model, name)}]" if _unit(model, name) else name for name in report.inputs]
