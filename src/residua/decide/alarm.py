@@ -85,6 +85,38 @@ class Candidate:
 
 
 @dataclass(frozen=True)
+class LearntMatch:
+    """How the residual of an alarm lies to the direction of a fault that was learnt from recordings.
+
+    Attributes
+    ----------
+    fault : str
+    score : float
+        Cosine of the angle between them.
+    angle : float
+        In degrees.
+    allowed : float
+        How far off the cone of the direction and the noise over the window take 99 % of the windows of that fault, in
+        degrees.
+    """
+
+    fault: str
+    score: float
+    angle: float
+    allowed: float
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the residual can be that fault's."""
+        return self.angle <= self.allowed
+
+    @property
+    def text(self) -> str:
+        """Both angles, in words."""
+        return f"the residual is {self.angle:.2g}° off, its cone and the noise account for {self.allowed:.2g}°"
+
+
+@dataclass(frozen=True)
 class PresentFault:
     """A fault that is there by the code of a dedicated bank, and when its own member fired.
 
@@ -188,6 +220,8 @@ class Alarm:
         ``raised``. Of the twenty longest alarms of a recording.
     fired : tuple of str
         Where groups of residuals are tested by themselves: those that were in alarm, the longest first.
+    learnt : tuple of LearntMatch
+        Where faults were learnt from recordings: how the residual lies to the direction of each.
     """
 
     onset: float
@@ -203,6 +237,7 @@ class Alarm:
     present: tuple[PresentFault, ...] = ()
     began: Beginning | None = None
     fired: tuple[str, ...] = ()
+    learnt: tuple[LearntMatch, ...] = ()
 
     @property
     def named(self) -> tuple[tuple[str, ...], ...]:
@@ -251,7 +286,8 @@ class Alarm:
         """Return the alarm as plain values for JSON; ``short`` means shorter than the isolation window.
 
         ``began`` is there if it is known, ``code`` for banks, ``present`` for dedicated ones, ``sizes`` for
-        estimators and matched filters, ``arrival`` and ``lead`` for the latter, ``fired`` for groups of residuals.
+        estimators and matched filters, ``arrival`` and ``lead`` for the latter, ``fired`` for groups of residuals,
+        ``learnt`` where faults were learnt.
         """
         out: dict[str, Any] = {
             "onset": _clean(self.onset),
@@ -270,6 +306,10 @@ class Alarm:
             out["code"] = _code(self.reading) | {"share": self.read_share}
         if self.fired:
             out["fired"] = list(self.fired)
+        if self.learnt:
+            out["learnt"] = [
+                {"fault": m.fault, "angle": m.angle, "allowed": m.allowed, "agrees": m.agrees} for m in self.learnt
+            ]
         if self.present:
             out["present"] = [_present(fault) for fault in self.present]
         if self.sizes:

@@ -15,8 +15,9 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.alarm import Alarm, Candidate, PresentFault, Size
+from residua.decide.alarm import Alarm, Candidate, LearntMatch, PresentFault, Size
 from residua.decide.code_reading import CodeReading
+from residua.decide.learnt_faults import LearntFault
 from residua.decide.matched_hold import Match
 from residua.decide.member_bounds import MemberBounds
 from residua.decide.sizes import sizes_over, with_sizes
@@ -40,11 +41,14 @@ class Scores:
         By code: which members count as fired over the window.
     match : Match or None
         By matched filters: likelihood ratio, arrival and size of every fault.
+    size : ndarray, shape (...), or None
+        Where faults were learnt: the length of the whitened residual, averaged over the window; NaN as the scores.
     """
 
     scores: NDArray[np.float64]
     code: NDArray[np.bool_] | None = None
     match: Match | None = None
+    size: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +86,7 @@ class Named:
 
     Attributes
     ----------
-    candidates, sizes, arrival, reading, read_share, present, fired
+    candidates, sizes, arrival, reading, read_share, present, fired, learnt
     onset : float or None
         In seconds, where the isolation knows better than the first crossing of the threshold.
     arrived, blamed
@@ -96,13 +100,14 @@ class Named:
     read_share: float | None = None
     present: tuple[PresentFault, ...] = ()
     fired: tuple[str, ...] = ()
+    learnt: tuple[LearntMatch, ...] = ()
     onset: float | None = None
     arrived: float | None = field(default=None, compare=False)
     blamed: str = field(default="", compare=False)
 
     def of_alarm(self) -> dict[str, Any]:
         """Return what an :class:`residua.monitor.Alarm` takes over."""
-        names = ("candidates", "sizes", "arrival", "reading", "read_share", "present", "fired")
+        names = ("candidates", "sizes", "arrival", "reading", "read_share", "present", "fired", "learnt")
         fields = {name: getattr(self, name) for name in names}
         return fields if self.onset is None else fields | {"onset": self.onset}
 
@@ -192,6 +197,11 @@ class Isolation(Record, ABC):
     @property
     def signatures(self) -> tuple[NDArray[np.float64], ...]:
         """For each group an orthonormal basis of where its whitened residual points; empty if not used."""
+        return ()
+
+    @property
+    def learnt(self) -> tuple[LearntFault, ...]:
+        """The faults that were learnt from recordings; empty without."""
         return ()
 
     @property

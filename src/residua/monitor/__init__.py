@@ -1,8 +1,9 @@
 """A generator with its decision logic, running on data."""
 
-from residua.decide.alarm import Alarm, Beginning, Candidate, PresentFault, Size
+from residua.decide.alarm import Alarm, Beginning, Candidate, LearntMatch, PresentFault, Size
 from residua.monitor.decision import Decision
 from residua.monitor.diagnosis import Diagnosis
+from residua.monitor.fault_learning import LearntFaults, LearntRow
 from residua.monitor.monitor import Monitor
 from residua.monitor.regime_diagnosis import RegimeAlarm, RegimeDiagnosis
 from residua.monitor.regime_monitor import RegimeMonitor
@@ -17,6 +18,9 @@ __all__ = [
     "Decision",
     "Decisions",
     "Diagnosis",
+    "LearntFaults",
+    "LearntMatch",
+    "LearntRow",
     "Monitor",
     "PresentFault",
     "Recording",

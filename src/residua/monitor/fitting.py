@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.checks import check_samples, is_number
+from residua.decide.fault_free import FaultFree, shrunk
 from residua.decide.held_out import alarms_held_out, held_out_rows
 from residua.decide.isolation import NoIsolation
 from residua.decide.stationarity import changes, transient_samples
@@ -41,8 +42,10 @@ def fitted_test(
     start: str,
     held_out: float,
     transient: int | str,
-) -> tuple[ResidualTest, FitCheck]:
+) -> tuple[ResidualTest, FitCheck, NDArray[np.float64]]:
     """Return the test fitted to fault-free recordings of shape (1, time, channels), in plant units, and its check.
+
+    And the covariance of the fault-free residuals.
 
     The last part of every recording, ``held_out`` of its usable samples, is left to the check.
     """
@@ -64,7 +67,8 @@ def fitted_test(
     try:
         if known is not None and known.is_bound:  # data change no threshold
             bounds = _with_basis(settings.fitted(watched, run, rate), len(recordings), "")
-            return bounds, replace(FitCheck(None), **_levels(blank, generator, recordings))
+            check = replace(FitCheck(None), **_levels(blank, generator, recordings))
+            return bounds, check, fault_free_covariance(run)
         run, left_out = _without_transients(run, transient, generator.residuals)
         kept = settings.kept(watched)
         window = 1 if kept is None else kept[1]
@@ -77,7 +81,15 @@ def fitted_test(
     held = None if rows is None else alarms_held_out(test, run, rows, rate)
     check = FitCheck(held, changes(run, generator.residuals), left_out, len(recordings))
     check = replace(check, **_levels(blank, generator, recordings))
-    return _with_basis(test, len(recordings), f"; {_checked(check, held_out, int(run.usable.sum()))}"), check
+    test = _with_basis(test, len(recordings), f"; {_checked(check, held_out, int(run.usable.sum()))}")
+    return test, check, fault_free_covariance(run)
+
+
+def fault_free_covariance(run: FaultFreeRun) -> NDArray[np.float64]:
+    """Return the covariance of fault-free residuals, as far as their number shows it."""
+    data = FaultFree(run.residuals, run.usable, 1, run.seams)
+    rows = data.deviations[run.usable]
+    return shrunk(rows.T @ rows / max(1, len(rows) - 1), len(rows) / data.worth[0])[0]
 
 
 def _fitted(

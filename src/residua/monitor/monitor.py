@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.decide.checks import check_rate, check_samples
 from residua.decide.isolation import IsolationSettings, NoIsolation
+from residua.decide.learnt_faults import LearntFault
+from residua.decide.learnt_isolation import with_learnt
 from residua.decide.test import ResidualTest, TestSettings, Watched
 from residua.design import ResidualGenerator
 from residua.design.core.brought import as_generator
@@ -20,6 +23,16 @@ from residua.errors import DataError, ModelError, NotFittedError, SettingError
 from residua.monitor.decision import Decision, decision_from
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.estimating import with_estimator
+from residua.monitor.fault_learning import (
+    LabelledRun,
+    LearntFaults,
+    checked_name,
+    intervals_of,
+    judging_window,
+    learnt_from,
+    learnt_table,
+    whitening_of,
+)
 from residua.monitor.fit_check import FitCheck
 from residua.monitor.fitting import check_held_out, fitted_test
 from residua.monitor.inputs import settling_samples, several_signals, signals
@@ -170,6 +183,9 @@ class Monitor:
         self._test: ResidualTest | None = None
         self._check: FitCheck | None = None
         self._spec: Specification | None = None
+        self._learnt: tuple[LearntFault, ...] = ()
+        self._normal: NDArray[np.float64] | None = None
+        self._running: tuple[Specification, Specification] | None = None
         self._state: State | None = None
         if generator.system.is_discrete:
             if dt is not None and abs(dt - generator.dt) > SAME * dt:
@@ -303,7 +319,7 @@ class Monitor:
         blank = blank_test(self.generator)
         samples = np.concatenate([data.reshape(-1, data.shape[2]) for data in recordings])
         ranges = fitted_ranges(self.plausible, samples, guarded_ranges(self.generator, blank))
-        self._test, self._check = fitted_test(
+        self._test, self._check, self._normal = fitted_test(
             self._settings,
             self._watched(self.generator),
             recordings,
@@ -318,6 +334,112 @@ class Monitor:
         self._ranges = ranges
         self._spec = self._state = None
         return self
+
+    # ---------------------------------------------------------------- learning
+
+    def learn_fault(
+        self,
+        name: str,
+        u: Any,
+        y: ArrayLike | None = None,
+        *,
+        interval: Any = None,
+        time: ArrayLike | None = None,
+        dt: float | None = None,
+    ) -> Monitor:
+        r"""Learn a fault from one labelled recording of it, or from several; diagnoses name it from then on.
+
+        Where faults are named by direction, or not at all, the direction of its residual is learnt,
+
+        .. math:: \hat d = \frac{\bar q}{\|\bar q\|}, \qquad q_k = W^T (r_k - \bar r_{normal}),
+
+        the mean of the whitened residual while the fault is there, with a cone that holds the true direction with 95 %
+        confidence: from the scatter of the residual, its samples counted for as many independent ones as they are
+        worth, and from the spread between recordings; the larger governs. An alarm is put down to it where the residual
+        is no further off that direction than the cone and the noise of the window account for, whatever the size and
+        sign of the fault; where that is so for none, and no fault of the model explains it well, it is an *unknown
+        fault*. In a bank that is read by code it is the code: which members fire.
+
+        Parameters
+        ----------
+        name : str
+            A fault of that name that was learnt before is learnt anew.
+        u : array_like, shape (time, inputs), or None
+            Without ``y``: a data frame, a :class:`residua.monitor.Recording`, or a list of recordings, as for
+            :meth:`fit`. Several occurrences say more than a long one.
+        y : array_like, shape (time, outputs)
+            In plant units.
+        interval : (float, float), ndarray of bool, or a list of these, optional
+            When the fault was there: from a time to before another, in seconds, or a mask of samples; one for all
+            recordings or one for each. When omitted, from the first alarm on.
+        time : array_like, shape (time,), optional
+        dt : float, optional
+
+        Returns
+        -------
+        Monitor
+            Itself. What it runs starts anew. A later :meth:`fit` keeps what was learnt.
+
+        Raises
+        ------
+        DataError
+            If a recording raises no alarm and no interval is given, does not differ from fault-free data, or shows a
+            direction with a cone wider than 60 degrees.
+        SettingError
+            If the monitor names by matched filters.
+        NotFittedError
+            If the monitor has no threshold, or does not know the covariance of fault-free residuals.
+
+        Notes
+        -----
+        Assumes: the fault moves the residual along one line; what changes over the interval counts as scatter, and
+        widens the cone. One recording does not say how much one occurrence differs from the next, and the diagnosis
+        says so.
+
+        See Also
+        --------
+        learnt_faults : the table of what was learnt, with angles to what the model predicts.
+
+        References
+        ----------
+        Mardia and Jupp (2000), Directional statistics, section 10.4. Yoon and MacGregor (2001), Journal of Process
+        Control 11(4), 387-400 (fault signatures from past occurrences, and angles between them).
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import residua as rs
+        >>> rng = np.random.default_rng(0)
+        >>> normal = rng.standard_normal((600, 3))
+        >>> made = rs.identify.principal_components(normal[:300], outputs=["flow", "speed", "pressure"])
+        >>> monitor = rs.Monitor(made).fit(None, normal[300:])
+        >>> leak = rng.standard_normal((200, 3)) + [4.0, -3.0, 0.0]
+        >>> monitor.learn_fault("leak", None, leak).run(None, rng.standard_normal((100, 3)) + [8.0, -6.0, 0.0]).named
+        (('leak',),)
+        """
+        name = checked_name(name)
+        parts = several_signals(u, y, time, dt, self.design.plant)
+        for one in parts:
+            self._learn_step(one.dt)
+        plain, step = self._plain_specification(), self.generator.dt
+        blocks = [self._block(one.u, one.y) for one in parts]
+        runs = [
+            LabelledRun(step * np.arange(data.shape[1]) if one.time is None else one.time, data)
+            for one, data in zip(parts, blocks, strict=True)
+        ]
+        window = judging_window(self._isolation, plain.isolation)
+        by_code = plain.isolation.coding is not None
+        space = None if by_code else whitening_of(plain.test, self._normal)
+        made = learnt_from(name, runs, intervals_of(interval, len(runs)), plain, space, window)
+        faults = (*(fault for fault in self._learnt if fault.name != name), made)
+        self._extended(plain, faults)  # raises where it does not go with the others
+        self._learnt, self._running, self._state = faults, None, None
+        return self
+
+    @property
+    def learnt_faults(self) -> LearntFaults:
+        """The faults that were learnt from recordings: a table to print, with a :class:`LearntRow` for each."""
+        return learnt_table(self._specification().isolation) if self._learnt else LearntFaults()
 
     # ----------------------------------------------------------------- running
 
@@ -521,6 +643,25 @@ class Monitor:
         return data if data.ndim == 3 else data[None]
 
     def _specification(self) -> Specification:
+        """Return what runs, with the learnt faults."""
+        with self._lock:
+            plain = self._plain_specification()
+            if self._running is None or self._running[0] is not plain:
+                self._running = (plain, self._extended(plain, self._learnt))
+            return self._running[1]
+
+    def _extended(self, plain: Specification, faults: tuple[LearntFault, ...]) -> Specification:
+        """Return what runs with learnt faults."""
+        if not faults:
+            return plain
+        base, test = plain.isolation, plain.test
+        window = judging_window(self._isolation, base)
+        return replace(
+            plain, isolation=with_learnt(base, faults, test, lambda: whitening_of(test, self._normal), window)
+        )
+
+    def _plain_specification(self) -> Specification:
+        """Return what runs, without learnt faults."""
         with self._lock:
             if self._spec is None:
                 self._spec = specification(

@@ -21,14 +21,14 @@ def renewed(content: dict[str, Any]) -> dict[str, Any]:
     """Return the content of a file of an earlier version as one of today.
 
     In a file of version 3 nothing was matched with responses; before version 5 every test was of the norm, and when a
-    standing alarm began was not known: it stays so until it ends. ``bounds`` and ``fit_check`` are entries of a file
-    only where there are any. A file from before version 6 has no checksum, and in its signatures rounding where there
-    are zeros now: in the rows of residuals that a fault does not reach. Its starts were from rest, and its Kalman
-    filters held the values of missing outputs, which both stay so; and every finite number was a measurement: without
-    the recording that was fitted, only what would overflow is missing. Before version 7 what ran and its state were one
-    flat table of every kind of test and isolation.
+    standing alarm began was not known: it stays so until it ends. ``bounds``, ``fit_check``, ``normal`` and ``learnt``
+    are entries of a file only where there are any. A file from before version 6 has no checksum, and in its signatures
+    rounding where there are zeros now: in the rows of residuals that a fault does not reach. Its starts were from rest,
+    and its Kalman filters held the values of missing outputs, which both stay so; and every finite number was a
+    measurement: without the recording that was fitted, only what would overflow is missing. Before version 7 what ran
+    and its state were one flat table of every kind of test and isolation.
     """
-    version, content = content["version"], {"bounds": {}, "fit_check": None} | content
+    version, content = content["version"], {"bounds": {}, "fit_check": None, "normal": None, "learnt": []} | content
     if version == 3:
         _with_matched(content)
     if version in (3, 4):

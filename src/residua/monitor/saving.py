@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 
 from residua.decide.isolation import IsolationSettings
 from residua.decide.kinds import read_isolation, read_test, settings_out
+from residua.decide.learnt_faults import LearntFault
 from residua.decide.member_bounds import bounds_in, bounds_out
 from residua.decide.test import TestSettings, Watched
+from residua.decide.whitened_norm import is_selection
 from residua.design import ResidualGenerator
 from residua.errors import FileFormatError, ResiduaError
 from residua.files import read_bytes, write_text
@@ -82,6 +84,8 @@ _ENTRIES = (
     "running",
     "state",
 )
+#: Entries of a file only where there are any.
+_WHERE_ANY = ("bounds", "fit_check", "normal", "learnt")
 
 
 def save_monitor(monitor: Monitor, path: str | Path) -> None:
@@ -107,13 +111,17 @@ def monitor_out(monitor: Monitor) -> dict[str, Any]:
         "start": monitor.start,
         "notes": list(monitor.notes),
         "fitted": None if test is None else test.to_record(),
-        "running": None if test is None or generator is None else _running_out(monitor._specification()),
+        "running": None if test is None or generator is None else _running_out(monitor._plain_specification()),
         "state": None if monitor._state is None else values_out(monitor._state),
     }
     if monitor._bounds:  # entries of their own where there is something to tell: any other file stays as it was
         content["bounds"] = bounds_out(monitor._bounds)
     if monitor._check is not None:
         content["fit_check"] = values_out(monitor._check)
+    if test is not None and monitor._normal is not None and is_selection(test.metric):
+        content["normal"] = array_out(monitor._normal)  # else the test has it
+    if monitor._learnt:
+        content["learnt"] = [values_out(fault) for fault in monitor._learnt]
     return content
 
 
@@ -147,7 +155,7 @@ def monitor_from(content: Mapping[str, Any], source: str) -> Monitor:
         )
     try:
         with np.errstate(all="ignore"):  # what overflows is refused; that it did is no news
-            return _monitor_in(record(renewed(dict(content)), "", (*_ENTRIES, "bounds", "fit_check", CHECKSUM)))
+            return _monitor_in(record(renewed(dict(content)), "", (*_ENTRIES, *_WHERE_ANY, CHECKSUM)))
     except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError, MemoryError, ResiduaError) as error:
         raise FileFormatError(f"{source}: {shortened(str(error), 1000)}") from error
 
@@ -178,16 +186,40 @@ def _monitor_in(content: Mapping[str, Any]) -> Monitor:
     if content["fitted"] is not None:
         watched = monitor._watched(monitor.generator)
         monitor._test = monitor._settings.test_from_record(content["fitted"], "fitted", watched)
-        monitor._spec = _running_in(monitor._specification(), content["running"], monitor, watched)
+        monitor._spec = _running_in(monitor._plain_specification(), content["running"], monitor, watched)
         if content["fit_check"] is not None:
             monitor._check = values_in(content["fit_check"], "fit_check", FitCheck)
             for name in ("mean", "spread"):
                 count, channels = len(getattr(monitor._check, name)), len(monitor.generator.system.inputs)
                 if count not in (0, channels):
                     raise FileFormatError(f"fit_check.{name} must have {channels} numbers, got {count}")
+        monitor._normal, monitor._learnt = _learnt_in(content, monitor)
+    elif content["learnt"]:
+        raise FileFormatError("learnt must be empty where fitted is null")
     if content["state"] is not None:
         monitor._state = _state_in(content["state"], monitor._specification())
     return monitor
+
+
+def _learnt_in(
+    content: Mapping[str, Any], monitor: Monitor
+) -> tuple[NDArray[np.float64] | None, tuple[LearntFault, ...]]:
+    """Return the fault-free covariance, where it is not that of the test, and the faults that were learnt."""
+    k, coding = monitor.generator.n_residuals, monitor._plain_specification().isolation.coding
+    normal = None if content["normal"] is None else _square_in(content["normal"], "normal", k)
+    faults = []
+    for j, value in enumerate(list_in(content["learnt"], "learnt")):
+        fault: LearntFault = values_in(value, f"learnt[{j}]", LearntFault)
+        size, members = (k, 0) if coding is None else (0, len(coding.members))
+        shapes = [fault.shift.shape, *(M.shape for M in (fault.error, fault.noise, fault.between)), fault.code.shape]
+        if shapes != [(size,), *[(size, size)] * 3, (members,)]:
+            raise FileFormatError(f"learnt[{j}] must be for {size} residuals and {members} members")
+        if not (fault.shift.any() or fault.code.any()):
+            raise FileFormatError(f"learnt[{j}] has neither a direction nor a code")
+        faults.append(fault)
+    if len({fault.name for fault in faults}) < len(faults):
+        raise FileFormatError("learnt: every fault must have a name of its own")
+    return normal, tuple(faults)
 
 
 @dataclass(frozen=True, eq=False)

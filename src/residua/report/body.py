@@ -24,6 +24,7 @@ from residua.report.tables import (
     candidate_table,
     evidence_html,
     html_table,
+    learnt_faults_html,
     similarity_table,
     structure_table,
 )
@@ -138,6 +139,7 @@ def diagnosis_html(diagnosis: Diagnosis, charts: dict[str, Any], *, number: int,
             f'<p class="muted">{escape(v.rules)}</p>' if v.rules else "",
             f'<p class="muted">{escape(BEGAN_RULE)}</p>' if any(a.began for a in diagnosis.alarms) else "",
             code_table(diagnosis) if by_code else _directions(diagnosis),
+            learnt_faults_html(diagnosis),
             _residual_table(diagnosis),
             link if filter_number else "",
         ]

@@ -103,7 +103,7 @@ def _turned(
     U, s, Vt = np.linalg.svd(whitening)
     turn, root = U @ Vt, (U * s) @ U.T
     steady = tuple(
-        any(0 < basis.shape[1] < generator.subspaces[fault].shape[1] for fault in group)
+        any(0 < basis.shape[1] < generator.subspaces[fault].shape[1] for fault in group if fault in generator.subspaces)
         for group, basis in zip(groups, bases, strict=True)
     )
     labels = tuple(" or ".join(group) for group in groups)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from residua.decide.statement import angle, ranked, sizes_text, tied_name
 from residua.design.core.evidence import Evidence, format_pole
+from residua.monitor.fault_learning import learnt_table
 from residua.report.choosing import SHOWN_FAULTS
 from residua.report.text import escape
 from residua.words import lead_text, number, score, some
@@ -138,6 +139,27 @@ def candidate_table(diagnosis: Diagnosis) -> str:
         f"{html_table(header, rows[:SHOWN_FAULTS], caption=f'{title}: the first {SHOWN_FAULTS}')}"
         f'<details class="more"><summary>{more} more candidates, with lower scores</summary>{rest}</details>'
     )
+
+
+def learnt_faults_html(diagnosis: Diagnosis) -> str:
+    """Return the table of the faults that were learnt from recordings, and how the main alarm lies to each."""
+    table = learnt_table(diagnosis.isolation)
+    if not table:
+        return ""
+    header, rows = table.cells()
+    main = diagnosis.main_alarm
+    matches = {m.fault: m for m in main.learnt} if main is not None else {}
+    cells = [[f'<td class="name">{escape(row[0])}</td>', *map(escape, row[1:])] for row in rows]
+    if matches:
+        header = [*header, "main alarm off it", "accounted for"]
+        for row, learnt in zip(cells, table, strict=True):
+            one = matches.get(learnt.name)
+            row += ["–", "–"] if one is None else [f"{one.angle:.2g}°", f"{one.allowed:.2g}°"]
+    text = (
+        "Learnt from recordings of them. A cone holds the direction with 95 % confidence; what one recording cannot "
+        "show is how much one occurrence differs from the next."
+    )
+    return f"<h3>Learnt faults</h3><p>{text}</p>{html_table([one[:1].upper() + one[1:] for one in header], cells)}"
 
 
 def structure_table(generator: ResidualGenerator) -> str:

@@ -1,0 +1,385 @@
+"""Isolation with faults learnt from recordings beside those that the model predicts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide.alarm import CLOSE_MARGIN, Alarm, Candidate, LearntMatch
+from residua.decide.isolation import Isolation, Named, Scores, Seen
+from residua.decide.learnt_faults import (
+    WINDOW_SHARE,
+    LearntFault,
+    across,
+    angle_between,
+    occurrence_square,
+    square_at,
+)
+from residua.decide.member_bounds import MemberBounds
+from residua.decide.row_norms import row_norms
+from residua.decide.statement import POOR_SCORE, Statement, raised_text, statement_by_score
+from residua.decide.structured import CodeTest
+from residua.decide.test import Block, ResidualTest, Tested
+from residua.decide.whitened_norm import whitened_residuals
+from residua.decide.window import WindowState, empty_window, moving_sum
+from residua.errors import DataError
+from residua.linear.systems.recursion import ordered_product
+from residua.recording.clock import Clock
+from residua.words import counted, listing
+
+#: How far off its direction a residual may be at most, in degrees, however noisy it is: as for any signature.
+FARTHEST = math.degrees(math.acos(POOR_SCORE))
+#: Says of each learnt fault what it was learnt from.
+_MEANING = (
+    "The score is the cosine of the angle between the residual and a signature, over the monitor's window. A learnt "
+    "fault is named where the residual is no further off its direction than the cone of the direction and the noise of "
+    "the window account for (99 % of the windows of that fault)."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class LearntState:
+    """What isolation with learnt faults remembers.
+
+    Attributes
+    ----------
+    base : object
+        Of the isolation that names the faults of the model.
+    window : WindowState
+        Of the sum of the residual.
+    """
+
+    base: Any
+    window: WindowState
+
+
+@dataclass(frozen=True, eq=False)
+class LearntDirections(Isolation):
+    """Directions learnt from recordings, beside what names the faults of the model: what runs.
+
+    Attributes
+    ----------
+    base : Isolation
+        What names the faults of the model.
+    faults : tuple of LearntFault
+    center : ndarray, shape (k,)
+        Fault-free mean of the residual.
+    space : ndarray, shape (k, k)
+        Whitening in which learnt directions are judged.
+    metric : ndarray, shape (k, K)
+        That of the test, in which pages draw directions.
+    window : int
+    """
+
+    base: Isolation
+    faults: tuple[LearntFault, ...]
+    center: NDArray[np.float64]
+    space: NDArray[np.float64]
+    metric: NDArray[np.float64]
+    window: int
+
+    @property
+    def groups(self) -> tuple[tuple[str, ...], ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Those of the model, then the learnt faults."""
+        return (*self.base.groups, *((label,) for label in self.labels))
+
+    @property
+    def unjudged(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Those of the model."""
+        return self.base.unjudged
+
+    @cached_property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the learnt faults; one that the model has too is marked."""
+        modelled = {name for group in self.base.groups for name in group} | set(self.base.unjudged)
+        return tuple(learnt_label(fault.name, modelled) for fault in self.faults)
+
+    @cached_property
+    def directions(self) -> NDArray[np.float64]:
+        """The learnt directions in the whitened space, as columns of length 1."""
+        shifts = ordered_product(np.array([[fault.shift for fault in self.faults]]), self.space)[0]
+        return (shifts / row_norms(shifts)[:, None]).T
+
+    @cached_property
+    def sizes(self) -> NDArray[np.float64]:
+        """Lengths of the shifts that were learnt, in the whitened space."""
+        return row_norms(ordered_product(np.array([[fault.shift for fault in self.faults]]), self.space)[0])
+
+    @cached_property
+    def _squares(self) -> list[tuple[float, float]]:
+        """For each fault the squares, across its direction, of the noise of a window and of the error of the shift."""
+        out = []
+        for j, fault in enumerate(self.faults):
+            noise, error, between = (
+                across(self.directions[:, j], self.space.T @ M @ self.space)
+                for M in (fault.noise, fault.error, fault.between)
+            )
+            occurrence = occurrence_square(between, fault.recordings, WINDOW_SHARE, new=True)
+            out.append(
+                (square_at(noise, WINDOW_SHARE), max(square_at(error, WINDOW_SHARE, fault.independent), occurrence))
+            )
+        return out
+
+    # ------------------------------------------------------------------------ running
+
+    def start(self, plants: int) -> LearntState:
+        """Return the state before the first sample."""
+        return LearntState(self.base.start(plants), empty_window(plants, self.window, self.space.shape[1]))
+
+    def run(self, state: LearntState, block: Block, tested: Tested) -> tuple[LearntState, Scores]:
+        """Return the scores of the model's faults, and the correlation of the residual with each learnt direction."""
+        base, scores = self.base.run(state.base, block, tested)
+        q, usable = whitened_residuals(self.center, self.space, block)
+        sums, window = moving_sum(q, state.window)
+        size = row_norms(sums)
+        usable = usable & tested.usable & (size > 0)
+        size = np.where(usable, size, np.nan)
+        cosines = np.minimum(np.abs(ordered_product(sums, self.directions)) / size[..., None], 1.0)
+        joint = np.concatenate([scores.scores, cosines], axis=2)
+        return LearntState(base, window), replace(scores, scores=joint, size=size / self.window)
+
+    def matches(self, scores: NDArray[np.float64], size: float) -> tuple[LearntMatch, ...]:
+        """Return how far a window's mean of a size is off each learnt direction, and how far it may be."""
+        out = []
+        for j, label in enumerate(self.labels):
+            cosine = float(scores[len(self.base.groups) + j])
+            if not (math.isfinite(cosine) and math.isfinite(size) and size > 0):
+                continue
+            noise, error = self._squares[j]
+            ratio = (size * cosine / float(self.sizes[j])) ** 2
+            allowed = math.sqrt(max(1.0, ratio) * noise + ratio * error) / size
+            degrees = min(math.degrees(math.asin(min(1.0, allowed))), FARTHEST)
+            out.append(LearntMatch(label, cosine, math.degrees(math.acos(cosine)), degrees))
+        return tuple(out)
+
+    def _with_learnt(self, named: Named, scores: NDArray[np.float64], size: float) -> Named:
+        """Return an attribution with the learnt faults; without a name where nothing explains the residual.
+
+        What the model predicts has no cone: it is believed where it explains the residual well, and no learnt fault
+        that is excluded explains more. A learnt fault goes before one of the model that it cannot be told from here.
+        """
+        matches = self.matches(scores, size)
+        if not matches:
+            return named
+        agree = {m.fault: m for m in matches if m.agrees}
+        own = [Candidate((m.fault,), m.score, math.sqrt(max(0.0, 1 - m.score**2))) for m in agree.values()]
+        ranked = sorted((*named.candidates, *own), key=lambda c: -round(c.score, 3) if c.score == c.score else 1.0)
+        excluded = max((m.score for m in matches if not m.agrees), default=0.0)
+        first = next((c for c in ranked if c.faults[0] in agree), None)
+        if first is not None and ranked[0] is not first:
+            apart = dict(self.angles(self.labels.index(first.faults[0])))
+            if apart.get(ranked[0].name, 90.0) <= agree[first.faults[0]].allowed:
+                ranked = [first, *(c for c in ranked if c is not first)]
+        best = ranked[0] if ranked else None
+        believed = best is not None and (
+            best.faults[0] in agree or (best.score >= POOR_SCORE and best.score > excluded - CLOSE_MARGIN)
+        )
+        return replace(named, candidates=tuple(ranked) if believed else (), learnt=matches)
+
+    def _base_seen(self, seen: Seen) -> Seen:
+        own = replace(seen.scores, scores=seen.scores.scores[..., : len(self.base.groups)])
+        return replace(seen, scores=own, state=None if seen.state is None else seen.state.base)
+
+    def name(self, seen: Seen, start: int, stop: int, last: int) -> Named:
+        """Return the attribution of an alarm of a recording."""
+        assert seen.scores.size is not None
+        named = self.base.name(self._base_seen(seen), start, stop, last)
+        return self._with_learnt(named, seen.scores.scores[last], float(seen.scores.size[last]))
+
+    def name_now(self, seen: Seen) -> Named:
+        """Return the attribution of the standing alarm."""
+        assert seen.scores.size is not None
+        named = self.base.name_now(self._base_seen(seen))
+        return self._with_learnt(named, seen.scores.scores[0], float(seen.scores.size[0]))
+
+    # ----------------------------------------------- what the rest of a monitor asks for
+
+    @property
+    def samples(self) -> int:
+        """Samples that a name is judged over."""
+        return self.window
+
+    @property
+    def signatures(self) -> tuple[NDArray[np.float64], ...]:
+        """Bases of the model's faults, then the learnt directions."""
+        lines = [self.metric.T @ fault.shift for fault in self.faults]
+        return (*self.base.signatures, *((line / np.linalg.norm(line))[:, None] for line in lines))
+
+    @property
+    def learnt(self) -> tuple[LearntFault, ...]:
+        """The learnt faults."""
+        return self.faults
+
+    def angles(self, j: int) -> tuple[tuple[str, float], ...]:
+        """Return the angles in degrees of a learnt direction to all other groups, the nearest first."""
+        line = self.metric.T @ self.faults[j].shift
+        out = [
+            (" or ".join(group), angle_between(line, basis))
+            for group, basis in zip(self.base.groups, self.base.signatures, strict=False)
+        ]
+        for i, label in enumerate(self.labels):
+            if i != j:
+                out.append((label, angle_between(self.directions[:, j], self.directions[:, i])))
+        return tuple(sorted(out, key=lambda pair: pair[1]))
+
+    def notes(self) -> tuple[str, ...]:
+        """Return which learnt faults are not to be told from another fault, by angle."""
+        place = {label: k for k, label in enumerate(self.labels)}
+        out = list(self.base.notes())
+        for j, fault in enumerate(self.faults):
+            for other, angle in self.angles(j):
+                i = place.get(other)
+                cone = fault.cone if i is None else max(fault.cone, self.faults[i].cone)
+                if angle <= cone and (i is None or i > j):
+                    out.append(
+                        f"{self.labels[j]} and {other} cannot be told apart by their directions: {angle:.2g}° between "
+                        f"them, a cone of {cone:.2g}°"
+                    )
+        return tuple(out)
+
+    def words(self, step: float) -> dict[str, str]:
+        """Return in words how faults are named."""
+        own = f"directions of {counted(len(self.faults), 'learnt fault')} over {self.window} samples"
+        base = self.base.words(step).get("isolation")
+        faults = "; ".join(f"{label}: {f.basis}" for label, f in zip(self.labels, self.faults, strict=True))
+        return {**self.base.words(step), "isolation": f"{base}; {own}" if base else own, "learnt faults": faults}
+
+    def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
+        """Return the statement about an alarm: the name, what it was learnt from, and what else it is not."""
+        if not alarm.learnt:
+            return self.base.statement(alarm, clock, window)
+        if not alarm.candidates:
+            return _unknown(alarm, clock)
+        said = statement_by_score(
+            alarm, clock, window, lambda score: f"{math.degrees(math.acos(score)):.2g}°", _MEANING
+        )
+        basis = dict(zip(self.labels, self.faults, strict=True))
+        about = [m for m in alarm.learnt if m.fault in alarm.candidates[0].faults]
+        more = tuple(f"{m.fault} was learnt from {basis[m.fault].basis}; {m.text}." for m in about)
+        if about and basis[about[0].fault].recordings == 1:
+            more += ("How much one occurrence of it differs from another is not known: one recording shows none.",)
+        lines = tuple(f"learnt from {basis[m.fault].basis}; {m.text}" for m in about)
+        if not any(m.agrees for m in alarm.learnt):
+            lines = (f"{_none_of(alarm)}: nearest is {_nearest(alarm).fault}, {_nearest(alarm).text}",)
+            more = (f"It is {lines[0]}.",)
+        return replace(said, sentences=(*said.sentences, *more), lines=(*said.lines, *lines))
+
+    def same_event(self, before: Alarm, alarm: Alarm) -> bool:
+        """Tell whether an alarm that follows another soon is about the same thing."""
+        return self.base.same_event(before, alarm)
+
+    def cautions(self, bounds: Mapping[str, MemberBounds], alarms: Sequence[Alarm], seen: Seen) -> tuple[str, ...]:
+        """Return what to mind before a name is believed."""
+        return self.base.cautions(bounds, alarms, seen)
+
+    def check_state(self, state: LearntState, count: int) -> None:
+        """Raise where a state from a file cannot be one."""
+        self.base.check_state(state.base, count)
+        state.window.check("state.isolation.window")
+
+
+@dataclass(frozen=True, eq=False)
+class LearntCodes(CodeTest):
+    """Codes of a bank with those of learnt faults: what runs.
+
+    Attributes
+    ----------
+    faults : tuple of LearntFault
+        Their columns are in ``codes``, as those of any other fault.
+    """
+
+    faults: tuple[LearntFault, ...] = ()
+
+    @property
+    def learnt(self) -> tuple[LearntFault, ...]:
+        """The learnt faults."""
+        return self.faults
+
+    def words(self, step: float) -> dict[str, str]:
+        """Return in words how faults are named."""
+        return super().words(step) | {"learnt faults": "; ".join(f"{f.name}: {f.basis}" for f in self.faults)}
+
+
+def _unknown(alarm: Alarm, clock: Clock) -> Statement:
+    """Return the words for an alarm that no fault, learnt or of the model, explains."""
+    headline = f"A fault was found, {raised_text(alarm, clock)}: an unknown one, {_none_of(alarm)}."
+    line = f"unknown fault, {_none_of(alarm)}: nearest is {_nearest(alarm).fault}, {_nearest(alarm).text}"
+    sentences = tuple(f"{m.fault}: {m.text}." for m in sorted(alarm.learnt, key=lambda m: m.angle))
+    return Statement(headline, "unknown fault", None, sentences, (line,), rules=_MEANING)
+
+
+def _nearest(alarm: Alarm) -> LearntMatch:
+    return min(alarm.learnt, key=lambda m: m.angle)
+
+
+def _none_of(alarm: Alarm) -> str:
+    return f"none of {counted(len(alarm.learnt), 'learnt fault')}" if len(alarm.learnt) > 1 else "not the learnt fault"
+
+
+def learnt_label(name: str, modelled: set[str]) -> str:
+    """Return what a learnt fault is called: marked where the model has a fault of that name."""
+    return f"{name} (learnt)" if name in modelled else name
+
+
+def with_learnt(
+    base: Isolation,
+    faults: Sequence[LearntFault],
+    test: ResidualTest,
+    space: Callable[[], NDArray[np.float64]],
+    window: int,
+) -> Isolation:
+    """Return an isolation that names learnt faults beside those that it has.
+
+    Raises
+    ------
+    DataError
+        If the code of a fault is that of several others at once.
+    """
+    if not faults:
+        return base
+    if isinstance(base, CodeTest):
+        return _with_codes(base, faults)
+    return LearntDirections(base, tuple(faults), test.center, space(), test.metric, window)
+
+
+def _with_codes(base: CodeTest, faults: Sequence[LearntFault]) -> CodeTest:
+    """Return codes with those that were learnt: one equal to another joins its group."""
+    modelled = {name for group in base.groups for name in group} | set(base.unjudged)
+    groups, codes = [list(group) for group in base.groups], [base.codes[:, g] for g in range(len(base.groups))]
+    settled = list(base.settled)
+    for fault in faults:
+        label = learnt_label(fault.name, modelled)
+        if base.dedicated and fault.code.sum() > 1:
+            fired = listing(m for m, on in zip(base.members, fault.code, strict=True) if on)
+            raise DataError(
+                f"{fault.name!r} fires {fired}, and each of these members names a fault of its own: by its code it is "
+                "those faults at once. Learn it with a monitor that names by direction, isolate=Directional()"
+            )
+        same = next((g for g, code in enumerate(codes) if np.array_equal(code, fault.code)), None)
+        if same is None:
+            groups.append([label])
+            codes.append(fault.code)
+            settled.append(())
+        else:
+            groups[same].append(label)
+    return LearntCodes(
+        base.window,
+        base.share,
+        base.distance,
+        base.members,
+        tuple(tuple(group) for group in groups),
+        np.array(codes, dtype=bool).T.reshape(len(base.members), len(codes)),
+        base.unjudged,
+        tuple(settled),
+        base.at_once,
+        tuple(faults),
+    )
+
+
+__all__ = ["LearntCodes", "LearntDirections", "LearntState", "learnt_label", "with_learnt"]
