@@ -1,6 +1,7 @@
 """Plants and residual generators from recordings: one method, one file."""
 
 from residua.identify.canonical_variates import CanonicalVariates, canonical_variates
+from residua.identify.drifts import Drifts, drifting_channels
 from residua.identify.grey_box import GreyBox, grey_box
 from residua.identify.identified_model import IdentifiedModel, Prediction
 from residua.identify.linearise import TangentModel, linearise, tangent_model
@@ -14,6 +15,7 @@ from residua.identify.subspace import subspace
 __all__ = [
     "CanonicalVariates",
     "DataParity",
+    "Drifts",
     "GreyBox",
     "IdentificationReport",
     "IdentifiedModel",
@@ -22,6 +24,7 @@ __all__ = [
     "PrincipalComponents",
     "TangentModel",
     "canonical_variates",
+    "drifting_channels",
     "given_residuals",
     "grey_box",
     "linearise",

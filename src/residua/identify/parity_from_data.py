@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,7 +13,8 @@ from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
 from residua.errors import DataError, SettingError
 from residua.identify.channel_filter import channel_generator, checked_count
-from residua.identify.lagged_rows import LaggedRows, few_rows, lagged_rows, standard
+from residua.identify.drift_treatment import treated
+from residua.identify.lagged_rows import LaggedRows, few_rows, lagged_rows
 from residua.identify.segments import Names, gather
 from residua.linear.subspaces.rank import RankDecision, null_basis
 from residua.tolerances import DATA_ROUNDING, SAME
@@ -45,11 +46,14 @@ class DataParity:
         For each combination of the ``s + 1`` samples how well past and inputs foretell it, largest first: 1 for inputs
         and states, that of chance for relations.
     vectors : ndarray, shape (relations, s + 1, channels)
-        The relations, orthonormal in standard units: weights of ``z[k], z[k-1], ...``, inputs first.
+        The relations, orthonormal in standard units: weights of ``z[k], z[k-1], ...``, inputs first, without channels
+        that are left out.
     mean, spread : ndarray, shape (channels,)
-        Of each channel, in its own units.
+        Of each channel, in its own units; of one that is differenced the spread of its changes.
     samples : int
         Windows that they are from.
+    drifts : mapping of str to str
+        What was done with each channel that drifts, or was named.
     """
 
     generator: ResidualGenerator
@@ -61,6 +65,7 @@ class DataParity:
     mean: NDArray[np.float64] = field(repr=False)
     spread: NDArray[np.float64] = field(repr=False)
     samples: int
+    drifts: Mapping[str, str] = field(repr=False)
 
     def __repr__(self) -> str:
         return (
@@ -78,6 +83,7 @@ def parity_from_data(
     order: int = 8,
     relations: int | None = None,
     poles: Sequence[complex] | None = None,
+    drifts: str | Mapping[str, str] = "keep",
     dt: float | None = None,
 ) -> DataParity:
     r"""Return parity relations of fault-free recordings as a residual generator, without a model in between.
@@ -112,6 +118,12 @@ def parity_from_data(
     poles : sequence of complex, optional
         ``order`` stable poles, closed under conjugation, that all residuals have; all zero, the moving average, when
         omitted.
+    drifts : {"keep", "leave out", "difference"} or mapping of str to these
+        What is done with channels that do not keep their level (:func:`residua.identify.drifting_channels`): nothing,
+        besides a note with numbers; they are read by no residual, and have no fault; or they are read by their changes
+        from row to row, which show their faults only while these change. A mapping says it for each channel by name,
+        whether it drifts or not; those that it does not name are kept.
+        Relations among channels that wander together hold, so that keeping them is right where the inputs move them.
     dt : float, optional
         Step in seconds of arrays.
 
@@ -162,9 +174,9 @@ def parity_from_data(
     """
     s = checked_count(order, "order", 1)
     denominator = _denominator(poles, s)
-    gathered = gather(recordings, y, inputs=inputs, outputs=outputs, dt=dt)
-    units = standard(gathered)
-    stacked = lagged_rows(gathered, units, 2 * s + 1)
+    channels = treated(gather(recordings, y, inputs=inputs, outputs=outputs, dt=dt), drifts)
+    gathered = channels.gathered
+    stacked = lagged_rows(gathered, channels.units, 2 * s + 1)
     m, q = len(gathered.inputs), stacked.channels
     correlations, directions, chance = _correlations(stacked, s, m, gathered.inputs)
     most = (q - m) * (s + 1)
@@ -187,8 +199,10 @@ def parity_from_data(
         ),
         references=("Ding (2014), chapter 9",),
     )
-    generator = channel_generator(gathered, units, weights, {"relation": k}, evidence, denominator=denominator)
-    return DataParity(generator, s, k, supported, correlations, vectors, units.mean, units.spread, stacked.count)
+    generator = channel_generator(channels, weights, {"relation": k}, evidence, denominator=denominator)
+    return DataParity(
+        generator, s, k, supported, correlations, vectors, channels.mean, channels.spread, stacked.count, channels.ways
+    )
 
 
 def _correlations(
