@@ -82,10 +82,8 @@ def treated(gathered: Gathered, drifts: Any) -> Treated:
     _check(gathered, drifts)
     whole = standard(gathered)
     found = _found(gathered, whole, drifts)
-    if isinstance(drifts, Mapping):
-        ways = dict(drifts)
-    else:
-        ways = dict.fromkeys(found.drifting if found is not None else (), drifts)
+    drifting = () if found is None else found.drifting
+    ways: dict[str, str] = {**drifts} if isinstance(drifts, Mapping) else {name: str(drifts) for name in drifting}
     left_out = [name for name, way in ways.items() if way == LEAVE_OUT]
     kept = [name for name in gathered.channels if name not in left_out]
     if not set(kept) & set(gathered.outputs):
@@ -132,8 +130,8 @@ def _found(gathered: Gathered, whole: Standard, drifts: Any) -> Drifts | None:
 
 
 def _told(found: Drifts | None, ways: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the channels that a note is about: those that drift, and those that were treated by their names."""
-    drifting = () if found is None else found.drifting
+    """Return the channels that a note is about: those that drift anywhere, and those that are treated by their names."""
+    drifting = () if found is None else tuple(np.array(found.names)[found.moves.any(axis=0)].tolist())
     return (*drifting, *(name for name, way in ways.items() if name not in drifting and way != KEEP))
 
 
