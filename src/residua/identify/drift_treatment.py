@@ -130,7 +130,7 @@ def _found(gathered: Gathered, whole: Standard, drifts: Any) -> Drifts | None:
 
 
 def _told(found: Drifts | None, ways: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the channels that a note is about: those that drift anywhere, and those that are treated by their names."""
+    """Return the channels that a note is about: those that drift anywhere, and those that are treated by name."""
     drifting = () if found is None else tuple(np.array(found.names)[found.moves.any(axis=0)].tolist())
     return (*drifting, *(name for name, way in ways.items() if name not in drifting and way != KEEP))
 
