@@ -77,8 +77,7 @@ def channel_generator(
     members = tuple(
         Member(group, tuple(range(a, b)), plant.faults) for group, a, b in zip(groups, ends[:-1], ends[1:], strict=True)
     )
-    facts = channels.units.facts.notes(gathered.sources, drifts=False)
-    notes = (*gathered.notes, *channels.notes, *facts)
+    notes = (*gathered.notes, *channels.notes)
     # nothing is known of the plant, so that its state, of dimension zero, is mapped exactly, and nothing is decoupled
     return make_generator(
         system,

@@ -43,6 +43,7 @@ class Treated:
     used : tuple of int
         The channels of ``gathered``, among all.
     notes : tuple of str
+        What should be known of the channels: drifts and what was done with them, and what :class:`ChannelFacts` says.
     """
 
     whole: Gathered
@@ -95,11 +96,13 @@ def treated(gathered: Gathered, drifts: Any) -> Treated:
     told = tuple(_note(found, name, ways.get(name, KEEP)) for name in _told(found, ways))
     if not left_out and not changing:
         everything = tuple(range(len(gathered.channels)))
+        told += whole.facts.notes(gathered.sources, drifts=found is None)
         return Treated(gathered, gathered, whole, ways, whole.mean, whole.spread, everything, told)
     part = gathered.of_channels(kept, changing)
     if not part.segments:
         raise DataError("no two complete rows follow on each other: a channel has no changes (drifts='difference')")
     units = standard(part)
+    told += units.facts.notes(gathered.sources, drifts=found is None)
     used = tuple(i for i, name in enumerate(gathered.channels) if name in kept)
     spread = whole.spread.copy()
     spread[list(used)] = units.spread

@@ -169,7 +169,7 @@ def drifting_channels(
     >>> rows[:, 1] += np.linspace(0, 5, 1000)
     >>> rs.identify.drifting_channels(rows, outputs=["pressure", "temperature"])
     Drifts(1 of 2 channels):
-      'temperature' drifts: its mean moves by 2 standard deviations about row 500
+      'temperature' drifts: its mean moves by 2.1 standard deviations about row 497
     """
     gathered = gather(recordings, y, inputs=inputs, outputs=outputs, dt=dt)
     facts = channel_facts(gathered)
