@@ -120,9 +120,9 @@ def parity_from_data(
         omitted.
     drifts : {"keep", "leave out", "difference"} or mapping of str to these
         What is done with channels that do not keep their level (:func:`residua.identify.drifting_channels`): nothing,
-        besides a note with numbers; they are read by no residual, and have no fault; or they are read by their changes
-        from row to row, which show their faults only while these change. A mapping says it for each channel by name,
-        whether it drifts or not; those that it does not name are kept.
+        besides a note with numbers; they are read by no residual, and have no fault, though they stay a column of the
+        recordings; or they are read by their changes from row to row, which show their faults only while these change.
+        A mapping says it for each channel by name, whether it drifts or not; those that it does not name are kept.
         Relations among channels that wander together hold, so that keeping them is right where the inputs move them.
     dt : float, optional
         Step in seconds of arrays.

@@ -127,9 +127,9 @@ def principal_components(
         :math:`(1 + \sqrt{d / N})^2`.
     drifts : {"keep", "leave out", "difference"} or mapping of str to these
         What is done with channels that do not keep their level (:func:`residua.identify.drifting_channels`): nothing,
-        besides a note with numbers; they are read by no residual, and have no fault; or they are read by their changes
-        from row to row, which show their faults only while these change. A mapping says it for each channel by name,
-        whether it drifts or not; those that it does not name are kept.
+        besides a note with numbers; they are read by no residual, and have no fault, though they stay a column of the
+        recordings; or they are read by their changes from row to row, which show their faults only while these change.
+        A mapping says it for each channel by name, whether it drifts or not; those that it does not name are kept.
     dt : float, optional
         Step in seconds of arrays.
 
