@@ -22,7 +22,7 @@ from residua.errors import DataError, FileFormatError, ModelError, SettingError
 from residua.recording import mat_files
 from residua.visible import MAX_ECHO, echo, listed, shortened, visible
 
-SAMPLE = 60
+SAMPLE = 30
 
 
 @pytest.mark.parametrize("name", FILES.kinds())

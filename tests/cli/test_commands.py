@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import poisson
 
 import residua as rs
 from cli_examples import DISTURBED, PLANT, Residua, assert_error, simulate, write_csv
@@ -426,7 +427,11 @@ def test_fit_reports_and_warns(made: Path, tmp_path: Path, residua: Residua) -> 
     assert "threshold: " in out
     assert "fraction in alarm: " in out
     assert "3000 over 2999 s" in out
-    assert "expect on fault-free data: up to 10 alarms per 10,000 samples (each lasts 10 samples or more)" in out
+    assert "expect on fault-free data like these: up to 10 alarms per 10,000 judged samples" in out
+    chance = int(poisson.ppf(0.975, 10))
+    assert f"(each lasts 10 samples or more; by chance up to {chance} in one such stretch)" in out
+    assert f"with 95 % confidence no more than {1e3 * promised:.2g}" in out
+    assert "this holds for days like the one that was fitted" in out
     options = ("-o", tmp_path / "m.json", "--false-alarm-rate", "1e-6")
     status, _, err = residua("fit", made / "design.json", made / "normal.csv", *options)
     assert status == 0

@@ -147,6 +147,20 @@ def test_the_report_page(logs: Path, tmp_path: Path, residua: Residua) -> None:
         assert heading in page
 
 
+def test_the_report_page_asks_for_options_as_the_command_has_them(tmp_path: Path, residua: Residua) -> None:
+    rng = np.random.default_rng(0)
+    plant = rs.Plant([[0.8]], [[1.0]], [[1.0]], [[1.0]], dt=1.0)
+    u = rng.standard_normal((1500, 1))
+    y = plant.system("control").simulate(u) + 0.1 * rng.standard_normal((1500, 1))
+    rows = "\n".join(f"{k},{a},{b}" for k, (a, b) in enumerate(np.hstack([u, y]).tolist()))
+    (tmp_path / "log.csv").write_text(f"time,pump,level\n{rows}\n", encoding="utf-8")
+    options = ("--inputs", "pump", "--outputs", "level", "-o", tmp_path / "p.toml", "--report", tmp_path / "fit.html")
+    assert residua("identify", tmp_path / "log.csv", *options)[0] == 0
+    page = words((tmp_path / "fit.html").read_text(encoding="utf-8"))
+    assert "move together: --feedthrough if the plant answers within a row" in page
+    assert "feedthrough=True" not in page
+
+
 # ---------------------------------------------------------------------- learn
 
 

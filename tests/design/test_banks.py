@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import residua as rs
+from effort import cases
 from generated import random_plant, simulate, singular_plant
 from residua.design import Bank
 from residua.errors import DesignError
@@ -33,7 +34,7 @@ BANKS: dict[str, Callable[..., Bank]] = {
 }
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", cases(range(12), 6))
 @pytest.mark.parametrize("observer", ["unknown-input", "reduced-order", "minimal"])
 @pytest.mark.parametrize("scheme", ["generalized", "dedicated"])
 @pytest.mark.parametrize("kind", BANKS)
@@ -54,7 +55,7 @@ def test_every_single_fault_is_named(kind: str, scheme: str, observer: str, seed
         np.testing.assert_array_equal(fired(bank, *simulate(plant, rng, 60, fault=name)), bank.structure[:, i])
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", cases(range(10), 4))
 @pytest.mark.parametrize("observer", ["unknown-input", "reduced-order", "perfect", "minimal"])
 def test_singular_plants(observer: str, seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import residua as rs
+from effort import cases
 from generated import random_plant, simulate
 from refusals import Refused
 from residua.design.detection_filters.eigenstructure_assignment import eigenstructure_assignment
@@ -118,7 +119,7 @@ def check_eigenvectors(found: rs.ResidualGenerator, side: str, ignored: list[str
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-@pytest.mark.parametrize("batch", range(10))
+@pytest.mark.parametrize("batch", cases(range(10), 5))
 @pytest.mark.refusals(at_most=201)
 def test_it_is_a_decoupled_residual_or_refused(batch: int, side: str, refused: Refused) -> None:
     made, inaccurate, told = 0, 0, []

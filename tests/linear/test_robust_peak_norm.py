@@ -47,7 +47,7 @@ def check_order(seed: int, refused: Refused | None = None) -> None:
     assert attained <= min(chain[2:])
 
 
-@pytest.mark.parametrize("seed", range(15))
+@pytest.mark.parametrize("seed", range(7))
 @pytest.mark.refusals(at_most=3)
 def test_order_of_the_methods(seed, refused: Refused):
     pytest.importorskip("clarabel")
@@ -55,7 +55,7 @@ def test_order_of_the_methods(seed, refused: Refused):
 
 
 @pytest.mark.campaign
-@pytest.mark.parametrize("seed", range(15, 100))
+@pytest.mark.parametrize("seed", range(7, 100))
 def test_order_of_the_methods_many(seed):
     pytest.importorskip("clarabel")
     check_order(seed)

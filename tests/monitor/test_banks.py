@@ -12,6 +12,7 @@ import pytest
 
 import residua as rs
 from bank_examples import hand_made_bank, recording, sampled_plant, with_gaps
+from effort import cases
 from residua.decide import BankTest, Directional, NormThreshold, Structured, read_codes
 from residua.decide.norm_threshold import fit_norm_test
 from residua.errors import FileFormatError, ModelError, SettingError
@@ -62,7 +63,7 @@ def same(parts: list[Decisions], whole: rs.Diagnosis, plant: int = 0) -> None:
 # -------------------------------------------------------------------- who is named
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", cases(range(4), 2))
 @pytest.mark.parametrize("dedicated", [False, True])
 def test_every_single_fault_is_read_exactly(seed: int, dedicated: bool) -> None:
     plant = sampled_plant(seed)
@@ -158,7 +159,7 @@ def test_readings_of_a_fleet_are_those_of_the_code() -> None:
 # --------------------------------------------------------------------- false alarms
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", cases(range(3), 1))
 @pytest.mark.parametrize("dedicated", [False, True])
 def test_the_whole_bank_keeps_the_rate_asked_for(seed: int, dedicated: bool) -> None:
     monitor = make(seed, dedicated=dedicated, rate=0.02, samples=40_000)

@@ -1,4 +1,4 @@
-"""A Kalman filter goes on with the outputs that are there, by the exact gain; matched filters are not misled."""
+"""A Kalman filter goes on with the values that are there, by the exact gain; matched filters are not misled."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import residua as rs
+from effort import rounds
 from residua.decide import Matched, NormThreshold
 from residua.monitor.partial_update import PartialUpdate
 from residua.monitor.running import initial_state, run_block
@@ -82,14 +83,14 @@ def test_it_is_the_kalman_filter_of_the_book(seed: int, share: float) -> None:
 
 
 def test_innovations_stay_white_with_covariance_one() -> None:
-    """Of 15,000 samples 0.05 are four deviations of a variance; held values make it many times that."""
+    """Of 7,000 samples 0.07 are four deviations of a variance; held values make it many times that."""
     made = generated(5)
     monitor = rs.Monitor(rs.design.kalman_filter(made))
-    data = with_holes(simulated(made, 15_000, 1), 2, 0.1)
+    data = with_holes(simulated(made, 7000, 1), 2, 0.1)
     found = monitor.run(data[:, :1], data[:, 1:])
     assert isinstance(found, rs.Diagnosis)
     r = found.residuals[found.decided] @ monitor.norm_test.whitening
-    np.testing.assert_allclose(np.cov(r.T), np.eye(r.shape[1]), atol=0.05)
+    np.testing.assert_allclose(np.cov(r.T), np.eye(r.shape[1]), atol=0.07)
     before = rs.Monitor(rs.design.kalman_filter(made))
     before._spec = replace(before._specification(), partial=None)
     assert found.decided.mean() > 2 * before.run(data[:, :1], data[:, 1:]).decided.mean()  # type: ignore[union-attr]
@@ -180,13 +181,14 @@ def test_a_settled_fault_stays_named_while_outputs_are_missing() -> None:
         assert found.match.settled_sizes[k, 1] == pytest.approx(3.0, abs=4 * found.match.deviations[k, 1])
 
 
-def test_names_under_two_per_cent_of_missing_values_are_those_without() -> None:
+@pytest.mark.parametrize("runs", rounds(24, 48))
+def test_names_under_two_per_cent_of_missing_values_are_those_without(runs: int) -> None:
     """Held values date half of them, and name one in thirty wrongly that whole data name rightly."""
     made = rs.library.gertler(sensor_faults=True).with_noise(process=0.01, measurement=0.1)
     matched = rs.design.matched_filters(made, window=40)
     size, monitor, rng = matched.deviation(), rs.Monitor(matched), np.random.default_rng(0)
     wrong, dated = [0, 0], [0, 0]
-    for run in range(48):
+    for run in range(runs):
         f = np.zeros((300, 4))
         f[150:, run % 4] = 12 * size[made.faults[run % 4]]
         u, w = rng.standard_normal((300, 1)), rng.standard_normal((300, len(made.noises)))
@@ -197,12 +199,12 @@ def test_names_under_two_per_cent_of_missing_values_are_those_without() -> None:
             wrong[k] += found.candidates[0].faults != (made.faults[run % 4],)
             dated[k] += abs((found.onset or 0.0) - 150) <= 5
     assert wrong[1] <= wrong[0] + 1
-    assert dated[1] >= dated[0] - 3
-    assert dated[0] > 42
+    assert dated[1] >= dated[0] - runs // 16
+    assert dated[0] > 0.875 * runs
 
 
 def test_one_output_that_never_comes_back_leaves_the_others_at_work() -> None:
-    """The filter runs on, its covariance at that for the outputs which are there; with inputs missing it holds them."""
+    """The filter runs on, its covariance at that for the outputs which are there; so it does without an input."""
     u, y = recording(600)
     y[200:260, 0] = np.nan
     found = rs.Monitor(rs.design.kalman_filter(plant())).run(u, y)
@@ -213,7 +215,8 @@ def test_one_output_that_never_comes_back_leaves_the_others_at_work() -> None:
     u[400] = np.nan
     held = rs.Monitor(rs.design.kalman_filter(plant())).run(u, y)
     assert isinstance(held, rs.Diagnosis)
-    assert not held.decided[400:405].any()
+    assert not held.decided[400]
+    assert held.decided[401:].all()
 
 
 def test_a_filter_that_knows_too_little_starts_anew() -> None:
@@ -249,3 +252,107 @@ def test_recordings_that_lie_in_memory_by_columns_run_the_same(inputs: bool) -> 
     assert isinstance(one, rs.Diagnosis)
     assert isinstance(other, rs.Diagnosis)
     np.testing.assert_array_equal(one.residuals, other.residuals)
+
+
+def two_inputs(units: float = 1.0) -> rs.Plant:
+    """Return a plant with three states and outputs and two inputs, all of which may be measured in other units."""
+    A = [[0.98, 0.01, 0], [0.02, 0.95, 0.02], [0, 0.03, 0.97]]
+    B, C = np.array([[0.05, 0], [0, 0], [0, 0.04]]) / units, np.eye(3) * units
+    made = rs.Plant(A, B, C, dt=1, inputs=["u1", "u2"], outputs=["a", "b", "c"])
+    return made.with_sensor_faults().with_noise(process=0.0025 * np.eye(3), measurement=0.01 * units**2 * np.eye(3))
+
+
+def recorded_with_inputs(samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return commands that stand still for 50 samples at a time, each step hundreds of deviations of the noise."""
+    rng, made = np.random.default_rng(seed), two_inputs()
+    u = np.repeat(rng.normal(size=(samples // 50, 2)), 50, axis=0) * 50
+    w = rng.standard_normal((samples, len(made.noises)))
+    return u, made.system(("control", "noise")).simulate(np.hstack([u, w]))
+
+
+@pytest.mark.parametrize("units", [2.0**-20, 1.0, 2.0**20])
+def test_without_an_input_all_whole_samples_are_judged_and_no_innovation_is_too_large(units: float) -> None:
+    """Of 5,000 samples 0.08 are four deviations of a variance; held inputs of this size make it many times that.
+
+    Where the input stood still the innovations are smaller than white ones, since it could have moved.
+    """
+    u, y = recorded_with_inputs(5000, 0)
+    holes = np.random.default_rng(1).random(u.shape) < 0.03
+    monitor = rs.Monitor(rs.design.kalman_filter(two_inputs(units)))
+    found = monitor.run(np.where(holes, np.nan, u * units), y * units)
+    assert isinstance(found, rs.Diagnosis)
+    assert found.resets == 0
+    assert np.array_equal(found.decided[100:], ~holes[100:].any(axis=1))
+    r = found.residuals[found.decided] @ monitor.norm_test.whitening
+    values = np.linalg.eigvalsh(np.cov(r.T))
+    assert values.max() < 1.08
+    assert values.min() > 0.9
+    assert not found.alarm.any()
+
+
+def test_what_a_missing_input_was_hardly_matters() -> None:
+    """Five hundred deviations of the noise, in a sample that is missing, move no later innovation by a tenth of one."""
+    u, y = recorded_with_inputs(400, 3)
+    moved = np.zeros_like(u)
+    moved[200, 0] = 1000.0
+    more = two_inputs().system("control").simulate(moved)
+    u[200, 0] = np.nan
+    monitor = rs.Monitor(rs.design.kalman_filter(two_inputs()))
+    one, other = monitor.run(u, y), monitor.run(u, y + more)
+    assert isinstance(one, rs.Diagnosis)
+    assert isinstance(other, rs.Diagnosis)
+    assert np.abs(more).max() >= 500 * 0.1
+    apart = (one.residuals - other.residuals)[one.decided] @ monitor.norm_test.whitening
+    assert np.abs(apart).max() < 0.1
+
+
+def test_an_input_that_acts_on_outputs_at_once_takes_these_with_it() -> None:
+    """The first output is not used at all where the input is missing: any value of it gives the same bits."""
+    made = rs.Plant([[0.9]], [[0.1]], [[1.0], [1.0]], [[1.0], [0.0]], dt=1).with_sensor_faults()
+    monitor = rs.Monitor(rs.design.kalman_filter(made.with_noise(process=0.01, measurement=0.01)))
+    rng = np.random.default_rng(0)
+    u, y = rng.standard_normal((300, 1)), 0.1 * rng.standard_normal((300, 2))
+    u[100], other = np.nan, y.copy()
+    other[100, 0] = 1e3
+    one, two = monitor.run(u, y), monitor.run(u, other)
+    assert isinstance(one, rs.Diagnosis)
+    assert isinstance(two, rs.Diagnosis)
+    assert one.statistic[101:].tobytes() == two.statistic[101:].tobytes()
+    assert one.decided[101:].all()
+
+
+def test_what_was_not_judged_for_want_of_values_is_said_with_its_reason_and_remedy() -> None:
+    u, y = recorded_with_inputs(2000, 5)
+    u[::25, 1] = np.nan
+    kalman, held = (
+        rs.design.kalman_filter(two_inputs()),
+        rs.design.detection_filter(two_inputs().with_actuator_faults()),
+    )
+    found = rs.Monitor(held, test=NormThreshold(threshold=1e9), settle=5).run(u, y)
+    assert isinstance(found, rs.Diagnosis)
+    (note,) = (one for one in found.notes if "not judged" in one)
+    share = 100 * (~found.decided[1:]).mean()
+    assert float(note.split(" %")[0]) == pytest.approx(share, abs=2)
+    assert "channel 'u2' at 80 of them" in note
+    assert "Kalman filter" in note
+    assert note in str(found)
+    assert not any("not judged" in one for one in rs.Monitor(kalman).run(u, y).notes)  # type: ignore[union-attr]
+    u[::10, 1] = np.nan
+    (note,) = (one for one in rs.Monitor(kalman).run(u, y).notes if "not judged" in one)  # type: ignore[union-attr]
+    assert note.startswith("12 % of the recording")
+
+
+def test_states_that_delay_an_input_are_not_lost_when_it_is_missing() -> None:
+    """Nothing is known of them without noise but what the input is: the filter does not start anew for that."""
+    A, B = np.array([[0.9, 0.1, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]), np.array([[0.0], [0.0], [1.0]])
+    late = rs.Plant(A, B, [[1.0, 0.0, 0.0]], dt=1).with_sensor_faults()
+    late = late.with_noise(process=np.diag([1e-2, 0.0, 0.0]), measurement=1e-2)
+    rng = np.random.default_rng(0)
+    u, w = 10 * rng.standard_normal((600, 1)), rng.standard_normal((600, len(late.noises)))
+    y = late.system(("control", "noise")).simulate(np.hstack([u, w]))
+    u[100::50] = np.nan
+    found = rs.Monitor(rs.design.kalman_filter(late)).run(u, y)
+    assert isinstance(found, rs.Diagnosis)
+    assert found.resets == 0
+    assert np.array_equal(found.decided[100:], np.isfinite(u[100:, 0]))
+    assert not found.alarm.any()

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import residua as rs
+from effort import cases
 from older_files import as_version
 from residua.decide import NormThreshold
 from residua.decide.matched_hold import HeldState
@@ -275,10 +276,12 @@ REPORTS = {"decoupling", "conditions"}
 
 
 @pytest.mark.parametrize("make", [fitted, fitted_bank])
-@pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
+@pytest.mark.parametrize("turn", cases(range(3), 1))
 def test_no_number_that_runs_may_be_missing_or_infinite(
-    make: Callable[[], rs.Monitor], value: str, tmp_path: Path
+    make: Callable[[], rs.Monitor], turn: int, tmp_path: Path
 ) -> None:
+    """Each place gets one of the three, and in the campaign the others too."""
+    values = ("nan", "inf", "-inf")
     path = tmp_path / "m.json"
     content = json.loads(saved(make))
     assert content["checksum"]
@@ -289,8 +292,8 @@ def test_no_number_that_runs_may_be_missing_or_infinite(
     assert {("state", "filter", "x"), ("state", "filter", "held")} <= {place[:3] for place in places}
     runs = [place for place in places if place[0] in ("fitted", "running", "state")]
     rest = [place for place in places if place not in runs]
-    for place in [*runs, *rest[:: max(1, len(rest) // 40)]]:
-        path.write_text(json.dumps(changed(content, place, value)))
+    for k, place in enumerate([*runs, *rest[:: max(1, len(rest) // 40)]]):
+        path.write_text(json.dumps(changed(content, place, values[(k + turn) % 3])))
         with pytest.raises(FileFormatError, match=r": expected .*, got |must be that of "):
             rs.Monitor.load(path)
 

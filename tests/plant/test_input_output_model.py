@@ -7,6 +7,7 @@ import pytest
 import scipy.signal
 
 import residua as rs
+from effort import rounds
 from generated import random_plant, singular_plant
 from guards import trips
 from refusals import Refused
@@ -370,9 +371,10 @@ def test_an_output_that_no_input_reaches() -> None:
 # ------------------------------------------------------------------ round trip
 
 
+@pytest.mark.parametrize("count", rounds(8, 19))
 @pytest.mark.parametrize("n", range(2, 13))
-def test_round_trip(n: int) -> None:
-    for k in range(19):
+def test_round_trip(n: int, count: int) -> None:
+    for k in range(count):
         rng = np.random.default_rng([n, k])
         plant = random_plant(
             rng,

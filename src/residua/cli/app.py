@@ -131,6 +131,7 @@ def fit(
         _fitted_samples(runs, judged),
         f"fraction in alarm: {alarmed / max(1, judged):.3g} ({_asked(runs[0], rate)})",
         _expected_alarms(watch, rate, sum(len(one.alarms) for one in runs)),
+        *([] if watch.norm_test.is_bound or len(runs) > 1 else [_ONE_DAY]),
         *(f"{one.source}: {note}" for one in data for note in one.notes),
         f"written: {output}",
     )
@@ -180,12 +181,29 @@ def _asked(diagnosis: Diagnosis, rate: float) -> str:
     return "thresholds certified by the design" if diagnosis.certified else f"asked for: at most {rate:g}"
 
 
+#: Samples for which the number of alarms is said.
+_STRETCH = 10_000
+#: What one recording cannot show.
+_ONE_DAY = (
+    "this holds for days like the one that was fitted: fit several recordings where load, season or operation differ, "
+    "and run one that was not fitted"
+)
+
+
 def _expected_alarms(watch: Monitor, rate: float, here: int) -> str:
-    """Say how many alarms fault-free data bring: each lasts at least as long as it takes to end."""
+    """Say how many alarms data like these bring: each lasts at least as long as it takes to end."""
+    from scipy.special import pdtrik  # slow to import, and needed only here
+
     shortest = watch.norm_test.release
+    most = _STRETCH * rate / shortest
+    promised = getattr(watch.norm_test, "promised", None)  # a test of a user's own need not promise anything
+    sure = ""
+    if promised is not None and not within_tolerance(promised, rate):
+        sure = f"with 95 % confidence no more than {_STRETCH * promised / shortest:.2g}; " if promised < 1 else ""
     return (
-        f"expect on fault-free data: up to {1e4 * rate / shortest:.2g} alarms per 10,000 samples "
-        f"(each lasts {shortest} samples or more); here: {here}"
+        f"expect on fault-free data like these: up to {most:.2g} alarms per {_STRETCH:,} judged samples (each lasts "
+        f"{shortest} samples or more; by chance up to {int(np.ceil(pdtrik(0.975, most)))} in one such stretch); "
+        f"{sure}here: {here}"
     )
 
 

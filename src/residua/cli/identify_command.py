@@ -256,7 +256,8 @@ def identify(
     if report is not None:
         last = [part(one, 1 - held_out, 1) for one in data]
         shown = [one for one in last if np.isfinite(np.hstack([one.u, one.y])).all(axis=1).any()]
-        write_model_page(model, shown or data, report)
+        told = replace(model.report, notes=tuple(map(in_cli_words, model.report.notes)))
+        write_model_page(replace(model, report=told), shown or data, report)
         written.append(report)
     screen.say(fault_text(plant), *(f"written: {path}" for path in written))
 

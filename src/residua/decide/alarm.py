@@ -121,7 +121,8 @@ class Beginning:
 
     It holds for a change that begins as a step, a ramp or the square of time, whatever it becomes later, in noise that
     goes on as it was before; see :func:`residua.decide.change_time.change_time`. A fault whose first effect on the
-    residual is later than the fault itself began by that much earlier.
+    residual is later than the fault itself began by that much earlier: inside a control loop, which makes up for the
+    fault at first, that can be hours.
 
     Attributes
     ----------

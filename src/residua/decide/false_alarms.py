@@ -81,7 +81,8 @@ class Promise:
     aimed : float
         The fraction expected with this threshold.
     promised : float
-        The fraction not exceeded, with 95 % confidence; 1 if the data say nothing.
+        The fraction not exceeded, with 95 % confidence, on other data that are like these: what is normal on another
+        day and is not in them is not covered. 1 if the data say nothing.
     extended : str
         By what the rate is extended if the data are too few to show it; else empty.
     """
@@ -103,7 +104,7 @@ class Promise:
             text += f" (too few to see that: {self.extended})"
         if self.promised >= 1:
             return f"{text}; {self.asked:g} was asked for, and these data promise no rate: give more"
-        text += f", with 95 % confidence at most {self.promised:.2g} on other data"
+        text += f", with 95 % confidence at most {self.promised:.2g} on other data like these"
         return (
             text if self.holds else f"{text}; {self.asked:g} was asked for, which these data cannot promise: give more"
         )

@@ -216,7 +216,8 @@ def began_text(alarm: Alarm, clock: Clock) -> str:
     if began.earliest is None:
         return f"began at or before {clock.at(began.latest)}: what was recorded before does not tell from when on"
     between = f"began between {clock.at(began.earliest)} and {clock.at(began.latest)}"
-    return f"{between} ({100 * began.confidence:g} % confidence), most likely at {clock.at(began.estimate)}"
+    sure = f"{100 * began.confidence:g} % confidence if the residual began to move by a step or a ramp"
+    return f"{between} ({sure}), most likely at {clock.at(began.estimate)}"
 
 
 def over_thresholds(alarm: Alarm, most: int = 10) -> str:

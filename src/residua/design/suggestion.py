@@ -20,9 +20,9 @@ from residua.design.core.generator import ResidualGenerator
 from residua.design.core.method import Chosen, Method, Noise, TimeCourse, check_design, defect
 from residua.design.estimation.fault_estimator import FaultEstimator
 from residua.errors import AccuracyError, DesignError, ModelError, SettingError
-from residua.plant import InputOutputModel, Plant
+from residua.plant import Identification, InputOutputModel, Plant
 from residua.robust.sets.uncertain_plant import UncertainPlant
-from residua.words import counted
+from residua.words import counted, listing
 
 WANTS = ("name", "size", "state")
 #: Larger plants are tried with the single observers only, and the largest not at all.
@@ -424,6 +424,8 @@ def _notes(plant: Plant, known: Diagnosability | None, entries: list[Entry]) -> 
         yield f"what can be told about the faults was not examined: {plant.n_states} states"
     if plant.disturbances:
         yield from _about_disturbances(plant, entries)
+    if plant.identification is not None:
+        yield from _about_identification(plant, plant.identification)
     if plant.noises:
         yield "the plant has noise: a Kalman filter is the quietest observer; perfect observers are the loudest"
     yield from _about_sizes(plant, entries)
@@ -444,6 +446,30 @@ def _about_many_residuals(entries: list[Entry]) -> Iterator[str]:
         yield (
             f"one norm over {most} residuals hides a fault that few of them show: test them by themselves, with "
             "rs.Monitor(..., test=rs.decide.NormThreshold(groups='each')), or in groups that belong together"
+        )
+
+
+def _about_identification(plant: Plant, made: Identification) -> Iterator[str]:
+    """Yield what a plant from recordings leaves open, and what to do where its errors show that it is wrong."""
+    yield f"the plant was {made}, not given: fit the monitor on recordings, which shows what its errors let through"
+    if made.coloured:
+        order = max(2, -(-plant.n_states // plant.n_outputs))
+        yield (
+            f"the prediction errors of {listing(made.coloured)} are correlated in time: the plant misses dynamics "
+            "there, and tests that take the residual as white are wrong. Try a higher order first; else prefer what "
+            "is insensitive to errors of the model: uncertain = model.uncertain_plant(plant); "
+            f"rs.design.multi_model_parity([plant, *uncertain.sample(0, 20)], order={order}, noise=True)"
+        )
+    driven = {
+        fault.name
+        for fault in plant.fault_list
+        if fault.kind == "actuator"
+        and (fault.component in made.weak_inputs or any(fault.component == given for _, given in made.uncertain_gains))
+    }
+    if driven:
+        yield (
+            f"the recordings hardly say how {listing(sorted(driven))} would act: their names and sizes rest on gains "
+            "that the data leave open. Move their inputs in a recording, or fit the equations: rs.identify.grey_box"
         )
 
 

@@ -1,5 +1,8 @@
 """Plants and residual generators from recordings: one method, one file."""
 
+from residua.identify.arx import arx
+from residua.identify.arx_model import ArxModel
+from residua.identify.arx_report import Equation, EquationReport
 from residua.identify.canonical_variates import CanonicalVariates, canonical_variates
 from residua.identify.drifts import Drifts, drifting_channels
 from residua.identify.grey_box import GreyBox, grey_box
@@ -13,9 +16,12 @@ from residua.identify.residuals_of_others import given_residuals
 from residua.identify.subspace import subspace
 
 __all__ = [
+    "ArxModel",
     "CanonicalVariates",
     "DataParity",
     "Drifts",
+    "Equation",
+    "EquationReport",
     "GreyBox",
     "IdentificationReport",
     "IdentifiedModel",
@@ -23,6 +29,7 @@ __all__ = [
     "Prediction",
     "PrincipalComponents",
     "TangentModel",
+    "arx",
     "canonical_variates",
     "drifting_channels",
     "given_residuals",

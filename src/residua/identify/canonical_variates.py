@@ -13,10 +13,10 @@ from residua.decide.norm_threshold import NormThreshold
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
 from residua.errors import DataError, SettingError
-from residua.identify.channel_filter import channel_generator, checked_count, names_of_groups
+from residua.identify.channel_filter import channel_generator, names_of_groups
 from residua.identify.drift_treatment import treated
 from residua.identify.lagged_rows import LaggedRows, Standard, few_rows, lagged_rows
-from residua.identify.segments import Gathered, Names, gather
+from residua.identify.segments import Gathered, Names, checked_count, gather
 from residua.linear.subspaces.rank import RankDecision, null_basis
 from residua.tolerances import RANK
 from residua.visible import echo, listed

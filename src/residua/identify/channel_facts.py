@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from residua.errors import DataError
 from residua.identify.segments import BLOCK, Gathered
 from residua.linear.systems.balancing import power_of_two
+from residua.recording.levels import units_between
 from residua.tolerances import DATA_ROUNDING, RANK
 from residua.visible import listed
 
@@ -18,8 +19,6 @@ from residua.visible import listed
 _DRIFT = 0.5
 #: Fewer different values than this in a block of rows: a channel in steps.
 _FEW_VALUES = 12
-#: Two recordings whose spread in a channel differs by more than this factor may have it in different units.
-_OTHER_UNITS = 30.0
 #: A part of a linear dependence that is named, relative to the largest.
 _SHARE = 0.05
 
@@ -60,15 +59,24 @@ class ChannelFacts:
         """A power of two near the standard deviation of each channel: what it is divided by."""
         return power_of_two(np.where(self.deviation > 0, self.deviation, 1.0))
 
+    @property
+    def _still(self) -> NDArray[np.bool_]:
+        return np.asarray(self.deviation <= DATA_ROUNDING * np.abs(self.mean))
+
     def constant(self) -> tuple[str, ...]:
         """Return the channels that never move, beyond the rounding of their values."""
-        still = self.deviation <= DATA_ROUNDING * np.abs(self.mean)
-        return tuple(name for name, one in zip(self.channels, still, strict=True) if one)
+        return tuple(name for name, one in zip(self.channels, self._still, strict=True) if one)
 
     def dependent(self) -> tuple[tuple[str, ...], ...]:
-        """Return the groups of channels of which one is a linear function of the others at every sample."""
-        size = np.where(self.deviation > 0, self.deviation, 1.0)
-        values, vectors = np.linalg.eigh(self.covariance / np.outer(size, size))
+        """Return the groups of channels of which one is a linear function of the others at every sample.
+
+        Those that never move are left out: see :meth:`constant`.
+        """
+        moving = np.flatnonzero(~self._still)
+        if not len(moving):
+            return ()
+        size = self.deviation[moving]
+        values, vectors = np.linalg.eigh(self.covariance[np.ix_(moving, moving)] / np.outer(size, size))
         # the covariance is known to the square root of what the data are
         basis = vectors[:, values <= max(RANK, np.finfo(float).eps * len(values)) * values[-1]]
         groups = []
@@ -78,7 +86,7 @@ class ChannelFacts:
             vector = basis[:, chosen] / basis[pivot, chosen]
             basis = np.delete(basis - np.outer(vector, basis[pivot]), chosen, axis=1)
             named = np.flatnonzero(np.abs(vector) > _SHARE * np.abs(vector).max())
-            groups.append(tuple(self.channels[i] for i in named))
+            groups.append(tuple(self.channels[i] for i in moving[named]))
         return tuple(groups)
 
     def check_size(self) -> None:
@@ -90,20 +98,27 @@ class ChannelFacts:
             )
 
     def check(self) -> None:
-        """Raise where a channel is constant, or a linear function of others: no model tells their parts apart."""
+        """Raise where channels are constant, or linear functions of others: no model tells their parts apart.
+
+        All that is wrong is said at once.
+        """
         self.check_size()
-        still = self.constant()
+        still, same, wrong = self.constant(), self.dependences(), []
         if still:
             left = [name for name in self.channels if name not in still]
-            raise DataError(
+            wrong.append(
                 f"{listed(still)} never {'moves' if len(still) == 1 else 'move'}: the data cannot say what a channel "
                 f"does that stands still; leave {'it' if len(still) == 1 else 'them'} out "
                 f"(there are {listed(left) if left else 'no others'})"
             )
-        groups = self.dependent()
-        if groups:
-            texts = "; ".join(self._dependence(group) for group in groups[:3])
-            raise DataError(f"{texts}: no model can tell their parts apart; leave one of each group out")
+        if same:
+            wrong.append(f"{same}: no model can tell their parts apart; leave one of each group out")
+        if wrong:
+            raise DataError(". Besides, ".join(wrong))
+
+    def dependences(self) -> str:
+        """Return in words which channels say the same; empty where none do."""
+        return "; ".join(map(self._dependence, self.dependent()))
 
     def _dependence(self, group: Sequence[str]) -> str:
         if len(group) != 2:
@@ -124,27 +139,7 @@ class ChannelFacts:
                 )
             if self.values[i] < _FEW_VALUES:
                 found.append(f"{name!r} takes only {self.values[i]} different values in {self.rows} rows")
-        return (*found, *self._other_units(sources))
-
-    def _other_units(self, sources: Sequence[str]) -> list[str]:
-        spread = self.recording_deviation
-        seen = np.asarray(np.isfinite(spread).all(axis=1))
-        if np.count_nonzero(seen) < 2:
-            return []
-        usual = np.median(spread[seen], axis=0)
-        notes = []
-        for k, source in ((k, source) for k, source in enumerate(sources) if seen[k]):
-            for i in range(len(self.channels)):
-                factor = float(spread[k, i] / usual[i]) if usual[i] > 0 else np.inf
-                if not 1 / _OTHER_UNITS <= factor <= _OTHER_UNITS:
-                    notes.append(self._spread_note(i, source, factor))
-        return notes
-
-    def _spread_note(self, i: int, source: str, factor: float) -> str:
-        return (
-            f"{self.channels[i]!r} moves {factor:.3g} times as much in {source} as in the usual recording: "
-            "is it in the same units there?"
-        )
+        return (*found, *units_between(self.channels, sources, self.recording_mean, self.recording_deviation))
 
 
 def channel_facts(gathered: Gathered) -> ChannelFacts:

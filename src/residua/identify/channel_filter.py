@@ -15,11 +15,9 @@ from numpy.typing import NDArray
 from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import Member, ResidualGenerator, make_generator
-from residua.errors import SettingError
 from residua.identify.drift_treatment import Treated
 from residua.linear import StateSpace
 from residua.plant import Plant
-from residua.visible import echo
 
 
 def channel_plant(channels: Treated) -> Plant:
@@ -97,10 +95,3 @@ def names_of_groups(groups: dict[str, int], generator: ResidualGenerator) -> dic
         for one in generator.members
         if one.name in groups
     }
-
-
-def checked_count(value: object, name: str, least: int = 0) -> int:
-    """Return a number of samples, or say what is wrong with it."""
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-        raise SettingError(f"{name} must be a whole number, at least {least}, got {echo(value)}")
-    return int(value)

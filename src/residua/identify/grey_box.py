@@ -15,7 +15,7 @@ from residua.errors import DataError, SettingError
 from residua.identify.information import Identifiability, identifiability, sandwich_covariance
 from residua.identify.nonlinear_model import NonlinearModel, model_errors
 from residua.identify.parameter_search import Found, Parameter, PlantAt, Task, parameters_of, search
-from residua.identify.prediction import ljung_box
+from residua.identify.prediction import LaggedSums, ljung_box
 from residua.identify.prediction_errors import predictor
 from residua.identify.segments import Gathered, gather
 from residua.plant import Plant
@@ -420,12 +420,11 @@ def _checks(
 def _whiteness(errors: list[Matrix]) -> NDArray[np.float64]:
     """Return the probability of the correlation over time in each column if it was white."""
     samples = sum(map(len, errors))
-    lags = max(min(_LAGS, int(_LAG_SHARE * samples)), 1)
-    power = sum((e**2).sum(axis=0) for e in errors)
-    products = np.zeros((lags, errors[0].shape[1]))
-    for lag in range(1, lags + 1):
-        products[lag - 1] = sum((e[:-lag] * e[lag:]).sum(axis=0) for e in errors if len(e) > lag)
-    return ljung_box(products / np.where(power > 0, power, 1.0), samples - np.arange(1, lags + 1), samples)
+    sums = LaggedSums(max(min(_LAGS, int(_LAG_SHARE * samples)), 1), errors[0].shape[1])
+    for e in errors:
+        sums.add(e)
+    power = sums.products[0]
+    return ljung_box(sums.products[1:] / np.where(power > 0, power, 1.0), sums.pairs[1:], samples)
 
 
 def _remarks(

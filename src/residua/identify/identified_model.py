@@ -12,9 +12,8 @@ from scipy.special import ndtri
 
 from residua.errors import DataError, SettingError
 from residua.identify.model_report import IdentificationReport
-from residua.identify.realisation import Innovations
+from residua.identify.realisation import Innovations, one_step_predictor
 from residua.identify.segments import gather
-from residua.linear import StateSpace
 from residua.linear.subspaces.rank import range_basis
 from residua.plant import OperatingPoint, Perturbation, Plant, UncertainPlant
 from residua.recording.time_axis import REGULAR
@@ -118,19 +117,10 @@ class IdentifiedModel:
         >>> model.uncertain_plant().names
         ('model 1', 'model 2', 'model 3')
         """
-        if not 0 < level < 1:
-            raise SettingError(f"level must be a probability between 0 and 1, got {level!r}")
         if len(self.resampled) < 3:
             raise DataError("too few parts of data to tell how uncertain the model is: identify from more rows")
-        nominal = self.plant if plant is None else plant
-        if nominal.A.shape != self.plant.A.shape or not np.array_equal(nominal.A, self.plant.A):
-            raise SettingError("plant must be the plant of this model, with faults added")
-        values, vectors = self._spread(directions)
-        quantile = float(-ndtri((1 - level ** (1 / max(len(values), 1))) / 2))
-        deltas: list[Perturbation] = []
-        for k, (size, vector) in enumerate(zip(values, vectors, strict=True)):
-            deltas += _perturbations(nominal, vector, quantile * size, f"model {k + 1}")
-        return UncertainPlant(nominal, deltas)
+        nominal = with_faults_of(self.plant, plant)
+        return uncertain_along(nominal, *self._spread(directions), level)
 
     def predict(self, recordings: Any, y: ArrayLike | None = None) -> tuple[Prediction, ...]:
         r"""Return the one-step predictions of the outputs of recordings, in plant units.
@@ -187,19 +177,17 @@ class IdentifiedModel:
     def _predicted(self, Z: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the predictions for inputs and outputs without gaps, all in deviations."""
         plant, K, m, p = self.plant, self.gain, len(self.plant.inputs), self.plant.n_outputs
-        A = plant.A - K @ plant.C
         first = self.report.past + plant.n_states - self.report.order
         if len(Z) <= first:
             return np.full((len(Z), p), np.nan)
-        given = np.hstack([plant.Bu - K @ plant.Du, K]), np.hstack([plant.Du, np.zeros((p, p))])
-        system = StateSpace(A, given[0], plant.C, given[1], dt=plant.dt)
+        system = one_step_predictor(plant.A, plant.Bu, plant.C, plant.Du, K, dt=plant.dt)
         from_rest = system.simulate(Z[:first])
         error = Z[:first, m:] - from_rest
         unit = np.sqrt(np.diag(self.innovation_covariance))
         unit = np.where(unit > 0, unit, np.maximum(np.abs(error).max(axis=0), np.finfo(float).tiny))
         responses = [plant.C]
         for _ in range(first - 1):
-            responses.append(responses[-1] @ A)
+            responses.append(responses[-1] @ system.A)
         seen = np.vstack(responses) / np.tile(unit, first)[:, None]
         size = np.linalg.norm(seen, axis=0)
         size = np.where(size > 0, size, 1.0)
@@ -228,6 +216,36 @@ class IdentifiedModel:
 
     def __repr__(self) -> str:
         return f"IdentifiedModel(order {self.report.order} by {self.report.method}, {self.plant!r})"
+
+
+def with_faults_of(nominal: Plant, plant: Plant | None) -> Plant:
+    """Return the plant with faults that a caller handed over, if it is the model's own."""
+    if plant is None:
+        return nominal
+    if plant.A.shape != nominal.A.shape or not np.array_equal(plant.A, nominal.A):
+        raise SettingError("plant must be the plant of this model, with faults added")
+    return plant
+
+
+def uncertain_along(
+    nominal: Plant, sizes: NDArray[np.float64], directions: Sequence[dict[str, NDArray[np.float64]]], level: float
+) -> UncertainPlant:
+    """Return a plant whose matrices vary along directions, each a parameter of its own with this standard deviation.
+
+    The box holds a Gaussian estimate with a probability of ``level``.
+
+    Raises
+    ------
+    SettingError
+        If the level is no probability.
+    """
+    if not 0 < level < 1:
+        raise SettingError(f"level must be a probability between 0 and 1, got {level!r}")
+    quantile = float(-ndtri((1 - level ** (1 / max(len(sizes), 1))) / 2))
+    deltas: list[Perturbation] = []
+    for k, (size, vector) in enumerate(zip(sizes, directions, strict=True)):
+        deltas += _perturbations(nominal, vector, quantile * size, f"model {k + 1}")
+    return UncertainPlant(nominal, deltas)
 
 
 def _perturbations(

@@ -73,9 +73,10 @@ def standard(gathered: Gathered) -> Standard:
     facts.check_size()
     still = facts.constant()
     if still:
+        same = facts.dependences()  # said too, for methods that refuse it afterwards
         raise DataError(
             f"{listed(still)} never {'changes' if len(still) == 1 else 'change'} in {counted(count, 'row')}: "
-            "a constant channel shows nothing of what is normal; leave it out"
+            f"a constant channel shows nothing of what is normal; leave it out{same and f'. Besides, {same}'}"
         )
     return Standard(facts, facts.mean, facts.deviation * np.sqrt(count / (count - 1)))
 

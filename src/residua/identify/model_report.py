@@ -1,4 +1,4 @@
-"""What a user should know of a model that was identified: order and why, fit, whiteness, what the data cannot say."""
+"""What a user should know of a state-space model that was identified: its order and why, beside how well it fits."""
 
 from __future__ import annotations
 
@@ -8,35 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.design.core.evidence import format_pole
-from residua.identify.excitation import Excitation
-from residua.identify.prediction import CHANCE, ErrorFacts
-from residua.words import counted, listing, number
+from residua.identify.fit_report import FitReport, share
+from residua.words import counted
 
-#: An output's errors with a larger correlation than this, where chance is no reason, are called coloured.
-_COLOURED = 0.1
 #: Orders that a text lists on each side of the chosen one.
 _AROUND = 3
-#: Less than this of an input's variance is its own: the data hardly tell its effect from that of a controller.
-_LITTLE = 1e-2
 
 
-@dataclass(frozen=True, eq=False)
-class SteadyGain:
-    """What a constant input does to the outputs in the end, and how well the data say so.
-
-    Attributes
-    ----------
-    gain : ndarray, shape (outputs, inputs)
-    error : ndarray or None, shape (outputs, inputs)
-        Standard errors, from estimates on parts of the data; ``None`` where there are too few parts.
-    """
-
-    gain: NDArray[np.float64]
-    error: NDArray[np.float64] | None
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class IdentificationReport:
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class IdentificationReport(FitReport):
     """How a model came about and how good it is.
 
     Attributes
@@ -73,56 +53,13 @@ class IdentificationReport:
     notes : tuple of str
     """
 
-    method: str
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    dt: float
     order: int
     order_reason: str
     singular_values: NDArray[np.float64]
     orders: tuple[int, ...]
     criterion: NDArray[np.float64]
     held_out_errors: NDArray[np.float64]
-    past: int
-    samples: int
-    held_out: ErrorFacts | None
-    fitted: ErrorFacts
-    excitation: Excitation
-    poles: NDArray[np.complex128]
     predictor_poles: NDArray[np.complex128]
-    steady_gain: SteadyGain | None
-    notes: tuple[str, ...]
-
-    @property
-    def checked(self) -> ErrorFacts:
-        """The errors on the held-out part, or else on the part that the model is from."""
-        return self.held_out or self.fitted
-
-    @property
-    def coloured(self) -> tuple[str, ...]:
-        """The outputs whose prediction errors are correlated in time: the model misses some of their dynamics."""
-        facts = self.checked
-        strong = (facts.autocorrelation > _COLOURED) & (facts.whiteness < CHANCE)
-        return tuple(name for name, one in zip(self.outputs, strong, strict=True) if one)
-
-    @property
-    def feedback(self) -> tuple[tuple[str, str], ...]:
-        """The pairs of an output and an input that follows its errors: a controller was at work."""
-        return tuple((output, given) for output, given, _ in self.fitted.feedback)
-
-    @property
-    def weak_inputs(self) -> tuple[str, ...]:
-        """The inputs that the past determines almost wholly."""
-        return tuple(name for name, one in zip(self.inputs, self.excitation.unexplained, strict=True) if one < _LITTLE)
-
-    @property
-    def uncertain_gains(self) -> tuple[tuple[str, str, float, float], ...]:
-        """The steady gains that the data hardly say: output, input, gain, and standard error of over half of it."""
-        if self.steady_gain is None or self.steady_gain.error is None:
-            return ()
-        gain, error = self.steady_gain.gain, self.steady_gain.error
-        places = zip(*np.nonzero(error > 0.5 * np.abs(gain)), strict=True)
-        return tuple((self.outputs[i], self.inputs[j], float(gain[i, j]), float(error[i, j])) for i, j in places)
 
     # ------------------------------------------------------------------ words
 
@@ -136,7 +73,7 @@ class IdentificationReport:
         more = " ..." if len(self.poles) > 8 else ""
         lines = [head, f"order: {self.order_reason}", *self._order_table(), f"poles: {poles}{more}", ""]
         remarks = [f"- {line}" for line in self.remarks]
-        return "\n".join([*lines, *self._fit_table(), *(["", *remarks] if remarks else [])])
+        return "\n".join([*lines, *self.fit_table(), *(["", *remarks] if remarks else [])])
 
     def __repr__(self) -> str:
         return f"IdentificationReport(order {self.order} by {self.method}, {self.samples} rows)"
@@ -153,52 +90,6 @@ class IdentificationReport:
         rows += [
             ("singular value", values),
             ("information criterion", [f"{self.criterion[k]:.1f}" for k in near]),
-            ("held-out error", [_share(self.held_out_errors[k]) for k in near]),
+            ("held-out error", [share(self.held_out_errors[k]) for k in near]),
         ]
         return [f"  {name:<22}" + "".join(f"{cell:>11}" for cell in cells) for name, cells in rows]
-
-    def _fit_table(self) -> list[str]:
-        facts = self.checked
-        where = f"{facts.rows} rows held out" if self.held_out else f"the {facts.rows} rows that it is from"
-        width = max(len(name) for name in self.outputs)
-        lines = [f"on {where}:", f"  {'':<{width}}  one step ahead   from inputs   error rms   correlation in time"]
-        for i, name in enumerate(self.outputs):
-            simulated = "-" if facts.simulated_fit is None else _share(facts.simulated_fit[i])
-            coloured = "coloured" if name in self.coloured else "white enough"
-            lines.append(
-                f"  {name:<{width}}  {_share(facts.fit[i]):>14}   {simulated:>11}   "
-                f"{number(float(facts.error[i])):>9}   {facts.autocorrelation[i]:.2f} {coloured}"
-            )
-        return lines
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """What should be known of the model, in sentences: the notes, then what the numbers say."""
-        lines = list(self.notes)
-        if self.feedback:
-            pairs = listing(f"{given!r} follows {output!r}" for output, given in self.feedback[:4])
-            own = "which this method allows for" if self.method == "PBSID" else "which biases this method: take 'pbsid'"
-            lines.append(f"closed loop: {pairs}, {own}")
-        for name in self.weak_inputs:
-            share = self.excitation.unexplained[self.inputs.index(name)]
-            lines.append(
-                f"the past determines {name!r} but for {_share(share)} of its variance: its effect is hardly "
-                "told from that of a controller; move it on purpose (dither)"
-            )
-        if self.uncertain_gains:
-            some = [
-                f"{given!r} on {output!r}: {number(gain)} +- {number(error)}"
-                for output, given, gain, error in self.uncertain_gains[:6]
-            ]
-            lines.append(f"steady gains that the data hardly say: {listing(some)}")
-        if self.coloured:
-            lines.append(
-                f"the errors of {listing(map(repr, self.coloured))} are correlated in time: its residuals are "
-                "not white, so let a threshold be fitted, with a window or persistence"
-            )
-        return tuple(lines)
-
-
-def _share(value: float) -> str:
-    """Return a part of one in per cent; a dash where there is none."""
-    return "-" if np.isnan(value) else f"{100 * value:.3g} %"

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from residua.errors import DataError
 from residua.identify.hankel_factor import HankelFactor
-from residua.identify.prediction import predictions
-from residua.identify.realisation import criterion, realise
+from residua.identify.horizon import log_determinant
+from residua.identify.prediction import ErrorSums, predictions
+from residua.identify.realisation import Innovations, realise
 from residua.identify.segments import Gathered
 from residua.identify.state_map import StateMap
 from residua.progress import Progress
 
-#: Held-out rows on which orders are compared.
+#: Rows on which orders are compared, of those that the model is from and of those held out.
 _ROWS = 50_000
 
 
@@ -47,6 +48,7 @@ def choose_order(
     factor: HankelFactor,
     states: StateMap,
     most: int,
+    fitted: Gathered,
     held_out: Gathered,
     wanted: int | Literal["auto"],
     *,
@@ -67,12 +69,15 @@ def choose_order(
             "for: give a longer past, or a smaller order"
         )
     orders = tuple(range(most + 1))
-    values = criterion(factor, states, most, feedthrough=feedthrough)
-    short = held_out.shortened(_ROWS)
-    errors = np.full(len(orders), np.nan)
+    seen, unseen = fitted.shortened(_ROWS), held_out.shortened(_ROWS)
+    values, errors = np.full(len(orders), np.inf), np.full(len(orders), np.nan)
     for order in orders:
-        errors[order] = _error(factor, states, order, short, feedthrough)
+        model = _model(factor, states, order, feedthrough)
+        if model is not None:
+            values[order] = criterion(model, seen, factor, feedthrough=feedthrough)
+            errors[order] = _error(model, unseen, factor)
         progress("orders", order + 1, len(orders))
+    values -= values.min()
     if wanted != "auto":
         return OrderChoice(int(wanted), "as asked for", orders, values, errors)
     best = int(values.argmin())
@@ -85,21 +90,37 @@ def choose_order(
     return OrderChoice(best, reason, orders, values, errors)
 
 
-def _error(factor: HankelFactor, states: StateMap, order: int, held_out: Gathered, feedthrough: bool) -> float:
-    """Return the prediction error of an order on the held-out part."""
+def _model(factor: HankelFactor, states: StateMap, order: int, feedthrough: bool) -> Innovations | None:
+    """Return the model of an order; ``None`` where no stable predictor has its covariances."""
     try:
-        model = realise(factor, states, order, feedthrough=feedthrough)
-    except DataError:  # no stable predictor of this order
-        return np.nan
-    p = factor.n_outputs
-    rows, total, squares, errors = 0, np.zeros(p), np.zeros(p), np.zeros(p)
-    for _, y, predicted in predictions(model, held_out, factor.reference, factor.units):
+        return realise(factor, states, order, feedthrough=feedthrough)
+    except DataError:
+        return None
+
+
+def criterion(model: Innovations, fitted: Gathered, factor: HankelFactor, *, feedthrough: bool) -> float:
+    r"""Return Schwarz's criterion of a model, by the errors of its own predictor on rows that it is from.
+
+    .. math:: N \log \det \hat V_n + n (2 p + m) \log N
+
+    The predictor runs on from row to row. Errors of the outputs given states that are taken anew from the past of each
+    row would not do: the leading combination of the past alone says nearly all of the next row of a slow output, and
+    nothing of the row after.
+    """
+    rows, m, p = 0, factor.n_inputs, factor.n_outputs
+    root = np.zeros((0, p))
+    for _, y, predicted in predictions(model, fitted, factor.reference, factor.units):
         rows += len(y)
-        total += y.sum(axis=0)
-        squares += (y**2).sum(axis=0)
-        errors += ((y - predicted) ** 2).sum(axis=0)
-    if not rows:
+        root = np.asarray(np.linalg.qr(np.vstack([root, y - predicted]), mode="r"))
+    parameters = model.order * (2 * p + m) + (p * m if feedthrough else 0)
+    return rows * log_determinant(root, rows) + parameters * float(np.log(rows))
+
+
+def _error(model: Innovations, held_out: Gathered, factor: HankelFactor) -> float:
+    """Return the prediction error of a model on the held-out part."""
+    sums = ErrorSums(factor.n_outputs)
+    for _, y, predicted in predictions(model, held_out, factor.reference, factor.units):
+        sums.add(y, y - predicted)
+    if not sums.rows:
         return np.nan
-    variance = squares - total**2 / rows
-    share = errors / np.where(variance > 0, variance, 1.0)
-    return float(np.exp(np.log(np.maximum(share, np.finfo(float).tiny)).mean() / 2))
+    return float(np.exp(np.log(np.maximum(sums.share, np.finfo(float).tiny)).mean() / 2))

@@ -79,15 +79,19 @@ class PlantAt:
             signature = inspect.signature(self.function)
         except (TypeError, ValueError):  # not written in Python
             return True
+        shared = set(self.names) & set(signature.parameters)
         for arguments, words, answer in (((), dict.fromkeys(self.names), True), ((None,), {}, False)):
             try:
                 signature.bind(*arguments, **words)
             except TypeError:
                 continue
-            return answer
-        raise ModelError(
-            f"plant_at takes {signature}, the parameters are {some(self.names)}: it must take these as keywords, or "
-            "one mapping of names to values"
+            if answer or not shared:  # what has a parameter's name is no mapping of all
+                return answer
+        raise ModelError(f"plant_at takes {signature}, {self._wanted()}")
+
+    def _wanted(self) -> str:
+        return (
+            f"the parameters are {some(self.names)}: it must take these as keywords, or one mapping of names to values"
         )
 
     def __call__(self, values: Mapping[str, float]) -> Plant | NonlinearModel:
@@ -96,7 +100,13 @@ class PlantAt:
         try:
             model = self.function(**given) if self.by_keywords else self.function(given)
         except Exception as error:  # whatever a user's function raises
-            raise ModelError(f"{self.said(given)} raised {type(error).__name__}: {error}") from error
+            raised = f"raised {type(error).__name__}: {error}"
+            if self.by_keywords:
+                raise ModelError(f"{self.said(given)} {raised}") from error
+            called = f"plant_at{inspect.signature(self.function)} was called with the mapping {{{self._given(given)}}}"
+            raise ModelError(
+                f"{called}, since it takes no keyword of these names, and {raised}; {self._wanted()}"
+            ) from error
         if not isinstance(model, (Plant, NonlinearModel)):
             raise ModelError(f"{self.said(given)} must return a Plant or NonlinearModel, got {type(model).__name__}")
         plant = plant_of(model)
@@ -116,7 +126,10 @@ class PlantAt:
 
     def said(self, values: Mapping[str, float]) -> str:
         """Return the call in words."""
-        return f"plant_at({', '.join(f'{name}={number(values[name], 8)}' for name in self.names)})"
+        return f"plant_at({self._given(values, '=')})"
+
+    def _given(self, values: Mapping[str, float], link: str = ": ") -> str:
+        return ", ".join(f"{name}{link}{number(values[name], 8)}" for name in self.names)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
 from residua.errors import DataError, SettingError
-from residua.identify.channel_filter import channel_generator, checked_count
+from residua.identify.channel_filter import channel_generator
 from residua.identify.drift_treatment import treated
 from residua.identify.lagged_rows import LaggedRows, few_rows, lagged_rows
-from residua.identify.segments import Names, gather
+from residua.identify.segments import Names, checked_count, gather
 from residua.linear.subspaces.rank import RankDecision, null_basis
 from residua.tolerances import DATA_ROUNDING, SAME
 from residua.visible import echo, listed

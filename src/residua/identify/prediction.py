@@ -70,35 +70,67 @@ def predictions(
             yield Z[:, :m], Z[:, m:], predictor.simulate(Z, x)
 
 
+class ErrorSums:
+    """Sums over pieces of data of which the size of prediction errors, and of the outputs, follows."""
+
+    def __init__(self, outputs: int) -> None:
+        self.rows, self._total = 0, np.zeros(outputs)
+        self._squares, self.errors = np.zeros(outputs), np.zeros(outputs)
+
+    def add(self, y: NDArray, errors: NDArray) -> None:
+        """Take a piece."""
+        self.rows += len(y)
+        self._total += y.sum(axis=0)
+        self._squares += (y**2).sum(axis=0)
+        self.errors += np.einsum("ij,ij->j", errors, errors)
+
+    @property
+    def variance(self) -> NDArray[np.float64]:
+        """Of the outputs, summed over the rows."""
+        return np.maximum(self._squares - self._total**2 / max(self.rows, 1), 0.0)
+
+    @property
+    def share(self) -> NDArray[np.float64]:
+        """The part of the outputs' variance that the errors have."""
+        return np.asarray(self.errors / np.where(self.variance > 0, self.variance, 1.0))
+
+
+class LaggedSums:
+    """Sums of products of errors with themselves some rows before, never across two pieces, and how many each has."""
+
+    def __init__(self, lags: int, outputs: int) -> None:
+        self.products, self.pairs = np.zeros((lags + 1, outputs)), np.zeros(lags + 1)
+
+    def add(self, errors: NDArray) -> None:
+        """Take a piece."""
+        for lag in range(min(len(self.pairs), len(errors))):
+            self.pairs[lag] += len(errors) - lag
+            self.products[lag] += np.einsum("ij,ij->j", errors[lag:], errors[: len(errors) - lag])
+
+
 def error_facts(model: Innovations, gathered: Gathered, reference: NDArray, units: NDArray) -> ErrorFacts | None:
     """Return what the prediction errors on data say; ``None`` where no segment is long enough to predict any row."""
-    m, p, rows = len(gathered.inputs), len(gathered.outputs), 0
-    squares, total = np.zeros(p), np.zeros(p)
-    products, inputs, counts = np.zeros((LAGS + 1, p)), np.zeros(m), np.zeros(LAGS + 1)
+    m, p = len(gathered.inputs), len(gathered.outputs)
+    sums, lagged, inputs = ErrorSums(p), LaggedSums(LAGS, p), np.zeros(m)
     mean_error, mean_input = np.zeros(p), np.zeros(m)
     crossed = np.zeros((LAGS + 1, p, m))
     simulated = _Simulated(model, m, p)
     for u, y, predicted in predictions(model, gathered, reference, units):
         e = y - predicted
-        rows += len(e)
-        squares += (y**2).sum(axis=0)
-        total += y.sum(axis=0)
+        sums.add(y, e)
+        lagged.add(e)
         mean_error += e.sum(axis=0)
         mean_input += u.sum(axis=0)
         inputs += (u**2).sum(axis=0)
         for lag in range(min(LAGS + 1, len(e))):
-            counts[lag] += len(e) - lag
-            products[lag] += np.einsum("ij,ij->j", e[lag:], e[: len(e) - lag])
             crossed[lag] += e[: len(e) - lag].T @ u[lag:]
         simulated.add(u, y)
-    if not rows:
+    if not sums.rows:
         return None
-    variance = np.maximum(squares - total**2 / rows, 0.0)
-    sizes = products[0].copy()
-    fit = np.asarray(1 - np.sqrt(sizes / np.where(variance > 0, variance, 1.0)))
+    rows, counts, products = sums.rows, lagged.pairs, lagged.products
     # without their means: a level that is off is no correlation
     e_mean, u_mean = mean_error / rows, mean_input / rows
-    products -= counts[:, None] * e_mean**2
+    products = products - counts[:, None] * e_mean**2
     crossed -= counts[:, None, None] * np.outer(e_mean, u_mean)
     power = products[0], np.maximum(inputs - rows * u_mean**2, 0.0)
     # many short pieces have fewer pairs of rows at a lag than rows
@@ -107,9 +139,9 @@ def error_facts(model: Innovations, gathered: Gathered, reference: NDArray, unit
     correlation = crossed / np.sqrt(np.maximum(np.outer(*power), TINY)) / share[:, None]
     return ErrorFacts(
         rows,
-        np.sqrt(sizes / rows) * units[m:],
-        fit,
-        simulated.fit(variance / rows),
+        np.sqrt(sums.errors / rows) * units[m:],
+        1 - np.sqrt(sums.share),
+        simulated.fit(sums.variance / rows),
         np.abs(own / share[1:]).max(axis=0),
         ljung_box(own, counts[1:], rows),
         _significant(correlation, counts, gathered.outputs, gathered.inputs),
@@ -147,16 +179,19 @@ def _significant(
     return tuple(sorted(((outputs[i], inputs[j], float(largest[i, j])) for i, j in places), key=lambda one: -one[2]))
 
 
+def rows_to_forget(radius: float) -> int:
+    """Return after how many rows 1 % is left of the start of a simulation, for a spectral radius below one."""
+    with np.errstate(divide="ignore"):
+        return int(min(np.ceil(np.log(0.01) / np.log(radius)), BLOCK))
+
+
 class _Simulated:
     """Errors of outputs that are simulated from the inputs alone, piece by piece, the start of each left out."""
 
     def __init__(self, model: Innovations, m: int, p: int) -> None:
         radius = float(spectral_radius(model.A))
         self._runs = bool(m) and radius < 1
-        self._skip = BLOCK
-        if self._runs:  # until 1 % is left of the start
-            with np.errstate(divide="ignore"):
-                self._skip = int(min(np.ceil(np.log(0.01) / np.log(radius)), BLOCK))
+        self._skip = rows_to_forget(radius) if self._runs else BLOCK
         self._system = StateSpace(model.A, model.B, model.C, model.D, dt=1.0)
         self._squares, self._rows = np.zeros(p), 0
 

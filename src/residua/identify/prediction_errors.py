@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import DataError, ModelError
+from residua.identify.realisation import one_step_predictor
 from residua.linear.poles.riccati import filter_riccati
 from residua.linear.poles.spectrum import spectral_radius
 from residua.linear.subspaces.rank import range_basis
@@ -56,7 +57,9 @@ def predictor(plant: Plant, dt: float, *, simulation: bool = False) -> Predictor
     elif np.any(sampled.measurement_noise) and not simulation:
         covariance = np.asarray(sampled.measurement_noise)
     point = np.array([*plant.operating_point.inputs, *plant.operating_point.outputs])
-    return Predictor(A - K @ C, np.hstack([B - K @ D, K]), -C, np.hstack([-D, np.eye(len(C))]), point, covariance)
+    made = one_step_predictor(A, B, C, D, K, dt=sampled.dt)
+    outputs = np.hstack([np.zeros(D.shape), np.eye(len(C))])
+    return Predictor(made.A, made.B, -made.C, outputs - made.D, point, covariance)
 
 
 def _kalman_gain(plant: Plant) -> tuple[Matrix, Matrix]:

@@ -12,17 +12,19 @@ from numpy.typing import ArrayLike, NDArray
 from residua.decide.norm_threshold import NormThreshold
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
-from residua.errors import SettingError
-from residua.identify.channel_filter import channel_generator, checked_count, names_of_groups
+from residua.errors import DataError, SettingError
+from residua.identify.channel_filter import channel_generator, names_of_groups
 from residua.identify.drift_treatment import treated
-from residua.identify.lagged_rows import few_rows, lagged_rows
-from residua.identify.segments import Names, gather
+from residua.identify.lagged_rows import KNOWN, few_rows, lagged_rows
+from residua.identify.segments import Names, checked_count, gather
 from residua.linear.subspaces.rank import RankDecision
 from residua.tolerances import RANK
 from residua.visible import echo, listed
 from residua.words import counted
 
 _METHOD = "principal components"
+#: Rows for each column below which components are those of chance.
+_ROWS_FOR_EACH = 3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -190,6 +192,12 @@ def principal_components(
     gathered = channels.gathered
     stacked = lagged_rows(gathered, channels.units, lags)
     d, q = len(stacked.factor), stacked.channels
+    if stacked.count < _ROWS_FOR_EACH * d:
+        raise DataError(
+            f"{counted(stacked.count, 'row')} for {d} columns ({q} channels, {lags} lags): components of so few rows "
+            f"are those of chance; at least {_ROWS_FOR_EACH * d} are needed, and {KNOWN * d} for thresholds that can "
+            "be trusted: give a longer recording, fewer lags, or fewer channels"
+        )
     values, vectors = np.linalg.eigh(stacked.factor.T @ stacked.factor / (stacked.count - 1))
     variances, loadings = np.maximum(values[::-1], 0.0), _with_signs(vectors[:, ::-1])
     edge = (1 + np.sqrt(d / stacked.count)) ** 2

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, DataError, DesignError
 from residua.identify.hankel_factor import HankelFactor, regress
-from residua.identify.horizon import NOISE_FREE, log_determinant
+from residua.identify.horizon import NOISE_FREE
 from residua.identify.state_map import StateMap
 from residua.linear import StateSpace
 from residua.linear.poles.riccati import filter_riccati
@@ -68,13 +68,15 @@ class Innovations:
 
     def predictor(self) -> StateSpace:
         """Return what predicts the outputs from inputs and outputs, one row ahead, in deviations from rest."""
-        return StateSpace(
-            self.A - self.K @ self.C,
-            np.hstack([self.B - self.K @ self.D, self.K]),
-            self.C,
-            np.hstack([self.D, np.zeros((len(self.C), len(self.C)))]),
-            dt=1.0,
-        )
+        return one_step_predictor(self.A, self.B, self.C, self.D, self.K, dt=1.0)
+
+
+def one_step_predictor(A: Matrix, B: Matrix, C: Matrix, D: Matrix, K: Matrix, *, dt: float) -> StateSpace:
+    r"""Return the filter from inputs and outputs to the outputs predicted one row ahead, of a model with a gain.
+
+    .. math:: x_{k+1} = (A - K C) x_k + (B - K D) u_k + K y_k, \qquad \hat y_k = C x_k + D u_k
+    """
+    return StateSpace(A - K @ C, np.hstack([B - K @ D, K]), C, np.hstack([D, np.zeros((len(C), len(C)))]), dt=dt)
 
 
 def realise(factor: HankelFactor, states: StateMap, order: int, *, feedthrough: bool) -> Innovations:
@@ -113,7 +115,8 @@ def resampled(
     """Return the models of the data without each of their parts in turn, in the coordinates of the whole.
 
     Their spread is that of the estimate (the jackknife), however the noise is correlated within a part. ``find`` looks
-    for the states again each time: with those of the whole the spread would be too small.
+    for the states again each time: with those of the whole the spread would be too small. A part without which there
+    is no stable model of this order has none: the list is then shorter than the parts.
     """
     models = []
     now = factor.R[:, factor.signals(range(states.past))]
@@ -121,7 +124,10 @@ def resampled(
         own = find(one)
         if len(own.T) < order:
             continue
-        model = realise(one, own, order, feedthrough=feedthrough)
+        try:
+            model = realise(one, own, order, feedthrough=feedthrough)
+        except DataError:  # no stable predictor: counted by who asks
+            continue
         # the same states in other coordinates: S takes their own to those of the whole, for the rows of all data
         S = regress(now @ states.T[:order].T, now @ own.T[:order].T).coefficients
         models.append(_in_coordinates(model, S))
@@ -185,15 +191,3 @@ def _without_negative(joint: Matrix) -> Matrix:
     size = np.sqrt(np.diag(joint))
     values, vectors = np.linalg.eigh(joint / np.outer(size, size))
     return np.outer(size, size) * ((vectors * np.maximum(values, 0.0)) @ vectors.T)
-
-
-def criterion(factor: HankelFactor, states: StateMap, most: int, *, feedthrough: bool) -> NDArray[np.float64]:
-    """Return Schwarz's criterion of the orders 0 to ``most``, by their prediction errors; the smallest is zero."""
-    N, m, p = factor.windows, factor.n_inputs, factor.n_outputs
-    x = factor.R[:, factor.signals(range(states.past))] @ states.T[:most].T
-    fixed = factor.R[:, [0, *(factor.inputs(states.past) if feedthrough else [])]]
-    T = np.asarray(np.linalg.qr(np.hstack([fixed, x, factor.R[:, factor.outputs(states.past)]]), mode="r"))
-    values = [
-        N * log_determinant(T[fixed.shape[1] + n :, -p:], N) + n * (2 * p + m) * np.log(N) for n in range(most + 1)
-    ]
-    return np.array(values) - min(values)

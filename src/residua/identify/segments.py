@@ -162,12 +162,10 @@ class Gathered:
         """
         if not isinstance(delays, Mapping):
             raise SettingError(f"delays must be a mapping of inputs to rows, got {echo(delays)}")
-        for name, rows in delays.items():
+        for name in delays:
             if name not in self.inputs:
                 raise SettingError(f"delays: {echo(name)} is no input; there are {listed(self.inputs) or 'none'}")
-            if not isinstance(rows, (int, np.integer)) or isinstance(rows, bool) or rows < 0:
-                raise SettingError(f"delays: {echo(name)} must be a whole number of samples, got {echo(rows)}")
-        rows_of = tuple(int(delays.get(name, 0)) for name in self.channels)
+        rows_of = tuple(checked_count(delays.get(name, 0), f"delays: {echo(name)}") for name in self.channels)
         if not any(rows_of):
             return self
         return self.with_segments([one for one in (part.delayed(rows_of) for part in self.segments) if len(one)])
@@ -205,6 +203,14 @@ class Gathered:
     def with_segments(self, segments: Sequence[Segment]) -> Gathered:
         """Return the same with other segments."""
         return replace(self, segments=tuple(segments))
+
+
+def checked_count(value: object, name: str, least: int = 0, instead: str = "") -> int:
+    """Return a whole number, or say what is wrong with it, and what could stand ``instead`` of one."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+        other = f", or {instead}" if instead else ""
+        raise SettingError(f"{name} must be a whole number, at least {least}{other}, got {echo(value)}")
+    return int(value)
 
 
 def gather(

@@ -12,23 +12,25 @@ from residua.errors import DataError, SettingError
 from residua.identify.canonical_weights import canonical_weights
 from residua.identify.channel_facts import ChannelFacts, channel_facts
 from residua.identify.excitation import excitation
+from residua.identify.fit_report import SteadyGain
 from residua.identify.hankel_factor import HankelFactor, hankel_factor
 from residua.identify.horizon import choose_past
 from residua.identify.identified_model import IdentifiedModel, plant_of, with_input_delays
-from residua.identify.model_report import IdentificationReport, SteadyGain
+from residua.identify.model_report import IdentificationReport
 from residua.identify.moesp import moesp
 from residua.identify.n4sid import n4sid
 from residua.identify.order_choice import OrderChoice, choose_order
 from residua.identify.pbsid import pbsid
 from residua.identify.prediction import error_facts
 from residua.identify.realisation import Innovations, realise, resampled
-from residua.identify.segments import Gathered, Names, gather
+from residua.identify.segments import Gathered, Names, checked_count, gather
 from residua.identify.state_map import StateMap
 from residua.linear.poles.spectrum import spectral_radius
 from residua.plant import Plant
 from residua.progress import Progress, progress_of
 from residua.tolerances import POLE
 from residua.visible import echo
+from residua.words import counted, number
 
 Method = Literal["pbsid", "cva", "n4sid", "moesp"]
 #: The names of the methods in texts.
@@ -39,6 +41,8 @@ _MOST_ORDERS = 25
 _JUDGED = 500_000
 #: A spread is estimated from at least so many parts of the data.
 _LEAST_PARTS = 6
+#: Time constants of the slowest pole that a stretch of rows has to last for a steady gain.
+_SETTLED_IN = 5.0
 #: The part of their size by which states may move in a row at the operating point without a word.
 _UNBALANCED = 0.01
 
@@ -169,7 +173,7 @@ def subspace(
         states = _states(method, factor, horizon, feedthrough)
         most = len(states.T) if max_order is None else min(max_order, len(states.T))
         most = min(most, _MOST_ORDERS) if max_order is None else most
-        choice = choose_order(factor, states, most, last, order, feedthrough=feedthrough, progress=tell)
+        choice = choose_order(factor, states, most, first, last, order, feedthrough=feedthrough, progress=tell)
         model = realise(factor, states, choice.order, feedthrough=feedthrough)
         made = _Made(method, first, last, facts, factor, states, choice, model, feedthrough)
         notes = (*gathered.notes, *facts.notes(gathered.sources), *made.notes())
@@ -184,9 +188,10 @@ def _check_numbers(order: Any, max_order: Any, past: Any, held_out: Any) -> None
         (max_order, "max_order", 0, None),
         (past, "past", 1, "auto"),
     ):
-        whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-        if not (value >= least if whole else type(value) is type(other) and value == other):
-            raise SettingError(f"{what} must be a whole number of at least {least}, or {other!r}, got {echo(value)}")
+        if not (type(value) is type(other) and value == other):
+            checked_count(value, what, least, repr(other))
+    if max_order is not None and order != "auto" and max_order < order:
+        raise SettingError(f"max_order must be at least the order that is asked for, {order}, got {max_order}")
     if not (isinstance(held_out, (int, float, np.integer, np.floating)) and 0 <= held_out <= 0.9):
         raise SettingError(f"held_out must be a fraction from 0 to 0.9, got {echo(held_out)}")
 
@@ -239,6 +244,14 @@ class _Made:
             notes.append(
                 f"the plant has a pole of size {radius:.6g}: it integrates, drifts, or was held by a controller"
             )
+        slowest = float(np.abs(np.linalg.eigvals(model.A) - 1).min(initial=np.inf))
+        longest = max(len(one) for one in first.segments)
+        if first.inputs and slowest >= POLE and longest * slowest < _SETTLED_IN:
+            notes.append(
+                f"a pole lies near one, with a time constant of {number(first.dt / slowest)} s, and the longest "
+                f"stretch without a gap has {number(longest * first.dt)} s: the steady gains, and their standard "
+                "errors, are from transients alone and say little"
+            )
         left = model.at_rest()[2]
         if left > _UNBALANCED:
             notes.append(f"no operating point balances the model: its states move by {left:.2g} a row at mean inputs")
@@ -250,13 +263,24 @@ class _Made:
         around = (first.inputs, first.outputs, first.dt, facts.mean, facts.units)
         plant, K, V = plant_of(model, *around, **options)
         others: list[Plant] = []
-        if len(self.factor.parts) >= _LEAST_PARTS:
+        count = len(self.factor.parts)
+        if count < _LEAST_PARTS:
+            notes += (
+                f"no standard errors: the rows make {counted(count, 'part')} of data, {_LEAST_PARTS} are needed; "
+                "identify from more rows, or with a shorter past",
+            )
+        else:
 
             def find(factor: HankelFactor) -> StateMap:
                 return _states(self.method, factor, self.states.past, self.feedthrough)
 
             parts = resampled(self.factor, self.states, model.order, find, feedthrough=self.feedthrough)
             others = [plant_of(one, *around)[0] for one in parts]
+            if len(others) < count:
+                notes += (
+                    f"standard errors are from {len(others)} of {count} parts of the data: without one of the others "
+                    f"no stable model of order {model.order} can be made, so that they are too small, if anything",
+                )
         fitted = error_facts(model, first.shortened(_JUDGED), facts.mean, facts.units)
         assert fitted is not None  # there are windows longer than the past
         report = IdentificationReport(
@@ -282,7 +306,8 @@ class _Made:
         )
         delayed = [with_input_delays(one, delays) for one in (plant, *others)]
         rows = delayed[0].n_states - plant.n_states
-        return IdentifiedModel(delayed[0], report, np.vstack([K, np.zeros((rows, len(V)))]), V, tuple(delayed[1:]))
+        noted = delayed[0].with_identification(report.identification)
+        return IdentifiedModel(noted, report, np.vstack([K, np.zeros((rows, len(V)))]), V, tuple(delayed[1:]))
 
 
 def _steady_gain(plant: Plant, others: list[Plant]) -> SteadyGain | None:

@@ -16,7 +16,7 @@ from residua.design.core.internal_form import frequency_grid, leakage
 from residua.errors import FileFormatError
 from residua.linear import RankDecision, StateSpace
 from residua.number_kinds import ANY as REPORT, COMPLEX, ENTRY, NOT_NEGATIVE, STEP
-from residua.plant import Fault, OperatingPoint, Plant
+from residua.plant import Fault, Identification, OperatingPoint, Plant
 from residua.records import (
     array_in,
     array_out,
@@ -229,7 +229,25 @@ def _plant_out(plant: Plant) -> dict[str, Any]:
         "faults": [_fault_out(fault) for fault in plant.fault_list],
         "operating_point": [list(map(float_out, point.inputs)), list(map(float_out, point.outputs))],
         "units": dict(plant.units),
+        **_identification_out(plant.identification),
     }
+
+
+def _identification_out(made: Identification | None) -> dict[str, Any]:
+    """Return how a plant came from recordings; nothing of one that was given, so that its file stays as it was."""
+    if made is None:
+        return {}
+    gains = [list(pair) for pair in made.uncertain_gains]
+    return {"identification": [made.method, made.rows, list(made.coloured), list(made.weak_inputs), gains]}
+
+
+def _identification_in(value: Any, where: str) -> Identification:
+    method, rows, coloured, weak, gains = list_in(value, where, 5)
+    pairs = [texts_in(list_in(pair, where, 2), where) for pair in list_in(gains, where)]
+    uncertain = tuple((output, given) for output, given in pairs)
+    return Identification(
+        text_in(method, where), whole_in(rows, where), texts_in(coloured, where), texts_in(weak, where), uncertain
+    )
 
 
 def _fault_out(fault: Fault) -> list[str]:
@@ -245,7 +263,8 @@ def _fault_in(value: Any, where: str) -> Fault:
 
 
 def _plant_in(value: Any, where: str) -> Plant:
-    content = record(value, where, _PLANT_ENTRIES)
+    identified = isinstance(value, Mapping) and "identification" in value
+    content = record(value, where, (*_PLANT_ENTRIES, *(["identification"] if identified else [])))
     a = {name: array_in(content[name], joined(where, name), ENTRY, 2) for name in _PLANT_ARRAYS}
     names = {name: texts_in(content[name], joined(where, name)) for name in _PLANT_NAMES}
     at, units = joined(where, "operating_point"), joined(where, "units")
@@ -264,6 +283,9 @@ def _plant_in(value: Any, where: str) -> Plant:
         states=names["states"],
         operating_point=OperatingPoint(*point),
         units={key: text_in(unit, joined(units, key)) for key, unit in table_in(content["units"], units).items()},
+        identification=_identification_in(content["identification"], joined(where, "identification"))
+        if identified
+        else None,
         **{name: text_in(content[name], joined(where, name)) for name in _PLANT_TEXTS},
     )
     at = joined(where, "faults")

@@ -26,6 +26,11 @@ class FitCheck(Record):
     left_out : int
         Samples at the starts of recordings that were left out as transients.
     recordings : int
+    mean, spread : tuple of float
+        Of each channel of the fitted recordings, inputs first, in plant units; a spread of zero
+        where nothing is known of a channel, and empty where that is not known of any.
+    units : tuple of str
+        The channels that may be in other units than the model, or in some recordings.
     """
 
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {"left_out": INDEX, "recordings": COUNT}
@@ -34,6 +39,9 @@ class FitCheck(Record):
     changes: tuple[Change, ...] = ()
     left_out: int = 0
     recordings: int = 1
+    mean: tuple[float, ...] = ()
+    spread: tuple[float, ...] = ()
+    units: tuple[str, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -42,7 +50,7 @@ class FitCheck(Record):
         held = self.held_out
         if held is not None and held.is_over:
             found.insert(0, f"{_over(held)}: {_CAUSES if not found else _CHANGES}")
-        return tuple(f"the fit: {one}" for one in found)
+        return tuple(f"the fit: {one}" for one in (*self.units, *found))
 
 
 _CAUSES = (

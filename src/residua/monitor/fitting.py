@@ -14,6 +14,7 @@ from residua.decide.held_out import alarms_held_out, held_out_rows
 from residua.decide.isolation import NoIsolation
 from residua.decide.stationarity import changes, transient_samples
 from residua.decide.test import FaultFreeRun, ResidualTest, TestSettings, Watched
+from residua.design import ResidualGenerator
 from residua.errors import DataError, SettingError
 from residua.monitor.filtering import plausible_values
 from residua.monitor.fit_check import FitCheck
@@ -21,6 +22,7 @@ from residua.monitor.inputs import settling_reason, settling_samples, signal_lev
 from residua.monitor.running import initial_state, run_block
 from residua.monitor.setup import blank_test, specification
 from residua.monitor.specification import Specification
+from residua.recording.levels import level_and_spread, units_at_point, units_between
 from residua.visible import echo
 
 #: Largest part that may be held out.
@@ -61,7 +63,8 @@ def fitted_test(
     run = _run(blank, watched, recordings, settling_reason(generator, blank.settle))
     try:
         if known is not None and known.is_bound:  # data change no threshold
-            return _with_basis(settings.fitted(watched, run, rate), len(recordings), ""), FitCheck(None)
+            bounds = _with_basis(settings.fitted(watched, run, rate), len(recordings), "")
+            return bounds, replace(FitCheck(None), **_levels(blank, generator, recordings))
         run, left_out = _without_transients(run, transient, generator.residuals)
         kept = settings.kept(watched)
         window = 1 if kept is None else kept[1]
@@ -73,6 +76,7 @@ def fitted_test(
         raise DataError(f"{error}; {settling_reason(generator, blank.settle)}") from error
     held = None if rows is None else alarms_held_out(test, run, rows, rate)
     check = FitCheck(held, changes(run, generator.residuals), left_out, len(recordings))
+    check = replace(check, **_levels(blank, generator, recordings))
     return _with_basis(test, len(recordings), f"; {_checked(check, held_out, int(run.usable.sum()))}"), check
 
 
@@ -121,6 +125,23 @@ def _without_transients(run: FaultFreeRun, transient: int | str, residuals: Sequ
         samples = transient_samples(found, number) if transient == "auto" else int(transient)
         usable[start : start + samples] = False
     return replace(run, usable=usable), int(run.usable.sum() - usable.sum())
+
+
+def _levels(
+    blank: Specification, generator: ResidualGenerator, recordings: Sequence[NDArray[np.float64]]
+) -> dict[str, Any]:
+    """Return mean and spread of each channel, as fields of a check, and which may be in other units."""
+    plant = generator.plant
+    channels = (*plant.inputs, *plant.outputs)
+    values = [plausible_values(blank, data)[0][0] + blank.offset for data in recordings]
+    each = [level_and_spread(one) for one in values]
+    mean, spread = level_and_spread(np.concatenate(values))
+    sources = [f"recording {number}" for number in range(1, len(values) + 1)]
+    units = units_between(channels, sources, *(np.array(part) for part in zip(*each, strict=True)))
+    units += units_at_point(channels, mean, spread, blank.offset)
+    known = np.isfinite(mean) & np.isfinite(spread)
+    mean, spread = np.where(known, mean, 0.0), np.where(known, spread, 0.0)
+    return {"mean": tuple(mean.tolist()), "spread": tuple(spread.tolist()), "units": tuple(units)}
 
 
 def _check_recordings(recordings: Sequence[NDArray[np.float64]], n_inputs: int) -> None:

@@ -43,6 +43,7 @@ from residua.monitor.setup import (
 )
 from residua.monitor.specification import Specification
 from residua.monitor.starting import checked_start
+from residua.recording.levels import units_of
 from residua.tolerances import SAME
 
 #: Samples per piece when a recording is run: bounds memory and lets progress be shown.
@@ -56,11 +57,13 @@ class Monitor:
     sampled at ``dt``. Missing values (NaN, infinity) never end a run: the last value of that channel is held
     for the filter, no residual is reported on that sample, and nothing is decided until the filter has settled
     again; after more than ``max_hold`` incomplete samples in a row the filter starts anew with the next
-    complete sample. A stationary Kalman filter goes on with the outputs that are there instead, by the exact gain for
-    them: nothing is decided on the incomplete sample itself, and everything on the next one. Samples without any
-    output, or with an input missing, count towards ``max_hold`` there. A value that cannot be one (``plausible``) is
-    missing too, and is counted; and should the state of the filter overflow all the same, it starts anew, which is
-    counted. The state at a start is estimated (``start``), so that the plant need not be at rest then.
+    complete sample. A stationary Kalman filter goes on with the values that are there instead, by the exact gain for
+    them: nothing is decided on the incomplete sample itself, and everything on the next one. Nothing is assumed of an
+    input that is missing: the filter learns from the outputs what it did. Samples without any output that can be used
+    (none is there, or a missing input acts on all of them at once) count towards ``max_hold`` there. A value that
+    cannot be one (``plausible``) is missing too, and is counted; and should the state of the filter overflow all the
+    same, it starts anew, which is counted. The state at a start is estimated (``start``), so that the plant need not be
+    at rest then.
 
     Parameters
     ----------
@@ -373,7 +376,8 @@ class Monitor:
         whole = []
         for p in range(len(data)):
             recorded = Recorded(clock, data[p], measured.source, measured.origin, compared)
-            diagnosis = diagnosis_from(decisions.of(p), recorded, spec, generator, state.filter, p, notes, self._bounds)
+            told = (*notes, *self._unlike_the_fit(data[p]))
+            diagnosis = diagnosis_from(decisions.of(p), recorded, spec, generator, state.filter, p, told, self._bounds)
             whole.append(diagnosis)
         return whole if np.ndim(measured.y) == 3 else whole[0]
 
@@ -502,6 +506,14 @@ class Monitor:
                 f"the monitor runs at dt={self._generator.dt:g} s, the recording has {dt:g} s: resample it, "
                 "or design for this step"
             )
+
+    def _unlike_the_fit(self, data: NDArray[np.float64]) -> list[str]:
+        """Say which channels never come near what they were in the recordings that were fitted."""
+        if self._check is None or not self._check.mean:
+            return []
+        plant = self.generator.plant
+        was = np.array(self._check.mean), np.array(self._check.spread)
+        return units_of((*plant.inputs, *plant.outputs), data, *was, "the recordings that the monitor was fitted on")
 
     def _block(self, u: ArrayLike | None, y: ArrayLike) -> NDArray[np.float64]:
         data = stack_signals(self.generator.plant, u, y)

@@ -44,6 +44,8 @@ def renewed(content: dict[str, Any]) -> dict[str, Any]:
         _with_plausible(content)
     if version in OLDER:
         _nested(content)
+    if content["fit_check"] is not None:  # what the channels were like was not kept at first
+        content["fit_check"] = {"mean": [], "spread": [], "units": []} | table_in(content["fit_check"], "fit_check")
     return content
 
 

@@ -1,4 +1,4 @@
-"""The generator on a block of samples of one plant: gaps, restarts, and a Kalman filter with some of its outputs."""
+"""The generator on a block of samples of one plant: gaps, restarts, and a Kalman filter with some of its values."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ class OnePlant:
                 r[i], response, known = self._sample(spec, signals, i)
                 if response is not None:
                     bends.append((i, response))
-                self.age = ages[i] = 0 if signals.upset[i] else self.age + 1
+                self.age = ages[i] = self.age + 1
                 i += 1
                 if not known:
                     return r[:i], bends, False
@@ -154,7 +154,7 @@ class OnePlant:
             self.start_sums = spec.first.add(self.start_sums[None], r, int(self.age))[0]
 
     def _sample(self, spec: Specification, signals: _Signals, i: int) -> tuple[NDArray, NDArray | None, bool]:
-        """Run a Kalman filter over one sample with the outputs that are there, by the gain for them.
+        """Run a Kalman filter over one sample with the values that are there, by the gain for them.
 
         Return the innovation, in units of the stationary one where it is whole; the responses that faults have in it,
         where they are matched; and whether enough is known of the state afterwards.
@@ -165,7 +165,7 @@ class OnePlant:
             self.starting, self.start_sums = False, np.zeros_like(self.start_sums)
             self.spread = partial.unknown
         whole, response = bool(signals.whole[i]), None
-        gain = partial.gain(self.spread, signals.there[i])
+        gain = partial.gain(self.spread, signals.there[i], signals.given[i])
         if whole and not self.spread.any():
             x, part = run_filter(spec.A, spec.B, spec.C, spec.D, self.x[None], signals.filled[None, i : i + 1])
             self.x, r = x[0], part[0, 0]
@@ -190,19 +190,20 @@ class OnePlant:
 class _Signals:
     """A block of one plant: values with those held that are missing, and what is missing at each sample.
 
-    ``there``: each output; ``whole``: all channels; ``blank``: nothing that the filter could be corrected by;
-    ``upset``: whether a value was held for the filter, which then has to settle again.
+    ``there``: each output that can be used; ``given``: each input; ``whole``: all channels; ``blank``: nothing that the
+    filter could be corrected by; ``upset``: whether a value was held for the filter, which then has to settle again.
     """
 
     filled: NDArray[np.float64]
     there: NDArray[np.bool_]
+    given: NDArray[np.bool_]
     whole: NDArray[np.bool_]
     blank: NDArray[np.bool_]
     upset: NDArray[np.bool_]
 
     def cut(self, start: int, stop: int) -> _Signals:
         """Return those of some samples."""
-        names = ("filled", "there", "whole", "blank", "upset")
+        names = ("filled", "there", "given", "whole", "blank", "upset")
         return _Signals(*(getattr(self, name)[start:stop] for name in names))
 
 
@@ -210,14 +211,15 @@ def _signals(spec: Specification, v: NDArray, held: NDArray) -> _Signals:
     """Return the signals of a block; ``held`` are the last values before it."""
     finite = np.isfinite(v)
     whole = np.asarray(finite.all(axis=1))
-    there = finite
+    there = given = finite
     upset = blank = ~whole
     if spec.partial is not None:
         inputs = spec.partial.B.shape[1]
-        there = finite[:, inputs:]
-        upset = ~finite[:, :inputs].all(axis=1)
-        blank = upset | ~there.any(axis=1)
-    return _Signals(_hold(v, held), there, whole, np.asarray(blank), np.asarray(upset))
+        given = finite[:, :inputs]
+        moved = (~given) @ (spec.partial.D != 0).T  # at once, by an input that is missing
+        there = finite[:, inputs:] & ~moved
+        blank, upset = ~there.any(axis=1), np.zeros_like(whole)
+    return _Signals(_hold(v, held), there, given, whole, np.asarray(blank), upset)
 
 
 def _hold(v: NDArray, held: NDArray) -> NDArray:

@@ -22,6 +22,8 @@ from residua.robust.estimators.certified_threshold import AFFINE_FORM
 
 #: Part of its threshold by which the residual must move before a note says so.
 _TOLD = 0.1
+#: Part of a recording that is not judged for want of values, from which on a note says so.
+_TOLD_GAPS = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +93,7 @@ def diagnosis_from(
         notes=(
             *notes,
             *_notes(spec, generator, tested.usable, decisions.missing),
+            *_gap_notes(spec, generator, decisions, recorded.signals),
             *_aside_notes(spec, generator, decisions),
             *_broken_notes(int(state.broken[plant])),
             *_start_notes(spec, float(state.moved[plant])),
@@ -139,8 +142,8 @@ def _missing(spec: Specification) -> str:
     if spec.partial is None:
         return f"held for up to {spec.max_hold} samples, then the filter starts anew{more}"
     return (
-        "the filter goes on with the outputs that are there; after more than "
-        f"{spec.max_hold} samples in a row without any, or with an input missing, it starts anew{more}"
+        "the filter goes on with the values that are there, and takes nothing for known of an input that is missing; "
+        f"after more than {spec.max_hold} samples in a row without an output it starts anew{more}"
     )
 
 
@@ -177,6 +180,35 @@ def _settling_notes(
     if usable.any() or missing.all():
         return ()
     return (settling_reason(generator, spec.settle),)
+
+
+def _gap_notes(
+    spec: Specification, generator: ResidualGenerator, decisions: Decisions, signals: NDArray[np.float64]
+) -> tuple[str, ...]:
+    """Return what part was not judged for want of values, of which channel most were missing, and what helps."""
+    missing, usable = decisions.missing, decisions.tested.usable
+    if not missing.any() or missing.all():
+        return ()
+    waiting = ~(usable | missing)
+    waiting[: int(np.argmin(missing)) + spec.settle + 1] = False  # any start waits so long
+    absent, waited = int(np.count_nonzero(missing)), int(np.count_nonzero(waiting))
+    share = (absent + waited) / len(missing)
+    if share <= _TOLD_GAPS:
+        return ()
+    gaps = np.count_nonzero(~np.isfinite(signals) | decisions.aside, axis=0)
+    worst = (*generator.plant.inputs, *generator.plant.outputs)[int(gaps.argmax())]
+    said = f"{100 * share:.2g} % of the recording is not judged for want of values: {absent} samples miss one"
+    said += f" (channel {worst!r} at {gaps.max()} of them, the most)"
+    if not waited:
+        return (f"{said}; fill in what is known, or leave out a channel that is seldom there",)
+    anew = "after gaps that were too long" if spec.partial is not None else "after every gap"
+    remedy = (
+        "fill in what is known"
+        if spec.partial is not None
+        else "fill in what is known (a command that stands still), or use a Kalman filter of the same model, which "
+        "goes on with the other values, or a filter that settles sooner"
+    )
+    return (f"{said}, and {waited} more pass while the filter settles, for {spec.settle} samples {anew}; {remedy}",)
 
 
 def _aside_notes(spec: Specification, generator: ResidualGenerator, decisions: Decisions) -> tuple[str, ...]:

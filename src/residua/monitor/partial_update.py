@@ -1,7 +1,9 @@
-"""A Kalman filter where some outputs are missing: it goes on with those that are there, by the exact gain.
+"""A Kalman filter where some values are missing: it goes on with those that are there, by the exact gain.
 
-While outputs are missing, and until its covariance is back at the stationary one, the filter runs the recursion of
-Riccati. Then it has exactly its stationary gain again. Products are summed in a fixed order, on any machine.
+While values are missing, and until its covariance is back at the stationary one, the filter runs the recursion of
+Riccati. Then it has exactly its stationary gain again. A missing input is one of which nothing is known: the last
+value is held, and white noise of a very large variance comes in beside it, so that what it really was hardly matters.
+Products are summed in a fixed order, on any machine.
 """
 
 from __future__ import annotations
@@ -27,6 +29,8 @@ _REACHED = 1e-6
 _MISSED = 1e-6
 #: Variance of a state of which nothing is known, and that beyond which the filter is to start anew, likewise.
 _UNKNOWN, _LOST = 1e8, 1e12
+#: Doublings of the horizon over which the sight of an input is summed: a million samples.
+_DOUBLINGS = 20
 #: Gains that are remembered.
 _MOST_GAINS = 4000
 
@@ -67,7 +71,7 @@ class Gain:
 
 @dataclass(frozen=True, eq=False)
 class PartialUpdate:
-    """A stationary Kalman filter that can do without some outputs.
+    """A stationary Kalman filter that can do without some outputs, and without some inputs for a while.
 
     Attributes
     ----------
@@ -99,7 +103,7 @@ class PartialUpdate:
     whitening: Matrix = field(repr=False)
 
     @cached_property
-    def _known(self) -> dict[tuple[bytes, bytes], Gain]:
+    def _known(self) -> dict[tuple[bytes, ...], Gain]:
         return {}
 
     @cached_property
@@ -118,6 +122,37 @@ class PartialUpdate:
         return _root(_product(_product(self.C, self.covariance), self.C.T) + self.R)
 
     @cached_property
+    def free_input(self) -> Matrix:
+        """Variance of each input where nothing is known of it.
+
+        An error of this size would move the whitened innovations by ``1e4`` deviations, all samples after it together;
+        zero for an input that none of them sees.
+        """
+        root = _inverse(self._stationary_root)
+        seen, step = _product(root, self.C), self.A - _product(self.K, self.C)
+        sight = _product(seen.T, seen)
+        for _ in range(_DOUBLINGS):
+            sight = sight + _product(_product(step.T, sight), step)
+            step = _product(step, step)
+        now, later = _product(root, self.D), self.B - _product(self.K, self.D)
+        moved = np.array(
+            [float(now[:, j] @ now[:, j] + later[:, j] @ sight @ later[:, j]) for j in range(now.shape[1])]
+        )
+        return np.where(moved > 0, _UNKNOWN / np.where(moved > 0, moved, 1.0), 0.0)
+
+    @cached_property
+    def _most(self) -> Matrix:
+        """Variance of each state beyond which the filter is lost: far more than one missing input can cause.
+
+        A state without noise, such as one that delays an input, is uncertain by its inputs alone.
+        """
+        moved, by = np.zeros(len(self.A)), self.B * np.sqrt(self.free_input / _UNKNOWN)
+        for _ in range(len(self.A)):
+            moved = np.maximum(moved, np.sum(by**2, axis=1))
+            by = _product(self.A, by)
+        return _LOST * (np.diag(self.spread) + moved)
+
+    @cached_property
     def nominal(self) -> tuple[Matrix, Matrix]:
         """Responses of the stationary innovation by age, the settled one last: (ages + 1, faults, p); their scale.
 
@@ -134,19 +169,23 @@ class PartialUpdate:
         scale = np.maximum(scale, _product(np.abs(self.settled.T), np.abs(self.K.T)))
         return np.stack([*rows, self.settled.T]), scale
 
-    def gain(self, covariance: Matrix, there: NDArray[np.bool_]) -> Gain:
-        """Return what to do with a sample; ``covariance`` is that of the prediction, zero for the stationary one."""
-        key = covariance.tobytes(), there.tobytes()
+    def gain(self, covariance: Matrix, there: NDArray[np.bool_], given: NDArray[np.bool_]) -> Gain:
+        """Return what to do with a sample; ``covariance`` is that of the prediction, zero for the stationary one.
+
+        ``there``: the outputs that can be used; ``given``: the inputs that are known.
+        """
+        key = covariance.tobytes(), there.tobytes(), given.tobytes()
         known = self._known.get(key)
         if known is None:
             steady = not covariance.any()
-            known = self._gain(self.covariance if steady else covariance, there, steady and bool(there.all()))
+            whole = bool(there.all() and given.all())
+            known = self._gain(self.covariance if steady else covariance, there, given, steady and whole)
             if len(self._known) >= _MOST_GAINS:
                 self._known.clear()
             self._known[key] = known
         return known
 
-    def _gain(self, P: Matrix, there: NDArray[np.bool_], stationary: bool) -> Gain:
+    def _gain(self, P: Matrix, there: NDArray[np.bool_], given: NDArray[np.bool_], stationary: bool) -> Gain:
         rows = np.flatnonzero(there)
         n, p = len(self.A), len(self.C)
         C, R, S = self.C[rows], self.R[np.ix_(rows, rows)], self.S[:, rows]
@@ -161,9 +200,12 @@ class PartialUpdate:
         carried = _product(K[:, rows], S.T)
         noise = self.Q - carried - carried.T + _product(_product(K[:, rows], R), K[:, rows].T)
         following = _product(_product(A, P), A.T) + noise
+        if not given.all():
+            held = self.B[:, ~given]
+            following = following + _product(held * self.free_input[~given], held.T)
         following = (following + following.T) / 2
         reached = bool(np.all(np.abs(following - self.covariance) <= _REACHED * self.spread))
-        lost = not bool(np.all(np.diag(following) <= _LOST * np.diag(self.spread)))
+        lost = not bool(np.all(np.diag(following) <= self._most))
         units = _product(self._stationary_root, inverse) if there.all() and not stationary else np.eye(p)
         matrices = (A, np.hstack([B, K]), -_product(units, self.C), np.hstack([-_product(units, self.D), units]))
         white = _product(units.T, self.whitening)
@@ -199,7 +241,7 @@ class PartialUpdate:
 
 
 def partial_update(generator: ResidualGenerator, test: ResidualTest) -> PartialUpdate | None:
-    """Return what a generator needs to go on without some outputs; ``None`` unless it is a stationary Kalman filter."""
+    """Return what a generator needs to go on without some values; ``None`` unless it is a stationary Kalman filter."""
     matched = test.responses
     system, plant, p = generator.system, generator.plant, generator.n_residuals
     n, m = system.n_states, len(plant.inputs)

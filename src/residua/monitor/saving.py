@@ -167,6 +167,10 @@ def _monitor_in(content: Mapping[str, Any]) -> Monitor:
         monitor._spec = _running_in(monitor._specification(), content["running"], monitor, watched)
         if content["fit_check"] is not None:
             monitor._check = values_in(content["fit_check"], "fit_check", FitCheck)
+            for name in ("mean", "spread"):
+                count, channels = len(getattr(monitor._check, name)), len(monitor.generator.system.inputs)
+                if count not in (0, channels):
+                    raise FileFormatError(f"fit_check.{name} must have {channels} numbers, got {count}")
     if content["state"] is not None:
         monitor._state = _state_in(content["state"], monitor._specification())
     return monitor

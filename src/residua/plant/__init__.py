@@ -13,6 +13,7 @@ from residua.plant.disturbances import (
     factor_disturbance,
     quadratic_terms,
 )
+from residua.plant.identification import Identification
 from residua.plant.input_output_conversion import input_output_from_plant
 from residua.plant.input_output_model import InputOutputModel
 from residua.plant.input_output_realization import Realization, realize_input_output
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Fault",
+    "Identification",
     "InputOutputModel",
     "Linearisation",
     "OperatingPoint",

@@ -32,6 +32,7 @@ from residua.plant.channels import (
 )
 from residua.plant.disturbances import factor_disturbance
 from residua.plant.fault_facts import FaultFacts
+from residua.plant.identification import Identification, identification as checked_identification
 from residua.plant.noise import covariance, cross_covariance, joint_factors, sampled_noise
 
 
@@ -69,6 +70,8 @@ class Plant(FaultFacts):
         Unit of each input, output or state, for plots and tables.
     description : str
         What the plant is, in a sentence or two.
+    identification : Identification, optional
+        How it came from recordings; none for a plant that was given.
 
     Raises
     ------
@@ -109,6 +112,7 @@ class Plant(FaultFacts):
     operating_point: OperatingPoint
     units: Mapping[str, str]
     description: str
+    identification: Identification | None
 
     def __init__(
         self,
@@ -126,6 +130,7 @@ class Plant(FaultFacts):
         operating_point: OperatingPoint | None = None,
         units: Mapping[str, str] | None = None,
         description: str = "",
+        identification: Identification | None = None,
     ) -> None:
         A_ = square(A, "A")
         n = A_.shape[0]
@@ -156,6 +161,7 @@ class Plant(FaultFacts):
         fields["operating_point"] = checked_point(operating_point, fields["inputs"], fields["outputs"])
         fields["units"] = channel_units(units, {*fields["inputs"], *fields["outputs"], *fields["states"]})
         unique(fields["inputs"] + fields["outputs"], "inputs and outputs")
+        fields["identification"] = checked_identification(identification, fields["inputs"], fields["outputs"])
         for key, value in fields.items():
             object.__setattr__(self, key, value)
 
@@ -511,6 +517,10 @@ class Plant(FaultFacts):
         u = channel_values(inputs, self.inputs, self.operating_point.inputs, "operating_point inputs")
         y = channel_values(outputs, self.outputs, self.operating_point.outputs, "operating_point outputs")
         return self._with(operating_point=OperatingPoint(u, y))
+
+    def with_identification(self, made: Identification | None) -> Plant:
+        """Return the plant with the note of how it came from recordings; without one for ``None``."""
+        return self._with(identification=checked_identification(made, self.inputs, self.outputs))
 
     def without_disturbances(self) -> Plant:
         """Return the plant without its disturbances."""

@@ -13,6 +13,7 @@ from residua.errors import AccuracyError, FileFormatError, ModelError
 from residua.files import read_bytes
 from residua.number_kinds import kind_of
 from residua.plant.channels import FAULT_NOTES, OperatingPoint
+from residua.plant.identification import Identification
 from residua.plant.plant import Plant
 from residua.plant.toml_entry import Entry, suggestion
 from residua.visible import echo, listed, shortened
@@ -29,10 +30,12 @@ FILE_KEYS = (
     "inputs",
     "outputs",
     "matrices",
+    "identification",
     "disturbances",
     "faults",
     "noise",
 )
+IDENTIFICATION_KEYS = ("method", "rows", "coloured", "weak_inputs", "uncertain_gains")
 CHANNEL_KEYS = ("names", "units", "operating_point")
 FAULT_KEYS = ("name", "kind", "component", "input", "output", "state", *FAULT_NOTES)
 KINDS = ("actuator", "sensor", "component")
@@ -166,7 +169,25 @@ def _core(root: Entry) -> Plant:
         description=root.text("description", ""),
         operating_point=OperatingPoint(points["inputs"], points["outputs"]),
         units=units,
+        identification=_identification(root),
         **channels,
+    )
+
+
+def _identification(root: Entry) -> Identification | None:
+    """Return how the plant came from recordings, or ``None`` where nothing is said of that."""
+    if "identification" not in root:
+        return None
+    entry = root.table("identification", IDENTIFICATION_KEYS)
+    rows = entry.number("rows")
+    if rows != int(rows) or rows < 1:
+        raise entry.error("rows", f"must be a whole number of at least one, got {rows:g}")
+    return Identification(
+        entry.text("method"),
+        int(rows),
+        entry.texts("coloured", None, "") or (),
+        entry.texts("weak_inputs", None, "") or (),
+        tuple(entry.pairs("uncertain_gains")),
     )
 
 

@@ -30,6 +30,7 @@ VALUES = (
     "fault_list",
     "operating_point",
     "units",
+    "identification",
 )
 
 
@@ -104,7 +105,7 @@ def dumps_plant(plant: Plant) -> str:
     if plant.description:
         head.append(f"description = {_text(plant.description)}")
     head.append(f"dt = {_number(plant.dt)}")
-    blocks = [head, *_channels(plant), _matrices(plant)]
+    blocks = [head, *_channels(plant), *_identification(plant), _matrices(plant)]
     blocks += [_disturbance(plant, i) for i in range(len(plant.disturbances))]
     blocks += [_fault(plant, i) for i in range(len(plant.faults))]
     if plant.Bw.shape[1]:
@@ -148,6 +149,19 @@ def _channels(plant: Plant) -> list[list[str]]:
             lines.append(f"operating_point = {_row(values)}")
         blocks.append(lines)
     return blocks
+
+
+def _identification(plant: Plant) -> list[list[str]]:
+    made = plant.identification
+    if made is None:
+        return []
+    lines = ["[identification]", f"method = {_text(made.method)}", f"rows = {made.rows}"]
+    for key, channels in (("coloured", made.coloured), ("weak_inputs", made.weak_inputs)):
+        lines += [f"{key} = {_texts(channels)}"] if channels else []
+    if made.uncertain_gains:
+        pairs = ", ".join(_texts(pair) for pair in made.uncertain_gains)
+        lines.append(f"uncertain_gains = [{pairs}]")
+    return [lines]
 
 
 def _matrices(plant: Plant) -> list[str]:

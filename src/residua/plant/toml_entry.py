@@ -81,16 +81,25 @@ class Entry:
         """Return a finite number of at most ``LARGEST`` in size."""
         return self._number(self._get(key, default), key)
 
-    def texts(self, key: str, count: int, each: str) -> tuple[str, ...] | None:
-        """Return a list of strings, ``None`` when it is absent."""
+    def texts(self, key: str, count: int | None, each: str) -> tuple[str, ...] | None:
+        """Return a list of strings (any number of them for a count of ``None``), ``None`` when it is absent."""
         if key not in self:
             return None
         items = self.data[key]
         if not isinstance(items, list) or not all(isinstance(item, str) for item in items):
             raise self.error(key, f"expected a list of texts, got {kind_of(items)}")
-        if len(items) != count:
+        if count is not None and len(items) != count:
             raise self.error(key, f"expected {count} texts ({each}), got {len(items)}")
         return tuple(items)
+
+    def pairs(self, key: str) -> list[tuple[str, str]]:
+        """Return a list of pairs of strings, empty when it is absent."""
+        items = self.data.get(key, [])
+        if not isinstance(items, list) or not all(isinstance(item, list) and len(item) == 2 for item in items):
+            raise self.error(key, f'expected pairs of texts, [["...", "..."]], got {kind_of(items)}')
+        if not all(isinstance(text, str) for item in items for text in item):
+            raise self.error(key, "expected pairs of texts")
+        return [(item[0], item[1]) for item in items]
 
     def by_channel(self, key: str, channels: tuple[str, ...], each: str) -> NDArray[np.float64] | None:
         """Return one number per channel from a list or a table by name, ``None`` when it is absent."""

@@ -132,6 +132,8 @@ def _fit(model: IdentifiedModel) -> str:
         f"On {where}. The fit is 1 less the root mean square of the error over the standard deviation of the output: "
         "100 % is a perfect prediction, 0 % is no better than the mean."
     )
+    if report.no_simulation:
+        text += f" There is no fit from inputs alone: {report.no_simulation}."
     return html_table(header, rows) + f'<p class="muted">{escape(text)}</p>'
 
 

@@ -24,7 +24,8 @@ _SURE = 0.9
 
 BEGAN_RULE = (
     "The interval in which it began holds for a change of the residual that begins as a step, a ramp or the square of "
-    "time, in noise that goes on as before. A fault that no residual answers to at first began by that much earlier."
+    "time, in noise that goes on as before. A fault that no residual answers to at first, since a control loop makes "
+    "up for it, or that grows out of the noise in another way, may have begun well before the interval."
 )
 
 #: What is said of an alarm by certified thresholds.

@@ -1,0 +1,62 @@
+"""What a plant that was identified from recordings carries with it: how it came about, and what the data leave open."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from residua.arrays import index_of
+from residua.errors import ModelError
+
+
+@dataclass(frozen=True)
+class Identification:
+    """How a plant came from recordings; a plant that was given has none.
+
+    Attributes
+    ----------
+    method : str
+    rows : int
+        Of the recordings that it is from.
+    coloured : tuple of str
+        Outputs whose prediction errors are correlated in time: the plant misses some of their dynamics.
+    weak_inputs : tuple of str
+        Inputs that the past determines almost wholly: the data hardly tell their effect from that of a controller.
+    uncertain_gains : tuple of (str, str)
+        Outputs and inputs of which the data hardly say the steady gain.
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> plant = rs.Plant([[0.9]], [[1.0]], [[1.0]], dt=1)
+    >>> plant.identification is None
+    True
+    """
+
+    method: str
+    rows: int
+    coloured: tuple[str, ...] = ()
+    weak_inputs: tuple[str, ...] = ()
+    uncertain_gains: tuple[tuple[str, str], ...] = ()
+
+    def __str__(self) -> str:
+        return f"identified by {self.method} from {self.rows} rows"
+
+
+def identification(
+    value: Identification | None, inputs: Iterable[str], outputs: Iterable[str]
+) -> Identification | None:
+    """Return what is known of an identification, checked against the channels of the plant."""
+    if value is None:
+        return None
+    if not isinstance(value, Identification):
+        raise ModelError(f"identification must be an Identification(method, rows, ...), got {value!r}")
+    inputs, outputs = tuple(inputs), tuple(outputs)
+    for name in value.coloured:
+        index_of(name, outputs, "identification: coloured output")
+    for name in value.weak_inputs:
+        index_of(name, inputs, "identification: weak input")
+    for output, given in value.uncertain_gains:
+        index_of(output, outputs, "identification: uncertain gain of output")
+        index_of(given, inputs, "identification: uncertain gain of input")
+    return value
