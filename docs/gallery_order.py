@@ -2,6 +2,7 @@
 
 ORDER = (
     "plot_three_tank.py",
+    "plot_log_to_name.py",
     "plot_given_and_identified.py",
     "plot_bank_three_tank.py",
     "plot_jet_engine.py",

@@ -48,12 +48,13 @@ from_lively = rs.identify.subspace(lively.u, lively.y, **channels)
 print(from_quiet.report)
 
 # %%
-# The report of the quiet log warns: the inputs follow the levels and hardly anything else, and the steady gains are
+# The report of the quiet log warns: the inputs follow the levels and nothing else, so that the steady gains are
 # unknown. That of the lively log has the gains with their standard errors.
 print(from_lively.report)
 
 # %%
-# What a constant flow does to the levels in the end, by each model, with two standard errors where they are known.
+# What a constant flow does to the levels in the end, by each model, with two standard errors: bars that leave the
+# picture say that nothing is known.
 truth = three_tank().system("control").dc_gain()
 fig, ax = plt.subplots(figsize=(8, 3.2), layout="constrained")
 where = np.arange(truth.size)
@@ -61,9 +62,12 @@ names = [f"{h} from {q}" for h in ("h1", "h2", "h3") for q in ("Q1", "Q2")]
 ax.plot(where, truth.ravel(), "k_", ms=22, mew=2, label="given")
 for shift, label, model in ((-0.12, "quiet log", from_quiet), (0.12, "lively log", from_lively)):
     gain = model.report.steady_gain
-    ax.errorbar(where + shift, gain.gain.ravel(), 2 * gain.error.ravel(), fmt="o", ms=4, capsize=3, label=label)
+    known = np.isfinite(gain.error.ravel())
+    print(f"{label}: {known.sum()} of {known.size} steady gains are known")
+    spread = np.where(known, 2 * gain.error.ravel(), 10)  # beyond the picture
+    ax.errorbar(where + shift, gain.gain.ravel(), spread, fmt="o", ms=4, capsize=3, label=label)
 ax.set_xticks(where, names)
-ax.set(ylabel="steady gain in cm per cm³/s", ylim=(-0.5, 3))
+ax.set(ylabel="steady gain in cm per cm³/s", ylim=(-1, 3))
 ax.legend()
 
 

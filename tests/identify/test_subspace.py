@@ -435,3 +435,22 @@ def test_why_there_is_no_fit_from_inputs_is_said() -> None:
     assert whole.checked.simulated_fit is not None
     assert "no fit from inputs" not in str(whole)
     assert "there are no inputs" in str(rs.identify.subspace(None, y, order=1, dt=1.0).report)
+
+
+def test_a_gain_that_no_row_shows_is_unknown_however_alike_the_parts_are() -> None:
+    """A controller without noise of its own computes the input from the outputs: a gain near zero is no finding."""
+    rng = np.random.default_rng(12)
+    plant = rs.Plant([[0.95]], [[1.0]], [[1.0]], dt=1.0)
+    x, integral, rows = 0.0, 0.0, 3000
+    u, y = np.zeros((rows, 1)), np.zeros((rows, 1))
+    for k in range(rows):
+        y[k] = x + 0.5 * rng.standard_normal()
+        integral -= 0.01 * y[k, 0]
+        u[k] = integral - 0.1 * y[k, 0]
+        x = plant.A[0, 0] * x + u[k, 0] + 0.05 * rng.standard_normal()
+    report = rs.identify.subspace(u, y, dt=1.0).report
+    assert report.excitation.unexplained[0] < 1e-20
+    assert report.steady_gain is not None
+    assert report.steady_gain.error is not None
+    assert np.isinf(report.steady_gain.error).all()
+    assert "'u1' on 'y1': unknown" in str(report)

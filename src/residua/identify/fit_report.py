@@ -26,11 +26,20 @@ class SteadyGain:
     ----------
     gain : ndarray, shape (outputs, inputs)
     error : ndarray or None, shape (outputs, inputs)
-        Standard errors, from estimates on parts of the data; ``None`` where there are too few parts.
+        Standard errors, from estimates on parts of the data; infinite for an input that the past determines wholly,
+        ``None`` where there are too few parts.
     """
 
     gain: NDArray[np.float64]
     error: NDArray[np.float64] | None
+
+    def text(self, output: int, given: int) -> str:
+        """Return one of them with its standard error, as far as that is known."""
+        gain = number(float(self.gain[output, given]))
+        if self.error is None:
+            return gain
+        error = float(self.error[output, given])
+        return f"{gain} ± {number(error)}" if np.isfinite(error) else "unknown"
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -160,9 +169,11 @@ class FitReport:
                 "told from that of a controller; move it on purpose (dither)"
             )
         if self.uncertain_gains:
+            assert self.steady_gain is not None  # else there is none to be uncertain
             some = [
-                f"{given!r} on {output!r}: {number(gain)} +- {number(error)}"
-                for output, given, gain, error in self.uncertain_gains[:6]
+                f"{given!r} on {output!r}: "
+                + self.steady_gain.text(self.outputs.index(output), self.inputs.index(given))
+                for output, given, _, _ in self.uncertain_gains[:6]
             ]
             lines.append(f"steady gains that the data hardly say: {listing(some)}")
         if self.coloured:

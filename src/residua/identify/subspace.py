@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from residua.errors import DataError, SettingError
 from residua.identify.canonical_weights import canonical_weights
 from residua.identify.channel_facts import ChannelFacts, channel_facts
-from residua.identify.excitation import excitation
+from residua.identify.excitation import Excitation, excitation
 from residua.identify.fit_report import SteadyGain
 from residua.identify.hankel_factor import HankelFactor, hankel_factor
 from residua.identify.horizon import choose_past
@@ -28,7 +28,7 @@ from residua.identify.state_map import StateMap
 from residua.linear.poles.spectrum import spectral_radius
 from residua.plant import Plant
 from residua.progress import Progress, progress_of
-from residua.tolerances import POLE
+from residua.tolerances import POLE, RANK
 from residua.visible import echo
 from residua.words import counted, number
 
@@ -301,7 +301,7 @@ class _Made:
             excitation=self.excitation,
             poles=np.linalg.eigvals(model.A).astype(complex),
             predictor_poles=np.linalg.eigvals(model.A - model.K @ model.C).astype(complex),
-            steady_gain=_steady_gain(plant, others),
+            steady_gain=_steady_gain(plant, others, self.excitation),
             notes=notes,
         )
         delayed = [with_input_delays(one, delays) for one in (plant, *others)]
@@ -310,11 +310,13 @@ class _Made:
         return IdentifiedModel(noted, report, np.vstack([K, np.zeros((rows, len(V)))]), V, tuple(delayed[1:]))
 
 
-def _steady_gain(plant: Plant, others: list[Plant]) -> SteadyGain | None:
+def _steady_gain(plant: Plant, others: list[Plant], excitation: Excitation) -> SteadyGain | None:
     poles = np.linalg.eigvals(plant.A)
     if not plant.inputs or (len(poles) and np.abs(poles - 1).min() < POLE):
         return None
     gains = np.array([one.system("control").dc_gain() for one in others])
     count = len(gains)
     error = np.sqrt((count - 1) / count * ((gains - gains.mean(axis=0)) ** 2).sum(axis=0)) if count else None
+    if error is not None:
+        error[:, excitation.unexplained < RANK] = np.inf  # all parts may agree on what no row of any of them shows
     return SteadyGain(plant.system("control").dc_gain(), error)

@@ -290,13 +290,8 @@ def _gains(model: IdentifiedModel) -> str:
     report = model.report
     if report.steady_gain is None:
         return ""
-    gain, error = report.steady_gain.gain, report.steady_gain.error
     rows = [
-        [escape(output)]
-        + [
-            _num(number(float(gain[i, j])) + ("" if error is None else f" ± {number(float(error[i, j]))}"))
-            for j in range(len(report.inputs))
-        ]
+        [escape(output), *(_num(report.steady_gain.text(i, j)) for j in range(len(report.inputs)))]
         for i, output in enumerate(report.outputs)
     ]
     units = [f"{name} [{_unit(model, name)}]" if _unit(model, name) else name for name in report.inputs]
