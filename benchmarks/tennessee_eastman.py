@@ -52,6 +52,8 @@ def monitors(folder: Path) -> Iterator[tuple[str, rs.Monitor]]:
         f"DPCA, {variates.lags} lags": rs.identify.principal_components(train, lags=variates.lags),
         f"CVA, {variates.lags} lags, {variates.states} states": variates,
         "CVA, other variates": rs.identify.canonical_variates(train, residuals="variates"),
+        "CVA, drifting channels left out": rs.identify.canonical_variates(train, drifts="leave out"),
+        "CVA, drifting channels differenced": rs.identify.canonical_variates(train, drifts="difference"),
         "CVA, manipulated variables as inputs": rs.identify.canonical_variates(u, y),
         f"parity relations of order {variates.lags}": rs.identify.parity_from_data(u, y, order=variates.lags),
     }

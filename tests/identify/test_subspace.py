@@ -454,3 +454,12 @@ def test_a_gain_that_no_row_shows_is_unknown_however_alike_the_parts_are() -> No
     assert report.steady_gain.error is not None
     assert np.isinf(report.steady_gain.error).all()
     assert "'u1' on 'y1': unknown" in str(report)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_large_order_gets_the_past_that_it_needs(method: str) -> None:
+    rng = np.random.default_rng(3)
+    u, y = recorded(generated_plant(rng, 14, 1, 1, least=0.0), rng, 3000, 3)
+    report = rs.identify.subspace(u, y, order=14, method=method, dt=1.0).report
+    assert report.order == 14
+    assert report.past >= 15

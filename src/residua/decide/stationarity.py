@@ -205,6 +205,18 @@ def likeliest_change(x: NDArray[np.float64], significance: float) -> tuple[int, 
     return place, size
 
 
+def independent_samples(x: NDArray[np.float64]) -> float:
+    """Return how many independent samples a stretch of noise is worth, at least: of slow noise few, of a walk none.
+
+    Parameters
+    ----------
+    x : ndarray, shape (time,)
+        Its mean is taken off. All of them, where it never changes.
+    """
+    left = x - x.mean()
+    return len(x) / _longest_correlation_time(left) if np.any(left) else float(len(x))
+
+
 def _longest_correlation_time(left: NDArray[np.float64]) -> float:
     r"""Return a correlation time that is not too short, of what is left after two lines.
 
@@ -241,4 +253,4 @@ def transient_samples(found: Sequence[Change], recording: int) -> int:
     return max((one.sample for one in found if one.recording == recording and one.is_transient), default=0)
 
 
-__all__ = ["Change", "changes", "likeliest_change", "transient_samples"]
+__all__ = ["Change", "changes", "independent_samples", "likeliest_change", "transient_samples"]

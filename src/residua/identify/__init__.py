@@ -4,6 +4,7 @@ from residua.identify.arx import arx
 from residua.identify.arx_model import ArxModel
 from residua.identify.arx_report import Equation, EquationReport
 from residua.identify.canonical_variates import CanonicalVariates, canonical_variates
+from residua.identify.drifts import Drifts, drifting_channels
 from residua.identify.grey_box import GreyBox, grey_box
 from residua.identify.identified_model import IdentifiedModel, Prediction
 from residua.identify.linearise import TangentModel, linearise, tangent_model
@@ -20,6 +21,7 @@ __all__ = [
     "ArxModel",
     "CanonicalVariates",
     "DataParity",
+    "Drifts",
     "Equation",
     "EquationReport",
     "GreyBox",
@@ -34,6 +36,7 @@ __all__ = [
     "TangentModel",
     "arx",
     "canonical_variates",
+    "drifting_channels",
     "given_residuals",
     "grey_box",
     "linearise",

@@ -14,7 +14,8 @@ from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
 from residua.errors import DataError, SettingError
 from residua.identify.channel_filter import channel_generator, names_of_groups
-from residua.identify.lagged_rows import LaggedRows, Standard, few_rows, lagged_rows, standard
+from residua.identify.drift_treatment import treated
+from residua.identify.lagged_rows import LaggedRows, Standard, few_rows, lagged_rows
 from residua.identify.segments import Gathered, Names, checked_count, gather
 from residua.linear.subspaces.rank import RankDecision, null_basis
 from residua.tolerances import RANK
@@ -46,9 +47,11 @@ class CanonicalVariates:
     criterion_of_lags, criterion_of_states : mapping of int to float
         Akaike's criterion for each number that was tried; empty where it was given.
     mean, spread : ndarray, shape (channels,)
-        Of each channel, in its own units.
+        Of each channel, in its own units; of one that is differenced the spread of its changes.
     samples : int
         Rows that they are from.
+    drifts : mapping of str to str
+        What was done with each channel that drifts, or was named.
     """
 
     generator: ResidualGenerator
@@ -62,6 +65,7 @@ class CanonicalVariates:
     mean: NDArray[np.float64] = field(repr=False)
     spread: NDArray[np.float64] = field(repr=False)
     samples: int
+    drifts: Mapping[str, str] = field(repr=False)
 
     def __repr__(self) -> str:
         return (
@@ -79,6 +83,7 @@ def canonical_variates(
     lags: int | str = "auto",
     states: int | str = "auto",
     residuals: str = "innovations",
+    drifts: str | Mapping[str, str] = "keep",
     dt: float | None = None,
 ) -> CanonicalVariates:
     r"""Return canonical states and residuals of fault-free recordings as a residual generator, without any model.
@@ -118,6 +123,11 @@ def canonical_variates(
     states : int or "auto"
         ``n``. ``"auto"``: where the same criterion of the innovations is least (Larimore).
     residuals : {"innovations", "variates"}
+    drifts : {"keep", "leave out", "difference"} or mapping of str to these
+        What is done with channels that do not keep their level (:func:`residua.identify.drifting_channels`): nothing,
+        besides a note with numbers; they are read by no residual, and have no fault, though they stay a column of the
+        recordings; or they are read by their changes from row to row, which show their faults only while these change.
+        A mapping says it for each channel by name, whether it drifts or not; those that it does not name are kept.
     dt : float, optional
         Step in seconds of arrays.
 
@@ -170,8 +180,8 @@ def canonical_variates(
     """
     if residuals not in _KINDS:
         raise SettingError(f"residuals must be 'innovations' or 'variates', got {echo(residuals)}")
-    gathered = gather(recordings, y, inputs=inputs, outputs=outputs, dt=dt)
-    units = standard(gathered)
+    channels = treated(gather(recordings, y, inputs=inputs, outputs=outputs, dt=dt), drifts)
+    gathered, units = channels.gathered, channels.units
     by_lags: dict[int, float] = {}
     if lags == "auto":
         by_lags = _criteria_of_lags(gathered, units)
@@ -201,7 +211,7 @@ def canonical_variates(
         notes=few_rows(stacked.count, 2 * lags * stacked.channels),
         references=("Larimore (1983)", "Negiz and Cinar (1997)", "Russell, Chiang and Braatz (2000)"),
     )
-    generator = channel_generator(gathered, units, weights, groups, evidence)
+    generator = channel_generator(channels, weights, groups, evidence)
     members = names_of_groups(groups, generator)
     return CanonicalVariates(
         generator,
@@ -212,9 +222,10 @@ def canonical_variates(
         past.correlations,
         by_lags,
         by_states,
-        units.mean,
-        units.spread,
+        channels.mean,
+        channels.spread,
         stacked.count,
+        channels.ways,
     )
 
 

@@ -128,11 +128,11 @@ class ChannelFacts:
             return f"the output {group[1]!r} is the input {group[0]!r}, times a number"
         return f"{group[0]!r} and {group[1]!r} are the same signal, times a number"
 
-    def notes(self, sources: Sequence[str]) -> tuple[str, ...]:
+    def notes(self, sources: Sequence[str], *, drifts: bool = True) -> tuple[str, ...]:
         """Return what should be known of the channels: drifts, few values, recordings in other units."""
         found = []
         for i, name in enumerate(self.channels):
-            if self.drift[i] > _DRIFT:
+            if drifts and self.drift[i] > _DRIFT:
                 found.append(
                     f"{name!r} drifts: a straight line explains {100 * self.drift[i]:.0f} % of its variance within a "
                     "recording; a model of it is one of this drift"

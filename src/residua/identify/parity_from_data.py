@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -14,10 +14,11 @@ from residua.design.core.generator import ResidualGenerator
 from residua.errors import DataError, SettingError
 from residua.identify.channel_facts import channel_facts
 from residua.identify.channel_filter import channel_generator
+from residua.identify.drift_treatment import KEEP, Treated, treated, untreated
 from residua.identify.hankel_factor import count_windows
-from residua.identify.lagged_rows import LaggedRows, Standard, enough_windows, few_rows, lagged_of, standard
+from residua.identify.lagged_rows import LaggedRows, enough_windows, few_rows, lagged_of
 from residua.identify.parity_memory import Alarms, ParityMemory, checked_forgetting, without_alarms
-from residua.identify.segments import Gathered, Names, checked_count, gather
+from residua.identify.segments import Names, checked_count, gather
 from residua.linear.subspaces.rank import RankDecision, null_basis
 from residua.recording.time_axis import REGULAR
 from residua.tolerances import DATA_ROUNDING, SAME
@@ -49,13 +50,16 @@ class DataParity:
         For each combination of the ``s + 1`` samples how well past and inputs foretell it, largest first: 1 for inputs
         and states, that of chance for relations.
     vectors : ndarray, shape (relations, s + 1, channels)
-        The relations, orthonormal in standard units: weights of ``z[k], z[k-1], ...``, inputs first.
+        The relations, orthonormal in standard units: weights of ``z[k], z[k-1], ...``, inputs first, without channels
+        that are left out.
     mean, spread : ndarray, shape (channels,)
-        Of each channel, in its own units.
+        Of each channel, in its own units; of one that is differenced the spread of its changes.
     samples : int
         Windows that they are from; after forgetting, as many as are worth as much.
     memory : ParityMemory
         What :meth:`updated` goes on from.
+    drifts : mapping of str to str
+        What was done with each channel that drifts, or was named.
     """
 
     generator: ResidualGenerator
@@ -68,6 +72,7 @@ class DataParity:
     spread: NDArray[np.float64] = field(repr=False)
     samples: int
     memory: ParityMemory = field(repr=False)
+    drifts: Mapping[str, str] = field(repr=False)
 
     def updated(
         self,
@@ -113,7 +118,7 @@ class DataParity:
             If a channel is missing, the step is another, a channel no longer changes, or too little is remembered for
             relations of this order.
         SettingError
-            If ``forgetting`` or ``alarms`` are none.
+            If ``forgetting`` or ``alarms`` are none, or a channel was left out or differenced (``drifts``).
 
         Notes
         -----
@@ -143,6 +148,12 @@ class DataParity:
         0.6
         """
         memory, weight = self.memory, checked_forgetting(forgetting)
+        other = [name for name, way in self.drifts.items() if way != KEEP]
+        if other:
+            raise SettingError(
+                f"relations in which {listed(other)} is left out or differenced are not updated: make them anew "
+                "from the recordings before and these together"
+            )
         gathered = gather(recordings, y, inputs=memory.inputs, outputs=memory.outputs)
         if gathered.timed and abs(gathered.dt - memory.dt) > REGULAR * memory.dt:
             raise DataError(f"the relations have a step of {memory.dt:g} s, the recordings have {gathered.dt:g} s")
@@ -156,7 +167,7 @@ class DataParity:
         facts.check_size()
         after = memory.updated(gathered, weight)
         units = after.standard(facts)
-        made = _parity(after, gathered, units, after.lagged(units), self.relations, notes)
+        made = _parity(after, untreated(gathered, units), after.lagged(units), self.relations, notes)
         if made.supported <= made.relations:  # where it is less, there is a note already
             return made
         note = f"the data now support {counted(made.supported, 'relation')}, and {made.relations} are kept as before"
@@ -179,6 +190,7 @@ def parity_from_data(
     order: int = 8,
     relations: int | None = None,
     poles: Sequence[complex] | None = None,
+    drifts: str | Mapping[str, str] = "keep",
     dt: float | None = None,
 ) -> DataParity:
     r"""Return parity relations of fault-free recordings as a residual generator, without a model in between.
@@ -220,6 +232,12 @@ def parity_from_data(
     poles : sequence of complex, optional
         ``order`` stable poles, closed under conjugation, that all residuals have; all zero, the moving average, when
         omitted.
+    drifts : {"keep", "leave out", "difference"} or mapping of str to these
+        What is done with channels that do not keep their level (:func:`residua.identify.drifting_channels`): nothing,
+        besides a note with numbers; they are read by no residual, and have no fault, though they stay a column of the
+        recordings; or they are read by their changes from row to row, which show their faults only while these change.
+        A mapping says it for each channel by name, whether it drifts or not; those that it does not name are kept.
+        Relations among channels that wander together hold, so that keeping them is right where the inputs move them.
     dt : float, optional
         Step in seconds of arrays.
 
@@ -272,17 +290,16 @@ def parity_from_data(
     """
     s = checked_count(order, "order", 1)
     _denominator(poles, s)
-    gathered = gather(recordings, y, inputs=inputs, outputs=outputs, dt=dt)
-    units = standard(gathered)
-    hankel = enough_windows(gathered, units, 2 * s + 1)
-    stacked = lagged_of(hankel, units, hankel.windows)
-    return _parity(ParityMemory.of(hankel, gathered, units, poles), gathered, units, stacked, relations)
+    channels = treated(gather(recordings, y, inputs=inputs, outputs=outputs, dt=dt), drifts)
+    hankel = enough_windows(channels.gathered, channels.units, 2 * s + 1)
+    stacked = lagged_of(hankel, channels.units, hankel.windows)
+    memory = ParityMemory.of(hankel, channels.gathered, channels.units, poles)
+    return _parity(memory, channels, stacked, relations)
 
 
 def _parity(
     memory: ParityMemory,
-    gathered: Gathered,
-    units: Standard,
+    channels: Treated,
     stacked: LaggedRows,
     relations: int | None,
     notes: tuple[str, ...] = (),
@@ -313,10 +330,9 @@ def _parity(
         references=("Ding (2014), chapter 9",),
     )
     denominator = _denominator(poles, s)
-    generator = channel_generator(gathered, units, weights, {"relation": k}, evidence, denominator=denominator)
-    return DataParity(
-        generator, s, k, supported, correlations, vectors, units.mean, units.spread, stacked.count, memory
-    )
+    generator = channel_generator(channels, weights, {"relation": k}, evidence, denominator=denominator)
+    values = correlations, vectors, channels.mean, channels.spread
+    return DataParity(generator, s, k, supported, *values, stacked.count, memory, channels.ways)
 
 
 def _correlations(

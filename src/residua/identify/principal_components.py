@@ -14,7 +14,8 @@ from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
 from residua.errors import DataError, SettingError
 from residua.identify.channel_filter import channel_generator, names_of_groups
-from residua.identify.lagged_rows import KNOWN, few_rows, lagged_rows, standard
+from residua.identify.drift_treatment import treated
+from residua.identify.lagged_rows import KNOWN, few_rows, lagged_rows
 from residua.identify.segments import Names, checked_count, gather
 from residua.linear.subspaces.rank import RankDecision
 from residua.tolerances import RANK
@@ -40,13 +41,15 @@ class PrincipalComponents:
         ``"T2"`` and ``"Q"``, with the residuals of each.
     lags, components : int
     mean, spread : ndarray, shape (channels,)
-        Of each channel, in its own units.
+        Of each channel, in its own units; of one that is differenced the spread of its changes.
     variances : ndarray, shape (d,)
         Of all components, largest first, in standard units: they add to ``d``, nearly so with lags.
     loadings : ndarray, shape (d, d)
-        Their directions, as columns; rows are the channels now, then one sample ago, and so on.
+        Their directions, as columns; rows are the channels that are not left out now, then one sample ago, and so on.
     samples : int
         Rows that they are from.
+    drifts : mapping of str to str
+        What was done with each channel that drifts, or was named.
     """
 
     generator: ResidualGenerator
@@ -59,6 +62,7 @@ class PrincipalComponents:
     variances: NDArray[np.float64] = field(repr=False)
     loadings: NDArray[np.float64] = field(repr=False)
     samples: int
+    drifts: Mapping[str, str] = field(repr=False)
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -85,6 +89,7 @@ def principal_components(
     outputs: Names = None,
     lags: int = 0,
     components: int | float | None = None,
+    drifts: str | Mapping[str, str] = "keep",
     dt: float | None = None,
 ) -> PrincipalComponents:
     r"""Return the principal components of fault-free recordings as a residual generator, without any model.
@@ -122,6 +127,11 @@ def principal_components(
         A whole number of components; or the share of the variance, between 0 and 1, that they carry at least. When
         omitted, those of more variance than the largest that ``N`` rows of ``d`` independent columns would show,
         :math:`(1 + \sqrt{d / N})^2`.
+    drifts : {"keep", "leave out", "difference"} or mapping of str to these
+        What is done with channels that do not keep their level (:func:`residua.identify.drifting_channels`): nothing,
+        besides a note with numbers; they are read by no residual, and have no fault, though they stay a column of the
+        recordings; or they are read by their changes from row to row, which show their faults only while these change.
+        A mapping says it for each channel by name, whether it drifts or not; those that it does not name are kept.
     dt : float, optional
         Step in seconds of arrays.
 
@@ -178,9 +188,9 @@ def principal_components(
     (('speed sensor',),)
     """
     lags = checked_count(lags, "lags")
-    gathered = gather(recordings, y, inputs=inputs, outputs=outputs, dt=dt)
-    units = standard(gathered)
-    stacked = lagged_rows(gathered, units, lags)
+    channels = treated(gather(recordings, y, inputs=inputs, outputs=outputs, dt=dt), drifts)
+    gathered = channels.gathered
+    stacked = lagged_rows(gathered, channels.units, lags)
     d, q = len(stacked.factor), stacked.channels
     if stacked.count < _ROWS_FOR_EACH * d:
         raise DataError(
@@ -203,7 +213,7 @@ def principal_components(
         notes=(*few_rows(stacked.count, d), *_exact_relations(variances, loadings, gathered.channels)),
         references=("Jackson and Mudholkar (1979)", "Ku, Storer and Georgakis (1995)", "Dunia and Qin (1998)"),
     )
-    generator = channel_generator(gathered, units, weights, groups, evidence)
+    generator = channel_generator(channels, weights, groups, evidence)
     members = names_of_groups(groups, generator)
     return PrincipalComponents(
         generator,
@@ -211,11 +221,12 @@ def principal_components(
         members,
         lags,
         kept,
-        units.mean,
-        units.spread,
+        channels.mean,
+        channels.spread,
         variances,
         loadings,
         stacked.count,
+        channels.ways,
     )
 
 

@@ -12,6 +12,7 @@ from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
 from residua.errors import SettingError
 from residua.identify.channel_filter import channel_generator
+from residua.identify.drift_treatment import untreated
 from residua.identify.lagged_rows import few_rows, lagged_rows, standard
 from residua.identify.segments import Names, checked_count, gather
 from residua.linear.subspaces.rank import null_basis, range_basis
@@ -151,7 +152,7 @@ def regression(
         references=("Draper and Smith (1998)",),
     )
     groups = dict.fromkeys(gathered.outputs, 1)
-    generator = channel_generator(gathered, units, weights, groups, evidence)
+    generator = channel_generator(untreated(gathered, units), weights, groups, evidence)
     coefficients = -weights[:, :, :m] / units.spread[:m]
     return Regression(generator, lags, coefficients, explained, units.mean, stacked.count)
 

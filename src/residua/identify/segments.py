@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -44,6 +44,8 @@ class Segment:
         The number of its recording, from 0.
     delays : tuple of int
         For each channel, how many rows before the others it is read.
+    differenced : tuple of bool
+        For each channel, whether it is read as the change from the row before.
     """
 
     u: NDArray
@@ -54,17 +56,26 @@ class Segment:
     stop: int
     recording: int
     delays: tuple[int, ...] = ()
+    differenced: tuple[bool, ...] = ()
 
     def __len__(self) -> int:
         return self.stop - self.start
 
     def rows(self, start: int, stop: int) -> NDArray[np.float64]:
         """Return rows of the segment, counted from its start: inputs, then outputs, in their own units."""
-        first, columns = max(self.delays, default=0), self.input_columns + self.output_columns
+        before, columns = max(self.delays, default=0), self.input_columns + self.output_columns
+        changing = np.flatnonzero(self.differenced)
+        first = before + bool(len(changing))
         block = _columns(self.u, self.y, columns, self.start + start - first, self.start + stop)
         if not first:
             return block
-        return np.column_stack([block[first - d : len(block) - d, i] for i, d in enumerate(self.delays)])
+        if before:
+            block = np.column_stack([block[before - d : len(block) - d, i] for i, d in enumerate(self.delays)])
+        if not len(changing):
+            return block
+        out = block[1:].copy()
+        out[:, changing] -= block[:-1, changing]
+        return out
 
     def cut(self, start: int, stop: int) -> Segment:
         """Return a part of it, counted from its start."""
@@ -158,6 +169,36 @@ class Gathered:
         if not any(rows_of):
             return self
         return self.with_segments([one for one in (part.delayed(rows_of) for part in self.segments) if len(one)])
+
+    def of_channels(self, kept: Sequence[str], differenced: Collection[str] = ()) -> Gathered:
+        """Return some of the channels, of which some are read as their changes from row to row.
+
+        The first row of a segment has no change, and is left out then.
+        """
+        wanted = [i for i, name in enumerate(self.channels) if name in kept]
+        m = len(self.inputs)
+        changing = tuple(self.channels[i] in differenced for i in wanted) if differenced else ()
+        segments = []
+        for one in self.segments:
+            columns = one.input_columns + one.output_columns
+            start = one.start + bool(changing)
+            if start < one.stop:
+                segments.append(
+                    replace(
+                        one,
+                        input_columns=tuple(columns[i] for i in wanted if i < m),
+                        output_columns=tuple(columns[i] for i in wanted if i >= m),
+                        start=start,
+                        delays=tuple(one.delays[i] for i in wanted) if one.delays else (),
+                        differenced=changing,
+                    )
+                )
+        return replace(
+            self,
+            inputs=tuple(self.channels[i] for i in wanted if i < m),
+            outputs=tuple(self.channels[i] for i in wanted if i >= m),
+            segments=tuple(segments),
+        )
 
     def with_segments(self, segments: Sequence[Segment]) -> Gathered:
         """Return the same with other segments."""

@@ -164,6 +164,8 @@ def subspace(
         facts = channel_facts(first)
         facts.check()
         horizon = choose_past(first, facts, feedthrough=feedthrough) if past == "auto" else int(past)
+        if past == "auto" and order != "auto":  # so many states show in so many rows, and one more for their shift
+            horizon = max(horizon, -(-int(order) // len(first.outputs)) + 1)
         if method == "moesp" and horizon < 2:
             if past != "auto":
                 raise SettingError("past must be at least 2 for 'moesp', whose dynamics are a shift by a row, got 1")
