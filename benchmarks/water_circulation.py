@@ -11,7 +11,8 @@ itself, or of all runs together.
 
 The column "chosen by" says what the number of samples that are summed was chosen by:
 
-- ``default``: one; that drifts are told from all runs, and ``held_out=0``, were settled after judged rows had been seen;
+- ``default``: one; that drifts are told from all runs, and ``held_out=0``, was settled after judged rows had been
+  seen;
 - ``training rows``: the longest sums with no more than the 18 % of false alarms that were asked for, where the first
   35 % of the training rows make the monitor and the others are judged, which is how the protocol divides a run;
 - ``injected offsets``: the best F1 on offsets that are added to the last 120 training rows. These hardly drift, so that
