@@ -166,7 +166,7 @@ def arx(
     basis = Basis(equations, first.inputs, first.outputs, first.dt, facts.mean, facts.units, delayed)
     plant, V = basis.plant(equations, units=units, name=name)
     innovations = equations.innovations()
-    fitted = error_facts(innovations, first.shortened(_JUDGED), facts.mean, facts.units)
+    fitted = error_facts(innovations, first.shortened(_JUDGED, 2 * longest + 1), facts.mean, facts.units)
     assert fitted is not None  # there are windows longer than the past
     excited = excitation(factor, longest, feedthrough=feedthrough)
     notes = [*gathered.notes, *facts.notes(gathered.sources)]
@@ -184,7 +184,7 @@ def arx(
         dt=first.dt,
         past=longest,
         samples=first.n_samples,
-        held_out=error_facts(innovations, last.shortened(_JUDGED), facts.mean, facts.units),
+        held_out=error_facts(innovations, last.shortened(_JUDGED, 2 * longest + 1), facts.mean, facts.units),
         fitted=fitted,
         excitation=excited,
         poles=np.linalg.eigvals(innovations.A).astype(complex),

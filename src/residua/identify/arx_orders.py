@@ -76,7 +76,7 @@ def choose_equations(
     criterion = np.full((p, 2, most + 1), np.inf)
     share = np.full((p, 2, most + 1), np.nan)
     targets = factor.outputs(most)
-    short = held_out.shortened(_ROWS)
+    short = held_out.shortened(_ROWS, 2 * factor.length)
     kinds = [coupled for coupled in (False, True) if past_of in ("auto", "all" if coupled else "own")]
     kinds = [False] if p == 1 else kinds
     for coupled in kinds:
@@ -91,7 +91,10 @@ def choose_equations(
             criterion[group, int(coupled)] = values
             share[group, int(coupled)] = _held_out(thetas, columns, group, factor, short)
     wanted = {} if orders == "auto" else orders
-    return tuple(_choice(criterion[i], share[i], wanted.get(name), p) for i, name in enumerate(held_out.outputs))
+    return tuple(
+        _choice(criterion[i], share[i], wanted.get(name), p, richest=kinds[-1])
+        for i, name in enumerate(held_out.outputs)
+    )
 
 
 def _nested(
@@ -145,14 +148,15 @@ def _held_out(
     return out
 
 
-def _choice(criterion: Matrix, share: Matrix, wanted: int | None, n_outputs: int) -> EquationChoice:
+def _choice(criterion: Matrix, share: Matrix, wanted: int | None, n_outputs: int, *, richest: bool) -> EquationChoice:
+    """Return the choice for one output; ``richest``: whether the past of all outputs was among what was compared."""
     orders = tuple(range(criterion.shape[1]))
     compared = criterion if wanted is None else criterion[:, [wanted]]
     if np.isfinite(compared).any():
         kind, place = np.unravel_index(int(compared.argmin()), compared.shape)
         best = int(place) if wanted is None else wanted
     else:  # the fit says which signal the others determine
-        kind, best = int(not np.isnan(share[1]).all()), wanted or 0
+        kind, best = int(richest), wanted or 0
     coupled = bool(kind)
     reason = "as asked for" if wanted is not None else "the smallest information criterion"
     finite = np.isfinite(criterion).any(axis=0)

@@ -55,13 +55,19 @@ class ModeSignals:
 
 def _label(name: str, value: float, edges: tuple[float, ...] | None) -> str:
     if edges is None:
-        return f"{name} = {value:.10g}"
+        return f"{name} = {_text(value)}"
     k = int(value)
     if k == 0:
-        return f"{name} < {edges[0]:.10g}"
+        return f"{name} < {_text(edges[0])}"
     if k == len(edges):
-        return f"{name} >= {edges[-1]:.10g}"
-    return f"{edges[k - 1]:.10g} <= {name} < {edges[k]:.10g}"
+        return f"{name} >= {_text(edges[-1])}"
+    return f"{_text(edges[k - 1])} <= {name} < {_text(edges[k])}"
+
+
+def _text(value: float) -> str:
+    """Return a number, with all digits where fewer are another one: two modes have two names."""
+    short = f"{value:.10g}"
+    return short if float(short) == value else repr(value)
 
 
 def mode_signals(by: Any) -> ModeSignals:

@@ -69,7 +69,8 @@ def choose_order(
             "for: give a longer past, or a smaller order"
         )
     orders = tuple(range(most + 1))
-    seen, unseen = fitted.shortened(_ROWS), held_out.shortened(_ROWS)
+    enough = 2 * states.past + 1  # rows of a part: fewer than the past foretell none
+    seen, unseen = fitted.shortened(_ROWS, enough), held_out.shortened(_ROWS, enough)
     values, errors = np.full(len(orders), np.inf), np.full(len(orders), np.nan)
     for order in orders:
         model = _model(factor, states, order, feedthrough)

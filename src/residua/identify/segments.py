@@ -145,12 +145,19 @@ class Gathered:
             last += [segment.cut(border, len(segment))] if border < len(segment) else []
         return self.with_segments(first), self.with_segments(last)
 
-    def shortened(self, rows: int) -> Gathered:
-        """Return about so many rows: the first ones of every segment, of each as large a part."""
+    def shortened(self, rows: int, least: int = 1) -> Gathered:
+        """Return about so many rows: the first ones of every segment, of each as large a part, and ``least`` of them.
+
+        Where that is far too much of many short segments, evenly spaced ones of those that have ``least`` rows.
+        """
         if self.n_samples <= rows:
             return self
         share = rows / self.n_samples
-        return self.with_segments([one.cut(0, int(np.ceil(share * len(one)))) for one in self.segments])
+        parts = [one.cut(0, min(len(one), max(int(np.ceil(share * len(one))), least))) for one in self.segments]
+        if sum(map(len, parts)) > 2 * rows:
+            parts = [one for one in parts if len(one) >= least] or parts
+            parts = parts[:: max(sum(map(len, parts)) // rows, 1)]
+        return self.with_segments(parts)
 
     def delayed(self, delays: Mapping[str, int]) -> Gathered:
         """Return the same with some inputs read so many rows earlier than the outputs.

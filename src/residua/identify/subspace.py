@@ -283,7 +283,7 @@ class _Made:
                     f"standard errors are from {len(others)} of {count} parts of the data: without one of the others "
                     f"no stable model of order {model.order} can be made, so that they are too small, if anything",
                 )
-        fitted = error_facts(model, first.shortened(_JUDGED), facts.mean, facts.units)
+        fitted = error_facts(model, first.shortened(_JUDGED, 2 * model.past + 1), facts.mean, facts.units)
         assert fitted is not None  # there are windows longer than the past
         report = IdentificationReport(
             method=_WRITTEN[self.method],
@@ -298,7 +298,7 @@ class _Made:
             held_out_errors=self.choice.held_out_errors,
             past=self.states.past,
             samples=first.n_samples,
-            held_out=error_facts(model, self.last.shortened(_JUDGED), facts.mean, facts.units),
+            held_out=error_facts(model, self.last.shortened(_JUDGED, 2 * model.past + 1), facts.mean, facts.units),
             fitted=fitted,
             excitation=self.excitation,
             poles=np.linalg.eigvals(model.A).astype(complex),
