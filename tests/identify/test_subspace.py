@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -463,3 +464,17 @@ def test_a_large_order_gets_the_past_that_it_needs(method: str) -> None:
     report = rs.identify.subspace(u, y, order=14, method=method, dt=1.0).report
     assert report.order == 14
     assert report.past >= 15
+
+
+def test_an_order_beyond_the_data_is_refused_with_the_largest_that_they_are_enough_for() -> None:
+    u, y = good(800)
+    with pytest.raises(DataError, match=r"order 900: it needs .* the data are enough for order (\d+);") as caught:
+        rs.identify.subspace(u, y, order=900, dt=1.0)
+    largest = int(re.findall(r"enough for order (\d+)", str(caught.value))[0])
+    with pytest.raises(DataError, match="too few data for a model of order"):
+        rs.identify.subspace(u, y, order=largest + 1, dt=1.0)
+    report = rs.identify.subspace(u, y, order=largest, dt=1.0).report
+    assert (report.order, report.orders[-4:]) == (largest, tuple(range(largest - 3, largest + 1)))
+    assert len(report.orders) < 31  # not every order below is tried
+    assert report.order_reason == "as asked for"
+    assert str(report)

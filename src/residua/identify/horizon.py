@@ -9,6 +9,7 @@ from residua.errors import DataError
 from residua.identify.channel_facts import ChannelFacts
 from residua.identify.hankel_factor import count_windows, hankel_factor
 from residua.identify.segments import Gathered
+from residua.words import counted
 
 #: Rows from which the horizon is chosen: that choice need not be exact.
 _ROWS = 100_000
@@ -45,6 +46,33 @@ def choose_past(gathered: Gathered, facts: ChannelFacts, *, feedthrough: bool) -
     fixed = [0, *(factor.inputs(most) if feedthrough else [])]
     T = np.asarray(np.linalg.qr(factor.R[:, [*fixed, *newest_first, *factor.outputs(most)]], mode="r"))
     return min(range(1, most + 1), key=lambda past: _akaike(T, len(fixed) + past * n, gathered, windows))
+
+
+def past_of_order(gathered: Gathered, order: int) -> int:
+    """Return the rows of the past in which so many states show, and one more for their shift.
+
+    Raises
+    ------
+    DataError
+        If the data have fewer than four windows for each column of that Hankel matrix.
+    """
+
+    def rows_of(states: int) -> int:
+        return -(-states // len(gathered.outputs)) + 1
+
+    def excess(past: int) -> int:
+        return count_windows(gathered, past + 1) - _LEAST_ROWS * (1 + len(gathered.channels) * (past + 1))
+
+    past = rows_of(order)
+    if excess(past) < 0:
+        largest = next((n for n in range(order - 1, 0, -1) if excess(rows_of(n)) >= 0), 0)
+        raise DataError(
+            f"too few data for a model of order {order}: it needs {past} rows of the past of "
+            f"{counted(len(gathered.channels), 'channel')}, and there are {count_windows(gathered, past + 1)} such windows "
+            f"where {_LEAST_ROWS * (1 + len(gathered.channels) * (past + 1))} are the least; the data are enough for "
+            f"order {largest}; choose a smaller order, or give the past yourself"
+        )
+    return past
 
 
 def log_determinant(residual: NDArray, samples: int) -> float:

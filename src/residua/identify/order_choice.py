@@ -19,6 +19,8 @@ from residua.progress import Progress
 
 #: Rows on which orders are compared, of those that the model is from and of those held out.
 _ROWS = 50_000
+#: Orders below one that is asked for that it is compared with, where it is larger than those that are compared anyway.
+_BELOW = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,28 +64,29 @@ def choose_order(
     DataError
         If the data have fewer candidates for states than the order that is wanted.
     """
-    most = most if wanted == "auto" else max(most, int(wanted))
-    if most > len(states.T):
-        raise DataError(
-            f"the data support {len(states.T)} states at most with {states.past} rows of the past, {most} are asked "
-            "for: give a longer past, or a smaller order"
-        )
     orders = tuple(range(most + 1))
+    if wanted != "auto":
+        orders = tuple(sorted({*orders, *range(max(int(wanted) - _BELOW, 0), int(wanted) + 1)}))
+    if orders[-1] > len(states.T):
+        raise DataError(
+            f"the data support {len(states.T)} states at most with {states.past} rows of the past, {orders[-1]} are "
+            "asked for: give a longer past, or a smaller order"
+        )
     enough = 2 * states.past + 1  # rows of a part: fewer than the past foretell none
     seen, unseen = fitted.shortened(_ROWS, enough), held_out.shortened(_ROWS, enough)
     values, errors = np.full(len(orders), np.inf), np.full(len(orders), np.nan)
-    for order in orders:
+    for k, order in enumerate(orders):
         model = _model(factor, states, order, feedthrough)
         if model is not None:
-            values[order] = criterion(model, seen, factor, feedthrough=feedthrough)
-            errors[order] = _error(model, unseen, factor)
-        progress("orders", order + 1, len(orders))
+            values[k] = criterion(model, seen, factor, feedthrough=feedthrough)
+            errors[k] = _error(model, unseen, factor)
+        progress("orders", k + 1, len(orders))
     values -= values.min()
     if wanted != "auto":
         return OrderChoice(int(wanted), "as asked for", orders, values, errors)
     best = int(values.argmin())
     reason = "the smallest information criterion"
-    if best == most and most == len(orders) - 1 and best:
+    if best == most and best:
         reason += ", which is still falling at the largest order that was compared (max_order)"
     if np.isfinite(errors).any():
         lowest = int(np.nanargmin(errors))

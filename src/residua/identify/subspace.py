@@ -14,7 +14,7 @@ from residua.identify.channel_facts import ChannelFacts, channel_facts
 from residua.identify.excitation import Excitation, excitation
 from residua.identify.fit_report import SteadyGain
 from residua.identify.hankel_factor import HankelFactor, hankel_factor
-from residua.identify.horizon import choose_past
+from residua.identify.horizon import choose_past, past_of_order
 from residua.identify.identified_model import IdentifiedModel, plant_of, with_input_delays
 from residua.identify.model_report import IdentificationReport
 from residua.identify.moesp import moesp
@@ -164,8 +164,8 @@ def subspace(
         facts = channel_facts(first)
         facts.check()
         horizon = choose_past(first, facts, feedthrough=feedthrough) if past == "auto" else int(past)
-        if past == "auto" and order != "auto":  # so many states show in so many rows, and one more for their shift
-            horizon = max(horizon, -(-int(order) // len(first.outputs)) + 1)
+        if past == "auto" and order != "auto" and order > (horizon - 1) * len(first.outputs):
+            horizon = past_of_order(first, int(order))
         if method == "moesp" and horizon < 2:
             if past != "auto":
                 raise SettingError("past must be at least 2 for 'moesp', whose dynamics are a shift by a row, got 1")

@@ -244,7 +244,7 @@ def _correlations(model: IdentifiedModel, seen: tuple[Prediction, ...]) -> str:
 def _orders(model: IdentifiedModel) -> str:
     """Return singular values, criterion and held-out error by order, as pictures and as a table."""
     report = model.report
-    singular = report.singular_values[: max(len(report.orders) - 1, 1)]
+    singular = report.singular_values[: max(report.orders[-1], 1)]
     pictures = [
         stems(
             range(1, len(singular) + 1),
