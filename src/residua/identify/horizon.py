@@ -65,12 +65,12 @@ def past_of_order(gathered: Gathered, order: int) -> int:
 
     past = rows_of(order)
     if excess(past) < 0:
-        largest = next((n for n in range(order - 1, 0, -1) if excess(rows_of(n)) >= 0), 0)
+        n, windows = len(gathered.channels), count_windows(gathered, past + 1)
+        largest = next((k for k in range(order - 1, 0, -1) if excess(rows_of(k)) >= 0), 0)
         raise DataError(
             f"too few data for a model of order {order}: it needs {past} rows of the past of "
-            f"{counted(len(gathered.channels), 'channel')}, and there are {count_windows(gathered, past + 1)} such windows "
-            f"where {_LEAST_ROWS * (1 + len(gathered.channels) * (past + 1))} are the least; the data are enough for "
-            f"order {largest}; choose a smaller order, or give the past yourself"
+            f"{counted(n, 'channel')}, and there are {windows} such windows where {windows - excess(past)} are the "
+            f"least; the data are enough for order {largest}; choose a smaller order, or give the past yourself"
         )
     return past
 
