@@ -48,8 +48,10 @@ def choose_past(gathered: Gathered, facts: ChannelFacts, *, feedthrough: bool) -
     return min(range(1, most + 1), key=lambda past: _akaike(T, len(fixed) + past * n, gathered, windows))
 
 
-def past_of_order(gathered: Gathered, order: int) -> int:
-    """Return the rows of the past in which so many states show, and one more for their shift.
+def past_of_order(gathered: Gathered, order: int, least: int) -> int:
+    """Return the rows of the past, ``least`` or more, in which so many states show, and one more for their shift.
+
+    Where the data are too few for the one more, and the least will do without it, it is the least.
 
     Raises
     ------
@@ -63,10 +65,13 @@ def past_of_order(gathered: Gathered, order: int) -> int:
     def excess(past: int) -> int:
         return count_windows(gathered, past + 1) - _LEAST_ROWS * (1 + len(gathered.channels) * (past + 1))
 
-    past = rows_of(order)
+    past = max(rows_of(order), least)
+    if excess(past) < 0 and order <= least * len(gathered.outputs):
+        return least
     if excess(past) < 0:
         n, windows = len(gathered.channels), count_windows(gathered, past + 1)
-        largest = next((k for k in range(order - 1, 0, -1) if excess(rows_of(k)) >= 0), 0)
+        without = least * len(gathered.outputs)
+        largest = next((k for k in range(order - 1, without, -1) if excess(rows_of(k)) >= 0), without)
         raise DataError(
             f"too few data for a model of order {order}: it needs {past} rows of the past of "
             f"{counted(n, 'channel')}, and there are {windows} such windows where {windows - excess(past)} are the "

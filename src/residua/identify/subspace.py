@@ -164,8 +164,8 @@ def subspace(
         facts = channel_facts(first)
         facts.check()
         horizon = choose_past(first, facts, feedthrough=feedthrough) if past == "auto" else int(past)
-        if past == "auto" and order != "auto" and order > (horizon - 1) * len(first.outputs):
-            horizon = past_of_order(first, int(order))
+        if past == "auto" and order != "auto":
+            horizon = past_of_order(first, int(order), horizon)
         if method == "moesp" and horizon < 2:
             if past != "auto":
                 raise SettingError("past must be at least 2 for 'moesp', whose dynamics are a shift by a row, got 1")
