@@ -14,7 +14,7 @@ from residua.errors import AccuracyError, SettingError
 Values = NDArray[np.float64]
 
 #: Nodes of the quadrature to each deviation of a step, and the least and the most of them.
-_NODES_PER_DEVIATION, _FEWEST, _MOST = 8.0, 48, 1200
+_NODES_PER_DEVIATION, _FEWEST, _MOST = 4.0, 24, 1200
 #: Mean run lengths beyond this have too few digits left.
 LONGEST = 1e10
 #: How far a larger number of nodes may move a run length, as a part of it.
@@ -147,7 +147,7 @@ def threshold_of(run_length: Callable[[float], float], wanted: float, guess: flo
         raise SettingError(
             f"every threshold has a longer time between false alarms than {wanted:.6g} samples: ask for a longer one"
         )
-    return float(brentq(lambda h: float(np.log(run_length(h))) - goal, low, high, xtol=1e-10, rtol=1e-12))
+    return float(brentq(lambda h: float(np.log(run_length(h))) - goal, low, high, xtol=1e-7 * guess))
 
 
 def settled(solve: Callable[[float], float], what: str, tolerance: float = _SETTLED) -> float:

@@ -51,6 +51,8 @@ class StreamSettings(TestSettings):
     }
     #: The level at which an alarm ends, as a part of the threshold.
     falls_to: ClassVar[float] = 0.0
+    #: How a threshold is designed.
+    origin: ClassVar[str] = "by integral equation"
 
     mean_time_between_false_alarms: float | None = None
     false_alarm_rate: float = 1e-4
@@ -89,6 +91,11 @@ class StreamSettings(TestSettings):
     @abstractmethod
     def test(self, **parts: Any) -> StreamTest:
         """Return what runs."""
+
+    def promise(self, threshold: float, dimension: int) -> tuple[str, float | None]:
+        """Return what a threshold means, in words, and the time between false alarms where it is known."""
+        time = self.run_length(threshold, dimension)
+        return f"a false alarm each {number(time)} samples on average", time
 
     # -------------------------------------------------------------------------- thresholds
 
@@ -170,9 +177,9 @@ class StreamSettings(TestSettings):
         if self.threshold is not None:
             threshold, basis = self.threshold, "threshold given"
         else:
-            threshold, basis = self.designed(k, rate), "designed by integral equation"
-        time = self.run_length(threshold, k)
-        basis += f": a false alarm each {number(time)} samples on average, if the residual is white and Gaussian"
+            threshold, basis = self.designed(k, rate), f"designed {self.origin}"
+        text, time = self.promise(threshold, k)
+        basis += f": {text}, if the residual is white and Gaussian"
         release = self.falls_to * threshold
         return self.test(**parts, threshold=threshold, release=release, basis=f"{basis}; {origin}", mean_time=time)
 
