@@ -151,20 +151,23 @@ def _products(rows: NDArray[np.float64], parts: Sequence[slice], lags: int) -> N
 
 
 def _solved(products: NDArray[np.float64], order: int, joint: bool) -> Autoregression:
-    k, lags = products.shape[1], np.arange(order)
+    k, lags = products.shape[1], range(order)
     A = np.zeros((order, k, k))
     if joint:
-        right = np.concatenate([_between(products, lag, 0) for lag in lags + 1])
-        left = np.block([[_between(products, i, j) for j in lags + 1] for i in lags + 1])
+        right = np.concatenate([_between(products, lag + 1, 0) for lag in lags])
+        left = np.block([[_between(products, i, j) for j in lags] for i in lags])
         A = np.linalg.lstsq(left, right, rcond=None)[0].reshape(order, k, k)
     else:
-        apart = np.abs(np.subtract.outer(lags, lags))
+        apart = np.abs(np.subtract.outer(np.array(lags), np.array(lags)))
         for j in range(k):
             r = products[: order + 1, j, j]
             A[:, j, j] = np.linalg.lstsq(r[apart], r[1:], rcond=None)[0]
     terms = [np.eye(k), *(-A)]
-    covariance = sum(a.T @ _between(products, i, j) @ b for i, a in enumerate(terms) for j, b in enumerate(terms))
-    return Autoregression(A, (covariance + covariance.T) / 2)
+    covariance = np.zeros((k, k))
+    for i, a in enumerate(terms):
+        for j, b in enumerate(terms):
+            covariance += a.T @ _between(products, i, j) @ b
+    return Autoregression(np.asarray(A, dtype=float), (covariance + covariance.T) / 2)
 
 
 def _between(products: NDArray[np.float64], i: int, j: int) -> NDArray[np.float64]:

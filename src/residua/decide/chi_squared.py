@@ -172,8 +172,8 @@ class ChiSquared(StreamSettings):
             over = int(np.sum(windows > level))
             if mean >= 5 and abs(over - mean) > _CONTRADICTION * np.sqrt(mean):
                 return (
-                    f"the data contradict the design for white Gaussian residuals: {over} of {len(windows)} windows are "
-                    f"over {level:.3g}, {mean:.0f} expected"
+                    f"the data contradict the design for white Gaussian residuals: {over} of {len(windows)} windows "
+                    f"are over {level:.3g}, {mean:.0f} expected"
                 )
         return ""
 

@@ -147,15 +147,15 @@ class CUSUM(StreamSettings):
 
     .. math:: C^\pm_k = \max(0,\; C^\pm_{k-1} \pm e_k - \kappa) > h
 
-    with the whitened residual :math:`e` and the allowance :math:`\kappa = \delta / 2` (``form="page"``, for each residual
-    and either side); of several residuals by Crosier's vector of sums,
+    with the whitened residual :math:`e` and the allowance :math:`\kappa = \delta / 2` (``form="page"``, for each
+    residual and either side); of several residuals by Crosier's vector of sums,
 
     .. math:: v_k = s_{k-1} + e_k, \qquad s_k = v_k \max(0,\; 1 - \kappa / |v_k|), \qquad |s_k| > h
 
     or Pignatiello and Runger's, :math:`\max(0,\; |\sum e| - \kappa n) > h` with the sum over the :math:`n` samples
     since it was last zero. For a change of the known size :math:`\delta` no test with as rare false alarms is faster
-    (Moustakides 1986), whenever it comes. An alarm is over when the statistic is at or below half the threshold; the sums
-    then start again from zero.
+    (Moustakides 1986), whenever it comes. An alarm is over when the statistic is at or below half the threshold; the
+    sums then start again from zero.
 
     Parameters
     ----------

@@ -73,7 +73,8 @@ class EWMA(StreamSettings):
     Parameters
     ----------
     weight : float
-        :math:`\lambda`, above 0 and at most 1: smaller for smaller changes. 0.1 is best for about one standard deviation.
+        :math:`\lambda`, above 0 and at most 1: the smaller, the smaller the changes that it sees best: 0.1 for about
+        one standard deviation.
     mean_time_between_false_alarms : float, optional
         In samples, from a start at zero to the alarm, on average. The threshold follows from it by integral equation.
     false_alarm_rate : float

@@ -1,4 +1,4 @@
-"""The length of a Gaussian vector whose mean is not zero: the density and the tail of the noncentral chi distribution."""
+"""The length of a Gaussian vector whose mean is not zero: density and tail of the noncentral chi distribution."""
 
 from __future__ import annotations
 

@@ -64,9 +64,9 @@ class GLR(StreamSettings):
 
     .. math:: J_k = \max_{1 \le n \le N} \frac{1}{\sqrt n} \left| \sum_{i=0}^{n-1} e_{k-i} \right| > h
 
-    with the whitened residual :math:`e`. :math:`J^2 / 2` is the logarithm of the largest likelihood of a step of unknown
-    size, direction and time, over that of none: of changes of unknown size none is missed that would need longer sums
-    than ``window``, and large ones are seen at once. An alarm is over when the statistic is at or below half the threshold.
+    with the whitened residual :math:`e`. :math:`J^2 / 2` is the logarithm of the largest likelihood of a step of
+    unknown size, direction and time, over that of none: large changes are seen at once, and small ones by sums of up to
+    ``window`` samples. An alarm is over when the statistic is at or below half the threshold.
 
     Parameters
     ----------

@@ -21,7 +21,9 @@ from residua.records import table_in, text_in
 from residua.visible import echo
 
 #: By the mark that files know them by; for ``isolate="auto"`` the last one counts that offers to read a design.
-TESTS: dict[str, type[TestSettings]] = {cls.kind: cls for cls in (NormThreshold, PeakThreshold, ChiSquared, EWMA, CUSUM, GLR)}
+TESTS: dict[str, type[TestSettings]] = {
+    cls.kind: cls for cls in (NormThreshold, PeakThreshold, ChiSquared, EWMA, CUSUM, GLR)
+}
 ISOLATIONS: dict[str, type[IsolationSettings]] = {cls.kind: cls for cls in (Directional, Structured, Matched)}
 
 Kind = TypeVar("Kind", bound=type[TestSettings] | type[IsolationSettings])

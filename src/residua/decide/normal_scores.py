@@ -30,7 +30,7 @@ def knots_of(e: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.fl
     inside = np.minimum(share, 1 - share) * len(e) >= _BEYOND
     values = np.empty((e.shape[1], len(_SCORES)))
     values[:, inside] = np.quantile(e, share[inside], axis=0).T
-    upper = np.flatnonzero(_SCORES > _SCORES[inside][-1])
+    upper = np.flatnonzero(_SCORES[inside][-1] < _SCORES)
     rarer = ndtr(-_SCORES[upper]) / ndtr(-_SCORES[upper[0] - 1])
     values[:, upper] = _beyond(e, values[:, upper[0] - 1], rarer)
     lower = len(_SCORES) - 1 - upper

@@ -130,8 +130,8 @@ def threshold_of(run_length: Callable[[float], float], wanted: float, guess: flo
 
     if not 1 < wanted <= LONGEST:
         raise SettingError(
-            f"a mean time between false alarms of {wanted:.6g} samples cannot be designed: it must be above 1 and at most "
-            f"{LONGEST:g}"
+            f"a mean time between false alarms of {wanted:.6g} samples cannot be designed: it must be above 1 and "
+            f"at most {LONGEST:g}"
         )
     low = high = guess
     for _ in range(60):
@@ -157,8 +157,8 @@ def settled(solve: Callable[[float], float], what: str, tolerance: float = _SETT
         raise SettingError(f"{what} is reached once in more than {LONGEST:g} samples: that is beyond what is computed")
     if not abs(coarse - fine) <= (tolerance + np.finfo(float).eps * fine * 1e3) * fine:
         raise AccuracyError(
-            f"the run length to {what} is {coarse:.8g} or {fine:.8g} samples by two quadratures: take a shift or weight "
-            "that is not as small"
+            f"the run length to {what} is {coarse:.8g} or {fine:.8g} samples by two quadratures: take a shift or "
+            "weight that is not as small"
         )
     return fine
 
@@ -193,7 +193,7 @@ class _Grid:
         """Return how often each value of the grid is seen after a start at zero, before the threshold is exceeded."""
         first = np.zeros(len(self.values))
         first[0] = 1.0
-        return np.linalg.solve(np.eye(len(self.values)) - self.steps.T, first)
+        return np.asarray(np.linalg.solve(np.eye(len(self.values)) - self.steps.T, first), dtype=float)
 
 
 def _lasting(chain: Chain, threshold: float, release: float, factor: float) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -243,8 +244,8 @@ class StreamSettings(TestSettings):
         """Raise where parts have to be tested by themselves."""
         if watched.parts is not None:
             raise SettingError(
-                f"{type(self).__name__} tests the residual as a whole, and an isolation by codes asks which part fired: "
-                "take NormThreshold, or isolate by direction"
+                f"{type(self).__name__} tests the residual as a whole, and an isolation by codes asks which part "
+                "fired: take NormThreshold, or isolate by direction"
             )
 
     @property
@@ -268,7 +269,7 @@ def _statistic(blank: StreamTest, run: FaultFreeRun) -> tuple[NDArray[np.float64
     edges = [0, *run.seams, len(run.usable)]
     made = [
         blank.run(blank.start(1), Block(run.residuals[None, a:b], run.usable[None, a:b]))[1]
-        for a, b in zip(edges[:-1], edges[1:], strict=True)
+        for a, b in itertools.pairwise(edges)
     ]
     values = np.concatenate([one.statistic[0] for one in made])
     return values, np.concatenate([one.usable[0] for one in made])

@@ -1,4 +1,4 @@
-"""Tests that remember: whitened residuals, without their memory, into a statistic with a designed time between alarms."""
+"""Tests that remember: from residuals, whitened and without their memory, to a statistic and its alarm."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Run lengths of statistics that are the length of a vector that remembers: Crosier's vector CUSUM, and the vector EWMA."""
+"""Run lengths of statistics that are the length of a vector: of Crosier's cumulative sum, of the vector EWMA."""
 
 from __future__ import annotations
 
