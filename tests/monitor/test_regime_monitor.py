@@ -80,6 +80,40 @@ def test_one_model_for_all_modes_does_not_see_what_a_model_for_each_sees(monitor
     assert all_modes.alarm[400:550].mean() < 0.5
 
 
+def test_an_alarm_counts_in_its_own_mode(monitor: rs.RegimeMonitor) -> None:
+    """It stands on while the plant is in another mode, whose own monitor says that all is well there."""
+    rows = switched(38, visits((0, 0, 200), (1, 0, 400), (0, 0, 200), (1, 0, 100)))
+    rows[150:200, NAMES.index("supply")] += 20 * NOISE
+    rows[700:760, NAMES.index("room")] += 20 * NOISE
+    rows[760:800, NAMES.index("room")] += 20 * NOISE
+    diagnosis = monitor.run(None, rows)
+    assert diagnosis.alarm[155:200].all()
+    assert diagnosis.alarm[200:600].mean() < 0.05
+    assert diagnosis.false_alarm_fraction < 0.25
+    # the first alarm stands for over 400 samples, of which 50 were judged; the second has twice as many
+    first, second = (max(diagnosis.alarms, key=lambda one, at=at: one.alarm.start <= at < one.alarm.stop)
+                     for at in (180, 780))  # fmt: skip
+    assert first.alarm.stop - first.alarm.start > second.alarm.stop - second.alarm.start
+    assert diagnosis.main_alarm is not None
+    assert diagnosis.main_alarm.alarm is second.alarm
+    assert diagnosis.named == (("room sensor",),)
+    text = str(diagnosis)
+    assert "samples judged" in text
+    assert "1. supply sensor" in text
+    assert "1. room sensor" in text
+
+
+def test_rows_of_other_modes_are_no_missing_values(monitor: rs.RegimeMonitor) -> None:
+    """Nobody is told to fill them in; of values that are missing in the mode they are, by their part of it."""
+    rows = switched(39, visits((0, 0, 200), (1, 0, 400), (1, 1, 200)))
+    assert not any("for want of values" in note for note in monitor.run(None, rows).notes)
+    rows[200:600:10, 3] = np.nan
+    notes = [note for note in monitor.run(None, rows).notes if "for want of values" in note]
+    assert len(notes) == 1
+    assert notes[0].startswith("with fan = 1, heating = 0: ")
+    assert "40 samples miss one (channel 'load' at 40 of them" in notes[0]
+
+
 def test_nothing_is_decided_in_a_mode_never_seen(monitor: rs.RegimeMonitor) -> None:
     rows = switched(31, visits((1, 0, 200), (0, 1, 150), (1, 1, 200)))
     rows[210:340, 4] += 100.0
