@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import residua as rs
-from residua.errors import DataError, FileFormatError, ModelError, SettingError
+from residua.errors import AccuracyError, DataError, DesignError, FileFormatError, ModelError, SettingError
 from residua.identify.operating_modes import UNKNOWN_AGE, ages, mode_signals
 
 NAMES = ["fan", "heating", "air", "load", "supply", "room"]
@@ -196,6 +196,20 @@ def test_a_mode_with_few_rows_has_no_model_and_says_so() -> None:
     monitor = rs.RegimeMonitor(made).fit(None, switched(1, NORMAL))
     diagnosis = monitor.run(None, rows)
     assert diagnosis.unjudged["fan = 0, heating = 1"].startswith("no model: 20 rows")
+
+
+@pytest.mark.parametrize("error", [DataError, DesignError, AccuracyError, ModelError])
+def test_a_mode_for_which_the_method_fails_has_no_model_and_says_so(error: type[Exception]) -> None:
+    """Numbers of one mode are no reason to refuse the others."""
+
+    def method(rows: list[tuple[NDArray[np.float64], NDArray[np.float64]]], **options: object) -> object:
+        if sum(len(y) for _, y in rows) < 1650:  # the mode with neither fan nor heating has 1,600, the others 1,700
+            raise error("not this one")
+        return rs.identify.principal_components(rows, **options)  # pyright: ignore
+
+    made = made_of(0, transient=0, method=method)
+    assert list(made.modes) == [MODES[1], MODES[2]]
+    assert made.without_model == {MODES[0]: "1600 rows: not this one"}
 
 
 def test_a_mode_that_cannot_be_fitted_is_not_judged() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.arrays import runs
 from residua.decide.isolation import IsolationSettings
 from residua.decide.test import TestSettings
 from residua.errors import DataError, ModelError
@@ -381,9 +382,7 @@ class RegimeMonitor:
 
 def _longest(own: NDArray[np.bool_]) -> int:
     """Return the largest number of own rows in a row."""
-    there = np.concatenate([[False], own, [False]]).astype(np.int8)
-    edges = np.flatnonzero(np.diff(there)).reshape(-1, 2)
-    return int((edges[:, 1] - edges[:, 0]).max(initial=0))
+    return int(np.diff(runs(own)).max(initial=0))
 
 
 def _still(mode: OperatingMode) -> tuple[str, ...]:
