@@ -203,7 +203,8 @@ def _gap_notes(
         return ()
     gaps = np.count_nonzero((~np.isfinite(recorded.signals) | decisions.aside)[own], axis=0)
     worst = (*generator.plant.inputs, *generator.plant.outputs)[int(gaps.argmax())]
-    said = f"{100 * share:.2g} % of the recording is not judged for want of values: {absent} samples miss one"
+    part = "the recording" if recorded.own is None else "its part of the recording"
+    said = f"{100 * share:.2g} % of {part} is not judged for want of values: {absent} samples miss one"
     said += f" (channel {worst!r} at {gaps.max()} of them, the most)"
     if not waited:
         return (f"{said}; fill in what is known, or leave out a channel that is seldom there",)
