@@ -139,7 +139,7 @@ def regression(
     moved, decision = range_basis(X.T, rtol=DATA_ROUNDING)
     Q, R = np.linalg.qr(X @ moved)
     theta = moved @ np.linalg.solve(R, Q.T @ Y)
-    explained = 1 - np.sum((Y - X @ theta) ** 2, axis=0) / np.sum(Y**2, axis=0)
+    explained = np.maximum(1 - np.sum((Y - X @ theta) ** 2, axis=0) / np.sum(Y**2, axis=0), 0.0)
     size = units.spread[m:]
     weights = np.zeros((lags + 1, q - m, q))
     weights[0, :, m:] = np.diag(size)
