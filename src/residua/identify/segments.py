@@ -441,10 +441,8 @@ def _complete_runs(table: _Table) -> list[tuple[int, int]]:
     out: list[tuple[int, int]] = []
     for start in range(0, len(table.y), BLOCK):
         stop = min(start + BLOCK, len(table.y))
-        complete = np.isfinite(_columns(table.u, table.y, table.input_columns + table.output_columns, start, stop)).all(
-            axis=1
-        )
-        for first, last in (runs(complete) + start).tolist():
+        block = _columns(table.u, table.y, table.input_columns + table.output_columns, start, stop)
+        for first, last in (runs(np.asarray(np.isfinite(block).all(axis=1))) + start).tolist():
             if out and out[-1][1] == first:
                 out[-1] = (out[-1][0], last)
             else:

@@ -232,7 +232,7 @@ def intervals_of(interval: Any, count: int) -> list[Any]:
     if isinstance(interval, list) and len(interval) == count:
         return [one for part in interval for one in intervals_of(part, 1)]
     raise SettingError(
-        "interval must be (start, stop), a mask of samples, or a list with one of these for each of "
+        "interval must be (start, stop), an array of booleans, or a list with one of these for each of "
         f"{counted(count, 'recording')}, got {echo(interval)}"
     )
 
