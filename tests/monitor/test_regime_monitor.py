@@ -218,6 +218,14 @@ def test_a_mode_that_cannot_be_fitted_is_not_judged() -> None:
     assert "fan = 1, heating = 1" in monitor.run(None, switched(2, NORMAL)).unjudged
 
 
+@pytest.mark.parametrize("rows", [0, 1])
+def test_a_recording_of_no_row_or_one_has_no_decision(monitor: rs.RegimeMonitor, rows: int) -> None:
+    diagnosis = monitor.run(None, switched(0, NORMAL)[:rows])
+    assert len(diagnosis.time) == rows
+    assert not diagnosis.decided.any()
+    assert "no decision" in str(diagnosis)
+
+
 def test_edges_divide_a_quantity() -> None:
     rng = np.random.default_rng(0)
     speed = np.repeat([0.0, 0.4, 0.0, 0.8], 300) + 0.01 * rng.random(1200)

@@ -248,7 +248,7 @@ class RegimeMonitor:
             transient |= in_mode & (old < mode.transient)
             own, monitor = self._own(mode, keys, old), self.monitors[name]
             pair = self._split(mode, rows, own)
-            one = monitor._judge(signals(*pair, clock, None, measured.source, monitor.design.plant), own=own)
+            one = monitor._judge(Signals(*pair, clock, self.regimes.dt, measured.source), own=own)
             assert isinstance(one, Diagnosis)
             judged[name] = replace(one, origin=measured.origin, notes=(*one.notes, *_still(mode)))
         return _joined(clock, number, modes, judged, unjudged, transient, measured)
