@@ -353,6 +353,9 @@ def test_what_shows_no_fault_is_refused() -> None:
         monitor.learn_fault("x", None, seen, interval=(400, 500))
     with pytest.raises(DataError, match="has 1 usable sample in the interval"):
         monitor.learn_fault("x", None, seen, interval=(200, 200.5))
+    vast = seen + 1e9 * (np.arange(300) >= 200)[:, None]
+    with pytest.raises(DataError, match=r"of all 300, 100 lack a value \(100 have one that cannot be, by plausible=\)"):
+        monitor.learn_fault("x", None, vast, interval=(200, 300))
     with pytest.raises(SettingError, match="start before stop"):
         monitor.learn_fault("x", None, seen, interval=(9, 3))
     with pytest.raises(SettingError, match="interval must be"):

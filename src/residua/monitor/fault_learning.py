@@ -188,7 +188,11 @@ def learnt_from(
         decisions = run_block(spec, initial_state(spec, 1), run.data)[1].of(0)
         chosen = _chosen(interval, run.time, decisions, which) & decisions.usable
         if not chosen.any():
-            raise DataError(f"{which} has no usable sample in the interval of the fault")
+            raise DataError(
+                f"{which} has no usable sample in the interval of the fault: of all {len(run.time)}, "
+                f"{int(decisions.missing.sum())} lack a value ({int(decisions.aside.any(axis=1).sum())} have one that "
+                f"cannot be, by plausible=), and the filter settles for {spec.settle} after each start"
+            )
         samples += int(chosen.sum())
         if isinstance(isolation, CodeTest):
             patterns.append(longest_code(decisions.code, chosen))
