@@ -167,7 +167,8 @@ class DataParity:
         facts.check_size()
         after = memory.updated(gathered, weight)
         units = after.standard(facts)
-        made = _parity(after, untreated(gathered, units), after.lagged(units), self.relations, notes)
+        kept = replace(untreated(gathered, units), ways=self.drifts)
+        made = _parity(after, kept, after.lagged(units), self.relations, notes)
         if made.supported <= made.relations:  # where it is less, there is a note already
             return made
         note = f"the data now support {counted(made.supported, 'relation')}, and {made.relations} are kept as before"
