@@ -121,7 +121,7 @@ class ChiSquared(StreamSettings):
                 "alarms is not: give false_alarm_rate instead of mean_time_between_false_alarms, or window=1"
             )
 
-    def designed(self, dimension: int, rate: float | None = None) -> float:
+    def designed(self, dimension: int, rate: float | None = None, *, samples: int | None = None) -> float:
         """Return the threshold for a fraction of samples in alarm."""
         from scipy.special import chdtri
 

@@ -16,7 +16,7 @@ from residua.decide.run_lengths import AlarmCycle, Chain, alarm_cycle, mean_run_
 from residua.decide.stream_settings import StreamSettings
 from residua.decide.stream_test import StreamTest
 from residua.decide.test import ResidualTest
-from residua.decide.vector_run_lengths import LengthChain, shifted_run_length
+from residua.decide.vector_run_lengths import MOST_DIMENSIONS, LengthChain, shifted_run_length
 from residua.errors import FileFormatError, SettingError
 from residua.number_kinds import POSITIVE, NumberKind
 from residua.visible import echo
@@ -261,6 +261,20 @@ class CUSUM(StreamSettings):
             chain = PageChain(self.allowance) if form == "page" else LengthChain(dimension, allowance=self.allowance)
             lasting = alarm_cycle(chain, threshold, self.falls_to * threshold).lasting
         return AlarmCycle(self.run_length(threshold, dimension), lasting)
+
+    def hurry(self, threshold: float, dimension: int, samples: int) -> float:
+        """Return how many times as often false alarms come where the mean is from so many samples, on average."""
+        if self._form(dimension) == "page":
+            known = mean_run_length(PageChain(self.allowance), threshold)
+            off = [
+                mean_run_length(PageChain(self.allowance, mean), threshold)
+                for mean in (samples**-0.5, -(samples**-0.5))
+            ]
+            return known * (1 / off[0] + 1 / off[1]) / 2
+        if self._form(dimension) == "pignatiello-runger" or dimension > MOST_DIMENSIONS:
+            return 1.0
+        off = self.delay(threshold, dimension, shift=(dimension / samples) ** 0.5)
+        return max(self.run_length(threshold, dimension) / off, 1.0)
 
     def test(self, **parts: Any) -> CUSUMTest:
         """Return what runs."""

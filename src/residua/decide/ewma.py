@@ -15,7 +15,7 @@ from residua.decide.run_lengths import AlarmCycle, alarm_cycle, mean_run_length
 from residua.decide.stream_settings import StreamSettings
 from residua.decide.stream_test import StreamTest
 from residua.decide.test import ResidualTest
-from residua.decide.vector_run_lengths import LengthChain, shifted_run_length
+from residua.decide.vector_run_lengths import MOST_DIMENSIONS, LengthChain, shifted_run_length
 from residua.errors import SettingError
 from residua.number_kinds import PART, NumberKind
 from residua.visible import echo
@@ -141,6 +141,13 @@ class EWMA(StreamSettings):
         """Return how long the test is quiet, and how long a false alarm lasts."""
         level = threshold * _deviation(self.weight)
         return alarm_cycle(self._chain(dimension), level, self.falls_to * level)
+
+    def hurry(self, threshold: float, dimension: int, samples: int) -> float:
+        """Return how many times as often false alarms come where the mean is from so many samples, on average."""
+        if dimension > MOST_DIMENSIONS:
+            return 1.0
+        off = self.delay(threshold, dimension, shift=(dimension / samples) ** 0.5)
+        return max(self.run_length(threshold, dimension) / off, 1.0)
 
     def test(self, **parts: Any) -> EWMATest:
         """Return what runs."""

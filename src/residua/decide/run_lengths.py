@@ -19,6 +19,8 @@ _NODES_PER_DEVIATION, _FEWEST, _MOST = 4.0, 24, 1200
 LONGEST = 1e10
 #: How far a larger number of nodes may move a run length, as a part of it.
 _SETTLED = 1e-6
+#: The same for the time that an alarm lasts, whose density has an edge where it ends.
+_NEARLY = 1e-3
 
 
 class Chain(ABC):
@@ -106,7 +108,8 @@ def alarm_cycle(chain: Chain, threshold: float, release: float) -> AlarmCycle:
     The alarm is on from the first value above ``threshold`` to that before the first at or below ``release``.
     """
     quiet = mean_run_length(chain, threshold)
-    return AlarmCycle(quiet, settled(lambda factor: _lasting(chain, threshold, release, factor), "an alarm"))
+    lasting = settled(lambda factor: _lasting(chain, threshold, release, factor), "the end of an alarm", _NEARLY)
+    return AlarmCycle(quiet, lasting)
 
 
 def threshold_of(run_length: Callable[[float], float], wanted: float, guess: float) -> float:

@@ -37,6 +37,8 @@ _COLOURED = 0.01
 _EXPECTED = (200.0, 50.0, 20.0)
 #: Deviations of their number by which the data contradict the design.
 _CONTRADICTION = 3.0
+#: How much more often false alarms come for a mean from few samples, where it is said.
+_NOTABLE = 1.02
 #: Windows over which the sums of a residual have the same covariance if it is white, and how nearly.
 _WINDOWS, _SAME = (2, 8, 32), 1e-6
 
@@ -93,6 +95,13 @@ class StreamSettings(TestSettings):
     def test(self, **parts: Any) -> StreamTest:
         """Return what runs."""
 
+    def hurry(self, threshold: float, dimension: int, samples: int) -> float:
+        """Return how many times as often false alarms come where the mean is from so many samples, on average.
+
+        1 where that is not known.
+        """
+        return 1.0
+
     def promise(self, threshold: float, dimension: int) -> tuple[str, float | None]:
         """Return what a threshold means, in words, and the time between false alarms where it is known."""
         time = self.run_length(threshold, dimension)
@@ -100,14 +109,23 @@ class StreamSettings(TestSettings):
 
     # -------------------------------------------------------------------------- thresholds
 
-    def designed(self, dimension: int, rate: float | None = None) -> float:
-        """Return the threshold of the wanted time between false alarms, or of the fraction of samples in alarm."""
+    def designed(self, dimension: int, rate: float | None = None, *, samples: int | None = None) -> float:
+        """Return the threshold of the wanted time between false alarms, or of the fraction of samples in alarm.
+
+        ``samples`` are those that the mean is from, which makes false alarms more frequent; known exactly when omitted.
+        """
         guess = 3.0 + 0.5 * dimension**0.5
         time = self.mean_time_between_false_alarms
-        if time is not None and rate in (None, self.false_alarm_rate):
-            return threshold_of(lambda h: self.run_length(h, dimension), time, guess)
-        wanted = 1 / (self.false_alarm_rate if rate is None else rate)
-        return threshold_of(lambda h: 1 / self.cycle(h, dimension).fraction, wanted, guess)
+
+        def solved(more: float) -> float:
+            if time is not None and rate in (None, self.false_alarm_rate):
+                return threshold_of(lambda h: self.run_length(h, dimension), more * time, guess)
+            wanted = more / (self.false_alarm_rate if rate is None else rate)
+            return threshold_of(lambda h: 1 / self.cycle(h, dimension).fraction, wanted, guess)
+
+        known = solved(1.0)
+        more = 1.0 if samples is None else self.hurry(known, dimension, samples)
+        return known if more == 1.0 else solved(more)
 
     def from_model(self, watched: Watched) -> StreamTest | None:
         """Return the test that needs no data: of a residual that the plant's noise leaves white; else ``None``."""
@@ -120,7 +138,7 @@ class StreamSettings(TestSettings):
             if summed is None or np.abs(summed - covariance).max() > _SAME * largest:
                 return None
         parts = plain(np.zeros(k), whitening_matrix(covariance))
-        return self._by_design(parts, self.false_alarm_rate, "noise model of the plant")
+        return self._by_design(parts, self.false_alarm_rate, "noise model of the plant", None)
 
     def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> StreamTest:
         """Return the test fitted to fault-free data, for a rate of false alarms.
@@ -139,13 +157,13 @@ class StreamSettings(TestSettings):
             )
         parts, notes = self._whitened(data)
         if self.threshold is not None or self.source == "design":
-            return self._by_design(parts, rate, "; ".join([f"moments of {count} fault-free samples", *notes]))
+            return self._by_design(parts, rate, "; ".join([f"moments of {count} fault-free samples", *notes]), count)
         blank = self.test(**parts, threshold=np.inf, release=0.0, basis="")
         values, seen = _statistic(blank, run)
         against = "source='data'" if self.source == "data" else self._contradiction(values, seen, data.parts, k)
         if not against:
             notes.append("the data do not contradict the design")
-            return self._by_design(parts, rate, "; ".join([f"moments of {count} fault-free samples", *notes]))
+            return self._by_design(parts, rate, "; ".join([f"moments of {count} fault-free samples", *notes]), count)
         return self._by_data(blank, values, seen, data.parts, rate, [against, *notes])
 
     def _whitened(self, data: FaultFree) -> tuple[dict[str, Any], list[str]]:
@@ -172,14 +190,17 @@ class StreamSettings(TestSettings):
             parts = {**parts, "knots": knots, "scores": scores}
         return parts, notes
 
-    def _by_design(self, parts: Mapping[str, Any], rate: float, origin: str) -> StreamTest:
+    def _by_design(self, parts: Mapping[str, Any], rate: float, origin: str, samples: int | None) -> StreamTest:
         """Return the test with the threshold of the design, or the one that is set."""
         k = len(parts["center"])
         if self.threshold is not None:
             threshold, basis = self.threshold, "threshold given"
         else:
-            threshold, basis = self.designed(k, rate), f"designed {self.origin}"
+            threshold, basis = self.designed(k, rate, samples=samples), f"designed {self.origin}"
         text, time = self.promise(threshold, k)
+        more = 1.0 if samples is None or self.threshold is not None else self.hurry(threshold, k, samples)
+        if more > _NOTABLE:
+            text += f" with the mean known ({100 * (more - 1):.0f} % more often with a mean from {samples} samples)"
         basis += f": {text}, if the residual is white and Gaussian"
         release = self.falls_to * threshold
         return self.test(**parts, threshold=threshold, release=release, basis=f"{basis}; {origin}", mean_time=time)

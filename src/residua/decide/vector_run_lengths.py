@@ -13,6 +13,8 @@ from residua.decide.run_lengths import Chain, Values, mean_run_length, nodes_of,
 _ON_RADIUS, _ON_ARC, _FEWEST, _MOST = 1.7, 1.2, 12, 96
 #: How far more nodes may move a run length, as a part of it: it is reported, and nothing is designed by it.
 _SETTLED = 1e-3
+#: Residuals up to which run lengths after a shift are computed on the way to something else: it takes seconds beyond.
+MOST_DIMENSIONS = 3
 
 
 @dataclass(frozen=True)
@@ -123,4 +125,4 @@ def _quadrature(length: float, wanted: float, factor: float) -> tuple[Values, Va
     return length * (nodes + 1) / 2, length * weights / 2
 
 
-__all__ = ["LengthChain", "shifted_run_length"]
+__all__ = ["MOST_DIMENSIONS", "LengthChain", "shifted_run_length"]
