@@ -27,7 +27,7 @@ from residua.decide.stream_settings import StreamSettings
 OUTPUT = Path(__file__).resolve().parent.parent / "docs" / "data" / "false_alarm_times.csv"
 COLUMNS, FITS, FITTED, RUN, TIME, FRACTION, CONFIDENCE = 2, 8, 20_000, 50_000, 1000.0, 0.01, 0.99
 KINDS = ("white", "AR(1), 0.5", "AR(1), 0.95", "heavy tails", "quantised")
-OPTIONS = {"source": "design", "correlation": "ignore"}
+OPTIONS = {"source": "design", "treatment": "none"}
 
 
 def noise(kind: str, rng: np.random.Generator, rows: int) -> np.ndarray:

@@ -158,5 +158,5 @@ def test_a_window_longer_than_any_recording_is_refused() -> None:
     made = rs.identify.given_residuals(["a"], dt=1.0)
     rng = np.random.default_rng(0)
     monitor = rs.Monitor(made, test=NormThreshold(window=20), isolate=None)
-    with pytest.raises(DataError, match="window of 20: the longest has 1[45]"):
+    with pytest.raises(DataError, match="window of 20: the longest has"):
         monitor.fit([(None, rng.standard_normal((15, 1))) for _ in range(20)], held_out=0, transient=0)

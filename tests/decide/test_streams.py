@@ -162,7 +162,7 @@ def test_what_the_data_contradict_is_said_and_the_threshold_is_theirs() -> None:
     assert monitor.norm_test.promised is not None
     other = np.repeat(np.where(rng.uniform(size=800) < 0.2, 3.0, 0.6), 50)[:, None] * rng.standard_normal((40_000, 1))
     assert monitor.run(None, other).alarm.mean() < 0.03
-    plain_ = rs.decide.CUSUM(false_alarm_rate=0.01, source="design", correlation="ignore")
+    plain_ = rs.decide.CUSUM(false_alarm_rate=0.01, source="design", treatment="none")
     assert rs.Monitor(given(1), test=plain_, isolate=None).fit(None, burst).run(None, other).alarm.mean() > 0.03
 
 
@@ -219,7 +219,7 @@ def test_a_level_is_that_below_which_a_threshold_has_an_alarm() -> None:
         (lambda: rs.decide.CUSUM(mean_time_between_false_alarms=np.nan), "number of samples above 1"),
         (lambda: rs.decide.CUSUM(threshold=-1), "threshold must be a positive number"),
         (lambda: rs.decide.CUSUM(source="guess"), "source must be one of auto, design, data"),
-        (lambda: rs.decide.CUSUM(correlation="none"), "correlation must be one of auto, ignore"),
+        (lambda: rs.decide.CUSUM(treatment="some"), "treatment must be one of auto, none"),
         (lambda: rs.decide.EWMA(weight=0), "weight must lie above 0"),
         (lambda: rs.decide.EWMA(weight=1.1), "weight must lie above 0"),
         (lambda: rs.decide.GLR(window=0), "window must be a whole number"),

@@ -19,7 +19,7 @@ from residua.errors import SettingError
 from residua.number_kinds import WINDOW, NumberKind
 
 #: Exceedances that are expected where the distribution is compared with the data, and deviations that contradict it.
-_EXPECTED, _CONTRADICTION = (0.1, 0.01, 0.001), 3.5
+_EXPECTED, _CONTRADICTION = (0.1, 0.01), 3.5
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -78,8 +78,8 @@ class ChiSquared(StreamSettings):
     source : {"auto", "design", "data"}
         Where the threshold is from after a fit: designed, for white Gaussian residuals; from the fault-free data
         themselves; ``"auto"`` designs it unless the data contradict the design, and says so.
-    correlation : {"auto", "ignore"}
-        Whether a coloured residual is made white by an autoregression that is fitted to the fault-free data.
+    treatment : {"auto", "none"}
+        Whether a fit makes a coloured residual white, by an autoregression, and heavy tails Gaussian, by normal scores.
 
     See Also
     --------

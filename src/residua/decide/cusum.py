@@ -10,13 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.checks import is_number
-from residua.decide.pignatiello_runger import delay_of_mc1, run_length_of_mc1
 from residua.decide.row_norms import row_norms
 from residua.decide.run_lengths import AlarmCycle, Chain, alarm_cycle, mean_run_length
 from residua.decide.stream_settings import StreamSettings
 from residua.decide.stream_test import StreamTest
 from residua.decide.test import ResidualTest
-from residua.decide.vector_run_lengths import MOST_DIMENSIONS, LengthChain, shifted_run_length
+from residua.decide.vector_run_lengths import (
+    MOST_DIMENSIONS,
+    LengthChain,
+    delay_of_mc1,
+    run_length_of_mc1,
+    shifted_run_length,
+)
 from residua.errors import FileFormatError, SettingError
 from residua.number_kinds import POSITIVE, NumberKind
 from residua.visible import echo
@@ -174,8 +179,8 @@ class CUSUM(StreamSettings):
     source : {"auto", "design", "data"}
         Where the threshold is from after a fit: designed, for white Gaussian residuals; from the fault-free data
         themselves; ``"auto"`` designs it unless the data contradict the design, and says so.
-    correlation : {"auto", "ignore"}
-        Whether a coloured residual is made white by an autoregression that is fitted to the fault-free data.
+    treatment : {"auto", "none"}
+        Whether a fit makes a coloured residual white, by an autoregression, and heavy tails Gaussian, by normal scores.
 
     See Also
     --------
@@ -247,7 +252,7 @@ class CUSUM(StreamSettings):
         form = self._form(dimension)
         if form == "page":
             sides = [shift, -shift] + [0.0] * (2 * dimension - 2)
-            return 1 / sum(1 / mean_run_length(PageChain(self.allowance, mean), threshold) for mean in sides)
+            return 1 / sum(_frequency(PageChain(self.allowance, mean), threshold) for mean in sides)
         if form == "crosier":
             return shifted_run_length(LengthChain(dimension, allowance=self.allowance), threshold, shift)
         return delay_of_mc1(self.allowance, dimension, threshold, shift)
@@ -284,6 +289,14 @@ class CUSUM(StreamSettings):
         if self.form != "auto":
             return self.form
         return "page" if dimension == 1 else "crosier"
+
+
+def _frequency(chain: PageChain, threshold: float) -> float:
+    """Return the inverse of a run length; none where it is beyond what is computed."""
+    try:
+        return 1 / mean_run_length(chain, threshold)
+    except SettingError:
+        return 0.0
 
 
 __all__ = ["CUSUM", "CUSUMTest", "PageChain"]

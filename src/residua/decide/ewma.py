@@ -84,8 +84,8 @@ class EWMA(StreamSettings):
     source : {"auto", "design", "data"}
         Where the threshold is from after a fit: designed, for white Gaussian residuals; from the fault-free data
         themselves; ``"auto"`` designs it unless the data contradict the design, and says so.
-    correlation : {"auto", "ignore"}
-        Whether a coloured residual is made white by an autoregression that is fitted to the fault-free data.
+    treatment : {"auto", "none"}
+        Whether a fit makes a coloured residual white, by an autoregression, and heavy tails Gaussian, by normal scores.
 
     See Also
     --------

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.tolerances import TINY
+
 Values = NDArray[np.float64]
 
 
@@ -33,10 +35,10 @@ def norm_density(length: Values, mean: Values, dimension: int) -> Values:
     r, m = np.broadcast_arrays(np.asarray(length, dtype=float), np.asarray(mean, dtype=float))
     order = dimension / 2 - 1
     product = r * m
-    small = product < 1e-6  # its Bessel function is its first two terms
+    small = product < np.finfo(float).eps ** 0.25  # its Bessel function is its first two terms
     at = np.where(small, 1.0, product)
     central = np.exp(
-        (dimension - 1) * np.log(np.maximum(r, 1e-300)) - (r**2 + m**2) / 2 - order * np.log(2) - gammaln(dimension / 2)
+        (dimension - 1) * np.log(np.maximum(r, TINY)) - (r**2 + m**2) / 2 - order * np.log(2) - gammaln(dimension / 2)
     ) * (1 + product**2 / (4 * (order + 1)))
     with np.errstate(over="ignore"):
         ratio = np.where(small, 1.0, r / np.where(small, 1.0, m)) ** order

@@ -18,9 +18,9 @@ _NODES_PER_DEVIATION, _FEWEST, _MOST = 4.0, 24, 1200
 #: Mean run lengths beyond this have too few digits left.
 LONGEST = 1e10
 #: How far a larger number of nodes may move a run length, as a part of it.
-_SETTLED = 1e-6
-#: The same for the time that an alarm lasts, whose density has an edge where it ends.
-_NEARLY = 1e-3
+_CONVERGED = 1e-6
+#: The same for what nothing is designed by, and for densities with an edge.
+NEARLY = 1e-3
 
 
 class Chain(ABC):
@@ -108,7 +108,7 @@ def alarm_cycle(chain: Chain, threshold: float, release: float) -> AlarmCycle:
     The alarm is on from the first value above ``threshold`` to that before the first at or below ``release``.
     """
     quiet = mean_run_length(chain, threshold)
-    lasting = settled(lambda factor: _lasting(chain, threshold, release, factor), "the end of an alarm", _NEARLY)
+    lasting = settled(lambda factor: _lasting(chain, threshold, release, factor), "the end of an alarm", NEARLY)
     return AlarmCycle(quiet, lasting)
 
 
@@ -150,10 +150,10 @@ def threshold_of(run_length: Callable[[float], float], wanted: float, guess: flo
         raise SettingError(
             f"every threshold has a longer time between false alarms than {wanted:.6g} samples: ask for a longer one"
         )
-    return float(brentq(lambda h: float(np.log(run_length(h))) - goal, low, high, xtol=1e-7 * guess))
+    return float(brentq(lambda h: float(np.log(run_length(h))) - goal, low, high))
 
 
-def settled(solve: Callable[[float], float], what: str, tolerance: float = _SETTLED) -> float:
+def settled(solve: Callable[[float], float], what: str, tolerance: float = _CONVERGED) -> float:
     """Return what a quadrature gives, where a quarter more nodes give the same."""
     coarse, fine = solve(1.0), solve(1.25)
     if not 0 < fine <= 1.01 * LONGEST:
@@ -214,4 +214,4 @@ def _lasting(chain: Chain, threshold: float, release: float, factor: float) -> f
     return float(entry @ mean[len(low) :] / entry.sum())
 
 
-__all__ = ["LONGEST", "AlarmCycle", "Chain", "alarm_cycle", "mean_run_length", "threshold_of"]
+__all__ = ["LONGEST", "NEARLY", "AlarmCycle", "Chain", "alarm_cycle", "mean_run_length", "threshold_of"]

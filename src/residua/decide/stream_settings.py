@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.autoregression import Past, autoregression, unforetold, whiteness
-from residua.decide.checks import check_rate, is_number
+from residua.decide.checks import FALSE_ALARM_RATE, check_rate, is_number
 from residua.decide.dependence import correlation_times
 from residua.decide.exceedance_tail import scale_of
 from residua.decide.false_alarms import Observed, promise_of
@@ -20,16 +20,16 @@ from residua.decide.fault_free import FaultFree, check_enough
 from residua.decide.normal_scores import is_heavy_tailed, knots_of
 from residua.decide.run_lengths import LONGEST, AlarmCycle, threshold_of
 from residua.decide.stream_test import StreamTest, plain
-from residua.decide.test import FaultFreeRun, TestSettings, Watched
+from residua.decide.test import Block, FaultFreeRun, TestSettings, Watched
 from residua.decide.whitening import whitening_matrix
 from residua.errors import DataError, SettingError
 from residua.number_kinds import POSITIVE, PROBABILITY, NumberKind
-from residua.tolerances import SIGNAL_ROUNDING
+from residua.tolerances import LEAKAGE, SIGNAL_ROUNDING
 from residua.visible import echo
 from residua.words import number
 
 Source = Literal["auto", "design", "data"]
-Correlation = Literal["auto", "ignore"]
+Treatment = Literal["auto", "none"]
 
 #: Probability that white noise looks as coloured, below which it is taken to be coloured.
 _COLOURED = 0.01
@@ -39,8 +39,8 @@ _EXPECTED = (200.0, 50.0, 20.0)
 _CONTRADICTION = 3.0
 #: How much more often false alarms come for a mean from few samples, where it is said.
 _NOTABLE = 1.02
-#: Windows over which the sums of a residual have the same covariance if it is white, and how nearly.
-_WINDOWS, _SAME = (2, 8, 32), 1e-6
+#: Windows over which the sums of a residual have the same covariance if it is white.
+_WINDOWS = (2, 8, 32)
 
 
 @dataclass(frozen=True)
@@ -58,10 +58,10 @@ class StreamSettings(TestSettings):
     origin: ClassVar[str] = "by integral equation"
 
     mean_time_between_false_alarms: float | None = None
-    false_alarm_rate: float = 1e-4
+    false_alarm_rate: float = FALSE_ALARM_RATE
     threshold: float | None = None
     source: str = "auto"
-    correlation: str = "auto"
+    treatment: str = "auto"
 
     def __post_init__(self) -> None:
         """Check the settings."""
@@ -76,7 +76,7 @@ class StreamSettings(TestSettings):
             object.__setattr__(self, "mean_time_between_false_alarms", float(time))
         if self.threshold is not None and not (is_number(self.threshold) and self.threshold > 0):
             raise SettingError(f"threshold must be a positive number, got {echo(self.threshold)}")
-        for name, values in (("source", get_args(Source)), ("correlation", get_args(Correlation))):
+        for name, values in (("source", get_args(Source)), ("treatment", get_args(Treatment))):
             if getattr(self, name) not in values:
                 raise SettingError(f"{name} must be one of {', '.join(values)}, got {echo(getattr(self, name))}")
         object.__setattr__(self, "false_alarm_rate", float(self.false_alarm_rate))
@@ -135,7 +135,7 @@ class StreamSettings(TestSettings):
         k, largest = len(covariance), float(np.abs(covariance).max(initial=0.0))
         for window in _WINDOWS:
             summed = watched.generator.covariance_of_sums(window)
-            if summed is None or np.abs(summed - covariance).max() > _SAME * largest:
+            if summed is None or np.abs(summed - covariance).max() > LEAKAGE * largest:
                 return None
         parts = plain(np.zeros(k), whitening_matrix(covariance))
         return self._by_design(parts, self.false_alarm_rate, "noise model of the plant", None)
@@ -174,7 +174,7 @@ class StreamSettings(TestSettings):
             notes.append(f"covariance of too few samples, drawn by {whole.intensity:.2g} towards a simpler one")
         q = np.where(data.usable[:, None], (data.residuals - whole.center) @ whole.whitening, 0.0)
         model = None
-        if self.correlation != "ignore" and whiteness(q, data.usable, data.parts) < _COLOURED:
+        if self.treatment == "auto" and whiteness(q, data.usable, data.parts) < _COLOURED:
             model = autoregression(q, data.usable, data.parts)
             if not model.order:
                 notes.append("the residual is coloured, and no autoregression explains it")
@@ -184,7 +184,7 @@ class StreamSettings(TestSettings):
             V = whitening_matrix(e.T @ e / max(len(e), 1))
             notes.append(f"coloured: what the last {model.order} samples foretell is taken off")
             parts, e = {**parts, "coefficients": model.coefficients, "rewhitening": V}, e @ V
-        if is_heavy_tailed(e):
+        if self.treatment == "auto" and is_heavy_tailed(e):
             knots, scores = knots_of(e)
             notes.append("heavy tails: each value is judged by how rare it is")
             parts = {**parts, "knots": knots, "scores": scores}
@@ -285,8 +285,6 @@ def _innovations(
 
 def _statistic(blank: StreamTest, run: FaultFreeRun) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return the statistic of fault-free recordings, each from its own start, and where there is one."""
-    from residua.decide.test import Block
-
     edges = [0, *run.seams, len(run.usable)]
     made = [
         blank.run(blank.start(1), Block(run.residuals[None, a:b], run.usable[None, a:b]))[1]

@@ -1,4 +1,4 @@
-"""Run lengths of statistics that are the length of a vector: of Crosier's cumulative sum, of the vector EWMA."""
+"""Run lengths of statistics that are the length of a vector: of vector CUSUMs, and of the vector EWMA."""
 
 from __future__ import annotations
 
@@ -7,14 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from residua.decide.gaussian_norm import norm_above, norm_density
-from residua.decide.run_lengths import Chain, Values, mean_run_length, nodes_of, settled
+from residua.decide.run_lengths import NEARLY, Chain, Values, mean_run_length, nodes_of, settled
+from residua.errors import SettingError
 
 #: Nodes to each deviation of a step along a radius and along the largest arc, and the least and the most of each.
 _ON_RADIUS, _ON_ARC, _FEWEST, _MOST = 1.7, 1.2, 12, 96
-#: How far more nodes may move a run length, as a part of it: it is reported, and nothing is designed by it.
-_SETTLED = 1e-3
 #: Residuals up to which run lengths after a shift are computed on the way to something else: it takes seconds beyond.
 MOST_DIMENSIONS = 3
+#: Sums of more samples than that many over the square of the allowance are no chance any more.
+_LONGEST_SUM = 60.0
+#: Most samples in a sum that are followed one by one.
+_MOST_IN_A_SUM = 20_000
 
 
 @dataclass(frozen=True)
@@ -87,7 +90,7 @@ def shifted_run_length(chain: LengthChain, threshold: float, shift: float) -> fl
     if not shift:
         return mean_run_length(chain, threshold)
     return settled(
-        lambda factor: _run_length(chain, threshold, shift, factor), f"a threshold of {threshold:.6g}", _SETTLED
+        lambda factor: _run_length(chain, threshold, shift, factor), f"a threshold of {threshold:.6g}", NEARLY
     )
 
 
@@ -125,4 +128,68 @@ def _quadrature(length: float, wanted: float, factor: float) -> tuple[Values, Va
     return length * (nodes + 1) / 2, length * weights / 2
 
 
-__all__ = ["MOST_DIMENSIONS", "LengthChain", "shifted_run_length"]
+def run_length_of_mc1(allowance: float, dimension: int, threshold: float) -> float:
+    r"""Return the mean number of samples to a false alarm from a start at zero.
+
+    .. math:: L_n(c) = 1 + P_0 L_0 + \int p(c' | c) L_{n+1}(c')\, dc', \qquad
+       \kappa (n + 1) < c' < \kappa (n + 1) + h
+
+    for the length :math:`c` of the sum of :math:`n` samples, which is backwards from a number of samples that no sum
+    has by chance. The dimension of the residual and unit covariance as for
+    :class:`LengthChain`.
+
+    Parameters
+    ----------
+    allowance : float
+    dimension : int
+    threshold : float
+
+    References
+    ----------
+    Pignatiello and Runger (1990), Journal of Quality Technology 22(3), 173-186 (the test).
+    """
+    longest = int(np.ceil(_LONGEST_SUM / allowance**2 + threshold / allowance))
+    if longest > _MOST_IN_A_SUM:
+        raise SettingError(
+            f"a shift of {2 * allowance:.3g} is too small for Pignatiello and Runger's sums, which would be of "
+            f"{longest} samples: take form='crosier'"
+        )
+
+    def solve(factor: float) -> float:
+        nodes, weights = nodes_of(threshold, 1.0, factor)
+        after = np.ones(len(nodes)), np.zeros(len(nodes))  # L = a + b L_0
+        for n in range(longest, 0, -1):
+            now, then = allowance * n + nodes, allowance * (n + 1) + nodes
+            step = norm_density(then[None, :], now[:, None], dimension) * weights
+            none = 1 - norm_above(allowance * (n + 1), now, dimension)
+            after = 1 + step @ after[0], none + step @ after[1]
+        first = norm_density(allowance + nodes, np.zeros(len(nodes)), dimension) * weights
+        none = 1 - norm_above(allowance, np.zeros(1), dimension)[0]
+        return float((1 + first @ after[0]) / (1 - none - first @ after[1]))
+
+    return settled(solve, f"a threshold of {threshold:.6g}")
+
+
+def delay_of_mc1(allowance: float, dimension: int, threshold: float, shift: float, *, runs: int = 20_000) -> float:
+    """Return the mean number of samples to an alarm from a start at zero, after a step: by simulation, seeded."""
+    rng = np.random.default_rng(0)
+    total, count, left = np.zeros((runs, dimension)), np.zeros(runs), np.arange(runs)
+    samples = 0
+    for now in range(1, 1_000_000):
+        samples += len(left)
+        e = rng.standard_normal((len(left), dimension))
+        e[:, 0] += shift
+        total[left] += e
+        count[left] += 1
+        over = np.linalg.norm(total[left], axis=1) - allowance * count[left]
+        zero = left[over <= 0]
+        total[zero], count[zero] = 0.0, 0.0
+        left = left[over <= threshold]
+        if not len(left):
+            return samples / runs
+        if now * len(left) > 1e9:
+            break
+    raise SettingError(f"a step of {shift:.3g} deviations is seen too seldom for a mean of runs")
+
+
+__all__ = ["MOST_DIMENSIONS", "LengthChain", "delay_of_mc1", "run_length_of_mc1", "shifted_run_length"]

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.checks import check_rate, check_samples, is_number
+from residua.decide.checks import FALSE_ALARM_RATE, check_rate, check_samples, is_number
 from residua.decide.false_alarms import Observed, observed, promise_of
 from residua.decide.fault_free import FaultFree, check_enough
 from residua.decide.persistence import AlarmRuns, run_alarm
@@ -49,7 +49,7 @@ class NormSettings(TestSettings):
     release: int | None = None
     window: int = 1
     whiten: str = "auto"
-    false_alarm_rate: float = 1e-4
+    false_alarm_rate: float = FALSE_ALARM_RATE
 
     def __post_init__(self) -> None:
         """Check the settings."""
