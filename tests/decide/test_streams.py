@@ -152,6 +152,22 @@ def test_units_change_nothing(settings: rs.decide.CUSUM, kind: str) -> None:
     assert plain_.alarm[600:].any()
 
 
+@pytest.mark.parametrize(
+    "settings", [rs.decide.CUSUM(), rs.decide.EWMA(), rs.decide.GLR(window=10), rs.decide.ChiSquared()], ids=named
+)
+@pytest.mark.parametrize("columns", [1, 6])
+def test_few_samples_are_refused_or_do(settings: rs.decide.CUSUM, columns: int) -> None:
+    """The least that is accepted: the fraction in alarm stays within four times what was asked for."""
+    rng, shares = np.random.default_rng(2), []
+    rows = max(int(np.ceil(columns / settings.harmless_offset**2)) + 1, 300)
+    settings = dataclasses.replace(settings, false_alarm_rate=0.01)
+    for _ in range(4):
+        monitor = rs.Monitor(given(columns), test=settings, isolate=None)
+        monitor.fit(None, rng.standard_normal((rows, columns)), held_out=0)
+        shares.append(monitor.run(None, rng.standard_normal((4000, columns))).alarm.mean())
+    assert np.mean(shares) < 0.04
+
+
 def test_what_the_data_contradict_is_said_and_the_threshold_is_theirs() -> None:
     """Noise that comes in bursts is white, and no autoregression and no scores make it independent."""
     rng = np.random.default_rng(9)
@@ -240,6 +256,10 @@ def test_data_that_cannot_tell_are_refused() -> None:
     monitor = rs.Monitor(given(1), test=rs.decide.CUSUM())
     with pytest.raises(DataError, match="too few"):
         monitor.fit(None, np.random.default_rng(0).standard_normal((20, 1)))
+    rng = np.random.default_rng(1)
+    for settings in (rs.decide.CUSUM(), rs.decide.EWMA(), rs.decide.GLR(window=10)):
+        with pytest.raises(DataError, match=r"give at least \d+ samples, or use NormThreshold"):
+            rs.Monitor(given(20), test=settings).fit(None, rng.standard_normal((400, 20)))
     with pytest.raises(SettingError, match="asks which part fired"):
         rs.decide.CUSUM().check(Watched(given(1), parts={"a": (0,)}))
 

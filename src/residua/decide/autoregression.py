@@ -123,6 +123,8 @@ def autoregression(
 def whiteness(e: NDArray[np.float64], seen: NDArray[np.bool_], parts: Sequence[slice]) -> float:
     r"""Return the probability that white noise shows correlations in time as large as these.
 
+    Where the samples are few for that, of each residual with itself alone.
+
     .. math:: Q = n^2 \sum_{l=1}^{L} \frac{1}{n-l} \mathrm{tr}(C_l^T C_0^{-1} C_l C_0^{-1}) \sim \chi^2(k^2 L)
 
     References
@@ -134,6 +136,10 @@ def whiteness(e: NDArray[np.float64], seen: NDArray[np.bool_], parts: Sequence[s
     n, k = int(seen.sum()), e.shape[1]
     lags = min(LAGS, max(n // 4, 1))
     products = _products(np.where(seen[:, None], e, 0.0), parts, lags) / max(n, 1)
+    if 2 * k * k * lags > n:  # too few to know what each has of every other
+        own = np.diagonal(products, axis1=1, axis2=2)
+        shares = (own[1:] / np.maximum(own[0], np.finfo(float).tiny)) ** 2
+        return float(chdtrc(k * lags, n**2 * np.sum(shares / (n - np.arange(1, lags + 1))[:, None])))
     inverse = np.linalg.pinv(products[0])
     terms = [float(np.trace(C.T @ inverse @ C @ inverse)) / max(n - lag, 1) for lag, C in enumerate(products) if lag]
     return float(chdtrc(k * k * lags, n**2 * sum(terms)))

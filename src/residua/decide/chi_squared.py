@@ -151,6 +151,11 @@ class ChiSquared(StreamSettings):
         share = self.fraction(threshold, dimension)
         return AlarmCycle(1 / share, 1 / (1 - share))
 
+    @property
+    def harmless_offset(self) -> float:
+        """Half a standard deviation: its square is what counts."""
+        return 0.5
+
     def test(self, **parts: Any) -> ChiSquaredTest:
         """Return what runs."""
         return ChiSquaredTest(**parts, window=self.window)

@@ -267,6 +267,11 @@ class CUSUM(StreamSettings):
             lasting = alarm_cycle(chain, threshold, self.falls_to * threshold).lasting
         return AlarmCycle(self.run_length(threshold, dimension), lasting)
 
+    @property
+    def harmless_offset(self) -> float:
+        """A fifth of the allowance."""
+        return self.allowance / 5
+
     def hurry(self, threshold: float, dimension: int, samples: int) -> float:
         """Return how many times as often false alarms come where the mean is from so many samples, on average."""
         if self._form(dimension) == "page":

@@ -142,6 +142,11 @@ class EWMA(StreamSettings):
         level = threshold * _deviation(self.weight)
         return alarm_cycle(self._chain(dimension), level, self.falls_to * level)
 
+    @property
+    def harmless_offset(self) -> float:
+        """Two fifths of the deviation of the average."""
+        return 0.4 * _deviation(self.weight)
+
     def hurry(self, threshold: float, dimension: int, samples: int) -> float:
         """Return how many times as often false alarms come where the mean is from so many samples, on average."""
         if dimension > MOST_DIMENSIONS:

@@ -130,6 +130,11 @@ class GLR(StreamSettings):
         """Return how long the test is quiet, and about how long a false alarm lasts."""
         return AlarmCycle(self.run_length(threshold, dimension), 1 + self.window / 2)
 
+    @property
+    def harmless_offset(self) -> float:
+        """A quarter of the deviation of the mean over the window."""
+        return 0.25 / self.window**0.5
+
     def test(self, **parts: Any) -> GLRTest:
         """Return what runs."""
         return GLRTest(**parts, window=self.window)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
@@ -26,7 +26,7 @@ from residua.errors import DataError, SettingError
 from residua.number_kinds import POSITIVE, PROBABILITY, NumberKind
 from residua.tolerances import LEAKAGE, SIGNAL_ROUNDING
 from residua.visible import echo
-from residua.words import number
+from residua.words import counted, number
 
 Source = Literal["auto", "design", "data"]
 Treatment = Literal["auto", "none"]
@@ -37,6 +37,8 @@ _COLOURED = 0.01
 _EXPECTED = (200.0, 50.0, 20.0)
 #: Deviations of their number by which the data contradict the design.
 _CONTRADICTION = 3.0
+#: Stretches of time of which each is judged by what the others say.
+_FOLDS = 4
 #: How much more often false alarms come for a mean from few samples, where it is said.
 _NOTABLE = 1.02
 #: Windows over which the sums of a residual have the same covariance if it is white.
@@ -95,6 +97,11 @@ class StreamSettings(TestSettings):
     def test(self, **parts: Any) -> StreamTest:
         """Return what runs."""
 
+    @property
+    @abstractmethod
+    def harmless_offset(self) -> float:
+        """The length of an error of the mean, in standard deviations, that hardly changes how often alarms come."""
+
     def hurry(self, threshold: float, dimension: int, samples: int) -> float:
         """Return how many times as often false alarms come where the mean is from so many samples, on average.
 
@@ -150,6 +157,7 @@ class StreamSettings(TestSettings):
         data = FaultFree(run.residuals, run.usable, 1, run.seams)
         count, k = int(run.usable.sum()), run.residuals.shape[1]
         check_enough(count, k, 1)
+        self._check_mean(count, k)
         if data.spread <= SIGNAL_ROUNDING * run.signal_size():
             raise DataError(
                 "these residuals hold no noise: no time between false alarms can be designed; set threshold=, or use "
@@ -158,13 +166,46 @@ class StreamSettings(TestSettings):
         parts, notes = self._whitened(data)
         if self.threshold is not None or self.source == "design":
             return self._by_design(parts, rate, "; ".join([f"moments of {count} fault-free samples", *notes]), count)
-        blank = self.test(**parts, threshold=np.inf, release=0.0, basis="")
-        values, seen = _statistic(blank, run)
-        against = "source='data'" if self.source == "data" else self._contradiction(values, seen, data.parts, k)
+        stretches, values, seen = self._cross_fitted(data)
+        against = "source='data'" if self.source == "data" else self._contradiction(values, seen, stretches, k)
         if not against:
             notes.append("the data do not contradict the design")
             return self._by_design(parts, rate, "; ".join([f"moments of {count} fault-free samples", *notes]), count)
-        return self._by_data(blank, values, seen, data.parts, rate, [against, *notes])
+        blank = self.test(**parts, threshold=np.inf, release=0.0, basis="")
+        return self._by_data(blank, values, seen, stretches, rate, [against, *notes])
+
+    def _check_mean(self, count: int, k: int) -> None:
+        """Raise where the error of the mean alone is a change that the test would see."""
+        offset, most = (k / count) ** 0.5, self.harmless_offset
+        if offset > most:
+            raise DataError(
+                f"{count} fault-free samples leave the mean of {counted(k, 'residual')} uncertain by {number(offset)} "
+                f"standard deviations, which {type(self).__name__} would take for a change: give at least "
+                f"{int(np.ceil(k / most**2))} samples, or use NormThreshold, which can be fitted to fewer"
+            )
+
+    def _cross_fitted(self, data: FaultFree) -> tuple[list[slice], NDArray[np.float64], NDArray[np.bool_]]:
+        """Return stretches of time, and the statistic of each by what the others say, and where there is one.
+
+        What mean, covariance and memory were fitted to looks quieter than other data.
+        """
+        values, seen = np.full(len(data.usable), np.nan), np.zeros(len(data.usable), dtype=bool)
+        counted = np.cumsum(data.usable)
+        edges = np.searchsorted(counted, np.arange(_FOLDS + 1) * counted[-1] / _FOLDS, side="left").tolist()
+        edges[0], edges[-1] = 0, len(counted)
+        cuts = sorted({*edges, *(part.start for part in data.parts)})
+        stretches = [slice(a, b) for a, b in pairwise(cuts)]
+        for start, stop in pairwise(edges):
+            others = data.usable.copy()
+            others[start:stop] = False
+            parts, _ = self._whitened(replace(data, usable=others))
+            blank = self.test(**parts, threshold=np.inf, release=0.0, basis="")
+            for part in stretches:
+                if start <= part.start < stop:
+                    block = Block(data.residuals[None, part], data.usable[None, part])
+                    tested = blank.run(blank.start(1), block)[1]
+                    values[part], seen[part] = tested.statistic[0], tested.usable[0]
+        return stretches, values, seen
 
     def _whitened(self, data: FaultFree) -> tuple[dict[str, Any], list[str]]:
         """Return what makes the residual white, and what is said of it."""
@@ -281,17 +322,6 @@ def _innovations(
     """Return what the past does not foretell, of the samples whose past is known."""
     e, seen, _ = unforetold(coefficients, Past.empty(1, coefficients), q[None], usable[None])
     return e[0, seen[0]]
-
-
-def _statistic(blank: StreamTest, run: FaultFreeRun) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the statistic of fault-free recordings, each from its own start, and where there is one."""
-    edges = [0, *run.seams, len(run.usable)]
-    made = [
-        blank.run(blank.start(1), Block(run.residuals[None, a:b], run.usable[None, a:b]))[1]
-        for a, b in itertools.pairwise(edges)
-    ]
-    values = np.concatenate([one.statistic[0] for one in made])
-    return values, np.concatenate([one.usable[0] for one in made])
 
 
 def _levels(values: NDArray[np.float64], falls_to: float) -> NDArray[np.float64]:
