@@ -1,0 +1,304 @@
+"""Some runs of a campaign: simulated, watched, and reduced to a few numbers each.
+
+Every run draws from seeds of its own, and everything is computed run by run or in a fixed order of sums, so that the
+numbers do not depend on how runs are put together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide.alarm import put_down_to
+from residua.decide.isolation import Scores, Seen, last_over
+from residua.decide.test import Block, Tested
+from residua.design import ResidualGenerator
+from residua.linear import StateSpace
+from residua.monitor.filtering import filter_block
+from residua.monitor.running import initial_state, rows_of, run_block
+from residua.monitor.specification import Specification
+from residua.robust.sets.uncertain_plant import UncertainPlant
+from residua.validate.noise import NoiseModel, Resampled
+from residua.validate.scenario import Case, channel_of
+from residua.validate.truth import ActingFault, Truth, truth_of, with_acting_fault
+
+#: Codes of names that are no group: no alarm was raised; nobody was named; several faults at once.
+NO_ALARM, UNKNOWN, SEVERAL = -1, -2, -3
+#: Numbers in the arrays of one chunk, about: small enough for the cache of a processor.
+_NUMBERS = 1_000_000
+#: Streams of one run.
+_NOISE, _DISTURBANCE, _MEMBER, _FAULT = range(4)
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Everything that a run depends on besides its number.
+
+    Attributes
+    ----------
+    spec : Specification
+    generator : ResidualGenerator
+        Sampled.
+    truths : tuple of Truth
+        Simulated in turn; empty where each run has a member of its own.
+    uncertain : UncertainPlant or None
+    controller : StateSpace or None
+    cases : tuple of Case
+    samples : int
+    seed : int
+    inputs : ndarray, shape (samples, inputs)
+        Deviations.
+    disturbances : ndarray, shape (samples, disturbances)
+    drawn : tuple of (int, NoiseModel)
+        Disturbances that each run draws.
+    noise : NoiseModel, Resampled or None
+    within : int
+        Samples after an onset in which a detection counts.
+    """
+
+    spec: Specification
+    generator: ResidualGenerator
+    truths: tuple[Truth, ...]
+    uncertain: UncertainPlant | None
+    controller: StateSpace | None
+    cases: tuple[Case, ...]
+    samples: int
+    seed: int
+    inputs: NDArray[np.float64]
+    disturbances: NDArray[np.float64]
+    drawn: tuple[tuple[int, NoiseModel], ...]
+    noise: NoiseModel | Resampled | None
+    within: int
+
+    @property
+    def runs_at_once(self) -> int:
+        """How many runs to simulate together."""
+        spec = self.spec
+        width = 4 * spec.B.shape[1] + 6 * len(spec.C) + len(spec.isolation.groups) + 2 * len(spec.members) + 8
+        return max(1, min(1024, _NUMBERS // (2 * self.samples * width) + 1))
+
+    def stream(self, run: int, *of: int) -> np.random.Generator:
+        """Return a generator of random numbers of a run, the same whatever else is drawn."""
+        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(run, *of)))
+
+
+@dataclass(frozen=True, eq=False)
+class RunFigures:
+    """What is kept of each run; samples are counted from the first of a run.
+
+    Attributes
+    ----------
+    decided, alarmed, raised : ndarray of int, shape (runs,)
+        Without a fault: samples with a decision, those in alarm, and alarms raised.
+    onset, stop : ndarray of int, shape (cases, runs)
+        Sample of the onset, and the one up to which a detection counts.
+    detected : ndarray of int, shape (cases, runs)
+        First sample in alarm from the onset on; -1 without one.
+    named : ndarray of int, shape (cases, runs)
+        Number of the group that is named, or ``NO_ALARM``, ``UNKNOWN``, ``SEVERAL``.
+    peak, quiet_peak : ndarray, shape (cases, runs)
+        Largest statistic over these samples, with and without the fault; minus infinity without a decision.
+    by_chance : ndarray of bool, shape (cases, runs)
+        Whether the run without the fault is in alarm in these samples.
+    """
+
+    decided: NDArray[np.int64]
+    alarmed: NDArray[np.int64]
+    raised: NDArray[np.int64]
+    onset: NDArray[np.int64]
+    stop: NDArray[np.int64]
+    detected: NDArray[np.int64]
+    named: NDArray[np.int64]
+    peak: NDArray[np.float64]
+    quiet_peak: NDArray[np.float64]
+    by_chance: NDArray[np.bool_]
+
+    @property
+    def runs(self) -> int:
+        """How many."""
+        return self.decided.shape[-1]
+
+    @classmethod
+    def joined(cls, parts: list[RunFigures]) -> RunFigures:
+        """Return the figures of consecutive runs as one."""
+        names = [one.name for one in fields(cls)]
+        return cls(**{name: np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in names})
+
+    @classmethod
+    def empty(cls, cases: int, runs: int) -> RunFigures:
+        """Return figures to be filled in."""
+        whole = [np.zeros(runs, dtype=np.int64) for _ in range(3)]
+        counts = [np.full((cases, runs), -1, dtype=np.int64) for _ in range(4)]
+        peaks = [np.full((cases, runs), -np.inf) for _ in range(2)]
+        return cls(*whole, *counts, *peaks, np.zeros((cases, runs), dtype=bool))
+
+
+@dataclass(frozen=True, eq=False)
+class _Simulated:
+    """Some runs without a fault: their plants, inputs of the simulation, recorded signals, and resampled residuals."""
+
+    truths: list[Truth]
+    z: NDArray[np.float64]
+    signals: NDArray[np.float64]
+    residuals: NDArray[np.float64] | None
+
+
+def figures_of(plan: Plan, first: int, last: int) -> RunFigures:
+    """Return the figures of the runs from ``first`` up to ``last``."""
+    quiet = _simulated(plan, first, last)
+    out = RunFigures.empty(len(plan.cases), last - first)
+    calm = _judged(plan, quiet.signals, quiet)[1]
+    alarm = calm.alarm & calm.usable
+    out.decided[:] = np.count_nonzero(calm.usable, axis=1)
+    out.alarmed[:] = np.count_nonzero(alarm, axis=1)
+    out.raised[:] = calm.alarm[:, 0] + np.count_nonzero(calm.alarm[:, 1:] & ~calm.alarm[:, :-1], axis=1)
+    for number, case in enumerate(plan.cases):
+        _one_case(plan, number, case, first, quiet, calm, out)
+    return out
+
+
+def _simulated(plan: Plan, first: int, last: int) -> _Simulated:
+    """Return runs without a fault."""
+    truths = [_truth(plan, run) for run in range(first, last)]
+    one = truths[0]
+    if len(plan.truths) == 1:
+        truths = [one]
+    m, q = one.inputs, one.disturbances
+    z = np.zeros((last - first, plan.samples, one.B.shape[1]))
+    z[:, :, :m], z[:, :, m : m + q] = plan.inputs, plan.disturbances
+    for k, run in enumerate(range(first, last)):
+        if isinstance(plan.noise, NoiseModel) and one.noises:
+            z[k, :, m + q :] = plan.noise.draw(plan.stream(run, _NOISE), plan.samples, one.noises)
+        for column, model in plan.drawn:
+            z[k, :, m + column] += model.draw(plan.stream(run, _DISTURBANCE, column), plan.samples, 1)[:, 0]
+    if len(truths) == 1:
+        signals = one.respond(z)
+    else:
+        signals = np.concatenate([truth.respond(z[k : k + 1]) for k, truth in enumerate(truths)])
+    residuals = None
+    if isinstance(plan.noise, Resampled):
+        rows = [plan.noise.draw(plan.stream(run, _NOISE), plan.samples) for run in range(first, last)]
+        residuals = np.stack(rows)
+    return _Simulated(truths, z, signals, residuals)
+
+
+def _truth(plan: Plan, run: int) -> Truth:
+    """Return the plant of a run."""
+    if plan.uncertain is None:
+        return plan.truths[run % len(plan.truths)]
+    (member,) = plan.uncertain.sample(plan.stream(run, _MEMBER), 1)
+    return truth_of(member, plan.generator.dt, plan.controller, plan.samples)
+
+
+def _judged(plan: Plan, signals: NDArray[np.float64], quiet: _Simulated) -> tuple[Block, Tested, Scores | None]:
+    """Return residuals and the outcome of the test for recorded signals (deviations); of matched filters scores too."""
+    spec = plan.spec
+    data = signals + quiet.truths[0].offset
+    state = initial_state(spec, len(data))
+    if spec.test.responses is not None and quiet.residuals is None:  # in parts where outputs are missing: memory
+        _, decisions = run_block(spec, state, data)
+        return Block(decisions.residuals, decisions.usable), decisions.tested, decisions.named
+    _, filtered = filter_block(spec, state.filter, data)
+    residuals = filtered.residuals if quiet.residuals is None else filtered.residuals + quiet.residuals
+    block = Block(residuals, filtered.usable, 0, filtered.bends)
+    return block, spec.test.run(state.test, block)[1], None
+
+
+def _one_case(
+    plan: Plan, number: int, case: Case, first: int, quiet: _Simulated, calm: Tested, out: RunFigures
+) -> None:
+    """Fill in the figures of one case."""
+    runs = len(quiet.signals)
+    alike = not case.shape.differs
+    drawn = [
+        case.shape.over(plan.samples, plan.generator.dt, plan.stream(first + k, _FAULT, case.scenario))
+        for k in range(1 if alike else runs)
+    ]
+    onsets = np.array([onset for onset, _ in drawn] * (runs if alike else 1), dtype=np.int64)
+    stops = np.minimum(onsets + plan.within, plan.samples)
+    share = np.stack([course for _, course in drawn])
+    block, tested, scores = _judged(plan, _with_fault(plan, case, quiet, onsets, share), quiet)
+    out.onset[number], out.stop[number] = onsets, stops
+    for k in range(runs):
+        a, b = int(onsets[k]), int(stops[k])
+        alarm = tested.alarm[k, a:b]
+        at = int(alarm.argmax())
+        if alarm[at]:
+            out.detected[number, k] = a + at
+        out.peak[number, k] = np.fmax.reduce(tested.statistic[k, a:b], initial=-np.inf)
+        out.quiet_peak[number, k] = np.fmax.reduce(calm.statistic[k, a:b], initial=-np.inf)
+        out.by_chance[number, k] = calm.alarm[k, a:b].any()
+    out.named[number] = _names(plan, block, tested, scores, out.detected[number], stops)
+
+
+def _with_fault(
+    plan: Plan, case: Case, quiet: _Simulated, onsets: NDArray[np.int64], share: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the recorded signals with a fault; ``share`` has one row for all runs, or one for each."""
+    truths = quiet.truths
+    fault = truths[0].faults.index(case.fault)
+    if case.shape.acts != "adds":
+        kind, i = channel_of(case.fault, plan.generator.plant)
+        channel = i if kind == "u" else truths[0].inputs + i
+        acting = ActingFault(case.shape, case.size, fault, channel)  # pyright: ignore[reportArgumentType]
+        every = np.broadcast_to(share, (len(quiet.signals), share.shape[1]))
+        return with_acting_fault(truths, acting, quiet.z, quiet.signals, onsets, every)
+    course = case.size * share
+    if len(truths) == 1:
+        return quiet.signals + truths[0].respond_to_fault(fault, course)
+    rows = [course[k % len(course)][None] for k in range(len(truths))]
+    parts = [truth.respond_to_fault(fault, row) for truth, row in zip(truths, rows, strict=True)]
+    return quiet.signals + np.concatenate(parts)
+
+
+def _names(
+    plan: Plan,
+    block: Block,
+    tested: Tested,
+    scores: Scores | None,
+    detected: NDArray[np.int64],
+    stops: NDArray[np.int64],
+) -> NDArray[np.int64]:
+    """Return who is named in each run: by the longest alarm from the onset on."""
+    out = np.full(len(detected), NO_ALARM, dtype=np.int64)
+    who = np.flatnonzero(detected >= 0)
+    out[who] = UNKNOWN
+    spec = plan.spec
+    if not who.size or not spec.isolation.groups:
+        return out
+    if scores is not None or block.bends or tested.likelihood is not None:  # these are of all runs
+        who = np.arange(len(out))
+    else:
+        block, tested = Block(block.residuals[who], block.usable[who], 0), rows_of(tested, who)
+    if scores is None:
+        scores = spec.isolation.run(spec.isolation.start(len(who)), block, tested)[1]
+        tested = replace(tested, likelihood=None)
+    time = plan.generator.dt * np.arange(plan.samples)
+    number = {group: g for g, group in enumerate(spec.isolation.groups)}
+    for row, k in enumerate(who.tolist()):
+        if detected[k] < 0:
+            continue
+        one = rows_of(tested, row)
+        seen = Seen(time, block.residuals[row], one, rows_of(scores, row), plan.generator, spec.test)
+        start, stop = _longest_alarm(one.alarm, int(detected[k]), int(stops[k]))
+        named = spec.isolation.name(seen, start, stop, last_over(one.exceeded, start, stop))
+        faults = put_down_to(named.reading, named.candidates)
+        if len(faults) > 1:
+            out[k] = SEVERAL
+        elif faults:
+            judged = named.reading is not None or np.isfinite(named.candidates[0].score)
+            out[k] = number.get(tuple(faults[0]), UNKNOWN) if judged else UNKNOWN
+    return out
+
+
+def _longest_alarm(alarm: NDArray[np.bool_], first: int, stop: int) -> tuple[int, int]:
+    """Return the longest alarm of one run between two samples, the later of two that are equally long."""
+    edges = first + np.flatnonzero(np.diff(np.concatenate([[0], alarm[first:stop].astype(np.int8), [0]])))
+    pairs = edges.reshape(-1, 2)
+    longest = len(pairs) - 1 - int(np.argmax((pairs[:, 1] - pairs[:, 0])[::-1]))
+    return int(pairs[longest, 0]), int(pairs[longest, 1])
+
+
+__all__ = ["NO_ALARM", "SEVERAL", "UNKNOWN", "Plan", "RunFigures", "figures_of"]
