@@ -330,18 +330,26 @@ def campaign_from(head: Mapping[str, Any], figures: RunFigures, where: str) -> C
             CaseFacts(text_in(fault, at), text_in(shape, at), float_in(size, at, KNOWN_OR_NOT), whole_in(scenario, at))
         )
     settings = table_in(content["settings"], f"{where}: settings")
-    whole = {name: whole_in(content[name], f"{where}: {name}") for name in ("runs", "samples", "seed", "window")}
-    real = {name: float_in(content[name], f"{where}: {name}") for name in ("dt", "threshold", "confidence")}
-    text = {name: text_in(content[name], f"{where}: {name}") for name in ("plant", "draws", "watched")}
     groups = list_in(content["groups"], f"{where}: groups")
+
+    def entry(name: str) -> tuple[Any, str]:
+        return content[name], f"{where}: {name}"
+
     return Campaign(
+        plant=text_in(*entry("plant")),
         cases=tuple(cases),
         groups=tuple(texts_in(group, f"{where}: groups") for group in groups),
         figures=figures,
+        runs=whole_in(*entry("runs")),
+        samples=whole_in(*entry("samples")),
+        seed=whole_in(*entry("seed")),
+        dt=float_in(*entry("dt")),
+        threshold=float_in(*entry("threshold")),
+        window=whole_in(*entry("window")),
         settings={str(name): str(value) for name, value in settings.items()},
-        **whole,
-        **real,
-        **text,
+        draws=text_in(*entry("draws")),
+        watched=text_in(*entry("watched")),
+        confidence=float_in(*entry("confidence")),
     )
 
 

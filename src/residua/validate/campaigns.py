@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 
 from residua.decide.checks import check_samples
 from residua.errors import NotFittedError, SettingError, missing_extra
@@ -20,6 +21,7 @@ from residua.monitor.outcome import settings_of
 from residua.plant import Plant
 from residua.progress import Progress, progress_of
 from residua.robust.sets.uncertain_plant import UncertainPlant
+from residua.tolerances import SAME
 from residua.validate.campaign_file import digest, read_runs, write_runs
 from residua.validate.campaign_result import Campaign, CaseFacts, campaign_from, check_goes_on
 from residua.validate.given_signals import control_inputs, disturbance_signals
@@ -88,7 +90,8 @@ def campaign(
         By name; those that are not named are zero. A noise model is drawn by each run, with its own size.
     plants : Plant, sequence of Plant, or UncertainPlant, optional
         What is simulated, when not the plant that the monitor is designed for. Of several run ``k`` has number ``k``
-        modulo their count; of an uncertain plant each run has a member of its own, drawn evenly from the box of parameters.
+        modulo their count; of an uncertain plant each run has a member of its own, drawn evenly from the box of
+        parameters.
     controller : StateSpace, optional
         From outputs to inputs, as deviations, without a direct term: what is simulated is the closed loop, in which a
         faulty sensor misleads the controller too. (A monitor for a plant that *is* a closed loop needs none.)
@@ -187,7 +190,7 @@ def _computed(plan: Plan, parts: list[tuple[int, int]], joined: Any, workers: in
 
 def _joblib() -> Any:
     try:
-        import joblib
+        import joblib  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise missing_extra("joblib", "workers") from error
     return joblib
@@ -237,15 +240,15 @@ def _plan(
     if lacking:
         raise SettingError(f"the simulated plant has no fault {echo(lacking[0])}")
     one = truths[0]
-    seeds = np.random.SeedSequence(seed)
-    u, about_inputs = control_inputs(inputs, one, generator.plant.inputs, samples, seeds)
-    d, drawn, about_disturbances = disturbance_signals(disturbances, simulated.disturbances, samples)
-    chosen = _noise(noise, one, spec, bool(disturbances))
     wide = samples * (one.B.shape[1] + 4 * spec.B.shape[1] + 8 * len(spec.C) + len(spec.isolation.groups))
     if wide > _MOST_NUMBERS:
         raise SettingError(
             f"one run of {samples:,} samples takes {wide * 8 / 2**30:.1f} GB: fewer samples, and more runs instead"
         )
+    seeds = np.random.SeedSequence(seed)
+    u, about_inputs = control_inputs(inputs, one, generator.plant.inputs, samples, seeds)
+    d, drawn, about_disturbances = disturbance_signals(disturbances, simulated.disturbances, samples)
+    chosen = _noise(noise, one, spec, bool(disturbances))
     counted = samples if within is None else _samples_within(within, dt)
     plan = Plan(
         spec,
@@ -315,14 +318,16 @@ def _truths(
         several, told = [uncertain.nominal], f"a member of {uncertain!r} for each run"
     elif isinstance(plants, Plant):
         several, told = [plants], repr(plants)
+    elif isinstance(plants, (list, tuple)):
+        several, told = list(plants), f"{len(plants)} plants in turn"
     else:
-        several, told = list(plants), f"{len(list(plants))} plants in turn"
+        several, told = [], ""
     if not several or not all(isinstance(one, Plant) for one in several):
         raise SettingError(f"plants must be a Plant, several of them, or an UncertainPlant, got {echo(plants)}")
     first = several[0]
     for one in several:
         check_same_channels(one, model)
-        if one.is_discrete and abs(one.dt - dt) > 1e-9 * dt:
+        if one.is_discrete and abs(one.dt - dt) > SAME * dt:
             raise SettingError(f"plant {one.name!r} has dt={one.dt:g} s, the monitor runs at {dt:g} s")
         alike = [(p.disturbances, p.faults, p.Bw.shape[1]) for p in (one, first)]
         if alike[0] != alike[1]:
@@ -363,13 +368,11 @@ def _size(case: Any) -> float:
 
 def _versions() -> dict[str, str]:
     """Return the versions that the runs depend on."""
-    out = {}
-    for package in ("residua", "numpy", "scipy"):
-        try:
-            out[f"version of {package}"] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            out[f"version of {package}"] = "unknown"
-    return out
+    try:
+        own = metadata.version("residua")
+    except metadata.PackageNotFoundError:
+        own = "unknown"
+    return {"version of residua": own, "version of NumPy": np.__version__, "version of SciPy": scipy.__version__}
 
 
 __all__ = ["campaign"]

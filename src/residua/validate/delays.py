@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.tolerances import ROUNDING
 from residua.validate.intervals import CONFIDENCE, Estimate, bootstrap
 
 
@@ -54,7 +55,7 @@ class Delays:
         left = 1 - share
 
         def first(curve: NDArray[np.float64]) -> float:
-            reached = np.flatnonzero(curve <= left * (1 + 1e-12))
+            reached = np.flatnonzero(curve <= left * (1 + ROUNDING))
             return float(self.time[reached[0]]) if reached.size else float("inf")
 
         return Estimate(first(self.undetected), first(self.low), first(self.high))
@@ -75,14 +76,14 @@ def delays_of(delay: NDArray[np.float64], seen: NDArray[np.bool_], confidence: f
     times, first = np.unique(delay[seen], return_inverse=True)
     events = np.bincount(first, minlength=len(times)).astype(float)
     at_risk = len(delay) - np.searchsorted(np.sort(delay), times, side="left").astype(float)
-    survival = np.cumprod(1 - events / np.maximum(at_risk, 1))
+    survival = np.asarray(np.cumprod(1 - events / np.maximum(at_risk, 1)), dtype=np.float64)
     z = float(ndtri((1 + confidence) / 2))
     with np.errstate(divide="ignore", invalid="ignore"):
         variance = np.cumsum(events / (at_risk * (at_risk - events)))
         width = z * np.sqrt(variance) / np.log(survival)
         low, high = survival ** np.exp(-width), survival ** np.exp(width)
-    over = survival <= 0  # nobody is left: known to 1 - (1 - confidence)^(1/n), as of no success in n trials
-    last = 1 - (1 - confidence) ** (1 / max(len(delay), 1))
+    over = survival <= 0  # nobody is left: as of no success in n trials (Clopper and Pearson)
+    last = 1 - ((1 - confidence) / 2) ** (1 / max(len(delay), 1))
     low, high = np.where(over, 0.0, low), np.where(over, last, high)
     return Delays(
         times, survival, np.minimum(low, high), np.maximum(low, high), delay[seen], int((~seen).sum()), confidence

@@ -129,10 +129,12 @@ class RunFigures:
     @classmethod
     def empty(cls, cases: int, runs: int) -> RunFigures:
         """Return figures to be filled in."""
-        whole = [np.zeros(runs, dtype=np.int64) for _ in range(3)]
-        counts = [np.full((cases, runs), -1, dtype=np.int64) for _ in range(4)]
-        peaks = [np.full((cases, runs), -np.inf) for _ in range(2)]
-        return cls(*whole, *counts, *peaks, np.zeros((cases, runs), dtype=bool))
+        return cls(
+            **{name: np.zeros(runs, dtype=np.int64) for name in ("decided", "alarmed", "raised")},
+            **{name: np.full((cases, runs), -1, dtype=np.int64) for name in ("onset", "stop", "detected", "named")},
+            **{name: np.full((cases, runs), -np.inf) for name in ("peak", "quiet_peak")},
+            by_chance=np.zeros((cases, runs), dtype=bool),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,7 +277,7 @@ def _names(
     if scores is None:
         scores = spec.isolation.run(spec.isolation.start(len(who)), block, tested)[1]
         tested = replace(tested, likelihood=None)
-    time = plan.generator.dt * np.arange(plan.samples)
+    time = np.asarray(plan.generator.dt * np.arange(plan.samples), dtype=np.float64)
     number = {group: g for g, group in enumerate(spec.isolation.groups)}
     for row, k in enumerate(who.tolist()):
         if detected[k] < 0:

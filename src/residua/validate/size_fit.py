@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.tolerances import SAME
+from residua.tolerances import ROUNDING, SAME
 from residua.words import number
 
 #: The share of a90.
@@ -152,12 +152,12 @@ def _fit(
         if not determinant > 0 or np.abs(rows @ beta).max() > _MOST:
             return None
         step, length = np.linalg.solve(information, rows.T @ (k - n * p)), 1.0
-        while likelihood(beta + length * step) < best and length > SAME:
+        while likelihood(beta + length * step) < best - ROUNDING * abs(best) and length > SAME:
             length /= 2
         beta = beta + length * step
         best = likelihood(beta)
         if np.abs(step).max() <= SAME * max(1.0, np.abs(beta).max()):
-            return beta, np.linalg.inv(information)
+            return beta, np.asarray(np.linalg.inv(information), dtype=np.float64)
     return None
 
 

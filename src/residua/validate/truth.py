@@ -91,8 +91,16 @@ def truth_of(plant: Plant, dt: float, controller: StateSpace | None, samples: in
         )
     point = p.operating_point
     offset = np.concatenate([point.inputs, point.outputs])
-    matrices = [np.ascontiguousarray(M) for M in (A, B, C, D, Bf, Df)]
-    return Truth(*matrices, m, len(p.disturbances), p.Bw.shape[1], offset, controller is not None, p.faults)
+    matrices = {"A": A, "B": B, "C": C, "D": D, "Bf": Bf, "Df": Df}
+    return Truth(
+        **{name: np.ascontiguousarray(M) for name, M in matrices.items()},
+        inputs=m,
+        disturbances=len(p.disturbances),
+        noises=p.Bw.shape[1],
+        offset=offset,
+        looped=controller is not None,
+        faults=p.faults,
+    )
 
 
 @dataclass(frozen=True, eq=False)
