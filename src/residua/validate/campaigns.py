@@ -264,6 +264,7 @@ def _plan(
         drawn,
         chosen,
         counted,
+        one.offset,
     )
     words = {
         "plant": told,

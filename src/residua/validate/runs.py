@@ -7,6 +7,8 @@ numbers do not depend on how runs are put together.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +20,7 @@ from residua.design import ResidualGenerator
 from residua.linear import StateSpace
 from residua.monitor.filtering import filter_block
 from residua.monitor.running import initial_state, rows_of, run_block
-from residua.monitor.specification import Specification
+from residua.monitor.specification import FilterState, Specification
 from residua.robust.sets.uncertain_plant import UncertainPlant
 from residua.validate.noise import NoiseModel, Resampled
 from residua.validate.scenario import Case, channel_of
@@ -26,8 +28,8 @@ from residua.validate.truth import ActingFault, Truth, truth_of, with_acting_fau
 
 #: Codes of names that are no group: no alarm was raised; nobody was named; several faults at once.
 NO_ALARM, UNKNOWN, SEVERAL = -1, -2, -3
-#: Numbers in the arrays of one chunk, about: small enough for the cache of a processor.
-_NUMBERS = 1_000_000
+#: Numbers in the arrays of runs that are simulated together, about: bounds memory.
+_NUMBERS = 5_000_000
 #: Streams of one run.
 _NOISE, _DISTURBANCE, _MEMBER, _FAULT = range(4)
 
@@ -56,6 +58,8 @@ class Plan:
     noise : NoiseModel, Resampled or None
     within : int
         Samples after an onset in which a detection counts.
+    offset : ndarray, shape (channels,)
+        Operating point of what is simulated.
     """
 
     spec: Specification
@@ -71,6 +75,7 @@ class Plan:
     drawn: tuple[tuple[int, NoiseModel], ...]
     noise: NoiseModel | Resampled | None
     within: int
+    offset: NDArray[np.float64]
 
     @property
     def runs_at_once(self) -> int:
@@ -78,6 +83,17 @@ class Plan:
         spec = self.spec
         width = 4 * spec.B.shape[1] + 6 * len(spec.C) + len(spec.isolation.groups) + 2 * len(spec.members) + 8
         return max(1, min(1024, _NUMBERS // (2 * self.samples * width) + 1))
+
+    @property
+    def at_once(self) -> bool:
+        """Whether the whole of a run is watched at once: of matched filters."""
+        return self.spec.test.responses is not None
+
+    def first_sample(self, case: Case) -> int:
+        """Return the sample at which the fault of a case may begin, from which on it is watched."""
+        if self.at_once:
+            return 0
+        return case.shape.earliest_sample(self.generator.dt)
 
     def stream(self, run: int, *of: int) -> np.random.Generator:
         """Return a generator of random numbers of a run, the same whatever else is drawn."""
@@ -147,17 +163,64 @@ class _Simulated:
     residuals: NDArray[np.float64] | None
 
 
+@dataclass(frozen=True, eq=False)
+class _Watched:
+    """A stretch of some runs: residuals, what the test says, of matched filters scores, and the states after it."""
+
+    block: Block
+    tested: Tested
+    scores: Scores | None
+    filter: FilterState
+    test: Any
+
+
+class _Quiet:
+    """Some runs without a fault, watched piece by piece: a case goes on from where its fault may begin, bit for bit."""
+
+    def __init__(self, plan: Plan, first: int, last: int) -> None:
+        self.plan, self.runs = plan, last - first
+        self.made = _simulated(plan, first, last)
+        self.cuts = sorted({0, plan.samples, *(plan.first_sample(case) for case in plan.cases)})
+        start = initial_state(plan.spec, self.runs)
+        self.states: dict[int, tuple[FilterState, Any]] = {0: (start.filter, start.test)}
+        self.pieces: list[_Watched] = []
+        for a, b in pairwise(self.cuts):
+            piece = watch(plan, self.made.signals[:, a:b], self.residuals(a, b), self.states[a], a)
+            self.pieces.append(piece)
+            self.states[b] = (piece.filter, piece.test)
+        self.isolated: dict[int, Any] = {0: plan.spec.isolation.start(self.runs)}
+
+    def residuals(self, a: int, b: int) -> NDArray[np.float64] | None:
+        """Return resampled residuals from one sample up to another."""
+        return None if self.made.residuals is None else self.made.residuals[:, a:b]
+
+    def of(self, name: str) -> NDArray[Any]:
+        """Return what the test says of all samples."""
+        return np.concatenate([getattr(piece.tested, name) for piece in self.pieces], axis=1)
+
+    def isolation_state(self, cut: int) -> Any:
+        """Return what the isolation remembers of all samples before one of the cuts."""
+        if cut not in self.isolated:
+            k = self.cuts.index(cut) - 1
+            before, piece = self.isolation_state(self.cuts[k]), self.pieces[k]
+            self.isolated[cut] = self.plan.spec.isolation.run(before, piece.block, piece.tested)[0]
+        return self.isolated[cut]
+
+
 def figures_of(plan: Plan, first: int, last: int) -> RunFigures:
     """Return the figures of the runs from ``first`` up to ``last``."""
-    quiet = _simulated(plan, first, last)
+    quiet = _Quiet(plan, first, last)
     out = RunFigures.empty(len(plan.cases), last - first)
-    calm = _judged(plan, quiet.signals, quiet)[1]
-    alarm = calm.alarm & calm.usable
-    out.decided[:] = np.count_nonzero(calm.usable, axis=1)
-    out.alarmed[:] = np.count_nonzero(alarm, axis=1)
-    out.raised[:] = calm.alarm[:, 0] + np.count_nonzero(calm.alarm[:, 1:] & ~calm.alarm[:, :-1], axis=1)
+    alarm, usable, statistic = (quiet.of(name) for name in ("alarm", "usable", "statistic"))
+    out.decided[:] = np.count_nonzero(usable, axis=1)
+    out.alarmed[:] = np.count_nonzero(alarm & usable, axis=1)
+    out.raised[:] = alarm[:, 0] + np.count_nonzero(alarm[:, 1:] & ~alarm[:, :-1], axis=1)
     for number, case in enumerate(plan.cases):
-        _one_case(plan, number, case, first, quiet, calm, out)
+        _one_case(plan, number, case, first, quiet, out)
+        for k in range(last - first):
+            a, b = int(out.onset[number, k]), int(out.stop[number, k])
+            out.quiet_peak[number, k] = np.fmax.reduce(statistic[k, a:b], initial=-np.inf)
+            out.by_chance[number, k] = alarm[k, a:b].any()
     return out
 
 
@@ -194,25 +257,30 @@ def _truth(plan: Plan, run: int) -> Truth:
     return truth_of(member, plan.generator.dt, plan.controller, plan.samples)
 
 
-def _judged(plan: Plan, signals: NDArray[np.float64], quiet: _Simulated) -> tuple[Block, Tested, Scores | None]:
-    """Return residuals and the outcome of the test for recorded signals (deviations); of matched filters scores too."""
+def watch(
+    plan: Plan,
+    signals: NDArray[np.float64],
+    resampled: NDArray[np.float64] | None,
+    state: tuple[FilterState, Any],
+    count: int,
+) -> _Watched:
+    """Return what the test says of recorded signals (deviations), from a state after ``count`` samples on."""
     spec = plan.spec
-    data = signals + quiet.truths[0].offset
-    state = initial_state(spec, len(data))
-    if spec.test.responses is not None and quiet.residuals is None:  # in parts where outputs are missing: memory
-        _, decisions = run_block(spec, state, data)
-        return Block(decisions.residuals, decisions.usable), decisions.tested, decisions.named
-    _, filtered = filter_block(spec, state.filter, data)
-    residuals = filtered.residuals if quiet.residuals is None else filtered.residuals + quiet.residuals
-    block = Block(residuals, filtered.usable, 0, filtered.bends)
-    return block, spec.test.run(state.test, block)[1], None
+    data = signals + plan.offset
+    if plan.at_once and resampled is None:  # in parts where outputs are missing: memory
+        whole, decisions = run_block(spec, initial_state(spec, len(data)), data)
+        block = Block(decisions.residuals, decisions.usable)
+        return _Watched(block, decisions.tested, decisions.named, whole.filter, whole.test)
+    after, filtered = filter_block(spec, state[0], data)
+    residuals = filtered.residuals if resampled is None else filtered.residuals + resampled
+    block = Block(residuals, filtered.usable, count, filtered.bends)
+    test, tested = spec.test.run(state[1], block)
+    return _Watched(block, tested, None, after, test)
 
 
-def _one_case(
-    plan: Plan, number: int, case: Case, first: int, quiet: _Simulated, calm: Tested, out: RunFigures
-) -> None:
+def _one_case(plan: Plan, number: int, case: Case, first: int, quiet: _Quiet, out: RunFigures) -> None:
     """Fill in the figures of one case."""
-    runs = len(quiet.signals)
+    runs, cut = quiet.runs, plan.first_sample(case)
     alike = not case.shape.differs
     drawn = [
         case.shape.over(plan.samples, plan.generator.dt, plan.stream(first + k, _FAULT, case.scenario))
@@ -220,48 +288,48 @@ def _one_case(
     ]
     onsets = np.array([onset for onset, _ in drawn] * (runs if alike else 1), dtype=np.int64)
     stops = np.minimum(onsets + plan.within, plan.samples)
+    end = int(stops.max())
     share = np.stack([course for _, course in drawn])
-    block, tested, scores = _judged(plan, _with_fault(plan, case, quiet, onsets, share), quiet)
+    signals = _with_fault(plan, case, quiet.made, onsets, share, slice(cut, end))
+    seen = watch(plan, signals, quiet.residuals(cut, end), quiet.states[cut], cut)
     out.onset[number], out.stop[number] = onsets, stops
     for k in range(runs):
-        a, b = int(onsets[k]), int(stops[k])
-        alarm = tested.alarm[k, a:b]
+        a, b = int(onsets[k]) - cut, int(stops[k]) - cut
+        alarm = seen.tested.alarm[k, a:b]
         at = int(alarm.argmax())
         if alarm[at]:
-            out.detected[number, k] = a + at
-        out.peak[number, k] = np.fmax.reduce(tested.statistic[k, a:b], initial=-np.inf)
-        out.quiet_peak[number, k] = np.fmax.reduce(calm.statistic[k, a:b], initial=-np.inf)
-        out.by_chance[number, k] = calm.alarm[k, a:b].any()
-    out.named[number] = _names(plan, block, tested, scores, out.detected[number], stops)
+            out.detected[number, k] = onsets[k] + at
+        out.peak[number, k] = np.fmax.reduce(seen.tested.statistic[k, a:b], initial=-np.inf)
+    out.named[number] = _names(plan, quiet, seen, out.detected[number], stops, cut)
 
 
 def _with_fault(
-    plan: Plan, case: Case, quiet: _Simulated, onsets: NDArray[np.int64], share: NDArray[np.float64]
+    plan: Plan,
+    case: Case,
+    made: _Simulated,
+    onsets: NDArray[np.int64],
+    share: NDArray[np.float64],
+    part: slice,
 ) -> NDArray[np.float64]:
-    """Return the recorded signals with a fault; ``share`` has one row for all runs, or one for each."""
-    truths = quiet.truths
+    """Return a part of the recorded signals with a fault; ``share`` has one row for all runs, or one for each."""
+    truths = made.truths
     fault = truths[0].faults.index(case.fault)
     if case.shape.acts != "adds":
         kind, i = channel_of(case.fault, plan.generator.plant)
         channel = i if kind == "u" else truths[0].inputs + i
         acting = ActingFault(case.shape, case.size, fault, channel)  # pyright: ignore[reportArgumentType]
-        every = np.broadcast_to(share, (len(quiet.signals), share.shape[1]))
-        return with_acting_fault(truths, acting, quiet.z, quiet.signals, onsets, every)
-    course = case.size * share
+        every = np.broadcast_to(share, (len(made.signals), share.shape[1]))
+        return with_acting_fault(truths, acting, made.z, made.signals, onsets, every)[:, part]
+    course, signals = case.size * share[:, part], made.signals[:, part]  # there is nothing before
     if len(truths) == 1:
-        return quiet.signals + truths[0].respond_to_fault(fault, course)
+        return signals + truths[0].respond_to_fault(fault, course)
     rows = [course[k % len(course)][None] for k in range(len(truths))]
     parts = [truth.respond_to_fault(fault, row) for truth, row in zip(truths, rows, strict=True)]
-    return quiet.signals + np.concatenate(parts)
+    return signals + np.concatenate(parts)
 
 
 def _names(
-    plan: Plan,
-    block: Block,
-    tested: Tested,
-    scores: Scores | None,
-    detected: NDArray[np.int64],
-    stops: NDArray[np.int64],
+    plan: Plan, quiet: _Quiet, seen: _Watched, detected: NDArray[np.int64], stops: NDArray[np.int64], cut: int
 ) -> NDArray[np.int64]:
     """Return who is named in each run: by the longest alarm from the onset on."""
     out = np.full(len(detected), NO_ALARM, dtype=np.int64)
@@ -270,22 +338,17 @@ def _names(
     spec = plan.spec
     if not who.size or not spec.isolation.groups:
         return out
-    if scores is not None or block.bends or tested.likelihood is not None:  # these are of all runs
-        who = np.arange(len(out))
-    else:
-        block, tested = Block(block.residuals[who], block.usable[who], 0), rows_of(tested, who)
+    block, tested, scores = seen.block, seen.tested, seen.scores
     if scores is None:
-        scores = spec.isolation.run(spec.isolation.start(len(who)), block, tested)[1]
+        scores = spec.isolation.run(quiet.isolation_state(cut), block, tested)[1]
         tested = replace(tested, likelihood=None)
-    time = np.asarray(plan.generator.dt * np.arange(plan.samples), dtype=np.float64)
+    time = np.asarray(plan.generator.dt * np.arange(cut, cut + block.usable.shape[1]), dtype=np.float64)
     number = {group: g for g, group in enumerate(spec.isolation.groups)}
-    for row, k in enumerate(who.tolist()):
-        if detected[k] < 0:
-            continue
-        one = rows_of(tested, row)
-        seen = Seen(time, block.residuals[row], one, rows_of(scores, row), plan.generator, spec.test)
-        start, stop = _longest_alarm(one.alarm, int(detected[k]), int(stops[k]))
-        named = spec.isolation.name(seen, start, stop, last_over(one.exceeded, start, stop))
+    for k in who.tolist():
+        one = rows_of(tested, k)
+        shown = Seen(time, block.residuals[k], one, rows_of(scores, k), plan.generator, spec.test, None, cut)
+        start, stop = _longest_alarm(one.alarm, int(detected[k]) - cut, int(stops[k]) - cut)
+        named = spec.isolation.name(shown, start, stop, last_over(one.exceeded, start, stop))
         faults = put_down_to(named.reading, named.candidates)
         if len(faults) > 1:
             out[k] = SEVERAL

@@ -64,6 +64,10 @@ class Shape(ABC):
         """The latest onset, in seconds."""
         return self.at[1] if isinstance(self.at, tuple) else self.at
 
+    def earliest_sample(self, dt: float) -> int:
+        """Return the first sample that the fault can reach."""
+        return _sample_at(self.at[0] if isinstance(self.at, tuple) else self.at, dt)
+
     @property
     def name(self) -> str:
         """The shape in a word or two."""
