@@ -15,7 +15,7 @@ def two_tanks() -> rs.Plant:
 
 
 def white_noise_monitor(**settings) -> rs.Monitor:
-    """Two residuals that are independent from sample to sample, one for each sensor, with a rate of one in a hundred."""
+    """Two residuals that are independent from sample to sample, one for each sensor, alarms in one of a hundred."""
     plant = rs.Plant([[0.0]], [[1.0]], [[1.0], [0.0]], dt=1, outputs=["a", "b"])
     plant = plant.with_sensor_faults().with_noise(process=0.5, measurement=1.0)
     test = rs.decide.NormThreshold(**{"persistence": 1, "false_alarm_rate": 0.01, **settings})

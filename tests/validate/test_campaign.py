@@ -132,6 +132,10 @@ def plain(plant: rs.Plant, u: NDArray, noise: NDArray, change, controller: rs.St
     return np.array(out)
 
 
+def square_wave(samples: int) -> NDArray:
+    return 0.5 * np.sign(np.sin(0.1 * np.arange(samples) + 0.05))[:, None]
+
+
 def stuck_sensor(k: int, u: NDArray, y: NDArray, before: list[NDArray]) -> NDArray:
     held = np.zeros(4)
     held[1] = before[119][2] - y[1] if k >= 120 else 0.0
@@ -140,6 +144,10 @@ def stuck_sensor(k: int, u: NDArray, y: NDArray, before: list[NDArray]) -> NDArr
 
 def step_of_a_leak(k: int, u: NDArray, y: NDArray, before: list[NDArray]) -> NDArray:
     return np.array([0, 0, 0, 0.2 * (k >= 120)])
+
+
+def step_of_a_sensor(k: int, u: NDArray, y: NDArray, before: list[NDArray]) -> NDArray:
+    return np.array([2.0 * (k >= 120), 0, 0, 0])
 
 
 def weak_actuator(k: int, u: NDArray, y: NDArray, before: list[NDArray]) -> NDArray:
@@ -159,7 +167,7 @@ AGAINST = [
 def test_every_run_is_what_a_monitor_says_of_a_plain_simulation(
     plant: rs.Plant, monitor: rs.Monitor, change, scenario: v.Scenario, controller: rs.StateSpace | None
 ) -> None:
-    u = 0.5 * np.sign(np.sin(0.1 * np.arange(300)))[:, None]
+    u = square_wave(300)
     made = v.campaign(monitor, scenario, inputs=u, controller=controller, **SMALL)
     seen = []
     for run in range(SMALL["runs"]):
@@ -178,6 +186,47 @@ def test_every_run_is_what_a_monitor_says_of_a_plain_simulation(
             assert made.groups[named] == diagnosis.named[0]
     np.testing.assert_array_equal(made.figures.detected[0], seen)
     assert max(seen) > 0
+
+
+def of_kinds(plant: rs.Plant) -> dict[str, rs.Monitor]:
+    """Return monitors of other kinds: matched filters, a bank that is read by code, groups, learnt faults."""
+    quiet = plain(plant, square_wave(2000), np.random.default_rng(9).standard_normal((2000, 4)), healthy)
+    sensors = rs.design.sensor_fault_bank(plant.without_faults(["valve actuator", "leak"]).without_disturbances())
+    bank = rs.Monitor(sensors, test=rs.decide.NormThreshold(persistence=1, release=40))
+    learnt = rs.Monitor(rs.design.kalman_filter(plant))
+    leaking = plain(plant, np.zeros((300, 1)), np.random.default_rng(8).standard_normal((300, 4)), step_of_a_leak)
+    groups = rs.decide.NormThreshold(groups="each", window=5)
+    return {
+        "matched": rs.Monitor(rs.design.matched_filters(plant)),
+        "bank": bank.fit(quiet[:, :1], quiet[:, 1:]),
+        "groups": rs.Monitor(rs.design.kalman_filter(plant), test=groups),
+        "learnt": learnt.learn_fault("leak seen", leaking[:, :1], leaking[:, 1:], interval=(70, 150)),
+    }
+
+
+def healthy(*of: object) -> NDArray:
+    return np.zeros(4)
+
+
+@pytest.mark.parametrize("kind", ["matched", "bank", "groups", "learnt"])
+def test_monitors_of_every_kind_name_as_their_diagnosis_does(plant: rs.Plant, kind: str) -> None:
+    monitor = of_kinds(plant)[kind]
+    change, scenario = step_of_a_leak, v.Scenario("leak", v.step(at=60), size=0.2)
+    if kind == "bank":
+        change, scenario = step_of_a_sensor, v.Scenario("a sensor", v.step(at=60), size=2.0)
+    u = square_wave(300)
+    made, compared = v.campaign(monitor, scenario, inputs=u, **SMALL), 0
+    for run in range(SMALL["runs"]):
+        noise = np.random.default_rng(np.random.SeedSequence(5, spawn_key=(run, 0))).standard_normal((300, 4))
+        data = plain(plant, u, noise, change)
+        diagnosis = monitor.run(data[:, :1], data[:, 1:])
+        alarm = np.flatnonzero(diagnosis.alarm[120:])
+        assert made.figures.detected[0, run] == (120 + alarm[0] if alarm.size else -1)
+        edges = np.count_nonzero(np.diff(diagnosis.alarm.astype(int)) == 1)
+        if edges == 1 and len(diagnosis.alarms) == 1 and diagnosis.alarms[0].start >= 120:
+            code, compared = made.figures.named[0, run], compared + 1
+            assert diagnosis.named == ((made.groups[code],) if code >= 0 else ())
+    assert compared > 3
 
 
 def test_members_of_an_uncertain_plant_are_those_that_it_samples(plant: rs.Plant, monitor: rs.Monitor) -> None:
@@ -410,6 +459,22 @@ def test_the_page_opens_and_has_all_that_repeats_it(monitor: rs.Monitor, tmp_pat
     assert page.count("<svg") >= 2 * 9
     without = v.campaign(monitor, **SMALL).to_html(tmp_path / "quiet.html").read_text(encoding="utf-8")
     assert "False alarms" in page_reader.words(without)
+
+
+def test_what_was_not_judged_is_said(monitor: rs.Monitor) -> None:
+    huge = v.campaign(monitor, v.Scenario("a sensor", v.step(at=60), size=1e60), **SMALL)
+    assert huge.detected(0).value == 0
+    assert "in 12 of 12 runs nothing was judged from the onset on" in str(huge)
+    short = v.campaign(monitor, runs=3, samples=10)
+    assert np.isnan(short.false_alarm_rate().value)
+    assert "too short for the filter to settle" in str(short)
+
+
+def test_detections_by_chance_are_said(white_monitor: rs.Monitor) -> None:
+    scenario = v.Scenario("a sensor", v.step(at=60), size=1.0)
+    whole, first = (v.campaign(white_monitor, scenario, within=w, **SMALL) for w in (None, 2.0))
+    assert "would count as detected without the fault" in str(whole)
+    assert not first.notes
 
 
 def test_tables_have_a_row_for_each_case(monitor: rs.Monitor) -> None:

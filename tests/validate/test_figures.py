@@ -100,6 +100,9 @@ def test_the_area_under_the_curve_of_two_normal_distributions() -> None:
 def test_statistics_that_are_alike_have_half_the_area() -> None:
     same = roc_of(np.ones(100), np.ones(100), 0.5)
     assert same.area.value == 0.5
+    apart = roc_of(np.full(100, 9.0), np.full(100, 1.0), 0.5)
+    assert apart.area.value == apart.area.high == 1
+    assert 0.95 < apart.area.low < 0.97  # a hundred runs do not show more
 
 
 def test_a90_of_a_logistic_curve() -> None:

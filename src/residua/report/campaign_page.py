@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from residua.files import write_text
-from residua.report.curves import Curve, curves
+from residua.report.curves import COLOURS, Curve, curves
 from residua.report.page import document, footer, paragraphs
 from residua.report.tables import html_table
 from residua.report.text import escape, safe_json
@@ -93,7 +93,8 @@ def _headline(campaign: Campaign) -> str:
         f"{counted(len(campaign.cases), 'case')}. Without a fault {rate} of the samples were in alarm."
     )
     sure = f"In brackets are intervals of {100 * campaign.confidence:g} % confidence."
-    return f'<div class="verdict none"><p class="headline">{escape(text)}</p><ul><li>{sure}</li></ul></div>'
+    remarks = "".join(f"<li>{escape(line)}</li>" for line in (sure, *campaign.notes))
+    return f'<div class="verdict none"><p class="headline">{escape(text)}</p><ul>{remarks}</ul></div>'
 
 
 def _false_alarms(campaign: Campaign) -> str:
@@ -145,8 +146,17 @@ def _pictures(campaign: Campaign) -> str:
         if len(fit.sizes) > 1:
             text.append(f"Probability of detection by size: {fit}.")
         heading = escape(f"{fit.fault}, {fit.shape}")
-        out.append(f'<h3>{heading}</h3><div class="pair">{"".join(pictures)}</div>{paragraphs(text)}')
+        key = _key(names) if len(names) > 1 else ""
+        out.append(f'<h3>{heading}</h3>{key}<div class="pair">{"".join(pictures)}</div>{paragraphs(text)}')
     return "\n".join(out)
+
+
+def _key(names: list[str]) -> str:
+    """Return what the colours of the curves mean."""
+    items = "".join(
+        f'<li><span class="swatch c{k % COLOURS}"></span>{escape(name)}</li>' for k, name in enumerate(names)
+    )
+    return f'<ul class="legend key">{items}</ul>'
 
 
 def _delay_picture(names: list[str], delays: list[Delays]) -> str:

@@ -16,7 +16,7 @@ _WIDTH, _HEIGHT = 340, 210
 #: Room for labels on the left, above, on the right and below, as of the other small pictures.
 _LEFT, _TOP, _RIGHT, _BOTTOM = 62, 14, 8, 38
 #: Colours of the page.
-_COLOURS = 8
+COLOURS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +83,7 @@ def curves(
         parts.append(text_at(float(x), _HEIGHT - _BOTTOM + 15, number(mark), "middle"))
     colour = 0
     for line in lines:
-        parts.append(_drawn(line, place, "var(--muted)" if not line.name else f"var(--c{colour % _COLOURS})"))
+        parts.append(_drawn(line, place, "var(--muted)" if not line.name else f"var(--c{colour % COLOURS})"))
         colour += bool(line.name)
     parts.append(text_at(_LEFT + width / 2, _HEIGHT - 6, escape(x_label), "middle"))
     parts.append(

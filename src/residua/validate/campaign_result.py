@@ -22,10 +22,12 @@ from residua.validate.runs import NO_ALARM, SEVERAL, UNKNOWN, RunFigures
 from residua.validate.separation import Roc, roc_of
 from residua.validate.size_fit import DetectionProbability, detection_probability
 from residua.visible import echo, listed
-from residua.words import counted, number
+from residua.words import counted, number, percent
 
 #: Shares of the runs whose delays are in tables.
 _QUANTILES = (0.5, 0.9, 0.95)
+#: Share of the runs that count as detected by chance, from which on a note says so.
+_CHANCE = 0.1
 
 
 @dataclass(frozen=True)
@@ -241,6 +243,27 @@ class Campaign:
             confidence=self.confidence,
         )
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What to mind before the figures are believed."""
+        out, f = [], self.figures
+        if not f.decided.any():
+            out.append("no fault-free sample was judged: the runs are too short for the filter to settle")
+        for c, case in enumerate(self.cases):
+            silent, chance = int((f.peak[c] == -np.inf).sum()), self.by_chance(c).value
+            if silent:
+                out.append(
+                    f"{case.name}: in {silent} of {self.runs} runs nothing was judged from the onset on: the filter "
+                    "had not settled, or the fault makes values that the monitor takes for no measurement "
+                    "(Monitor(plausible=...))"
+                )
+            if chance > _CHANCE:
+                out.append(
+                    f"{case.name}: {percent(int(f.by_chance[c].sum()), self.runs)} of the runs would count as detected "
+                    "without the fault: count over a shorter time (within=), or compare the curve over all thresholds"
+                )
+        return tuple(out)
+
     # ------------------------------------------------------------------- output
 
     def __str__(self) -> str:
@@ -255,7 +278,7 @@ class Campaign:
         if self.cases:
             lines += ["", str(self.table())]
             lines += ["", *(str(one) for one in self.detection_probabilities() if len(one.sizes) > 1)]
-        return "\n".join(lines).rstrip()
+        return "\n".join([*lines, *(["", *self.notes] if self.notes else [])]).rstrip()
 
     def to_html(self, path: str | Path, *, title: str | None = None) -> Path:
         """Write a self-contained page with tables, pictures, seed, versions and settings; return its path."""

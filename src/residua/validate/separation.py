@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.validate.intervals import CONFIDENCE, Estimate
+from residua.validate.intervals import CONFIDENCE, Estimate, wilson
 
 #: Points of a curve that are kept.
 _POINTS = 201
@@ -63,6 +63,8 @@ def roc_of(
     spread = float(np.sqrt((ahead.var() + behind.var()) / len(peak)))
     value, half = float(ahead.mean()), float(ndtri((1 + confidence) / 2)) * spread
     area = Estimate(value, max(0.0, value - half), min(1.0, value + half))
+    if not spread:  # all or nothing: as of trials that came out alike
+        area = wilson(value * len(peak), len(peak), confidence)
     return Roc(levels, over[0], over[1], area, threshold)
 
 
