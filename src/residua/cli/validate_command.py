@@ -1,0 +1,73 @@
+"""The command ``validate``: a campaign of simulated faults for a saved monitor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from residua.cli import screen
+from residua.cli.checks import check_outputs, checked_positive
+from residua.cli.guard import warn
+from residua.files import check_input
+from residua.monitor import Monitor
+from residua.validate import campaign, load_scenarios
+
+
+def validate(
+    monitor: Annotated[Path, typer.Argument(metavar="MONITOR.json", help="What design or fit wrote.")],
+    scenarios: Annotated[
+        Path | None,
+        typer.Option(
+            "--scenarios", metavar="FAULTS.toml", help="What fails, how and how much; none: false alarms alone."
+        ),
+    ] = None,
+    runs: Annotated[int, typer.Option(min=1, metavar="N", help="Runs of each case.")] = 1000,
+    samples: Annotated[int, typer.Option(min=1, metavar="N", help="Samples of a run.")] = 5000,
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Other numbers, other runs.")] = 0,
+    within: Annotated[
+        float | None,
+        typer.Option(
+            callback=checked_positive, metavar="SECONDS", help="After its onset, in which a fault has to be seen."
+        ),
+    ] = None,
+    workers: Annotated[int, typer.Option(min=1, metavar="N", help="Processes; more than one needs joblib.")] = 1,
+    resume: Annotated[
+        Path | None,
+        typer.Option(
+            "--resume", metavar="RUNS.npz", help="Save runs there now and then, and go on from what it holds."
+        ),
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option("--report", metavar="OUT.html", help="Write a page with tables and pictures.")
+    ] = None,
+) -> None:
+    """Count false alarms, misses, delays and wrong names over simulated runs of the monitor's own plant."""
+    check_input(monitor, "a monitor")
+    check_outputs([report, resume], [monitor] if scenarios is None else [monitor, scenarios])
+    faults = () if scenarios is None else load_scenarios(scenarios)
+    watch = Monitor.load(monitor)
+    with screen.progress() as bar:
+        made = campaign(
+            watch,
+            faults,
+            runs=runs,
+            samples=samples,
+            seed=seed,
+            within=within,
+            workers=workers,
+            resume=resume,
+            progress=lambda stage, done, total: bar(done, total),
+        )
+    if report is not None:
+        made.to_html(report)
+    summary, _, _ = str(made).partition("\n\n")
+    screen.say(*summary.split("\n"))
+    if made.cases:
+        for title, table in (("detection", made.table()), ("who was named", made.confusion())):
+            screen.show_table(table.header, table.cells(), title=title)
+        screen.say(*(str(one) for one in made.detection_probabilities() if len(one.sizes) > 1))
+    for note in made.notes:
+        warn(note)
+    screen.say(*(f"written: {path}" for path in (report, resume) if path is not None))
