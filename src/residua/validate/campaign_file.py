@@ -55,7 +55,7 @@ def read_runs(path: str | Path) -> tuple[dict[str, Any], RunFigures]:
     like = RunFigures.empty(len(arrays["onset"]), len(arrays["decided"]))
     for name, values in arrays.items():
         wanted = getattr(like, name)
-        if values.shape != wanted.shape or values.dtype.kind != wanted.dtype.kind:
+        if values.shape != wanted.shape or values.dtype != wanted.dtype:
             got = f"{values.dtype} of shape {values.shape}"
             raise FileFormatError(f"{path}: {name} must be {wanted.dtype} of shape {wanted.shape}, got {got}")
     return head, RunFigures(**arrays)

@@ -158,25 +158,26 @@ def campaign(
     )
     joined = _joblib() if workers > 1 else None
     new = _empty_campaign(plan, monitor, int(runs), words, float(confidence))
-    done = _begun(new, resume)
-    parts = _parts(plan, done.runs, new.runs)
+    figures, done = RunFigures.empty(len(new.cases), new.runs), 0
+    begun = _begun(new, resume)
+    if begun is not None:
+        figures.put(0, begun)
+        done = begun.runs
     tell, close = progress_of(progress)
     saved = time.monotonic()
-    every = [done]
     try:
-        for part in _computed(plan, parts, joined, int(workers)):
-            every.append(part)
-            finished = sum(one.runs for one in every)
+        for part in _computed(plan, _parts(plan, done, new.runs), joined, int(workers)):
+            figures.put(done, part)
+            done += part.runs
             if resume is not None and time.monotonic() - saved > _SAVED_EVERY:
-                every = [RunFigures.joined(every)]
-                write_runs(resume, new.head(), every[0])
+                write_runs(resume, new.head(), figures.first(done))
                 saved = time.monotonic()
-            tell("runs", finished, new.runs)
+            tell("runs", done, new.runs)
     finally:
         close()
         if resume is not None:
-            write_runs(resume, new.head(), RunFigures.joined(every))
-    return replace(new, figures=RunFigures.joined(every))
+            write_runs(resume, new.head(), figures.first(done))
+    return replace(new, figures=figures)
 
 
 def _computed(plan: Plan, parts: list[tuple[int, int]], joined: Any, workers: int) -> Iterator[RunFigures]:
@@ -202,14 +203,13 @@ def _parts(plan: Plan, first: int, last: int) -> list[tuple[int, int]]:
     return [(start, min(start + step, last)) for start in range(first, last, step)]
 
 
-def _begun(new: Campaign, resume: str | Path | None) -> RunFigures:
-    """Return the figures of the runs that are done already: none without a file."""
-    nothing = RunFigures.empty(len(new.cases), 0)
+def _begun(new: Campaign, resume: str | Path | None) -> RunFigures | None:
+    """Return the figures of the runs that a file has already; ``None`` without one."""
     if resume is None:
-        return nothing
+        return None
     check_output(resume)
     if not Path(resume).exists():
-        return nothing
+        return None
     head, figures = read_runs(resume)
     check_goes_on(campaign_from(head, figures, str(resume)), new, resume)
     return figures

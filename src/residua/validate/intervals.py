@@ -94,7 +94,7 @@ def wilson(count: float, of: float, confidence: float = CONFIDENCE) -> Estimate:
 
 
 def clustered_share(
-    counts: NDArray[np.int64], of: NDArray[np.int64], least: float, confidence: float = CONFIDENCE
+    counts: NDArray[np.integer], of: NDArray[np.integer], least: float, confidence: float = CONFIDENCE
 ) -> Estimate:
     r"""Return a share of samples that are correlated within a run, runs being independent.
 

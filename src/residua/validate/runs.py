@@ -120,13 +120,13 @@ class RunFigures:
         Whether the run without the fault is in alarm in these samples.
     """
 
-    decided: NDArray[np.int64]
-    alarmed: NDArray[np.int64]
-    raised: NDArray[np.int64]
-    onset: NDArray[np.int64]
-    stop: NDArray[np.int64]
-    detected: NDArray[np.int64]
-    named: NDArray[np.int64]
+    decided: NDArray[np.int32]
+    alarmed: NDArray[np.int32]
+    raised: NDArray[np.int32]
+    onset: NDArray[np.int32]
+    stop: NDArray[np.int32]
+    detected: NDArray[np.int32]
+    named: NDArray[np.int32]
     peak: NDArray[np.float64]
     quiet_peak: NDArray[np.float64]
     by_chance: NDArray[np.bool_]
@@ -136,18 +136,21 @@ class RunFigures:
         """How many."""
         return self.decided.shape[-1]
 
-    @classmethod
-    def joined(cls, parts: list[RunFigures]) -> RunFigures:
-        """Return the figures of consecutive runs as one."""
-        names = [one.name for one in fields(cls)]
-        return cls(**{name: np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in names})
+    def put(self, at: int, part: RunFigures) -> None:
+        """Write the figures of consecutive runs into their places."""
+        for one in fields(self):
+            getattr(self, one.name)[..., at : at + part.runs] = getattr(part, one.name)
+
+    def first(self, runs: int) -> RunFigures:
+        """Return the figures of the first runs."""
+        return RunFigures(**{one.name: getattr(self, one.name)[..., :runs] for one in fields(self)})
 
     @classmethod
     def empty(cls, cases: int, runs: int) -> RunFigures:
         """Return figures to be filled in."""
         return cls(
-            **{name: np.zeros(runs, dtype=np.int64) for name in ("decided", "alarmed", "raised")},
-            **{name: np.full((cases, runs), -1, dtype=np.int64) for name in ("onset", "stop", "detected", "named")},
+            **{name: np.zeros(runs, dtype=np.int32) for name in ("decided", "alarmed", "raised")},
+            **{name: np.full((cases, runs), -1, dtype=np.int32) for name in ("onset", "stop", "detected", "named")},
             **{name: np.full((cases, runs), -np.inf) for name in ("peak", "quiet_peak")},
             by_chance=np.zeros((cases, runs), dtype=bool),
         )
@@ -329,7 +332,7 @@ def _with_fault(
 
 
 def _names(
-    plan: Plan, quiet: _Quiet, seen: _Watched, detected: NDArray[np.int64], stops: NDArray[np.int64], cut: int
+    plan: Plan, quiet: _Quiet, seen: _Watched, detected: NDArray[np.int32], stops: NDArray[np.int64], cut: int
 ) -> NDArray[np.int64]:
     """Return who is named in each run: by the longest alarm from the onset on."""
     out = np.full(len(detected), NO_ALARM, dtype=np.int64)
