@@ -465,6 +465,8 @@ def test_what_was_not_judged_is_said(monitor: rs.Monitor) -> None:
     huge = v.campaign(monitor, v.Scenario("a sensor", v.step(at=60), size=1e60), **SMALL)
     assert huge.detected(0).value == 0
     assert "in 12 of 12 runs nothing was judged from the onset on" in str(huge)
+    early = v.campaign(monitor, v.Scenario("a sensor", v.step(at=1), size=5.0), **SMALL)
+    assert f"within the {monitor.settling_samples} samples" in str(early)
     short = v.campaign(monitor, runs=3, samples=10)
     assert np.isnan(short.false_alarm_rate().value)
     assert "too short for the filter to settle" in str(short)

@@ -79,6 +79,8 @@ class Campaign:
         Of the monitor's statistic.
     window : int
         Samples that the statistic is made of.
+    settling : int
+        Samples after the start in which nothing is decided.
     settings : mapping of str to str
         How the runs were simulated and watched, and by which versions, in words.
     draws, watched : str
@@ -97,6 +99,7 @@ class Campaign:
     dt: float
     threshold: float
     window: int
+    settling: int
     settings: Mapping[str, str]
     draws: str = field(repr=False)
     watched: str = field(repr=False)
@@ -251,6 +254,12 @@ class Campaign:
             out.append("no fault-free sample was judged: the runs are too short for the filter to settle")
         for c, case in enumerate(self.cases):
             silent, chance = int((f.peak[c] == -np.inf).sum()), self.by_chance(c).value
+            early = int((f.onset[c] < self.settling).sum())
+            if early:
+                out.append(
+                    f"{case.name}: in {early} of {self.runs} runs the onset is within the {self.settling} "
+                    f"samples ({self.settling * self.dt:g} s) over which the monitor settles, which the delay counts: choose a later one"
+                )
             if silent:
                 out.append(
                     f"{case.name}: in {silent} of {self.runs} runs nothing was judged from the onset on: the filter "
@@ -320,6 +329,7 @@ class Campaign:
             "dt": self.dt,
             "threshold": float_out(self.threshold),
             "window": self.window,
+            "settling": self.settling,
             "settings": dict(self.settings),
             "draws": self.draws,
             "watched": self.watched,
@@ -337,7 +347,20 @@ class Campaign:
 
 
 _ENTRIES = (
-    *("plant", "cases", "groups", "runs", "samples", "seed", "dt", "threshold", "window", "settings", "draws"),
+    *(
+        "plant",
+        "cases",
+        "groups",
+        "runs",
+        "samples",
+        "seed",
+        "dt",
+        "threshold",
+        "window",
+        "settling",
+        "settings",
+        "draws",
+    ),
     *("watched", "confidence"),
 )
 
@@ -369,6 +392,7 @@ def campaign_from(head: Mapping[str, Any], figures: RunFigures, where: str) -> C
         dt=float_in(*entry("dt")),
         threshold=float_in(*entry("threshold")),
         window=whole_in(*entry("window")),
+        settling=whole_in(*entry("settling")),
         settings={str(name): str(value) for name, value in settings.items()},
         draws=text_in(*entry("draws")),
         watched=text_in(*entry("watched")),

@@ -356,6 +356,7 @@ def _empty_campaign(plan: Plan, monitor: Monitor, runs: int, words: dict[str, st
         dt=plan.generator.dt,
         threshold=float(spec.test.threshold),
         window=spec.test.samples,
+        settling=spec.settle,
         settings=words | settings_of(spec, plan.generator) | _versions(),
         draws=draws,
         watched=digest(spec),

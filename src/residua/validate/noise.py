@@ -140,6 +140,12 @@ def white(size: float = 1.0) -> NoiseModel:
     ----------
     size : float
         Standard deviation; 1 for the noise inputs of a plant.
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> print(rs.validate.white())
+    white, Gaussian
     """
     return White(size)
 
@@ -153,6 +159,14 @@ def coloured(correlation: float, size: float = 1.0) -> NoiseModel:
         :math:`\varphi`, of one sample with the next, between -1 and 1.
     size : float
         Standard deviation.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import residua as rs
+    >>> drawn = rs.validate.coloured(0.9, size=2.0).draw(np.random.default_rng(0), 10_000, 1)[:, 0]
+    >>> bool(abs(np.corrcoef(drawn[1:], drawn[:-1])[0, 1] - 0.9) < 0.02)
+    True
     """
     return Coloured(size, correlation)
 
@@ -166,6 +180,12 @@ def heavy_tailed(degrees: float = 4.0, size: float = 1.0) -> NoiseModel:
         :math:`\nu`, over 2; the fewer, the heavier the tails.
     size : float
         Standard deviation.
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> print(rs.validate.heavy_tailed(4))
+    heavy-tailed, Student t with 4 degrees of freedom
     """
     return HeavyTailed(size, degrees)
 

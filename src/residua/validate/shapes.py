@@ -262,6 +262,14 @@ def drift(slope: float, at: Onset, *, until: float | None = None) -> Shape:
         ``c``, how many times its size the fault grows each second.
     at, until
         As of :func:`step`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import residua as rs
+    >>> shape = rs.validate.drift(slope=0.5, at=2)
+    >>> shape.over(6, 1.0, np.random.default_rng(0))[1]
+    array([0. , 0. , 0. , 0.5, 1. , 1.5])
     """
     return Ramp(at, until, slope, True)
 
@@ -275,6 +283,14 @@ def intermittent(on: float, off: float, at: Onset, *, until: float | None = None
         Mean times in seconds for which it is there, and away. It is there at the onset.
     at, until
         As of :func:`step`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import residua as rs
+    >>> shape = rs.validate.intermittent(on=2, off=2, at=1)
+    >>> shape.over(6, 1.0, np.random.default_rng(0))[1]
+    array([0., 1., 1., 0., 0., 1.])
     """
     return Intermittent(at, until, on, off)
 
@@ -288,6 +304,14 @@ def oscillation(period: float, at: Onset, *, until: float | None = None) -> Shap
         ``T`` in seconds.
     at, until
         As of :func:`step`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import residua as rs
+    >>> shape = rs.validate.oscillation(period=4, at=1)
+    >>> shape.over(6, 1.0, np.random.default_rng(0))[1].round(3)
+    array([ 0.,  0.,  1.,  0., -1., -0.])
     """
     return Oscillation(at, until, period)
 
@@ -301,6 +325,14 @@ def noise_growth(at: Onset, *, until: float | None = None) -> Shape:
     ----------
     at, until
         As of :func:`step`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import residua as rs
+    >>> shape = rs.validate.noise_growth(at=4)
+    >>> shape.over(6, 1.0, np.random.default_rng(0))[1].round(3)
+    array([0.   , 0.   , 0.   , 0.   , 0.126, -0.132])
     """
     return NoiseGrowth(at, until)
 
@@ -317,6 +349,16 @@ def stuck_at(at: Onset, value: float | None = None, *, until: float | None = Non
         As of :func:`step`.
     value : float, optional
         In plant units, that is with the operating point. When omitted, the value of the sample before the onset.
+
+    See Also
+    --------
+    residua.validate.loss_of_effectiveness : a signal that is weaker than it should be.
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> print(rs.validate.Scenario("level sensor", rs.validate.stuck_at(at=60, value=1.2)))
+    level sensor, stuck at(at=60, value=1.2)
     """
     return StuckAt(at, until, value)
 
@@ -331,6 +373,16 @@ def loss_of_effectiveness(at: Onset, *, until: float | None = None) -> Shape:
     ----------
     at, until
         As of :func:`step`.
+
+    See Also
+    --------
+    residua.validate.stuck_at : a signal that does not move at all.
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> print(rs.validate.Scenario("valve actuator", rs.validate.loss_of_effectiveness(at=60), size=0.3))
+    valve actuator, loss of effectiveness(at=60), size 0.3
     """
     return LossOfEffectiveness(at, until)
 
