@@ -257,8 +257,9 @@ class Campaign:
             early = int((f.onset[c] < self.settling).sum())
             if early:
                 out.append(
-                    f"{case.name}: in {early} of {self.runs} runs the onset is within the {self.settling} "
-                    f"samples ({self.settling * self.dt:g} s) over which the monitor settles, which the delay counts: choose a later one"
+                    f"{case.name}: in {early} of {self.runs} runs the onset is within the {self.settling} samples "
+                    f"({self.settling * self.dt:g} s) over which the monitor settles, and the delay counts these: "
+                    "choose a later one"
                 )
             if silent:
                 out.append(

@@ -29,7 +29,7 @@ from residua.validate.truth import ActingFault, Truth, truth_of, with_acting_fau
 #: Codes of names that are no group: no alarm was raised; nobody was named; several faults at once.
 NO_ALARM, UNKNOWN, SEVERAL = -1, -2, -3
 #: Numbers in the arrays of runs that are simulated together, about: bounds memory.
-_NUMBERS = 5_000_000
+_NUMBERS = 10_000_000
 #: Streams of one run.
 _NOISE, _DISTURBANCE, _MEMBER, _FAULT = range(4)
 

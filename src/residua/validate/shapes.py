@@ -332,7 +332,7 @@ def noise_growth(at: Onset, *, until: float | None = None) -> Shape:
     >>> import residua as rs
     >>> shape = rs.validate.noise_growth(at=4)
     >>> shape.over(6, 1.0, np.random.default_rng(0))[1].round(3)
-    array([0.   , 0.   , 0.   , 0.   , 0.126, -0.132])
+    array([ 0.   ,  0.   ,  0.   ,  0.   ,  0.126, -0.132])
     """
     return NoiseGrowth(at, until)
 
