@@ -229,6 +229,15 @@ def test_monitors_of_every_kind_name_as_their_diagnosis_does(plant: rs.Plant, ki
     assert compared > 3
 
 
+def test_an_alarm_that_stands_at_the_onset_is_named_too(plant: rs.Plant) -> None:
+    test = rs.decide.NormThreshold(threshold=1.5, persistence=1)
+    for design in (rs.design.matched_filters(plant), rs.design.kalman_filter(plant)):
+        made = v.campaign(rs.Monitor(design, test=test), v.Scenario("leak", v.step(at=60), size=0.2), **SMALL)
+        assert (made.figures.detected[0] >= 120).all()
+        assert made.by_chance(0).value == 1
+        assert made.named(0).value > 0.5
+
+
 def test_members_of_an_uncertain_plant_are_those_that_it_samples(plant: rs.Plant, monitor: rs.Monitor) -> None:
     push = Perturbation("A", [[-1.0], [0.0]], [[1.0, 0.0]], -0.2, 0.02, ["outflow"])
     uncertain = UncertainPlant(plant, deltas=[push])

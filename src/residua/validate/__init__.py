@@ -22,6 +22,7 @@ from residua.validate.shapes import (
     stuck_at,
 )
 from residua.validate.size_fit import DetectionProbability
+from residua.validate.tuning import Tuning, TuningCandidate, tune
 
 __all__ = [
     "Campaign",
@@ -38,6 +39,8 @@ __all__ = [
     "RunFigures",
     "Scenario",
     "Shape",
+    "Tuning",
+    "TuningCandidate",
     "campaign",
     "coloured",
     "drift",
@@ -51,5 +54,6 @@ __all__ = [
     "resampled",
     "step",
     "stuck_at",
+    "tune",
     "white",
 ]

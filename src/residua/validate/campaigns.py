@@ -153,7 +153,7 @@ def campaign(
         check_samples(value, name)
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise SettingError(f"seed must be a whole number, 0 or more, got {echo(seed)}")
-    plan, words = _plan(
+    plan, words = plan_of(
         monitor, scenarios, int(samples), int(seed), noise, inputs, disturbances, plants, controller, within
     )
     joined = _joblib() if workers > 1 else None
@@ -215,7 +215,7 @@ def _begun(new: Campaign, resume: str | Path | None) -> RunFigures | None:
     return figures
 
 
-def _plan(
+def plan_of(
     monitor: Monitor,
     scenarios: Scenario | Iterable[Scenario],
     samples: int,
@@ -377,4 +377,4 @@ def _versions() -> dict[str, str]:
     return {"version of residua": own, "version of NumPy": np.__version__, "version of SciPy": scipy.__version__}
 
 
-__all__ = ["campaign"]
+__all__ = ["campaign", "plan_of"]

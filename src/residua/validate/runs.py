@@ -227,6 +227,12 @@ def figures_of(plan: Plan, first: int, last: int) -> RunFigures:
     return out
 
 
+def quiet_statistics(plan: Plan, first: int, last: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the statistic of some runs without a fault, and where something was decided, both (runs, samples)."""
+    quiet = _Quiet(plan, first, last)
+    return quiet.of("statistic"), quiet.of("usable")
+
+
 def _simulated(plan: Plan, first: int, last: int) -> _Simulated:
     """Return runs without a fault."""
     truths = [_truth(plan, run) for run in range(first, last)]
@@ -362,11 +368,16 @@ def _names(
 
 
 def _longest_alarm(alarm: NDArray[np.bool_], first: int, stop: int) -> tuple[int, int]:
-    """Return the longest alarm of one run between two samples, the later of two that are equally long."""
+    """Return the alarm of one run that is the longest between two samples, the later of two that are equally long.
+
+    One that stood before is returned from where it was raised.
+    """
     edges = first + np.flatnonzero(np.diff(np.concatenate([[0], alarm[first:stop].astype(np.int8), [0]])))
     pairs = edges.reshape(-1, 2)
     longest = len(pairs) - 1 - int(np.argmax((pairs[:, 1] - pairs[:, 0])[::-1]))
-    return int(pairs[longest, 0]), int(pairs[longest, 1])
+    start, end = pairs[longest].tolist()
+    before = np.flatnonzero(~alarm[:start])
+    return (int(before[-1]) + 1 if before.size else 0) if start == first else start, end
 
 
-__all__ = ["NO_ALARM", "SEVERAL", "UNKNOWN", "Plan", "RunFigures", "figures_of"]
+__all__ = ["NO_ALARM", "SEVERAL", "UNKNOWN", "Plan", "RunFigures", "figures_of", "quiet_statistics"]
