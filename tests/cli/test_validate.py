@@ -51,6 +51,23 @@ def test_the_command_prints_the_figures_of_the_function(
     assert "False alarms" in page.read_text(encoding="utf-8")
 
 
+def test_tuning_writes_the_best_monitor(residua: Residua, made: Path, faults: Path, tmp_path: Path) -> None:
+    best = tmp_path / "best.json"
+    options = ["--false-alarm-rate", 0.02, "--windows", "1,5", "--persistences", 1, "--runs", 20, "--samples", 200]
+    status, out, _ = residua("tune", made / "design.json", "--scenarios", faults, "-o", best, *options)
+    assert status == 0
+    monitor = rs.Monitor.load(best)
+    assert f"best: window {monitor.norm_test.window}, persistence 1, threshold {monitor.threshold:.4g}" in out
+    status, _, err = residua("tune", made / "monitor.json", "--scenarios", faults, "-o", best, *options)
+    assert status == 2
+    assert "was fitted to recordings" in err
+    status, _, err = residua(
+        "tune", made / "design.json", "--scenarios", faults, "-o", best, *options, "--windows", "a"
+    )
+    assert status == 2
+    assert "expected numbers of samples" in err
+
+
 def test_without_scenarios_false_alarms_are_counted(residua: Residua, made: Path) -> None:
     status, out, _ = residua("validate", made / "monitor.json", "--runs", 5, "--samples", 200)
     assert status == 0

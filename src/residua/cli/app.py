@@ -76,6 +76,7 @@ app.command()(plant_commands.analyze)
 app.command()(plant_commands.codes)
 app.command()(plant_commands.suggest)
 app.command()(validate_command.validate)
+app.command()(validate_command.tune)
 
 
 @app.command()
