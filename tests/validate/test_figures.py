@@ -68,6 +68,21 @@ def test_delays_of_the_leukaemia_trial() -> None:
     assert delay.censored == 12
 
 
+def test_delays_are_those_of_scipy() -> None:
+    rng = np.random.default_rng(5)
+    delay, end = rng.exponential(5, 40), rng.uniform(1, 12, 40)
+    seen, time = delay <= end, np.minimum(delay, end)
+    ours = delays_of(time, seen)
+    theirs = stats.ecdf(stats.CensoredData.right_censored(time, ~seen)).sf
+    where = np.isin(theirs.quantiles, ours.time)
+    with pytest.warns(RuntimeWarning, match="undefined at some"):  # where nobody is left
+        interval = theirs.confidence_interval(method="log-log")
+    np.testing.assert_allclose(ours.undetected, theirs.probabilities[where], atol=1e-12)
+    inside = ours.undetected > 0
+    np.testing.assert_allclose(ours.low[inside], interval.low.probabilities[where][inside], atol=1e-12)
+    np.testing.assert_allclose(ours.high[inside], interval.high.probabilities[where][inside], atol=1e-12)
+
+
 def test_the_interval_of_a_median_delay_holds_it_as_often_as_it_says() -> None:
     rng, held = np.random.default_rng(1), 0
     for _ in range(300):
@@ -129,6 +144,21 @@ def test_a90_does_not_depend_on_the_unit_nor_on_the_sign() -> None:
         other = detection_probability("leak", "step", factor * sizes, runs, seen)
         assert other.a90 == pytest.approx(abs(factor) * plain.a90, rel=1e-9)
         assert other.a90_95 == pytest.approx(abs(factor) * plain.a90_95, rel=1e-9)
+
+
+def test_the_fit_is_the_most_likely_one() -> None:
+    from scipy.optimize import minimize
+
+    sizes, runs, seen = np.array([0.1, 0.2, 0.3, 0.4]), np.full(4, 50), np.array([3, 20, 39, 48])
+    fit = detection_probability("leak", "step", sizes, runs, seen)
+
+    def unlikely(beta: np.ndarray) -> float:
+        eta = beta[0] + beta[1] * np.log(sizes)
+        return float(runs @ np.logaddexp(0, eta) - seen @ eta)
+
+    best = minimize(unlikely, [5.0, 3.0], method="BFGS", options={"gtol": 1e-6})
+    np.testing.assert_allclose(fit.beta, best.x, rtol=1e-4)
+    np.testing.assert_allclose(fit.covariance, best.hess_inv, rtol=0.05)  # that of BFGS is approximate
 
 
 @pytest.mark.parametrize(
