@@ -127,6 +127,12 @@ def index_of(name: str | int, known: tuple[str, ...], what: str) -> int:
     raise ModelError(f"unknown {what} {echo(name)}; known: {listed(known)}")
 
 
+def runs(flags: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return the runs of true samples as rows ``(first, one past the last)``."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return edges.reshape(-1, 2)
+
+
 def different_positions(chosen: Iterable[str | int] | str | int | None, known: tuple[str, ...], what: str) -> list[int]:
     """Return the positions of the chosen channels (all when ``None``), or raise when one is chosen twice."""
     numbers = positions(chosen, known, what)

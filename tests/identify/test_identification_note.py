@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -66,6 +67,29 @@ def test_a_file_that_says_it_wrongly_is_refused_by_its_entry() -> None:
 def test_another_object_is_refused() -> None:
     with pytest.raises(ModelError, match="identification must be an Identification"):
         plant_with("PBSID")  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ({"rows": 0}, "rows must be a whole number of at least one"),
+        ({"rows": 1.5}, "rows must be a whole number"),
+        ({"method": None}, "method must be a text"),
+        ({"coloured": "y1"}, "coloured must hold names"),
+        ({"coloured": (0,)}, "coloured must hold names"),
+        ({"uncertain_gains": (("y1",),)}, "must be pairs"),
+    ],
+)
+def test_what_no_file_would_bring_back_is_refused(wrong: dict[str, object], says: str) -> None:
+    with pytest.raises(ModelError, match=says):
+        plant_with(replace(NOTE, **wrong))  # pyright: ignore[reportArgumentType]
+
+
+def test_lists_of_names_come_back_from_files_as_they_went() -> None:
+    lists = Identification("PBSID", np.int64(40), ["y1"], ["u1"], [["y1", "u1"]])  # pyright: ignore[reportArgumentType]
+    plant = plant_with(lists)
+    assert loads_plant(dumps_plant(plant)).identification == plant.identification
+    assert plant.identification == replace(NOTE, rows=40)
 
 
 def test_suggest_tells_a_given_plant_from_an_identified_one() -> None:

@@ -191,6 +191,15 @@ def test_a_recording_all_in_alarm_teaches_nothing_and_says_so() -> None:
     )
 
 
+def test_what_was_done_with_channels_that_drift_is_known_after_an_update() -> None:
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal((500, 1))
+    y = np.hstack([2 * u + 0.1 * rng.standard_normal((500, 1)), np.linspace(0, 9, 500)[:, None] + u])
+    made = rs.identify.parity_from_data(u, y, order=1)
+    assert made.drifts == {"y2": "keep"}
+    assert made.updated(u, y).drifts == made.drifts
+
+
 def test_another_number_of_relations_is_said() -> None:
     """The second output of the second recording has noise of its own dynamics: fewer relations hold."""
     normal = drifting(0, np.full(3000, 0.8))

@@ -331,6 +331,18 @@ def test_two_learnt_faults_that_look_the_same_are_said_to() -> None:
 # ------------------------------------------------------------------------ refusals
 
 
+def test_of_one_residual_it_is_said_that_every_alarm_has_the_learnt_name() -> None:
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal((600, 1))
+    rows = np.hstack([u, 2 * u + 0.1 * rng.standard_normal((600, 1))])
+    made = rs.identify.regression(rows, inputs=["valve"], outputs=["flow"])
+    monitor = rs.Monitor(made, isolate=None).fit(None, rows)
+    faulty = rows[:200] + np.outer(np.arange(200) >= 100, [0.0, 2.0])
+    diagnosis = monitor.learn_fault("leak", None, faulty).run(None, faulty)
+    assert isinstance(diagnosis, rs.Diagnosis)
+    assert any("every alarm is put down to leak" in note for note in diagnosis.notes)
+
+
 def test_what_shows_no_fault_is_refused() -> None:
     monitor, seen, _ = taught()
     with pytest.raises(DataError, match="raises no alarm: say when the fault was there"):
@@ -341,6 +353,9 @@ def test_what_shows_no_fault_is_refused() -> None:
         monitor.learn_fault("x", None, seen, interval=(400, 500))
     with pytest.raises(DataError, match="has 1 usable sample in the interval"):
         monitor.learn_fault("x", None, seen, interval=(200, 200.5))
+    vast = seen + 1e9 * (np.arange(300) >= 200)[:, None]
+    with pytest.raises(DataError, match=r"of all 300, 100 lack a value \(100 have one that cannot be, by plausible=\)"):
+        monitor.learn_fault("x", None, vast, interval=(200, 300))
     with pytest.raises(SettingError, match="start before stop"):
         monitor.learn_fault("x", None, seen, interval=(9, 3))
     with pytest.raises(SettingError, match="interval must be"):
@@ -409,6 +424,19 @@ def test_a_code_that_is_known_already_joins_its_group() -> None:
         monitor.learn_fault("x", [shown, bank_recording(plant, faults={plant.faults[1]: 2.0})])
     with pytest.raises(DataError, match="no member of the bank fires in the interval of 'x'"):
         monitor.learn_fault("x", *shown, interval=(100, 200))
+
+
+def test_a_learnt_code_under_the_name_of_a_fault_of_the_model_is_marked_in_the_table() -> None:
+    plant = sampled_plant(0)
+    monitor = rs.Monitor(hand_made_bank(plant))
+    name, other = plant.faults[:2]
+    shown = bank_recording(plant, faults={name: 1.5, other: -1.5})
+    [row] = monitor.learn_fault(name, *shown).learnt_faults
+    assert row.name == f"{name} (learnt)"
+    assert row.nearest == ""
+    diagnosis = monitor.run(*shown)
+    assert isinstance(diagnosis, rs.Diagnosis)
+    assert diagnosis.named == ((row.name,),)
 
 
 def test_a_code_that_is_several_faults_at_once_is_refused() -> None:

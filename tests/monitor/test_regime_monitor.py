@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import residua as rs
-from residua.errors import DataError, FileFormatError, ModelError, SettingError
+from residua.errors import AccuracyError, DataError, DesignError, FileFormatError, ModelError, SettingError
 from residua.identify.operating_modes import UNKNOWN_AGE, ages, mode_signals
 
 NAMES = ["fan", "heating", "air", "load", "supply", "room"]
@@ -78,6 +78,40 @@ def test_one_model_for_all_modes_does_not_see_what_a_model_for_each_sees(monitor
     all_modes = one.run(None, rows[:, 2:])
     assert isinstance(all_modes, rs.Diagnosis)
     assert all_modes.alarm[400:550].mean() < 0.5
+
+
+def test_an_alarm_counts_in_its_own_mode(monitor: rs.RegimeMonitor) -> None:
+    """It stands on while the plant is in another mode, whose own monitor says that all is well there."""
+    rows = switched(38, visits((0, 0, 200), (1, 0, 400), (0, 0, 200), (1, 0, 100)))
+    rows[150:200, NAMES.index("supply")] += 20 * NOISE
+    rows[700:760, NAMES.index("room")] += 20 * NOISE
+    rows[760:800, NAMES.index("room")] += 20 * NOISE
+    diagnosis = monitor.run(None, rows)
+    assert diagnosis.alarm[155:200].all()
+    assert diagnosis.alarm[200:600].mean() < 0.05
+    assert diagnosis.false_alarm_fraction < 0.25
+    # the first alarm stands for over 400 samples, of which 50 were judged; the second has twice as many
+    first, second = (max(diagnosis.alarms, key=lambda one, at=at: one.alarm.start <= at < one.alarm.stop)
+                     for at in (180, 780))  # fmt: skip
+    assert first.alarm.stop - first.alarm.start > second.alarm.stop - second.alarm.start
+    assert diagnosis.main_alarm is not None
+    assert diagnosis.main_alarm.alarm is second.alarm
+    assert diagnosis.named == (("room sensor",),)
+    text = str(diagnosis)
+    assert "samples judged" in text
+    assert "1. supply sensor" in text
+    assert "1. room sensor" in text
+
+
+def test_rows_of_other_modes_are_no_missing_values(monitor: rs.RegimeMonitor) -> None:
+    """Nobody is told to fill them in; of values that are missing in the mode they are, by their part of it."""
+    rows = switched(39, visits((0, 0, 200), (1, 0, 400), (1, 1, 200)))
+    assert not any("for want of values" in note for note in monitor.run(None, rows).notes)
+    rows[200:600:10, 3] = np.nan
+    notes = [note for note in monitor.run(None, rows).notes if "for want of values" in note]
+    assert len(notes) == 1
+    assert notes[0].startswith("with fan = 1, heating = 0: ")
+    assert "40 samples miss one (channel 'load' at 40 of them" in notes[0]
 
 
 def test_nothing_is_decided_in_a_mode_never_seen(monitor: rs.RegimeMonitor) -> None:
@@ -164,10 +198,32 @@ def test_a_mode_with_few_rows_has_no_model_and_says_so() -> None:
     assert diagnosis.unjudged["fan = 0, heating = 1"].startswith("no model: 20 rows")
 
 
+@pytest.mark.parametrize("error", [DataError, DesignError, AccuracyError, ModelError])
+def test_a_mode_for_which_the_method_fails_has_no_model_and_says_so(error: type[Exception]) -> None:
+    """Numbers of one mode are no reason to refuse the others."""
+
+    def method(rows: list[tuple[NDArray[np.float64], NDArray[np.float64]]], **options: object) -> object:
+        if sum(len(y) for _, y in rows) < 1650:  # the mode with neither fan nor heating has 1,600, the others 1,700
+            raise error("not this one")
+        return rs.identify.principal_components(rows, **options)  # pyright: ignore
+
+    made = made_of(0, transient=0, method=method)
+    assert list(made.modes) == [MODES[1], MODES[2]]
+    assert made.without_model == {MODES[0]: "1600 rows: not this one"}
+
+
 def test_a_mode_that_cannot_be_fitted_is_not_judged() -> None:
     monitor = rs.RegimeMonitor(made_of(0)).fit(None, switched(1, visits((0, 0, 900), (1, 0, 900))))
     assert set(monitor.unfitted) == {"fan = 1, heating = 1"}
     assert "fan = 1, heating = 1" in monitor.run(None, switched(2, NORMAL)).unjudged
+
+
+@pytest.mark.parametrize("rows", [0, 1])
+def test_a_recording_of_no_row_or_one_has_no_decision(monitor: rs.RegimeMonitor, rows: int) -> None:
+    diagnosis = monitor.run(None, switched(0, NORMAL)[:rows])
+    assert len(diagnosis.time) == rows
+    assert not diagnosis.decided.any()
+    assert "no decision" in str(diagnosis)
 
 
 def test_edges_divide_a_quantity() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 import residua as rs
 from residua.identify import IdentifiedModel
-from residua.recording.levels import units_between, units_of
+from residua.recording.levels import level_and_spread, units_between, units_of
 
 
 def day(seed: int, samples: int = 1500) -> tuple[np.ndarray, np.ndarray]:
@@ -112,3 +112,14 @@ def test_a_saved_monitor_says_it_too(tmp_path) -> None:
     assert any(
         note.startswith("'temperature' is unlike the recordings that the monitor was fitted on") for note in notes
     )
+
+
+@pytest.mark.parametrize("level", [0.1, 0.125, 273.15, -1e6 / 3])
+def test_a_channel_that_stands_still_is_in_no_other_unit(level: float) -> None:
+    """Whatever its value: the rounding of its mean is no spread, which would be tiny beside that of others."""
+    still = np.where(np.arange(1000) % 7, level, np.nan)[:, None]
+    mean, spread = level_and_spread(still)
+    assert (mean[0], spread[0]) == (level, 0.0)
+    means, spreads = np.array([[0.0], mean]), np.array([[1.0], spread])
+    assert units_between(["valve"], ["a", "b"], means, spreads) == []
+    assert units_of(["valve"], still, np.array([level + 100.0]), np.array([1.0]), "the fit") == []

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from residua.arrays import runs
 from residua.report.charts import time_axis
-from residua.report.decimate import choose_bins, runs, spans
+from residua.report.decimate import choose_bins, spans
 from residua.report.text import rounded
 
 

@@ -232,6 +232,8 @@ class LearntDirections(Isolation):
         """Return which learnt faults are not to be told from another fault, by angle."""
         place = {label: k for k, label in enumerate(self.labels)}
         out = list(self.base.notes())
+        if len(self.space) == 1 and len(self.groups) == 1:
+            out.append(f"there is one residual, which has one direction: every alarm is put down to {self.labels[0]}")
         for j, fault in enumerate(self.faults):
             for other, angle in self.angles(j):
                 i = place.get(other)

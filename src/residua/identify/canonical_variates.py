@@ -15,7 +15,7 @@ from residua.design.core.generator import ResidualGenerator
 from residua.errors import DataError, SettingError
 from residua.identify.channel_filter import channel_generator, names_of_groups
 from residua.identify.drift_treatment import treated
-from residua.identify.lagged_rows import LaggedRows, Standard, few_rows, lagged_rows
+from residua.identify.lagged_rows import LaggedRows, Standard, channels_in, few_rows, lagged_rows
 from residua.identify.segments import Gathered, Names, checked_count, gather
 from residua.linear.subspaces.rank import RankDecision, null_basis
 from residua.tolerances import RANK
@@ -301,8 +301,7 @@ def _check_regular(factor: NDArray[np.float64], channels: tuple[str, ...], what:
     still, decision = null_basis(factor, rtol=np.sqrt(RANK), scale=1.0)
     if not still.size:
         return
-    weight = np.abs(still).max(axis=1).reshape(-1, len(channels)).max(axis=0)
-    names = [name for name, one in zip(channels, weight, strict=True) if one > np.sqrt(RANK)]
+    names = channels_in(still, channels, RANK)
     raise DataError(
         f"the covariance of {what} is singular (smallest spread {decision.singular_values[-1]:.2g} of a channel's): "
         f"{listed(names)} determine one another exactly, such as a channel that is there twice; leave one of them out"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -120,6 +121,21 @@ def lagged_of(hankel: HankelFactor, units: Standard, count: int) -> LaggedRows:
     scale = np.tile(hankel.units / units.spread, lags + 1)
     # without the row of the column of ones, which holds the means of the others
     return LaggedRows(hankel.R[1:, latest_first] * scale, count, hankel.n_channels, lags)
+
+
+def channels_in(combinations: NDArray[np.float64], channels: Sequence[str], rtol: float) -> list[str]:
+    """Return the channels that combinations of lagged rows are made of, beyond the rounding of a tolerance.
+
+    Parameters
+    ----------
+    combinations : ndarray, shape (lags * channels, any)
+        Of length 1 each.
+    channels : sequence of str
+    rtol : float
+        Of the singular values by which the combinations were chosen.
+    """
+    weight = np.abs(combinations).max(axis=1).reshape(-1, len(channels)).max(axis=0)
+    return [name for name, one in zip(channels, weight, strict=True) if one > np.sqrt(rtol)]
 
 
 def few_rows(count: int, columns: int) -> tuple[str, ...]:

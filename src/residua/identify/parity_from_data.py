@@ -16,7 +16,7 @@ from residua.identify.channel_facts import channel_facts
 from residua.identify.channel_filter import channel_generator
 from residua.identify.drift_treatment import KEEP, Treated, treated, untreated
 from residua.identify.hankel_factor import count_windows
-from residua.identify.lagged_rows import LaggedRows, enough_windows, few_rows, lagged_of
+from residua.identify.lagged_rows import LaggedRows, channels_in, enough_windows, few_rows, lagged_of
 from residua.identify.parity_memory import Alarms, ParityMemory, checked_forgetting, without_alarms
 from residua.identify.segments import Names, checked_count, gather
 from residua.linear.subspaces.rank import RankDecision, null_basis
@@ -167,7 +167,8 @@ class DataParity:
         facts.check_size()
         after = memory.updated(gathered, weight)
         units = after.standard(facts)
-        made = _parity(after, untreated(gathered, units), after.lagged(units), self.relations, notes)
+        kept = replace(untreated(gathered, units), ways=self.drifts)
+        made = _parity(after, kept, after.lagged(units), self.relations, notes)
         if made.supported <= made.relations:  # where it is less, there is a note already
             return made
         note = f"the data now support {counted(made.supported, 'relation')}, and {made.relations} are kept as before"
@@ -368,8 +369,7 @@ def _check_excitation(factor: NDArray[np.float64], inputs: tuple[str, ...], s: i
     still, decision = null_basis(factor, rtol=DATA_ROUNDING, scale=1.0)
     if not still.size:
         return
-    weight = np.abs(still).max(axis=1).reshape(-1, len(inputs)).max(axis=0)
-    names = [name for name, one in zip(inputs, weight, strict=True) if one > np.sqrt(DATA_ROUNDING)]
+    names = channels_in(still, inputs, DATA_ROUNDING)
     smallest = decision.singular_values[-1]
     raise DataError(
         f"{s + 1} samples of {listed(names)} determine one another (smallest singular value {smallest:.2g} of their "

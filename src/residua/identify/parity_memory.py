@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.arrays import runs
 from residua.decide.alarm import Alarm
 from residua.errors import DataError, SettingError
 from residua.identify.channel_facts import ChannelFacts
@@ -186,8 +187,7 @@ def without_alarms(gathered: Gathered, alarms: Alarms | Sequence[Alarms]) -> tup
     segments = []
     for segment in gathered.segments:
         quiet = ~standing[segment.recording][segment.start : segment.stop]
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], quiet, [False]]).astype(np.int8)))
-        segments += [segment.cut(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+        segments += [segment.cut(start, stop) for start, stop in runs(quiet).tolist()]
     kept = gathered.with_segments(segments)
     return kept, gathered.n_samples - kept.n_samples
 

@@ -15,7 +15,7 @@ from residua.design.core.generator import ResidualGenerator
 from residua.errors import DataError, SettingError
 from residua.identify.channel_filter import channel_generator, names_of_groups
 from residua.identify.drift_treatment import treated
-from residua.identify.lagged_rows import KNOWN, few_rows, lagged_rows
+from residua.identify.lagged_rows import KNOWN, channels_in, few_rows, lagged_rows
 from residua.identify.segments import Names, checked_count, gather
 from residua.linear.subspaces.rank import RankDecision
 from residua.tolerances import RANK
@@ -264,8 +264,7 @@ def _exact_relations(
     exact = np.flatnonzero(variances <= RANK)
     if not len(exact):
         return ()
-    weight = np.abs(loadings[:, exact]).max(axis=1).reshape(-1, len(channels)).max(axis=0)
-    names = [name for name, one in zip(channels, weight, strict=True) if one > np.sqrt(RANK)]
+    names = channels_in(loadings[:, exact], channels, RANK)
     return (
         f"{counted(len(exact), 'combination')} of {listed(names)} never moved: these channels determine one another "
         "exactly (one may be there twice), and the smallest deviation from that counts in Q with its plain size",

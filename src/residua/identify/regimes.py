@@ -9,9 +9,10 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.arrays import runs
 from residua.design import kalman_filter
 from residua.design.core.brought import for_monitor
-from residua.errors import DataError, ModelError, SettingError
+from residua.errors import AccuracyError, DataError, DesignError, ModelError, SettingError
 from residua.identify.channel_facts import channel_facts
 from residua.identify.identified_model import IdentifiedModel
 from residua.identify.lagged_rows import KNOWN
@@ -269,9 +270,7 @@ class _Visited:
         out = []
         for one in self.gathered.segments:
             here = rows_in(self.keys[one.recording], key) & (self.ages[one.recording] >= transient)
-            inside = np.concatenate([[False], here[one.start : one.stop], [False]]).astype(np.int8)
-            edges = np.flatnonzero(np.diff(inside)).reshape(-1, 2)
-            out += [one.cut(int(start), int(stop)) for start, stop in edges]
+            out += [one.cut(start, stop) for start, stop in runs(here[one.start : one.stop]).tolist()]
         return out
 
     def entered(self, key: Key, columns: list[int]) -> list[NDArray[np.float64]]:
@@ -312,8 +311,8 @@ def _mode(
     pairs = [(data[:, u], data[:, y]) for data in settled.data()]
     try:
         made = method(pairs, inputs=ours or None, outputs=theirs, dt=gathered.dt)
-    except DataError as error:
+        if isinstance(made, IdentifiedModel):
+            made = kalman_filter(made.plant.with_sensor_faults())
+    except (DataError, ModelError, DesignError, AccuracyError) as error:  # of this mode; the others may have a model
         return f"{counted(rows, 'row')}: {error}"
-    if isinstance(made, IdentifiedModel):
-        made = kalman_filter(made.plant.with_sensor_faults())
     return OperatingMode(key, name, for_monitor(made), rows, transient, still)

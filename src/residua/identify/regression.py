@@ -13,7 +13,7 @@ from residua.design.core.generator import ResidualGenerator
 from residua.errors import SettingError
 from residua.identify.channel_filter import channel_generator
 from residua.identify.drift_treatment import untreated
-from residua.identify.lagged_rows import few_rows, lagged_rows, standard
+from residua.identify.lagged_rows import channels_in, few_rows, lagged_rows, standard
 from residua.identify.segments import Names, checked_count, gather
 from residua.linear.subspaces.rank import null_basis, range_basis
 from residua.tolerances import DATA_ROUNDING
@@ -139,7 +139,7 @@ def regression(
     moved, decision = range_basis(X.T, rtol=DATA_ROUNDING)
     Q, R = np.linalg.qr(X @ moved)
     theta = moved @ np.linalg.solve(R, Q.T @ Y)
-    explained = 1 - np.sum((Y - X @ theta) ** 2, axis=0) / np.sum(Y**2, axis=0)
+    explained = np.maximum(1 - np.sum((Y - X @ theta) ** 2, axis=0) / np.sum(Y**2, axis=0), 0.0)
     size = units.spread[m:]
     weights = np.zeros((lags + 1, q - m, q))
     weights[0, :, m:] = np.diag(size)
@@ -162,8 +162,7 @@ def _shared(factor: NDArray[np.float64], inputs: tuple[str, ...]) -> tuple[str, 
     still, _ = null_basis(factor, rtol=DATA_ROUNDING)
     if not still.size:
         return ()
-    weight = np.abs(still).max(axis=1).reshape(-1, len(inputs)).max(axis=0)
-    names = [name for name, one in zip(inputs, weight, strict=True) if one > np.sqrt(DATA_ROUNDING)]
+    names = channels_in(still, inputs, DATA_ROUNDING)
     return (
         f"{counted(still.shape[1], 'combination')} of {listed(names)} never moved: they determine one another, and "
         "share their coefficients",

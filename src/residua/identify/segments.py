@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.arrays import names as checked_names, unique
+from residua.arrays import names as checked_names, runs, unique
 from residua.errors import DataError, ModelError, SettingError
 from residua.recording.recording import Recording, read_recording, recording_from_frame
 from residua.recording.time_axis import REGULAR
@@ -409,10 +409,10 @@ def _cut(tables: Sequence[_Table], dt: float, notes: tuple[str, ...]) -> Gathere
     for number, one in enumerate(tables):
         if not len(one.y):
             raise DataError(f"recording {number + 1} ({one.source}) is empty")
-        runs = _complete_runs(one)
-        missing += len(one.y) - sum(stop - start for start, stop in runs)
+        parts = _complete_runs(one)
+        missing += len(one.y) - sum(stop - start for start, stop in parts)
         segments += [
-            Segment(one.u, one.y, one.input_columns, one.output_columns, start, stop, number) for start, stop in runs
+            Segment(one.u, one.y, one.input_columns, one.output_columns, start, stop, number) for start, stop in parts
         ]
     samples = tuple(len(one.y) for one in tables)
     if not segments:
@@ -438,19 +438,16 @@ def _cut(tables: Sequence[_Table], dt: float, notes: tuple[str, ...]) -> Gathere
 
 def _complete_runs(table: _Table) -> list[tuple[int, int]]:
     """Return the runs of rows without a missing value, as (start, stop)."""
-    runs: list[tuple[int, int]] = []
+    out: list[tuple[int, int]] = []
     for start in range(0, len(table.y), BLOCK):
         stop = min(start + BLOCK, len(table.y))
-        complete = np.isfinite(_columns(table.u, table.y, table.input_columns + table.output_columns, start, stop)).all(
-            axis=1
-        )
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], complete, [False]]).astype(np.int8)))
-        for first, last in zip(edges[::2] + start, edges[1::2] + start, strict=True):
-            if runs and runs[-1][1] == first:
-                runs[-1] = (runs[-1][0], int(last))
+        block = _columns(table.u, table.y, table.input_columns + table.output_columns, start, stop)
+        for first, last in (runs(np.asarray(np.isfinite(block).all(axis=1))) + start).tolist():
+            if out and out[-1][1] == first:
+                out[-1] = (out[-1][0], last)
             else:
-                runs.append((int(first), int(last)))
-    return runs
+                out.append((first, last))
+    return out
 
 
 def _emptiest(tables: Sequence[_Table]) -> str:

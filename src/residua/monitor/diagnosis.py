@@ -294,11 +294,7 @@ class Diagnosis:
         for k, alarm in enumerate(self.alarms[:20], 1):
             until = "to the end" if alarm.ended is None else f"until {self.clock.at(alarm.ended)}"
             lines.append(f"alarm {k}: raised {self.clock.at(alarm.raised)}, {until}")
-            lines.append(f"  {began_text(alarm, self.clock)}")
-            if alarm.fired:
-                lines.append(f"  {over_thresholds(alarm, 8)}")
-            lines += [f"  {line}" for line in self.statement(alarm).lines]
-            lines += self._candidate_lines(alarm)
+            lines += self.alarm_lines(alarm)
         if len(self.alarms) > 20:
             lines.append(f"... and {len(self.alarms) - 20} more alarms")
         if self.alarms:
@@ -307,6 +303,23 @@ class Diagnosis:
             want = "a code" if self.codes else "a signature"
             lines.append(f"never named by this monitor, for want of {want}: {', '.join(self.unjudged)}")
         return "\n".join([*lines, *self.notes])
+
+    def alarm_lines(self, alarm: Alarm) -> list[str]:
+        """Return what is printed of an alarm: since when, what was over its threshold, and what explains it.
+
+        Parameters
+        ----------
+        alarm : Alarm
+
+        Returns
+        -------
+        list of str
+        """
+        lines = [f"  {began_text(alarm, self.clock)}"]
+        if alarm.fired:
+            lines.append(f"  {over_thresholds(alarm, 8)}")
+        lines += [f"  {line}" for line in self.statement(alarm).lines]
+        return lines + self._candidate_lines(alarm)
 
     def _candidate_lines(self, alarm: Alarm) -> list[str]:
         """Return the candidates of the first three ranks, those of one rank on one line."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from residua.decide.checks import is_number
 from residua.decide.isolation import Isolation, IsolationSettings
 from residua.decide.learnt_faults import LearntFault, learnt_code, learnt_direction
-from residua.decide.learnt_isolation import LearntCodes, LearntDirections
+from residua.decide.learnt_isolation import LearntCodes, LearntDirections, learnt_label
 from residua.decide.structured import CodeTest, longest_code
 from residua.decide.test import ResidualTest
 from residua.decide.whitened_norm import is_selection
@@ -128,8 +128,10 @@ def _row_of_direction(isolation: LearntDirections, j: int) -> LearntRow:
 
 
 def _row_of_code(isolation: LearntCodes, fault: LearntFault) -> LearntRow:
-    group = next(g for g in isolation.groups if fault.name in g or f"{fault.name} (learnt)" in g)
-    label = f"{fault.name} (learnt)" if f"{fault.name} (learnt)" in group else fault.name
+    named = {name for group in isolation.groups for name in group}
+    marked = learnt_label(fault.name, {fault.name})
+    label = marked if marked in named else fault.name
+    group = next(g for g in isolation.groups if label in g)
     fires = tuple(m for m, on in zip(isolation.members, fault.code, strict=True) if on)
     others = " or ".join(name for name in group if name != label)
     return LearntRow(label, fault.recordings, fault.samples, fault.independent, None, fires, None, others, None)
@@ -152,9 +154,14 @@ def judging_window(isolate: IsolationSettings, isolation: Isolation) -> int:
     return max(isolation.samples, 1) if isolation.groups or isolation.unjudged else WINDOW
 
 
+def whitens(test: ResidualTest) -> bool:
+    """Return whether a test has a whitening of all residuals."""
+    return not is_selection(test.metric) and test.metric.shape[0] == test.metric.shape[1]
+
+
 def whitening_of(test: ResidualTest, normal: NDArray[np.float64] | None) -> NDArray[np.float64]:
     """Return the whitening of residuals in which directions are learnt: that of the test, or of the fitted data."""
-    if not is_selection(test.metric) and test.metric.shape[0] == test.metric.shape[1]:
+    if whitens(test):
         return test.metric
     if normal is None:
         raise NotFittedError(
@@ -181,7 +188,11 @@ def learnt_from(
         decisions = run_block(spec, initial_state(spec, 1), run.data)[1].of(0)
         chosen = _chosen(interval, run.time, decisions, which) & decisions.usable
         if not chosen.any():
-            raise DataError(f"{which} has no usable sample in the interval of the fault")
+            raise DataError(
+                f"{which} has no usable sample in the interval of the fault: of all {len(run.time)}, "
+                f"{int(decisions.missing.sum())} lack a value ({int(decisions.aside.any(axis=1).sum())} have one that "
+                f"cannot be, by plausible=), and the filter settles for {spec.settle} after each start"
+            )
         samples += int(chosen.sum())
         if isinstance(isolation, CodeTest):
             patterns.append(longest_code(decisions.code, chosen))
@@ -225,7 +236,7 @@ def intervals_of(interval: Any, count: int) -> list[Any]:
     if isinstance(interval, list) and len(interval) == count:
         return [one for part in interval for one in intervals_of(part, 1)]
     raise SettingError(
-        "interval must be (start, stop), a mask of samples, or a list with one of these for each of "
+        "interval must be (start, stop), an array of booleans, or a list with one of these for each of "
         f"{counted(count, 'recording')}, got {echo(interval)}"
     )
 

@@ -35,7 +35,7 @@ from residua.monitor.fault_learning import (
 )
 from residua.monitor.fit_check import FitCheck
 from residua.monitor.fitting import check_held_out, fitted_test
-from residua.monitor.inputs import settling_samples, several_signals, signals
+from residua.monitor.inputs import Signals, settling_samples, several_signals, signals
 from residua.monitor.outcome import Recorded, compared_outputs, diagnosis_from
 from residua.monitor.plausible import (
     TIMES,
@@ -480,7 +480,15 @@ class Monitor:
         The state afterwards is that at the end of the recording: :meth:`step` and :meth:`update` go on
         from there. Until then the state of the monitor is not touched, so that several threads may run at once.
         """
-        measured = signals(u, y, time, dt, source, self.design.plant)
+        return self._judge(signals(u, y, time, dt, source, self.design.plant), progress)
+
+    def _judge(
+        self,
+        measured: Signals,
+        progress: Callable[[int, int], None] | None = None,
+        own: NDArray[np.bool_] | None = None,
+    ) -> Diagnosis | list[Diagnosis]:
+        """Run over a recording; ``own``: the samples that are this monitor's to judge, where others have the rest."""
         self._learn_step(measured.dt)
         data = self._block(measured.u, measured.y)
         generator, spec = self.generator, self._specification()
@@ -497,7 +505,7 @@ class Monitor:
         notes = (*self.notes, *(self._check.notes if self._check else ()), *measured.notes)
         whole = []
         for p in range(len(data)):
-            recorded = Recorded(clock, data[p], measured.source, measured.origin, compared)
+            recorded = Recorded(clock, data[p], measured.source, measured.origin, compared, own)
             told = (*notes, *self._unlike_the_fit(data[p], decisions.aside[p]))
             diagnosis = diagnosis_from(decisions.of(p), recorded, spec, generator, state.filter, p, told, self._bounds)
             whole.append(diagnosis)

@@ -28,13 +28,17 @@ _TOLD_GAPS = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """The recording of one plant: times, inputs and outputs, where from, since when, and what the filter predicts."""
+    """The recording of one plant: times, inputs and outputs, where from, since when, and what the filter predicts.
+
+    ``own`` are the samples that are this monitor's to judge; ``None`` for all of them.
+    """
 
     time: NDArray[np.float64]
     signals: NDArray[np.float64]
     source: str
     origin: str
     compared: tuple[tuple[int, int], ...]
+    own: NDArray[np.bool_] | None = None
 
 
 def compared_outputs(design: ResidualGenerator) -> tuple[tuple[int, int], ...]:
@@ -93,7 +97,7 @@ def diagnosis_from(
         notes=(
             *notes,
             *_notes(spec, generator, tested.usable, decisions.missing),
-            *_gap_notes(spec, generator, decisions, recorded.signals),
+            *_gap_notes(spec, generator, decisions, recorded),
             *_aside_notes(spec, generator, decisions),
             *_broken_notes(int(state.broken[plant])),
             *_start_notes(spec, float(state.moved[plant])),
@@ -183,21 +187,24 @@ def _settling_notes(
 
 
 def _gap_notes(
-    spec: Specification, generator: ResidualGenerator, decisions: Decisions, signals: NDArray[np.float64]
+    spec: Specification, generator: ResidualGenerator, decisions: Decisions, recorded: Recorded
 ) -> tuple[str, ...]:
     """Return what part was not judged for want of values, of which channel most were missing, and what helps."""
-    missing, usable = decisions.missing, decisions.tested.usable
-    if not missing.any() or missing.all():
+    own = np.ones(len(decisions.missing), dtype=bool) if recorded.own is None else recorded.own
+    missing, usable = decisions.missing & own, decisions.tested.usable
+    if not missing.any() or missing[own].all():
         return ()
-    waiting = ~(usable | missing)
-    waiting[: int(np.argmin(missing)) + spec.settle + 1] = False  # any start waits so long
+    waiting = own & ~(usable | missing)
+    for start in np.flatnonzero(own & ~np.concatenate([[False], own[:-1]])).tolist():
+        waiting[start : start + int(np.argmin(missing[start:])) + spec.settle + 1] = False  # any start waits so long
     absent, waited = int(np.count_nonzero(missing)), int(np.count_nonzero(waiting))
-    share = (absent + waited) / len(missing)
+    share = (absent + waited) / int(np.count_nonzero(own))
     if share <= _TOLD_GAPS:
         return ()
-    gaps = np.count_nonzero(~np.isfinite(signals) | decisions.aside, axis=0)
+    gaps = np.count_nonzero((~np.isfinite(recorded.signals) | decisions.aside)[own], axis=0)
     worst = (*generator.plant.inputs, *generator.plant.outputs)[int(gaps.argmax())]
-    said = f"{100 * share:.2g} % of the recording is not judged for want of values: {absent} samples miss one"
+    part = "the recording" if recorded.own is None else "its part of the recording"
+    said = f"{100 * share:.2g} % of {part} is not judged for want of values: {absent} samples miss one"
     said += f" (channel {worst!r} at {gaps.max()} of them, the most)"
     if not waited:
         return (f"{said}; fill in what is known, or leave out a channel that is seldom there",)

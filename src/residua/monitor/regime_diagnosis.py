@@ -47,6 +47,7 @@ class RegimeDiagnosis:
     statistic : ndarray, shape (T,)
         In units of the threshold of the mode: an alarm is above 1. NaN where nothing is decided.
     decided, alarm : ndarray of bool, shape (T,)
+        An alarm counts in the samples of its own mode.
     transient : ndarray of bool, shape (T,)
         Samples that are left out because the mode has just changed.
     source, origin : str
@@ -75,8 +76,8 @@ class RegimeDiagnosis:
 
     @property
     def main_alarm(self) -> RegimeAlarm | None:
-        """The longest alarm; ``None`` without one."""
-        return max(self.alarms, key=lambda one: one.alarm.stop - one.alarm.start, default=None)
+        """The alarm with the most samples that were judged in its mode; ``None`` without one."""
+        return max(self.alarms, key=self._judged_in, default=None)
 
     @property
     def onset(self) -> float | None:
@@ -85,7 +86,7 @@ class RegimeDiagnosis:
 
     @property
     def named(self) -> tuple[tuple[str, ...], ...]:
-        """The faults that explain the longest alarm; empty without a named fault."""
+        """The faults that explain the main alarm; empty without a named fault."""
         return self.main_alarm.alarm.named if self.main_alarm else ()
 
     @property
@@ -93,6 +94,10 @@ class RegimeDiagnosis:
         """Fraction of the decided samples that are in alarm (a false alarm rate on fault-free data)."""
         decided = int(self.decided.sum())
         return float((self.alarm & self.decided).sum() / decided) if decided else 0.0
+
+    def _judged_in(self, one: RegimeAlarm) -> int:
+        """Return how many samples of an alarm were judged: it stands on over visits to other modes."""
+        return int(np.count_nonzero(self.judged[one.mode].decided[one.alarm.start : one.alarm.stop]))
 
     def samples(self, name: str) -> int:
         """Return how many samples of the recording are in a mode."""
@@ -131,8 +136,10 @@ class RegimeDiagnosis:
             lines.append("no fault found" if self.decided.any() else "no decision")
         for k, one in enumerate(self.alarms[:20], 1):
             until = "to the end" if one.alarm.ended is None else f"until {clock.at(one.alarm.ended)}"
-            lines.append(f"alarm {k}: raised {clock.at(one.alarm.raised)}, {until}, with {one.mode}")
-            lines += [f"  {line}" for line in self.judged[one.mode].statement(one.alarm).lines]
+            length, judged = one.alarm.stop - one.alarm.start, self._judged_in(one)
+            part = f", {judged} of its {length} samples judged" if judged < length else ""
+            lines.append(f"alarm {k}: raised {clock.at(one.alarm.raised)}, {until}, with {one.mode}{part}")
+            lines += self.judged[one.mode].alarm_lines(one.alarm)
         if len(self.alarms) > 20:
             lines.append(f"... and {len(self.alarms) - 20} more alarms")
         return "\n".join([*lines, *self.not_judged, *self.notes])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.arrays import runs
 from residua.decide.isolation import IsolationSettings
 from residua.decide.test import TestSettings
 from residua.errors import DataError, ModelError
@@ -117,9 +118,19 @@ class RegimeMonitor:
         Returns
         -------
         RegimeMonitor
+
+        Raises
+        ------
+        ModelError
+            If there is not a monitor for each mode.
         """
-        made = cls(regimes)
-        made.monitors, made.unfitted = dict(monitors), dict(unfitted)
+        if set(monitors) != set(regimes.modes):
+            raise ModelError(
+                f"there are monitors for {listed(tuple(monitors)) or 'no mode'}, and the modes are "
+                f"{listed(tuple(regimes.modes))}: give one for each"
+            )
+        made = cls.__new__(cls)
+        made.regimes, made.monitors, made.unfitted = regimes, dict(monitors), dict(unfitted)
         return made
 
     @property
@@ -169,9 +180,12 @@ class RegimeMonitor:
         fitted: dict[str, Monitor] = {}
         for name, mode in self.regimes.modes.items():
             monitor = self.monitors[name]
-            own = [self._own(mode, *one) for one in zip((rows for rows, _ in parts), keys, old, strict=True)]
-            long_enough = [one for one in own if _longest(one) > monitor.settling_samples]
-            pairs = [self._split(mode, one) for one in long_enough]
+            own = [self._own(mode, *one) for one in zip(keys, old, strict=True)]
+            pairs = [
+                self._split(mode, rows, mine)
+                for (rows, _), mine in zip(parts, own, strict=True)
+                if _longest(mine) > monitor.settling_samples
+            ]
             if not pairs:
                 unfitted[name] = f"no visit of more than {monitor.settling_samples} settled samples to fit it to"
                 continue
@@ -232,10 +246,11 @@ class RegimeMonitor:
                 continue
             mode = self.regimes.modes[name]
             transient |= in_mode & (old < mode.transient)
-            pair = self._split(mode, self._own(mode, rows, keys, old))
-            one = self.monitors[name].run(*pair, time=clock, source=measured.source)
+            own, monitor = self._own(mode, keys, old), self.monitors[name]
+            pair = self._split(mode, rows, own)
+            one = monitor._judge(Signals(*pair, clock, self.regimes.dt, measured.source), own=own)
             assert isinstance(one, Diagnosis)
-            judged[name] = replace(one, origin=measured.origin, notes=(*_about(one.notes), *_still(mode)))
+            judged[name] = replace(one, origin=measured.origin, notes=(*one.notes, *_still(mode)))
         return _joined(clock, number, modes, judged, unjudged, transient, measured)
 
     def save(self, path: str | Path) -> None:
@@ -339,15 +354,16 @@ class RegimeMonitor:
         names = self.regimes.signals.names
         return self.regimes.signals.keys(rows[:, [self.channels.index(name) for name in names]])
 
-    def _own(
-        self, mode: OperatingMode, rows: NDArray[np.float64], keys: NDArray[np.float64], old: NDArray[np.int64]
-    ) -> NDArray[np.float64]:
-        """Return the rows with NaN wherever this mode does not judge."""
-        return np.where((rows_in(keys, mode.key) & (old >= mode.transient))[:, None], rows, np.nan)
+    def _own(self, mode: OperatingMode, keys: NDArray[np.float64], old: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return which rows are this mode's to judge."""
+        return rows_in(keys, mode.key) & (old >= mode.transient)
 
-    def _split(self, mode: OperatingMode, rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return inputs and outputs of the plant of a mode."""
+    def _split(
+        self, mode: OperatingMode, rows: NDArray[np.float64], own: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return inputs and outputs of the plant of a mode, NaN in rows that it does not judge."""
         plant = self.monitors[mode.name].design.plant
+        rows = np.where(own[:, None], rows, np.nan)
         u, y = ([self.channels.index(name) for name in group] for group in (plant.inputs, plant.outputs))
         return rows[:, u], rows[:, y]
 
@@ -364,15 +380,9 @@ class RegimeMonitor:
         return f"RegimeMonitor({len(self.monitors)} modes by {listed(self.regimes.signals.names)}, {state})"
 
 
-def _longest(rows: NDArray[np.float64]) -> int:
-    """Return the largest number of rows in a row that are there."""
-    there = np.concatenate([[False], np.isfinite(rows).any(axis=1), [False]]).astype(np.int8)
-    edges = np.flatnonzero(np.diff(there)).reshape(-1, 2)
-    return int((edges[:, 1] - edges[:, 0]).max(initial=0))
-
-
-def _about(notes: Sequence[str]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(notes))
+def _longest(own: NDArray[np.bool_]) -> int:
+    """Return the largest number of own rows in a row."""
+    return int(np.diff(runs(own)).max(initial=0))
 
 
 def _still(mode: OperatingMode) -> tuple[str, ...]:
@@ -397,7 +407,7 @@ def _joined(
     for name, one in judged.items():
         statistic[one.decided] = one.statistic[one.decided] / one.threshold
         decided |= one.decided
-        alarm |= one.alarm
+        alarm |= one.alarm & (number == modes.index(name))  # it stands on while other modes are judged by others
         notes += [f"with {name}: {note}" for note in one.notes if note not in measured.notes]
     return RegimeDiagnosis(
         time,

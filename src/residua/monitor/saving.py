@@ -19,12 +19,12 @@ from residua.decide.kinds import read_isolation, read_test, settings_out
 from residua.decide.learnt_faults import LearntFault
 from residua.decide.member_bounds import bounds_in, bounds_out
 from residua.decide.test import TestSettings, Watched
-from residua.decide.whitened_norm import is_selection
 from residua.design import ResidualGenerator
 from residua.errors import FileFormatError, ResiduaError
 from residua.files import read_bytes, write_text
 from residua.json_files import CHECKSUM, check_checksum
 from residua.monitor.design_records import generator_in, generator_out, sampled_in, sampled_out
+from residua.monitor.fault_learning import whitens
 from residua.monitor.fit_check import FitCheck
 from residua.monitor.monitor import Monitor
 from residua.monitor.older_files import OLDER, renewed
@@ -118,7 +118,7 @@ def monitor_out(monitor: Monitor) -> dict[str, Any]:
         content["bounds"] = bounds_out(monitor._bounds)
     if monitor._check is not None:
         content["fit_check"] = values_out(monitor._check)
-    if test is not None and monitor._normal is not None and is_selection(test.metric):
+    if test is not None and monitor._normal is not None and not whitens(test):
         content["normal"] = array_out(monitor._normal)  # else the test has it
     if monitor._learnt:
         content["learnt"] = [values_out(fault) for fault in monitor._learnt]

@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+import numpy as np
+
 from residua.arrays import index_of
 from residua.errors import ModelError
+from residua.visible import echo
 
 
 @dataclass(frozen=True)
@@ -51,12 +54,27 @@ def identification(
         return None
     if not isinstance(value, Identification):
         raise ModelError(f"identification must be an Identification(method, rows, ...), got {value!r}")
+    if not isinstance(value.method, str):
+        raise ModelError(f"identification: method must be a text, got {echo(value.method)}")
+    if isinstance(value.rows, bool) or not isinstance(value.rows, (int, np.integer)) or value.rows < 1:
+        raise ModelError(f"identification: rows must be a whole number of at least one, got {echo(value.rows)}")
+    pairs = [_texts(pair, "uncertain_gains") for pair in value.uncertain_gains]
+    if any(len(pair) != 2 for pair in pairs):
+        raise ModelError(f"identification: uncertain_gains must be pairs (output, input), got {echo(pairs)}")
     inputs, outputs = tuple(inputs), tuple(outputs)
-    for name in value.coloured:
+    coloured, weak = _texts(value.coloured, "coloured"), _texts(value.weak_inputs, "weak_inputs")
+    for name in coloured:
         index_of(name, outputs, "identification: coloured output")
-    for name in value.weak_inputs:
+    for name in weak:
         index_of(name, inputs, "identification: weak input")
-    for output, given in value.uncertain_gains:
+    for output, given in pairs:
         index_of(output, outputs, "identification: uncertain gain of output")
         index_of(given, inputs, "identification: uncertain gain of input")
-    return value
+    return Identification(value.method, int(value.rows), coloured, weak, tuple((a, b) for a, b in pairs))
+
+
+def _texts(value: object, what: str) -> tuple[str, ...]:
+    """Return names as a tuple: what files take, and bring back."""
+    if isinstance(value, str) or not isinstance(value, Iterable) or not all(isinstance(one, str) for one in value):
+        raise ModelError(f"identification: {what} must hold names of channels, got {echo(value)}")
+    return tuple(value)

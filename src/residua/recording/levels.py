@@ -32,10 +32,12 @@ def level_and_spread(values: Values) -> tuple[Values, Values]:
     """
     there = np.isfinite(values)
     count = np.count_nonzero(there, axis=0)
+    first = np.take_along_axis(values, there.argmax(axis=0)[None], axis=0) if len(values) else values.sum(axis=0)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        mean = np.where(there, values, 0.0).sum(axis=0) / count
-        spread = np.sqrt((np.where(there, values - mean, 0.0) ** 2).sum(axis=0) / count)
-    return mean, spread
+        off = np.where(there, values - first, 0.0)  # exactly zero in a channel that stands still, whatever its value
+        shift = off.sum(axis=0) / count
+        spread = np.sqrt((np.where(there, off - shift, 0.0) ** 2).sum(axis=0) / count)
+        return first.reshape(-1) + shift, spread
 
 
 def units_between(channels: Sequence[str], sources: Sequence[str], mean: Values, spread: Values) -> list[str]:
@@ -97,7 +99,7 @@ def units_of(channels: Sequence[str], values: Values, mean: Values, spread: Valu
         if len(column) < 2 or not spread[i] > 0:
             continue
         low, high = np.quantile(column, (0.01, 0.99))
-        own, level = float(column.std()), float(column.mean())
+        level, own = (float(one[0]) for one in level_and_spread(column[:, None]))
         nearest = float(np.clip(mean[i], low, high))
         was = mean[i], spread[i]
         if own > 0 and (own > _OTHER_SPREAD * spread[i] or _far(nearest, 0.0, *was) or _fahrenheit(level, own, *was)):

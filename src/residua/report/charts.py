@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.arrays import runs
 from residua.decide.sizes import fault_unit
 from residua.report.choosing import SHOWN_FAULTS, shown_groups
 from residua.report.codes import member_order
 from residua.report.contributions import averaged_residuals
-from residua.report.decimate import Bins, choose_bins, runs, spans
+from residua.report.decimate import Bins, choose_bins, spans
 from residua.report.signals import signal_charts
 from residua.report.text import rounded, visible, with_unit
 

@@ -85,12 +85,6 @@ def choose_bins(n_samples: int, max_points: int) -> Bins:
     return Bins(n_samples, width + width % 2)
 
 
-def runs(flags: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return the runs of true samples as rows ``(first, one past the last)``."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
-    return edges.reshape(-1, 2)
-
-
 def spans(time: NDArray[np.float64], intervals: NDArray[np.int64], limit: int = 2000) -> list[list[float]]:
     """Return sample intervals as times, joining those that a chart could not keep apart.
 

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.arrays import runs
 from residua.design.core.evidence import format_pole
 from residua.files import write_text
 from residua.recording.clock import length
 from residua.report.charts import MAX_POINTS, plain_clock, time_axis
-from residua.report.decimate import choose_bins, runs, spans
+from residua.report.decimate import choose_bins, spans
 from residua.report.model_pictures import stems
 from residua.report.page import document, footer, paragraphs
 from residua.report.tables import html_table

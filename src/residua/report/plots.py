@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from residua.arrays import runs
 from residua.errors import missing_extra
 from residua.report.charts import (
     LOG_FROM,
@@ -23,7 +24,7 @@ from residua.report.charts import (
 )
 from residua.report.choosing import shown_groups
 from residua.report.codes import member_order
-from residua.report.decimate import choose_bins, runs
+from residua.report.decimate import choose_bins
 from residua.report.signatures import Signatures, generator_signatures
 from residua.report.text import with_unit
 
