@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -452,6 +452,9 @@ def test_two_monitors_on_the_same_draws() -> None:
 
 def test_the_page_opens_and_has_all_that_repeats_it(monitor: rs.Monitor, tmp_path: Path) -> None:
     nasty = v.campaign(monitor, of_all_kinds(), **SMALL)
+    odd = replace(nasty, cases=tuple(replace(case, fault=page_reader.NASTY) for case in nasty.cases))
+    odd = replace(odd, groups=tuple((page_reader.NASTY,) for _ in nasty.groups), settings={"a": page_reader.NASTY})
+    assert "<img src=x" not in odd.to_html(tmp_path / "odd.html").read_text(encoding="utf-8")
     page = nasty.to_html(tmp_path / "campaign.html", title=page_reader.NASTY).read_text(encoding="utf-8")
     words = page_reader.words(page)
     assert "<img src=x" not in page

@@ -20,6 +20,7 @@ from residua.validate.scenario import cases_of
         (lambda: v.Scenario("leak", v.step(at=1), size=[0.1, 0.0]), "a size of 0 is no fault"),
         (lambda: v.Scenario("leak", v.step(at=1), size=np.nan), "finite"),
         (lambda: v.Scenario("leak", v.step(at=1), size=[]), "finite"),
+        (lambda: v.Scenario("leak", v.step(at=1), size="big"), "finite"),  # pyright: ignore
         (lambda: v.Scenario("leak", "step"), "shape must be one of"),  # pyright: ignore
         (lambda: v.Scenario("valve actuator", v.loss_of_effectiveness(at=1), size=1.5), "over 0 and up to 1"),
         (lambda: v.Scenario("a sensor", v.stuck_at(at=1), size=2.0), "stuck channel has no size"),

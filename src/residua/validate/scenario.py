@@ -54,7 +54,10 @@ class Scenario:
         """Check shape and sizes."""
         if not isinstance(self.shape, Shape):
             raise SettingError(f"shape must be one of rs.validate's ({', '.join(SHAPES)}), got {echo(self.shape)}")
-        sizes = tuple(np.atleast_1d(np.asarray(self.size, dtype=float)).tolist())
+        try:
+            sizes = tuple(np.asarray(self.size, dtype=float).ravel().tolist())
+        except (TypeError, ValueError):
+            sizes = ()
         if not sizes or not np.isfinite(sizes).all():
             raise SettingError(
                 f"scenario {echo(self.fault)}: every size must be a finite number, got {echo(self.size)}"

@@ -175,6 +175,7 @@ def tune(
         for value in values:
             check_samples(value, name)
     test = _checked(monitor, false_alarm_rate, runs, samples, max(*windows, *persistences))
+    faults = scenarios if isinstance(scenarios, Scenario) else tuple(scenarios)
     out: list[TuningCandidate] = []
     tell, close = progress_of(progress)
     try:
@@ -185,7 +186,7 @@ def tune(
                 settings = replace(
                     test, window=int(window), persistence=int(persistence), release=None, threshold=threshold
                 )
-                out.append(_candidate(monitor, settings, scenarios, runs, samples, seed + 1, simulated))
+                out.append(_candidate(monitor, settings, faults, runs, samples, seed + 1, simulated))
             tell("windows", number + 1, len(windows))
     finally:
         close()
