@@ -30,6 +30,11 @@ def test_wilson_and_poisson_intervals_are_those_of_scipy(confidence: float) -> N
     assert none.low == pytest.approx(1000 / -np.log(side))
 
 
+def test_a_share_is_one_only_where_it_is() -> None:
+    assert str(Estimate(1.0, 0.99962, 1.0)) == "1 (0.9996 to 1)"
+    assert str(Estimate(0.99999, 0.9, 1.0)) == "0.99999 (0.9 to 1)"
+
+
 def test_no_data_give_no_figure() -> None:
     assert np.isnan(wilson(0, 0).value)
     assert str(events_apart(0, 0.0)) == "–"

@@ -38,10 +38,15 @@ class Estimate:
     def __str__(self) -> str:
         if np.isnan(self.value) and np.isnan(self.low):
             return "–"
-        return f"{number(self.value, 3)} ({number(self.low, 3)} to {number(self.high, 3)})"
+        return f"{_short(self.value)} ({_short(self.low)} to {_short(self.high)})"
 
     def __contains__(self, value: float) -> bool:
         return bool(self.low <= value <= self.high)
+
+
+def _short(value: float) -> str:
+    """Return a number with three digits, or as many as set it apart from a share of one."""
+    return next((text for text in (number(value, digits) for digits in range(3, 10)) if text != "1" or value == 1), "1")
 
 
 #: A figure that nothing is known of.
