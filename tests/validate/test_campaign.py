@@ -199,6 +199,8 @@ def of_kinds(plant: rs.Plant) -> dict[str, rs.Monitor]:
     return {
         "matched": rs.Monitor(rs.design.matched_filters(plant)),
         "bank": bank.fit(quiet[:, :1], quiet[:, 1:]),
+        "cusum": rs.Monitor(rs.design.kalman_filter(plant), test=rs.decide.CUSUM(shift=1.0)),
+        "glr": rs.Monitor(rs.design.kalman_filter(plant), test=rs.decide.GLR(window=20)),
         "groups": rs.Monitor(rs.design.kalman_filter(plant), test=groups),
         "learnt": learnt.learn_fault("leak seen", leaking[:, :1], leaking[:, 1:], interval=(70, 150)),
     }
@@ -208,7 +210,7 @@ def healthy(*of: object) -> NDArray:
     return np.zeros(4)
 
 
-@pytest.mark.parametrize("kind", ["matched", "bank", "groups", "learnt"])
+@pytest.mark.parametrize("kind", ["matched", "bank", "cusum", "glr", "groups", "learnt"])
 def test_monitors_of_every_kind_name_as_their_diagnosis_does(plant: rs.Plant, kind: str) -> None:
     monitor = of_kinds(plant)[kind]
     change, scenario = step_of_a_leak, v.Scenario("leak", v.step(at=60), size=0.2)
