@@ -33,6 +33,7 @@ PUBLIC = (
     "monitor",
     "plant",
     "report",
+    "validate",
 )
 
 

@@ -62,6 +62,7 @@ FACADES = {
     "residua.monitor.monitor": "residua.monitor",  # save, load
     "residua.monitor.regime_monitor": "residua.monitor",  # save, load
     "residua.monitor.diagnosis": "residua.report",  # plot, to_html
+    "residua.validate.campaign_result": "residua.report",  # to_html
     "residua.cli": "residua.cli",  # main, which says what package is missing
     "residua.cli.app": "residua.demos",  # demo
 }

@@ -7,7 +7,7 @@ component.
 from importlib import import_module
 from types import ModuleType
 
-from residua import analysis, decide, design, errors, identify, library, linear, monitor, plant
+from residua import analysis, decide, design, errors, identify, library, linear, monitor, plant, validate
 from residua.analysis import coding, diagnosability
 from residua.design.observers.general_residual_generator import residual_generator_from_observer
 from residua.design.suggestion import suggest
@@ -42,6 +42,7 @@ __all__ = [
     "read_recording",
     "residual_generator_from_observer",
     "suggest",
+    "validate",
 ]
 
 

@@ -129,7 +129,7 @@ class Decisions:
 
     def of(self, plant: int) -> Decisions:
         """Return those of one plant."""
-        return _cut(self, plant)
+        return rows_of(self, plant)
 
 
 def joined_decisions(parts: Sequence[Decisions]) -> Decisions:
@@ -147,13 +147,13 @@ def _joined(parts: Sequence[Any]) -> Any:
     return type(first)(**{one.name: _joined([getattr(part, one.name) for part in parts]) for one in fields(first)})
 
 
-def _cut(whole: Any, plant: int) -> Any:
-    """Return a dataclass of arrays of one plant."""
+def rows_of(whole: Any, plant: int | NDArray[np.int64]) -> Any:
+    """Return a dataclass of arrays of one plant, or of some."""
     if whole is None:
         return None
     if isinstance(whole, np.ndarray):
         return whole[plant]
-    return type(whole)(**{one.name: _cut(getattr(whole, one.name), plant) for one in fields(whole)})
+    return type(whole)(**{one.name: rows_of(getattr(whole, one.name), plant) for one in fields(whole)})
 
 
 def initial_state(spec: Specification, plants: int) -> State:

@@ -52,7 +52,7 @@ def stems(
     fine = np.isfinite(values) & ((values > 0) | (not log))
     if not fine.any():
         return ""
-    low, high, ticks = _logarithmic(values[fine]) if log else _linear(values[fine], bound)
+    low, high, ticks = _logarithmic(values[fine]) if log else linear_axis(values[fine], bound)
     width, height = _WIDTH - _LEFT - _RIGHT, _HEIGHT - _TOP - _BOTTOM
     across = {k: _LEFT + width * (i + 0.5) / len(x) for i, k in enumerate(x)}
 
@@ -60,7 +60,7 @@ def stems(
         part = (np.log10(max(value, 10**low)) if log else value) - low
         return float(_TOP + height * (1 - part / (high - low)))
 
-    parts = [_tick(up(t), f"{t:.0e}".replace("e+0", "e").replace("e-0", "e-") if log else number(t)) for t in ticks]
+    parts = [tick(up(t), f"{t:.0e}".replace("e+0", "e").replace("e-0", "e-") if log else number(t)) for t in ticks]
     if bound is not None:
         top, bottom = up(bound), up(-bound)
         parts.append(
@@ -71,7 +71,7 @@ def stems(
     for i, (k, value) in enumerate(zip(x, values, strict=True)):
         colour = "var(--c1)" if k == mark else "var(--c0)"
         if i % every == 0:
-            parts.append(_text(across[k], _HEIGHT - _BOTTOM + 15, str(k), "middle"))
+            parts.append(text_at(across[k], _HEIGHT - _BOTTOM + 15, str(k), "middle"))
         if fine[i]:
             parts.append(
                 f'<g style="stroke:{colour};fill:{colour}"><line x1="{across[k]:.1f}" x2="{across[k]:.1f}" '
@@ -79,7 +79,7 @@ def stems(
                 f'<circle cx="{across[k]:.1f}" cy="{up(value):.1f}" r="3.2"/>'
                 f"<title>{escape(x_label)} {k}: {escape(number(float(value)))}</title></g>"
             )
-    parts.append(_text(_LEFT + width / 2, _HEIGHT - 6, escape(x_label), "middle"))
+    parts.append(text_at(_LEFT + width / 2, _HEIGHT - 6, escape(x_label), "middle"))
     parts.append(
         f'<text transform="translate(12 {_TOP + height / 2:.0f}) rotate(-90)" text-anchor="middle" '
         f'style="fill:var(--muted);font-size:12px">{escape(y_label)}</text>'
@@ -92,17 +92,19 @@ def stems(
     )
 
 
-def _tick(at: float, label: str) -> str:
+def tick(at: float, label: str) -> str:
+    """Return a line across a picture at a value of its upright axis, with that value."""
     line = f'<line x1="{_LEFT}" x2="{_WIDTH - _RIGHT}" y1="{at:.1f}" y2="{at:.1f}" style="stroke:var(--grid)"/>'
-    return line + _text(_LEFT - 6, at + 4, escape(label), "end")
+    return line + text_at(_LEFT - 6, at + 4, escape(label), "end")
 
 
-def _text(x: float, y: float, text: str, anchor: str) -> str:
+def text_at(x: float, y: float, text: str, anchor: str) -> str:
+    """Return the text of an axis."""
     style = "fill:var(--muted);font-size:12px"
     return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" style="{style}">{text}</text>'
 
 
-def _linear(values: np.ndarray, bound: float | None) -> tuple[float, float, list[float]]:
+def linear_axis(values: np.ndarray, bound: float | None) -> tuple[float, float, list[float]]:
     """Return the ends of an axis with zero and the bound on it, and its ticks."""
     low = min(0.0, float(values.min()), -(bound or 0.0))
     high = max(0.0, float(values.max()), bound or 0.0)

@@ -78,7 +78,7 @@ def close_loop(plant: UncertainPlant, controller: StateSpace) -> UncertainPlant:
     p = plant.nominal
     if p.E is not None:
         raise ModelError("the plant has a matrix E: plant.explicit() first, and perturbations of that plant")
-    controller = _fitting(p, controller)
+    controller = fitting_controller(p, controller)
     Ac, Bc, Cc = controller.A, controller.B, controller.C
     A = np.block([[p.A, p.Bu @ Cc], [Bc @ p.C, Ac + Bc @ p.Du @ Cc]])
     poles = np.linalg.eigvals(A).astype(complex)
@@ -116,7 +116,8 @@ def close_loop(plant: UncertainPlant, controller: StateSpace) -> UncertainPlant:
     return make_uncertain_plant(loop, plant.parameters, plant.channels, [block], linearisation=plant.linearisation)
 
 
-def _fitting(p: Plant, controller: StateSpace) -> StateSpace:
+def fitting_controller(p: Plant, controller: StateSpace) -> StateSpace:
+    """Return a controller with its channels in the order of a plant, or raise where it does not go with it."""
     if not isinstance(controller, StateSpace):
         raise ModelError(f"the controller must be a StateSpace from y to u, got {type(controller).__name__}")
     controller = controller.explicit()

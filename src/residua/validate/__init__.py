@@ -1,0 +1,59 @@
+"""Campaigns of simulated faults: how often a monitor errs, how late it is, whom it names, with confidence intervals."""
+
+from residua.validate.campaign_result import Campaign, CaseFacts
+from residua.validate.campaigns import campaign
+from residua.validate.comparison import Comparison, PairedCase
+from residua.validate.delays import Delays
+from residua.validate.figure_table import FigureTable
+from residua.validate.intervals import Estimate
+from residua.validate.noise import NoiseModel, Resampled, coloured, heavy_tailed, resampled, white
+from residua.validate.runs import RunFigures
+from residua.validate.scenario import Scenario, load_scenarios
+from residua.validate.separation import Roc
+from residua.validate.shapes import (
+    Shape,
+    drift,
+    intermittent,
+    loss_of_effectiveness,
+    noise_growth,
+    oscillation,
+    ramp,
+    step,
+    stuck_at,
+)
+from residua.validate.size_fit import DetectionProbability
+from residua.validate.tuning import Tuning, TuningCandidate, tune
+
+__all__ = [
+    "Campaign",
+    "CaseFacts",
+    "Comparison",
+    "Delays",
+    "DetectionProbability",
+    "Estimate",
+    "FigureTable",
+    "NoiseModel",
+    "PairedCase",
+    "Resampled",
+    "Roc",
+    "RunFigures",
+    "Scenario",
+    "Shape",
+    "Tuning",
+    "TuningCandidate",
+    "campaign",
+    "coloured",
+    "drift",
+    "heavy_tailed",
+    "intermittent",
+    "load_scenarios",
+    "loss_of_effectiveness",
+    "noise_growth",
+    "oscillation",
+    "ramp",
+    "resampled",
+    "step",
+    "stuck_at",
+    "tune",
+    "white",
+]

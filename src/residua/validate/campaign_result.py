@@ -1,0 +1,416 @@
+"""The result of a campaign: its figures, each with its confidence interval."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import FileFormatError, SettingError
+from residua.number_kinds import KNOWN_OR_NOT
+from residua.records import float_in, float_out, list_in, record, table_in, text_in, texts_in, whole_in
+from residua.validate.campaign_file import read_runs, write_runs
+from residua.validate.comparison import Comparison, compared
+from residua.validate.delays import Delays, delays_of
+from residua.validate.figure_table import FigureTable
+from residua.validate.intervals import CONFIDENCE, Estimate, clustered_share, events_apart, wilson
+from residua.validate.runs import NO_ALARM, SEVERAL, UNKNOWN, RunFigures
+from residua.validate.separation import Roc, roc_of
+from residua.validate.size_fit import DetectionProbability, detection_probability
+from residua.visible import echo, listed
+from residua.words import counted, number, percent
+
+#: Shares of the runs whose delays are in tables.
+_QUANTILES = (0.5, 0.9, 0.95)
+#: Share of the runs that count as detected by chance, from which on a note says so.
+_CHANCE = 0.1
+
+
+@dataclass(frozen=True)
+class CaseFacts:
+    """What one case of a campaign is: a fault of one size in one shape.
+
+    Attributes
+    ----------
+    fault, shape : str
+    size : float
+        In the unit of the fault; NaN of a stuck channel.
+    scenario : int
+        Number of its scenario.
+    """
+
+    fault: str
+    shape: str
+    size: float
+    scenario: int
+
+    @property
+    def name(self) -> str:
+        """The case as text."""
+        sized = "" if np.isnan(self.size) else f", size {number(self.size)}"
+        return f"{self.fault}, {self.shape}{sized}"
+
+
+@dataclass(frozen=True, eq=False)
+class Campaign:
+    """The result of a campaign. Prints as its tables.
+
+    Runs are independent of each other. Run number ``k`` draws the same noise in every case, and without a fault.
+
+    Attributes
+    ----------
+    plant : str
+        Name of the plant that the monitor is designed for.
+    cases : tuple of CaseFacts
+    groups : tuple of tuple of str
+        The faults as the monitor names them, those that it cannot tell apart in one group.
+    figures : RunFigures
+        What was kept of each run; times in samples.
+    runs, samples : int
+        How many runs of each case, and how long each is.
+    seed : int
+    dt : float
+        Step in seconds.
+    threshold : float
+        Of the monitor's statistic.
+    window : int
+        Samples that the statistic is made of.
+    settling : int
+        Samples after the start in which nothing is decided.
+    settings : mapping of str to str
+        How the runs were simulated and watched, and by which versions, in words.
+    draws, watched : str
+        Digests of what the runs are, and of the monitor.
+    confidence : float
+        Of all intervals.
+    """
+
+    plant: str
+    cases: tuple[CaseFacts, ...]
+    groups: tuple[tuple[str, ...], ...]
+    figures: RunFigures = field(repr=False)
+    runs: int
+    samples: int
+    seed: int
+    dt: float
+    threshold: float
+    window: int
+    settling: int
+    settings: Mapping[str, str]
+    draws: str = field(repr=False)
+    watched: str = field(repr=False)
+    confidence: float = CONFIDENCE
+
+    # ----------------------------------------------------------- without faults
+
+    def false_alarm_rate(self) -> Estimate:
+        """Return the fraction of the decided fault-free samples that are in alarm, on all runs without a fault.
+
+        Samples of one run are correlated; the interval is Wilson's for as many independent ones as runs show that they
+        are worth, or one for each window of the test where that is fewer.
+        """
+        return clustered_share(self.figures.alarmed, self.figures.decided, self.window, self.confidence)
+
+    def time_between_false_alarms(self) -> Estimate:
+        """Return the mean time from one false alarm to the next, in seconds, with its exact Poisson interval.
+
+        Assumes alarms far enough apart that they are independent of one another.
+        """
+        watched = self.dt * float(self.figures.decided.sum())
+        return events_apart(int(self.figures.raised.sum()), watched, self.confidence)
+
+    # -------------------------------------------------------------- with faults
+
+    def detected(self, case: int) -> Estimate:
+        """Return the share of the runs of a case that were detected in time, with its Wilson interval."""
+        return wilson(int((self.figures.detected[case] >= 0).sum()), self.runs, self.confidence)
+
+    def missed(self, case: int) -> Estimate:
+        """Return the share of the runs of a case that were not, with its Wilson interval."""
+        return wilson(int((self.figures.detected[case] < 0).sum()), self.runs, self.confidence)
+
+    def by_chance(self, case: int) -> Estimate:
+        """Return the share of the runs that would have counted as detected without any fault.
+
+        Those in which a false alarm stands at or after the moment of the onset: a share of detections means something
+        as far as it is above this one.
+        """
+        return wilson(int(self.figures.by_chance[case].sum()), self.runs, self.confidence)
+
+    def named(self, case: int) -> Estimate:
+        """Return the share of the detected runs in which the group of the fault was named, with its Wilson interval."""
+        return wilson(self._right(case), int((self.figures.detected[case] >= 0).sum()), self.confidence)
+
+    def delay(self, case: int) -> Delays:
+        """Return the distribution of the delay from onset to alarm, in seconds; runs without an alarm are censored."""
+        f = self.figures
+        seen = f.detected[case] >= 0
+        end = np.where(seen, f.detected[case], f.stop[case])
+        return delays_of(self.dt * (end - f.onset[case]), seen, self.confidence)
+
+    def table(self) -> FigureTable:
+        """Return a row for each case: how many were detected, by chance, the delay in seconds, and who was named."""
+        header = (
+            "fault",
+            "shape",
+            "size",
+            "detected",
+            "by chance",
+            "median delay [s]",
+            "90 % delay [s]",
+            "named",
+        )
+        rows = []
+        for c, case in enumerate(self.cases):
+            median, ninety = self.delay(c).quantiles((0.5, 0.9))
+            figures = (self.detected(c), self.by_chance(c), median, ninety, self.named(c))
+            rows.append((case.fault, case.shape, case.size, *figures))
+        return FigureTable(header, tuple(rows))
+
+    def delays(self) -> FigureTable:
+        """Return a row for each case: the delay in seconds by which shares of the runs were detected.
+
+        Infinite where the runs do not show it: fewer were detected before their end. The mean is that of the detected
+        runs alone, with its bootstrap interval.
+        """
+        header = ("fault", "shape", "size", "censored", "mean of detected [s]")
+        header += tuple(f"{100 * share:g} % [s]" for share in _QUANTILES)
+        rows = []
+        for c, case in enumerate(self.cases):
+            delay = self.delay(c)
+            figures = (delay.censored, delay.mean(self.seed), *delay.quantiles(_QUANTILES))
+            rows.append((case.fault, case.shape, case.size, *figures))
+        return FigureTable(header, tuple(rows))
+
+    def confusion(self) -> FigureTable:
+        """Return how often each group was named, a row for each case; shares of all runs of the case.
+
+        A run counts for what its longest alarm from the onset on is put down to. ``several``: several faults at once,
+        by code; ``unknown``: an alarm that is put down to none; ``none``: no alarm.
+        """
+        shown = [*range(len(self.groups)), SEVERAL, UNKNOWN, NO_ALARM]
+        if not (self.figures.named == SEVERAL).any():
+            shown.remove(SEVERAL)
+        words = {SEVERAL: "several", UNKNOWN: "unknown", NO_ALARM: "none"}
+        header = ("fault", "shape", "size", *(words.get(g) or " or ".join(self.groups[g]) for g in shown))
+        rows = []
+        for c, case in enumerate(self.cases):
+            counts = [int((self.figures.named[c] == g).sum()) for g in shown]
+            shares = [wilson(count, self.runs, self.confidence) for count in counts]
+            rows.append((case.fault, case.shape, case.size, *shares))
+        return FigureTable(header, tuple(rows))
+
+    def roc(self, case: int | None = None) -> dict[str, Roc] | Roc:
+        """Return the curves of detections against false alarms over all thresholds, by case; or that of one case."""
+        if case is not None:
+            f = self.figures
+            return roc_of(f.peak[case], f.quiet_peak[case], self.threshold, self.confidence)
+        return {one.name: self.roc(c) for c, one in enumerate(self.cases)}  # pyright: ignore[reportReturnType]
+
+    def detection_probabilities(self) -> tuple[DetectionProbability, ...]:
+        """Return the probability of detection by size for each scenario: fit, a90 and a90/95, or why there is none."""
+        out = []
+        for scenario in dict.fromkeys(case.scenario for case in self.cases):
+            which = [c for c, case in enumerate(self.cases) if case.scenario == scenario]
+            first = self.cases[which[0]]
+            sizes = np.array([self.cases[c].size for c in which])
+            seen = (self.figures.detected[which] >= 0).sum(axis=1)
+            runs = np.full(len(which), self.runs, dtype=np.int64)
+            out.append(detection_probability(first.fault, first.shape, sizes, runs, seen))
+        return tuple(out)
+
+    def compare(self, other: Campaign) -> Comparison:
+        """Return this campaign against that of another monitor on the same draws, run by run.
+
+        Raises
+        ------
+        SettingError
+            If the other one has other runs: seed, plant, scenarios, noise, inputs or their number.
+        """
+        if (self.draws, self.runs) != (other.draws, other.runs):
+            raise SettingError(
+                "the campaigns are not on the same draws: give both the same plants, scenarios, runs, samples, seed, "
+                "noise, inputs, disturbances, controller and within"
+            )
+        return compared(
+            [(case.fault, case.shape, case.size) for case in self.cases],
+            self.figures,
+            other.figures,
+            [[campaign._named_right(c) for c in range(len(self.cases))] for campaign in (self, other)],
+            dt=self.dt,
+            seed=self.seed,
+            confidence=self.confidence,
+        )
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What to mind before the figures are believed."""
+        out, f = [], self.figures
+        if not f.decided.any():
+            out.append("no fault-free sample was judged: the runs are too short for the filter to settle")
+        for c, case in enumerate(self.cases):
+            silent, chance = int((f.peak[c] == -np.inf).sum()), self.by_chance(c).value
+            early = int((f.onset[c] < self.settling).sum())
+            if early:
+                out.append(
+                    f"{case.name}: in {early} of {self.runs} runs the onset is within the {self.settling} samples "
+                    f"({self.settling * self.dt:g} s) over which the monitor settles, and the delay counts these: "
+                    "choose a later one"
+                )
+            if silent:
+                out.append(
+                    f"{case.name}: in {silent} of {self.runs} runs nothing was judged from the onset on: the filter "
+                    "had not settled, or the fault makes values that the monitor takes for no measurement "
+                    "(Monitor(plausible=...))"
+                )
+            if chance > _CHANCE:
+                out.append(
+                    f"{case.name}: {percent(int(f.by_chance[c].sum()), self.runs)} of the runs would count as detected "
+                    "without the fault: count over a shorter time (within=), or compare the curve over all thresholds"
+                )
+        return tuple(out)
+
+    # ------------------------------------------------------------------- output
+
+    def __str__(self) -> str:
+        rate, apart = self.false_alarm_rate(), self.time_between_false_alarms()
+        lines = [
+            f"{self.plant}: {counted(self.runs, 'run')} of {self.samples:,} samples for each of "
+            f"{counted(len(self.cases), 'case')}, seed {self.seed}",
+            f"false-alarm rate {rate} of the fault-free samples",
+            f"mean time between false alarms {apart} s",
+            f"intervals of {100 * self.confidence:g} % confidence",
+        ]
+        if self.cases:
+            lines += ["", str(self.table())]
+            lines += ["", *(str(one) for one in self.detection_probabilities() if len(one.sizes) > 1)]
+        return "\n".join([*lines, *(["", *self.notes] if self.notes else [])]).rstrip()
+
+    def to_html(self, path: str | Path, *, title: str | None = None) -> Path:
+        """Write a self-contained page with tables, pictures, seed, versions and settings; return its path."""
+        from residua.report.campaign_page import write_campaign_page
+
+        return write_campaign_page(self, path, title=title)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the campaign to a file, from which :meth:`load` reads it."""
+        return write_runs(path, self.head(), self.figures)
+
+    @staticmethod
+    def load(path: str | Path) -> Campaign:
+        """Read a campaign that :meth:`save` wrote, or that was run with ``resume=``.
+
+        Raises
+        ------
+        FileFormatError
+            If the file is none, is damaged, or holds a campaign that is not complete.
+        """
+        head, figures = read_runs(path)
+        whole = campaign_from(head, figures, str(path))
+        if figures.runs < whole.runs:
+            raise FileFormatError(
+                f"{path} holds {figures.runs} of {whole.runs} runs: call campaign(..., resume={str(path)!r}) again "
+                "with the same settings to go on"
+            )
+        return whole
+
+    def head(self) -> dict[str, Any]:
+        """Return everything but the figures of the runs, as a record."""
+        return {
+            "plant": self.plant,
+            "cases": [[c.fault, c.shape, float_out(c.size), c.scenario] for c in self.cases],
+            "groups": [list(group) for group in self.groups],
+            "runs": self.runs,
+            "samples": self.samples,
+            "seed": self.seed,
+            "dt": self.dt,
+            "threshold": float_out(self.threshold),
+            "window": self.window,
+            "settling": self.settling,
+            "settings": dict(self.settings),
+            "draws": self.draws,
+            "watched": self.watched,
+            "confidence": self.confidence,
+        }
+
+    # ------------------------------------------------------------------ helpers
+
+    def _named_right(self, case: int) -> NDArray[np.bool_]:
+        own = [g for g, group in enumerate(self.groups) if self.cases[case].fault in group]
+        return np.isin(self.figures.named[case], own)
+
+    def _right(self, case: int) -> int:
+        return int(self._named_right(case).sum())
+
+
+_ENTRIES = (
+    *(
+        "plant",
+        "cases",
+        "groups",
+        "runs",
+        "samples",
+        "seed",
+        "dt",
+        "threshold",
+        "window",
+        "settling",
+        "settings",
+        "draws",
+    ),
+    *("watched", "confidence"),
+)
+
+
+def campaign_from(head: Mapping[str, Any], figures: RunFigures, where: str) -> Campaign:
+    """Return the campaign that a file's head and figures describe."""
+    content = record({name: value for name, value in head.items() if name != "version"}, where, _ENTRIES)
+    cases = []
+    for k, one in enumerate(list_in(content["cases"], f"{where}: cases", figures.onset.shape[0])):
+        fault, shape, size, scenario = list_in(one, f"{where}: cases.{k}", 4)
+        at = f"{where}: cases.{k}"
+        cases.append(
+            CaseFacts(text_in(fault, at), text_in(shape, at), float_in(size, at, KNOWN_OR_NOT), whole_in(scenario, at))
+        )
+    settings = table_in(content["settings"], f"{where}: settings")
+    groups = list_in(content["groups"], f"{where}: groups")
+
+    def entry(name: str) -> tuple[Any, str]:
+        return content[name], f"{where}: {name}"
+
+    return Campaign(
+        plant=text_in(*entry("plant")),
+        cases=tuple(cases),
+        groups=tuple(texts_in(group, f"{where}: groups") for group in groups),
+        figures=figures,
+        runs=whole_in(*entry("runs")),
+        samples=whole_in(*entry("samples")),
+        seed=whole_in(*entry("seed")),
+        dt=float_in(*entry("dt")),
+        threshold=float_in(*entry("threshold")),
+        window=whole_in(*entry("window")),
+        settling=whole_in(*entry("settling")),
+        settings={str(name): str(value) for name, value in settings.items()},
+        draws=text_in(*entry("draws")),
+        watched=text_in(*entry("watched")),
+        confidence=float_in(*entry("confidence")),
+    )
+
+
+def check_goes_on(made: Campaign, new: Campaign, path: str | Path) -> None:
+    """Raise unless a file's campaign is the beginning of the one that is to be run."""
+    if (made.draws, made.watched) != (new.draws, new.watched) or made.figures.runs > new.runs:
+        changed = [name for name, value in new.settings.items() if made.settings.get(name) != value]
+        if made.watched != new.watched:
+            changed.append("monitor")
+        raise SettingError(
+            f"{echo(str(path))} holds another campaign (different: {listed(changed) if changed else 'runs'}): name "
+            "another file, or remove that one"
+        )
+
+
+__all__ = ["Campaign", "CaseFacts", "campaign_from", "check_goes_on"]
