@@ -169,7 +169,7 @@ def arx(
     fitted = error_facts(innovations, first.shortened(_JUDGED, 2 * longest + 1), facts.mean, facts.units)
     assert fitted is not None  # there are windows longer than the past
     excited = excitation(factor, longest, feedthrough=feedthrough)
-    notes = [*gathered.notes, *facts.notes(gathered.sources)]
+    notes = [*gathered.notes, *facts.notes(gathered)]
     if not feedthrough:
         pairs = [f"{first.outputs[i]!r} with {first.inputs[j]!r}" for i, j in excited.instant]
         if pairs:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import DataError
+from residua.identify.outlying_values import outlying_values
 from residua.identify.segments import BLOCK, Gathered
 from residua.linear.systems.balancing import power_of_two
 from residua.recording.levels import units_between
@@ -120,6 +121,14 @@ class ChannelFacts:
         """Return in words which channels say the same; empty where none do."""
         return "; ".join(map(self._dependence, self.dependent()))
 
+    def repeated_outputs(self) -> tuple[str, ...]:
+        """Return a note where outputs say the same as other channels, for methods that do not refuse them."""
+        outputs = set(self.channels[self.n_inputs :])
+        same = "; ".join(self._dependence(group) for group in self.dependent() if outputs & set(group))
+        if not same:
+            return ()
+        return (f"{same}: one of them is no measurement of its own, and a residual of them is zero; leave one out",)
+
     def _dependence(self, group: Sequence[str]) -> str:
         if len(group) != 2:
             return f"{listed(group)} are linear functions of one another at every sample"
@@ -128,9 +137,12 @@ class ChannelFacts:
             return f"the output {group[1]!r} is the input {group[0]!r}, times a number"
         return f"{group[0]!r} and {group[1]!r} are the same signal, times a number"
 
-    def notes(self, sources: Sequence[str], *, drifts: bool = True) -> tuple[str, ...]:
-        """Return what should be known of the channels: drifts, few values, recordings in other units."""
-        found = []
+    def notes(self, gathered: Gathered, *, drifts: bool = True) -> tuple[str, ...]:
+        """Return what should be known of the channels: outliers, standstills, drifts, few values, other units.
+
+        Outliers and standstills are those of ``gathered``, which may have more rows than the facts are from.
+        """
+        found = list(outlying_values(gathered))
         for i, name in enumerate(self.channels):
             if drifts and self.drift[i] > _DRIFT:
                 found.append(
@@ -139,7 +151,7 @@ class ChannelFacts:
                 )
             if self.values[i] < _FEW_VALUES:
                 found.append(f"{name!r} takes only {self.values[i]} different values in {self.rows} rows")
-        return (*found, *units_between(self.channels, sources, self.recording_mean, self.recording_deviation))
+        return (*found, *units_between(self.channels, gathered.sources, self.recording_mean, self.recording_deviation))
 
 
 def channel_facts(gathered: Gathered) -> ChannelFacts:

@@ -325,6 +325,7 @@ def _parity(
         conditions={"gap of the correlations": gap},
         notes=(
             *few_rows(stacked.count, len(stacked.factor)),
+            *channels.units.facts.repeated_outputs(),
             *_about_the_gap(correlations, k, supported, gap, chance),
             *notes,
         ),
