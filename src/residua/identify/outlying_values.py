@@ -162,7 +162,7 @@ def _outliers(
             continue
         recording, row, value = first[k]
         place = f"{number(value)} in row {row}{_where(gathered, recording)}"
-        usual = f"the middle is {number(middle[channel])}, the usual distance {number(unit[channel])}"
+        usual = f"the middle is {number(float(middle[channel]))}, the usual distance {number(float(unit[channel]))}"
         share = f"{100 * far_squares[k] / squares[k]:.3g} % of its variance"
         name = repr(gathered.channels[channel])
         if count[k] == 1:
