@@ -349,7 +349,7 @@ def test_what_shows_no_fault_is_refused() -> None:
         monitor.learn_fault("x", None, seen[:90])
     with pytest.raises(DataError, match=r"shows no fault: the mean of its residuals over 90 samples .* probability of"):
         monitor.learn_fault("x", None, seen, interval=(5, 95))
-    with pytest.raises(DataError, match="has no sample from 400 to 500: its times are 0 to 299"):
+    with pytest.raises(DataError, match="has no sample from 400 to 500 s: its times are 0 to 299 s"):
         monitor.learn_fault("x", None, seen, interval=(400, 500))
     with pytest.raises(DataError, match="has 1 usable sample in the interval"):
         monitor.learn_fault("x", None, seen, interval=(200, 200.5))
@@ -469,3 +469,18 @@ def test_tennessee_eastman_faults_are_named_from_one_recording(
     assert other == 0
     assert unknown < 0.15
     assert mistaken < 0.3
+
+
+def test_an_interval_is_in_seconds_and_may_last_to_the_end() -> None:
+    rng = np.random.default_rng(0)
+    made = rs.identify.principal_components(rng.standard_normal((300, 3)), dt=10.0)
+    monitor = rs.Monitor(made).fit(None, rng.standard_normal((300, 3)))
+    seen = rng.standard_normal((400, 3))
+    seen[200:] += [4.0, -3.0, 0.0]
+    assert monitor.learn_fault("leak", None, seen, interval=(2000, np.inf)).learnt_faults[-1].samples == 200
+    with pytest.raises(DataError, match=r"seconds: interval=\(200, 400\), from 200 s to 400 s, took 20 of 400 samples"):
+        monitor.learn_fault("x", None, seen, interval=(200, 400))
+    with pytest.raises(DataError, match="from 9000 to inf s: its times are 0 to 3990 s"):
+        monitor.learn_fault("x", None, seen, interval=(9000, np.inf))
+    with pytest.raises(SettingError, match=r"array of int\d+: a mask of samples is one of booleans"):
+        monitor.learn_fault("x", None, seen, interval=(np.arange(400) >= 200).astype(int))
