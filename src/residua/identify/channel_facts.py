@@ -15,6 +15,7 @@ from residua.linear.systems.balancing import power_of_two
 from residua.recording.levels import units_between
 from residua.tolerances import DATA_ROUNDING, RANK
 from residua.visible import listed
+from residua.words import counted
 
 #: A straight line over a recording that explains more than this part of a channel's variance is a drift.
 _DRIFT = 0.5
@@ -98,12 +99,21 @@ class ChannelFacts:
                 f"{listed(vast)}: values so large that their squares overflow; mark what is no value as NaN"
             )
 
+    def check_rows(self) -> None:
+        """Raise where there is one row: in it nothing can move, whatever the channels are."""
+        if self.rows < 2:
+            raise DataError(
+                f"{counted(self.rows, 'complete row')} of {counted(len(self.channels), 'channel')}: too few to learn "
+                "anything from; give a longer recording"
+            )
+
     def check(self) -> None:
         """Raise where channels are constant, or linear functions of others: no model tells their parts apart.
 
         All that is wrong is said at once.
         """
         self.check_size()
+        self.check_rows()
         still, same, wrong = self.constant(), self.dependences(), []
         if still:
             left = [name for name in self.channels if name not in still]
