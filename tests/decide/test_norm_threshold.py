@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
+import residua as rs
 from residua.decide.norm_threshold import NormThreshold, fit_norm_test, norm_test_from_model
 from residua.decide.persistence import alarm_logic
 from residua.decide.whitened_norm import check_invertible
@@ -151,3 +152,11 @@ def test_the_model_gives_a_threshold_without_data() -> None:
 def test_wrong_settings_are_refused(wrong: dict) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
         NormThreshold(**wrong)
+
+
+def test_a_window_longer_than_any_recording_is_refused() -> None:
+    made = rs.identify.given_residuals(["a"], dt=1.0)
+    rng = np.random.default_rng(0)
+    monitor = rs.Monitor(made, test=NormThreshold(window=20), isolate=None)
+    with pytest.raises(DataError, match="window of 20: the longest has"):
+        monitor.fit([(None, rng.standard_normal((15, 1))) for _ in range(20)], held_out=0, transient=0)

@@ -11,9 +11,6 @@ from residua.errors import DataError, SettingError
 from residua.files import check_input, check_output, real, special
 from residua.tolerances import SAME
 
-#: Fraction of fault-free samples in alarm, unless another is asked for.
-FALSE_ALARM_RATE = 1e-4
-
 
 def checked_rate(value: float | None) -> float | None:
     """Return a rate, or raise unless it lies between 0 and 1."""

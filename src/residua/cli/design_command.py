@@ -12,10 +12,11 @@ from typing import Annotated, Any
 import typer
 
 from residua.cli import methods, screen
-from residua.cli.checks import FALSE_ALARM_RATE, check_outputs, check_sample_time, checked_positive, checked_rate
+from residua.cli.checks import check_outputs, check_sample_time, checked_positive, checked_rate
 from residua.cli.guard import GuardedGroup, in_cli_words, note
 from residua.cli.plant_commands import PlantFile
 from residua.decide import Directional, Matched, NormThreshold, Structured
+from residua.decide.checks import FALSE_ALARM_RATE
 from residua.decide.isolation import IsolationSettings
 from residua.design import MatchedFilters
 from residua.design.core.brought import as_generator

@@ -10,7 +10,7 @@ import numpy as np
 import typer
 
 from residua.cli import screen
-from residua.cli.checks import FALSE_ALARM_RATE, check_outputs, check_recordings, checked_rate
+from residua.cli.checks import check_outputs, check_recordings, checked_rate
 from residua.cli.design_command import thresholds
 from residua.cli.guard import in_cli_words, warn
 from residua.cli.identify_command import (
@@ -50,6 +50,7 @@ from residua.cli.recording_options import (
     Variable,
 )
 from residua.decide import NormThreshold
+from residua.decide.checks import FALSE_ALARM_RATE
 from residua.design import kalman_filter
 from residua.monitor import Monitor
 from residua.monitor.diagnosis import Diagnosis

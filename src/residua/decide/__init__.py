@@ -1,8 +1,12 @@
 """From residuals to alarms and named faults: one test or isolation, one file."""
 
 from residua.decide.alarm import Alarm, Candidate
+from residua.decide.chi_squared import ChiSquared, ChiSquaredTest
 from residua.decide.consistency import ConsistentFault, Explanation, code_likelihoods, consistent_faults
+from residua.decide.cusum import CUSUM, CUSUMTest
 from residua.decide.directional import Directional, DirectionTest, correlation, projection_distance
+from residua.decide.ewma import EWMA, EWMATest
+from residua.decide.glr import GLR, GLRTest
 from residua.decide.isolation import Isolation, IsolationSettings, Named, Scores, Seen
 from residua.decide.kinds import register
 from residua.decide.matched import Matched
@@ -20,18 +24,26 @@ from residua.decide.whitening import whitening_matrix
 from residua.decide.window import WindowState, empty_window, moving_sum
 
 __all__ = [
+    "CUSUM",
+    "EWMA",
+    "GLR",
     "Alarm",
     "AlarmRuns",
     "BankTest",
     "Block",
+    "CUSUMTest",
     "Candidate",
+    "ChiSquared",
+    "ChiSquaredTest",
     "CodeReading",
     "CodeTest",
     "ConsistentFault",
     "DirectionTest",
     "Directional",
+    "EWMATest",
     "Explanation",
     "FaultFreeRun",
+    "GLRTest",
     "GroupTest",
     "Isolation",
     "IsolationSettings",

@@ -9,6 +9,9 @@ import numpy as np
 from residua.errors import SettingError
 from residua.visible import echo
 
+#: Fraction of fault-free samples in alarm, unless another is asked for.
+FALSE_ALARM_RATE = 1e-4
+
 
 def is_number(value: object) -> bool:
     """Tell whether a setting is one finite number."""

@@ -5,7 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
+from residua.decide.chi_squared import ChiSquared
+from residua.decide.cusum import CUSUM
 from residua.decide.directional import Directional
+from residua.decide.ewma import EWMA
+from residua.decide.glr import GLR
 from residua.decide.isolation import IsolationSettings, NoIsolation
 from residua.decide.matched import Matched
 from residua.decide.norm_threshold import NormThreshold
@@ -17,7 +21,9 @@ from residua.records import table_in, text_in
 from residua.visible import echo
 
 #: By the mark that files know them by; for ``isolate="auto"`` the last one counts that offers to read a design.
-TESTS: dict[str, type[TestSettings]] = {cls.kind: cls for cls in (NormThreshold, PeakThreshold)}
+TESTS: dict[str, type[TestSettings]] = {
+    cls.kind: cls for cls in (NormThreshold, PeakThreshold, ChiSquared, EWMA, CUSUM, GLR)
+}
 ISOLATIONS: dict[str, type[IsolationSettings]] = {cls.kind: cls for cls in (Directional, Structured, Matched)}
 
 Kind = TypeVar("Kind", bound=type[TestSettings] | type[IsolationSettings])

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Self, SupportsFloat
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.decide.checks import check_rate, check_samples, is_number
+from residua.decide.checks import FALSE_ALARM_RATE, check_rate, check_samples, is_number
 from residua.decide.false_alarms import observed
 from residua.decide.fault_free import FaultFree
 from residua.decide.member_thresholds import BankTest, Parts, fit_together, rows_of, side_by_side
@@ -221,7 +221,7 @@ class PeakThreshold(TestSettings):
 
     thresholds: SupportsFloat | Mapping[str, SupportsFloat] | Sequence[SupportsFloat] | None = None
     window: int = 60
-    false_alarm_rate: float = 1e-4
+    false_alarm_rate: float = FALSE_ALARM_RATE
 
     def __post_init__(self) -> None:
         """Check the settings."""

@@ -84,7 +84,18 @@ def alarm_logic(
     up_now = count - np.maximum.accumulate(np.where(under, count, -up[:, None]), axis=1)
     down_now = count - np.maximum.accumulate(np.where(over, count, -down[:, None]), axis=1)
     raised, ended = over & (up_now >= persistence), under & (down_now >= release)
-    samples = np.arange(exceeded.shape[1])
+    return held(raised, ended, alarm), up_now, down_now
+
+
+def held(raised: NDArray[np.bool_], ended: NDArray[np.bool_], alarm: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return for each sample whether an alarm is on that some samples raise, others end, and the rest let be.
+
+    Parameters
+    ----------
+    raised, ended : ndarray of bool, shape (plants, time)
+    alarm : ndarray of bool, shape (plants,)
+        Whether it was on before.
+    """
+    samples = np.arange(raised.shape[1])
     latest = np.maximum.accumulate(np.where(raised | ended, samples, -1), axis=1)
-    state = np.where(latest >= 0, np.take_along_axis(raised, np.maximum(latest, 0), axis=1), alarm[:, None])
-    return state, up_now, down_now
+    return np.where(latest >= 0, np.take_along_axis(raised, np.maximum(latest, 0), axis=1), alarm[:, None])

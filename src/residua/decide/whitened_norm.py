@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.checks import check_rate, check_samples, is_number
+from residua.decide.checks import FALSE_ALARM_RATE, check_rate, check_samples, is_number
 from residua.decide.false_alarms import Observed, observed, promise_of
 from residua.decide.fault_free import FaultFree, check_enough
 from residua.decide.persistence import AlarmRuns, run_alarm
@@ -17,7 +17,7 @@ from residua.decide.row_norms import row_norms
 from residua.decide.test import Block, ResidualTest, Tested, TestSettings, Watched
 from residua.decide.whitening import whitening_matrix
 from residua.decide.window import WindowState, empty_window, moving_sum
-from residua.errors import FileFormatError, SettingError
+from residua.errors import DataError, FileFormatError, SettingError
 from residua.linear.systems.recursion import ordered_product
 from residua.number_kinds import COUNT, ENTRY, PART, POSITIVE, PROBABILITY, SHARE, WINDOW, NumberKind
 from residua.tolerances import SIGNAL_ROUNDING
@@ -49,7 +49,7 @@ class NormSettings(TestSettings):
     release: int | None = None
     window: int = 1
     whiten: str = "auto"
-    false_alarm_rate: float = 1e-4
+    false_alarm_rate: float = FALSE_ALARM_RATE
 
     def __post_init__(self) -> None:
         """Check the settings."""
@@ -294,6 +294,12 @@ def fit_moments(
     data = FaultFree(residuals, usable, settings.window, tuple(seams))
     k, count = residuals.shape[1], int(usable.sum())
     check_enough(count, k, settings.window)
+    if not data.full.any():
+        longest = max(int(usable[part].sum()) for part in data.parts)
+        raise DataError(
+            f"no recording has as many usable samples as the window of {settings.window}: the longest has {longest}; "
+            "take a shorter window, or longer recordings"
+        )
     rounding = SIGNAL_ROUNDING * signal_size
     noise_free = data.spread <= rounding
     known = None

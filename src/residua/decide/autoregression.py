@@ -1,0 +1,183 @@
+"""Residuals without their memory: an autoregression of fault-free residuals, and what it does not foretell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.linear.systems.recursion import ordered_product
+
+#: Orders that are compared; fewer where the data are few.
+_ORDERS = (1, 2, 3, 4, 6, 8, 12, 16, 24)
+#: Samples to each coefficient of an equation.
+_SAMPLES = 20
+#: Lags that a test of whiteness looks at.
+LAGS = 20
+
+
+@dataclass(frozen=True, eq=False)
+class Autoregression:
+    r"""What the last samples foretell of the next one.
+
+    .. math:: e_k = q_k - \sum_{i=1}^{p} A_i q_{k-i}
+
+    Attributes
+    ----------
+    coefficients : ndarray, shape (p, k, k)
+        The transposes of :math:`A_i`: samples are rows.
+    covariance : ndarray, shape (k, k)
+        Of :math:`e`.
+    """
+
+    coefficients: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+
+    @property
+    def order(self) -> int:
+        """The samples of the past that are looked at; 0 for none."""
+        return len(self.coefficients)
+
+
+@dataclass(frozen=True, eq=False)
+class Past:
+    """The last samples of each plant.
+
+    Attributes
+    ----------
+    samples : ndarray, shape (plants, p, k)
+    usable : ndarray of bool, shape (plants, p)
+    """
+
+    samples: NDArray[np.float64]
+    usable: NDArray[np.bool_]
+
+    @staticmethod
+    def empty(plants: int, coefficients: NDArray[np.float64]) -> Past:
+        """Return the past before the first sample: none of it is known."""
+        order, k = coefficients.shape[:2]
+        return Past(np.zeros((plants, order, k)), np.zeros((plants, order), dtype=bool))
+
+
+def unforetold(
+    coefficients: NDArray[np.float64], past: Past, q: NDArray[np.float64], usable: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_], Past]:
+    """Return what the past does not foretell of each sample, and where all that it takes is known.
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (p, k, k)
+    past : Past
+    q : ndarray, shape (plants, time, k)
+        Zero where not usable.
+    usable : ndarray of bool, shape (plants, time)
+    """
+    order, time = len(coefficients), q.shape[1]
+    if not order:
+        return q, usable, past
+    rows, known = np.concatenate([past.samples, q], axis=1), np.concatenate([past.usable, usable], axis=1)
+    e, seen = q, usable
+    for lag, A in enumerate(coefficients, 1):
+        e = e - ordered_product(rows[:, order - lag : order - lag + time], A)
+        seen = seen & known[:, order - lag : order - lag + time]
+    return np.where(seen[..., None], e, 0.0), seen, Past(rows[:, time:].copy(), known[:, time:].copy())
+
+
+def autoregression(
+    rows: NDArray[np.float64], usable: NDArray[np.bool_], parts: Sequence[slice], *, most: int | None = None
+) -> Autoregression:
+    r"""Return the autoregression of fault-free samples, of the order that Schwarz's criterion prefers.
+
+    By the equations of Yule and Walker, whose solution is stable; each residual by its own past, or all by the past
+    of all, whichever the criterion prefers.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (time, k)
+        Of mean zero, and zero where not usable.
+    usable : ndarray of bool, shape (time,)
+    parts : sequence of slice
+        The recordings: no lag reaches from one into another.
+    most : int, optional
+        The largest order.
+    """
+    n, k = int(usable.sum()), rows.shape[1]
+    orders = [p for p in _ORDERS if p * _SAMPLES <= n and (most is None or p <= most)]
+    products = _products(rows, parts, max(orders, default=0)) / max(n, 1)
+    best = Autoregression(np.zeros((0, k, k)), products[0])
+    smallest = n * _log_determinant(products[0])
+    for joint in (False, True) if k > 1 else (False,):
+        for order in orders:
+            count = order * k * (k if joint else 1)
+            if joint and order * k * _SAMPLES > n:
+                break
+            found = _solved(products, order, joint)
+            value = n * _log_determinant(found.covariance) + count * np.log(n)
+            if value < smallest:
+                best, smallest = found, value
+    return best
+
+
+def whiteness(e: NDArray[np.float64], seen: NDArray[np.bool_], parts: Sequence[slice]) -> float:
+    r"""Return the probability that white noise shows correlations in time as large as these.
+
+    .. math:: Q = n^2 \sum_{l=1}^{L} \frac{1}{n-l} \mathrm{tr}(C_l^T C_0^{-1} C_l C_0^{-1}) \sim \chi^2(k^2 L)
+
+    References
+    ----------
+    Hosking (1980), Journal of the American Statistical Association 75, 602-608.
+    """
+    from scipy.special import chdtrc
+
+    n, k = int(seen.sum()), e.shape[1]
+    lags = min(LAGS, max(n // 4, 1))
+    products = _products(np.where(seen[:, None], e, 0.0), parts, lags) / max(n, 1)
+    inverse = np.linalg.pinv(products[0])
+    terms = [float(np.trace(C.T @ inverse @ C @ inverse)) / max(n - lag, 1) for lag, C in enumerate(products) if lag]
+    return float(chdtrc(k * k * lags, n**2 * sum(terms)))
+
+
+def _products(rows: NDArray[np.float64], parts: Sequence[slice], lags: int) -> NDArray[np.float64]:
+    """Return the sums of ``q_{t-l}^T q_t`` for the lags from zero."""
+    k = rows.shape[1]
+    out = np.zeros((lags + 1, k, k))
+    for part in parts:
+        here = rows[part]
+        for lag in range(min(lags, len(here) - 1) + 1):
+            out[lag] += here[: len(here) - lag].T @ here[lag:]
+    return out
+
+
+def _solved(products: NDArray[np.float64], order: int, joint: bool) -> Autoregression:
+    k, lags = products.shape[1], range(order)
+    A = np.zeros((order, k, k))
+    if joint:
+        right = np.concatenate([_between(products, lag + 1, 0) for lag in lags])
+        left = np.block([[_between(products, i, j) for j in lags] for i in lags])
+        A = np.linalg.lstsq(left, right, rcond=None)[0].reshape(order, k, k)
+    else:
+        apart = np.abs(np.subtract.outer(np.array(lags), np.array(lags)))
+        for j in range(k):
+            r = products[: order + 1, j, j]
+            A[:, j, j] = np.linalg.lstsq(r[apart], r[1:], rcond=None)[0]
+    terms = [np.eye(k), *(-A)]
+    covariance = np.zeros((k, k))
+    for i, a in enumerate(terms):
+        for j, b in enumerate(terms):
+            covariance += a.T @ _between(products, i, j) @ b
+    return Autoregression(np.asarray(A, dtype=float), (covariance + covariance.T) / 2)
+
+
+def _between(products: NDArray[np.float64], i: int, j: int) -> NDArray[np.float64]:
+    """Return the mean of ``q_{t-i}^T q_{t-j}``."""
+    return products[i - j] if i >= j else products[j - i].T
+
+
+def _log_determinant(covariance: NDArray[np.float64]) -> float:
+    values = np.linalg.eigvalsh(covariance)
+    return float(np.log(np.maximum(values, np.finfo(float).tiny)).sum())
+
+
+__all__ = ["LAGS", "Autoregression", "Past", "autoregression", "unforetold", "whiteness"]

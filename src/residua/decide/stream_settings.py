@@ -1,0 +1,313 @@
+"""Settings of tests that remember, and their thresholds: designed by integral equation, or from what the data show."""
+
+from __future__ import annotations
+
+import itertools
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide.autoregression import Past, autoregression, unforetold, whiteness
+from residua.decide.checks import FALSE_ALARM_RATE, check_rate, is_number
+from residua.decide.dependence import correlation_times
+from residua.decide.exceedance_tail import scale_of
+from residua.decide.false_alarms import Observed, promise_of
+from residua.decide.fault_free import FaultFree, check_enough
+from residua.decide.normal_scores import is_heavy_tailed, knots_of
+from residua.decide.run_lengths import LONGEST, AlarmCycle, threshold_of
+from residua.decide.stream_test import StreamTest, plain
+from residua.decide.test import Block, FaultFreeRun, TestSettings, Watched
+from residua.decide.whitening import whitening_matrix
+from residua.errors import DataError, SettingError
+from residua.number_kinds import POSITIVE, PROBABILITY, NumberKind
+from residua.tolerances import LEAKAGE, SIGNAL_ROUNDING
+from residua.visible import echo
+from residua.words import number
+
+Source = Literal["auto", "design", "data"]
+Treatment = Literal["auto", "none"]
+
+#: Probability that white noise looks as coloured, below which it is taken to be coloured.
+_COLOURED = 0.01
+#: False alarms that are expected where a design is compared with the data, the rarest last: as many as data can show.
+_EXPECTED = (200.0, 50.0, 20.0)
+#: Deviations of their number by which the data contradict the design.
+_CONTRADICTION = 3.0
+#: How much more often false alarms come for a mean from few samples, where it is said.
+_NOTABLE = 1.02
+#: Windows over which the sums of a residual have the same covariance if it is white.
+_WINDOWS = (2, 8, 32)
+
+
+@dataclass(frozen=True)
+class StreamSettings(TestSettings):
+    """What every test that remembers is set by; see :class:`residua.decide.CUSUM`."""
+
+    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {
+        "threshold": POSITIVE,
+        "false_alarm_rate": PROBABILITY,
+        "mean_time_between_false_alarms": POSITIVE,
+    }
+    #: The level at which an alarm ends, as a part of the threshold.
+    falls_to: ClassVar[float] = 0.0
+    #: How a threshold is designed.
+    origin: ClassVar[str] = "by integral equation"
+
+    mean_time_between_false_alarms: float | None = None
+    false_alarm_rate: float = FALSE_ALARM_RATE
+    threshold: float | None = None
+    source: str = "auto"
+    treatment: str = "auto"
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        check_rate(self.false_alarm_rate)
+        time = self.mean_time_between_false_alarms
+        if time is not None:
+            if not (is_number(time) and 1 < time <= LONGEST):
+                raise SettingError(
+                    f"mean_time_between_false_alarms must be a number of samples above 1, at most {LONGEST:g}, "
+                    f"got {echo(time)}"
+                )
+            object.__setattr__(self, "mean_time_between_false_alarms", float(time))
+        if self.threshold is not None and not (is_number(self.threshold) and self.threshold > 0):
+            raise SettingError(f"threshold must be a positive number, got {echo(self.threshold)}")
+        for name, values in (("source", get_args(Source)), ("treatment", get_args(Treatment))):
+            if getattr(self, name) not in values:
+                raise SettingError(f"{name} must be one of {', '.join(values)}, got {echo(getattr(self, name))}")
+        object.__setattr__(self, "false_alarm_rate", float(self.false_alarm_rate))
+
+    # ------------------------------------------------------------- of each kind of test
+
+    @abstractmethod
+    def run_length(self, threshold: float, dimension: int) -> float:
+        """Return the mean number of samples to a false alarm from a start, of white residuals with unit covariance."""
+
+    @abstractmethod
+    def cycle(self, threshold: float, dimension: int) -> AlarmCycle:
+        """Return how long such a test is quiet, and how long a false alarm lasts."""
+
+    @abstractmethod
+    def test(self, **parts: Any) -> StreamTest:
+        """Return what runs."""
+
+    def hurry(self, threshold: float, dimension: int, samples: int) -> float:
+        """Return how many times as often false alarms come where the mean is from so many samples, on average.
+
+        1 where that is not known.
+        """
+        return 1.0
+
+    def promise(self, threshold: float, dimension: int) -> tuple[str, float | None]:
+        """Return what a threshold means, in words, and the time between false alarms where it is known."""
+        time = self.run_length(threshold, dimension)
+        return f"a false alarm each {number(time)} samples on average", time
+
+    # -------------------------------------------------------------------------- thresholds
+
+    def designed(self, dimension: int, rate: float | None = None, *, samples: int | None = None) -> float:
+        """Return the threshold of the wanted time between false alarms, or of the fraction of samples in alarm.
+
+        ``samples`` are those that the mean is from, which makes false alarms more frequent; known exactly when omitted.
+        """
+        guess = 3.0 + 0.5 * dimension**0.5
+        time = self.mean_time_between_false_alarms
+
+        def solved(more: float) -> float:
+            if time is not None and rate in (None, self.false_alarm_rate):
+                return threshold_of(lambda h: self.run_length(h, dimension), more * time, guess)
+            wanted = more / (self.false_alarm_rate if rate is None else rate)
+            return threshold_of(lambda h: 1 / self.cycle(h, dimension).fraction, wanted, guess)
+
+        known = solved(1.0)
+        more = 1.0 if samples is None else self.hurry(known, dimension, samples)
+        return known if more == 1.0 else solved(more)
+
+    def from_model(self, watched: Watched) -> StreamTest | None:
+        """Return the test that needs no data: of a residual that the plant's noise leaves white; else ``None``."""
+        covariance = watched.generator.covariance_of_sums(1)
+        if covariance is None or self.source == "data":
+            return None
+        k, largest = len(covariance), float(np.abs(covariance).max(initial=0.0))
+        for window in _WINDOWS:
+            summed = watched.generator.covariance_of_sums(window)
+            if summed is None or np.abs(summed - covariance).max() > LEAKAGE * largest:
+                return None
+        parts = plain(np.zeros(k), whitening_matrix(covariance))
+        return self._by_design(parts, self.false_alarm_rate, "noise model of the plant", None)
+
+    def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> StreamTest:
+        """Return the test fitted to fault-free data, for a rate of false alarms.
+
+        Mean, covariance and, where the residual is coloured, an autoregression are from the data. The threshold is
+        that of the design, for white Gaussian residuals, if these data do not contradict it: if as many alarms as the
+        design says are raised on them by lower thresholds. Where they do, the threshold is from the data.
+        """
+        data = FaultFree(run.residuals, run.usable, 1, run.seams)
+        count, k = int(run.usable.sum()), run.residuals.shape[1]
+        check_enough(count, k, 1)
+        if data.spread <= SIGNAL_ROUNDING * run.signal_size():
+            raise DataError(
+                "these residuals hold no noise: no time between false alarms can be designed; set threshold=, or use "
+                "NormThreshold, whose threshold is then the level of rounding"
+            )
+        parts, notes = self._whitened(data)
+        if self.threshold is not None or self.source == "design":
+            return self._by_design(parts, rate, "; ".join([f"moments of {count} fault-free samples", *notes]), count)
+        blank = self.test(**parts, threshold=np.inf, release=0.0, basis="")
+        values, seen = _statistic(blank, run)
+        against = "source='data'" if self.source == "data" else self._contradiction(values, seen, data.parts, k)
+        if not against:
+            notes.append("the data do not contradict the design")
+            return self._by_design(parts, rate, "; ".join([f"moments of {count} fault-free samples", *notes]), count)
+        return self._by_data(blank, values, seen, data.parts, rate, [against, *notes])
+
+    def _whitened(self, data: FaultFree) -> tuple[dict[str, Any], list[str]]:
+        """Return what makes the residual white, and what is said of it."""
+        whole = data.moments()
+        parts, notes = plain(whole.center, whole.whitening), []
+        if whole.intensity:
+            notes.append(f"covariance of too few samples, drawn by {whole.intensity:.2g} towards a simpler one")
+        q = np.where(data.usable[:, None], (data.residuals - whole.center) @ whole.whitening, 0.0)
+        model = None
+        if self.treatment == "auto" and whiteness(q, data.usable, data.parts) < _COLOURED:
+            model = autoregression(q, data.usable, data.parts)
+            if not model.order:
+                notes.append("the residual is coloured, and no autoregression explains it")
+        e = q[data.usable]
+        if model is not None and model.order:
+            e = np.concatenate([_innovations(model.coefficients, q[part], data.usable[part]) for part in data.parts])
+            V = whitening_matrix(e.T @ e / max(len(e), 1))
+            notes.append(f"coloured: what the last {model.order} samples foretell is taken off")
+            parts, e = {**parts, "coefficients": model.coefficients, "rewhitening": V}, e @ V
+        if self.treatment == "auto" and is_heavy_tailed(e):
+            knots, scores = knots_of(e)
+            notes.append("heavy tails: each value is judged by how rare it is")
+            parts = {**parts, "knots": knots, "scores": scores}
+        return parts, notes
+
+    def _by_design(self, parts: Mapping[str, Any], rate: float, origin: str, samples: int | None) -> StreamTest:
+        """Return the test with the threshold of the design, or the one that is set."""
+        k = len(parts["center"])
+        if self.threshold is not None:
+            threshold, basis = self.threshold, "threshold given"
+        else:
+            threshold, basis = self.designed(k, rate, samples=samples), f"designed {self.origin}"
+        text, time = self.promise(threshold, k)
+        more = 1.0 if samples is None or self.threshold is not None else self.hurry(threshold, k, samples)
+        if more > _NOTABLE:
+            text += f" with the mean known ({100 * (more - 1):.0f} % more often with a mean from {samples} samples)"
+        basis += f": {text}, if the residual is white and Gaussian"
+        release = self.falls_to * threshold
+        return self.test(**parts, threshold=threshold, release=release, basis=f"{basis}; {origin}", mean_time=time)
+
+    def _contradiction(
+        self, values: NDArray[np.float64], seen: NDArray[np.bool_], parts: Sequence[slice], dimension: int
+    ) -> str:
+        """Return where other numbers of false alarms are seen than the design says; empty where they agree."""
+        count = int(seen.sum())
+        for expected in _EXPECTED:
+            if count < 10 * expected:
+                continue
+            level = threshold_of(lambda h: self.run_length(h, dimension), count / expected, 3.0 + 0.5 * dimension**0.5)
+            cycle = self.cycle(level, dimension)
+            mean = count / (cycle.quiet + cycle.lasting)
+            levels = np.concatenate([_levels(values[part][seen[part]], self.falls_to) for part in parts])
+            raised = int(np.sum((levels[1:] > level) & (levels[:-1] <= level)))
+            if abs(raised - mean) > _CONTRADICTION * np.sqrt(mean) + 1:
+                return (
+                    f"the data contradict the design for white Gaussian residuals: {raised} alarms at a threshold of "
+                    f"{level:.3g}, {mean:.0f} expected"
+                )
+        return ""
+
+    def _by_data(
+        self,
+        blank: StreamTest,
+        values: NDArray[np.float64],
+        seen: NDArray[np.bool_],
+        parts: Sequence[slice],
+        rate: float,
+        notes: Sequence[str],
+    ) -> StreamTest:
+        """Return the test with a threshold from the data, and what these promise."""
+        time, k = self.mean_time_between_false_alarms, len(blank.center)
+        if time is not None and rate == self.false_alarm_rate:
+            rate = self.cycle(self.designed(k), k).fraction
+        levels, blocks, begins, first = [], [], [], 0
+        squares = np.where(seen, values**2 - np.mean(values[seen] ** 2), 0.0)[:, None]
+        length = int(np.ceil(2 * correlation_times(squares, parts)[0]))
+        for part in parts:
+            mine = values[part][seen[part]]
+            levels.append(_levels(mine, self.falls_to))
+            number_of = np.arange(len(mine)) // length
+            blocks.append(first + number_of)
+            begins.append(np.arange(len(mine)) == 0)
+            first += int(number_of.max(initial=-1)) + 1
+        level = np.concatenate(levels)
+        everywhere = np.ones(len(level), dtype=bool)
+        found = Observed(level, level, everywhere, np.concatenate(blocks), np.concatenate(begins),
+                         scale_of(level, float(k)), 1, 1, level)  # fmt: skip
+        promise = promise_of(found, rate)
+        basis = f"fitted to {len(level)} fault-free samples, {promise}; {'; '.join(notes)}"
+        threshold = float(promise.threshold)
+        return replace(
+            blank, threshold=threshold, release=self.falls_to * threshold, basis=basis, promised=float(promise.promised)
+        )
+
+    # ----------------------------------------------- what the rest of a monitor asks for
+
+    def check(self, watched: Watched) -> None:
+        """Raise where parts have to be tested by themselves."""
+        if watched.parts is not None:
+            raise SettingError(
+                f"{type(self).__name__} tests the residual as a whole, and an isolation by codes asks which part "
+                "fired: take NormThreshold, or isolate by direction"
+            )
+
+    @property
+    def remedy(self) -> str:
+        """How to get a threshold."""
+        return f"{super().remedy}, or give the plant noise (with_noise) that leaves the residual white"
+
+
+def _innovations(
+    coefficients: NDArray[np.float64], q: NDArray[np.float64], usable: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Return what the past does not foretell, of the samples whose past is known."""
+    e, seen, _ = unforetold(coefficients, Past.empty(1, coefficients), q[None], usable[None])
+    return e[0, seen[0]]
+
+
+def _statistic(blank: StreamTest, run: FaultFreeRun) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the statistic of fault-free recordings, each from its own start, and where there is one."""
+    edges = [0, *run.seams, len(run.usable)]
+    made = [
+        blank.run(blank.start(1), Block(run.residuals[None, a:b], run.usable[None, a:b]))[1]
+        for a, b in itertools.pairwise(edges)
+    ]
+    values = np.concatenate([one.statistic[0] for one in made])
+    return values, np.concatenate([one.usable[0] for one in made])
+
+
+def _levels(values: NDArray[np.float64], falls_to: float) -> NDArray[np.float64]:
+    r"""Return for every sample the level below which a threshold has it in alarm.
+
+    .. math:: a_t = \max(s_t, \min(a_{t-1}, s_t / \gamma))
+
+    where an alarm ends with the statistic :math:`s` at or below :math:`\gamma` times the threshold.
+    """
+    if falls_to >= 1:
+        return values
+    out, level = values.tolist(), 0.0
+    for t, value in enumerate(out):
+        ceiling = value / falls_to if falls_to else (np.inf if value > 0 else 0.0)
+        out[t] = level = max(value, min(level, ceiling))
+    return np.array(out)
+
+
+__all__ = ["StreamSettings"]

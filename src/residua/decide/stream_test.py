@@ -1,0 +1,222 @@
+"""Tests that remember: from residuals, whitened and without their memory, to a statistic and its alarm."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide.autoregression import Past, unforetold
+from residua.decide.normal_scores import normal_scores
+from residua.decide.persistence import AlarmRuns, held, run_alarm
+from residua.decide.test import Block, ResidualTest, Tested, Watched
+from residua.decide.whitened_norm import BAND_DEVIATIONS, BAND_SHARE, check_invertible, whitened_residuals
+from residua.errors import FileFormatError
+from residua.linear.systems.recursion import ordered_product
+from residua.number_kinds import ENTRY, POSITIVE, SHARE, NumberKind
+from residua.words import number
+
+
+@dataclass(frozen=True, eq=False)
+class StreamState:
+    """What a test that remembers remembers.
+
+    Attributes
+    ----------
+    past : Past
+        The whitened residuals that the autoregression looks at.
+    sums : ndarray, shape (plants, ...)
+        Of the statistic itself.
+    runs : AlarmRuns
+    """
+
+    past: Past
+    sums: NDArray[np.float64]
+    runs: AlarmRuns
+
+
+@dataclass(frozen=True, eq=False)
+class StreamTest(ResidualTest):
+    r"""A test that remembers, with every number filled in: what runs.
+
+    .. math:: q_k = W^T (r_k - \bar r), \qquad e_k = V^T \Big(q_k - \sum_i A_i q_{k-i}\Big)
+
+    and the statistic follows from :math:`e`, which is white, with unit covariance. An alarm is raised by the first
+    sample over the threshold, and is over with the first at or below the level of release.
+
+    Attributes
+    ----------
+    center : ndarray, shape (k,)
+        Fault-free mean.
+    whitening : ndarray, shape (k, k)
+        W.
+    coefficients : ndarray, shape (p, k, k)
+        The transposes of A; none where the residual is white.
+    rewhitening : ndarray, shape (k, k)
+        V.
+    knots, scores : ndarray, shapes (k, m) and (m,)
+        Where heavy tails are made Gaussian: values of each part of e, and what they become; none elsewhere.
+    threshold, release : float
+    basis : str
+        Where the threshold comes from, in words.
+    mean_time : float or None
+        Samples from a start to a false alarm, on average, where that was designed.
+    promised : float or None
+        Fraction of fault-free samples in alarm that is not exceeded on other data, with 95 % confidence.
+    """
+
+    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {
+        "center": ENTRY,
+        "whitening": ENTRY,
+        "coefficients": ENTRY,
+        "rewhitening": ENTRY,
+        "knots": ENTRY,
+        "scores": ENTRY,
+        "threshold": POSITIVE,
+        "mean_time": POSITIVE,
+        "promised": SHARE,
+    }
+
+    center: NDArray[np.float64]
+    whitening: NDArray[np.float64]
+    coefficients: NDArray[np.float64]
+    rewhitening: NDArray[np.float64]
+    knots: NDArray[np.float64]
+    scores: NDArray[np.float64]
+    threshold: float
+    release: float
+    basis: str
+    mean_time: float | None = None
+    promised: float | None = None
+
+    # ------------------------------------------------------------- of each kind of test
+
+    @abstractmethod
+    def first_sums(self, plants: int) -> NDArray[np.float64]:
+        """Return what the statistic starts from, with a row for each plant."""
+
+    @abstractmethod
+    def statistic(
+        self, sums: NDArray[np.float64], e: NDArray[np.float64], seen: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the statistic for each sample, shape (plants, time), and the sums to go on with.
+
+        Samples that are not seen change nothing.
+        """
+
+    @property
+    @abstractmethod
+    def title(self) -> str:
+        """What is tested, in words."""
+
+    # ------------------------------------------------------------------------- running
+
+    def start(self, plants: int) -> StreamState:
+        """Return the state before the first sample."""
+        return StreamState(Past.empty(plants, self.coefficients), self.first_sums(plants), AlarmRuns.empty(plants))
+
+    def run(self, state: StreamState, block: Block) -> tuple[StreamState, Tested]:
+        """Run the statistic over a block, and the alarm that it raises."""
+        q, usable = whitened_residuals(self.center, self.whitening, block)
+        e, seen, past = unforetold(self.coefficients, state.past, q, usable)
+        if self.coefficients.size:
+            e = ordered_product(e, self.rewhitening)
+        e = normal_scores(e, self.knots, self.scores)
+        values, sums = self.statistic(state.sums, e, seen)
+        values = np.where(seen, values, np.nan)
+        exceeded = seen & (np.where(seen, values, 0.0) > self.threshold)
+        _, up, runs = run_alarm(exceeded, seen, state.runs, 1, 1)
+        alarm = held(exceeded, seen & (np.where(seen, values, np.inf) <= self.release), state.runs.alarm)
+        if alarm.shape[1]:
+            runs = replace(runs, alarm=alarm[:, -1].copy())
+        nobody = np.zeros((*seen.shape, 0))
+        tested = Tested(seen, values, exceeded, alarm, up, q, nobody, nobody.astype(bool))
+        return StreamState(past, sums, runs), tested
+
+    # ----------------------------------------------- what the rest of a monitor asks for
+
+    @property
+    def metric(self) -> NDArray[np.float64]:
+        """The whitening."""
+        return self.whitening
+
+    @property
+    def per_deviation(self) -> NDArray[np.float64] | None:
+        """The whitening."""
+        return self.whitening
+
+    @property
+    def steady_gain(self) -> NDArray[np.float64]:
+        """What a constant whitened residual becomes: ``q @ steady_gain``."""
+        if not self.coefficients.size:
+            return np.eye(len(self.center))
+        return (np.eye(len(self.center)) - self.coefficients.sum(axis=0)) @ self.rewhitening
+
+    @property
+    def per_threshold(self) -> NDArray[np.float64]:
+        """The whitening in units of the constant residual that ends in an alarm."""
+        return self.whitening @ self.steady_gain / self.least_seen
+
+    @property
+    @abstractmethod
+    def least_seen(self) -> float:
+        """The length of the smallest constant mean, in standard deviations, that surely ends in an alarm."""
+
+    def bands(self) -> tuple[NDArray[np.float64], float]:
+        """Return the band of each residual alone."""
+        inverse = np.linalg.pinv(self.whitening)
+        return BAND_DEVIATIONS * np.sqrt(np.sum(inverse**2, axis=0)), BAND_SHARE
+
+    def words(self, step: float) -> dict[str, str]:
+        """Return in words what the threshold is, what is tested, and when an alarm begins and ends."""
+        memory = f", less what the last {len(self.coefficients)} samples foretell" if self.coefficients.size else ""
+        return {
+            "threshold": f"{self.threshold:.4g} ({self.basis})",
+            "test": f"{self.title} of the whitened residual{memory}",
+            "alarm": f"raised by a sample over it, ended by one at or below {number(self.release)}",
+        }
+
+    # --------------------------------------------------------------------------- files
+
+    def check(self, watched: Watched) -> None:
+        """Raise where a test from a file does not fit what it is to watch."""
+        k = watched.generator.n_residuals
+        square = (k, k)
+        if self.center.shape != (k,) or self.whitening.shape != square or self.rewhitening.shape != square:
+            raise FileFormatError(f"fitted: center, whitening and rewhitening must be for {k} residuals")
+        if self.coefficients.ndim != 3 or self.coefficients.shape[1:] != square:
+            raise FileFormatError(f"fitted.coefficients must be matrices for {k} residuals")
+        if self.knots.shape != (k, len(self.scores)) or len(self.scores) == 1:
+            raise FileFormatError(f"fitted: knots must be {len(self.scores)} values for each of {k} residuals")
+        if not ((np.diff(self.knots, axis=1) > 0).all() and (np.diff(self.scores) > 0).all()):
+            raise FileFormatError("fitted: knots and scores must grow")
+        if not 0 <= self.release <= self.threshold:
+            raise FileFormatError("fitted.release must be at least 0 and not above the threshold")
+        check_invertible(self.whitening)
+        check_invertible(self.rewhitening)
+
+    def check_state(self, state: StreamState) -> None:
+        """Raise where a state from a file cannot be one."""
+        first = self.first_sums(len(state.sums))
+        if state.sums.shape != first.shape or state.past.samples.shape[1:] != self.coefficients.shape[:2]:
+            raise FileFormatError("state.test is not that of this test")
+
+
+def plain(center: NDArray[np.float64], whitening: NDArray[np.float64]) -> dict[str, Any]:
+    """Return the parts of a test whose residual is white once it is whitened."""
+    k = len(center)
+    return {
+        "center": center,
+        "whitening": whitening,
+        "coefficients": np.zeros((0, k, k)),
+        "rewhitening": np.eye(k),
+        "knots": np.zeros((k, 0)),
+        "scores": np.zeros(0),
+    }
+
+
+__all__ = ["StreamState", "StreamTest", "plain"]
