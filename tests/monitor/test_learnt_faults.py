@@ -484,3 +484,24 @@ def test_an_interval_is_in_seconds_and_may_last_to_the_end() -> None:
         monitor.learn_fault("x", None, seen, interval=(9000, np.inf))
     with pytest.raises(SettingError, match=r"array of int\d+: a mask of samples is one of booleans"):
         monitor.learn_fault("x", None, seen, interval=(np.arange(400) >= 200).astype(int))
+
+
+def test_a_learnt_fault_ahead_of_a_higher_score_says_why() -> None:
+    """A fault that is hardly told from one of the model is named first, and its score need not be the highest."""
+    rng = np.random.default_rng(0)
+    made = rs.identify.principal_components(rng.standard_normal((3000, 3)), outputs=["a", "b", "c"])
+    monitor = rs.Monitor(made).fit(None, rng.standard_normal((3000, 3)))
+    shift = np.array([6.0, 0.15, 0.0])
+    monitor.learn_fault("leak", None, rng.standard_normal((300, 3)) + shift, interval=(0, 300))
+    told = 0
+    for _ in range(20):
+        diagnosis = monitor.run(None, rng.standard_normal((60, 3)) + shift * [1, 0, 0])
+        assert isinstance(diagnosis, rs.Diagnosis)
+        first, *rest = diagnosis.candidates
+        higher = [one for one in rest if round(one.score, 3) > round(first.score, 3)]
+        said = "leak goes before a sensor, of a higher score" in " ".join(
+            diagnosis.statement(diagnosis.alarms[0]).sentences
+        )
+        assert said == bool(higher) == ("goes before a sensor, of a higher score" in str(diagnosis))
+        told += said
+    assert told
