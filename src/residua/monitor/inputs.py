@@ -87,7 +87,7 @@ def signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, source: st
         u = read_recording(u, plant, dt=dt)
     if y is None:
         if not isinstance(u, Recording):
-            if not hasattr(u, "columns"):
+            if not _is_frame(u):
                 raise DataError("give u and y as arrays, or one data frame, recording or path, with named columns")
             u = recording_from_frame(u, plant, dt=dt, source=source or "data frame")
         return Signals(u.u, u.y, u.time, u.dt, source or u.source, u.notes, u.origin)
@@ -136,6 +136,11 @@ def with_all_channels(u: Any, y: Any, plant: Plant) -> tuple[Any, Any]:
     return None, np.concatenate(parts, axis=-1)
 
 
+def _is_frame(data: Any) -> bool:
+    """Return whether data have columns with names."""
+    return hasattr(data, "columns")
+
+
 def _is_of_channels(plant: Plant) -> bool:
     """Return whether a plant is nothing but channels that were recorded."""
     return not plant.inputs and not plant.n_states
@@ -143,7 +148,7 @@ def _is_of_channels(plant: Plant) -> bool:
 
 def _by_names(u: Any, y: Any, plant: Plant) -> tuple[Any, Any]:
     """Return the columns of data frames in the order of the plant; arrays are taken as they are."""
-    if not (_is_of_channels(plant) and hasattr(u, "columns") and hasattr(y, "columns")):
+    if not (_is_of_channels(plant) and _is_frame(u) and _is_frame(y)):
         return _by_name(u, plant.inputs, "u"), _by_name(y, plant.outputs, "y")
     ours = [name for name in plant.outputs if name in list(u.columns)]
     rest = tuple(name for name in plant.outputs if name not in ours)
@@ -153,9 +158,9 @@ def _by_names(u: Any, y: Any, plant: Plant) -> tuple[Any, Any]:
 
 def _by_name(data: Any, channels: tuple[str, ...], what: str) -> Any:
     """Return the columns of a data frame in the order of the plant; arrays are taken as they are."""
-    columns = getattr(data, "columns", None)
-    if columns is None:
+    if not _is_frame(data):
         return data
+    columns = data.columns
     missing = [name for name in channels if name not in list(columns)]
     if missing:
         raise DataError(
