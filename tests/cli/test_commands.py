@@ -213,6 +213,17 @@ def test_too_short_a_recording_is_no_verdict(made: Path, tmp_path: Path, residua
     status, _, err = residua("run", made / "monitor.json", path)
     assert status == 2
     assert "no sample could be judged" in err
+    assert "settling takes" in err
+
+
+def test_a_channel_without_a_value_is_blamed_not_the_settling(made: Path, tmp_path: Path, residua: Residua) -> None:
+    lines = (made / "faulty.csv").read_text().splitlines()
+    lines[1:] = [",".join([*line.split(",")[:3], ""]) for line in lines[1:]]
+    (tmp_path / "without.csv").write_text("\n".join(lines) + "\n")
+    status, _, err = residua("run", made / "monitor.json", tmp_path / "without.csv")
+    assert status == 2
+    assert "level 2 has no value in the whole recording" in err
+    assert "settl" not in err
 
 
 # ------------------------------------------------------------------------ analyze

@@ -403,6 +403,7 @@ def test_an_order_that_the_data_do_not_determine_is_refused_with_numbers() -> No
         ({"order": {"y1": "auto"}}, "order must be"),
         ({"order": {"y7": 1}}, "y7"),
         ({"order": True}, "order must be"),
+        ({"order": [1, 2]}, "mapping of outputs to their orders"),
         ({"max_order": 1.5}, "max_order must be"),
         ({"past_of": "some"}, "past_of must be one of"),
         ({"held_out": 1.0}, "held_out must be"),

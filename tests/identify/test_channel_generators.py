@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 import scipy.optimize
 
@@ -234,3 +235,53 @@ def test_a_moving_average_decides_once_its_memory_is_full() -> None:
     out = diagnosed(monitor, rows[50:])
     assert int(np.argmax(out.decided)) == 6
     assert not out.alarm[:20].any()
+
+
+def test_channels_come_as_one_array_or_as_inputs_and_outputs() -> None:
+    one = recorded(7, 0.2, 1500, outputs=3)
+    u, y = one.u, one.rows[:, one.u.shape[1] :]
+    made = rs.identify.parity_from_data(u, y, order=3)
+    apart, whole = rs.Monitor(made).fit(u[:1000], y[:1000]), rs.Monitor(made).fit(None, one.rows[:1000])
+    expected = diagnosed(whole, one.rows[1000:]).statistic
+    assert np.array_equal(diagnosed(apart, one.rows[1000:]).statistic, expected, equal_nan=True)
+    pair = apart.run(u[1000:], np.ma.masked_invalid(y[1000:]))
+    assert not isinstance(pair, list)
+    assert np.array_equal(pair.statistic, expected, equal_nan=True)
+    apart.reset()
+    steps = [apart.step(a, b).statistic for a, b in zip(u[1000:], y[1000:], strict=True)]
+    assert np.array_equal(steps, expected, equal_nan=True)
+    for a, b in ((u, one.rows), (u[:, :0], y), (y, y), (u[5:], y)):
+        with pytest.raises(DataError, match=r"columns of y, with None for u|y must be"):
+            apart.run(a, b)
+
+
+def test_frames_of_inputs_and_outputs_are_matched_by_name() -> None:
+    one = recorded(7, 0.2, 1500, outputs=3)
+    m = one.u.shape[1]
+    names = [f"u{i}" for i in range(m)], ["a", "b", "c"]
+    made = rs.identify.principal_components(one.u, one.rows[:, m:], inputs=names[0], outputs=names[1])
+    monitor = rs.Monitor(made).fit(None, one.rows)
+    u = pd.DataFrame(one.u, columns=names[0])
+    y = pd.DataFrame(one.rows[:, m:], columns=names[1])[["c", "a", "b"]]
+    found = monitor.run(u, y)
+    assert not isinstance(found, list)
+    assert np.array_equal(found.statistic, diagnosed(monitor, one.rows).statistic, equal_nan=True)
+
+
+def test_a_path_is_read_for_the_plant(tmp_path: Path) -> None:
+    one = recorded(7, 0.2, 600, outputs=3)
+    rows = np.column_stack([np.arange(600.0), one.rows])
+    names = [f"c{i}" for i in range(one.rows.shape[1])]
+    for name, part in (("normal", rows[:300]), ("new", rows[300:])):
+        np.savetxt(tmp_path / f"{name}.csv", part, delimiter=",", header=",".join(["time", *names]), comments="")
+    made = rs.identify.principal_components(tmp_path / "normal.csv")
+    plant = made.generator.plant
+    monitor = rs.Monitor(made).fit(str(tmp_path / "normal.csv"))
+    again = rs.Monitor(made).fit([rs.read_recording(tmp_path / "normal.csv", plant)])
+    found, expected = monitor.run(tmp_path / "new.csv"), again.run(rs.read_recording(tmp_path / "new.csv", plant))
+    assert not isinstance(found, list)
+    assert not isinstance(expected, list)
+    assert np.array_equal(found.statistic, expected.statistic, equal_nan=True)
+    assert found.source == "new.csv"
+    with pytest.raises(DataError, match="shows no fault"):
+        monitor.learn_fault("none", tmp_path / "new.csv", interval=(300, 600))

@@ -435,3 +435,13 @@ def test_whiteness_counts_only_pairs_of_rows_within_a_stretch() -> None:
     rng = np.random.default_rng(0)
     found = [_whiteness([rng.standard_normal((8, 1)) for _ in range(40)])[0] for _ in range(400)]
     assert np.mean(found) == pytest.approx(0.5, abs=0.06)
+
+
+def test_progress_is_told_of_starts_and_of_the_search() -> None:
+    told: list[tuple[str, int, int]] = []
+    box = {"stiffness": (1.0, 4.0), "damping": (0.05, 1.0)}
+    data = record(spring(**TRUE), 300, 1)
+    one = grey_box(spring, data, box, progress=lambda *now: told.append(now))
+    assert one.parameters == grey_box(spring, data, box, progress=False).parameters
+    assert {stage for stage, _, _ in told} >= {"starts", "search, turn 1"}
+    assert all(0 <= done <= total for _, done, total in told)

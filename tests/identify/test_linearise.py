@@ -339,3 +339,33 @@ def test_names_units_and_faults_arrive() -> None:
     assert plant.units == {"level": "m", "flow": "m3/s"}
     assert plant.name == "tank"
     assert plant.description.startswith("A tank. Linearised at level = 1")
+
+
+@pytest.mark.parametrize("which", ["rate", "output"])
+@pytest.mark.parametrize("bad", [0.0, 5e-4])
+def test_what_a_users_function_raises_is_said_with_the_point(which: str, bad: float) -> None:
+    """At the point itself, or only near it, where differences look."""
+
+    def fails(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        if abs(x[0] - 4.0) >= bad:
+            raise ZeroDivisionError("the pump is dry")
+        return u - x
+
+    def good(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        return u - x
+
+    functions = {"rate": fails} if which == "rate" else {"rate": good, "output": fails}
+    with pytest.raises(
+        ModelError, match=rf"^{which} raised ZeroDivisionError at level = 4.* and pump = 4: the pump is dry"
+    ):
+        rs.identify.linearise(**functions, at=([4.0], [4.0]), states="level", inputs="pump")
+
+
+def test_a_function_that_takes_no_complex_numbers_is_told_by_its_own_error() -> None:
+    def rate(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        if np.iscomplexobj(x):
+            raise KeyError("complex")
+        return u - x**2
+
+    made = rs.identify.tangent_model(rate, at=([2.0], [4.0]))
+    assert any("it takes no complex numbers (KeyError)" in note for note in made.notes)

@@ -153,3 +153,11 @@ def test_bad_settings_are_refused(options: dict[str, object], said: str) -> None
     one = recorded(2, 0.1, 500, outputs=1)
     with pytest.raises(SettingError, match=said):
         rs.identify.parity_from_data(one.u[:, :1], one.y, **options)  # pyright: ignore
+
+
+def test_progress_is_told() -> None:
+    told: list[str] = []
+    rows = np.random.default_rng(0).standard_normal((400, 3)).cumsum(axis=0)
+    rs.identify.parity_from_data(rows[:, :1], rows[:, 1:], order=2, progress=lambda stage, *_: told.append(stage))
+    assert told[0] == "Hankel matrix"
+    assert told[-2:] == ["relations", "relations, and the checks of their generator"]

@@ -38,3 +38,17 @@ def test_modes_of_nearly_the_same_value_have_names_of_their_own():
     assert list(made.modes) == ["fan = 0.3", "fan = 0.30000000000000004", "fan = 1"]
     assert sum(one.samples for one in made.modes.values()) == 1200
     assert rs.RegimeMonitor(made).fit(None, rows).run(None, rows).decided.sum() > 1190
+
+
+@pytest.mark.parametrize("method", ["subspace", "arx", "principal_components", "parity_from_data", "regression"])
+def test_one_row_is_too_short_and_no_standstill(method: str) -> None:
+    with pytest.raises(DataError, match=r"1 complete row of 3 channels: too few|too few data"):
+        getattr(rs.identify, method)(np.ones((1, 1)), np.ones((1, 2)))
+
+
+def test_several_channels_are_left_out_as_them() -> None:
+    y = np.random.default_rng(0).standard_normal((100, 3)) * [1, 0, 0]
+    with pytest.raises(DataError, match=r"y2, y3 never change in 100 rows: .* leave them out"):
+        rs.identify.principal_components(y)
+    with pytest.raises(DataError, match=r"y2 never changes in 100 rows: .* leave it out"):
+        rs.identify.principal_components(y[:, :2])

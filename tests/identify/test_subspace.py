@@ -81,6 +81,21 @@ def test_closed_loop_biases_projections_and_not_the_predictor() -> None:
     assert "biases this method" in str(models["moesp"].report)
 
 
+@pytest.mark.parametrize("order", [0, 1])
+def test_an_order_too_small_is_no_controller(order: int) -> None:
+    """Errors that go with inputs before them, which vary slowly, go with later ones too: nothing was fed back."""
+    rng = np.random.default_rng(3)
+    plant = rs.Plant([[0.95, 0.1], [0, 0.8]], [[0], [1.0]], [[1.0, 0]], dt=1.0)
+    u = np.repeat(rng.standard_normal((200, 1)), 20, axis=0)
+    y = plant.system("control").simulate(u) + 0.05 * rng.standard_normal((4000, 1))
+    report = rs.identify.subspace(u, y, order=order, dt=1.0).report
+    assert report.coloured
+    assert report.feedback == ()
+    assert "closed loop" not in str(report)
+    u, y = in_closed_loop(plant, rng, 4000, 2, dither=0.1)
+    assert rs.identify.subspace(u, y, order=order, dt=1.0).report.feedback == (("y1", "u1"),)
+
+
 def test_the_innovations_are_those_of_the_kalman_filter() -> None:
     rng = np.random.default_rng(2)
     plant = generated_plant(rng, 3, 1, 2, least=0.1).with_noise(process=0.05, measurement=[0.2, 0.1])

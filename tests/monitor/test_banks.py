@@ -410,7 +410,7 @@ def test_a_fault_without_a_code_is_said() -> None:
 def test_an_empty_recording_is_no_accident() -> None:
     found = run(make(), np.zeros((0, 2)), np.zeros((0, 4)))
     assert not found.fault_detected
-    assert "too short" in str(found)
+    assert "no decision: the recording is empty" in str(found)
 
 
 def test_running_does_not_touch_the_state_it_was_given() -> None:

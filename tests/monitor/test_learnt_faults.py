@@ -349,7 +349,7 @@ def test_what_shows_no_fault_is_refused() -> None:
         monitor.learn_fault("x", None, seen[:90])
     with pytest.raises(DataError, match=r"shows no fault: the mean of its residuals over 90 samples .* probability of"):
         monitor.learn_fault("x", None, seen, interval=(5, 95))
-    with pytest.raises(DataError, match="has no sample from 400 to 500: its times are 0 to 299"):
+    with pytest.raises(DataError, match="has no sample from 400 to 500 s: its times are 0 to 299 s"):
         monitor.learn_fault("x", None, seen, interval=(400, 500))
     with pytest.raises(DataError, match="has 1 usable sample in the interval"):
         monitor.learn_fault("x", None, seen, interval=(200, 200.5))
@@ -469,3 +469,39 @@ def test_tennessee_eastman_faults_are_named_from_one_recording(
     assert other == 0
     assert unknown < 0.15
     assert mistaken < 0.3
+
+
+def test_an_interval_is_in_seconds_and_may_last_to_the_end() -> None:
+    rng = np.random.default_rng(0)
+    made = rs.identify.principal_components(rng.standard_normal((300, 3)), dt=10.0)
+    monitor = rs.Monitor(made).fit(None, rng.standard_normal((300, 3)))
+    seen = rng.standard_normal((400, 3))
+    seen[200:] += [4.0, -3.0, 0.0]
+    assert monitor.learn_fault("leak", None, seen, interval=(2000, np.inf)).learnt_faults[-1].samples == 200
+    with pytest.raises(DataError, match=r"seconds: interval=\(200, 400\), from 200 s to 400 s, took 20 of 400 samples"):
+        monitor.learn_fault("x", None, seen, interval=(200, 400))
+    with pytest.raises(DataError, match="from 9000 to inf s: its times are 0 to 3990 s"):
+        monitor.learn_fault("x", None, seen, interval=(9000, np.inf))
+    with pytest.raises(SettingError, match=r"array of int\d+: a mask of samples is one of booleans"):
+        monitor.learn_fault("x", None, seen, interval=(np.arange(400) >= 200).astype(int))
+
+
+def test_a_learnt_fault_ahead_of_a_higher_score_says_why() -> None:
+    """A fault that is hardly told from one of the model is named first, and its score need not be the highest."""
+    rng = np.random.default_rng(0)
+    made = rs.identify.principal_components(rng.standard_normal((3000, 3)), outputs=["a", "b", "c"])
+    monitor = rs.Monitor(made).fit(None, rng.standard_normal((3000, 3)))
+    shift = np.array([6.0, 0.15, 0.0])
+    monitor.learn_fault("leak", None, rng.standard_normal((300, 3)) + shift, interval=(0, 300))
+    told = 0
+    for _ in range(20):
+        diagnosis = monitor.run(None, rng.standard_normal((60, 3)) + shift * [1, 0, 0])
+        assert isinstance(diagnosis, rs.Diagnosis)
+        first, *rest = diagnosis.candidates
+        higher = [one for one in rest if round(one.score, 3) > round(first.score, 3)]
+        said = "leak goes before a sensor, of a higher score" in " ".join(
+            diagnosis.statement(diagnosis.alarms[0]).sentences
+        )
+        assert said == bool(higher) == ("goes before a sensor, of a higher score" in str(diagnosis))
+        told += said
+    assert told

@@ -356,3 +356,18 @@ def test_states_that_delay_an_input_are_not_lost_when_it_is_missing() -> None:
     assert found.resets == 0
     assert np.array_equal(found.decided[100:], np.isfinite(u[100:, 0]))
     assert not found.alarm.any()
+
+
+def test_a_channel_that_is_missing_throughout_is_named() -> None:
+    made = generated(0)
+    data = simulated(made, 300, 1)
+    monitor = rs.Monitor(rs.design.kalman_filter(made))
+    y = data[:, 1:].copy()
+    y[:, 0] = np.nan
+    diagnosis = monitor.run(data[:, :1], y)
+    assert not isinstance(diagnosis, list)
+    assert "no decision: y1 has no value in the whole recording" in str(diagnosis)
+    y[:, 0], y[::2, 0], y[1::2, 1] = data[:, 1], np.nan, np.nan
+    diagnosis = monitor.run(data[:, :1], y)
+    assert not isinstance(diagnosis, list)
+    assert diagnosis.why_undecided == "every sample misses a value ('y1' is missing most often, at 150)"

@@ -123,3 +123,33 @@ def test_a_channel_that_stands_still_is_in_no_other_unit(level: float) -> None:
     means, spreads = np.array([[0.0], mean]), np.array([[1.0], spread])
     assert units_between(["valve"], ["a", "b"], means, spreads) == []
     assert units_of(["valve"], still, np.array([level + 100.0]), np.array([1.0]), "the fit") == []
+
+
+def test_an_input_in_other_units_is_named_though_it_varies_much() -> None:
+    """Turns in a minute, that is 1500 with a spread of 170, as turns in a second."""
+    rng = np.random.default_rng(0)
+    speed = 1500 + np.repeat(rng.uniform(-300, 300, 100), 30)[:, None]
+    was = np.array([1480.0]), np.array([175.0])
+    (note,) = units_of(["speed"], speed / 60, *was, "the fit")
+    assert note.startswith("'speed' is unlike the fit: level 2")
+    assert units_of(["speed"], speed, *was, "the fit") == []
+    assert units_of(["speed"], 600 + 0.2 * speed, *was, "the fit") == []
+    u, flow = speed, 0.1 * speed[:, 0] + rng.standard_normal(len(speed))
+    plant = rs.Plant([[0.0]], [[0.1]], [[1.0]], dt=1, inputs=["speed"]).with_sensor_faults()
+    plant = plant.with_noise(process=1e-4, measurement=1.0)
+    plant = plant.with_operating_point(inputs=[1500.0], outputs=[150.0])
+    monitor = rs.Monitor(rs.design.kalman_filter(plant)).fit(u, flow[:, None])
+    diagnosis = monitor.run(u / 60, flow[:, None])
+    assert [note.split("'")[1] for note in diagnosis.notes if "units" in note] == ["speed"]  # type: ignore[union-attr]
+
+
+def test_all_channels_in_fahrenheit_are_named_though_they_wander() -> None:
+    """Spreads of short recordings of slow signals are less alike than those of one that is in Fahrenheit for sure."""
+    rng = np.random.default_rng(0)
+    was = np.array([60.0, 20.0, 5.0]), np.array([6.0, 4.0, 1.0])
+    alike = was[0] + was[1] * [1.0, 0.8, 1.0] * rng.standard_normal((1000, 3))
+    notes = units_of(["a", "b", "flow"], np.column_stack([1.8 * alike[:, :2] + 32, alike[:, 2]]), *was, "the fit")
+    assert [note.split("'")[1] for note in notes] == ["a", "b"]
+    only = np.column_stack([alike[:, 0], 1.8 * alike[:, 1] + 32, alike[:, 2]])
+    assert units_of(["a", "b", "flow"], alike, *was, "the fit") == []
+    assert units_of(["a", "b", "flow"], only, *was, "the fit") == []

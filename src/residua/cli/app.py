@@ -252,9 +252,11 @@ def run(
             screen.say(f"times count from {data.origin}")
         screen.say(*(f"written: {path}" for path in written))
     if not diagnosis.decided.any():
+        waits = not diagnosis.missing.all()
+        settles = f": {settling_reason(watch.generator, watch.settling_samples)}" if waits else ""
         raise DataError(
             f"{recording}: no sample could be judged, so this is not a verdict: {len(diagnosis.time)} samples, "
-            f"{diagnosis.n_missing} of them incomplete; {settling_reason(watch.generator, watch.settling_samples)}"
+            f"{diagnosis.n_missing} of them incomplete; {diagnosis.why_undecided}{settles}"
         )
     raise typer.Exit(FAULT if diagnosis.fault_detected else NO_FAULT)
 

@@ -143,7 +143,8 @@ class Channels:
         """Return the recordings, with the inputs in ``u`` and the outputs in ``y``."""
         both = sorted(set(self.inputs) & set(self.outputs))
         if both:
-            raise SettingError(f"{listed(both)} cannot be an input and an output: leave it out of one")
+            them = "it" if len(both) == 1 else "them"
+            raise SettingError(f"{listed(both)} cannot be an input and an output: leave {them} out of one")
         outputs, recordings = self.outputs, []
         for path in paths:
             one = reading.read_channels(path, _stand_in(self.inputs, outputs) if outputs else None)

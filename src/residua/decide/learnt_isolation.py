@@ -267,6 +267,10 @@ class LearntDirections(Isolation):
         if about and basis[about[0].fault].recordings == 1:
             more += ("How much one occurrence of it differs from another is not known: one recording shows none.",)
         lines = tuple(f"learnt from {basis[m.fault].basis}; {m.text}" for m in about)
+        best = max(alarm.candidates, key=lambda c: c.score if c.score == c.score else -1.0)
+        if about and round(best.score, 3) > round(alarm.candidates[0].score, 3):
+            why = f"goes before {best.name}, of a higher score, from which it cannot be told here"
+            lines, more = (*lines, why), (*more, f"{about[0].fault} {why}.")
         if not any(m.agrees for m in alarm.learnt):
             lines = (f"{_none_of(alarm)}: nearest is {_nearest(alarm).fault}, {_nearest(alarm).text}",)
             more = (f"It is {lines[0]}.",)

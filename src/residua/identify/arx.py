@@ -169,7 +169,7 @@ def arx(
     fitted = error_facts(innovations, first.shortened(_JUDGED, 2 * longest + 1), facts.mean, facts.units)
     assert fitted is not None  # there are windows longer than the past
     excited = excitation(factor, longest, feedthrough=feedthrough)
-    notes = [*gathered.notes, *facts.notes(gathered.sources)]
+    notes = [*gathered.notes, *facts.notes(gathered)]
     if not feedthrough:
         pairs = [f"{first.outputs[i]!r} with {first.inputs[j]!r}" for i, j in excited.instant]
         if pairs:
@@ -201,6 +201,11 @@ def _check_options(order: Any, max_order: Any, past_of: Any, held_out: Any) -> N
     if past_of not in get_args(PastOf):
         raise SettingError(f"past_of must be one of {', '.join(get_args(PastOf))}, got {echo(past_of)}")
     chosen = isinstance(order, str) and order == "auto"
+    if isinstance(order, (list, tuple, np.ndarray)):
+        raise SettingError(
+            "order must be one whole number for all outputs, 'auto', or a mapping of outputs to their orders, such as "
+            f"{{'level': 2, 'flow': 1}}, got {echo(order)}"
+        )
     for value in order.values() if isinstance(order, Mapping) else [] if chosen else [order]:
         checked_count(value, "order", 0, "'auto'")
     if max_order is not None:

@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import DataError
+from residua.identify.outlying_values import outlying_values
 from residua.identify.segments import BLOCK, Gathered
 from residua.linear.systems.balancing import power_of_two
 from residua.recording.levels import units_between
 from residua.tolerances import DATA_ROUNDING, RANK
 from residua.visible import listed
+from residua.words import counted
 
 #: A straight line over a recording that explains more than this part of a channel's variance is a drift.
 _DRIFT = 0.5
@@ -97,12 +99,21 @@ class ChannelFacts:
                 f"{listed(vast)}: values so large that their squares overflow; mark what is no value as NaN"
             )
 
+    def check_rows(self) -> None:
+        """Raise where there is one row: in it nothing can move, whatever the channels are."""
+        if self.rows < 2:
+            raise DataError(
+                f"{counted(self.rows, 'complete row')} of {counted(len(self.channels), 'channel')}: too few to learn "
+                "anything from; give a longer recording"
+            )
+
     def check(self) -> None:
         """Raise where channels are constant, or linear functions of others: no model tells their parts apart.
 
         All that is wrong is said at once.
         """
         self.check_size()
+        self.check_rows()
         still, same, wrong = self.constant(), self.dependences(), []
         if still:
             left = [name for name in self.channels if name not in still]
@@ -120,6 +131,14 @@ class ChannelFacts:
         """Return in words which channels say the same; empty where none do."""
         return "; ".join(map(self._dependence, self.dependent()))
 
+    def repeated_outputs(self) -> tuple[str, ...]:
+        """Return a note where outputs say the same as other channels, for methods that do not refuse them."""
+        outputs = set(self.channels[self.n_inputs :])
+        same = "; ".join(self._dependence(group) for group in self.dependent() if outputs & set(group))
+        if not same:
+            return ()
+        return (f"{same}: one of them is no measurement of its own, and a residual of them is zero; leave one out",)
+
     def _dependence(self, group: Sequence[str]) -> str:
         if len(group) != 2:
             return f"{listed(group)} are linear functions of one another at every sample"
@@ -128,9 +147,12 @@ class ChannelFacts:
             return f"the output {group[1]!r} is the input {group[0]!r}, times a number"
         return f"{group[0]!r} and {group[1]!r} are the same signal, times a number"
 
-    def notes(self, sources: Sequence[str], *, drifts: bool = True) -> tuple[str, ...]:
-        """Return what should be known of the channels: drifts, few values, recordings in other units."""
-        found = []
+    def notes(self, gathered: Gathered, *, drifts: bool = True) -> tuple[str, ...]:
+        """Return what should be known of the channels: outliers, standstills, drifts, few values, other units.
+
+        Outliers and standstills are those of ``gathered``, which may have more rows than the facts are from.
+        """
+        found = list(outlying_values(gathered))
         for i, name in enumerate(self.channels):
             if drifts and self.drift[i] > _DRIFT:
                 found.append(
@@ -139,7 +161,7 @@ class ChannelFacts:
                 )
             if self.values[i] < _FEW_VALUES:
                 found.append(f"{name!r} takes only {self.values[i]} different values in {self.rows} rows")
-        return (*found, *units_between(self.channels, sources, self.recording_mean, self.recording_deviation))
+        return (*found, *units_between(self.channels, gathered.sources, self.recording_mean, self.recording_deviation))
 
 
 def channel_facts(gathered: Gathered) -> ChannelFacts:

@@ -101,13 +101,13 @@ def treated(gathered: Gathered, drifts: Any) -> Treated:
     changing = [name for name, way in ways.items() if way == DIFFERENCE]
     told = tuple(_note(found, name, ways.get(name, KEEP)) for name in _told(found, ways))
     if not left_out and not changing:
-        told += whole.facts.notes(gathered.sources, drifts=found is None)
+        told = (*whole.facts.notes(gathered, drifts=found is None), *told)
         return replace(untreated(gathered, whole, told), ways=ways)
     part = gathered.of_channels(kept, changing)
     if not part.segments:
         raise DataError("no two complete rows follow on each other: a channel has no changes (drifts='difference')")
     units = standard(part)
-    told += units.facts.notes(gathered.sources, drifts=found is None)
+    told = (*units.facts.notes(part, drifts=found is None), *told)
     used = tuple(i for i, name in enumerate(gathered.channels) if name in kept)
     spread = whole.spread.copy()
     spread[list(used)] = units.spread

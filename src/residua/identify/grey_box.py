@@ -19,6 +19,7 @@ from residua.identify.prediction import LaggedSums, ljung_box
 from residua.identify.prediction_errors import predictor
 from residua.identify.segments import Gathered, gather
 from residua.plant import Plant
+from residua.progress import Progress, progress_of
 from residua.robust.sets.uncertain_plant import UncertainPlant
 from residua.tolerances import DATA_ROUNDING
 from residua.visible import echo
@@ -173,6 +174,7 @@ def grey_box(
     priors: Mapping[str, Sequence[float]] | None = None,
     held_out: float = 0.25,
     starts: int = 8,
+    progress: Progress | bool | None = None,
 ) -> GreyBox:
     r"""Estimate physical parameters of a plant from fault-free recordings.
 
@@ -212,6 +214,8 @@ def grey_box(
         The last part of each recording that is not fitted: fit and whiteness are those of it. 0 holds nothing out.
     starts : int
         Points within the bounds that are compared before the search, where no start is given.
+    progress : callable, bool, optional
+        Is called with (stage, done, total); a bar on a terminal when omitted.
 
     Returns
     -------
@@ -274,8 +278,12 @@ def grey_box(
         _prior_numbers(priors, known),
     )
     _check_data(task, first, everything)
-    found = search(task, 1 if started else _count(starts))
-    return _outcome(task, found, rest.data(), everything.notes)
+    tell, close = progress_of(progress)
+    try:
+        found = search(task, 1 if started else _count(starts), tell)
+        return _outcome(task, found, rest.data(), everything.notes)
+    finally:
+        close()
 
 
 def _count(starts: int) -> int:

@@ -12,6 +12,7 @@ from residua.errors import DataError
 from residua.identify.channel_facts import ChannelFacts, channel_facts
 from residua.identify.hankel_factor import HankelFactor, count_windows, hankel_factor
 from residua.identify.segments import Gathered
+from residua.progress import Progress
 from residua.visible import listed
 from residua.words import counted
 
@@ -72,12 +73,14 @@ def standard(gathered: Gathered) -> Standard:
     """
     facts, count = channel_facts(gathered), gathered.n_samples
     facts.check_size()
+    facts.check_rows()
     still = facts.constant()
     if still:
+        them = "it" if len(still) == 1 else "them"
         same = facts.dependences()  # said too, for methods that refuse it afterwards
         raise DataError(
             f"{listed(still)} never {'changes' if len(still) == 1 else 'change'} in {counted(count, 'row')}: "
-            f"a constant channel shows nothing of what is normal; leave it out{same and f'. Besides, {same}'}"
+            f"a constant channel shows nothing of what is normal; leave {them} out{same and f'. Besides, {same}'}"
         )
     return Standard(facts, facts.mean, facts.deviation * np.sqrt(count / (count - 1)))
 
@@ -94,7 +97,7 @@ def lagged_rows(gathered: Gathered, units: Standard, lags: int) -> LaggedRows:
     return lagged_of(hankel, units, hankel.windows)
 
 
-def enough_windows(gathered: Gathered, units: Standard, lags: int) -> HankelFactor:
+def enough_windows(gathered: Gathered, units: Standard, lags: int, progress: Progress | None = None) -> HankelFactor:
     """Return the factor of the Hankel matrix of a recording, if it has more windows than columns.
 
     Raises
@@ -111,7 +114,7 @@ def enough_windows(gathered: Gathered, units: Standard, lags: int) -> HankelFact
             f"longest of {longest}, make {counted(count, 'row')} of {d} columns ({q} channels, {lags} lags), but more "
             f"than {d + 1} are needed: give a longer recording, fewer lags, or fewer channels"
         )
-    return hankel_factor(gathered, lags + 1, units.facts)
+    return hankel_factor(gathered, lags + 1, units.facts, progress=progress)
 
 
 def lagged_of(hankel: HankelFactor, units: Standard, count: int) -> LaggedRows:

@@ -368,6 +368,8 @@ def _model(
     x, states = _values(at[0], states, "x", "states")
     u, inputs = _values(at[1], inputs, "u", "inputs")
     faults = names(faults, len(faults), "f", "faults")
+    rate = _named_call(rate, "rate", states, inputs, faults)
+    output = None if output is None else _named_call(output, "output", states, inputs, faults)
     if outputs is None and output is None:
         known = states
         if set(states) & set(inputs):
@@ -378,6 +380,24 @@ def _model(
         known = names(outputs, count, "y", "outputs")
     unique((*states, *inputs, *faults), "states, inputs and faults")
     return _Model(rate, output, np.concatenate([x, u]), states, inputs, known, faults, sample_step(dt))
+
+
+def _named_call(
+    function: Equations, what: str, states: tuple[str, ...], inputs: tuple[str, ...], faults: tuple[str, ...]
+) -> Equations:
+    """Return the function of a user with an error that says at which point it was called, if it raises one."""
+
+    def called(*arguments: Vector) -> Any:
+        at = [np.array(one) for one in arguments]  # the function may change its arguments
+        try:
+            return function(*arguments)
+        except Exception as error:  # whatever a user's function raises
+            if any(map(np.iscomplexobj, at)):
+                raise  # it need not take complex numbers
+            point = _point(_named((*states, *inputs, *faults), np.concatenate(at)))
+            raise ModelError(f"{what} raised {type(error).__name__} at {point}: {error}") from error
+
+    return called
 
 
 def _values(value: Any, given: Iterable[str] | str | None, prefix: str, what: str) -> tuple[Vector, tuple[str, ...]]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import count
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from residua.errors import DataError, ModelError, SettingError
 from residua.identify.nonlinear_model import NonlinearModel, model_errors, plant_of
 from residua.identify.prediction_errors import Errors, error_covariance, weights_of
 from residua.plant import Plant
+from residua.progress import Progress
 from residua.tolerances import RESPONSE_ROUNDING
 from residua.visible import echo
 from residua.words import number, some
@@ -26,6 +28,8 @@ _UNBOUNDED = 10.0
 _STEP, _LEAST_STEP = 2.0**-14, 2.0**-10
 #: Estimate and weights take turns until the estimate moves by less than this part of a standard error.
 _STANDS, _MOST_TURNS = 1e-2, 30
+#: Points that are tried in a turn at most.
+_MOST_TRIED = 50
 #: The whole travel within the bounds counts as reached below this.
 _AT_BOUND = 2.0**-20
 #: Ratios of the points that fill a box evenly: the powers of one over the root of ``x^(d+1) = x + 1``.
@@ -229,7 +233,7 @@ class Found(NamedTuple):
     notes: tuple[str, ...]
 
 
-def search(task: Task, starts: int) -> Found:
+def search(task: Task, starts: int, tell: Progress) -> Found:
     r"""Return the parameters with the least determinant of the covariance of the prediction errors.
 
     Least squares within bounds (trust region, reflective), with the errors weighted by their covariance; estimate and
@@ -237,18 +241,19 @@ def search(task: Task, starts: int) -> Found:
     """
     from scipy.optimize import least_squares  # slow to import, and not needed to run a monitor
 
-    z, said = _best_start(task, starts)
+    z, said = _best_start(task, starts, tell)
     signal = np.sqrt(
         np.mean(np.concatenate([np.diff(d[:, -task.n_outputs :], axis=0) ** 2 for d in task.data]), axis=0)
     )
     signal = np.maximum(signal, np.std(np.vstack([d[:, -task.n_outputs :] for d in task.data]), axis=0))
     low, high = task.bounds()
     notes: tuple[str, ...] = ()
-    for _ in range(_MOST_TURNS):
-        covariance = _covariance(task, z)
+    for turn in range(_MOST_TURNS):
+        covariance, tried = _covariance(task, z), count(1)
         weights, notes = weights_of(covariance, signal)
 
-        def residuals(at: Vector, W: Matrix = weights) -> Vector:
+        def residuals(at: Vector, W: Matrix = weights, n: int = turn, tried: Iterator[int] = tried) -> Vector:
+            tell(f"search, turn {n + 1}", min(next(tried), _MOST_TRIED), _MOST_TRIED)
             return np.concatenate([*(e.ravel() for e in task.left(at, W)), task.prior_rows(at)[0]])
 
         def slopes(at: Vector, W: Matrix = weights) -> Matrix:
@@ -265,7 +270,7 @@ def search(task: Task, starts: int) -> Found:
             xtol=RESPONSE_ROUNDING,
             ftol=RESPONSE_ROUNDING,
             gtol=RESPONSE_ROUNDING,
-            max_nfev=50,
+            max_nfev=_MOST_TRIED,
         )
         moved = np.linalg.norm(np.asarray(fit.jac) @ (fit.x - z))  # in standard errors, along what the data say
         z = fit.x
@@ -294,7 +299,7 @@ def _covariance(task: Task, z: Vector) -> Matrix:
     return covariance
 
 
-def _best_start(task: Task, starts: int) -> tuple[Vector, tuple[str, ...]]:
+def _best_start(task: Task, starts: int, tell: Progress) -> tuple[Vector, tuple[str, ...]]:
     """Return the start, or the best of points that fill the box evenly where the user has given none."""
     k = len(task.parameters)
     best, least, failures = np.zeros(k), np.inf, []
@@ -306,6 +311,7 @@ def _best_start(task: Task, starts: int) -> tuple[Vector, tuple[str, ...]]:
         z = low + (high - low) * ((0.5 + j * root ** -np.arange(1.0, k + 1)) % 1.0) if j else np.zeros(k)
         if starts < 2:
             return z, ()
+        tell("starts", j, starts)
         try:
             value = float(np.linalg.slogdet(_covariance(task, z))[1])
         except ModelError as error:

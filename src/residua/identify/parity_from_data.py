@@ -20,6 +20,7 @@ from residua.identify.lagged_rows import LaggedRows, channels_in, enough_windows
 from residua.identify.parity_memory import Alarms, ParityMemory, checked_forgetting, without_alarms
 from residua.identify.segments import Names, checked_count, gather
 from residua.linear.subspaces.rank import RankDecision, null_basis
+from residua.progress import Progress, progress_of
 from residua.recording.time_axis import REGULAR
 from residua.tolerances import DATA_ROUNDING, SAME
 from residua.visible import echo, listed
@@ -193,6 +194,7 @@ def parity_from_data(
     poles: Sequence[complex] | None = None,
     drifts: str | Mapping[str, str] = "keep",
     dt: float | None = None,
+    progress: Progress | bool | None = None,
 ) -> DataParity:
     r"""Return parity relations of fault-free recordings as a residual generator, without a model in between.
 
@@ -241,6 +243,8 @@ def parity_from_data(
         Relations among channels that wander together hold, so that keeping them is right where the inputs move them.
     dt : float, optional
         Step in seconds of arrays.
+    progress : callable, bool, optional
+        Is called with (stage, done, total); a bar on a terminal when omitted.
 
     Returns
     -------
@@ -292,10 +296,14 @@ def parity_from_data(
     s = checked_count(order, "order", 1)
     _denominator(poles, s)
     channels = treated(gather(recordings, y, inputs=inputs, outputs=outputs, dt=dt), drifts)
-    hankel = enough_windows(channels.gathered, channels.units, 2 * s + 1)
-    stacked = lagged_of(hankel, channels.units, hankel.windows)
-    memory = ParityMemory.of(hankel, channels.gathered, channels.units, poles)
-    return _parity(memory, channels, stacked, relations)
+    tell, close = progress_of(progress)
+    try:
+        hankel = enough_windows(channels.gathered, channels.units, 2 * s + 1, tell)
+        stacked = lagged_of(hankel, channels.units, hankel.windows)
+        memory = ParityMemory.of(hankel, channels.gathered, channels.units, poles)
+        return _parity(memory, channels, stacked, relations, tell=tell)
+    finally:
+        close()
 
 
 def _parity(
@@ -304,8 +312,10 @@ def _parity(
     stacked: LaggedRows,
     relations: int | None,
     notes: tuple[str, ...] = (),
+    tell: Progress = lambda stage, done, total: None,
 ) -> DataParity:
     """Return the relations of what is remembered, with their generator."""
+    tell("relations", 0, 2)
     s, m, q = stacked.lags // 2, len(memory.inputs), stacked.channels
     poles = memory.poles
     correlations, directions, chance = _correlations(stacked, s, m, memory.inputs)
@@ -325,12 +335,14 @@ def _parity(
         conditions={"gap of the correlations": gap},
         notes=(
             *few_rows(stacked.count, len(stacked.factor)),
+            *channels.units.facts.repeated_outputs(),
             *_about_the_gap(correlations, k, supported, gap, chance),
             *notes,
         ),
         references=("Ding (2014), chapter 9",),
     )
     denominator = _denominator(poles, s)
+    tell("relations, and the checks of their generator", 1, 2)
     generator = channel_generator(channels, weights, {"relation": k}, evidence, denominator=denominator)
     values = correlations, vectors, channels.mean, channels.spread
     return DataParity(generator, s, k, supported, *values, stacked.count, memory, channels.ways)

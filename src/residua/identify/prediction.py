@@ -113,7 +113,7 @@ def error_facts(model: Innovations, gathered: Gathered, reference: NDArray, unit
     m, p = len(gathered.inputs), len(gathered.outputs)
     sums, lagged, inputs = ErrorSums(p), LaggedSums(LAGS, p), np.zeros(m)
     mean_error, mean_input = np.zeros(p), np.zeros(m)
-    crossed = np.zeros((LAGS + 1, p, m))
+    crossed, before = np.zeros((LAGS + 1, p, m)), np.zeros((LAGS + 1, p, m))
     simulated = _Simulated(model, m, p)
     for u, y, predicted in predictions(model, gathered, reference, units):
         e = y - predicted
@@ -124,6 +124,7 @@ def error_facts(model: Innovations, gathered: Gathered, reference: NDArray, unit
         inputs += (u**2).sum(axis=0)
         for lag in range(min(LAGS + 1, len(e))):
             crossed[lag] += e[: len(e) - lag].T @ u[lag:]
+            before[lag] += e[lag:].T @ u[: len(e) - lag]
         simulated.add(u, y)
     if not sums.rows:
         return None
@@ -131,12 +132,13 @@ def error_facts(model: Innovations, gathered: Gathered, reference: NDArray, unit
     # without their means: a level that is off is no correlation
     e_mean, u_mean = mean_error / rows, mean_input / rows
     products = products - counts[:, None] * e_mean**2
-    crossed -= counts[:, None, None] * np.outer(e_mean, u_mean)
+    level = counts[:, None, None] * np.outer(e_mean, u_mean)
     power = products[0], np.maximum(inputs - rows * u_mean**2, 0.0)
     # many short pieces have fewer pairs of rows at a lag than rows
     share = np.maximum(counts, 1.0)[:, None] / rows
     own = products[1:] / np.where(power[0] > 0, power[0], 1.0)
-    correlation = crossed / np.sqrt(np.maximum(np.outer(*power), TINY)) / share[:, None]
+    scale = np.sqrt(np.maximum(np.outer(*power), TINY)) * share[:, None]
+    after, before = (crossed - level) / scale, (before - level)[1:] / scale[1:]
     return ErrorFacts(
         rows,
         np.sqrt(sums.errors / rows) * units[m:],
@@ -144,7 +146,7 @@ def error_facts(model: Innovations, gathered: Gathered, reference: NDArray, unit
         simulated.fit(sums.variance / rows),
         np.abs(own / share[1:]).max(axis=0),
         ljung_box(own, counts[1:], rows),
-        _significant(correlation, counts, gathered.outputs, gathered.inputs),
+        _significant(after, before, counts, gathered.outputs, gathered.inputs),
     )
 
 
@@ -167,14 +169,19 @@ def ljung_box(correlations: NDArray, pairs: NDArray, rows: int) -> NDArray[np.fl
 
 
 def _significant(
-    correlation: NDArray, pairs: NDArray, outputs: tuple[str, ...], inputs: tuple[str, ...]
+    correlation: NDArray, before: NDArray, pairs: NDArray, outputs: tuple[str, ...], inputs: tuple[str, ...]
 ) -> tuple[tuple[str, str, float], ...]:
-    """Return the outputs and inputs that are correlated by more than chance at some lag, the largest first."""
+    """Return the outputs and inputs that are correlated by more than chance at some lag, the largest first.
+
+    Without those whose errors go with the inputs ``before`` them at least as much: there the model misses what the
+    input does, and one that varies slowly goes with what comes after, too.
+    """
     if not correlation.size:
         return ()
     limit = -ndtri(CHANCE / (2 * correlation.size)) / np.sqrt(np.maximum(pairs, 1.0))
     strong = (np.abs(correlation) > limit[:, None, None]) & (pairs > 0)[:, None, None]
     largest = np.where(strong, np.abs(correlation), 0.0).max(axis=0)
+    largest[largest <= np.abs(before).max(axis=0, initial=0.0)] = 0.0
     places = zip(*np.nonzero(largest), strict=True)
     return tuple(sorted(((outputs[i], inputs[j], float(largest[i, j])) for i, j in places), key=lambda one: -one[2]))
 

@@ -148,11 +148,11 @@ def regression(
         _METHOD,
         ranks={"inputs": decision},
         conditions={"least part explained": float(explained.min())},
-        notes=(*few_rows(stacked.count, len(known) + 1), *_shared(X, gathered.inputs)),
+        notes=(*few_rows(stacked.count, len(known) + 1), *units.facts.repeated_outputs(), *_shared(X, gathered.inputs)),
         references=("Draper and Smith (1998)",),
     )
     groups = dict.fromkeys(gathered.outputs, 1)
-    generator = channel_generator(untreated(gathered, units), weights, groups, evidence)
+    generator = channel_generator(untreated(gathered, units, units.facts.notes(gathered)), weights, groups, evidence)
     coefficients = -weights[:, :, :m] / units.spread[:m]
     return Regression(generator, lags, coefficients, explained, units.mean, stacked.count)
 

@@ -144,7 +144,10 @@ def _codes(structure: Any, faults: Iterable[str] | None, residuals: tuple[str, .
         columns = dict(zip(fault_names, table.astype(bool).T, strict=True))
     silent = [fault for fault, column in columns.items() if not column.any()]
     if silent:
-        raise ModelError(f"no residual answers to {', '.join(map(repr, silent))}: leave it out, nothing can show it")
+        them = "it" if len(silent) == 1 else "them"
+        raise ModelError(
+            f"no residual answers to {', '.join(map(repr, silent))}: leave {them} out, nothing can show {them}"
+        )
     return columns
 
 

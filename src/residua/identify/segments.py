@@ -385,7 +385,9 @@ def _two_dimensional(data: Any, what: str) -> NDArray:
 def _check_once(inputs: tuple[str, ...], outputs: tuple[str, ...]) -> None:
     twice = sorted(set(inputs) & set(outputs))
     if twice:
-        raise SettingError(f"{listed(twice)} cannot be an input and an output: leave it out of one")
+        raise SettingError(
+            f"{listed(twice)} cannot be an input and an output: leave {'it' if len(twice) == 1 else 'them'} out of one"
+        )
     try:
         unique(inputs + outputs, "inputs and outputs")
     except ModelError as error:

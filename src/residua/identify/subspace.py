@@ -178,7 +178,7 @@ def subspace(
         choice = choose_order(factor, states, most, first, last, order, feedthrough=feedthrough, progress=tell)
         model = realise(factor, states, choice.order, feedthrough=feedthrough)
         made = _Made(method, first, last, facts, factor, states, choice, model, feedthrough)
-        notes = (*gathered.notes, *facts.notes(gathered.sources), *made.notes())
+        notes = (*gathered.notes, *facts.notes(gathered), *made.notes())
         return made.result(delays or {}, notes, units=units, name=name)
     finally:
         close()

@@ -30,7 +30,7 @@ from residua.decide.structured import CodeTest
 from residua.errors import MissingExtraError
 from residua.files import write_text
 from residua.recording.clock import Clock
-from residua.visible import echo
+from residua.visible import echo, listed
 
 if TYPE_CHECKING:
     from residua.design import ResidualGenerator
@@ -290,7 +290,7 @@ class Diagnosis:
         if self.n_missing:
             lines.append(self.missing_text)
         if not self.alarms:
-            lines.append("no fault found" if self.decided.any() else self._why_undecided())
+            lines.append("no fault found" if self.decided.any() else f"no decision: {self.why_undecided}")
         for k, alarm in enumerate(self.alarms[:20], 1):
             until = "to the end" if alarm.ended is None else f"until {self.clock.at(alarm.ended)}"
             lines.append(f"alarm {k}: raised {self.clock.at(alarm.raised)}, {until}")
@@ -336,10 +336,25 @@ class Diagnosis:
             lines.append(f"  {rank}. {name:<40} score {candidate.score:.3f}{size}{arrival_text(candidate)}")
         return [*lines, f"  {NO_DIRECTION}"] if lines and self.no_direction else lines
 
-    def _why_undecided(self) -> str:
-        if self.missing.size and self.missing.all():
-            return "no decision: every sample misses a value"
-        return "no decision: the recording is too short, or has too many gaps, for the filter to settle"
+    @property
+    def why_undecided(self) -> str:
+        """Why nothing could be decided, where nothing was, in words: what is missing throughout, or too few samples."""
+        if not len(self.time):
+            return "the recording is empty"
+        if not self.missing.all():
+            return "the recording is too short, or has too many gaps, for the filter to settle"
+        names, absent = (*self.generator.plant.inputs, *self.generator.plant.outputs), np.zeros(0, dtype=int)
+        if len(self.signals):
+            absent = np.count_nonzero(~np.isfinite(self.signals), axis=0)
+        never = [name for name, count in zip(names, absent, strict=False) if count == len(self.time)]
+        if never:
+            them, their = ("them", "their") if len(never) > 1 else ("it", "its")
+            return (
+                f"{listed(never)} {'have' if len(never) > 1 else 'has'} no value in the whole recording, and no sample "
+                f"without {them} is judged: give {their} values, or a monitor that is made without {them}"
+            )
+        worst = f" ({names[int(absent.argmax())]!r} is missing most often, at {absent.max()})" if absent.any() else ""
+        return f"every sample misses a value{worst}"
 
     def _span(self) -> str:
         if not len(self.time):

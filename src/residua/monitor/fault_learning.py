@@ -180,7 +180,7 @@ def learnt_from(
     window: int,
 ) -> LearntFault:
     """Return what recordings show of a fault: a code by ``spec.isolation``, or a direction in ``space``."""
-    isolation, rows, patterns, samples = spec.isolation, [], [], 0
+    isolation, rows, patterns, samples, spans = spec.isolation, [], [], 0, []
     for k, (run, interval) in enumerate(zip(runs, intervals, strict=True), 1):
         which = f"recording {k} of {len(runs)} of {name!r}" if len(runs) > 1 else f"the recording of {name!r}"
         if len(run.data) != 1:
@@ -194,14 +194,28 @@ def learnt_from(
                 f"cannot be, by plausible=), and the filter settles for {spec.settle} after each start"
             )
         samples += int(chosen.sum())
+        if isinstance(interval, tuple):
+            spans.append(f"{_span(interval)} took {int(chosen.sum())} of {counted(len(chosen), 'sample')}")
         if isinstance(isolation, CodeTest):
             patterns.append(longest_code(decisions.code, chosen))
         else:
             rows.append(decisions.residuals[chosen] - spec.test.center)
-    if isinstance(isolation, CodeTest):
-        return learnt_code(name, patterns, samples, isolation.members)
-    assert space is not None
-    return learnt_direction(name, rows, space, window)
+    try:
+        if isinstance(isolation, CodeTest):
+            return learnt_code(name, patterns, samples, isolation.members)
+        assert space is not None
+        return learnt_direction(name, rows, space, window)
+    except DataError as error:
+        if not spans:
+            raise
+        raise DataError(f"{error}. In the times of the recording, seconds: {'; '.join(spans)}") from error
+
+
+def _span(interval: tuple[float, float]) -> str:
+    """Return an interval in words."""
+    start, stop = interval
+    until = "to the end" if np.isposinf(stop) else f"to {stop:g}"
+    return f"interval=({start:g}, {stop:g}), from {start:g} s {until}{'' if np.isposinf(stop) else ' s'},"
 
 
 def _chosen(interval: Any, time: NDArray[np.float64], decisions: Decisions, which: str) -> NDArray[np.bool_]:
@@ -223,7 +237,9 @@ def _chosen(interval: Any, time: NDArray[np.float64], decisions: Decisions, whic
         raise SettingError(f"interval of {which} must be (start, stop) with start before stop, got {echo(interval)}")
     chosen = (time >= start) & (time < stop)
     if not chosen.any():
-        raise DataError(f"{which} has no sample from {start:g} to {stop:g}: its times are {time[0]:g} to {time[-1]:g}")
+        raise DataError(
+            f"{which} has no sample from {start:g} to {stop:g} s: its times are {time[0]:g} to {time[-1]:g} s"
+        )
     return chosen
 
 
@@ -231,12 +247,19 @@ def intervals_of(interval: Any, count: int) -> list[Any]:
     """Return an interval for each recording: one for all, or a list of as many."""
     if interval is None or (isinstance(interval, np.ndarray) and interval.dtype == bool):
         return [interval] * count
-    if isinstance(interval, (tuple, list, np.ndarray)) and len(interval) == 2 and all(map(is_number, interval)):
-        return [tuple(interval)] * count
+    if isinstance(interval, (tuple, list, np.ndarray)) and len(interval) == 2:
+        start, stop = interval
+        if is_number(start) and (is_number(stop) or (isinstance(stop, float) and stop == np.inf)):
+            return [(float(start), float(stop))] * count
     if isinstance(interval, list) and len(interval) == count:
         return [one for part in interval for one in intervals_of(part, 1)]
+    if isinstance(interval, np.ndarray) and interval.size > 2 and np.isin(interval, (0, 1)).all():
+        raise SettingError(
+            f"interval is an array of {interval.dtype}: a mask of samples is one of booleans, interval.astype(bool); "
+            "numbers are times in seconds, (start, stop)"
+        )
     raise SettingError(
-        "interval must be (start, stop), an array of booleans, or a list with one of these for each of "
+        "interval must be (start, stop) in seconds, an array of booleans, or a list with one of these for each of "
         f"{counted(count, 'recording')}, got {echo(interval)}"
     )
 

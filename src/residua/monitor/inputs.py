@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from residua.design.core.evidence import format_pole
 from residua.errors import DataError
 from residua.linear.systems.balancing import state_units
 from residua.plant import Plant
-from residua.recording.recording import Recording, recording_from_frame
+from residua.recording.recording import Recording, read_recording, recording_from_frame
 from residua.recording.time_axis import regular_step, seconds_from_dates
 from residua.tolerances import ROUNDING
 from residua.visible import echo
@@ -79,18 +80,20 @@ def several_signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, pl
 def signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, source: str, plant: Plant) -> Signals:
     """Return what was handed over as arrays, with the step that the times imply.
 
-    Without ``y``, ``u`` is a :class:`residua.monitor.Recording` or a data frame whose columns are matched by
-    name.
+    Without ``y``, ``u`` is a :class:`residua.monitor.Recording`, the path of a file, or a data frame whose columns are
+    matched by name.
     """
+    if y is None and isinstance(u, (str, Path)):
+        u = read_recording(u, plant, dt=dt)
     if y is None:
         if not isinstance(u, Recording):
-            if not hasattr(u, "columns"):
-                raise DataError("give u and y as arrays, or one data frame or recording with named columns")
+            if not _is_frame(u):
+                raise DataError("give u and y as arrays, or one data frame, recording or path, with named columns")
             u = recording_from_frame(u, plant, dt=dt, source=source or "data frame")
         return Signals(u.u, u.y, u.time, u.dt, source or u.source, u.notes, u.origin)
     if dt is not None and not (np.isfinite(dt) and dt > 0):
         raise DataError(f"dt must be a positive step in seconds, got {echo(dt)}")
-    u, y = _by_name(u, plant.inputs, "u"), _by_name(y, plant.outputs, "y")
+    u, y = _by_names(u, y, plant)
     if time is None:
         return Signals(u, y, None, dt, source)
     clock, origin = _seconds(time)
@@ -105,11 +108,59 @@ def signals(u: Any, y: Any, time: ArrayLike | None, dt: float | None, source: st
     return Signals(u, y, clock, step, source, origin=origin)
 
 
+def with_all_channels(u: Any, y: Any, plant: Plant) -> tuple[Any, Any]:
+    """Return inputs and outputs as the plant has them: of recorded channels, which are all outputs, inputs go there.
+
+    Raises
+    ------
+    DataError
+        If the columns of both are not together the channels.
+    """
+    if u is None or not _is_of_channels(plant):
+        return u, y
+    try:
+        parts = [np.ma.filled(np.ma.asarray(one, dtype=float), np.nan) for one in (u, y)]
+    except (TypeError, ValueError):
+        return u, y  # refused with the reason where they are stacked
+    most = max(2, *(one.ndim for one in parts))
+    parts = [one[..., None] if one.ndim == most - 1 else one for one in parts]
+    sizes = [one.shape[-1] for one in parts]
+    if not sizes[0]:
+        return u, y
+    if sum(sizes) != plant.n_outputs or parts[0].shape[:-1] != parts[1].shape[:-1]:
+        raise DataError(
+            f"this monitor reads {len(plant.outputs)} recorded channels, {', '.join(plant.outputs)}: give them as the "
+            "columns of y, with None for u, or as those of u and y together, in this order; got u of shape "
+            f"{parts[0].shape} and y of shape {parts[1].shape}"
+        )
+    return None, np.concatenate(parts, axis=-1)
+
+
+def _is_frame(data: Any) -> bool:
+    """Return whether data have columns with names."""
+    return hasattr(data, "columns")
+
+
+def _is_of_channels(plant: Plant) -> bool:
+    """Return whether a plant is nothing but channels that were recorded."""
+    return not plant.inputs and not plant.n_states
+
+
+def _by_names(u: Any, y: Any, plant: Plant) -> tuple[Any, Any]:
+    """Return the columns of data frames in the order of the plant; arrays are taken as they are."""
+    if not (_is_of_channels(plant) and _is_frame(u) and _is_frame(y)):
+        return _by_name(u, plant.inputs, "u"), _by_name(y, plant.outputs, "y")
+    ours = [name for name in plant.outputs if name in list(u.columns)]
+    rest = tuple(name for name in plant.outputs if name not in ours)
+    columns = {name: _by_name(u, (name,), "u") for name in ours} | {name: _by_name(y, (name,), "y") for name in rest}
+    return None, np.hstack([columns[name] for name in plant.outputs])
+
+
 def _by_name(data: Any, channels: tuple[str, ...], what: str) -> Any:
     """Return the columns of a data frame in the order of the plant; arrays are taken as they are."""
-    columns = getattr(data, "columns", None)
-    if columns is None:
+    if not _is_frame(data):
         return data
+    columns = data.columns
     missing = [name for name in channels if name not in list(columns)]
     if missing:
         raise DataError(

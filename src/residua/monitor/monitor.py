@@ -35,7 +35,7 @@ from residua.monitor.fault_learning import (
 )
 from residua.monitor.fit_check import FitCheck
 from residua.monitor.fitting import check_held_out, fitted_test
-from residua.monitor.inputs import Signals, settling_samples, several_signals, signals
+from residua.monitor.inputs import Signals, settling_samples, several_signals, signals, with_all_channels
 from residua.monitor.outcome import Recorded, compared_outputs, diagnosis_from
 from residua.monitor.plausible import (
     TIMES,
@@ -277,8 +277,10 @@ class Monitor:
         Parameters
         ----------
         u : array_like, shape (time, inputs), or None
-            Without ``y``: a data frame with named columns, a :class:`residua.monitor.Recording`, or a list of
-            recordings: data frames, recordings, pairs ``(u, y)``.
+            Without ``y``: a data frame with named columns, a :class:`residua.monitor.Recording`, the path of a file
+            (as :func:`residua.read_recording` reads it for the plant), or a list of recordings: these, or pairs
+            ``(u, y)``. A generator of recorded channels, which reads all of them as outputs, takes them in ``y``, or as
+            they were: inputs in ``u`` and outputs in ``y``.
         y : array_like, shape (time, outputs)
             In plant units.
         time : array_like, shape (time,), optional
@@ -365,13 +367,14 @@ class Monitor:
         name : str
             A fault of that name that was learnt before is learnt anew.
         u : array_like, shape (time, inputs), or None
-            Without ``y``: a data frame, a :class:`residua.monitor.Recording`, or a list of recordings, as for
+            Without ``y``: a data frame, a :class:`residua.monitor.Recording`, a path, or a list of recordings, as for
             :meth:`fit`. Several occurrences say more than a long one.
         y : array_like, shape (time, outputs)
             In plant units.
         interval : (float, float), ndarray of bool, or a list of these, optional
-            When the fault was there: from a time to before another, in seconds, or a mask of samples; one for all
-            recordings or one for each. When omitted, from the first alarm on.
+            When the fault was there: from a time to before another, in seconds on the clock of the recording
+            (``np.inf``: to its end), or a mask of samples; one for all recordings or one for each. When omitted, from
+            the first alarm on.
         time : array_like, shape (time,), optional
         dt : float, optional
 
@@ -458,7 +461,8 @@ class Monitor:
         Parameters
         ----------
         u : array_like, shape (time, inputs) or (plants, time, inputs), or None
-            Without ``y``: a data frame with named columns, or a :class:`residua.monitor.Recording`.
+            Without ``y``: a data frame with named columns, a :class:`residua.monitor.Recording`, or the path of a file;
+            otherwise as for :meth:`fit`.
         y : array_like, shape (time, outputs) or (plants, time, outputs)
             In plant units.
         time : array_like, shape (time,), optional
@@ -647,7 +651,8 @@ class Monitor:
         return units_of((*plant.inputs, *plant.outputs), seen, *was, "the recordings that the monitor was fitted on")
 
     def _block(self, u: ArrayLike | None, y: ArrayLike) -> NDArray[np.float64]:
-        data = stack_signals(self.generator.plant, u, y)
+        plant = self.generator.plant
+        data = stack_signals(plant, *with_all_channels(u, y, plant))
         return data if data.ndim == 3 else data[None]
 
     def _specification(self) -> Specification:

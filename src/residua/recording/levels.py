@@ -16,6 +16,10 @@ _OTHER_SPREAD = 30.0
 _FAR, _OTHER_LEVEL = 10.0, 0.3
 #: Degrees Celsius and Fahrenheit: spreads within this factor, levels within one spread, and so many spreads apart.
 _LIKE, _APART = 1.25, 3.0
+#: Beside a channel in Fahrenheit, others whose spreads are so much less alike count too.
+_LIKE_BESIDE = 3.0
+#: Level and spread that are both this factor larger or smaller, within the other, are those of a multiple.
+_MULTIPLE, _SAME_FACTOR = 5.0, 1.5
 #: Rows of a recording that its range is taken from.
 _MOST_ROWS = 100_000
 
@@ -93,7 +97,8 @@ def units_of(channels: Sequence[str], values: Values, mean: Values, spread: Valu
         Where that is from, in words.
     """
     shown = values[:: -(-len(values) // _MOST_ROWS) or 1]
-    notes = []
+    told: dict[int, str] = {}
+    fahrenheit, perhaps = False, {}
     for i, channel in enumerate(channels):
         column = shown[np.isfinite(shown[:, i]), i]
         if len(column) < 2 or not spread[i] > 0:
@@ -102,12 +107,19 @@ def units_of(channels: Sequence[str], values: Values, mean: Values, spread: Valu
         level, own = (float(one[0]) for one in level_and_spread(column[:, None]))
         nearest = float(np.clip(mean[i], low, high))
         was = mean[i], spread[i]
-        if own > 0 and (own > _OTHER_SPREAD * spread[i] or _far(nearest, 0.0, *was) or _fahrenheit(level, own, *was)):
-            notes.append(
-                f"{channel!r} is unlike {reference}: {_figures(level, own)}, against {_figures(*was)} "
-                "there; is it in other units, at another operating point, or at fault from the beginning?"
-            )
-    return notes
+        note = (
+            f"{channel!r} is unlike {reference}: {_figures(level, own)}, against {_figures(*was)} "
+            "there; is it in other units, at another operating point, or at fault from the beginning?"
+        )
+        warm = bool(_fahrenheit(level, own, *was))
+        fahrenheit |= warm
+        multiple = _multiple(level, own, *was) and _outside(nearest, own, *was)
+        if own > 0 and (own > _OTHER_SPREAD * spread[i] or _far(nearest, 0.0, *was) or warm or multiple):
+            told[i] = note
+        elif own > 0 and _fahrenheit(level, own, *was, _LIKE_BESIDE) and _outside(nearest, own, *was):
+            perhaps[i] = note
+    told |= perhaps if fahrenheit else {}
+    return [told[i] for i in sorted(told)]
 
 
 def units_at_point(channels: Sequence[str], mean: Values, spread: Values, point: Values) -> list[str]:
@@ -144,11 +156,25 @@ def _differ(mean: Any, spread: Any, other_mean: Any, other_spread: Any) -> Any:
         ratio = spread / other_spread
         wide = (ratio > _OTHER_SPREAD) | (ratio < 1 / _OTHER_SPREAD)
     one, other = (mean, spread), (other_mean, other_spread)
-    return wide | _far(*one, *other) | _fahrenheit(*one, *other) | _fahrenheit(*other, *one)
+    return wide | _far(*one, *other) | _fahrenheit(*one, *other) | _fahrenheit(*other, *one) | _multiple(*one, *other)
 
 
-def _fahrenheit(mean: Any, spread: Any, other_mean: Any, other_spread: Any) -> Any:
+def _outside(mean: Any, spread: Any, other_mean: Any, other_spread: Any) -> Any:
+    """Return whether levels lie some spreads apart."""
+    return np.abs(mean - other_mean) > _APART * np.maximum(spread, other_spread)
+
+
+def _multiple(mean: Any, spread: Any, other_mean: Any, other_spread: Any) -> Any:
+    """Return whether the first may be the second times a number: level and spread, by the same factor."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        factor, levels = spread / other_spread, mean / other_mean
+        same = (factor < _SAME_FACTOR * levels) & (levels < _SAME_FACTOR * factor)
+        large = (factor > _MULTIPLE) | (factor < 1 / _MULTIPLE)
+    return same & large & _outside(mean, spread, other_mean, other_spread)
+
+
+def _fahrenheit(mean: Any, spread: Any, other_mean: Any, other_spread: Any, like: float = _LIKE) -> Any:
     """Return whether the first may be degrees Fahrenheit where the second is Celsius."""
-    alike = (spread < _LIKE * 1.8 * other_spread) & (_LIKE * spread > 1.8 * other_spread)
-    apart = np.abs(mean - other_mean) > _APART * np.maximum(spread, other_spread)
+    alike = (spread < like * 1.8 * other_spread) & (like * spread > 1.8 * other_spread)
+    apart = _outside(mean, spread, other_mean, other_spread)
     return alike & apart & (np.abs(mean - (1.8 * other_mean + 32.0)) < spread)

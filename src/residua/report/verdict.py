@@ -81,15 +81,8 @@ def verdict(diagnosis: Diagnosis) -> Verdict:
     if diagnosis.alarms:
         return _fault(diagnosis)
     if decided == 0:
-        why = (
-            "the recording is empty"
-            if not len(diagnosis.time)
-            else (
-                "no sample of the recording could be judged: it is shorter than the filter needs to settle, "
-                "or values are missing throughout"
-            )
-        )
-        return Verdict("undecided", "No decision.", (f"{why[0].upper()}{why[1:]}.",))
+        why = diagnosis.why_undecided
+        return Verdict("undecided", "No decision.", (f"No sample could be judged: {why}.",))
     sentences = [f"{decided:,} of {len(diagnosis.time):,} samples were judged."]
     seen = diagnosis.statistic[diagnosis.decided]
     largest = float(np.nanmax(seen)) if np.isfinite(seen).any() else math.nan

@@ -249,10 +249,12 @@ def leakage(generator: StateSpace, plant: Plant, w: NDArray | None = None) -> di
 
 def leakage_of_inputs(generator: StateSpace, plant: Plant, w: NDArray | None = None) -> NDArray[np.float64]:
     """Return the leakage of each control, then of each disturbance; see :func:`leakage`."""
+    n_u = len(plant.inputs)
+    if not n_u and not plant.disturbances:
+        return np.zeros(0)
     if w is None:
         w = frequency_grid(generator, plant.system(()))
     points = np.exp(1j * w * generator.dt) if generator.is_discrete else 1j * w
-    n_u = len(plant.inputs)
     driven = in_even_units(plant.system(("control", "disturbance")))
     system = _with_even_rows(generator, np.concatenate([driven.inputs[:n_u], 1 / driven.outputs]))
     Q, P = response_terms(system, points), response_terms(driven.system, points)

@@ -1,0 +1,213 @@
+"""Values of a recording that are hardly measurements: a few far outside the rest, and a sensor that stands still."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.identify.segments import BLOCK, Gathered
+from residua.words import counted, number, some
+
+#: A value is far outside the rest at more than so many units: the middle half, or the usual step, of its channel.
+_FAR = 20.0
+#: Values far outside are outliers where they are no more than this part of the rows, and carry most of the variance.
+_FEW, _MOST = 1 / 200, 0.5
+#: Rows that the usual values are taken from.
+_SAMPLE = 100_000
+#: A sensor stands still in a run of equal values of so many rows and this part of them, ...
+_LEAST_RUN, _LEAST_SHARE = 30, 0.05
+#: ... so many times as long as nearly all other runs of its channel, ...
+_LONGER, _NEARLY_ALL = 20.0, 0.99
+#: ... and if no more than this part of the rows elsewhere repeat the value before: else it moves in steps anyway.
+_REPEATS = 0.5
+#: Runs are counted by powers of two of their length, up to this one.
+_LENGTHS = 48
+
+
+@dataclass
+class _Runs:
+    """The runs of equal values of one channel, while its rows are read.
+
+    Attributes
+    ----------
+    count, rows : ndarray of int, shape (powers of two,)
+        Runs by length, and the rows in them.
+    longest : tuple of (int, int, int, float)
+        Its length, recording, first row and value.
+    begun : int
+        The first row of the run that goes on.
+    """
+
+    count: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_LENGTHS, dtype=np.int64))
+    rows: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_LENGTHS, dtype=np.int64))
+    longest: tuple[int, int, int, float] = (0, 0, 0, 0.0)
+    begun: int = 0
+
+    def add(self, recording: int, starts: NDArray[np.int64], values: NDArray[np.float64], stop: int) -> None:
+        """Take in runs that follow on each other, the last one up to ``stop``."""
+        lengths = np.diff(np.append(starts, stop))
+        power = np.frexp(lengths.astype(float))[1] - 1
+        self.count += np.bincount(power, minlength=_LENGTHS)
+        self.rows += np.bincount(power, weights=lengths, minlength=_LENGTHS).astype(np.int64)
+        k = int(lengths.argmax())
+        if lengths[k] > self.longest[0]:
+            self.longest = int(lengths[k]), recording, int(starts[k]), float(values[k])
+
+    def note(self, name: str, rows: int, where: str) -> str | None:
+        """Return what is said of the longest run, if it is none of a channel that moves in steps."""
+        length, _, first, value = self.longest
+        if length < max(_LEAST_RUN, _LEAST_SHARE * rows) or length == rows:
+            return None
+        others, ends = self.count.copy(), 2 ** np.arange(1, _LENGTHS + 1) - 1
+        others[length.bit_length() - 1] -= 1
+        usual = 1
+        if others.sum():
+            usual = int(ends[np.searchsorted(np.cumsum(others), _NEARLY_ALL * others.sum())])
+        if length < _LONGER * usual:
+            return None
+        short = ends < length / _LONGER  # the runs of a sensor that moves; longer ones may be further standstills
+        moving, runs = int(self.rows[short].sum()), int(self.count[short].sum())
+        if moving - runs > _REPEATS * moving:
+            return None
+        return (
+            f"{name!r} stands still at {number(value)} for {counted(length, 'row')} from row {first}{where} on, "
+            f"{100 * length / rows:.0f} % of all rows, and moves in most rows elsewhere: set these values missing "
+            "(NaN) if the sensor was stuck, not the plant at rest or at a limit"
+        )
+
+
+def outlying_values(gathered: Gathered) -> tuple[str, ...]:
+    """Return notes on values that are hardly measurements: outliers of any channel, and outputs that stand still.
+
+    Outliers are no more than 1 in 200 rows further from the median than 20 units, the largest of the distance between
+    the quartiles, the median absolute step and the median distance from the median of values other than it, which
+    carry more than half of the variance. An output stands still in a run of equal values that is long against its
+    others; channels that move in steps, quantised ones and those of which several stand still together do not.
+    """
+    plain = gathered.of_channels(gathered.channels)  # the values themselves where changes are read
+    sample = _sample(plain)
+    middle = np.median(sample, axis=0)
+    unit = _units(sample, middle)
+    m, q = len(gathered.inputs), len(gathered.channels)
+    runs = [_Runs() for _ in gathered.outputs]
+    furthest = np.zeros(q)
+    for segment in plain.segments:
+        before: NDArray[np.float64] | None = None
+        for start in range(0, len(segment), BLOCK):
+            block = segment.rows(start, min(start + BLOCK, len(segment)))
+            furthest = np.maximum(furthest, np.abs(block - middle).max(axis=0))
+            first = segment.start + start
+            for one, column, last in zip(runs, block.T[m:], block[0, m:] if before is None else before, strict=True):
+                changes = np.flatnonzero(np.diff(column, prepend=last) != 0) + first
+                starts = np.append(one.begun if before is not None else first, changes)
+                values = np.append(last, column[changes - first])
+                stop = first + len(block)
+                one.begun = int(starts[-1])
+                if stop < segment.stop:  # the last run goes on
+                    starts, values, stop = starts[:-1], values[:-1], one.begun
+                if len(starts):
+                    one.add(segment.recording, starts, values, stop)
+            before = block[-1, m:]
+    suspect = np.flatnonzero((unit > 0) & (furthest > _FAR * unit))
+    return (*_outliers(plain, suspect, middle, unit), *_standstills(plain, runs))
+
+
+def _sample(gathered: Gathered) -> NDArray[np.float64]:
+    """Return evenly spaced pairs of rows, one after the other, of all segments."""
+    every = max(2 * (gathered.n_samples // _SAMPLE), 1)
+    if every == 1:
+        return np.vstack([block for _, block in gathered.blocks()])
+    picked = []
+    for _, block in gathered.blocks():
+        chosen = np.arange(0, len(block), every)
+        picked.append(block[np.unique(np.minimum(np.concatenate([chosen, chosen + 1]), len(block) - 1))])
+    return np.vstack(picked)
+
+
+def _units(sample: NDArray[np.float64], middle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return what the values of each channel usually move by; zero where they do not move."""
+    low, high = np.quantile(sample, (0.25, 0.75), axis=0)
+    steps = np.median(np.abs(np.diff(sample, axis=0)), axis=0) if len(sample) > 1 else np.zeros(len(middle))
+    apart = np.abs(sample - middle)
+    other = np.array([float(np.median(one[one > 0])) if one.any() else 0.0 for one in apart.T])
+    return np.maximum(np.maximum(high - low, steps), other)
+
+
+def _outliers(
+    gathered: Gathered, suspect: NDArray[np.int_], middle: NDArray[np.float64], unit: NDArray[np.float64]
+) -> list[str]:
+    """Return notes on the channels of which few values far outside carry most of the variance."""
+    if not len(suspect):
+        return []
+    count, far_squares, squares = (np.zeros(len(suspect)) for _ in range(3))
+    first: dict[int, tuple[int, int, float]] = {}
+    for segment in gathered.segments:
+        for start in range(0, len(segment), BLOCK):
+            block = segment.rows(start, min(start + BLOCK, len(segment)))[:, suspect]
+            apart = (block - middle[suspect]) / unit[suspect]
+            far = np.abs(apart) > _FAR
+            count += far.sum(axis=0)
+            with np.errstate(over="ignore"):  # values whose squares overflow are refused by their name
+                far_squares += (np.where(far, apart, 0.0) ** 2).sum(axis=0)
+                squares += (apart**2).sum(axis=0)
+            for k in np.flatnonzero(far.any(axis=0)).tolist():
+                row = int(far[:, k].argmax())
+                delay = segment.delays[suspect[k]] if segment.delays else 0
+                first.setdefault(k, (segment.recording, segment.start + start + row - delay, float(block[row, k])))
+    notes = []
+    for k, channel in enumerate(suspect.tolist()):
+        if not 0 < count[k] <= max(_FEW * gathered.n_samples, 1) or not far_squares[k] > _MOST * squares[k]:
+            continue
+        recording, row, value = first[k]
+        place = f"{number(value)} in row {row}{_where(gathered, recording)}"
+        usual = f"the middle is {number(float(middle[channel]))}, the usual distance {number(float(unit[channel]))}"
+        share = f"{100 * far_squares[k] / squares[k]:.3g} % of its variance"
+        name = repr(gathered.channels[channel])
+        if count[k] == 1:
+            notes.append(
+                f"{name} has a value far outside the rest, {place} ({usual}): this one row makes {share}, and decides "
+                "what a model says of it; set it "
+                "missing (NaN) unless it is a measurement"
+            )
+        else:
+            notes.append(
+                f"{name} has {counted(int(count[k]), 'value')} far outside the rest, the first one {place} ({usual}): "
+                f"they make {share}, and decide what a model says of it; set them missing (NaN) unless they are "
+                "measurements"
+            )
+    return notes
+
+
+def _standstills(gathered: Gathered, runs: list[_Runs]) -> list[str]:
+    """Return notes on the outputs that stand still while others move."""
+    notes: dict[str, tuple[_Runs, str]] = {}
+    for name, one in zip(gathered.outputs, runs, strict=True):
+        note = one.note(name, gathered.n_samples, _where(gathered, one.longest[1]))
+        if note is not None:
+            notes[name] = one, note
+    together = [
+        name
+        for name, (one, _) in notes.items()
+        if any(_overlap(one.longest, other.longest) for other in runs if other is not one)
+    ]
+    said = [note for name, (_, note) in notes.items() if name not in together]
+    if together:
+        length, recording, first, _ = notes[together[0]][0].longest
+        said.append(
+            f"{some(map(repr, together))} {'stands' if len(together) == 1 else 'stand'} still together with other "
+            f"outputs for about {counted(length, 'row')} from row {first}{_where(gathered, recording)} on: was the "
+            "plant at rest, or did the recording stop? Rows that show no normal operation are better left out"
+        )
+    return said
+
+
+def _overlap(one: tuple[int, int, int, float], other: tuple[int, int, int, float]) -> bool:
+    """Return whether two runs share most of the rows of the shorter one, which is of the same size."""
+    shared = min(one[0] + one[2], other[0] + other[2]) - max(one[2], other[2])
+    return one[1] == other[1] and shared > 0.8 * max(one[0], other[0])
+
+
+def _where(gathered: Gathered, recording: int) -> str:
+    return f" of {gathered.sources[recording]}" if len(gathered.sources) > 1 else ""
