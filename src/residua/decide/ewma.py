@@ -110,7 +110,7 @@ class EWMA(StreamSettings):
     >>> test = rs.decide.EWMA(weight=0.1, mean_time_between_false_alarms=500)
     >>> monitor = rs.Monitor(rs.design.kalman_filter(plant), test=test)
     >>> round(monitor.norm_test.threshold, 3)
-    2.815
+    2.814
     >>> round(test.run_length(2.814, 1), 1), round(test.delay(2.814, 1, shift=1.0), 1)
     (499.6, 10.3)
     """

@@ -105,7 +105,7 @@ class GLR(StreamSettings):
     >>> import residua as rs
     >>> test = rs.decide.GLR(window=50, mean_time_between_false_alarms=1e5)
     >>> round(test.designed(1), 1)
-    4.9
+    4.8
     """
 
     kind: ClassVar[str] = "glr"

@@ -85,7 +85,7 @@ def shifted_run_length(chain: LengthChain, threshold: float, shift: float) -> fl
     >>> weight = 0.1
     >>> chain = LengthChain(4, kept=(1 - weight) / weight, gain=weight)
     >>> round(shifted_run_length(chain, (12.73 * weight / (2 - weight)) ** 0.5, 1.0), 1)
-    12.1
+    12.2
     """
     if not shift:
         return mean_run_length(chain, threshold)
