@@ -182,6 +182,18 @@ def test_what_the_data_contradict_is_said_and_the_threshold_is_theirs() -> None:
     assert rs.Monitor(given(1), test=plain_, isolate=None).fit(None, burst).run(None, other).alarm.mean() > 0.03
 
 
+@pytest.mark.parametrize("kind", ["white", "coloured 0.5"])
+@pytest.mark.parametrize("settings", [rs.decide.CUSUM(), rs.decide.ChiSquared()], ids=named)
+def test_a_band_holds_the_share_of_averages_that_is_said(settings: rs.decide.CUSUM, kind: str) -> None:
+    """One in 1,000 is outside, within a factor of two: of 100,000 averages, neighbours of which are alike."""
+    rng = np.random.default_rng(14)
+    test = rs.Monitor(given(2), test=settings, isolate=None).fit(None, noise(kind, rng, 20_000, 2)).norm_test
+    half, share = test.bands()
+    averages = lfilter(np.full(test.samples, 1 / test.samples), [1.0], noise(kind, rng, 100_000, 2), axis=0)
+    outside = (np.abs(averages[test.samples :] - test.center) > half).mean()
+    assert (1 - share) / 2 < outside < 2 * (1 - share)
+
+
 def test_an_autoregression_takes_the_memory_off() -> None:
     rng = np.random.default_rng(10)
     A = np.array([[0.9, 0.2], [0.0, 0.4]])

@@ -167,9 +167,10 @@ class StreamTest(ResidualTest):
         """The length of the smallest constant mean, in standard deviations, that surely ends in an alarm."""
 
     def bands(self) -> tuple[NDArray[np.float64], float]:
-        """Return the band of each residual alone."""
-        inverse = np.linalg.pinv(self.whitening)
-        return BAND_DEVIATIONS * np.sqrt(np.sum(inverse**2, axis=0)), BAND_SHARE
+        """Return the band of each residual alone, averaged over as many samples as the statistic is made of."""
+        whole = self.whitening if self.samples == 1 else self.whitening @ self.steady_gain
+        inverse = np.linalg.pinv(whole)
+        return BAND_DEVIATIONS * np.sqrt(np.sum(inverse**2, axis=0) / self.samples), BAND_SHARE
 
     def words(self, step: float) -> dict[str, str]:
         """Return in words what the threshold is, what is tested, and when an alarm begins and ends."""
