@@ -168,6 +168,18 @@ def test_few_samples_are_refused_or_do(settings: rs.decide.CUSUM, columns: int) 
     assert np.mean(shares) < 0.04
 
 
+def test_a_fit_is_checked_against_the_fraction_that_goes_with_the_time() -> None:
+    rng = np.random.default_rng(15)
+    test = rs.decide.CUSUM(mean_time_between_false_alarms=300)
+    monitor = rs.Monitor(given(2), test=test, isolate=None).fit(None, rng.standard_normal((8000, 2)))
+    cycle = test.cycle(test.designed(2), 2)
+    assert monitor.false_alarm_rate == cycle.fraction == monitor.fit_check.held_out.asked
+    assert not monitor.run(None, rng.standard_normal((2000, 2))).notes
+    other = monitor.fit(None, rng.standard_normal((8000, 2)), false_alarm_rate=0.1)
+    assert other.fit_check.held_out.asked == 0.1
+    assert other.threshold < test.designed(2)
+
+
 def test_what_the_data_contradict_is_said_and_the_threshold_is_theirs() -> None:
     """Noise that comes in bursts is white, and no autoregression and no scores make it independent."""
     rng = np.random.default_rng(9)

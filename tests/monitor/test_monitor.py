@@ -260,7 +260,7 @@ def test_an_empty_recording_is_no_accident() -> None:
     diagnosis = make().run(np.zeros((0, 1)), np.zeros((0, 2)))
     assert isinstance(diagnosis, rs.Diagnosis)
     assert not diagnosis.fault_detected
-    assert "too short" in str(diagnosis)
+    assert "no decision: the recording is empty" in str(diagnosis)
 
 
 @pytest.mark.parametrize(

@@ -115,13 +115,13 @@ def fit(
     watch = Monitor.load(monitor)
     reading = Reading(time, dt, variable, fill_gaps, tolerance, day_first, time_format, decimal, columns, transpose)
     data = [reading.read(path, watch) for path in normal]
-    rate = watch.test.false_alarm_rate if false_alarm_rate is None else false_alarm_rate
     watch.fit(
         data if len(data) > 1 else data[0],
-        false_alarm_rate=rate,
+        false_alarm_rate=false_alarm_rate,
         held_out=held_out,
         transient=_start_left_out(transient),
     )
+    rate = watch.false_alarm_rate if false_alarm_rate is None else false_alarm_rate
     runs = [_run(watch, one) for one in data]
     watch.reset()
     watch.save(output)

@@ -126,7 +126,7 @@ class ChiSquared(StreamSettings):
         from scipy.special import chdtri
 
         time = self.mean_time_between_false_alarms
-        if time is not None and rate in (None, self.false_alarm_rate):
+        if time is not None and rate is None:
             rate = 1 / time
         return float(np.sqrt(chdtri(dimension * self.window, self.false_alarm_rate if rate is None else rate)))
 

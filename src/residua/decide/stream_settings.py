@@ -117,15 +117,16 @@ class StreamSettings(TestSettings):
     # -------------------------------------------------------------------------- thresholds
 
     def designed(self, dimension: int, rate: float | None = None, *, samples: int | None = None) -> float:
-        """Return the threshold of the wanted time between false alarms, or of the fraction of samples in alarm.
+        """Return the threshold of the wanted time between false alarms, or of a fraction of samples in alarm.
 
+        ``rate`` is another fraction than that of the settings.
         ``samples`` are those that the mean is from, which makes false alarms more frequent; known exactly when omitted.
         """
         guess = 3.0 + 0.5 * dimension**0.5
         time = self.mean_time_between_false_alarms
 
         def solved(more: float) -> float:
-            if time is not None and rate in (None, self.false_alarm_rate):
+            if time is not None and rate is None:
                 return threshold_of(lambda h: self.run_length(h, dimension), more * time, guess)
             wanted = more / (self.false_alarm_rate if rate is None else rate)
             return threshold_of(lambda h: 1 / self.cycle(h, dimension).fraction, wanted, guess)
@@ -145,7 +146,7 @@ class StreamSettings(TestSettings):
             if summed is None or np.abs(summed - covariance).max() > LEAKAGE * largest:
                 return None
         parts = plain(np.zeros(k), whitening_matrix(covariance))
-        return self._by_design(parts, self.false_alarm_rate, "noise model of the plant", None)
+        return self._by_design(parts, None, "noise model of the plant", None)
 
     def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> StreamTest:
         """Return the test fitted to fault-free data, for a rate of false alarms.
@@ -163,14 +164,15 @@ class StreamSettings(TestSettings):
                 "these residuals hold no noise: no time between false alarms can be designed; set threshold=, or use "
                 "NormThreshold, whose threshold is then the level of rounding"
             )
+        other = None if rate == self.asked(watched) else rate
         parts, notes = self._whitened(data)
         if self.threshold is not None or self.source == "design":
-            return self._by_design(parts, rate, "; ".join([f"moments of {count} fault-free samples", *notes]), count)
+            return self._by_design(parts, other, "; ".join([f"moments of {count} fault-free samples", *notes]), count)
         stretches, values, seen = self._cross_fitted(data)
         against = "source='data'" if self.source == "data" else self._contradiction(values, seen, stretches, k)
         if not against:
             notes.append("the data do not contradict the design")
-            return self._by_design(parts, rate, "; ".join([f"moments of {count} fault-free samples", *notes]), count)
+            return self._by_design(parts, other, "; ".join([f"moments of {count} fault-free samples", *notes]), count)
         blank = self.test(**parts, threshold=np.inf, release=0.0, basis="")
         return self._by_data(blank, values, seen, stretches, rate, [against, *notes])
 
@@ -231,7 +233,7 @@ class StreamSettings(TestSettings):
             parts = {**parts, "knots": knots, "scores": scores}
         return parts, notes
 
-    def _by_design(self, parts: Mapping[str, Any], rate: float, origin: str, samples: int | None) -> StreamTest:
+    def _by_design(self, parts: Mapping[str, Any], rate: float | None, origin: str, samples: int | None) -> StreamTest:
         """Return the test with the threshold of the design, or the one that is set."""
         k = len(parts["center"])
         if self.threshold is not None:
@@ -276,9 +278,7 @@ class StreamSettings(TestSettings):
         notes: Sequence[str],
     ) -> StreamTest:
         """Return the test with a threshold from the data, and what these promise."""
-        time, k = self.mean_time_between_false_alarms, len(blank.center)
-        if time is not None and rate == self.false_alarm_rate:
-            rate = self.cycle(self.designed(k), k).fraction
+        k = len(blank.center)
         levels, blocks, begins, first = [], [], [], 0
         squares = np.where(seen, values**2 - np.mean(values[seen] ** 2), 0.0)[:, None]
         length = int(np.ceil(2 * correlation_times(squares, parts)[0]))
@@ -301,6 +301,13 @@ class StreamSettings(TestSettings):
         )
 
     # ----------------------------------------------- what the rest of a monitor asks for
+
+    def asked(self, watched: Watched) -> float:
+        """Return the fraction of fault-free samples in alarm: that which goes with the wanted time between alarms."""
+        if self.mean_time_between_false_alarms is None:
+            return self.false_alarm_rate
+        k = watched.generator.n_residuals
+        return self.cycle(self.designed(k), k).fraction
 
     def check(self, watched: Watched) -> None:
         """Raise where parts have to be tested by themselves."""

@@ -298,6 +298,10 @@ class TestSettings(Record, ABC):
     def check(self, watched: Watched) -> None:
         """Raise :class:`residua.errors.SettingError` where the settings do not fit what is to be watched."""
 
+    def asked(self, watched: Watched) -> float:
+        """Return the fraction of fault-free samples in alarm that is asked for, unless ``fit`` gets another one."""
+        return self.false_alarm_rate
+
     @property
     def takes_certified(self) -> bool:
         """Whether thresholds that a design has certified are looked at."""

@@ -229,6 +229,11 @@ class Monitor:
         return self.norm_test.threshold
 
     @property
+    def false_alarm_rate(self) -> float:
+        """The fraction of fault-free samples in alarm that the test asks for: that of a fit which gets no other."""
+        return self.test.asked(self._watched(self.generator))
+
+    @property
     def fit_check(self) -> FitCheck | None:
         """What the last fit says of its own recordings; ``None`` where nothing was fitted."""
         return self._check
@@ -311,12 +316,13 @@ class Monitor:
         DataError
             If a recording does not fit the plant, or is too short, or goes over a threshold of a finite-horizon test.
         """
-        rate = self.test.false_alarm_rate if false_alarm_rate is None else float(false_alarm_rate)
-        check_rate(rate)
+        if false_alarm_rate is not None:
+            check_rate(false_alarm_rate)
         check_held_out(held_out, transient)
         parts = several_signals(u, y, time, dt, self.design.plant)
         for one in parts:
             self._learn_step(one.dt)
+        rate = self.false_alarm_rate if false_alarm_rate is None else float(false_alarm_rate)
         recordings = [self._block(one.u, one.y) for one in parts]
         blank = blank_test(self.generator)
         samples = np.concatenate([data.reshape(-1, data.shape[2]) for data in recordings])
