@@ -242,8 +242,7 @@ class Monitor:
     def groups(self) -> tuple[tuple[str, ...], ...]:
         """The faults, those that this monitor cannot tell apart in one group.
 
-        A fault of a bank that some members see only while it changes is in two groups: see
-        :class:`residua.decide.CodeTest`.
+        A fault that some members of a bank see only while it changes is in two: see :class:`residua.decide.CodeTest`.
         """
         return self._specification().isolation.groups
 
@@ -316,13 +315,12 @@ class Monitor:
         DataError
             If a recording does not fit the plant, or is too short, or goes over a threshold of a finite-horizon test.
         """
-        if false_alarm_rate is not None:
-            check_rate(false_alarm_rate)
         check_held_out(held_out, transient)
         parts = several_signals(u, y, time, dt, self.design.plant)
         for one in parts:
             self._learn_step(one.dt)
         rate = self.false_alarm_rate if false_alarm_rate is None else float(false_alarm_rate)
+        check_rate(rate)
         recordings = [self._block(one.u, one.y) for one in parts]
         blank = blank_test(self.generator)
         samples = np.concatenate([data.reshape(-1, data.shape[2]) for data in recordings])
@@ -339,8 +337,7 @@ class Monitor:
             held_out=float(held_out),
             transient=transient,
         )
-        self._ranges = ranges
-        self._spec = self._state = None
+        self._ranges, self._spec, self._state = ranges, None, None
         return self
 
     # ---------------------------------------------------------------- learning
