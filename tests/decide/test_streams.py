@@ -308,3 +308,7 @@ def test_files_that_fit_nothing_are_refused() -> None:
     state = test.start(1)
     with pytest.raises(FileFormatError, match="is not that of this test"):
         test.check_state(dataclasses.replace(state, sums=np.zeros((1, 7))))
+    with pytest.raises(FileFormatError, match="is not that of this test"):
+        test.check_state(
+            dataclasses.replace(state, past=dataclasses.replace(state.past, usable=np.zeros((1, 9), bool)))
+        )

@@ -202,9 +202,17 @@ class StreamTest(ResidualTest):
 
     def check_state(self, state: StreamState) -> None:
         """Raise where a state from a file cannot be one."""
-        first = self.first_sums(len(state.sums))
-        if state.sums.shape != first.shape or state.past.samples.shape[1:] != self.coefficients.shape[:2]:
-            raise FileFormatError("state.test is not that of this test")
+        fresh = self.start(len(state.sums))
+        for one, other in (
+            (state.sums, fresh.sums),
+            (state.past.samples, fresh.past.samples),
+            (state.past.usable, fresh.past.usable),
+            (state.runs.up, fresh.runs.up),
+            (state.runs.down, fresh.runs.down),
+            (state.runs.alarm, fresh.runs.alarm),
+        ):
+            if one.shape != other.shape:
+                raise FileFormatError("state.test is not that of this test: an array of it has another shape")
 
 
 def plain(center: NDArray[np.float64], whitening: NDArray[np.float64]) -> dict[str, Any]:
