@@ -180,6 +180,50 @@ def test_a_fit_is_checked_against_the_fraction_that_goes_with_the_time() -> None
     assert other.threshold < test.designed(2)
 
 
+@pytest.mark.parametrize("settings", [rs.decide.CUSUM(), rs.decide.ChiSquared(), rs.decide.EWMA()], ids=named)
+def test_copies_of_a_residual_are_not_counted_again(settings: rs.decide.CUSUM) -> None:
+    """Two residuals, and four combinations of them: the threshold is that of two."""
+    rng = np.random.default_rng(8)
+    mix = rng.standard_normal((2, 4))
+    copies, white = np.hstack([np.eye(2), mix]), rng.standard_normal((20_000, 2))
+    one, other = (
+        rs.Monitor(given(columns), test=settings, isolate=None).fit(None, rows, held_out=0)
+        for columns, rows in ((2, white), (6, white @ copies))
+    )
+    assert other.threshold == one.threshold
+    assert "2 of the 6 residuals are independent" in other.norm_test.basis
+    again = rng.standard_normal((5_000, 2))
+    np.testing.assert_allclose(
+        other.run(None, again @ copies).statistic, one.run(None, again).statistic, rtol=0, atol=1e-5
+    )
+
+
+@pytest.mark.parametrize("test", [rs.decide.NormThreshold(false_alarm_rate=0.01, persistence=1),
+                                  rs.decide.ChiSquared(false_alarm_rate=0.01)], ids=named)  # fmt: skip
+def test_copies_are_not_counted_where_the_noise_model_says_that_they_are(test: rs.decide.TestSettings) -> None:
+    """A sensor that is read twice, with one and the same noise: its residuals have two degrees of freedom."""
+    plant = rs.Plant(np.zeros((1, 1)), [[0.0]], [[1.0], [0.5], [1.0]], dt=1.0)
+    twice = np.array([[1.0, 0, 1], [0, 1, 0], [1, 0, 1]])
+    plant = plant.with_noise(process=0.0, measurement=twice).with_sensor_faults()
+    flt = rs.design.luenberger_observer(plant, poles=[0.0]).residual_generator()
+    monitor = rs.Monitor(flt, test=test, isolate=None)
+    assert monitor.threshold == pytest.approx(np.sqrt(9.210340371976184))  # chi-squared of two at 1 %
+
+
+def test_residuals_that_foretell_each_other_exactly_are_tested_at_the_designed_rate() -> None:
+    """Decoupling two disturbances leaves six residuals of which the past foretells two combinations exactly."""
+    engine = rs.library.jet_engine().discretize(0.02).with_noise(process=1e-6, measurement=4e-6)
+    rng, system = np.random.default_rng(0), engine.system(("noise",))
+    y = system.simulate(rng.standard_normal((30_000, system.n_inputs)))
+    test = rs.decide.CUSUM(mean_time_between_false_alarms=500)
+    monitor = rs.Monitor(rs.design.robust_detection_filter(engine), test=test)
+    monitor.fit(np.zeros((20_000, 1)), y[:20_000])
+    assert "2 combinations of residuals foretold exactly" in monitor.norm_test.basis
+    alarm = monitor.run(np.zeros((10_000, 1)), y[20_000:]).alarm
+    raised = int((alarm[1:] & ~alarm[:-1]).sum())
+    assert 8 <= raised <= 36  # 20 expected: 99 of 100 runs, and what 20,000 samples leave uncertain
+
+
 def test_what_the_data_contradict_is_said_and_the_threshold_is_theirs() -> None:
     """Noise that comes in bursts is white, and no autoregression and no scores make it independent."""
     rng = np.random.default_rng(9)

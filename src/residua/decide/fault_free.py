@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.dependence import correlation_times
-from residua.decide.whitening import whitening_matrix
+from residua.decide.whitening import moving_directions, whitening_matrix
 from residua.decide.window import empty_window, moving_sum
 from residua.errors import DataError
 from residua.linear.subspaces.whitening import VARIANCE_FLOOR
@@ -134,6 +134,12 @@ class FaultFree:
     def deviations(self) -> NDArray[np.float64]:
         """Residuals less their mean, zero where not usable."""
         return np.where(self.usable[:, None], self.residuals - self.middle, 0.0)
+
+    @cached_property
+    def moving(self) -> int:
+        """In how many independent directions the residuals move."""
+        rows = self.deviations[self.usable]
+        return moving_directions(rows.T @ rows / max(1, len(rows)))
 
     @property
     def spread(self) -> float:

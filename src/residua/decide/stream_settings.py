@@ -21,8 +21,9 @@ from residua.decide.normal_scores import is_heavy_tailed, knots_of
 from residua.decide.run_lengths import LONGEST, AlarmCycle, threshold_of
 from residua.decide.stream_test import StreamTest, plain
 from residua.decide.test import Block, FaultFreeRun, TestSettings, Watched
-from residua.decide.whitening import whitening_matrix
+from residua.decide.whitening import moving_directions, whitening_matrix
 from residua.errors import DataError, SettingError
+from residua.linear.subspaces.whitening import VARIANCE_FLOOR
 from residua.number_kinds import POSITIVE, PROBABILITY, NumberKind
 from residua.tolerances import LEAKAGE, SIGNAL_ROUNDING
 from residua.visible import echo
@@ -41,6 +42,8 @@ _CONTRADICTION = 3.0
 _FOLDS = 4
 #: How much more often false alarms come for a mean from few samples, where it is said.
 _NOTABLE = 1.02
+#: Standard deviations by which the ends of a stretch of time may be off its mean.
+_ENDS = 3.0
 #: Windows over which the sums of a residual have the same covariance if it is white.
 _WINDOWS = (2, 8, 32)
 
@@ -146,7 +149,7 @@ class StreamSettings(TestSettings):
             if summed is None or np.abs(summed - covariance).max() > LEAKAGE * largest:
                 return None
         parts = plain(np.zeros(k), whitening_matrix(covariance))
-        return self._by_design(parts, None, "noise model of the plant", None)
+        return self._by_design(parts, moving_directions(covariance), None, "noise model of the plant", None)
 
     def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> StreamTest:
         """Return the test fitted to fault-free data, for a rate of false alarms.
@@ -156,23 +159,27 @@ class StreamSettings(TestSettings):
         design says are raised on them by lower thresholds. Where they do, the threshold is from the data.
         """
         data = FaultFree(run.residuals, run.usable, 1, run.seams)
-        count, k = int(run.usable.sum()), run.residuals.shape[1]
-        check_enough(count, k, 1)
-        self._check_mean(count, k)
+        count = int(run.usable.sum())
+        check_enough(count, run.residuals.shape[1], 1)
+        self._check_mean(count, data.moving)
         if data.spread <= SIGNAL_ROUNDING * run.signal_size():
             raise DataError(
                 "these residuals hold no noise: no time between false alarms can be designed; set threshold=, or use "
                 "NormThreshold, whose threshold is then the level of rounding"
             )
         other = None if rate == self.asked(watched) else rate
-        parts, notes = self._whitened(data)
+        parts, k, notes = self._whitened(data)
         if self.threshold is not None or self.source == "design":
-            return self._by_design(parts, other, "; ".join([f"moments of {count} fault-free samples", *notes]), count)
+            return self._by_design(
+                parts, k, other, "; ".join([f"moments of {count} fault-free samples", *notes]), count
+            )
         stretches, values, seen = self._cross_fitted(data)
         against = "source='data'" if self.source == "data" else self._contradiction(values, seen, stretches, k)
         if not against:
             notes.append("the data do not contradict the design")
-            return self._by_design(parts, other, "; ".join([f"moments of {count} fault-free samples", *notes]), count)
+            return self._by_design(
+                parts, k, other, "; ".join([f"moments of {count} fault-free samples", *notes]), count
+            )
         blank = self.test(**parts, threshold=np.inf, release=0.0, basis="")
         return self._by_data(blank, values, seen, stretches, rate, [against, *notes])
 
@@ -200,7 +207,7 @@ class StreamSettings(TestSettings):
         for start, stop in pairwise(edges):
             others = data.usable.copy()
             others[start:stop] = False
-            parts, _ = self._whitened(replace(data, usable=others))
+            parts, _, _ = self._whitened(replace(data, usable=others))
             blank = self.test(**parts, threshold=np.inf, release=0.0, basis="")
             for part in stretches:
                 if start <= part.start < stop:
@@ -209,13 +216,18 @@ class StreamSettings(TestSettings):
                     values[part], seen[part] = tested.statistic[0], tested.usable[0]
         return stretches, values, seen
 
-    def _whitened(self, data: FaultFree) -> tuple[dict[str, Any], list[str]]:
-        """Return what makes the residual white, and what is said of it."""
-        whole = data.moments()
+    def _whitened(self, data: FaultFree) -> tuple[dict[str, Any], int, list[str]]:
+        """Return what makes the residual white, how many directions it then moves in, and what is said of it."""
+        whole, moving = data.moments(), data.moving
         parts, notes = plain(whole.center, whole.whitening), []
         if whole.intensity:
             notes.append(f"covariance of too few samples, drawn by {whole.intensity:.2g} towards a simpler one")
         q = np.where(data.usable[:, None], (data.residuals - whole.center) @ whole.whitening, 0.0)
+        if moving < q.shape[1]:
+            notes.append(f"{moving} of the {q.shape[1]} residuals are independent")
+        # Combinations of residuals that noise never moves hold nothing but rounding, which no model is for.
+        live = np.sort(np.argsort(np.sum(q**2, axis=0))[q.shape[1] - moving :])
+        q = q[:, live]
         model = None
         if self.treatment == "auto" and whiteness(q, data.usable, data.parts) < _COLOURED:
             model = autoregression(q, data.usable, data.parts)
@@ -224,18 +236,40 @@ class StreamSettings(TestSettings):
         e = q[data.usable]
         if model is not None and model.order:
             e = np.concatenate([_innovations(model.coefficients, q[part], data.usable[part]) for part in data.parts])
-            V = whitening_matrix(e.T @ e / max(len(e), 1))
+            covariance, floor = e.T @ e / max(len(e), 1), self._floor(e)
+            V = whitening_matrix(covariance, floor=floor)
             notes.append(f"coloured: what the last {model.order} samples foretell is taken off")
-            parts, e = {**parts, "coefficients": model.coefficients, "rewhitening": V}, e @ V
+            left = moving_directions(covariance, floor=floor)
+            if left < moving:
+                notes.append(f"{counted(moving - left, 'combination')} of residuals foretold exactly")
+                moving = left
+            k, e = len(parts["center"]), e @ V
+            coefficients, rewhitening = np.zeros((model.order, k, k)), np.eye(k)
+            coefficients[:, live[:, None], live] = model.coefficients
+            rewhitening[live[:, None], live] = V
+            parts = {**parts, "coefficients": coefficients, "rewhitening": rewhitening}
         if self.treatment == "auto" and is_heavy_tailed(e):
             knots, scores = knots_of(e)
             notes.append("heavy tails: each value is judged by how rare it is")
-            parts = {**parts, "knots": knots, "scores": scores}
-        return parts, notes
+            everywhere = np.tile(scores, (len(parts["center"]), 1))  # what never moves stays as it is
+            everywhere[live] = knots
+            parts = {**parts, "knots": everywhere, "scores": scores}
+        return parts, moving, notes
 
-    def _by_design(self, parts: Mapping[str, Any], rate: float | None, origin: str, samples: int | None) -> StreamTest:
-        """Return the test with the threshold of the design, or the one that is set."""
-        k = len(parts["center"])
+    def _floor(self, e: NDArray[np.float64]) -> float:
+        """Return the variance below which the error of the mean of what is unforetold would be a change by itself.
+
+        Where decoupling makes residuals depend on each other over time, an autoregression foretells combinations of
+        them exactly. What is left there of the ends of a recording, divided by its length, is all the noise they have.
+        """
+        smallest = float(np.sqrt(np.mean(e**2, axis=0)).min(initial=1.0))
+        error = _ENDS * _FOLDS / max(len(e), 1)
+        return min(1.0, max(VARIANCE_FLOOR, (error / (self.harmless_offset * max(smallest, error))) ** 2))
+
+    def _by_design(
+        self, parts: Mapping[str, Any], k: int, rate: float | None, origin: str, samples: int | None
+    ) -> StreamTest:
+        """Return the test with the threshold of the design for k independent residuals, or the one that is set."""
         if self.threshold is not None:
             threshold, basis = self.threshold, "threshold given"
         else:
@@ -306,7 +340,8 @@ class StreamSettings(TestSettings):
         """Return the fraction of fault-free samples in alarm: that which goes with the wanted time between alarms."""
         if self.mean_time_between_false_alarms is None:
             return self.false_alarm_rate
-        k = watched.generator.n_residuals
+        covariance = watched.generator.covariance_of_sums(1)
+        k = watched.generator.n_residuals if covariance is None else moving_directions(covariance)
         return self.cycle(self.designed(k), k).fraction
 
     def check(self, watched: Watched) -> None:

@@ -15,7 +15,7 @@ from residua.decide.fault_free import FaultFree, check_enough
 from residua.decide.persistence import AlarmRuns, run_alarm
 from residua.decide.row_norms import row_norms
 from residua.decide.test import Block, ResidualTest, Tested, TestSettings, Watched
-from residua.decide.whitening import whitening_matrix
+from residua.decide.whitening import moving_directions, whitening_matrix
 from residua.decide.window import WindowState, empty_window, moving_sum
 from residua.errors import DataError, FileFormatError, SettingError
 from residua.linear.systems.recursion import ordered_product
@@ -207,10 +207,10 @@ def norm_test_from_model(settings: NormSettings, covariance: NDArray | None, n_r
     whitening = whitening_matrix(covariance) if use_model and covariance is not None else np.eye(n_residuals)
     if settings.threshold is not None:
         threshold, basis = settings.threshold, "threshold given"
-    elif use_model:
+    elif use_model and covariance is not None:
         from scipy.special import chdtri  # slow to import, and needed only here
 
-        threshold = float(np.sqrt(chdtri(n_residuals, settings.false_alarm_rate)))
+        threshold = float(np.sqrt(chdtri(moving_directions(covariance), settings.false_alarm_rate)))
         basis = f"chi-squared distribution at {settings.false_alarm_rate:g} per sample, noise model of the plant"
     else:
         return None

@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from residua.linear.subspaces.whitening import whitening_matrix
+from residua.linear.subspaces.whitening import moving_directions, whitening_matrix
 
-__all__ = ["whitening_matrix"]
+__all__ = ["moving_directions", "whitening_matrix"]

@@ -34,11 +34,39 @@ def whitening_matrix(covariance: NDArray[np.float64], *, floor: float = VARIANCE
     array([[1., 0.],
            [0., 1.]])
     """
-    covariance = (covariance + covariance.T) / 2
-    spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    spread = np.where(spread > 0, spread, spread[spread > 0].min(initial=np.inf) if spread.any() else 1.0)
-    values, vectors = np.linalg.eigh(covariance / np.outer(spread, spread))
+    values, vectors, spread = _axes(covariance)
     largest = float(values[-1]) if values.size else 0.0
     if largest <= 0:
         return np.eye(len(covariance))
     return vectors / np.sqrt(np.maximum(values, floor * largest)) / spread[:, None]
+
+
+def moving_directions(covariance: NDArray[np.float64], *, floor: float = VARIANCE_FLOOR) -> int:
+    """Return in how many independent directions noise moves residuals: those that ``whitening_matrix`` makes even.
+
+    Fewer than there are residuals where decoupling made some of them combinations of the others: the square of a
+    whitened residual then has that many degrees of freedom.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (k, k)
+    floor : float
+        As for :func:`whitening_matrix`.
+
+    Returns
+    -------
+    int
+        All of them for a covariance of zero, for which the whitening is the identity.
+    """
+    values, _, _ = _axes(covariance)
+    largest = float(values.max(initial=0.0))
+    return int(np.sum(values > floor * largest)) if largest > 0 else len(covariance)
+
+
+def _axes(covariance: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return the eigenvalues of the correlation matrix, smallest first, its axes, and the spread of each residual."""
+    covariance = (covariance + covariance.T) / 2
+    spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    spread = np.where(spread > 0, spread, spread[spread > 0].min(initial=np.inf) if spread.any() else 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(spread, spread))
+    return values, vectors, spread
