@@ -88,10 +88,11 @@ def unforetold(
 def autoregression(
     rows: NDArray[np.float64], usable: NDArray[np.bool_], parts: Sequence[slice], *, most: int | None = None
 ) -> Autoregression:
-    r"""Return the autoregression of fault-free samples, of the order that Schwarz's criterion prefers.
+    r"""Return the autoregression of fault-free samples, of the order that Akaike's corrected criterion prefers.
 
     By the equations of Yule and Walker, whose solution is stable; each residual by its own past, or all by the past
-    of all, whichever the criterion prefers.
+    of all, whichever the criterion prefers. What counts is that nothing is left that could be foretold, not that the
+    order be a true one: residuals that a filter makes have none, and Schwarz's criterion leaves more of their memory.
 
     Parameters
     ----------
@@ -114,7 +115,7 @@ def autoregression(
             if joint and order * k * _SAMPLES > n:
                 break
             found = _solved(products, order, joint)
-            value = n * _log_determinant(found.covariance) + count * np.log(n)
+            value = n * _log_determinant(found.covariance) + 2 * count * n / max(n - count / k - k - 1, 1)
             if value < smallest:
                 best, smallest = found, value
     return best
