@@ -105,7 +105,7 @@ def _run_length(chain: LengthChain, threshold: float, shift: float, factor: floa
     side = image * np.sqrt(np.maximum(1 - share**2, 0.0))
     away = (image * share - mean[:, None]) ** 2 / 2 + (side - rest[:, None]) ** 2 / 2
     now, then = np.nonzero(away < _NEVER)
-    density = np.exp(-((image * share)[then] - mean[now]) ** 2 / 2) / np.sqrt(2 * np.pi)
+    density = np.exp(-(((image * share)[then] - mean[now]) ** 2) / 2) / np.sqrt(2 * np.pi)
     if chain.dimension > 1:
         density *= norm_density(side[then], rest[now], chain.dimension - 1) * image[then]
     steps = np.zeros((len(mean), len(mean)))
