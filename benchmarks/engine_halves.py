@@ -5,11 +5,11 @@ Run it with the folder of the data::
     .venv/bin/python benchmarks/engine_halves.py --data FOLDER
 
 It writes ``docs/data/engine_halves.csv``. The 307 fault-free samples are halved in two ways: the first half and the
-second, and quarters in turn. A monitor is fitted to the one; so that all are compared at the same rate, its threshold
-is then moved until 5.5 % of the other are in alarm: as many as have some residual over 1, which is what the residuals are
-normalised to. The same is done with single samples: the largest residual against one threshold. Each fault is learnt
-from the first half of its samples; the second half says which fraction is in alarm, from the first whole window on, and
-of these how many are named right.
+second, and quarters in turn. A monitor is fitted to the one; so that all are compared at the same rate, its
+threshold is then moved until 5.5 % of the other are in alarm: as many as have some residual over 1, which is what
+the residuals are normalised to. The same is done with single samples: the largest residual against one threshold.
+Each fault is learnt from the first half of its samples; the second half says which fraction is in alarm, from the
+first whole window on, and of these how many are named right.
 """
 
 from __future__ import annotations
