@@ -15,8 +15,10 @@ from residua.decide.matched_level import LikelihoodTest
 from residua.decide.matched_responses import MatchedTest
 from residua.decide.member_thresholds import BankTest, GroupTest
 from residua.decide.norm_threshold import NormTest, NormThreshold
+from residua.decide.page_hinkley import PageHinkley, PageHinkleyTest
 from residua.decide.peak_threshold import PeakThreshold, peak_over_window
 from residua.decide.persistence import AlarmRuns, run_alarm
+from residua.decide.sprt import SPRT, SPRTTest
 from residua.decide.statement import Statement
 from residua.decide.structured import CodeReading, CodeTest, Structured, read_code, read_codes
 from residua.decide.test import Block, FaultFreeRun, ResidualTest, Tested, TestSettings, Watched
@@ -27,6 +29,7 @@ __all__ = [
     "CUSUM",
     "EWMA",
     "GLR",
+    "SPRT",
     "Alarm",
     "AlarmRuns",
     "BankTest",
@@ -54,8 +57,11 @@ __all__ = [
     "Named",
     "NormTest",
     "NormThreshold",
+    "PageHinkley",
+    "PageHinkleyTest",
     "PeakThreshold",
     "ResidualTest",
+    "SPRTTest",
     "Scores",
     "Seen",
     "Statement",

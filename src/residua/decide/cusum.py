@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from residua.decide.checks import is_number
 from residua.decide.row_norms import row_norms
-from residua.decide.run_lengths import AlarmCycle, Chain, alarm_cycle, mean_run_length
+from residua.decide.run_lengths import AlarmCycle, Chain, alarm_cycle, mean_run_length, run_frequency
 from residua.decide.stream_settings import StreamSettings
 from residua.decide.stream_test import StreamTest
 from residua.decide.test import ResidualTest
@@ -252,7 +252,7 @@ class CUSUM(StreamSettings):
         form = self._form(dimension)
         if form == "page":
             sides = [shift, -shift] + [0.0] * (2 * dimension - 2)
-            return 1 / sum(_frequency(PageChain(self.allowance, mean), threshold) for mean in sides)
+            return 1 / sum(run_frequency(PageChain(self.allowance, mean), threshold) for mean in sides)
         if form == "crosier":
             return shifted_run_length(LengthChain(dimension, allowance=self.allowance), threshold, shift)
         return delay_of_mc1(self.allowance, dimension, threshold, shift)
@@ -294,14 +294,6 @@ class CUSUM(StreamSettings):
         if self.form != "auto":
             return self.form
         return "page" if dimension == 1 else "crosier"
-
-
-def _frequency(chain: PageChain, threshold: float) -> float:
-    """Return the inverse of a run length; none where it is beyond what is computed."""
-    try:
-        return 1 / mean_run_length(chain, threshold)
-    except SettingError:
-        return 0.0
 
 
 __all__ = ["CUSUM", "CUSUMTest", "PageChain"]
