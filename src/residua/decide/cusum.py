@@ -176,9 +176,11 @@ class CUSUM(StreamSettings):
         h, where it is to be neither.
     form : {"auto", "page", "crosier", "pignatiello-runger"}
         ``"auto"``: Page's of one residual, Crosier's of several. Page's sees best what moves one residual alone.
-    source : {"auto", "design", "data"}
+    source : {"auto", "design", "data", "quantile", "tail", "conformal"}
         Where the threshold is from after a fit: designed, for white Gaussian residuals; from the fault-free data
-        themselves; ``"auto"`` designs it unless the data contradict the design, and says so.
+        themselves, for a fraction of samples in alarm, in one of the ways of
+        :class:`residua.decide.NormThreshold` (``"data"`` is its ``"auto"``); ``"auto"`` designs it unless the data
+        contradict the design, and says so.
     treatment : {"auto", "none"}
         Whether a fit makes a coloured residual white, by an autoregression, and heavy tails Gaussian, by normal scores.
 
