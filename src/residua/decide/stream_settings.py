@@ -23,6 +23,7 @@ from residua.decide.run_lengths import LONGEST, AlarmCycle, threshold_of
 from residua.decide.stream_test import StreamTest, plain
 from residua.decide.test import Block, FaultFreeRun, TestSettings, Watched
 from residua.decide.whitening import moving_directions, whitening_matrix
+from residua.design import ResidualGenerator
 from residua.errors import DataError, SettingError
 from residua.linear.subspaces.whitening import VARIANCE_FLOOR
 from residua.number_kinds import POSITIVE, PROBABILITY, NumberKind
@@ -150,12 +151,9 @@ class StreamSettings(TestSettings):
         covariance = watched.generator.covariance_of_sums(1)
         if covariance is None or self.source in _OF_DATA:
             return None
-        k, largest = len(covariance), float(np.abs(covariance).max(initial=0.0))
-        for window in _WINDOWS:
-            summed = watched.generator.covariance_of_sums(window)
-            if summed is None or np.abs(summed - covariance).max() > LEAKAGE * largest:
-                return None
-        parts = plain(np.zeros(k), whitening_matrix(covariance))
+        if not is_white(watched.generator):
+            return None
+        parts = plain(np.zeros(len(covariance)), whitening_matrix(covariance))
         return self._by_design(parts, moving_directions(covariance), None, "noise model of the plant", None)
 
     def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> StreamTest:
@@ -240,6 +238,10 @@ class StreamSettings(TestSettings):
             values[part], seen[part] = tested.statistic[0], tested.usable[0]
         halves = "made white by the first half of the data, the threshold of the second"
         return self._by_data(blank, values, seen, stretches, rate, [halves, *notes])
+
+    def treatment_of(self, data: FaultFree) -> tuple[dict[str, Any], int, list[str]]:
+        """Return what a fit makes of data: what makes them white, their independent directions, and what it says."""
+        return self._whitened(data)
 
     def _whitened(self, data: FaultFree) -> tuple[dict[str, Any], int, list[str]]:
         """Return what makes the residual white, how many directions it then moves in, and what is said of it."""
@@ -385,6 +387,16 @@ class StreamSettings(TestSettings):
         return f"{super().remedy}, or give the plant noise (with_noise) that leaves the residual white"
 
 
+def is_white(generator: ResidualGenerator) -> bool:
+    """Tell whether the noise of the plant leaves the residual white: sums over any window have the same covariance."""
+    covariance = generator.covariance_of_sums(1)
+    if covariance is None:
+        return False
+    sums = [generator.covariance_of_sums(window) for window in _WINDOWS]
+    limit = LEAKAGE * float(np.abs(covariance).max(initial=0.0))
+    return all(one is not None and np.abs(one - covariance).max() <= limit for one in sums)
+
+
 def _innovations(
     coefficients: NDArray[np.float64], q: NDArray[np.float64], usable: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
@@ -409,4 +421,4 @@ def _levels(values: NDArray[np.float64], falls_to: float) -> NDArray[np.float64]
     return np.array(out)
 
 
-__all__ = ["StreamSettings"]
+__all__ = ["StreamSettings", "is_white"]
