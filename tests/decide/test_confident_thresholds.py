@@ -123,7 +123,7 @@ def test_a_promise_is_kept_in_95_of_100_cases(case: tuple[str, str, float]) -> N
             ("conformal", "coloured"),
             *[(s, k) for s in ("conformal", "quantile", "tail") for k in ("white", "coloured", "t4", "quantised")],
         ],
-        2,
+        1,
     ),
 )
 def test_a_promise_is_kept_with_mean_and_covariance_from_the_same_data(case: tuple[str, str]) -> None:

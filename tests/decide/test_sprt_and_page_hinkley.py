@@ -113,8 +113,7 @@ def test_a_wanted_time_sets_the_upper_bound_of_walds_test() -> None:
         assert test.run_length(test.designed(dimension), dimension) == pytest.approx(5000, rel=1e-4)
 
 
-@pytest.mark.parametrize("offset", [0.0, 7.0])
-@pytest.mark.parametrize("dimension", [1, 3])
+@pytest.mark.parametrize(("dimension", "offset"), [(1, 7.0), (3, 0.0)])
 def test_the_times_of_page_and_hinkley_are_the_designed_ones_whatever_the_mean(dimension: int, offset: float) -> None:
     test = rs.decide.PageHinkley(drift=0.5, mean_time_between_false_alarms=200)
     h = test.designed(dimension)

@@ -345,7 +345,7 @@ class StreamSettings(TestSettings):
         length = int(np.ceil(2 * correlation_times(squares, parts)[0]))
         for part in parts:
             mine = values[part][seen[part]]
-            levels.append(_levels(mine, self.falls_to))
+            levels.append(np.maximum(_levels(mine, self.falls_to), 0.0))  # a ratio may be below one: no alarm
             number_of = np.arange(len(mine)) // length
             blocks.append(first + number_of)
             begins.append(np.arange(len(mine)) == 0)
@@ -356,7 +356,7 @@ class StreamSettings(TestSettings):
                          scale_of(level, float(k)), 1, 1, level)  # fmt: skip
         promise = promise_by("auto" if self.source == "data" else self.source, found, rate)
         basis = f"fitted to {len(level)} fault-free samples, {promise}; {'; '.join(notes)}"
-        threshold = float(promise.threshold)
+        threshold = max(float(promise.threshold), float(np.finfo(float).tiny))
         return replace(
             blank, threshold=threshold, release=self.falls_to * threshold, basis=basis, promised=float(promise.promised)
         )
