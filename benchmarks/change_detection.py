@@ -51,7 +51,10 @@ def at_rate(monitor: rs.Monitor, share: Callable[[rs.Monitor], float], rate: flo
         low, high = (low, middle) if share(_scaled(monitor, middle)) <= rate else (middle, high)
         if high / low < 1.001:
             break
-    return _scaled(monitor, high)
+    moved = _scaled(monitor, high)
+    if share(moved) > rate:
+        raise RuntimeError(f"no threshold leaves {rate:g} in alarm")
+    return moved
 
 
 def _scaled(monitor: rs.Monitor, factor: float) -> rs.Monitor:
@@ -61,7 +64,7 @@ def _scaled(monitor: rs.Monitor, factor: float) -> rs.Monitor:
     if hasattr(test, "release") and not isinstance(test.release, int):
         changes["release"] = test.release * factor
     other = copy.deepcopy(monitor)
-    other._test = replace(test, **changes)  # no fit gives just this threshold
+    other._test, other._spec = replace(test, **changes), None  # no fit gives just this threshold
     return other
 
 

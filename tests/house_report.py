@@ -54,7 +54,7 @@ def single_importers(house: House, largest: int | None = None) -> list[tuple[Mod
 
 def isinstance_of_judges(module: Module) -> Iterator[int]:
     """Yield the lines that ask which kind of test or isolation something is."""
-    for node in ast.walk(module.tree):
+    for node in module.nodes:
         if (
             isinstance(node, ast.Call)
             and isinstance(node.func, ast.Name)
@@ -68,7 +68,7 @@ def isinstance_of_judges(module: Module) -> Iterator[int]:
 
 def none_of_judges(module: Module) -> Iterator[int]:
     """Yield the lines that ask by ``None`` whether a test or isolation is of one kind."""
-    for node in ast.walk(module.tree):
+    for node in module.nodes:
         if isinstance(node, ast.Compare) and isinstance(node.ops[0], (ast.Is, ast.IsNot)):
             left, right = node.left, node.comparators[0]
             name = left.attr if isinstance(left, ast.Attribute) else left.id if isinstance(left, ast.Name) else ""
@@ -78,7 +78,7 @@ def none_of_judges(module: Module) -> Iterator[int]:
 
 def tolerances(module: Module) -> Iterator[float]:
     """Yield the float literals that are tolerances."""
-    for node in ast.walk(module.tree):
+    for node in module.nodes:
         if isinstance(node, ast.Constant) and isinstance(node.value, float) and 0 < node.value <= TOLERANCE:
             yield node.value
 
@@ -95,7 +95,7 @@ def named_tolerances(module: Module) -> Iterator[tuple[str, float]]:
 
 def rank_decisions(module: Module) -> Iterator[str]:
     """Yield the functions called that decide a rank, and ``svd`` where its values are held to something."""
-    for function in module.functions:
+    for function in module.functions if "svd" in module.text else ():
         calls = {
             node.func.attr if isinstance(node.func, ast.Attribute) else node.func.id
             for node in ast.walk(function)
@@ -103,7 +103,7 @@ def rank_decisions(module: Module) -> Iterator[str]:
         }
         if calls & {"svd", "svdvals"} and any(isinstance(node, ast.Compare) for node in ast.walk(function)):
             yield "svd"
-    for node in ast.walk(module.tree):
+    for node in module.nodes:
         if isinstance(node, ast.Call) and isinstance(node.func, (ast.Attribute, ast.Name)):
             name = node.func.attr if isinstance(node.func, ast.Attribute) else node.func.id
             if name in DECIDED | UNDECIDED:

@@ -52,6 +52,11 @@ class Module:
         """Its syntax tree."""
         return ast.parse(self.text)
 
+    @cached_property
+    def nodes(self) -> list[ast.AST]:
+        """All nodes of its tree."""
+        return list(ast.walk(self.tree))
+
     @property
     def is_package(self) -> bool:
         """Whether it is the module of a folder."""
@@ -71,7 +76,7 @@ class Module:
     @cached_property
     def docstring_lines(self) -> int:
         """Lines of docstrings."""
-        return len(_docstring_lines(self.tree))
+        return len(_docstring_lines(self.nodes))
 
     @cached_property
     def code_lines(self) -> int:
@@ -80,42 +85,42 @@ class Module:
         for token in tokenize.generate_tokens(io.StringIO(self.text).readline):
             if token.type not in _LAYOUT:
                 lines |= set(range(token.start[0], token.end[0] + 1))
-        return len(lines - _docstring_lines(self.tree))
+        return len(lines - _docstring_lines(self.nodes))
 
     @cached_property
     def names(self) -> frozenset[str]:
         """Every name and attribute in it."""
-        found = {node.id for node in ast.walk(self.tree) if isinstance(node, ast.Name)}
-        found |= {node.attr for node in ast.walk(self.tree) if isinstance(node, ast.Attribute)}
-        found |= {a.name for node in ast.walk(self.tree) if isinstance(node, ast.ImportFrom) for a in node.names}
+        found = {node.id for node in self.nodes if isinstance(node, ast.Name)}
+        found |= {node.attr for node in self.nodes if isinstance(node, ast.Attribute)}
+        found |= {a.name for node in self.nodes if isinstance(node, ast.ImportFrom) for a in node.names}
         return frozenset(found | {f.name for f in self.functions} | {c.name for c in self.classes})
 
     @cached_property
     def called(self) -> frozenset[str]:
         """The names that it calls."""
-        calls = (node.func for node in ast.walk(self.tree) if isinstance(node, ast.Call))
+        calls = (node.func for node in self.nodes if isinstance(node, ast.Call))
         return frozenset(func.id for func in calls if isinstance(func, ast.Name))
 
     @cached_property
     def texts(self) -> frozenset[str]:
         """The texts in it."""
-        constants = (node.value for node in ast.walk(self.tree) if isinstance(node, ast.Constant))
+        constants = (node.value for node in self.nodes if isinstance(node, ast.Constant))
         return frozenset(value for value in constants if isinstance(value, str))
 
     @cached_property
     def functions(self) -> list[Function]:
         """Its functions and methods, nested ones too."""
-        return [node for node in ast.walk(self.tree) if isinstance(node, Function)]
+        return [node for node in self.nodes if isinstance(node, Function)]
 
     @cached_property
     def classes(self) -> list[ast.ClassDef]:
         """Its classes."""
-        return [node for node in ast.walk(self.tree) if isinstance(node, ast.ClassDef)]
+        return [node for node in self.nodes if isinstance(node, ast.ClassDef)]
 
 
-def _docstring_lines(tree: ast.AST) -> set[int]:
+def _docstring_lines(nodes: list[ast.AST]) -> set[int]:
     lines: set[int] = set()
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)):
             first = node.body[0] if node.body else None
             if (
@@ -216,6 +221,8 @@ class House:
 def _placed(node: ast.AST, how: str) -> Iterator[tuple[ast.Import | ast.ImportFrom, str]]:
     """Yield imports with where they stand."""
     for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.expr):
+            continue  # nothing is imported in there
         if isinstance(child, (ast.Import, ast.ImportFrom)):
             yield child, how
         elif isinstance(child, Function):

@@ -186,7 +186,7 @@ def test_no_attribute_of_a_design_by_its_spelling(house: House) -> None:
     asked = []
     for module in house.modules.values():
         if module.room in SPELLED:
-            calls = [n for n in ast.walk(module.tree) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)]
+            calls = [n for n in module.nodes if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)]
             for call in calls:
                 spelled = call.func.id in ("getattr", "hasattr") and isinstance(call.args[1], ast.Constant)  # pyright: ignore
                 if spelled or call.func.id == "SimpleNamespace":  # pyright: ignore
@@ -202,7 +202,7 @@ def test_no_generator_is_made_beside_the_gate(house: House) -> None:
     made = []
     for module in house.modules.values():
         if module.name not in GATE:
-            for call in (n for n in ast.walk(module.tree) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)):
+            for call in (n for n in module.nodes if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)):
                 words = {word.arg for word in call.keywords}
                 changed = call.func.id == "replace" and words & PROMISED  # pyright: ignore
                 if call.func.id == "ResidualGenerator" or changed:  # pyright: ignore

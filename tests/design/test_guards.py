@@ -301,13 +301,29 @@ def test_an_estimate_that_is_off_is_refused() -> None:
         check_estimate(replace(observer, K=off(observer.K)))
 
 
-@trips("design.core.responses:state_covariance")
+@trips("design.core.responses:state_covariance:2")
 def test_a_covariance_that_misses_its_equation_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     A, Q = np.diag([0.5, 0.2]), np.eye(2)
     np.testing.assert_allclose(state_covariance(A, Q), np.diag([4 / 3, 1 / 0.96]), rtol=1e-12)
-    changed(monkeypatch, "design.core.responses:scipy.linalg.solve_discrete_lyapunov", off)
-    with pytest.raises(AccuracyError, match="covariance"):
+    changed(monkeypatch, "design.core.responses:np.linalg.norm", lambda value: 1.0)
+    with pytest.raises(AccuracyError, match="misses its equation"):
         state_covariance(A, Q)
+
+
+@trips("design.core.responses:state_covariance:1")
+@pytest.mark.parametrize("pole", [1.0, -1.0, 1.5])
+def test_what_does_not_settle_has_no_covariance(pole: float) -> None:
+    with pytest.raises(AccuracyError, match="does not settle"):
+        state_covariance(np.diag([pole, 0.2]), np.eye(2))
+
+
+def test_a_predictor_with_all_poles_at_zero_has_its_covariance() -> None:
+    """A chain of delays with gains from 1e-6 to 1e6: what a sum of as many powers says as there are states."""
+    rng = np.random.default_rng(0)
+    A = np.diag(10.0 ** rng.uniform(-6, 6, 12), 1)
+    Q = np.eye(13)
+    powers = [np.linalg.matrix_power(A, k) for k in range(13)]
+    np.testing.assert_allclose(state_covariance(A, Q), sum(P @ Q @ P.T for P in powers), rtol=1e-12)
 
 
 @trips("design.banks.bank:check_promise")

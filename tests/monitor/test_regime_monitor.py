@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -238,7 +239,8 @@ def test_edges_divide_a_quantity() -> None:
         rs.identify.regimes(rows, outputs=["speed", "flow", "flow 2"], by=["speed"])
 
 
-def test_inputs_and_models_by_mode() -> None:
+@pytest.mark.parametrize("method", [rs.identify.subspace, rs.identify.arx])
+def test_inputs_and_models_by_mode(method: Callable[..., object]) -> None:
     """A Kalman filter of each mode, identified: named actuator and sensor, the inputs where they were."""
 
     def recorded(seed: int, on: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -252,7 +254,7 @@ def test_inputs_and_models_by_mode() -> None:
 
     on = np.tile(np.repeat([0.0, 1.0], 500), 4)
     names = {"inputs": ["valve", "pump"], "outputs": ["level", "flow"]}
-    made = rs.identify.regimes(*recorded(0, on), by=["pump"], method=rs.identify.subspace, **names)  # pyright: ignore
+    made = rs.identify.regimes(*recorded(0, on), by=["pump"], method=method, **names)  # pyright: ignore
     assert [one.design.plant.inputs for one in made.modes.values()] == [("valve",), ("valve",)]
     monitor = rs.RegimeMonitor(made).fit(*recorded(1, on))
     u, y = recorded(2, on[:1000])
@@ -360,3 +362,22 @@ def test_signals_divide_at_their_edges() -> None:
     keys = signals.keys(np.array([[1, 0.5], [-0.0, 0.2], [2, 1.0], [np.nan, 0.1], [1, np.inf]]))
     assert np.array_equal(keys, [[1, 1], [0, 0], [2, 2], [np.nan, np.nan], [np.nan, np.nan]], equal_nan=True)
     assert signals.label((2.0, 1.0)) == "a = 2, 0.5 <= b < 1"
+
+
+def test_a_fault_is_learnt_in_every_mode_that_shows_it() -> None:
+    """A fault of load and room at once, which no model knows, in two of three modes; times do not start at zero."""
+    watch = rs.RegimeMonitor(made_of(0)).fit(None, switched(1, NORMAL), false_alarm_rate=0.001)
+
+    def faulty(seed: int, *stays: tuple[float, float, int]) -> NDArray[np.float64]:
+        rows = switched(seed, visits(*stays))
+        rows[100:, [NAMES.index("load"), NAMES.index("room")]] += [2.0, -1.0]
+        return rows
+
+    shown = faulty(2, (0, 0, 300), (1, 0, 300))
+    why_not = watch.learn_fault("bypass", None, shown, interval=(1100.0, 1600.0), time=1000.0 + np.arange(600))
+    assert why_not == {"fan = 1, heating = 1": "no recording shows it in this mode"}
+    for seed, mode in ((3, (0, 0, 300)), (4, (1, 0, 300))):
+        assert watch.run(None, faulty(seed, mode)).named == (("bypass",),)
+    assert watch.run(None, faulty(5, (1, 1, 300))).named != (("bypass",),)
+    with pytest.raises(DataError, match=r"no mode learns 'bypass': .*no recording shows it in this mode"):
+        watch.learn_fault("bypass", None, shown[:100], interval=(200.0, 300.0))

@@ -34,15 +34,20 @@ def norm_density(length: Values, mean: Values, dimension: int) -> Values:
 
     r, m = np.broadcast_arrays(np.asarray(length, dtype=float), np.asarray(mean, dtype=float))
     order = dimension / 2 - 1
-    product = r * m
-    small = product < np.finfo(float).eps ** 0.25  # its Bessel function is its first two terms
-    at = np.where(small, 1.0, product)
-    central = np.exp(
-        (dimension - 1) * np.log(np.maximum(r, TINY)) - (r**2 + m**2) / 2 - order * np.log(2) - gammaln(dimension / 2)
-    ) * (1 + product**2 / (4 * (order + 1)))
+    density = np.empty(r.shape)
+    small = r * m < np.finfo(float).eps ** 0.25  # its Bessel function is its first two terms
+    at, center = r[small], m[small]
+    density[small] = np.exp(
+        (dimension - 1) * np.log(np.maximum(at, TINY))
+        - (at**2 + center**2) / 2
+        - order * np.log(2)
+        - gammaln(dimension / 2)
+    ) * (1 + (at * center) ** 2 / (4 * (order + 1)))
+    at, center = r[~small], m[~small]
     with np.errstate(over="ignore"):
-        ratio = np.where(small, 1.0, r / np.where(small, 1.0, m)) ** order
-    return np.where(small, central, r * ratio * np.exp(-((r - m) ** 2) / 2) * ive(order, at))
+        ratio = (at / center) ** order
+    density[~small] = at * ratio * np.exp(-((at - center) ** 2) / 2) * ive(order, at * center)
+    return density
 
 
 def norm_above(length: float, mean: Values, dimension: int) -> Values:

@@ -16,6 +16,8 @@ _ON_RADIUS, _ON_ARC, _FEWEST, _MOST = 1.7, 1.2, 12, 96
 MOST_DIMENSIONS = 3
 #: Sums of more samples than that many over the square of the allowance are no chance any more.
 _LONGEST_SUM = 60.0
+#: A step whose density is less than the exponential of minus this is none: 1e-20, far below what settles.
+_NEVER = 46.0
 #: Most samples in a sum that are followed one by one.
 _MOST_IN_A_SUM = 20_000
 
@@ -100,12 +102,14 @@ def _run_length(chain: LengthChain, threshold: float, shift: float, factor: floa
     share = np.divide(along, lengths)
     mean = chain.kept * np.concatenate([[0.0], along]) + shift
     rest = chain.kept * np.concatenate([[0.0], across])
-    density = np.exp(-((image * share - mean[:, None]) ** 2) / 2) / np.sqrt(2 * np.pi)
+    side = image * np.sqrt(np.maximum(1 - share**2, 0.0))
+    away = (image * share - mean[:, None]) ** 2 / 2 + (side - rest[:, None]) ** 2 / 2
+    now, then = np.nonzero(away < _NEVER)
+    density = np.exp(-(((image * share)[then] - mean[now]) ** 2) / 2) / np.sqrt(2 * np.pi)
     if chain.dimension > 1:
-        side = image * np.sqrt(np.maximum(1 - share**2, 0.0))
-        density = density * norm_density(side, rest[:, None], chain.dimension - 1) * image
-    steps = np.empty((len(mean), len(mean)))
-    steps[:, 1:] = density * weights / chain.gain
+        density *= norm_density(side[then], rest[now], chain.dimension - 1) * image[then]
+    steps = np.zeros((len(mean), len(mean)))
+    steps[now, then + 1] = density * weights[then] / chain.gain
     steps[:, 0] = 1 - norm_above(chain.allowance, np.hypot(mean, rest), chain.dimension) if chain.allowance else 0.0
     return float(np.linalg.solve(np.eye(len(mean)) - steps, np.ones(len(mean)))[0])
 

@@ -13,6 +13,7 @@ from residua.arrays import runs
 from residua.design import kalman_filter
 from residua.design.core.brought import for_monitor
 from residua.errors import AccuracyError, DataError, DesignError, ModelError, SettingError
+from residua.identify.arx_model import ArxModel
 from residua.identify.channel_facts import channel_facts
 from residua.identify.identified_model import IdentifiedModel
 from residua.identify.lagged_rows import KNOWN
@@ -159,9 +160,9 @@ def regimes(
         value in a mode, and is no channel of its design, wherever it is named.
     method : callable
         Makes a design from the rows of one mode: ``method(rows, inputs=names, outputs=names, dt=dt)`` with a list of
-        pairs of arrays ``(u, y)``, such as :func:`principal_components`, :func:`parity_from_data` or :func:`subspace`
-        (of whose model the Kalman filter with sensor faults is taken). A ``lambda`` or :func:`functools.partial` has
-        settings of the method.
+        pairs of arrays ``(u, y)``, such as :func:`principal_components`, :func:`parity_from_data`, or :func:`subspace`
+        and :func:`arx` (of whose models the Kalman filter with sensor faults is taken). A ``lambda`` or
+        :func:`functools.partial` has settings of the method.
     transient : int, optional
         Rows after a change into a mode that are left out, the same for all modes. When omitted, for each mode as many
         as are unlike the second halves of the visits to it: ages 0, 1, 2 to 3, 4 to 7 and so on, up to the first two
@@ -311,7 +312,7 @@ def _mode(
     pairs = [(data[:, u], data[:, y]) for data in settled.data()]
     try:
         made = method(pairs, inputs=ours or None, outputs=theirs, dt=gathered.dt)
-        if isinstance(made, IdentifiedModel):
+        if isinstance(made, (ArxModel, IdentifiedModel)):
             made = kalman_filter(made.plant.with_sensor_faults())
     except (DataError, ModelError, DesignError, AccuracyError) as error:  # of this mode; the others may have a model
         return f"{counted(rows, 'row')}: {error}"

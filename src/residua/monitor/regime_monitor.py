@@ -17,13 +17,14 @@ from residua.errors import DataError, ModelError
 from residua.identify.operating_modes import ages, distinct, rows_in
 from residua.identify.regimes import OperatingMode, Regimes
 from residua.monitor.diagnosis import Diagnosis
+from residua.monitor.fault_learning import intervals_of
 from residua.monitor.inputs import Signals, several_signals, signals
 from residua.monitor.monitor import Monitor
 from residua.monitor.regime_diagnosis import RegimeDiagnosis
 from residua.plant import Plant
 from residua.recording.recording import Recording, read_recording
 from residua.recording.time_axis import REGULAR
-from residua.visible import listed
+from residua.visible import echo, listed
 
 #: What is said of a mode that no recording showed.
 NEVER_SEEN = "a mode never seen"
@@ -253,6 +254,60 @@ class RegimeMonitor:
             judged[name] = replace(one, origin=measured.origin, notes=(*one.notes, *_still(mode)))
         return _joined(clock, number, modes, judged, unjudged, transient, measured)
 
+    def learn_fault(
+        self,
+        name: str,
+        u: Any,
+        y: ArrayLike | None = None,
+        *,
+        interval: Any = None,
+        time: ArrayLike | None = None,
+        dt: float | None = None,
+    ) -> dict[str, str]:
+        """Learn a fault from labelled recordings of it, in every mode that they show it in.
+
+        Parameters
+        ----------
+        name, u, y, interval, time, dt
+            As for :meth:`residua.Monitor.learn_fault`; the channels as for :meth:`fit`. Each mode learns from its own
+            rows of the interval.
+
+        Returns
+        -------
+        dict of str to str
+            The modes that did not learn it, and why; empty when all did.
+
+        Raises
+        ------
+        DataError
+            If no mode learns it.
+        """
+        parts = [self._matched(one) for one in self._several(u, y, time, dt)]
+        keys = [self._keys(rows) for rows, _ in parts]
+        old = [ages(one) for one in keys]
+        spans = [self._rows_of(*one) for one in zip(intervals_of(interval, len(parts)), parts, strict=True)]
+        why_not: dict[str, str] = {}
+        for mode in self.regimes.modes.values():
+            monitor = self.monitors[mode.name]
+            if not monitor.is_fitted:
+                why_not[mode.name] = self._why_not(mode.name) or "it has no threshold yet: fit it"
+                continue
+            own = [self._own(mode, *one) for one in zip(keys, old, strict=True)]
+            shown = [k for k, (mine, span) in enumerate(zip(own, spans, strict=True)) if _any(mine, span)]
+            if not shown:
+                why_not[mode.name] = "no recording shows it in this mode"
+                continue
+            pairs = [self._split(mode, parts[k][0], own[k]) for k in shown]
+            try:
+                monitor.learn_fault(name, pairs, interval=None if interval is None else [spans[k] for k in shown])
+            except DataError as error:
+                why_not[mode.name] = str(error)
+        if len(why_not) == len(self.regimes.modes):
+            raise DataError(
+                f"no mode learns {echo(name)}: {'; '.join(f'{mode}: {why}' for mode, why in why_not.items())}"
+            )
+        return why_not
+
     def save(self, path: str | Path) -> None:
         """Write the monitors of all modes and the switch between them as JSON.
 
@@ -367,6 +422,14 @@ class RegimeMonitor:
         u, y = ([self.channels.index(name) for name in group] for group in (plant.inputs, plant.outputs))
         return rows[:, u], rows[:, y]
 
+    def _rows_of(self, interval: Any, part: tuple[NDArray[np.float64], Signals]) -> NDArray[np.bool_] | None:
+        """Return which rows an interval holds; a mask as it is."""
+        rows, measured = part
+        if not isinstance(interval, tuple):
+            return interval
+        clock = np.arange(len(rows)) * self.regimes.dt if measured.time is None else measured.time
+        return (clock >= interval[0]) & (clock < interval[1])
+
     def _why_not(self, name: str) -> str:
         """Say why a mode is not judged; nothing for one that is."""
         if name in self.regimes.without_model:
@@ -378,6 +441,11 @@ class RegimeMonitor:
     def __repr__(self) -> str:
         state = "fitted" if self.is_fitted else "not fitted"
         return f"RegimeMonitor({len(self.monitors)} modes by {listed(self.regimes.signals.names)}, {state})"
+
+
+def _any(own: NDArray[np.bool_], span: NDArray[np.bool_] | None) -> bool:
+    """Return whether some own row is in a span; all rows are where there is none."""
+    return bool((own if span is None else own & span).any())
 
 
 def _longest(own: NDArray[np.bool_]) -> int:

@@ -45,7 +45,9 @@ class Estimate:
 
 
 def _short(value: float) -> str:
-    """Return a number with three digits, or as many as set it apart from a share of one."""
+    """Return a number with three digits, or as many as set it apart from a share of one; thousands with commas."""
+    if 999.5 <= abs(value) < 1e7:
+        return f"{float(f'{value:.3g}'):,.0f}".replace("-", "−")
     return next((text for text in (number(value, digits) for digits in range(3, 10)) if text != "1" or value == 1), "1")
 
 

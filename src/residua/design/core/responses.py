@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
 from residua.errors import AccuracyError
@@ -15,6 +12,8 @@ from residua.tolerances import IDENTITY, TINY
 
 #: Windows of more samples are summed by doubling: what they cost grows with the logarithm of their length.
 _LONG = 4096
+#: Doublings of a covariance at most: poles as near to the circle as rounding keeps apart have settled by then.
+_DOUBLINGS = 60
 
 
 def steady_responses(form: StateSpace) -> NDArray[np.float64]:
@@ -33,14 +32,25 @@ def steady_responses(form: StateSpace) -> NDArray[np.float64]:
 
 
 def state_covariance(A: NDArray, Q: NDArray) -> NDArray[np.float64]:
-    """Return ``X = A X A' + Q``, or raise when the solution misses the equation."""
+    r"""Return ``X = A X A' + Q`` of a stable system, or raise when the solution misses the equation.
+
+    By doubling, :math:`X_{k+1} = X_k + A^{2^k} X_k (A^{2^k})^T`: a sum of what cannot cancel, in which predictors with
+    all poles at zero and large gains keep their digits.
+    """
     if not len(A):
         return np.zeros((0, 0))
     units = np.sqrt(np.where(np.diag(Q) > 0, np.diag(Q), 1.0))  # comparable states, whatever the units of the model
     A, Q = A / units[:, None] * units, Q / units[:, None] / units
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # ill-conditioning shows in the residual below
-        X = scipy.linalg.solve_discrete_lyapunov(A, Q)
+    X, power, settled = Q, A, False
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(_DOUBLINGS):
+            added = power @ X @ power.T
+            X, power = X + (added + added.T) / 2, power @ power
+            settled = bool((np.diag(added) <= np.finfo(float).eps * np.diag(X)).all())  # each state by its own size
+            if settled:
+                break
+    if not settled or not np.isfinite(X).all():
+        raise AccuracyError("a residual has no covariance: a state that noise moves does not settle")
     missed = float(np.linalg.norm(X - A @ X @ A.T - Q) / max(np.linalg.norm(X), TINY))
     if not missed < IDENTITY:
         raise AccuracyError(f"the covariance of the residual misses its equation by {missed:.2g}: rescale the plant")
