@@ -97,7 +97,7 @@ def test_lag_and_size_of_a_memory_are_said_and_the_order_that_explains_it() -> N
     assert "r0 +0.6" in str(report.found("memory"))
     assert f"autoregression of order {one.order}" in report.recommendations[-1]
     assert "by the noise model they are white" in str(report)
-    assert "by the noise model they are white" not in str(report_of(x, white=False))
+    assert "by the noise model they do so too" in str(report_of(x, white=False))
 
 
 def test_moments_are_those_of_scipy_and_the_tail_that_of_the_distribution() -> None:

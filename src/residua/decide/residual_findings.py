@@ -184,7 +184,7 @@ def findings_of(
     *,
     units: Mapping[str, str] | None = None,
     covariance: NDArray[np.float64] | None = None,
-    white: bool = False,
+    white: bool | None = None,
 ) -> ResidualReport:
     """Return what fault-free residuals are.
 
@@ -196,8 +196,8 @@ def findings_of(
     units : mapping of str to str, optional
     covariance : ndarray, shape (k, k), optional
         By the noise model.
-    white : bool
-        Whether the residual is white by the noise model.
+    white : bool, optional
+        Whether the residual is white by the noise model; omitted without one.
     """
     whole, count = FaultFree(run.residuals, run.usable, 1, run.seams), int(run.usable.sum())
     check_enough(count, run.residuals.shape[1], 1)
@@ -338,7 +338,7 @@ def _squares(data: FaultFree) -> NDArray[np.float64]:
 
 
 def _memory(
-    data: FaultFree, facts: Sequence[ResidualFacts], moved: Sequence[int], white: bool, bursts: Sequence[Finding]
+    data: FaultFree, facts: Sequence[ResidualFacts], moved: Sequence[int], white: bool | None, bursts: Sequence[Finding]
 ) -> list[Finding]:
     """Return whether the past says anything of the present: of residuals that come in bursts by their signs alone."""
     level, loud = LEVEL / 2 / max(len(moved), 1), {name for one in bursts for name in one.residuals}
@@ -363,6 +363,8 @@ def _memory(
         text = "each residual is white by itself, and their past foretells some of the others"
     if white:
         text += "; by the noise model they are white: the model of the plant, or of its noise, is another"
+    elif white is not None:
+        text += "; by the noise model they do so too"
     return [Finding("memory", names, text, LEVEL)]
 
 

@@ -129,13 +129,14 @@ def residual_report(
     usable = run.usable.copy()
     for first in (0, *run.seams):
         usable[first : first + int(transient)] = False
+    covariance = sampled.covariance_of_sums(1)
     units = {name: str(sampled.plant.units.get(name.removeprefix("r "), "")) for name in sampled.residuals}
     return findings_of(
         replace(run, usable=usable),
         sampled.residuals,
         units=units,
-        covariance=sampled.covariance_of_sums(1),
-        white=is_white(sampled),
+        covariance=covariance,
+        white=None if covariance is None else is_white(sampled),
     )
 
 
