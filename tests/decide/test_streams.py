@@ -26,6 +26,8 @@ ALL = [
     rs.decide.CUSUM(form="crosier"),
     rs.decide.CUSUM(form="pignatiello-runger", threshold=12.0),
     rs.decide.GLR(window=10),
+    rs.decide.SPRT(),
+    rs.decide.PageHinkley(),
 ]
 
 
@@ -62,6 +64,8 @@ def test_what_a_monitor_asks_of_a_test(settings: rs.decide.TestSettings) -> None
             rs.decide.EWMA(mean_time_between_false_alarms=200),
             rs.decide.GLR(window=20, mean_time_between_false_alarms=200),
             rs.decide.CUSUM(mean_time_between_false_alarms=200, form="page"),
+            rs.decide.SPRT(mean_time_between_false_alarms=200),
+            rs.decide.PageHinkley(mean_time_between_false_alarms=200),
             rs.decide.CUSUM(shift=2.0, mean_time_between_false_alarms=200),
         ],
         3,

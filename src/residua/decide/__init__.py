@@ -1,5 +1,7 @@
 """From residuals to alarms and named faults: one test or isolation, one file."""
 
+from typing import TYPE_CHECKING
+
 from residua.decide.alarm import Alarm, Candidate
 from residua.decide.chi_squared import ChiSquared, ChiSquaredTest
 from residua.decide.consistency import ConsistentFault, Explanation, code_likelihoods, consistent_faults
@@ -15,18 +17,26 @@ from residua.decide.matched_level import LikelihoodTest
 from residua.decide.matched_responses import MatchedTest
 from residua.decide.member_thresholds import BankTest, GroupTest
 from residua.decide.norm_threshold import NormTest, NormThreshold
+from residua.decide.page_hinkley import PageHinkley, PageHinkleyTest
 from residua.decide.peak_threshold import PeakThreshold, peak_over_window
 from residua.decide.persistence import AlarmRuns, run_alarm
+from residua.decide.residual_findings import Finding, ResidualFacts, ResidualReport
+from residua.decide.sprt import SPRT, SPRTTest
 from residua.decide.statement import Statement
 from residua.decide.structured import CodeReading, CodeTest, Structured, read_code, read_codes
 from residua.decide.test import Block, FaultFreeRun, ResidualTest, Tested, TestSettings, Watched
 from residua.decide.whitening import whitening_matrix
 from residua.decide.window import WindowState, empty_window, moving_sum
+from residua.facade import names_from_above
+
+if TYPE_CHECKING:
+    from residua.monitor.residual_report import residual_report
 
 __all__ = [
     "CUSUM",
     "EWMA",
     "GLR",
+    "SPRT",
     "Alarm",
     "AlarmRuns",
     "BankTest",
@@ -43,6 +53,7 @@ __all__ = [
     "EWMATest",
     "Explanation",
     "FaultFreeRun",
+    "Finding",
     "GLRTest",
     "GroupTest",
     "Isolation",
@@ -54,8 +65,13 @@ __all__ = [
     "Named",
     "NormTest",
     "NormThreshold",
+    "PageHinkley",
+    "PageHinkleyTest",
     "PeakThreshold",
+    "ResidualFacts",
+    "ResidualReport",
     "ResidualTest",
+    "SPRTTest",
     "Scores",
     "Seen",
     "Statement",
@@ -74,6 +90,9 @@ __all__ = [
     "read_code",
     "read_codes",
     "register",
+    "residual_report",
     "run_alarm",
     "whitening_matrix",
 ]
+
+__getattr__ = names_from_above(__name__, {"residual_report": "residua.monitor.residual_report"})

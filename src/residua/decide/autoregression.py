@@ -121,10 +121,10 @@ def autoregression(
     return best
 
 
-def whiteness(e: NDArray[np.float64], seen: NDArray[np.bool_], parts: Sequence[slice]) -> float:
+def whiteness(e: NDArray[np.float64], seen: NDArray[np.bool_], parts: Sequence[slice], *, most: int = LAGS) -> float:
     r"""Return the probability that white noise shows correlations in time as large as these.
 
-    Where the samples are few for that, of each residual with itself alone.
+    Where the samples are few for that, of each residual with itself alone. ``most`` is the largest lag.
 
     .. math:: Q = n^2 \sum_{l=1}^{L} \frac{1}{n-l} \mathrm{tr}(C_l^T C_0^{-1} C_l C_0^{-1}) \sim \chi^2(k^2 L)
 
@@ -135,7 +135,7 @@ def whiteness(e: NDArray[np.float64], seen: NDArray[np.bool_], parts: Sequence[s
     from scipy.special import chdtrc
 
     n, k = int(seen.sum()), e.shape[1]
-    lags = min(LAGS, max(n // 4, 1))
+    lags = min(most, max(n // 4, 1))
     products = _products(np.where(seen[:, None], e, 0.0), parts, lags) / max(n, 1)
     if 2 * k * k * lags > n:  # too few to know what each has of every other
         own = np.diagonal(products, axis1=1, axis2=2)

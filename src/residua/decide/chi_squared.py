@@ -75,7 +75,7 @@ class ChiSquared(StreamSettings):
         In samples, for a window of one sample, where it is the inverse of that fraction.
     threshold : float, optional
         h, where it is to be neither.
-    source : {"auto", "design", "data"}
+    source : {"auto", "design", "data", "quantile", "tail", "conformal"}
         Where the threshold is from after a fit: designed, for white Gaussian residuals; from the fault-free data
         themselves; ``"auto"`` designs it unless the data contradict the design, and says so.
     treatment : {"auto", "none"}

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from residua.decide.checks import is_number
 from residua.decide.row_norms import row_norms
-from residua.decide.run_lengths import AlarmCycle, Chain, alarm_cycle, mean_run_length
+from residua.decide.run_lengths import AlarmCycle, Chain, alarm_cycle, mean_run_length, run_frequency
 from residua.decide.stream_settings import StreamSettings
 from residua.decide.stream_test import StreamTest
 from residua.decide.test import ResidualTest
@@ -176,9 +176,11 @@ class CUSUM(StreamSettings):
         h, where it is to be neither.
     form : {"auto", "page", "crosier", "pignatiello-runger"}
         ``"auto"``: Page's of one residual, Crosier's of several. Page's sees best what moves one residual alone.
-    source : {"auto", "design", "data"}
+    source : {"auto", "design", "data", "quantile", "tail", "conformal"}
         Where the threshold is from after a fit: designed, for white Gaussian residuals; from the fault-free data
-        themselves; ``"auto"`` designs it unless the data contradict the design, and says so.
+        themselves, for a fraction of samples in alarm, in one of the ways of
+        :class:`residua.decide.NormThreshold` (``"data"`` is its ``"auto"``); ``"auto"`` designs it unless the data
+        contradict the design, and says so.
     treatment : {"auto", "none"}
         Whether a fit makes a coloured residual white, by an autoregression, and heavy tails Gaussian, by normal scores.
 
@@ -252,7 +254,7 @@ class CUSUM(StreamSettings):
         form = self._form(dimension)
         if form == "page":
             sides = [shift, -shift] + [0.0] * (2 * dimension - 2)
-            return 1 / sum(_frequency(PageChain(self.allowance, mean), threshold) for mean in sides)
+            return 1 / sum(run_frequency(PageChain(self.allowance, mean), threshold) for mean in sides)
         if form == "crosier":
             return shifted_run_length(LengthChain(dimension, allowance=self.allowance), threshold, shift)
         return delay_of_mc1(self.allowance, dimension, threshold, shift)
@@ -294,14 +296,6 @@ class CUSUM(StreamSettings):
         if self.form != "auto":
             return self.form
         return "page" if dimension == 1 else "crosier"
-
-
-def _frequency(chain: PageChain, threshold: float) -> float:
-    """Return the inverse of a run length; none where it is beyond what is computed."""
-    try:
-        return 1 / mean_run_length(chain, threshold)
-    except SettingError:
-        return 0.0
 
 
 __all__ = ["CUSUM", "CUSUMTest", "PageChain"]

@@ -208,7 +208,7 @@ def promise_of(seen: Observed, asked: float) -> Promise:
     time in turn. Where that allows for more than 1.5 times what was asked, the threshold is set for less, down to 0.6
     of it; if that does not suffice, the promise says so.
     """
-    direct = tail_of(seen.levels[seen.counted], _lasting(seen, asked), seen.scale, asked, highest=asked)
+    direct = tail_of(seen.levels[seen.counted], lasting_blocks(seen, asked), seen.scale, asked, highest=asked)
     if direct.worth >= ENOUGH:
         least = quantile(np.sort(seen.own[seen.counted]), asked)  # nor more than that on these data themselves
         return _promise(lambda rate: max(direct.level(rate), least), lambda rate: _known(direct, rate), asked, "")
@@ -222,7 +222,7 @@ def promise_of(seen: Observed, asked: float) -> Promise:
     return _promise(model.level, lambda rate: (model.spread(model.level(rate)), model.worth), asked, origin)
 
 
-def _lasting(seen: Observed, rate: float) -> NDArray[np.int64]:
+def lasting_blocks(seen: Observed, rate: float) -> NDArray[np.int64]:
     """Return stretches of time of the samples that count in which alarms, which may last long, are independent too."""
     level = quantile(np.sort(seen.levels[seen.counted]), rate)
     over = np.where(seen.counted, (seen.levels > level) - rate, 0.0)[:, None]

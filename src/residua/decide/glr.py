@@ -79,7 +79,7 @@ class GLR(StreamSettings):
         Where no time is given: the fraction of fault-free samples in alarm. An alarm is taken to last half a window.
     threshold : float, optional
         h, where it is to be neither.
-    source : {"auto", "design", "data"}
+    source : {"auto", "design", "data", "quantile", "tail", "conformal"}
         Where the threshold is from after a fit: designed, for white Gaussian residuals; from the fault-free data
         themselves; ``"auto"`` designs it unless the data contradict the design, and says so.
     treatment : {"auto", "none"}

@@ -13,7 +13,9 @@ from residua.decide.glr import GLR
 from residua.decide.isolation import IsolationSettings, NoIsolation
 from residua.decide.matched import Matched
 from residua.decide.norm_threshold import NormThreshold
+from residua.decide.page_hinkley import PageHinkley
 from residua.decide.peak_threshold import PeakThreshold
+from residua.decide.sprt import SPRT
 from residua.decide.structured import Structured
 from residua.decide.test import TestSettings
 from residua.errors import FileFormatError, SettingError
@@ -22,7 +24,7 @@ from residua.visible import echo
 
 #: By the mark that files know them by; for ``isolate="auto"`` the last one counts that offers to read a design.
 TESTS: dict[str, type[TestSettings]] = {
-    cls.kind: cls for cls in (NormThreshold, PeakThreshold, ChiSquared, EWMA, CUSUM, GLR)
+    cls.kind: cls for cls in (NormThreshold, PeakThreshold, ChiSquared, EWMA, CUSUM, GLR, SPRT, PageHinkley)
 }
 ISOLATIONS: dict[str, type[IsolationSettings]] = {cls.kind: cls for cls in (Directional, Structured, Matched)}
 

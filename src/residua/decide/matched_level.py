@@ -391,6 +391,8 @@ def _statistic(test: MatchedTest, moments: Moments, data: FaultFree, part: slice
 
 
 def _check_settings(settings: NormSettings) -> None:
+    if settings.source != "auto":
+        raise SettingError(f"source={settings.source!r} has no meaning for matched filters: leave it at 'auto'")
     if settings.window != 1:
         raise SettingError(
             f"NormThreshold(window={settings.window}) has no meaning for matched filters, whose window is that of "

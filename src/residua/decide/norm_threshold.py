@@ -19,7 +19,7 @@ from residua.decide.member_thresholds import (
 from residua.decide.test import FaultFreeRun, ResidualTest, Watched
 from residua.decide.whitened_norm import NormSettings, NormTest, fit_norm_test, norm_test_from_model
 from residua.errors import FileFormatError, SettingError
-from residua.records import joined, table_in, texts_in, values_in, values_out
+from residua.records import joined, table_in, text_in, texts_in, values_in, values_out
 from residua.visible import echo
 
 
@@ -58,10 +58,17 @@ class NormThreshold(NormSettings):
         while any group is, and tells which. Of many residuals one norm hides a fault that few of them show: of 52, it
         lies at 10 standard deviations where that of a single one lies at 5. Not for banks, whose members are groups
         already.
+    source : {"auto", "quantile", "tail", "conformal"}
+        How a fit finds the threshold. ``"auto"``: read off the data where they show the rate, else extended by a tail
+        like that of chi-squared. ``"quantile"``: an order statistic, so that the rate is at most ``false_alarm_rate``
+        with 95 % confidence, whatever the distribution. ``"conformal"``: mean and covariance of the first half of the
+        data, an order statistic of the second: at most the rate on average over fits. ``"tail"``: a generalised Pareto
+        tail, of any weight. All say in ``basis`` what the samples at hand can promise, and how many more it takes.
 
     References
     ----------
-    Chen, Patton and Zhang (1996), eq. (24).
+    Chen, Patton and Zhang (1996), eq. (24). Of the sources:
+    :func:`residua.decide.confident_thresholds.promise_by`.
     """
 
     kind: ClassVar[str] = "norm"
@@ -108,10 +115,17 @@ class NormThreshold(NormSettings):
         """Raise where the groups do not have each residual just once."""
         if self.groups is not None:
             rows_of_groups(self.groups, watched.generator.residuals)
+        if self.source != "auto" and (watched.parts is not None or self.groups is not None):
+            raise SettingError(
+                f"source={self.source!r} makes a promise for one threshold, and here several parts are tested: leave "
+                "it at 'auto', or test the residual as a whole (isolate by direction, no groups=)"
+            )
 
     @property
     def remedy(self) -> str:
         """How to get a threshold."""
+        if self.source != "auto":
+            return super().remedy
         return f"{super().remedy}, give the plant noise (with_noise), or set NormThreshold(threshold=...)"
 
     @property
@@ -128,9 +142,11 @@ class NormThreshold(NormSettings):
     # --------------------------------------------------------------------------- files
 
     def to_record(self) -> dict[str, Any]:
-        """Return the settings as a record; ``groups`` are an entry if there are any."""
+        """Return the settings as a record; ``groups`` are an entry if there are any, ``source`` if it is another."""
         content = values_out(self)
         groups = content.pop("groups")
+        if self.source == "auto":
+            del content["source"]
         if self.groups is not None:
             content["groups"] = groups if isinstance(groups, str) else {name: list(part) for name, part in self.groups}
         return content
@@ -139,11 +155,12 @@ class NormThreshold(NormSettings):
     def from_record(cls, content: Any, where: str) -> Self:
         """Return the settings that a record describes."""
         content = table_in(content, where)
-        groups = content.pop("groups", None)
+        groups, source = content.pop("groups", None), content.pop("source", "auto")
         if groups is not None and groups != "each":
             parts = table_in(groups, joined(where, "groups"))
             groups = {name: texts_in(part, joined(joined(where, "groups"), name)) for name, part in parts.items()}
-        return values_in(content, where, cls, {"groups": groups})
+        known = {"groups": groups, "source": text_in(source, joined(where, "source"))}
+        return values_in(content, where, cls, known)
 
     def check_record(self, content: Mapping[str, Any], where: str) -> None:
         """Raise where a test has another window."""

@@ -102,6 +102,14 @@ def mean_run_length(chain: Chain, threshold: float, start: float = 0.0) -> float
     return settled(lambda factor: _Grid(chain, threshold, factor).run_length(start), f"a threshold of {threshold:.6g}")
 
 
+def run_frequency(chain: Chain, threshold: float) -> float:
+    """Return the inverse of a mean run length; none where it is beyond what is computed."""
+    try:
+        return 1 / mean_run_length(chain, threshold)
+    except SettingError:
+        return 0.0
+
+
 def alarm_cycle(chain: Chain, threshold: float, release: float) -> AlarmCycle:
     """Return how long a statistic is quiet from a start at zero, and how long an alarm lasts that it raises.
 
@@ -214,4 +222,13 @@ def _lasting(chain: Chain, threshold: float, release: float, factor: float) -> f
     return float(entry @ mean[len(low) :] / entry.sum())
 
 
-__all__ = ["LONGEST", "NEARLY", "AlarmCycle", "Chain", "alarm_cycle", "mean_run_length", "threshold_of"]
+__all__ = [
+    "LONGEST",
+    "NEARLY",
+    "AlarmCycle",
+    "Chain",
+    "alarm_cycle",
+    "mean_run_length",
+    "run_frequency",
+    "threshold_of",
+]

@@ -13,15 +13,17 @@ from numpy.typing import NDArray
 
 from residua.decide.autoregression import Past, autoregression, unforetold, whiteness
 from residua.decide.checks import FALSE_ALARM_RATE, check_rate, is_number
+from residua.decide.confident_thresholds import check_source, promise_by
 from residua.decide.dependence import correlation_times
 from residua.decide.exceedance_tail import scale_of
-from residua.decide.false_alarms import Observed, promise_of
-from residua.decide.fault_free import FaultFree, check_enough
+from residua.decide.false_alarms import Observed
+from residua.decide.fault_free import FaultFree, check_enough, held_apart
 from residua.decide.normal_scores import is_heavy_tailed, knots_of
 from residua.decide.run_lengths import LONGEST, AlarmCycle, threshold_of
 from residua.decide.stream_test import StreamTest, plain
 from residua.decide.test import Block, FaultFreeRun, TestSettings, Watched
 from residua.decide.whitening import moving_directions, whitening_matrix
+from residua.design import ResidualGenerator
 from residua.errors import DataError, SettingError
 from residua.linear.subspaces.whitening import VARIANCE_FLOOR
 from residua.number_kinds import POSITIVE, PROBABILITY, NumberKind
@@ -29,8 +31,10 @@ from residua.tolerances import LEAKAGE, SIGNAL_ROUNDING
 from residua.visible import echo
 from residua.words import counted, number
 
-Source = Literal["auto", "design", "data"]
+Source = Literal["auto", "design", "data", "quantile", "tail", "conformal"]
 Treatment = Literal["auto", "none"]
+#: Those that take the threshold from the data, whatever the design says.
+_OF_DATA = ("data", "quantile", "tail", "conformal")
 
 #: Probability that white noise looks as coloured, below which it is taken to be coloured.
 _COLOURED = 0.01
@@ -81,9 +85,13 @@ class StreamSettings(TestSettings):
             object.__setattr__(self, "mean_time_between_false_alarms", float(time))
         if self.threshold is not None and not (is_number(self.threshold) and self.threshold > 0):
             raise SettingError(f"threshold must be a positive number, got {echo(self.threshold)}")
-        for name, values in (("source", get_args(Source)), ("treatment", get_args(Treatment))):
-            if getattr(self, name) not in values:
-                raise SettingError(f"{name} must be one of {', '.join(values)}, got {echo(getattr(self, name))}")
+        check_source(self.source, get_args(Source))
+        if self.treatment not in get_args(Treatment):
+            raise SettingError(f"treatment must be one of {', '.join(get_args(Treatment))}, got {echo(self.treatment)}")
+        if self.threshold is not None and self.source in _OF_DATA[1:]:
+            raise SettingError(
+                f"threshold={self.threshold:g} is given, so that source={self.source!r} is of no use: leave one out"
+            )
         object.__setattr__(self, "false_alarm_rate", float(self.false_alarm_rate))
 
     # ------------------------------------------------------------- of each kind of test
@@ -141,14 +149,11 @@ class StreamSettings(TestSettings):
     def from_model(self, watched: Watched) -> StreamTest | None:
         """Return the test that needs no data: of a residual that the plant's noise leaves white; else ``None``."""
         covariance = watched.generator.covariance_of_sums(1)
-        if covariance is None or self.source == "data":
+        if covariance is None or self.source in _OF_DATA:
             return None
-        k, largest = len(covariance), float(np.abs(covariance).max(initial=0.0))
-        for window in _WINDOWS:
-            summed = watched.generator.covariance_of_sums(window)
-            if summed is None or np.abs(summed - covariance).max() > LEAKAGE * largest:
-                return None
-        parts = plain(np.zeros(k), whitening_matrix(covariance))
+        if not is_white(watched.generator):
+            return None
+        parts = plain(np.zeros(len(covariance)), whitening_matrix(covariance))
         return self._by_design(parts, moving_directions(covariance), None, "noise model of the plant", None)
 
     def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> StreamTest:
@@ -173,8 +178,12 @@ class StreamSettings(TestSettings):
             return self._by_design(
                 parts, k, other, "; ".join([f"moments of {count} fault-free samples", *notes]), count
             )
+        if self.source == "conformal":
+            return self._by_later_half(data, rate)
         stretches, values, seen = self._cross_fitted(data)
-        against = "source='data'" if self.source == "data" else self._contradiction(values, seen, stretches, k)
+        against = (
+            f"source={self.source!r}" if self.source in _OF_DATA else self._contradiction(values, seen, stretches, k)
+        )
         if not against:
             notes.append("the data do not contradict the design")
             return self._by_design(
@@ -215,6 +224,24 @@ class StreamSettings(TestSettings):
                     tested = blank.run(blank.start(1), block)[1]
                     values[part], seen[part] = tested.statistic[0], tested.usable[0]
         return stretches, values, seen
+
+    def _by_later_half(self, data: FaultFree, rate: float) -> StreamTest:
+        """Return the test made white by the first half of the data, with a threshold from the second."""
+        first, _, second = held_apart(data)
+        parts, _, notes = self._whitened(replace(data, usable=first))
+        blank = self.test(**parts, threshold=np.inf, release=0.0, basis="")
+        values, seen = np.full(len(second), np.nan), np.zeros(len(second), dtype=bool)
+        start = int(second.argmax())
+        stretches = [slice(max(part.start, start), part.stop) for part in data.parts if part.stop > start]
+        for part in stretches:
+            tested = blank.run(blank.start(1), Block(data.residuals[None, part], data.usable[None, part]))[1]
+            values[part], seen[part] = tested.statistic[0], tested.usable[0]
+        halves = "made white by the first half of the data, the threshold of the second"
+        return self._by_data(blank, values, seen, stretches, rate, [halves, *notes])
+
+    def treatment_of(self, data: FaultFree) -> tuple[dict[str, Any], int, list[str]]:
+        """Return what a fit makes of data: what makes them white, their independent directions, and what it says."""
+        return self._whitened(data)
 
     def _whitened(self, data: FaultFree) -> tuple[dict[str, Any], int, list[str]]:
         """Return what makes the residual white, how many directions it then moves in, and what is said of it."""
@@ -318,7 +345,7 @@ class StreamSettings(TestSettings):
         length = int(np.ceil(2 * correlation_times(squares, parts)[0]))
         for part in parts:
             mine = values[part][seen[part]]
-            levels.append(_levels(mine, self.falls_to))
+            levels.append(np.maximum(_levels(mine, self.falls_to), 0.0))  # a ratio may be below one: no alarm
             number_of = np.arange(len(mine)) // length
             blocks.append(first + number_of)
             begins.append(np.arange(len(mine)) == 0)
@@ -327,9 +354,9 @@ class StreamSettings(TestSettings):
         everywhere = np.ones(len(level), dtype=bool)
         found = Observed(level, level, everywhere, np.concatenate(blocks), np.concatenate(begins),
                          scale_of(level, float(k)), 1, 1, level)  # fmt: skip
-        promise = promise_of(found, rate)
+        promise = promise_by("auto" if self.source == "data" else self.source, found, rate)
         basis = f"fitted to {len(level)} fault-free samples, {promise}; {'; '.join(notes)}"
-        threshold = float(promise.threshold)
+        threshold = max(float(promise.threshold), float(np.finfo(float).tiny))
         return replace(
             blank, threshold=threshold, release=self.falls_to * threshold, basis=basis, promised=float(promise.promised)
         )
@@ -355,7 +382,19 @@ class StreamSettings(TestSettings):
     @property
     def remedy(self) -> str:
         """How to get a threshold."""
+        if self.source in _OF_DATA:
+            return super().remedy
         return f"{super().remedy}, or give the plant noise (with_noise) that leaves the residual white"
+
+
+def is_white(generator: ResidualGenerator) -> bool:
+    """Tell whether the noise of the plant leaves the residual white: sums over any window have the same covariance."""
+    covariance = generator.covariance_of_sums(1)
+    if covariance is None:
+        return False
+    sums = [generator.covariance_of_sums(window) for window in _WINDOWS]
+    limit = LEAKAGE * float(np.abs(covariance).max(initial=0.0))
+    return all(one is not None and np.abs(one - covariance).max() <= limit for one in sums)
 
 
 def _innovations(
@@ -382,4 +421,4 @@ def _levels(values: NDArray[np.float64], falls_to: float) -> NDArray[np.float64]
     return np.array(out)
 
 
-__all__ = ["StreamSettings"]
+__all__ = ["StreamSettings", "is_white"]

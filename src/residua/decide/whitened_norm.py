@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.checks import FALSE_ALARM_RATE, check_rate, check_samples, is_number
-from residua.decide.false_alarms import Observed, observed, promise_of
-from residua.decide.fault_free import FaultFree, check_enough
+from residua.decide.confident_thresholds import check_source, promise_by
+from residua.decide.false_alarms import Observed, observed
+from residua.decide.fault_free import FaultFree, check_enough, held_apart
 from residua.decide.persistence import AlarmRuns, run_alarm
 from residua.decide.row_norms import row_norms
 from residua.decide.test import Block, ResidualTest, Tested, TestSettings, Watched
@@ -50,6 +51,7 @@ class NormSettings(TestSettings):
     window: int = 1
     whiten: str = "auto"
     false_alarm_rate: float = FALSE_ALARM_RATE
+    source: str = field(default="auto", kw_only=True)
 
     def __post_init__(self) -> None:
         """Check the settings."""
@@ -62,6 +64,11 @@ class NormSettings(TestSettings):
         if self.whiten not in ("auto", "data", "model", "none"):
             raise SettingError(f"whiten must be 'auto', 'data', 'model' or 'none', got {echo(self.whiten)}")
         check_rate(self.false_alarm_rate)
+        check_source(self.source)
+        if self.source != "auto" and self.threshold is not None:
+            raise SettingError(
+                f"threshold={self.threshold:g} is given, so that source={self.source!r} is of no use: leave one out"
+            )
         for name in ("persistence", "release", "window"):  # plain numbers, whatever they came as
             value = getattr(self, name)
             object.__setattr__(self, name, None if value is None else int(value))
@@ -203,6 +210,8 @@ class NormTest(ResidualTest):
 
 def norm_test_from_model(settings: NormSettings, covariance: NDArray | None, n_residuals: int) -> NormTest | None:
     """Return the test that needs no data, or ``None`` when data are needed."""
+    if settings.source != "auto":
+        return None
     use_model = settings.whiten in ("auto", "model") and covariance is not None
     whitening = whitening_matrix(covariance) if use_model and covariance is not None else np.eye(n_residuals)
     if settings.threshold is not None:
@@ -273,12 +282,15 @@ class Fitted:
         Fault-free samples.
     rounding : float or None
         Where these data hold no noise: the level of rounding.
+    source : str
+        How the threshold is to be fitted; see :func:`residua.decide.confident_thresholds.promise_by`.
     """
 
     test: NormTest
     seen: Observed | None
     count: int
     rounding: float | None
+    source: str = "auto"
 
 
 def fit_moments(
@@ -307,7 +319,8 @@ def fit_moments(
         known = np.eye(k)
     elif settings.whiten == "model" and covariance is not None:
         known = whitening_matrix(covariance)
-    whole = data.moments(whitening=known)
+    split = held_apart(data) if settings.source == "conformal" else None
+    whole = data.moments(whitening=known) if split is None else data.moments(*split[:2], whitening=known)
     release = settings.release or settings.persistence
     test = NormTest(whole.center, whole.whitening, np.inf, settings.persistence, release, settings.window, "")
     if known is None:
@@ -315,19 +328,26 @@ def fit_moments(
     if settings.threshold is not None:
         test = replace(test, threshold=settings.threshold, basis="threshold given, mean and covariance fitted")
         return Fitted(test, None, count, None)
+    if split is not None:
+        later = data.full & split[2], usable & split[2]
+        seen = observed(data.statistic(whole), *later, data.parts, k,
+                        persistence=settings.persistence, release=release, window=settings.window)  # fmt: skip
+        return Fitted(test, seen, count, rounding if noise_free else None, settings.source)
     seen = observed(
         data.cross_fitted(whole, whiten=known is None), data.full, usable, data.parts, k,
         persistence=settings.persistence, release=release, window=settings.window, own=data.statistic(whole),
     )  # fmt: skip
-    return Fitted(test, seen, count, rounding if noise_free else None)
+    return Fitted(test, seen, count, rounding if noise_free else None, settings.source)
 
 
 def with_threshold(base: Fitted, rate: float) -> NormTest:
     """Return a test with its threshold for a rate of false alarms."""
     if base.seen is None:
         return base.test
-    promise = promise_of(base.seen, rate)
+    promise = promise_by(base.source, base.seen, rate)
     threshold, basis = promise.threshold, f"fitted to {base.count} fault-free samples, {promise}"
+    if base.source == "conformal":
+        basis += "; mean and covariance of the first half of them, the threshold of the second"
     if base.test.shrinkage:
         basis += f"; covariance of too few samples, drawn by {base.test.shrinkage:.2g} towards a simpler one"
     if base.rounding is not None:

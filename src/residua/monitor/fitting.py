@@ -50,20 +50,12 @@ def fitted_test(
     The last part of every recording, ``held_out`` of its usable samples, is left to the check.
     """
     generator, known = watched.generator, settings.known(watched)
-    _check_recordings(recordings, len(generator.plant.inputs))
     if known is not None and known.is_bound:  # bounds want a longer wait, and hold from rest
         settle = settling_samples(generator, known) if settle is None else settle
         start = "rest"
-    blank = specification(
-        generator,
-        blank_test(generator),
-        NoIsolation(),
-        settle=settle,
-        max_hold=max_hold,
-        plausible=plausible,
-        start=start,
+    blank, run = fault_free_run(
+        generator, recordings, settle=settle, max_hold=max_hold, plausible=plausible, start=start
     )
-    run = _run(blank, watched, recordings, settling_reason(generator, blank.settle))
     try:
         if known is not None and known.is_bound:  # data change no threshold
             bounds = _with_basis(settings.fitted(watched, run, rate), len(recordings), "")
@@ -83,6 +75,29 @@ def fitted_test(
     check = replace(check, **_levels(blank, generator, recordings))
     test = _with_basis(test, len(recordings), f"; {_checked(check, held_out, int(run.usable.sum()))}")
     return test, check, fault_free_covariance(run)
+
+
+def fault_free_run(
+    generator: ResidualGenerator,
+    recordings: Sequence[NDArray[np.float64]],
+    *,
+    settle: int | None,
+    max_hold: int,
+    plausible: NDArray[np.float64],
+    start: str,
+) -> tuple[Specification, FaultFreeRun]:
+    """Return what runs without a test, and what it makes of fault-free recordings, each from a start of its own."""
+    _check_recordings(recordings, len(generator.plant.inputs))
+    blank = specification(
+        generator,
+        blank_test(generator),
+        NoIsolation(),
+        settle=settle,
+        max_hold=max_hold,
+        plausible=plausible,
+        start=start,
+    )
+    return blank, _run(blank, generator, recordings, settling_reason(generator, blank.settle))
 
 
 def fault_free_covariance(run: FaultFreeRun) -> NDArray[np.float64]:
@@ -167,7 +182,7 @@ def _check_recordings(recordings: Sequence[NDArray[np.float64]], n_inputs: int) 
 
 
 def _run(
-    blank: Specification, watched: Watched, recordings: Sequence[NDArray[np.float64]], reason: str
+    blank: Specification, generator: ResidualGenerator, recordings: Sequence[NDArray[np.float64]], reason: str
 ) -> FaultFreeRun:
     """Run over each recording from a start of its own."""
     runs = [run_block(blank, initial_state(blank, 1), data)[1] for data in recordings]
@@ -183,5 +198,5 @@ def _run(
         np.concatenate([one.residuals[0] for one in runs]),
         np.concatenate([one.usable[0] for one in runs]),
         tuple(int(k) for k in np.cumsum([data.shape[1] for data in recordings[:-1]])),
-        signal_levels(watched.generator, deviations),
+        signal_levels(generator, deviations),
     )

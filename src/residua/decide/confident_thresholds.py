@@ -1,0 +1,214 @@
+"""Thresholds from data with a statement of how sure they are: order statistics, conformal ones, and a Pareto tail."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide.dependence import effective_exceedances
+from residua.decide.exceedance_tail import HIGHEST, quantile
+from residua.decide.false_alarms import CONFIDENCE, ENOUGH, Observed, Promise, lasting_blocks, promise_of
+from residua.decide.pareto_tail import ParetoTail
+from residua.errors import SettingError
+from residua.tolerances import ROUNDING, SAME
+from residua.visible import echo
+from residua.words import number
+
+#: Where a threshold is from.
+Source = Literal["auto", "quantile", "tail", "conformal"]
+#: Independent exceedances that a tail is fitted to, where the data have them.
+_TAIL = 60.0
+#: Samples that are worth that part of as many independent ones are taken for independent ones in words.
+_ALL = 0.98
+
+
+def check_source(source: object, among: tuple[str, ...] = get_args(Source)) -> None:
+    """Raise unless ``source`` is one."""
+    if source not in among:
+        raise SettingError(f"source must be one of {', '.join(among)}, got {echo(source)}")
+
+
+def least_rate(samples: float) -> float:
+    r"""Return the smallest rate that independent samples can promise with 95 % confidence: none of them over a level.
+
+    .. math:: 1 - 0.05^{1/n}
+
+    References
+    ----------
+    Wilks (1941), Annals of Mathematical Statistics 12(1), 91-96.
+
+    Examples
+    --------
+    >>> round(least_rate(8000), 6)
+    0.000374
+    """
+    return float(-np.expm1(np.log1p(-CONFIDENCE) / samples))
+
+
+def samples_for(rate: float) -> int:
+    """Return how many independent samples can promise a rate with 95 % confidence.
+
+    Examples
+    --------
+    >>> samples_for(1e-4)
+    29956
+    """
+    return int(np.ceil(np.log1p(-CONFIDENCE) / np.log1p(-rate) * (1 - ROUNDING)))
+
+
+@dataclass(frozen=True)
+class StatedPromise(Promise):
+    """A threshold, what the data promise, and what that rests on.
+
+    Attributes
+    ----------
+    source : {"quantile", "conformal", "tail"}
+    samples : int
+        Those of the data that count.
+    worth : float
+        The number of independent ones that they are worth.
+    """
+
+    source: str = "quantile"
+    samples: int = 0
+    worth: float = 0.0
+
+    @property
+    def holds(self) -> bool:
+        """Whether the data promise what the source says: an order statistic itself, the others on average."""
+        reached = self.aimed if self.source == "conformal" else self.promised
+        return reached <= self.asked * (1 + SAME) if self.source != "tail" else super().holds
+
+    def __str__(self) -> str:
+        sure = f"with 95 % confidence at most {self.promised:.2g} on other data like these"
+        if self.source == "tail":
+            text = f"about {self.aimed:.2g} of them in alarm by a generalised Pareto tail ({self.extended}), {sure}"
+            if self.asked < least_rate(self.worth):
+                text += f", if the tail goes on like that: it is extrapolated; {self._limit} without it"
+            return text
+        if not self.holds:
+            return f"the largest of them, {sure}: {self._limit}"
+        if self.source == "conformal":
+            return f"at most {self.aimed:.2g} in alarm on average over fits, {sure}"
+        return f"an order statistic, {sure}"
+
+    @property
+    def _limit(self) -> str:
+        """Say what such samples can promise, and how many it would take."""
+        least, share = least_rate(self.worth), self.worth / self.samples
+        independent = "" if share >= _ALL else f" (worth {number(self.worth)} independent ones)"
+        text = f"with {self.samples} samples{independent} no rate below {least:.2g} can be promised at 95 %"
+        needed = samples_for(self.asked)
+        if self.source == "conformal":
+            text += f", nor one below {1 / (self.worth + 1):.2g} on average"
+            needed = 2 / self.asked - 2  # of which the second half counts
+        many = int(np.ceil(needed / (1.0 if share >= _ALL else share) * (1 - ROUNDING)))
+        return f"{text}; {self.asked:g} takes {'' if share >= _ALL else 'about '}{many} samples"
+
+
+def promise_by(source: str, seen: Observed, asked: float) -> Promise:
+    r"""Return the threshold for a rate by one of the sources, with what can be promised of it.
+
+    ``"auto"``
+        :func:`residua.decide.false_alarms.promise_of`.
+    ``"quantile"``
+        Whatever the distribution: the smallest order statistic of which fewer samples are in alarm than were asked for,
+        with 95 % confidence. With :math:`j` of :math:`n` independent samples over it the rate is, at worst, distributed
+        as :math:`B(j + 1, n - j)`.
+    ``"conformal"``
+        The order statistic over which no more than the rate is expected, :math:`(j + 1)/(n + 1)`, on samples that mean
+        and covariance were not fitted to; the same confidence interval.
+    ``"tail"``
+        The level over which the rate is expected by a generalised Pareto tail, with its interval.
+
+    Samples that are in alarm together count as one: ``n`` and ``j`` are divided by the mean number of those over a high
+    level in a stretch of time.
+
+    References
+    ----------
+    Wilks (1941), Annals of Mathematical Statistics 12(1), 91-96 (order statistics); Vovk (2012), Asian Conference on
+    Machine Learning 25, 475-490 (conformal ones); Davison and Smith (1990), Journal of the Royal Statistical Society B
+    52(3), 393-442 (the tail).
+    """
+    if source == "auto":
+        return promise_of(seen, asked)
+    levels, own = np.sort(seen.levels[seen.counted]), np.sort(seen.own[seen.counted])
+    together = _together(seen, asked)
+    worth = max(len(levels) / together, 1.0)
+    if source == "tail":
+        return _by_tail(seen, levels, own, asked, together)
+    most = _quantile_exceedances if source == "quantile" else _conformal_exceedances
+    over = most(len(levels), together, asked)
+    level = max(_over(levels, over), _over(own, over))
+    expected = (over / together + 1) / (worth + 1)
+    return StatedPromise(level, asked, expected, _bound(over, len(levels), together), "", source, len(levels), worth)
+
+
+def _over(ordered: NDArray[np.float64], over: int) -> float:
+    """Return the order statistic that so many samples are over: a threshold, which no sample at it exceeds."""
+    return float(ordered[len(ordered) - 1 - over])
+
+
+def _bound(over: int, samples: int, together: float) -> float:
+    """Return the rate that is not exceeded with 95 % confidence, of so many samples over a level."""
+    from scipy.special import betaincinv
+
+    worth, clusters = max(samples / together, 1.0), over / together
+    return float(betaincinv(clusters + 1, max(worth - clusters, SAME), CONFIDENCE))
+
+
+def _quantile_exceedances(samples: int, together: float, asked: float) -> int:
+    """Return the most samples over a level that still promise a rate with 95 % confidence; 0 where none do."""
+    low, high = 0, min(int(asked * samples) + 1, samples - 1)
+    while low < high:  # the bound grows with them
+        middle = (low + high + 1) // 2
+        low, high = (middle, high) if _bound(middle, samples, together) <= asked else (low, middle - 1)
+    return low
+
+
+def _conformal_exceedances(samples: int, together: float, asked: float) -> int:
+    """Return the most samples over a level with which no more than a rate is expected; 0 where none are."""
+    return min(max(int(np.floor(asked * (samples + together) - together + SAME)), 0), samples - 1)
+
+
+def _together(seen: Observed, asked: float) -> float:
+    """Return how many samples over a high level are worth one independent one: of the rate, or of one that is seen."""
+    levels = seen.levels[seen.counted]
+    n, ordered = len(levels), np.sort(levels)
+    for rate in np.geomspace(max(asked, min(ENOUGH / n, HIGHEST)), max(asked, HIGHEST), 6):
+        blocks = lasting_blocks(seen, float(rate))
+        over = blocks[levels > quantile(ordered, float(rate))]
+        worth = effective_exceedances(np.bincount(over).astype(float)) if len(over) else 0.0
+        if worth >= ENOUGH or rate >= HIGHEST:
+            break
+    return len(over) / worth if worth else float(n)
+
+
+def _by_tail(
+    seen: Observed, levels: NDArray[np.float64], own: NDArray[np.float64], asked: float, together: float
+) -> StatedPromise:
+    n = len(levels)
+    start_rate = max(min(_TAIL * together / n, HIGHEST), asked)
+    start = quantile(levels, start_rate)
+    excesses = levels[levels > start] - start
+    worth = max(len(excesses) / together, 1.0)
+    tail = ParetoTail(start, excesses, max(len(excesses), 1) / n, worth)
+    level = tail.level(asked) + _spacing(levels[levels > start])
+    if asked * n >= 1:
+        level = max(level, _over(own, int(asked * n)))
+    shape, spread = tail.shape
+    words = f"from a rate of {tail.rate:.2g}, with a shape of {shape:.2f} +- {spread:.2f}"
+    bound = max(tail.bound(level, CONFIDENCE), tail.expected(level))
+    return StatedPromise(level, asked, tail.expected(level), min(bound, 1.0), words, "tail", n, max(n / together, 1.0))
+
+
+def _spacing(values: NDArray[np.float64]) -> float:
+    """Return half the step of values that are quantised; zero of others."""
+    steps = np.diff(np.unique(values))
+    return float(np.median(steps)) / 2 if len(steps) and 2 * (len(steps) + 1) < len(values) else 0.0
+
+
+__all__ = ["Source", "StatedPromise", "check_source", "least_rate", "promise_by", "samples_for"]
