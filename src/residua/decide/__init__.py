@@ -9,6 +9,7 @@ from residua.decide.ewma import EWMA, EWMATest
 from residua.decide.glr import GLR, GLRTest
 from residua.decide.isolation import Isolation, IsolationSettings, Named, Scores, Seen
 from residua.decide.kinds import register
+from residua.decide.likelihood import Likelihood, LikelihoodNames
 from residua.decide.matched import Matched
 from residua.decide.matched_hold import Match
 from residua.decide.matched_level import LikelihoodTest
@@ -47,6 +48,8 @@ __all__ = [
     "GroupTest",
     "Isolation",
     "IsolationSettings",
+    "Likelihood",
+    "LikelihoodNames",
     "LikelihoodTest",
     "Match",
     "Matched",

@@ -11,6 +11,7 @@ from residua.decide.directional import Directional
 from residua.decide.ewma import EWMA
 from residua.decide.glr import GLR
 from residua.decide.isolation import IsolationSettings, NoIsolation
+from residua.decide.likelihood import Likelihood
 from residua.decide.matched import Matched
 from residua.decide.norm_threshold import NormThreshold
 from residua.decide.peak_threshold import PeakThreshold
@@ -24,7 +25,9 @@ from residua.visible import echo
 TESTS: dict[str, type[TestSettings]] = {
     cls.kind: cls for cls in (NormThreshold, PeakThreshold, ChiSquared, EWMA, CUSUM, GLR)
 }
-ISOLATIONS: dict[str, type[IsolationSettings]] = {cls.kind: cls for cls in (Directional, Structured, Matched)}
+ISOLATIONS: dict[str, type[IsolationSettings]] = {
+    cls.kind: cls for cls in (Directional, Structured, Matched, Likelihood)
+}
 
 Kind = TypeVar("Kind", bound=type[TestSettings] | type[IsolationSettings])
 

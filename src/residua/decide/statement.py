@@ -178,6 +178,8 @@ def ranked(candidates: tuple[Candidate, ...]) -> list[tuple[int, Candidate]]:
 
 def _weight(candidate: Candidate) -> float:
     """Return what a candidate is ranked by, with the digits that are shown."""
+    if candidate.probability is not None:
+        return candidate.probability
     return round(candidate.score, 3) if candidate.ratio is None else round(candidate.ratio, 1)
 
 
@@ -189,7 +191,9 @@ def tied_name(candidates: tuple[Candidate, ...], rank: int) -> str:
 
 
 def arrival_text(candidate: Candidate) -> str:
-    """Return when a fault arrived and how likely it is, as matched filters say it; empty for anything else."""
+    """Return when a fault arrived and how likely it is, as matched filters say it, or its probability; else empty."""
+    if candidate.probability is not None:
+        return f"  probability {number(candidate.probability, 3)}"
     if candidate.ratio is None:
         return ""
     when = "before the window" if candidate.arrival is None else f"{candidate.arrival:.6g} s"
