@@ -7,6 +7,7 @@ from residua.decide.cusum import CUSUM, CUSUMTest
 from residua.decide.directional import Directional, DirectionTest, correlation, projection_distance
 from residua.decide.ewma import EWMA, EWMATest
 from residua.decide.glr import GLR, GLRTest
+from residua.decide.hitting_sets import HittingSet, HittingSets, minimal_hitting_sets
 from residua.decide.isolation import Isolation, IsolationSettings, Named, Scores, Seen
 from residua.decide.kinds import register
 from residua.decide.likelihood import Likelihood, LikelihoodNames
@@ -46,6 +47,8 @@ __all__ = [
     "FaultFreeRun",
     "GLRTest",
     "GroupTest",
+    "HittingSet",
+    "HittingSets",
     "Isolation",
     "IsolationSettings",
     "Likelihood",
@@ -71,6 +74,7 @@ __all__ = [
     "consistent_faults",
     "correlation",
     "empty_window",
+    "minimal_hitting_sets",
     "moving_sum",
     "peak_over_window",
     "projection_distance",

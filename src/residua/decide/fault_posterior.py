@@ -152,7 +152,7 @@ class FaultFilter:
     @cached_property
     def _all_constants(self) -> NDArray[np.float64]:
         k = self.unknown.shape[-1]
-        return -0.5 * np.linalg.slogdet(np.eye(k) + self.size**2 * self._information)[1]
+        return np.asarray(-0.5 * np.linalg.slogdet(np.eye(k) + self.size**2 * self._information)[1], dtype=float)
 
     @property
     def _roots(self) -> NDArray[np.float64]:

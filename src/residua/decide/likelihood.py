@@ -40,8 +40,8 @@ _CLEAR = 0.95
 _STILL = 1e-4
 _RULES = (
     "The probabilities are those of a filter over the faults, their arrivals and sizes, with the prior rates and the "
-    f"mean duration that were set. p is the probability of a residual at least as far off its fault by noise alone; faults "
-    f"whose p against the first one is {LEVEL:g} or more are called not distinguishable here."
+    f"mean duration that were set. p is the probability of a residual at least as far off its fault by noise alone; "
+    f"faults whose p against the first one is {LEVEL:g} or more are called not distinguishable here."
 )
 
 
@@ -376,9 +376,17 @@ class Likelihood(IsolationSettings):
     --------
     >>> import numpy as np
     >>> import residua as rs
-    >>> plant = rs.Plant.from_arrays([[0.5, 0.1], [0.0, 0.6]], [[1.0], [0.5]], [[1.0, 0.0], [0.0, 1.0]], dt=1.0)
-    >>> rs.decide.Likelihood(prior_rates=1e-5).window
-    30
+    >>> model = rs.Plant([[0.5, 0.1], [0.0, 0.6]], [[1.0], [0.5]], np.eye(2), dt=1.0)
+    >>> model = model.with_sensor_faults().with_noise(process=0.1, measurement=1.0)
+    >>> generator = rs.design.kalman_filter(model)
+    >>> monitor = rs.Monitor(generator, test=rs.decide.CUSUM(), isolate=rs.decide.Likelihood(window=20))
+    >>> rng = np.random.default_rng(0)
+    >>> u = np.zeros((300, 1))
+    >>> y = rng.standard_normal((300, 2))
+    >>> y[150:, 0] += 4.0
+    >>> best = monitor.run(u, y).alarms[0].candidates[0]
+    >>> best.name, best.probability > 0.9
+    ('y1 sensor', True)
     """
 
     kind: ClassVar[str] = "likelihood"
@@ -401,20 +409,12 @@ class Likelihood(IsolationSettings):
         check_samples(self.window, "window", least=2)
         object.__setattr__(self, "window", int(self.window))
         rates = self.prior_rates
-        named = dict(rates) if isinstance(rates, Mapping) else {}
-        for name, rate in [*named.items(), ("", self.unknown_rate)] + ([] if named else [("", rates)]):
-            if isinstance(rates, Mapping) and rate is rates:
-                continue
-            if not is_number(rate) or not 0 < rate < 1:
-                of = f" of {echo(name)}" if name else ""
-                raise SettingError(
-                    f"the prior rate{of} is the probability with which a fault arrives in a sample, and must lie "
-                    f"between 0 and 1, got {echo(rate)}"
-                )
         if isinstance(rates, Mapping):
-            object.__setattr__(self, "prior_rates", {str(name): float(rate) for name, rate in rates.items()})
+            own = {str(name): _rate(rate, f" of {echo(name)}") for name, rate in rates.items()}
+            object.__setattr__(self, "prior_rates", own)
         else:
-            object.__setattr__(self, "prior_rates", float(rates))
+            object.__setattr__(self, "prior_rates", _rate(rates))
+        _rate(self.unknown_rate, " of an unknown fault")
         object.__setattr__(self, "unknown_rate", float(self.unknown_rate))
         if not is_number(self.mean_duration) or not self.mean_duration > 1:
             raise SettingError(
@@ -516,6 +516,16 @@ class Likelihood(IsolationSettings):
         """Raise where what runs has another window."""
         if content.get("window") != self.window:
             raise FileFormatError(f"{where}.window must be that of isolate, {self.window}")
+
+
+def _rate(rate: Any, of: str = "") -> float:
+    """Return a prior rate, or raise."""
+    if not is_number(rate) or not 0 < rate < 1:
+        raise SettingError(
+            f"the prior rate{of} is the probability with which a fault arrives in a sample, and must lie between 0 and "
+            f"1, got {echo(rate)}"
+        )
+    return float(rate)
 
 
 def moving(test: StreamTest) -> NDArray[np.bool_]:

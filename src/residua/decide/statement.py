@@ -190,10 +190,14 @@ def tied_name(candidates: tuple[Candidate, ...], rank: int) -> str:
     return f"{names[0]} (tied with {more} more)" if more > 0 else "".join(names)
 
 
+def weight_text(candidate: Candidate) -> str:
+    """Return the probability of a candidate where there is one, else its score."""
+    known = candidate.probability is not None
+    return f"probability {number(candidate.probability, 3)}" if known else f"score {candidate.score:.3f}"
+
+
 def arrival_text(candidate: Candidate) -> str:
-    """Return when a fault arrived and how likely it is, as matched filters say it, or its probability; else empty."""
-    if candidate.probability is not None:
-        return f"  probability {number(candidate.probability, 3)}"
+    """Return when a fault arrived and how likely it is, as matched filters say it; empty for anything else."""
     if candidate.ratio is None:
         return ""
     when = "before the window" if candidate.arrival is None else f"{candidate.arrival:.6g} s"
