@@ -172,7 +172,7 @@ class FaultFilter:
 
 
 #: Logarithm of a probability that counts as none: a number that files hold, and that one sample makes up for.
-_NEVER = -1e4
+_NEVER = -10_000.0
 
 
 def _log_sum(rows: NDArray[np.float64]) -> NDArray[np.float64]:

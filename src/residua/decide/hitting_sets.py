@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import log, log1p
 
-from residua.decide.checks import is_number
+from residua.decide.checks import PRIOR_RATE, is_number
 from residua.errors import DataError, SettingError
 from residua.visible import echo
 from residua.words import counted, listing
@@ -68,7 +68,7 @@ def minimal_hitting_sets(
     conflicts: Iterable[Iterable[str]],
     *,
     silent: Iterable[Iterable[str]] = (),
-    prior_rates: float | Mapping[str, float] = 1e-4,
+    prior_rates: float | Mapping[str, float] = PRIOR_RATE,
     most_faults: int | None = None,
 ) -> HittingSets:
     r"""Return every smallest set of faults that explains all residuals that fired.
@@ -183,7 +183,7 @@ def _rates(prior_rates: float | Mapping[str, float], names: tuple[str, ...]) -> 
     for name, rate in own.items():
         if not is_number(rate) or not 0 < rate < 1:
             raise SettingError(f"the prior rate of {echo(name)} must lie between 0 and 1, got {echo(rate)}")
-    return {name: float(own.get(name, 1e-4)) for name in names}
+    return {name: float(own.get(name, PRIOR_RATE)) for name in names}
 
 
 __all__ = ["HittingSet", "HittingSets", "minimal_hitting_sets"]

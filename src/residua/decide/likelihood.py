@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from residua.decide.alarm import Alarm, Candidate
 from residua.decide.autoregression import Past, unforetold
-from residua.decide.checks import check_samples, is_number
+from residua.decide.checks import PRIOR_RATE, check_samples, is_number
 from residua.decide.directional import Directional, direction_test
 from residua.decide.fault_posterior import Belief, FaultFilter
 from residua.decide.isolation import Isolation, IsolationSettings, Named, Scores, Seen, check_groups
@@ -37,7 +37,7 @@ LEVEL = 0.05
 #: A probability from which on a name is called clear.
 _CLEAR = 0.95
 #: Combinations of residuals of which less variance than that is left, of whitened ones, move too little for a model.
-_STILL = 1e-4
+_STILL = VARIANCE_FLOOR**0.5
 _RULES = (
     "The probabilities are those of a filter over the faults, their arrivals and sizes, with the prior rates and the "
     f"mean duration that were set. p is the probability of a residual at least as far off its fault by noise alone; "
@@ -399,9 +399,9 @@ class Likelihood(IsolationSettings):
     }
 
     window: int = 30
-    prior_rates: float | Mapping[str, float] = 1e-4
-    unknown_rate: float = 1e-4
-    mean_duration: float = 1e4
+    prior_rates: float | Mapping[str, float] = PRIOR_RATE
+    unknown_rate: float = PRIOR_RATE
+    mean_duration: float = 10_000.0
     size: float = 1.0
 
     def __post_init__(self) -> None:
@@ -441,7 +441,7 @@ class Likelihood(IsolationSettings):
     def rate_of(self, fault: str) -> float:
         """Return the prior rate of one fault."""
         if isinstance(self.prior_rates, Mapping):
-            return float(self.prior_rates.get(fault, type(self).prior_rates))  # pyright: ignore
+            return float(self.prior_rates.get(fault, PRIOR_RATE))
         return self.prior_rates
 
     def test_of(self, settings: TestSettings) -> TestSettings:
