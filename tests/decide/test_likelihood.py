@@ -9,13 +9,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from scipy.stats import binom, kstest
 
 import residua as rs
 from residua.decide.fault_posterior import FaultFilter
 from residua.decide.likelihood import fit_p_value, moving, pair_p_value
 from residua.decide.stream_test import plain
+from residua.design import ResidualGenerator
 from residua.errors import FileFormatError, SettingError
+from residua.monitor import Diagnosis, Monitor
 from residua.testing import check_isolation
 
 CUSUM, Likelihood = rs.decide.CUSUM, rs.decide.Likelihood
@@ -95,13 +98,19 @@ def test_p_values_are_uniform_where_their_fault_is_there() -> None:
 # ----------------------------------------------------------------- in a monitor
 
 
-def generator(scales: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> rs.ResidualGenerator:
+def generator(scales: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> ResidualGenerator:
     """Innovations of a small plant, in other units: of the input and both outputs."""
     su, *sy = scales
     C = np.diag(sy)
     plant = rs.Plant([[0.8, 0.1], [0.0, 0.6]], np.array([[0.2], [0.4]]) / su, C, dt=1.0, outputs=["y1", "y2"])
     plant = plant.with_sensor_faults()
     return rs.design.kalman_filter(plant.with_noise(process=1e-3, measurement=list(1e-2 * np.array(sy) ** 2)))
+
+
+def run_of(monitor: Monitor, u: np.ndarray, y: np.ndarray) -> Diagnosis:
+    diagnosis = monitor.run(u, y)
+    assert isinstance(diagnosis, Diagnosis)
+    return diagnosis
 
 
 def recording(rng: np.random.Generator, samples: int, step: tuple[float, float] = (0.0, 0.0)) -> tuple:
@@ -126,7 +135,7 @@ def test_probabilities_are_shown_and_saved(tmp_path: Path) -> None:
     monitor.fit(*recording(rng, 4000))
     monitor.save(tmp_path / "m.json")
     monitor = rs.Monitor.load(tmp_path / "m.json")
-    diagnosis = monitor.run(*recording(rng, 300, (0.0, 0.4)))
+    diagnosis = run_of(monitor, *recording(rng, 300, (0.0, 0.4)))
     alarm = diagnosis.alarms[-1]
     best, other = alarm.candidates
     assert best.faults == ("y2 sensor",)
@@ -148,7 +157,7 @@ def test_probabilities_are_shown_and_saved(tmp_path: Path) -> None:
     assert "p against the first" in page
 
 
-def sensors(angle: float) -> rs.ResidualGenerator:
+def sensors(angle: float) -> ResidualGenerator:
     """Two white residuals, and two faults whose directions are an angle apart."""
     plant = rs.Plant([[0.0]], [[0.0]], np.zeros((2, 1)), dt=1.0)
     plant = plant.with_faults({"a": ([0.0], [1.0, 0.0]), "b": ([0.0], [np.cos(angle), np.sin(angle)])})
@@ -159,7 +168,7 @@ def test_what_cannot_be_told_apart_is_said_with_a_number() -> None:
     monitor = rs.Monitor(sensors(0.05), test=CUSUM(), isolate=Likelihood(window=20))
     y = np.random.default_rng(8).standard_normal((120, 2))
     y[100:, 0] += 1.5
-    diagnosis = monitor.run(np.zeros((120, 1)), y)
+    diagnosis = run_of(monitor, np.zeros((120, 1)), y)
     first, second = diagnosis.alarms[-1].candidates
     assert second.pair_p_value is not None
     assert second.pair_p_value > 0.05
@@ -183,10 +192,39 @@ def test_units_change_no_bit(power: int) -> None:
         u, y = recording(rng, 1000)
         monitor.fit(u * su, y * np.array(sy))
         u, y = recording(rng, 200, (0.3, 0.0))
-        return monitor.run(u * su, y * np.array(sy)).scores
+        return run_of(monitor, u * su, y * np.array(sy)).scores
 
     plain_one, scaled = probabilities((1.0, 1.0, 1.0)), probabilities((2.0**power, 1.0, 2.0**-power))
-    np.testing.assert_allclose(scaled, plain_one, rtol=1e-6, atol=1e-12)
+    np.testing.assert_array_equal(scaled, plain_one)
+
+
+def test_steps_with_a_memory_and_missing_values_are_those_of_a_run(tmp_path: Path) -> None:
+    """To the last bit, saved and loaded in between; the residual is coloured."""
+    rng = np.random.default_rng(1)
+
+    def coloured(samples: int, step: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        y = 0.1 * lfilter([1], [1, -0.9], rng.standard_normal((samples, 2)), axis=0)
+        y[samples // 2 :, 0] += step
+        return np.zeros((samples, 1)), y
+
+    monitor = rs.Monitor(generator(), test=rs.decide.GLR(window=10), isolate=Likelihood(window=8))
+    monitor.fit(*coloured(4000))
+    assert monitor.norm_test.coefficients.size  # pyright: ignore
+    u, y = coloured(200, 3.0)
+    y[[20, 110, 111]] = np.nan
+    diagnosis, named = run_of(monitor, u, y), 0
+    monitor.reset()
+    for k in range(len(y)):
+        if k % 60 == 0:
+            monitor.save(tmp_path / "m.json")
+            monitor = rs.Monitor.load(tmp_path / "m.json")
+        decision = monitor.step(u[k], y[k])
+        by_name = {c.faults: c.probability for c in decision.candidates}
+        if by_name:
+            named += 1
+            assert [by_name[group] for group in diagnosis.groups] == diagnosis.scores[k].tolist()
+    assert named > 80
+    assert decision.candidates == diagnosis.alarms[-1].candidates
 
 
 def test_copies_of_residuals_do_not_count() -> None:

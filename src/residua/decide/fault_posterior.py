@@ -147,7 +147,8 @@ class FaultFilter:
     @cached_property
     def _all_roots(self) -> NDArray[np.float64]:
         k = self.unknown.shape[-1]
-        return np.linalg.cholesky(np.linalg.inv(self._information + np.eye(k) / self.size**2))
+        roots = np.linalg.cholesky(np.linalg.inv(self._information + np.eye(k) / self.size**2))
+        return np.asarray(roots, dtype=float)
 
     @cached_property
     def _all_constants(self) -> NDArray[np.float64]:
