@@ -9,8 +9,10 @@ from residua.decide.cusum import CUSUM, CUSUMTest
 from residua.decide.directional import Directional, DirectionTest, correlation, projection_distance
 from residua.decide.ewma import EWMA, EWMATest
 from residua.decide.glr import GLR, GLRTest
+from residua.decide.hitting_sets import HittingSet, HittingSets, minimal_hitting_sets
 from residua.decide.isolation import Isolation, IsolationSettings, Named, Scores, Seen
 from residua.decide.kinds import register
+from residua.decide.likelihood import Likelihood, LikelihoodNames
 from residua.decide.matched import Matched
 from residua.decide.matched_hold import Match
 from residua.decide.matched_level import LikelihoodTest
@@ -56,8 +58,12 @@ __all__ = [
     "Finding",
     "GLRTest",
     "GroupTest",
+    "HittingSet",
+    "HittingSets",
     "Isolation",
     "IsolationSettings",
+    "Likelihood",
+    "LikelihoodNames",
     "LikelihoodTest",
     "Match",
     "Matched",
@@ -84,6 +90,7 @@ __all__ = [
     "consistent_faults",
     "correlation",
     "empty_window",
+    "minimal_hitting_sets",
     "moving_sum",
     "peak_over_window",
     "projection_distance",

@@ -64,6 +64,13 @@ class Candidate:
     ratio : float or None
         By matched filters: twice the logarithm of the likelihood ratio of this fault against none. A lead of 6 over
         the next candidate makes this one 20 times as likely.
+    probability : float or None
+        By likelihood: that this fault is there, with the prior rates that were set.
+    p_value : float or None
+        By likelihood: the probability that noise leaves as much of the residual beside this fault.
+    pair_p_value : float or None
+        By likelihood: the probability that noise makes the first candidate explain as much that this one does not;
+        ``None`` for the first one.
     """
 
     faults: tuple[str, ...]
@@ -72,6 +79,9 @@ class Candidate:
     sizes: tuple[Size, ...] = ()
     arrival: float | None = None
     ratio: float | None = None
+    probability: float | None = None
+    p_value: float | None = None
+    pair_p_value: float | None = None
 
     @property
     def name(self) -> str:
@@ -222,6 +232,8 @@ class Alarm:
         Where groups of residuals are tested by themselves: those that were in alarm, the longest first.
     learnt : tuple of LearntMatch
         Where faults were learnt from recordings: how the residual lies to the direction of each.
+    unknown, no_fault : float or None
+        By likelihood: the probability of a fault that is not listed, and of none.
     """
 
     onset: float
@@ -238,6 +250,8 @@ class Alarm:
     began: Beginning | None = None
     fired: tuple[str, ...] = ()
     learnt: tuple[LearntMatch, ...] = ()
+    unknown: float | None = None
+    no_fault: float | None = None
 
     @property
     def named(self) -> tuple[tuple[str, ...], ...]:
@@ -267,7 +281,7 @@ class Alarm:
         noise. What is left then exceeds what sets the two apart, so that an error of the model, or a fault that is no
         step, may have decided, however large the lead in likelihood is. By code always empty.
         """
-        if self.margin is None or self.reading is not None:
+        if self.margin is None or self.reading is not None or self.unknown is not None:
             return ""
         if self.lead is None:
             return "score" if self.margin < CLOSE_MARGIN else ""
@@ -304,6 +318,8 @@ class Alarm:
             out |= {"arrival": self.arrival, "lead": self.lead}
         if self.reading is not None:
             out["code"] = _code(self.reading) | {"share": self.read_share}
+        if self.unknown is not None:
+            out |= {"unknown": self.unknown, "no_fault": self.no_fault}
         if self.fired:
             out["fired"] = list(self.fired)
         if self.learnt:
@@ -319,6 +335,8 @@ class Alarm:
 
 def _candidate(c: Candidate) -> dict[str, Any]:
     out: dict[str, Any] = {"faults": list(c.faults), "score": c.score, "distance": c.distance}
+    if c.probability is not None:
+        out |= {"probability": c.probability, "p_value": c.p_value, "pair_p_value": c.pair_p_value}
     return out if c.ratio is None else out | {"arrival": c.arrival, "ratio": c.ratio}
 
 

@@ -11,6 +11,8 @@ from residua.visible import echo
 
 #: Fraction of fault-free samples in alarm, unless another is asked for.
 FALSE_ALARM_RATE = 1e-4
+#: Probability with which a fault arrives in a sample, unless another is set: one in ten thousand.
+PRIOR_RATE = 1 / 10_000
 
 
 def is_number(value: object) -> bool:

@@ -43,12 +43,15 @@ class Scores:
         By matched filters: likelihood ratio, arrival and size of every fault.
     size : ndarray, shape (...), or None
         Where faults were learnt: the length of the whitened residual, averaged over the window; NaN as the scores.
+    posterior : dataclass or None
+        By likelihood: the probabilities, a :class:`residua.decide.likelihood.Posterior`.
     """
 
     scores: NDArray[np.float64]
     code: NDArray[np.bool_] | None = None
     match: Match | None = None
     size: NDArray[np.float64] | None = None
+    posterior: Any = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +94,8 @@ class Named:
         In seconds, where the isolation knows better than the first crossing of the threshold.
     arrived, blamed
         Of the latest sample, as of :class:`residua.monitor.Decision`.
+    unknown, no_fault : float or None
+        By likelihood: the probability of a fault that is not listed, and of none.
     """
 
     candidates: tuple[Candidate, ...] = ()
@@ -104,10 +109,13 @@ class Named:
     onset: float | None = None
     arrived: float | None = field(default=None, compare=False)
     blamed: str = field(default="", compare=False)
+    unknown: float | None = None
+    no_fault: float | None = None
 
     def of_alarm(self) -> dict[str, Any]:
         """Return what an :class:`residua.monitor.Alarm` takes over."""
         names = ("candidates", "sizes", "arrival", "reading", "read_share", "present", "fired", "learnt")
+        names = (*names, "unknown", "no_fault")
         fields = {name: getattr(self, name) for name in names}
         return fields if self.onset is None else fields | {"onset": self.onset}
 

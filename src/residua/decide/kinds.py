@@ -11,6 +11,7 @@ from residua.decide.directional import Directional
 from residua.decide.ewma import EWMA
 from residua.decide.glr import GLR
 from residua.decide.isolation import IsolationSettings, NoIsolation
+from residua.decide.likelihood import Likelihood
 from residua.decide.matched import Matched
 from residua.decide.norm_threshold import NormThreshold
 from residua.decide.page_hinkley import PageHinkley
@@ -26,7 +27,9 @@ from residua.visible import echo
 TESTS: dict[str, type[TestSettings]] = {
     cls.kind: cls for cls in (NormThreshold, PeakThreshold, ChiSquared, EWMA, CUSUM, GLR, SPRT, PageHinkley)
 }
-ISOLATIONS: dict[str, type[IsolationSettings]] = {cls.kind: cls for cls in (Directional, Structured, Matched)}
+ISOLATIONS: dict[str, type[IsolationSettings]] = {
+    cls.kind: cls for cls in (Directional, Structured, Matched, Likelihood)
+}
 
 Kind = TypeVar("Kind", bound=type[TestSettings] | type[IsolationSettings])
 

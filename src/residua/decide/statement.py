@@ -178,6 +178,8 @@ def ranked(candidates: tuple[Candidate, ...]) -> list[tuple[int, Candidate]]:
 
 def _weight(candidate: Candidate) -> float:
     """Return what a candidate is ranked by, with the digits that are shown."""
+    if candidate.probability is not None:
+        return candidate.probability
     return round(candidate.score, 3) if candidate.ratio is None else round(candidate.ratio, 1)
 
 
@@ -186,6 +188,12 @@ def tied_name(candidates: tuple[Candidate, ...], rank: int) -> str:
     names = [candidate.name for place, candidate in ranked(candidates) if place == rank]
     more = len(names) - 1
     return f"{names[0]} (tied with {more} more)" if more > 0 else "".join(names)
+
+
+def weight_text(candidate: Candidate) -> str:
+    """Return the probability of a candidate where there is one, else its score."""
+    known = candidate.probability is not None
+    return f"probability {number(candidate.probability, 3)}" if known else f"score {candidate.score:.3f}"
 
 
 def arrival_text(candidate: Candidate) -> str:

@@ -25,6 +25,7 @@ from residua.decide.statement import (
     ranked,
     sizes_text,
     tied_name,
+    weight_text,
 )
 from residua.decide.structured import CodeTest
 from residua.errors import MissingExtraError
@@ -333,7 +334,7 @@ class Diagnosis:
             else:
                 size = f"  estimated size {sizes_text(candidate.sizes, str)}" if candidate.sizes else ""
             name = tied_name(alarm.candidates, rank)
-            lines.append(f"  {rank}. {name:<40} score {candidate.score:.3f}{size}{arrival_text(candidate)}")
+            lines.append(f"  {rank}. {name:<40} {weight_text(candidate)}{size}{arrival_text(candidate)}")
         return [*lines, f"  {NO_DIRECTION}"] if lines and self.no_direction else lines
 
     @property

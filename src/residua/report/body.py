@@ -73,7 +73,7 @@ def summary_html(entries: Sequence[tuple[int, str, Diagnosis, tuple[str, ...] | 
             f'<td class="num">{cell}</td>'
             for cell in (
                 *times,
-                score(best.score) if best else "–",
+                score(best.score if best.probability is None else best.probability) if best else "–",
                 score(v.margin) if v.margin is not None else "–",
             )
         ]

@@ -271,7 +271,7 @@ def _score_charts(diagnosis: Diagnosis, bins: Bins) -> list[dict[str, Any]]:
     return [
         {
             "kind": "scores",
-            "label": "score",
+            "label": "probability" if any(c.probability is not None for c in diagnosis.candidates) else "score",
             "unit": "",
             "y": [[None if v is None else round(v, 4) for v in rounded(c)] for c in columns],
             "names": [visible(diagnosis.group_names[g]) for g in shown],

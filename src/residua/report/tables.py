@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.alarm import Candidate
 from residua.decide.statement import angle, ranked, sizes_text, tied_name
 from residua.design.core.evidence import Evidence, format_pole
 from residua.monitor.fault_learning import learnt_table
@@ -79,14 +80,16 @@ def alarm_table(diagnosis: Diagnosis) -> str:
                 f"{k}{mark}",
                 *map(time_cell, alarm_times(alarm, diagnosis.clock)),
                 _name(best.name if best else "not isolated"),
-                _num(score(best.score)) if best else _num("–"),
+                _num(_weight(best)) if best else _num("–"),
                 _name(tied_name(tuple(named), 2) if following else "–"),
-                _num(score(following.score)) if following else _num("–"),
+                _num(_weight(following)) if following else _num("–"),
                 _num("–") if not best or not following else _num(_ahead(alarm)),
             ]
         )
     ahead = "Margin" if diagnosis.match is None else "Lead in 2 ln L"
-    header = ["Alarm", *ALARM_TIMES, "Most likely", "Score", "Next", "Score", ahead]
+    probable = any(c.probability is not None for alarm in diagnosis.alarms for c in alarm.candidates)
+    weight = "Probability" if probable else "Score"
+    header = ["Alarm", *ALARM_TIMES, "Most likely", weight, "Next", weight, ahead]
     more = len(diagnosis.alarms) - MAX_ROWS
     note = f'<p class="muted">… and {more:,} more alarms.</p>' if more > 0 else ""
     return html_table(header, rows) + note
@@ -104,8 +107,16 @@ def alarm_times(alarm: Alarm, clock: Clock) -> list[str]:
     return [start, clock.at(alarm.raised), "end of recording" if alarm.ended is None else clock.at(alarm.ended)]
 
 
+def _weight(candidate: Candidate) -> str:
+    """Return the probability of a candidate where there is one, else its score."""
+    return score(candidate.score) if candidate.probability is None else number(candidate.probability, 3)
+
+
 def _ahead(alarm: Alarm) -> str:
-    """Return the lead of the best candidate: in score, or of matched filters in likelihood."""
+    """Return the lead of the best candidate: in probability or score, or of matched filters in likelihood."""
+    first, second = (c.probability for c in alarm.candidates[:2])
+    if first is not None and second is not None:
+        return number(first - second, 3)
     return score(alarm.margin or 0.0) if alarm.lead is None else lead_text(alarm.lead)
 
 
@@ -116,19 +127,24 @@ def candidate_table(diagnosis: Diagnosis) -> str:
         return ""
     by_code = diagnosis.codes is not None
     matched = diagnosis.match is not None
+    probable = any(c.probability is not None for c in candidates)
     sized = any(c.sizes for c in candidates)
     rows = []
     for k, c in ranked(candidates):
-        width = f"{100 * c.score:.1f}" if np.isfinite(c.score) else "0"
+        long = c.score if c.probability is None else c.probability
+        width = f"{100 * long:.1f}" if np.isfinite(long) else "0"
         bar = f'<td class="bar"><span style="--w:{width}%"></span></td>'
         numbers = [score(c.score)] if by_code or matched else [score(c.score), angle(c.score), score(c.distance)]
+        if probable:
+            values = (c.probability, c.p_value, c.pair_p_value)
+            numbers = ["–" if value is None else number(value, 3) for value in values]
         if matched:
             numbers += [number(c.ratio), "before the window" if c.arrival is None else diagnosis.clock.at(c.arrival)]
         sizes = [escape(sizes_text(c.sizes) or "–")] if sized else []
         rows.append([str(k), _name(c.name), bar, *map(_num, [*numbers, *sizes])])
-    header = ["Rank", "Fault", "", "Score"]
+    header = ["Rank", "Fault", "", *(("Probability", "p alone", "p against the first") if probable else ("Score",))]
     header += ["2 ln likelihood ratio", "Arrived"] if matched else []
-    header += [] if by_code or matched else ["Angle off signature", "Distance"]
+    header += [] if by_code or matched or probable else ["Angle off signature", "Distance"]
     header += ["Estimated size"] if sized else []
     title = "Candidates of the main alarm" if len(diagnosis.alarms) > 1 else "Candidates"
     more = len(rows) - SHOWN_FAULTS

@@ -76,7 +76,13 @@ def check_test(settings: TestSettings, *, generator: ResidualGenerator | None = 
     _check_running(monitor, generator, rng)
 
 
-def check_isolation(settings: IsolationSettings, *, generator: ResidualGenerator | None = None, seed: int = 0) -> None:
+def check_isolation(
+    settings: IsolationSettings,
+    *,
+    generator: ResidualGenerator | None = None,
+    test: TestSettings | None = None,
+    seed: int = 0,
+) -> None:
     """Check what a monitor asks of an isolation, or raise with the first thing that does not hold.
 
     As :func:`check_test`; besides, there is one column of scores for each group, no score is over 1, each fault is in a
@@ -88,6 +94,8 @@ def check_isolation(settings: IsolationSettings, *, generator: ResidualGenerator
         Registered (:func:`residua.decide.register`).
     generator : ResidualGenerator, optional
         Sampled, with noise and a fault.
+    test : TestSettings, optional
+        That the isolation goes with; :class:`residua.decide.NormThreshold` when omitted.
     seed : int
 
     Raises
@@ -106,7 +114,7 @@ def check_isolation(settings: IsolationSettings, *, generator: ResidualGenerator
         raise AccuracyError(f"settings must be a subclass of residua.decide.IsolationSettings, got {kind}")
     _check_frozen(settings)
     generator = _generator() if generator is None else generator
-    monitor = _made(lambda: Monitor(generator, test=NormThreshold(), isolate=settings))
+    monitor = _made(lambda: Monitor(generator, test=test or NormThreshold(), isolate=settings))
     rng = np.random.default_rng(seed)
     _made(lambda: monitor.fit(*_recording(generator, rng, _FITTED)))
     isolation = monitor._specification().isolation

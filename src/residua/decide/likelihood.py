@@ -1,0 +1,543 @@
+"""Isolation by likelihood: how probable each fault is, and which of them the data cannot tell apart."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide.alarm import Alarm, Candidate
+from residua.decide.autoregression import Past, unforetold
+from residua.decide.checks import PRIOR_RATE, check_samples, is_number
+from residua.decide.directional import Directional, direction_test
+from residua.decide.fault_posterior import Belief, FaultFilter
+from residua.decide.isolation import Isolation, IsolationSettings, Named, Scores, Seen, check_groups
+from residua.decide.sizes import sizes_over, with_sizes
+from residua.decide.statement import Statement, headline_of, not_apart, not_isolated, scored, too_short
+from residua.decide.stream_settings import StreamSettings
+from residua.decide.stream_test import StreamTest
+from residua.decide.test import Block, ResidualTest, Tested, TestSettings, Watched
+from residua.decide.whitened_norm import whitened_residuals
+from residua.design import ResidualGenerator
+from residua.errors import FileFormatError, SettingError
+from residua.linear.subspaces.whitening import VARIANCE_FLOOR
+from residua.linear.systems.recursion import ordered_product
+from residua.number_kinds import ENTRY, FLAG, POSITIVE, PROBABILITY, WINDOW, NumberKind, number_in
+from residua.recording.clock import Clock
+from residua.records import record, table_in, values_out
+from residua.visible import echo
+from residua.words import number
+
+#: A p-value from which on faults are called not distinguishable, and below which one does not explain a residual.
+LEVEL = 0.05
+#: A probability from which on a name is called clear.
+_CLEAR = 0.95
+#: Combinations of residuals of which less variance than that is left, of whitened ones, move too little for a model.
+_STILL = VARIANCE_FLOOR**0.5
+_RULES = (
+    "The probabilities are those of a filter over the faults, their arrivals and sizes, with the prior rates and the "
+    f"mean duration that were set. p is the probability of a residual at least as far off its fault by noise alone; "
+    f"faults whose p against the first one is {LEVEL:g} or more are called not distinguishable here."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """What the filter says of each sample.
+
+    Attributes
+    ----------
+    probability : ndarray, shape (..., groups + 2)
+        Of each group, of an unknown fault, of none.
+    white : ndarray, shape (..., m)
+        The white residual, zero where not seen.
+    """
+
+    probability: NDArray[np.float64]
+    white: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class LikelihoodState:
+    """What is remembered.
+
+    Attributes
+    ----------
+    past : Past
+    belief : Belief
+    recent : ndarray, shape (plants, window, m + 1)
+        The white residuals of the standing alarm, with a column that is 1 where one was seen.
+    """
+
+    past: Past
+    belief: Belief
+    recent: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class LikelihoodNames(Isolation):
+    """Likelihoods of faults in white residuals: what runs.
+
+    Attributes
+    ----------
+    groups, unjudged
+        Faults whose directions are the same are one group.
+    center, whitening, coefficients, rewhitening
+        Of the test, as of :class:`residua.decide.CUSUMTest`.
+    live : ndarray of bool, shape (k,)
+        The whitened residuals that noise moves.
+    directions : ndarray, shape (groups, k)
+        Of length 1, in whitened residuals.
+    rates : ndarray, shape (groups + 1,)
+        Prior rates; last that of an unknown fault.
+    duration, size : float
+    window : int
+    """
+
+    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {
+        "window": WINDOW,
+        "center": ENTRY,
+        "whitening": ENTRY,
+        "coefficients": ENTRY,
+        "rewhitening": ENTRY,
+        "live": FLAG,
+        "directions": ENTRY,
+        "rates": PROBABILITY,
+        "duration": POSITIVE,
+        "size": POSITIVE,
+    }
+
+    groups: tuple[tuple[str, ...], ...]
+    unjudged: tuple[str, ...]
+    center: NDArray[np.float64]
+    whitening: NDArray[np.float64]
+    coefficients: NDArray[np.float64]
+    rewhitening: NDArray[np.float64]
+    live: NDArray[np.bool_]
+    directions: NDArray[np.float64]
+    rates: NDArray[np.float64]
+    duration: float
+    size: float
+    window: int
+
+    @cached_property
+    def filter(self) -> FaultFilter:
+        """The filter over faults, with the responses that the autoregression leaves of steps."""
+        k, live = len(self.center), self.live
+        left = np.cumsum(np.concatenate([np.eye(k)[None], -self.coefficients]), axis=0)
+        steps = (left @ self.rewhitening)[:, :, live]
+        responses = np.einsum("gk,akm->gam", self.directions, steps)
+        return FaultFilter(responses, steps[:, live], self.rates, self.duration, self.size, self.window)
+
+    @cached_property
+    def lines(self) -> NDArray[np.float64]:
+        """Where the white residual of a settled fault points: columns of length 1, shape (m, groups)."""
+        settled = self.filter.responses[:, -1]
+        return (settled / np.linalg.norm(settled, axis=1)[:, None]).T
+
+    def start(self, plants: int) -> LikelihoodState:
+        """Return the state before the first sample."""
+        recent = np.zeros((plants, self.window, int(self.live.sum()) + 1))
+        return LikelihoodState(Past.empty(plants, self.coefficients), self.filter.start(plants), recent)
+
+    def run(self, state: LikelihoodState, block: Block, tested: Tested) -> tuple[LikelihoodState, Scores]:
+        """Return the probabilities of the faults after each sample."""
+        q, usable = whitened_residuals(self.center, self.whitening, block)
+        e, seen, past = unforetold(self.coefficients, state.past, q, usable)
+        e = ordered_product(e, self.rewhitening)[..., self.live]
+        e = np.where(seen[..., None], e, 0.0)
+        belief, probability = self.filter.run(state.belief, e, seen)
+        probability = np.where(seen[..., None], probability, np.nan)
+        flagged = np.concatenate([e, seen[..., None].astype(float)], axis=-1)
+        recent = np.concatenate([state.recent, np.zeros_like(flagged)], axis=1)
+        for plant in range(len(seen)):
+            quiet = np.flatnonzero(~tested.alarm[plant])
+            first = int(quiet[-1]) + 1 if quiet.size else 0
+            if quiet.size:
+                recent[plant] = 0.0
+            recent[plant, self.window + first :] = flagged[plant, first:]
+        after = LikelihoodState(past, belief, recent[:, seen.shape[1] :].copy())
+        return after, Scores(probability[..., : len(self.groups)], posterior=Posterior(probability, e))
+
+    # ------------------------------------------------------------------------- naming
+
+    def name(self, seen: Seen, start: int, stop: int, last: int) -> Named:
+        """Return the groups by their probability at the last sample over the threshold."""
+        posterior = seen.scores.posterior
+        assert posterior is not None
+        base = Isolation.name(self, seen, start, stop, last)
+        first = max(start, last - self.window + 1)
+        rows = posterior.white[first : last + 1][seen.tested.usable[first : last + 1]]
+        sizes = sizes_over(seen.generator, seen.residuals, seen.tested.usable, first, last)
+        named = self._named(posterior.probability[last], rows)
+        return replace(named, candidates=with_sizes(named.candidates, sizes), sizes=sizes, fired=base.fired)
+
+    def name_now(self, seen: Seen) -> Named:
+        """Return the groups by their probability now."""
+        posterior = seen.scores.posterior
+        assert posterior is not None
+        recent = seen.state.recent[0]
+        return self._named(posterior.probability[0], recent[recent[:, -1] > 0, :-1])
+
+    def _named(self, probability: NDArray[np.float64], rows: NDArray[np.float64]) -> Named:
+        """Return the attribution from probabilities, and from the white residuals of an alarm."""
+        if not self.groups or np.isnan(probability).any():
+            return Named()
+        order = len(self.coefficients)
+        rows = rows[order:] if len(rows) > order else rows  # the first ones are not yet those of a settled step
+        z = rows.sum(axis=0) / np.sqrt(max(len(rows), 1))
+        ranks = np.argsort(-probability[: len(self.groups)], kind="stable")
+        best = self.lines[:, ranks[0]]
+        candidates = tuple(
+            Candidate(
+                self.groups[g],
+                score := _cosine(z, self.lines[:, g]),
+                float(np.sqrt(max(0.0, 1.0 - score**2))),
+                probability=float(probability[g]),
+                p_value=fit_p_value(z, self.lines[:, g]),
+                pair_p_value=None if g == ranks[0] else pair_p_value(z, self.lines[:, g], best),
+            )
+            for g in ranks
+        )
+        return Named(candidates=candidates, unknown=float(probability[-2]), no_fault=float(probability[-1]))
+
+    # ----------------------------------------------- what the rest of a monitor asks for
+
+    @property
+    def samples(self) -> int:
+        """The window."""
+        return self.window
+
+    @property
+    def signatures(self) -> tuple[NDArray[np.float64], ...]:
+        """The directions in the residual as the test whitens it."""
+        return tuple(row[:, None] for row in self.directions)
+
+    def words(self, step: float) -> dict[str, str]:
+        """Return in words how faults are named."""
+        over = f"{self.window} samples ({self.window * step:g} s)"
+        return {"isolation": f"probability of each fault, by the likelihood of steps, told apart by age up to {over}"}
+
+    def statement(self, alarm: Alarm, clock: Clock, window: int) -> Statement:
+        """Return the statement about an alarm: probabilities and p-values."""
+        return statement_by_probability(alarm, clock)
+
+    # --------------------------------------------------------------------------- files
+
+    def check(self, watched: Watched, test: ResidualTest) -> None:
+        """Raise where an isolation from a file is not of the residuals, the faults and the test."""
+        where, k = "running.isolation", watched.generator.n_residuals
+        check_groups(self.groups, self.unjudged, where, watched.generator.faults)
+        for name in ("center", "whitening", "coefficients", "rewhitening"):
+            if not isinstance(test, StreamTest) or not np.array_equal(getattr(self, name), getattr(test, name)):
+                raise FileFormatError(f"{where}.{name} must be that of the test")
+        if self.live.shape != (k,) or self.directions.shape != (len(self.groups), k):
+            raise FileFormatError(
+                f"{where}: live and directions must be for {k} residuals and {len(self.groups)} groups"
+            )
+        if self.rates.shape != (len(self.groups) + 1,) or not self.rates.sum() < 1:
+            raise FileFormatError(f"{where}.rates must be {len(self.groups) + 1} numbers whose sum is below 1")
+        if not self.duration > 1:
+            raise FileFormatError(f"{where}.duration must be above 1 sample")
+        if self.groups and not (self.live.any() and np.abs(self.filter.responses[:, -1]).max(axis=1).min() > 0):
+            raise FileFormatError(f"{where}.directions: every group must move a residual that noise moves")
+
+    def check_state(self, state: LikelihoodState, count: int) -> None:
+        """Raise where a state from a file cannot be one."""
+        flags = state.recent[..., -1]
+        if not np.isin(flags, (0.0, 1.0)).all():
+            raise FileFormatError("state.isolation.recent: its last column must be 0 or 1")
+        if (state.belief.ages > 0).any() or (state.belief.none > 0).any():
+            raise FileFormatError("state.isolation.belief: logarithms of probabilities are not above 0")
+
+
+def fit_p_value(z: NDArray[np.float64], line: NDArray[np.float64]) -> float | None:
+    r"""Return the probability that noise leaves as much beside a fault's direction.
+
+    .. math:: |z|^2 - (\ell^T z)^2 \sim \chi^2_{m-1}
+
+    ``None`` for one residual, beside which nothing is left.
+    """
+    from scipy.special import chdtrc
+
+    if len(z) < 2:
+        return None
+    beside = z - line * (line @ z)
+    return float(chdtrc(len(z) - 1, beside @ beside))
+
+
+def pair_p_value(z: NDArray[np.float64], line: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+    r"""Return the probability that noise alone makes another fault explain as much that this one does not.
+
+    .. math:: (n^T z)^2 \sim \chi^2_1, \qquad n \propto (I - \ell \ell^T) \ell'
+    """
+    from scipy.special import chdtrc
+
+    n = other - line * (line @ other)
+    return float(chdtrc(1, (n @ z) ** 2 / (n @ n)))
+
+
+def _cosine(z: NDArray[np.float64], line: NDArray[np.float64]) -> float:
+    size = float(np.linalg.norm(z))
+    return min(abs(float(line @ z)) / size, 1.0) if size > 0 else 0.0
+
+
+def statement_by_probability(alarm: Alarm, clock: Clock) -> Statement:
+    """Return the statement about an alarm whose candidates have probabilities."""
+    candidates = scored(alarm)
+    if not candidates:
+        return not_isolated(alarm, clock)
+    best = candidates[0]
+    same = tuple(c for c in candidates[1:] if c.pair_p_value is not None and c.pair_p_value >= LEVEL)
+    sure = best.probability or 0.0
+    unknown, none = alarm.unknown or 0.0, alarm.no_fault or 0.0
+    confidence = "clear lead" if sure >= _CLEAR else "moderate lead"
+    if max(unknown, none) > sure:
+        confidence = "no good match"
+    elif same:
+        confidence = "close call"
+    first = f"Probability {number(sure, 3)} of {best.name}, {number(unknown, 3)} of a fault that is not listed, "
+    first += f"{number(none, 3)} of none."
+    sentences, lines = [first], []
+    if best.p_value is not None:
+        verb = "explains" if best.p_value >= LEVEL else "does not explain"
+        text = f"{best.name} alone {verb} the residual to within the noise (p = {number(best.p_value, 2)})"
+        sentences.append(f"{text}.")
+        lines += [text] if best.p_value < LEVEL else []
+    for c in same:
+        text = f"not distinguishable here: {best.name}, {c.name} (p = {number(c.pair_p_value or 0.0, 2)})"
+        sentences.append(f"{text[:1].upper()}{text[1:]}.")
+        lines.append(text)
+    lines.append(f"probability {number(unknown, 3)} of a fault that is not listed, {number(none, 3)} of none")
+    lines += too_short(alarm, 1)
+    margin = sure - (candidates[1].probability or 0.0) if len(candidates) > 1 else None
+    return Statement(
+        headline_of(alarm, clock, confidence),
+        confidence,
+        margin,
+        (*sentences, *not_apart(best)),
+        tuple(lines),
+        rules=_RULES,
+    )
+
+
+@dataclass(frozen=True)
+class Likelihood(IsolationSettings):
+    r"""Say how probable each fault is, and which faults the data cannot tell apart.
+
+    The residual is made white by the test, so that a step of a fault of the direction :math:`\ell` is
+
+    .. math:: e_t = \theta H_a + \nu_t, \qquad \nu_t \sim N(0, I), \qquad H_a \to h \ell
+
+    at its age :math:`a`; :math:`H_a` is what the autoregression of the test leaves of a step. A filter over the faults
+    and their arrivals has the probability of each fault, of one that is not listed and of none; see
+    :class:`residua.decide.fault_posterior.FaultFilter` for the equations. Over the alarm, :math:`z = \sum e / \sqrt n`,
+    the generalised likelihood ratio of a fault against none is :math:`2 \ln \Lambda = (\ell^T z)^2`; the *p-value* of a
+    fault is the probability that noise leaves as much of :math:`z` beside it,
+    :math:`|z|^2 - (\ell^T z)^2 \sim \chi^2_{m-1}`, and that of a fault against the first one the probability that noise
+    makes the first explain as much that this one does not, :math:`\chi^2_1`. Both hold whatever the size is.
+
+    Guaranteed: of faults that are drawn from the prior rates, with sizes of N(0, size²) standard deviations, those of a
+    probability p are right in a fraction p of cases. Assumes: a fault is a step, its direction is the steady one of the
+    generator and is exact, one fault at a time, and a residual that the test makes white. A large fault of a direction
+    that is slightly wrong is called one that is not listed.
+
+    Parameters
+    ----------
+    window : int
+        Ages of faults that are told apart, and samples of an alarm that the p-values are of. Time and memory grow with
+        it, with the number of faults, and with the square of the number of residuals.
+    prior_rates : float or mapping of str to float
+        Probability with which a fault arrives in a sample: one for each fault, or by name; those without a name have
+        the default.
+    unknown_rate : float
+        The same of a fault that is not listed.
+    mean_duration : float
+        Samples that a fault lasts, on average.
+    size : float
+        Standard deviation of the sizes of steps, in standard deviations of one sample of the residual along their
+        direction.
+
+    See Also
+    --------
+    residua.decide.Directional : Angles, for residuals of which no noise is known.
+    residua.decide.Matched : Responses of innovations, with arrivals.
+
+    References
+    ----------
+    Willsky and Jones (1976), IEEE TAC 21(1), 108-112 (likelihood ratios of steps of unknown size); Adams and MacKay
+    (2007), arXiv:0710.3742, eqs. (3) and (4) (the filter over arrivals); Basseville and Nikiforov (1993), section 7.2.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import residua as rs
+    >>> model = rs.Plant([[0.5, 0.1], [0.0, 0.6]], [[1.0], [0.5]], np.eye(2), dt=1.0)
+    >>> model = model.with_sensor_faults().with_noise(process=0.1, measurement=1.0)
+    >>> generator = rs.design.kalman_filter(model)
+    >>> monitor = rs.Monitor(generator, test=rs.decide.CUSUM(), isolate=rs.decide.Likelihood(window=20))
+    >>> rng = np.random.default_rng(0)
+    >>> u = np.zeros((300, 1))
+    >>> y = rng.standard_normal((300, 2))
+    >>> y[150:, 0] += 4.0
+    >>> best = monitor.run(u, y).alarms[0].candidates[0]
+    >>> best.name, best.probability > 0.9
+    ('y1 sensor', True)
+    """
+
+    kind: ClassVar[str] = "likelihood"
+    makes: ClassVar[type[Isolation]] = LikelihoodNames
+    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {
+        "window": WINDOW,
+        "unknown_rate": PROBABILITY,
+        "mean_duration": POSITIVE,
+        "size": POSITIVE,
+    }
+
+    window: int = 30
+    prior_rates: float | Mapping[str, float] = PRIOR_RATE
+    unknown_rate: float = PRIOR_RATE
+    mean_duration: float = 10_000.0
+    size: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        check_samples(self.window, "window", least=2)
+        object.__setattr__(self, "window", int(self.window))
+        rates = self.prior_rates
+        if isinstance(rates, Mapping):
+            own = {str(name): _rate(rate, f" of {echo(name)}") for name, rate in rates.items()}
+            object.__setattr__(self, "prior_rates", own)
+        else:
+            object.__setattr__(self, "prior_rates", _rate(rates))
+        _rate(self.unknown_rate, " of an unknown fault")
+        object.__setattr__(self, "unknown_rate", float(self.unknown_rate))
+        if not is_number(self.mean_duration) or not self.mean_duration > 1:
+            raise SettingError(
+                f"mean_duration is how many samples a fault lasts, and must be above 1, got {echo(self.mean_duration)}"
+            )
+        if not is_number(self.size) or not self.size > 0:
+            raise SettingError(f"size must be a positive number of standard deviations, got {echo(self.size)}")
+        for name in ("mean_duration", "size"):
+            object.__setattr__(self, name, float(getattr(self, name)))
+
+    def check(self, generator: ResidualGenerator) -> None:
+        """Raise unless the generator has the faults of the prior rates, and directions."""
+        rates = self.prior_rates if isinstance(self.prior_rates, dict) else {}
+        strange = [name for name in rates if name not in generator.faults]
+        if strange:
+            raise SettingError(
+                f"prior_rates has {', '.join(map(echo, strange))}, which this plant has not: its faults are "
+                f"{', '.join(generator.faults) or 'none'}"
+            )
+        whole = self.unknown_rate + sum(self.rate_of(name) for name in generator.faults)
+        if whole >= 1:
+            raise SettingError(f"the prior rates of all faults must be below 1 together, they are {whole:.3g}")
+
+    def rate_of(self, fault: str) -> float:
+        """Return the prior rate of one fault."""
+        if isinstance(self.prior_rates, Mapping):
+            return float(self.prior_rates.get(fault, PRIOR_RATE))
+        return self.prior_rates
+
+    def test_of(self, settings: TestSettings) -> TestSettings:
+        """Return the test, if it is one that makes the residual white."""
+        if not isinstance(settings, StreamSettings):
+            raise SettingError(
+                f"Likelihood needs a residual without memory, which {type(settings).__name__} does not make: "
+                "test=CUSUM(), GLR(), EWMA() or ChiSquared()"
+            )
+        return settings
+
+    def isolation(self, generator: ResidualGenerator, test: ResidualTest) -> LikelihoodNames:
+        """Return what names faults by the residual that the test makes white."""
+        assert isinstance(test, StreamTest)
+        live = moving(test)
+        gain = test.steady_gain[:, live]
+        # Directions are compared where they are judged: in what the test leaves of a settled fault.
+        found = direction_test(
+            Directional(1, "steady"), generator.subspaces, generator.steady_directions, test.whitening @ gain
+        )
+        groups, rows = found.groups, []
+        for group in groups:
+            row = generator.steady_directions[group[0]] @ test.whitening
+            rows.append(row / np.linalg.norm(row))
+        rates = [sum(self.rate_of(name) for name in group) for group in groups]
+        return LikelihoodNames(
+            groups,
+            found.unjudged,
+            test.center,
+            test.whitening,
+            test.coefficients,
+            test.rewhitening,
+            live,
+            np.array(rows).reshape(len(groups), len(test.center)),
+            np.array([*rates, self.unknown_rate]),
+            self.mean_duration,
+            self.size,
+            self.window,
+        )
+
+    def kept(self, generator: ResidualGenerator) -> tuple[str, int, int] | None:
+        """Return the window, and what it keeps for each age: sums and probabilities of every fault."""
+        k = generator.n_residuals
+        return f"Likelihood(window={self.window})", self.window, (len(generator.faults) + 1) * (k + 1) + k + 1
+
+    # --------------------------------------------------------------------------- files
+
+    def to_record(self) -> dict[str, Any]:
+        """Return the settings as a record: the rates as a number or a table."""
+        plain = values_out(replace(self, prior_rates=0.5))
+        rates = self.prior_rates
+        return plain | {"prior_rates": dict(rates) if isinstance(rates, Mapping) else float(rates)}
+
+    @classmethod
+    def from_record(cls, content: Any, where: str) -> Self:
+        """Return the settings that a record describes."""
+        names = ("window", "prior_rates", "unknown_rate", "mean_duration", "size")
+        values = record(content, where, names)
+        rates = values.pop("prior_rates")
+        at = f"{where}.prior_rates"
+        if isinstance(rates, Mapping):
+            rates = {name: number_in(rate, f"{at}.{name}", PROBABILITY) for name, rate in table_in(rates, at).items()}
+        else:
+            rates = number_in(rates, at, PROBABILITY)
+        read = {name: number_in(value, f"{where}.{name}", cls.NUMBER_KINDS[name]) for name, value in values.items()}
+        try:
+            return cls(prior_rates=rates, **read)
+        except SettingError as error:
+            raise FileFormatError(f"{where}: {error}") from error
+
+    def check_record(self, content: Mapping[str, Any], where: str) -> None:
+        """Raise where what runs has another window."""
+        if content.get("window") != self.window:
+            raise FileFormatError(f"{where}.window must be that of isolate, {self.window}")
+
+
+def _rate(rate: Any, of: str = "") -> float:
+    """Return a prior rate, or raise."""
+    if not is_number(rate) or not 0 < rate < 1:
+        raise SettingError(
+            f"the prior rate{of} is the probability with which a fault arrives in a sample, and must lie between 0 and "
+            f"1, got {echo(rate)}"
+        )
+    return float(rate)
+
+
+def moving(test: StreamTest) -> NDArray[np.bool_]:
+    """Return which of the residuals that a test makes white are moved by noise: the others are copies, or rounding.
+
+    Of less variance than a small part of the largest, before it was made one.
+    """
+    spread = 1.0 / np.sqrt(np.sum(np.linalg.pinv(test.whitening) ** 2, axis=0))
+    sizes = np.sum((test.whitening / np.where(spread > 0, spread, 1.0)[:, None]) ** 2, axis=0)
+    first = sizes * 2 * VARIANCE_FLOOR < sizes.min()
+    again = np.sum(test.rewhitening**2, axis=0)
+    return first & (again * _STILL < again[first].min(initial=np.inf))
+
+
+__all__ = ["Likelihood", "LikelihoodNames", "LikelihoodState", "Posterior", "fit_p_value", "pair_p_value"]
