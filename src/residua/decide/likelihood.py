@@ -41,7 +41,8 @@ _STILL = VARIANCE_FLOOR**0.5
 _RULES = (
     "The probabilities are those of a filter over the faults, their arrivals and sizes, with the prior rates and the "
     f"mean duration that were set. p is the probability of a residual at least as far off its fault by noise alone; "
-    f"faults whose p against the first one is {LEVEL:g} or more are called not distinguishable here."
+    f"faults whose p against the first one is {LEVEL:g} or more, and which are not {1 / LEVEL:g} times less probable, "
+    "are called not distinguishable here."
 )
 
 
@@ -292,8 +293,12 @@ def statement_by_probability(alarm: Alarm, clock: Clock) -> Statement:
     if not candidates:
         return not_isolated(alarm, clock)
     best = candidates[0]
-    same = tuple(c for c in candidates[1:] if c.pair_p_value is not None and c.pair_p_value >= LEVEL)
     sure = best.probability or 0.0
+    same = tuple(
+        c
+        for c in candidates[1:]  # the window may not tell them apart, and all that went before it may
+        if (c.pair_p_value or 0.0) >= LEVEL and (c.probability or 0.0) >= LEVEL * sure
+    )
     unknown, none = alarm.unknown or 0.0, alarm.no_fault or 0.0
     confidence = "clear lead" if sure >= _CLEAR else "moderate lead"
     if max(unknown, none) > sure:
