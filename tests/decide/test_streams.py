@@ -228,6 +228,26 @@ def test_residuals_that_foretell_each_other_exactly_are_tested_at_the_designed_r
     assert 8 <= raised <= 36  # 20 expected: 99 of 100 runs, and what 20,000 samples leave uncertain
 
 
+@pytest.mark.parametrize("samples", [3_000, 6_000, 12_000])
+def test_what_is_foretold_exactly_does_not_depend_on_how_many_samples_say_so(samples: int) -> None:
+    engine = rs.library.jet_engine().discretize(0.02).with_noise(process=1e-6, measurement=4e-6)
+    rng, system = np.random.default_rng(samples), engine.system(("noise",))
+    y = system.simulate(rng.standard_normal((samples, system.n_inputs)))
+    test = rs.decide.EWMA(mean_time_between_false_alarms=500)
+    monitor = rs.Monitor(rs.design.robust_detection_filter(engine), test=test).fit(np.zeros((samples, 1)), y)
+    assert "; 2 combinations of residuals foretold exactly" in monitor.norm_test.basis
+
+
+def test_a_residual_that_hardly_moves_in_a_recording_is_refused() -> None:
+    """Its correlation time is three times the recording: what is new in it is less than the error of its mean."""
+    slow = np.cumsum(
+        np.random.default_rng(0).standard_normal((3_000, 1)) * 0.9999 ** np.arange(3_000)[::-1, None], axis=0
+    )
+    test = rs.decide.CUSUM(mean_time_between_false_alarms=1_000)
+    with pytest.raises(DataError, match=r"of its variance, which .* samples do not tell from their mean: give more"):
+        rs.Monitor(given(1), test=test, isolate=None).fit(None, slow)
+
+
 def test_what_the_data_contradict_is_said_and_the_threshold_is_theirs() -> None:
     """Noise that comes in bursts is white, and no autoregression and no scores make it independent."""
     rng = np.random.default_rng(9)

@@ -263,13 +263,19 @@ class StreamSettings(TestSettings):
         e = q[data.usable]
         if model is not None and model.order:
             e = np.concatenate([_innovations(model.coefficients, q[part], data.usable[part]) for part in data.parts])
-            covariance, floor = e.T @ e / max(len(e), 1), self._floor(e)
-            V = whitening_matrix(covariance, floor=floor)
+            values, vectors = np.linalg.eigh(e.T @ e / max(len(e), 1))  # in parts of the variance of each direction
+            floor = self._floor(len(e))
+            V = vectors / np.sqrt(np.maximum(values, floor))
             notes.append(f"coloured: what the last {model.order} samples foretell is taken off")
-            left = moving_directions(covariance, floor=floor)
-            if left < moving:
-                notes.append(f"{counted(moving - left, 'combination')} of residuals foretold exactly")
-                moving = left
+            exact = int(np.sum(values <= floor))
+            if exact == moving:
+                raise DataError(
+                    f"the past foretells all of this residual but for {number(float(values[-1]), 2)} of its variance, "
+                    f"which {len(e)} samples do not tell from their mean: give more, or fit with treatment='none'"
+                )
+            if exact:
+                notes.append(f"{counted(exact, 'combination')} of residuals foretold exactly")
+                moving -= exact
             k, e = len(parts["center"]), e @ V
             coefficients, rewhitening = np.zeros((model.order, k, k)), np.eye(k)
             coefficients[:, live[:, None], live] = model.coefficients
@@ -283,15 +289,14 @@ class StreamSettings(TestSettings):
             parts = {**parts, "knots": everywhere, "scores": scores}
         return parts, moving, notes
 
-    def _floor(self, e: NDArray[np.float64]) -> float:
-        """Return the variance below which the error of the mean of what is unforetold would be a change by itself.
+    def _floor(self, samples: int) -> float:
+        """Return the part of its variance below which what is left of a direction is less than the error of its mean.
 
         Where decoupling makes residuals depend on each other over time, an autoregression foretells combinations of
         them exactly. What is left there of the ends of a recording, divided by its length, is all the noise they have.
         """
-        smallest = float(np.sqrt(np.mean(e**2, axis=0)).min(initial=1.0))
-        error = _ENDS * _FOLDS / max(len(e), 1)
-        return min(1.0, max(VARIANCE_FLOOR, (error / (self.harmless_offset * max(smallest, error))) ** 2))
+        error = _ENDS * _FOLDS / max(samples, 1)
+        return max(VARIANCE_FLOOR, (error / self.harmless_offset) ** 2)
 
     def _by_design(
         self, parts: Mapping[str, Any], k: int, rate: float | None, origin: str, samples: int | None
