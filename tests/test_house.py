@@ -57,7 +57,7 @@ FACADES = {
     "residua.plant.plant": "residua.plant",  # from_state_space, from_toml, to_toml, discretize
     "residua.plant.input_output_model": "residua.plant",  # from_plant, from_transfer_functions, to_plant
     "residua.robust.sets.uncertain_plant": "residua.robust.sets",  # from_parameters, in_closed_loop, ...
-    "residua.decide": "residua.monitor",  # residual_report, which runs a generator over recordings
+    "residua.decide": ("residua.monitor", "residua.validate"),  # residual_report, detectability: of whole monitors
     "residua.design.core.generator": "residua.design",  # to_parity, equivalent_to, observer
     "residua.design.suggestion": "residua.robust.sets",  # suggest, for an uncertain plant too
     "residua.monitor.monitor": "residua.monitor",  # save, load

@@ -33,6 +33,7 @@ from residua.facade import names_from_above
 
 if TYPE_CHECKING:
     from residua.monitor.residual_report import residual_report
+    from residua.validate.detectability import detectability
 
 __all__ = [
     "CUSUM",
@@ -89,6 +90,7 @@ __all__ = [
     "code_likelihoods",
     "consistent_faults",
     "correlation",
+    "detectability",
     "empty_window",
     "minimal_hitting_sets",
     "moving_sum",
@@ -102,4 +104,10 @@ __all__ = [
     "whitening_matrix",
 ]
 
-__getattr__ = names_from_above(__name__, {"residual_report": "residua.monitor.residual_report"})
+__getattr__ = names_from_above(
+    __name__,
+    {
+        "detectability": "residua.validate.detectability",
+        "residual_report": "residua.monitor.residual_report",
+    },
+)

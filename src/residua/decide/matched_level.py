@@ -101,6 +101,11 @@ class LikelihoodTest(NormTest):
         """The responses."""
         return self.matched
 
+    @property
+    def mean_time(self) -> None:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Not known: the largest of many ratios."""
+        return None
+
     def words(self, step: float) -> dict[str, str]:
         """Return in words what the threshold is, what is tested, and when an alarm begins and ends."""
         window = self.matched.window

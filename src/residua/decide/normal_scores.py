@@ -66,4 +66,19 @@ def normal_scores(
     return out
 
 
-__all__ = ["is_heavy_tailed", "knots_of", "normal_scores"]
+def raw_values(
+    values: NDArray[np.float64], knots: NDArray[np.float64], scores: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the samples that have these scores, shape (..., k): the way back from :func:`normal_scores`."""
+    if not scores.size:
+        return values
+    out = np.empty_like(values)
+    place = np.clip(np.searchsorted(scores, values), 1, len(scores) - 1)
+    for j, x in enumerate(knots):
+        at = place[..., j]
+        slope = (x[at] - x[at - 1]) / (scores[at] - scores[at - 1])
+        out[..., j] = x[at - 1] + slope * (values[..., j] - scores[at - 1])
+    return out
+
+
+__all__ = ["is_heavy_tailed", "knots_of", "normal_scores", "raw_values"]

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.autoregression import Past, unforetold
-from residua.decide.normal_scores import normal_scores
+from residua.decide.normal_scores import normal_scores, raw_values
 from residua.decide.persistence import AlarmRuns, held, run_alarm
 from residua.decide.test import Block, ResidualTest, Tested, Watched
 from residua.decide.whitened_norm import BAND_DEVIATIONS, BAND_SHARE, check_invertible, whitened_residuals
 from residua.errors import FileFormatError
-from residua.linear.systems.recursion import ordered_product
+from residua.linear.systems.recursion import ordered_product, run_filter
 from residua.number_kinds import ENTRY, POSITIVE, SHARE, NumberKind
 from residua.words import number
 
@@ -136,6 +136,29 @@ class StreamTest(ResidualTest):
         nobody = np.zeros((*seen.shape, 0))
         tested = Tested(seen, values, exceeded, alarm, up, q, nobody, nobody.astype(bool))
         return StreamState(past, sums, runs), tested
+
+    def fault_free_residuals(self, normal: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Return residuals that this test makes white and Gaussian: the same steps, backwards."""
+        e = raw_values(normal, self.knots, self.scores)
+        order, plants, k = len(self.coefficients), len(e), len(self.center)
+        if order:
+            A = np.zeros((order * k, order * k))
+            A[k:, :-k] = np.eye((order - 1) * k)
+            foretold = np.hstack([M.T for M in self.coefficients])
+            A[:k] = foretold
+            B = np.vstack([np.eye(k), np.zeros(((order - 1) * k, k))])
+            innovations = ordered_product(e, np.linalg.inv(self.rewhitening))
+            e = run_filter(A, B, foretold, np.eye(k), np.zeros((plants, order * k)), innovations)[1]
+        return self.center + ordered_product(e, np.linalg.inv(self.whitening))
+
+    def in_white_units(self, response: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Return the whitened response, less what its own past foretells; of heavy tails nothing is said."""
+        if self.scores.size:
+            return None
+        q, everywhere = (response @ self.whitening)[None], np.ones((1, len(response)), dtype=bool)
+        start = Past(np.zeros((1, *self.coefficients.shape[:2])), np.ones((1, len(self.coefficients)), dtype=bool))
+        e = unforetold(self.coefficients, start, q, everywhere)[0][0]
+        return e @ self.rewhitening if self.coefficients.size else e
 
     # ----------------------------------------------- what the rest of a monitor asks for
 

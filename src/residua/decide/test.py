@@ -146,6 +146,8 @@ class ResidualTest(Record, ABC):
     center: NDArray[np.float64]
     threshold: float
     basis: str
+    #: Samples from a start to a false alarm, on average, or fewer; ``None`` where that is not known.
+    mean_time: float | None = None
 
     @abstractmethod
     def start(self, plants: int) -> Any:
@@ -221,6 +223,23 @@ class ResidualTest(Record, ABC):
     @property
     def responses(self) -> Any:
         """The responses to faults that the statistic is made of, a :class:`residua.decide.MatchedTest`; or ``None``."""
+        return None
+
+    def fault_free_residuals(self, normal: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Return fault-free residuals as this test takes them to be; ``None`` if it knows nothing of them.
+
+        Parameters
+        ----------
+        normal : ndarray, shape (plants, time, k)
+            Independent standard normal numbers, of which they are made.
+        """
+        return None
+
+    def in_white_units(self, response: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Return a response of the residual, (time, k), in units in which fault-free ones are white, of variance one.
+
+        ``None`` where the test knows no such units.
+        """
         return None
 
     def bands(self) -> tuple[NDArray[np.float64], float]:

@@ -13,6 +13,7 @@ from residua.decide.checks import FALSE_ALARM_RATE, check_rate, check_samples, i
 from residua.decide.confident_thresholds import check_source, promise_by
 from residua.decide.false_alarms import Observed, observed
 from residua.decide.fault_free import FaultFree, check_enough, held_apart
+from residua.decide.gaussian_norm import norm_above
 from residua.decide.persistence import AlarmRuns, run_alarm
 from residua.decide.row_norms import row_norms
 from residua.decide.test import Block, ResidualTest, Tested, TestSettings, Watched
@@ -175,6 +176,29 @@ class NormTest(ResidualTest):
     def guarded(self) -> NDArray[np.float64]:
         """In deviations; without a threshold nothing is too large to be judged."""
         return np.abs(self.whitening) / self.threshold if self.threshold == np.inf else np.abs(self.whitening)
+
+    @property
+    def mean_time(self) -> float | None:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The samples from a start to so many in a row over the threshold, if the residual is white; fewer of sums."""
+        if not self._knows_spread or not np.isfinite(self.threshold):
+            return None
+        share = float(norm_above(self.threshold, np.zeros(1), len(self.center))[0])
+        row = share ** (self.persistence if self.window == 1 else 1)
+        return (1 / row - 1) / (1 - share) if row > 0 and share < 1 else None
+
+    @property
+    def _knows_spread(self) -> bool:
+        return self.kind == "norm" and not is_selection(self.whitening)
+
+    def fault_free_residuals(self, normal: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Return white residuals whose sums over the window have the covariance that the whitening is of."""
+        if not self._knows_spread:
+            return None
+        return self.center + ordered_product(normal, np.linalg.inv(self.whitening))
+
+    def in_white_units(self, response: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Return the whitened response."""
+        return response @ self.whitening if self._knows_spread else None
 
     def bands(self) -> tuple[NDArray[np.float64], float]:
         """Return the band of each residual alone: by its own spread where the covariance is known, else by threshold.

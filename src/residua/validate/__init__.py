@@ -4,6 +4,7 @@ from residua.validate.campaign_result import Campaign, CaseFacts
 from residua.validate.campaigns import campaign
 from residua.validate.comparison import Comparison, PairedCase
 from residua.validate.delays import Delays
+from residua.validate.detectability import Detectability, SmallestFault
 from residua.validate.figure_table import FigureTable
 from residua.validate.intervals import Estimate
 from residua.validate.noise import NoiseModel, Resampled, coloured, heavy_tailed, resampled, white
@@ -29,6 +30,7 @@ __all__ = [
     "CaseFacts",
     "Comparison",
     "Delays",
+    "Detectability",
     "DetectionProbability",
     "Estimate",
     "FigureTable",
@@ -39,6 +41,7 @@ __all__ = [
     "RunFigures",
     "Scenario",
     "Shape",
+    "SmallestFault",
     "Tuning",
     "TuningCandidate",
     "campaign",

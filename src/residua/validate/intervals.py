@@ -38,6 +38,8 @@ class Estimate:
     def __str__(self) -> str:
         if np.isnan(self.value) and np.isnan(self.low):
             return "–"
+        if np.isinf(self.low):
+            return number(self.value)
         return f"{_short(self.value)} ({_short(self.low)} to {_short(self.high)})"
 
     def __contains__(self, value: float) -> bool:
