@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING
 
+from residua.decide.adaptive import Adaptive, AdaptiveTest
 from residua.decide.alarm import Alarm, Candidate
 from residua.decide.chi_squared import ChiSquared, ChiSquaredTest
 from residua.decide.consistency import ConsistentFault, Explanation, code_likelihoods, consistent_faults
@@ -18,6 +19,7 @@ from residua.decide.matched_hold import Match
 from residua.decide.matched_level import LikelihoodTest
 from residua.decide.matched_responses import MatchedTest
 from residua.decide.member_thresholds import BankTest, GroupTest
+from residua.decide.model_errors import OutputError
 from residua.decide.norm_threshold import NormTest, NormThreshold
 from residua.decide.page_hinkley import PageHinkley, PageHinkleyTest
 from residua.decide.peak_threshold import PeakThreshold, peak_over_window
@@ -40,6 +42,8 @@ __all__ = [
     "EWMA",
     "GLR",
     "SPRT",
+    "Adaptive",
+    "AdaptiveTest",
     "Alarm",
     "AlarmRuns",
     "BankTest",
@@ -72,6 +76,7 @@ __all__ = [
     "Named",
     "NormTest",
     "NormThreshold",
+    "OutputError",
     "PageHinkley",
     "PageHinkleyTest",
     "PeakThreshold",

@@ -127,7 +127,8 @@ def alarms_held_out(test: ResidualTest, run: FaultFreeRun, held: NDArray[np.bool
         state = test.start(1)
         for start in range(part.start, part.stop, _PIECE):
             piece = slice(start, min(start + _PIECE, part.stop))
-            block = Block(run.residuals[None, piece], run.usable[None, piece], start - part.start)
+            signals = None if run.signals is None else run.signals[None, piece]
+            block = Block(run.residuals[None, piece], run.usable[None, piece], start - part.start, signals=signals)
             state, tested = test.run(state, block)
             judged.append(tested.usable[0])
             alarm.append(tested.alarm[0])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
+from residua.decide.adaptive import Adaptive
 from residua.decide.chi_squared import ChiSquared
 from residua.decide.cusum import CUSUM
 from residua.decide.directional import Directional
@@ -25,7 +26,7 @@ from residua.visible import echo
 
 #: By the mark that files know them by; for ``isolate="auto"`` the last one counts that offers to read a design.
 TESTS: dict[str, type[TestSettings]] = {
-    cls.kind: cls for cls in (NormThreshold, PeakThreshold, ChiSquared, EWMA, CUSUM, GLR, SPRT, PageHinkley)
+    cls.kind: cls for cls in (NormThreshold, PeakThreshold, Adaptive, ChiSquared, EWMA, CUSUM, GLR, SPRT, PageHinkley)
 }
 ISOLATIONS: dict[str, type[IsolationSettings]] = {
     cls.kind: cls for cls in (Directional, Structured, Matched, Likelihood)

@@ -56,12 +56,15 @@ class FaultFreeRun:
         The first sample of each further recording: nothing goes across.
     levels : ndarray, shape (k,)
         For each residual the size of the signals that it is the difference of.
+    signals : ndarray, shape (time, channels), or None
+        What they were made from: inputs, then outputs, as deviations from the operating point; NaN where missing.
     """
 
     residuals: NDArray[np.float64]
     usable: NDArray[np.bool_]
     seams: tuple[int, ...]
     levels: NDArray[np.float64]
+    signals: NDArray[np.float64] | None = None
 
     def signal_size(self, rows: Sequence[int] | None = None) -> float:
         """Return the size of the signals that cancel in some residuals, or in all of them."""
@@ -82,12 +85,16 @@ class Block:
         Samples before this block.
     bends : sequence
         Where faults have other responses for a while; see :data:`Bends`.
+    signals : ndarray, shape (plants, time, channels), or None
+        What the residuals were made from: inputs, then outputs, as deviations; NaN where a value is missing. ``None``
+        where residuals come by themselves.
     """
 
     residuals: NDArray[np.float64]
     usable: NDArray[np.bool_]
     count: int = 0
     bends: Bends = ()
+    signals: NDArray[np.float64] | None = None
 
 
 def _nothing() -> NDArray[Any]:
@@ -174,6 +181,11 @@ class ResidualTest(Record, ABC):
     def horizon(self) -> int:
         """Samples for which a finite-horizon test holds an alarm after the last sample over; 0 for any other."""
         return 0
+
+    @property
+    def reads_signals(self) -> bool:
+        """Whether the threshold depends on the recorded signals besides the residual: on ``Block.signals``."""
+        return False
 
     @property
     def is_bound(self) -> bool:

@@ -24,7 +24,7 @@ class Filtered:
     residuals : NaN where a value is missing; usable : whether a decision can be taken; missing : whether a value is
     not there; aside : for each channel whether there was one that is not plausible; bends : where faults have other
     responses for a while, since outputs were missing: plant, sample, and the responses of whitened residuals by age,
-    (ages + 1, faults, residuals), the settled one last.
+    (ages + 1, faults, residuals), the settled one last; signals : deviations, NaN where a value is missing.
     """
 
     residuals: NDArray[np.float64]
@@ -32,6 +32,7 @@ class Filtered:
     missing: NDArray[np.bool_]
     aside: NDArray[np.bool_]
     bends: tuple[tuple[int, int, NDArray[np.float64]], ...] = ()
+    signals: NDArray[np.float64] | None = None
 
 
 def filter_block(spec: Specification, state: FilterState, data: NDArray[np.float64]) -> tuple[FilterState, Filtered]:
@@ -47,14 +48,14 @@ def _filter_block(
     plants, time, _ = v.shape
     before = {name: getattr(state, name) for name in FIELDS}
     if not time:
-        return {}, Filtered(np.zeros((plants, 0, len(spec.C))), missing, missing, aside)
+        return {}, Filtered(np.zeros((plants, 0, len(spec.C))), missing, missing, aside, signals=v)
     calm = ~(np.asarray(missing.any(axis=1)) | state.apart)
     every = bool(calm.all())
     who = np.flatnonzero(calm)
     fields, residuals, ages = _run_calm(spec, before if every else _of(before, who), v if every else v[who])
     sound = _sound(fields["x"], residuals)
     if every and sound.all():
-        return fields, Filtered(residuals, ages > spec.settle, missing, aside)
+        return fields, Filtered(residuals, ages > spec.settle, missing, aside, signals=v)
     part, plain = (_of(fields, sound), residuals[sound], ages[sound]), who[sound]
     fields = {name: values.copy() for name, values in before.items()}
     residuals, ages = np.full((plants, time, len(spec.C)), np.nan), np.zeros((plants, time), dtype=np.int64)
@@ -62,7 +63,7 @@ def _filter_block(
         fields[name][plain] = values
     residuals[plain], ages[plain] = part[1:]
     bends = _run_one_by_one(spec, state, fields, np.setdiff1d(np.arange(plants), plain), v, residuals, ages)
-    return fields, Filtered(residuals, ~missing & (ages > spec.settle), missing, aside, bends)
+    return fields, Filtered(residuals, ~missing & (ages > spec.settle), missing, aside, bends, v)
 
 
 def plausible_values(

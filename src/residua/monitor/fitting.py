@@ -199,4 +199,5 @@ def _run(
         np.concatenate([one.usable[0] for one in runs]),
         tuple(int(k) for k in np.cumsum([data.shape[1] for data in recordings[:-1]])),
         signal_levels(generator, deviations),
+        deviations,
     )

@@ -205,7 +205,7 @@ def run_block(spec: Specification, state: State, data: NDArray[np.float64]) -> t
 
 def _run_at_once(spec: Specification, state: State, data: NDArray[np.float64]) -> tuple[State, Decisions]:
     filter_state, filtered = filter_block(spec, state.filter, data)
-    block = Block(filtered.residuals, filtered.usable, state.count, filtered.bends)
+    block = Block(filtered.residuals, filtered.usable, state.count, filtered.bends, filtered.signals)
     test, tested = spec.test.run(state.test, block)
     isolation, named = spec.isolation.run(state.isolation, block, tested)
     if tested.likelihood is not None:  # what the isolation has read

@@ -248,6 +248,10 @@ def detectability(
     if not is_number(miss_rate) or not 0 < miss_rate < 1:
         raise SettingError(f"miss_rate must lie between 0 and 1, got {echo(miss_rate)}")
     generator, test = monitor.generator, monitor._specification().test
+    if test.reads_signals:
+        raise SettingError(
+            f"the threshold of {type(monitor.test).__name__} moves with the inputs, which a campaign simulates"
+        )
     names = _checked_faults(faults, generator.faults)
     delays = _delays(within, generator.dt, test.samples)
     _check_size(test, int(runs), delays[-1])

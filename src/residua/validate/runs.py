@@ -282,7 +282,7 @@ def watch(
         return _Watched(block, decisions.tested, decisions.named, whole.filter, whole.test)
     after, filtered = filter_block(spec, state[0], data)
     residuals = filtered.residuals if resampled is None else filtered.residuals + resampled
-    block = Block(residuals, filtered.usable, count, filtered.bends)
+    block = Block(residuals, filtered.usable, count, filtered.bends, filtered.signals)
     test, tested = spec.test.run(state[1], block)
     return _Watched(block, tested, None, after, test)
 
