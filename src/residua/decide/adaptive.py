@@ -220,7 +220,7 @@ class Adaptive(NormSettings):
     The errors are
 
     * with ``relative=0.05``: each output answers to each input up to 5 % more or less than the model says, independent
-      of the others;
+      of the others: an error of gains, not of time constants;
     * with an uncertain plant: its parameters are anywhere within their bounds. Of up to four all corners of the box are
       looked at, and the largest counts; of more each alone, at its far end, and all of them are added;
     * with neither, those of the responses and of their timing, by as much as a fit finds that they are:
