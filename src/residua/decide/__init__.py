@@ -9,7 +9,7 @@ from residua.decide.consistency import ConsistentFault, Explanation, code_likeli
 from residua.decide.cusum import CUSUM, CUSUMTest
 from residua.decide.directional import Directional, DirectionTest, correlation, projection_distance
 from residua.decide.ewma import EWMA, EWMATest
-from residua.decide.glr import GLR, GLRTest
+from residua.decide.glr import GLR, DirectedGLRTest, GLRTest
 from residua.decide.hitting_sets import HittingSet, HittingSets, minimal_hitting_sets
 from residua.decide.isolation import Isolation, IsolationSettings, Named, Scores, Seen
 from residua.decide.kinds import register
@@ -55,6 +55,7 @@ __all__ = [
     "CodeReading",
     "CodeTest",
     "ConsistentFault",
+    "DirectedGLRTest",
     "DirectionTest",
     "Directional",
     "EWMATest",

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import copy
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, ClassVar
@@ -17,8 +18,15 @@ from residua.decide.row_norms import row_norms
 from residua.decide.run_lengths import AlarmCycle, threshold_of
 from residua.decide.stream_settings import StreamSettings
 from residua.decide.stream_test import StreamTest
-from residua.decide.test import ResidualTest
+from residua.decide.test import ResidualTest, Watched
+from residua.design import ResidualGenerator
+from residua.errors import FileFormatError, SettingError
+from residua.linear.systems.recursion import ordered_product
 from residua.number_kinds import WINDOW, NumberKind
+from residua.records import joined, table_in, text_in, values_in, values_out
+from residua.tolerances import SAME
+from residua.visible import echo
+from residua.words import counted
 
 #: The run length at which the approximation is compared with simulated runs, and their number.
 _COMPARED, _RUNS = 300.0, 4000
@@ -58,6 +66,43 @@ class GLRTest(StreamTest):
         return self.threshold / np.sqrt(self.window)
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DirectedGLRTest(GLRTest):
+    """The generalised likelihood ratio for steps in the directions of faults alone: what runs.
+
+    Attributes
+    ----------
+    directions : ndarray, shape (k, directions)
+        Unit vectors, in units in which the residual is white.
+    """
+
+    directions: NDArray[np.float64]
+
+    def first_sums(self, plants: int) -> NDArray[np.float64]:
+        """Return the parts of the residuals before the first sample: zero."""
+        return np.zeros((plants, self.window - 1, self.directions.shape[1]))
+
+    def statistic(
+        self, sums: NDArray[np.float64], e: NDArray[np.float64], seen: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the largest part of a sum along a direction, over its standard deviation."""
+        return over_recent(sums, ordered_product(e, self.directions), seen, _largest_part)
+
+    @property
+    def title(self) -> str:
+        """What is tested."""
+        count = counted(self.directions.shape[1], "direction")
+        return f"largest part, along {count} of faults, of the sum over 1 to {self.window} samples"
+
+    def check(self, watched: Watched) -> None:
+        """Raise where a test from a file does not fit what it is to watch."""
+        super().check(watched)
+        if len(self.directions) != len(self.center) or not self.directions.shape[1]:
+            raise FileFormatError(f"fitted.directions must be for {len(self.center)} residuals")
+        if np.abs(np.sum(self.directions**2, axis=0) - 1).max() > SAME:
+            raise FileFormatError("fitted.directions must be unit vectors")
+
+
 @dataclass(frozen=True)
 class GLR(StreamSettings):
     r"""Alarm while the residual, summed since some recent time, is larger than chance makes it.
@@ -84,6 +129,10 @@ class GLR(StreamSettings):
         themselves; ``"auto"`` designs it unless the data contradict the design, and says so.
     treatment : {"auto", "none"}
         Whether a fit makes a coloured residual white, by an autoregression, and heavy tails Gaussian, by normal scores.
+    directions : "faults", optional
+        Steps are looked for in the directions of constant faults alone, :math:`\max_f |d_f^T \sum e| / \sqrt n` with
+        the whitened steady responses :math:`d_f` of the faults, of unit length: seen sooner where residuals are many,
+        and nothing else is. Faults to whose constant size no residual answers have none.
 
     See Also
     --------
@@ -115,16 +164,35 @@ class GLR(StreamSettings):
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {**StreamSettings.NUMBER_KINDS, "window": WINDOW}
 
     window: int = 50
+    directions: str | None = None
+    #: Of a copy that is made for what is watched: the steady responses of faults, and their whitened directions.
+    _steady: ClassVar[NDArray[np.float64] | None] = None
+    _along: ClassVar[NDArray[np.float64] | None] = None
 
     def __post_init__(self) -> None:
         """Check the settings."""
         super().__post_init__()
         check_samples(self.window, "window")
         object.__setattr__(self, "window", int(self.window))
+        if self.directions not in (None, "faults"):
+            raise SettingError(f"directions must be 'faults', or None for all, got {echo(self.directions)}")
+
+    def for_parts(self, parts: Mapping[str, Any], watched: Watched) -> GLR:
+        """Return the settings with the directions of the faults that are watched."""
+        if self.directions is None:
+            return self
+        made = copy.copy(self)
+        object.__setattr__(made, "_steady", _steady_responses(watched.generator))
+        blank = made.test(**parts, threshold=np.inf, release=0.0, basis="")
+        assert isinstance(blank, DirectedGLRTest)
+        object.__setattr__(made, "_along", blank.directions)
+        return made
 
     def run_length(self, threshold: float, dimension: int) -> float:
         """Return the mean number of samples to a false alarm from a start."""
-        return _run_length(threshold, dimension, self.window)
+        if self._along is None:
+            return _run_length(threshold, dimension, self.window)
+        return _run_length_along(threshold, _Directions(self._along), self.window)
 
     def cycle(self, threshold: float, dimension: int) -> AlarmCycle:
         """Return how long the test is quiet, and about how long a false alarm lasts."""
@@ -137,23 +205,125 @@ class GLR(StreamSettings):
 
     def test(self, **parts: Any) -> GLRTest:
         """Return what runs."""
-        return GLRTest(**parts, window=self.window)
+        plain = GLRTest(**parts, window=self.window)
+        if self._steady is None:
+            return plain
+        along = self._steady @ plain.whitening @ plain.steady_gain
+        along /= np.linalg.norm(along, axis=1)[:, None]
+        return DirectedGLRTest(**parts, window=self.window, directions=np.ascontiguousarray(along.T))
+
+    # --------------------------------------------------------------------------- files
+
+    def to_record(self) -> dict[str, Any]:
+        """Return the settings as a record; ``directions`` are an entry if there are any."""
+        content = values_out(self)
+        if self.directions is None:
+            del content["directions"]
+        return content
+
+    @classmethod
+    def from_record(cls, content: Any, where: str) -> GLR:
+        """Return the settings that a record describes."""
+        content = table_in(content, where)
+        directions = content.pop("directions", None)
+        known = {"directions": None if directions is None else text_in(directions, joined(where, "directions"))}
+        return values_in(content, where, cls, known)
+
+    def test_from_record(self, content: Any, where: str, watched: Watched) -> ResidualTest:
+        """Return what runs, from a record, checked against what it is to watch."""
+        test = values_in(content, where, GLRTest if self.directions is None else DirectedGLRTest)
+        test.check(watched)
+        return test
 
 
-def _largest(sums: Sums) -> NDArray[np.float64]:
+def _steady_responses(generator: ResidualGenerator) -> NDArray[np.float64]:
+    """Return the responses to constant faults, a row each, those that there are."""
+    rows = np.array([*generator.steady_directions.values()]).reshape(-1, generator.n_residuals)
+    rows = rows[rows.any(axis=1)]
+    if not len(rows):
+        raise SettingError(
+            "no residual answers to a constant fault, so that there is no direction: leave directions= out, or take "
+            "Matched"
+        )
+    return rows
+
+
+@dataclass(frozen=True, eq=False)
+class _Directions:
+    """Unit vectors in columns, as what a cache goes by."""
+
+    vectors: NDArray[np.float64]
+
+    def __hash__(self) -> int:
+        return hash(self.vectors.tobytes())
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Directions) and np.array_equal(self.vectors, other.vectors)
+
+
+def _largest(sums: Sums, size_of: Callable[[NDArray], NDArray] = row_norms) -> NDArray[np.float64]:
     """Return the largest norm of the sums, each over its standard deviation."""
     best = None
     for n, total in enumerate(sums, 1):
-        size = row_norms(total) / np.sqrt(n)
+        size = size_of(total) / np.sqrt(n)
         best = size if best is None else np.maximum(best, size)
     assert best is not None  # a window has at least one sample
     return best
+
+
+def _largest_part(sums: Sums) -> NDArray[np.float64]:
+    """Return the largest part of the sums, each over its standard deviation."""
+    return _largest(sums, lambda total: np.abs(total).max(axis=-1))
 
 
 def _run_length(threshold: float, dimension: int, window: int) -> float:
     """Return the approximate run length, corrected by how far it was off where it was compared."""
     level, ratio = _compared(dimension, window)
     return _approximate(threshold, dimension, window) * (1 + (ratio - 1) * min(level / threshold, 1.0) ** 2)
+
+
+def _run_length_along(threshold: float, along: _Directions, window: int) -> float:
+    """Return the run length of the largest part along some directions, corrected as that of the norm is."""
+    level, ratio = _compared_along(along, window)
+    return _approximate_along(threshold, along, window) * (1 + (ratio - 1) * min(level / threshold, 1.0) ** 2)
+
+
+def _approximate_along(threshold: float, along: _Directions, window: int) -> float:
+    r"""Return the run length of the first of several directions.
+
+    .. math:: \frac{1}{L} = \frac{1}{L_1} \sum_f P(|d_f^T z| \text{ counts} \mid |d_f^T z| > a), \qquad
+       z \sim N(0, I)
+
+    with :math:`L_1` of one residual, where a sample that is over in several directions counts once: as the inverse of
+    their number in each, which is averaged over 4,000 samples (seeded) that are over in one of them.
+    """
+    return _approximate(threshold, 1, window) / _worth(threshold, along)
+
+
+@lru_cache(maxsize=1024)
+def _worth(threshold: float, along: _Directions) -> float:
+    """Return how many independent directions some are worth, far out."""
+    from scipy.special import log_ndtr, ndtri_exp
+
+    vectors = along.vectors
+    k, count = vectors.shape
+    rng = np.random.default_rng(0)
+    chosen = rng.integers(0, count, _RUNS)
+    own = -ndtri_exp(log_ndtr(-threshold) + np.log(rng.uniform(size=_RUNS)))  # one that is over, by its tail
+    z = rng.standard_normal((_RUNS, k))
+    d = vectors.T[chosen]
+    z += (own - np.sum(z * d, axis=1))[:, None] * d
+    over = np.abs(z @ vectors) > threshold
+    over[np.arange(_RUNS), chosen] = True
+    return float(count * np.mean(1 / over.sum(axis=1)))
+
+
+@lru_cache(maxsize=64)
+def _compared_along(along: _Directions, window: int) -> tuple[float, float]:
+    """Return a threshold, and how much longer simulated runs to it are than the approximation says."""
+    level = threshold_of(lambda h: _approximate_along(h, along, window), _COMPARED, 3.5)
+    longest = _simulated(len(along.vectors), window, lambda sums: np.abs(sums @ along.vectors).max(axis=2), level)
+    return level, longest / _COMPARED
 
 
 def _approximate(threshold: float, dimension: int, window: int) -> float:
@@ -181,6 +351,13 @@ def _overshoot(x: NDArray[np.float64]) -> NDArray[np.float64]:
 def _compared(dimension: int, window: int) -> tuple[float, float]:
     """Return a threshold, and how much longer simulated runs to it are than the approximation says."""
     level = threshold_of(lambda h: _approximate(h, dimension, window), _COMPARED, 3.0 + 0.5 * dimension**0.5)
+    return level, _simulated(dimension, window, row_norms, level) / _COMPARED
+
+
+def _simulated(
+    dimension: int, window: int, size: Callable[[NDArray[np.float64]], NDArray[np.float64]], level: float
+) -> float:
+    """Return the mean of simulated runs, whose sums have a size of (runs, window)."""
     rng = np.random.default_rng(0)
     sums = np.zeros((_RUNS, window, dimension))
     root = np.sqrt(np.arange(1.0, window + 1))
@@ -190,10 +367,10 @@ def _compared(dimension: int, window: int) -> tuple[float, float]:
         sums[:, 1:] = sums[:, :-1].copy()
         sums[:, 0] = 0.0
         sums += rng.standard_normal((len(sums), 1, dimension))
-        over = (row_norms(sums) > level * root).any(axis=1)
+        over = (size(sums) > level * root).any(axis=1)
         if over.any():
             sums = sums[~over]
-    return level, samples / _RUNS / _COMPARED
+    return samples / _RUNS
 
 
-__all__ = ["GLR", "GLRTest"]
+__all__ = ["GLR", "DirectedGLRTest", "GLRTest"]

@@ -6,7 +6,7 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, ClassVar, Literal, get_args
+from typing import Any, ClassVar, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,6 +113,10 @@ class StreamSettings(TestSettings):
     def harmless_offset(self) -> float:
         """The length of an error of the mean, in standard deviations, that hardly changes how often alarms come."""
 
+    def for_parts(self, parts: Mapping[str, Any], watched: Watched) -> Self:
+        """Return the settings with what depends on what is watched and on its whitening; as a rule these themselves."""
+        return self
+
     def hurry(self, threshold: float, dimension: int, samples: int) -> float:
         """Return how many times as often false alarms come where the mean is from so many samples, on average.
 
@@ -154,7 +158,8 @@ class StreamSettings(TestSettings):
         if not is_white(watched.generator):
             return None
         parts = plain(np.zeros(len(covariance)), whitening_matrix(covariance))
-        return self._by_design(parts, moving_directions(covariance), None, "noise model of the plant", None)
+        mine = self.for_parts(parts, watched)
+        return mine._by_design(parts, moving_directions(covariance), None, "noise model of the plant", None)
 
     def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> StreamTest:
         """Return the test fitted to fault-free data, for a rate of false alarms.
@@ -174,23 +179,20 @@ class StreamSettings(TestSettings):
             )
         other = None if rate == self.asked(watched) else rate
         parts, k, notes = self._whitened(data)
+        mine, origin = self.for_parts(parts, watched), f"moments of {count} fault-free samples"
         if self.threshold is not None or self.source == "design":
-            return self._by_design(
-                parts, k, other, "; ".join([f"moments of {count} fault-free samples", *notes]), count
-            )
+            return mine._by_design(parts, k, other, "; ".join([origin, *notes]), count)
         if self.source == "conformal":
-            return self._by_later_half(data, rate)
-        stretches, values, seen = self._cross_fitted(data)
+            return mine._by_later_half(data, rate)
+        stretches, values, seen = mine._cross_fitted(data)
         against = (
-            f"source={self.source!r}" if self.source in _OF_DATA else self._contradiction(values, seen, stretches, k)
+            f"source={self.source!r}" if self.source in _OF_DATA else mine._contradiction(values, seen, stretches, k)
         )
         if not against:
             notes.append("the data do not contradict the design")
-            return self._by_design(
-                parts, k, other, "; ".join([f"moments of {count} fault-free samples", *notes]), count
-            )
-        blank = self.test(**parts, threshold=np.inf, release=0.0, basis="")
-        return self._by_data(blank, values, seen, stretches, rate, [against, *notes])
+            return mine._by_design(parts, k, other, "; ".join([origin, *notes]), count)
+        blank = mine.test(**parts, threshold=np.inf, release=0.0, basis="")
+        return mine._by_data(blank, values, seen, stretches, rate, [against, *notes])
 
     def _check_mean(self, count: int, k: int) -> None:
         """Raise where the error of the mean alone is a change that the test would see."""
@@ -373,8 +375,11 @@ class StreamSettings(TestSettings):
         if self.mean_time_between_false_alarms is None:
             return self.false_alarm_rate
         covariance = watched.generator.covariance_of_sums(1)
-        k = watched.generator.n_residuals if covariance is None else moving_directions(covariance)
-        return self.cycle(self.designed(k), k).fraction
+        n = watched.generator.n_residuals
+        k = n if covariance is None else moving_directions(covariance)
+        W = np.eye(n) if covariance is None else whitening_matrix(covariance)
+        mine = self.for_parts(plain(np.zeros(n), W), watched)
+        return mine.cycle(mine.designed(k), k).fraction
 
     def check(self, watched: Watched) -> None:
         """Raise where parts have to be tested by themselves."""
