@@ -30,7 +30,7 @@ def norm_density(length: Values, mean: Values, dimension: int) -> Values:
     >>> norm_density(np.array([1.0]), np.array([0.0]), 2).round(6)  # Rayleigh's
     array([0.606531])
     """
-    from scipy.special import gammaln, ive
+    from scipy.special import gammaln
 
     r, m = np.broadcast_arrays(np.asarray(length, dtype=float), np.asarray(mean, dtype=float))
     order = dimension / 2 - 1
@@ -46,8 +46,22 @@ def norm_density(length: Values, mean: Values, dimension: int) -> Values:
     at, center = r[~small], m[~small]
     with np.errstate(over="ignore"):
         ratio = (at / center) ** order
-    density[~small] = at * ratio * np.exp(-((at - center) ** 2) / 2) * ive(order, at * center)
+    density[~small] = at * ratio * np.exp(-((at - center) ** 2) / 2) * _scaled_bessel(order, at * center)
     return density
+
+
+def _scaled_bessel(order: float, x: Values) -> Values:
+    """Return the modified Bessel function of the first kind times ``exp(-x)``: of few dimensions by faster means."""
+    from scipy.special import i0e, i1e, ive
+
+    if order == 0:
+        return i0e(x)
+    if order == 1:
+        return i1e(x)
+    if abs(order) == 0.5:
+        other = np.exp(-2 * x)
+        return (1 + other if order < 0 else -np.expm1(-2 * x)) / np.sqrt(2 * np.pi * x)
+    return ive(order, x)
 
 
 def norm_above(length: float, mean: Values, dimension: int) -> Values:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +69,7 @@ class AlarmCycle:
         return self.lasting / (self.quiet + self.lasting - 1)
 
 
+@lru_cache(maxsize=1024)
 def mean_run_length(chain: Chain, threshold: float, start: float = 0.0) -> float:
     r"""Return the mean number of samples until a statistic exceeds its threshold.
 
@@ -102,6 +104,7 @@ def mean_run_length(chain: Chain, threshold: float, start: float = 0.0) -> float
     return settled(lambda factor: _Grid(chain, threshold, factor).run_length(start), f"a threshold of {threshold:.6g}")
 
 
+@lru_cache(maxsize=1024)
 def run_frequency(chain: Chain, threshold: float) -> float:
     """Return the inverse of a mean run length; none where it is beyond what is computed."""
     try:
@@ -110,6 +113,7 @@ def run_frequency(chain: Chain, threshold: float) -> float:
         return 0.0
 
 
+@lru_cache(maxsize=1024)
 def alarm_cycle(chain: Chain, threshold: float, release: float) -> AlarmCycle:
     """Return how long a statistic is quiet from a start at zero, and how long an alarm lasts that it raises.
 

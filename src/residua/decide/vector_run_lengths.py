@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -64,6 +65,7 @@ class LengthChain(Chain):
         return 1 - norm_above(self.allowance, self.kept * now, self.dimension)
 
 
+@lru_cache(maxsize=256)
 def shifted_run_length(chain: LengthChain, threshold: float, shift: float) -> float:
     """Return the mean number of samples to the threshold from a start at zero, where the vectors have a mean.
 
