@@ -21,7 +21,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2
 
 import residua as rs
-from residua.decide import CUSUM, EWMA, GLR, ChiSquared
+from residua.decide import CUSUM, EWMA, GLR, SPRT, ChiSquared, PageHinkley
 from residua.decide.stream_settings import StreamSettings
 
 OUTPUT = Path(__file__).resolve().parent.parent / "docs" / "data" / "false_alarm_times.csv"
@@ -47,6 +47,8 @@ def tests(**options: str) -> dict[str, StreamSettings]:
         "CUSUM": CUSUM(mean_time_between_false_alarms=TIME, **options),
         "EWMA": EWMA(mean_time_between_false_alarms=TIME, **options),
         "GLR, window 20": GLR(window=20, mean_time_between_false_alarms=TIME, **options),
+        "SPRT": SPRT(mean_time_between_false_alarms=TIME, **options),
+        "Page and Hinkley": PageHinkley(mean_time_between_false_alarms=TIME, **options),
         "chi-squared, window 10": ChiSquared(window=10, false_alarm_rate=FRACTION, **options),
     }
 
