@@ -22,6 +22,10 @@ from residua.number_kinds import WINDOW, NumberKind
 _EXPECTED, _CONTRADICTION = (0.1, 0.01), 3.5
 
 
+#: With so many samples more than residuals a covariance from them has a variance.
+_LEAST_FREE = 5
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ChiSquaredTest(StreamTest):
     """The sum of squares with every number filled in: what runs."""
@@ -106,6 +110,7 @@ class ChiSquared(StreamSettings):
     makes: ClassVar[type[ResidualTest]] = ChiSquaredTest
     falls_to: ClassVar[float] = 1.0
     origin: ClassVar[str] = "by the chi-squared distribution"
+    uncertain: ClassVar[str] = "the covariance"
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {**StreamSettings.NUMBER_KINDS, "window": WINDOW}
 
     window: int = 1
@@ -122,16 +127,38 @@ class ChiSquared(StreamSettings):
             )
 
     def designed(self, dimension: int, rate: float | None = None, *, samples: int | None = None) -> float:
-        """Return the threshold for a fraction of samples in alarm."""
-        from scipy.special import chdtri
+        """Return the threshold for a fraction of samples in alarm, with a covariance that is known or from samples.
+
+        Of a covariance from ``n`` samples the sum of squares is Lawley and Hotelling's trace (McKeon's approximation,
+        exact for one residual or one sample).
+        """
+        from scipy.special import chdtri, fdtri
 
         time = self.mean_time_between_false_alarms
-        if time is not None and rate is None:
-            rate = 1 / time
-        return float(np.sqrt(chdtri(dimension * self.window, self.false_alarm_rate if rate is None else rate)))
+        if rate is None:
+            rate = self.false_alarm_rate if time is None else 1 / time
+        if samples is None or samples <= dimension + _LEAST_FREE:
+            return float(np.sqrt(chdtri(dimension * self.window, rate)))
+        free, scale = _trace(dimension, self.window, samples)
+        return float(np.sqrt(scale * fdtri(dimension * self.window, free, 1 - rate)))
+
+    def hurry(self, threshold: float, dimension: int, samples: int) -> float:
+        """Return how many times as many samples are over a threshold where the covariance is from so many samples."""
+        from scipy.special import fdtrc
+
+        if samples <= dimension + _LEAST_FREE:
+            return np.inf
+        free, scale = _trace(dimension, self.window, samples)
+        share = float(fdtrc(dimension * self.window, free, threshold**2 / scale))
+        return share / max(self.fraction(threshold, dimension), np.finfo(float).tiny)
 
     def run_length(self, threshold: float, dimension: int) -> float:
         """Return the mean number of samples to a false alarm, of single samples."""
+        if self.window > 1:
+            raise SettingError(
+                "of a sum of squares over several samples the fraction in alarm is known (fraction), the time between "
+                "alarms is not: window=1"
+            )
         return 1 / self.fraction(threshold, dimension)
 
     def fraction(self, threshold: float, dimension: int) -> float:
@@ -150,6 +177,11 @@ class ChiSquared(StreamSettings):
         """Return how long single samples are quiet, and how long a false alarm lasts."""
         share = self.fraction(threshold, dimension)
         return AlarmCycle(1 / share, 1 / (1 - share))
+
+    @property
+    def counted_samples(self) -> int:
+        """The window."""
+        return self.window
 
     @property
     def harmless_offset(self) -> float:
@@ -181,6 +213,19 @@ class ChiSquared(StreamSettings):
                     f"are over {level:.3g}, {mean:.0f} expected"
                 )
         return ""
+
+
+def _trace(dimension: int, window: int, samples: int) -> tuple[float, float]:
+    """Return the second degrees of freedom, and what squares are of: McKeon's F for Lawley and Hotelling's trace.
+
+    References
+    ----------
+    McKeon (1974), Biometrika 61(2), 381-383.
+    """
+    p, q, n = dimension, window, samples - 1
+    b = (n + q - p - 1) * (n - 1) / ((n - p - 3) * (n - p))
+    free = 4 + (p * q + 2) / (b - 1)
+    return free, n * p * q * (free - 2) / (free * (n - p - 1))
 
 
 def _root_of_last(sums: Sums) -> NDArray[np.float64]:

@@ -8,6 +8,25 @@ from numpy.typing import NDArray
 from residua.tolerances import TINY
 
 Values = NDArray[np.float64]
+#: Orders of Bessel functions from which on their logarithms are computed.
+_LARGE_ORDER = 10.0
+
+
+def _debye(terms: int) -> tuple[Values, ...]:
+    r"""Return the polynomials of Debye's expansion, by their recurrence.
+
+    .. math:: u_{k+1}(t) = \tfrac12 t^2 (1 - t^2) u_k'(t) + \tfrac18 \int_0^t (1 - 5 s^2) u_k(s)\, ds
+    """
+    P = np.polynomial.Polynomial
+    out, u = [], P([1.0])
+    for _ in range(terms):
+        u = 0.5 * P([0, 0, 1, 0, -1]) * u.deriv() + 0.125 * (P([1, 0, -5]) * u).integ()
+        out.append(u.coef)
+    return tuple(out)
+
+
+#: Those that are used.
+_DEBYE = _debye(6)
 
 
 def norm_density(length: Values, mean: Values, dimension: int) -> Values:
@@ -44,6 +63,10 @@ def norm_density(length: Values, mean: Values, dimension: int) -> Values:
         - gammaln(dimension / 2)
     ) * (1 + (at * center) ** 2 / (4 * (order + 1)))
     at, center = r[~small], m[~small]
+    if order >= _LARGE_ORDER:
+        logs = np.log(at) + order * np.log(at / center) - (at - center) ** 2 / 2 + _log_scaled_bessel(order, at * center)
+        density[~small] = np.exp(logs)
+        return density
     with np.errstate(over="ignore"):
         ratio = (at / center) ** order
     density[~small] = at * ratio * np.exp(-((at - center) ** 2) / 2) * _scaled_bessel(order, at * center)
@@ -62,6 +85,20 @@ def _scaled_bessel(order: float, x: Values) -> Values:
         other = np.exp(-2 * x)
         return (1 + other if order < 0 else -np.expm1(-2 * x)) / np.sqrt(2 * np.pi * x)
     return ive(order, x)
+
+
+def _log_scaled_bessel(order: float, x: Values) -> Values:
+    r"""Return the logarithm of the same for large orders, where the function itself is too small for a number.
+
+    By Debye's uniform expansion (Olver 1974, section 10.7), to 1e-9 from an order of ten on.
+    """
+    root = np.hypot(1.0, x / order)
+    t = 1 / root
+    eta = root + np.log(x / order) - np.log1p(root)
+    series = np.ones_like(t)
+    for k, polynomial in enumerate(_DEBYE, 1):
+        series += np.polynomial.polynomial.polyval(t, polynomial) / order**k
+    return order * eta - x - np.log(2 * np.pi * order) / 2 + np.log(t) / 2 + np.log(series)
 
 
 def norm_above(length: float, mean: Values, dimension: int) -> Values:

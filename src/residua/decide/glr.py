@@ -30,6 +30,8 @@ from residua.words import counted
 
 #: The run length at which the approximation is compared with simulated runs, and their number.
 _COMPARED, _RUNS = 300.0, 4000
+#: Thresholds below are over at once, whatever the approximation says.
+_SMALLEST = 1e-3
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -334,6 +336,7 @@ def _approximate(threshold: float, dimension: int, window: int) -> float:
     with the density :math:`f_m` of the length of a Gaussian vector, and :math:`\nu` for the overshoot.
     """
     n = np.arange(1.0, window + 1)
+    threshold = max(threshold, _SMALLEST)
     x = threshold / np.sqrt(n)
     density = norm_density(np.array([threshold]), np.array([0.0]), dimension)[0]
     return float(4 / (threshold**3 * density * np.sum(_overshoot(x) ** 2 / n**2)))

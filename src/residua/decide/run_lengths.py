@@ -120,7 +120,13 @@ def alarm_cycle(chain: Chain, threshold: float, release: float) -> AlarmCycle:
     The alarm is on from the first value above ``threshold`` to that before the first at or below ``release``.
     """
     quiet = mean_run_length(chain, threshold)
-    lasting = settled(lambda factor: _lasting(chain, threshold, release, factor), "the end of an alarm", NEARLY)
+    try:
+        lasting = settled(lambda factor: _lasting(chain, threshold, release, factor), "the end of an alarm", NEARLY)
+    except SettingError as error:
+        raise SettingError(
+            "the statistic hardly ever falls to where an alarm ends, so that no fraction of samples in alarm can be "
+            "designed: give mean_time_between_false_alarms=, or a larger shift or weight for so many residuals"
+        ) from error
     return AlarmCycle(quiet, lasting)
 
 
@@ -150,24 +156,41 @@ def threshold_of(run_length: Callable[[float], float], wanted: float, guess: flo
         )
     low = high = guess
     for _ in range(60):
-        if run_length(low) <= wanted:
+        if _at_most(run_length, low, wanted):
             break
         low /= 2
+    if not run_length(low) <= wanted:
+        raise SettingError(
+            f"every threshold has a longer time between false alarms than {wanted:.6g} samples: ask for a longer one, "
+            "or for a smaller shift or drift"
+        )
+    high = max(low, guess if _at_most(run_length, guess, np.inf) else low)
     for _ in range(60):
         if run_length(high) >= wanted:
             break
         high *= 1.3
     goal = float(np.log(wanted))
-    if run_length(low) > wanted:
-        raise SettingError(
-            f"every threshold has a longer time between false alarms than {wanted:.6g} samples: ask for a longer one"
-        )
     return float(brentq(lambda h: float(np.log(run_length(h))) - goal, low, high))
+
+
+def _at_most(run_length: Callable[[float], float], threshold: float, wanted: float) -> bool:
+    """Tell whether a threshold has a run length, and one that is not longer."""
+    try:
+        return run_length(threshold) <= wanted
+    except SettingError:  # beyond what is computed
+        return False
 
 
 def settled(solve: Callable[[float], float], what: str, tolerance: float = _CONVERGED) -> float:
     """Return what a quadrature gives, where a quarter more nodes give the same."""
-    coarse, fine = solve(1.0), solve(1.25)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            coarse, fine = solve(1.0), solve(1.25)
+    except np.linalg.LinAlgError as error:
+        raise SettingError(
+            f"the run length to {what} cannot be computed: for a shift or a drift of that size alarms are too rare at "
+            "any threshold; take a smaller one, or NormThreshold"
+        ) from error
     if not 0 < fine <= 1.01 * LONGEST:
         raise SettingError(f"{what} is reached once in more than {LONGEST:g} samples: that is beyond what is computed")
     if not abs(coarse - fine) <= (tolerance + np.finfo(float).eps * fine * 1e3) * fine:

@@ -65,6 +65,8 @@ class StreamSettings(TestSettings):
     falls_to: ClassVar[float] = 0.0
     #: How a threshold is designed.
     origin: ClassVar[str] = "by integral equation"
+    #: What of a fit makes false alarms more frequent.
+    uncertain: ClassVar[str] = "the mean"
 
     mean_time_between_false_alarms: float | None = None
     false_alarm_rate: float = FALSE_ALARM_RATE
@@ -112,6 +114,11 @@ class StreamSettings(TestSettings):
     @abstractmethod
     def harmless_offset(self) -> float:
         """The length of an error of the mean, in standard deviations, that hardly changes how often alarms come."""
+
+    @property
+    def counted_samples(self) -> int:
+        """Samples that every statistic is made of; 1 where it begins with the first."""
+        return 1
 
     def for_parts(self, parts: Mapping[str, Any], watched: Watched) -> Self:
         """Return the settings with what depends on what is watched and on its whitening; as a rule these themselves."""
@@ -170,7 +177,7 @@ class StreamSettings(TestSettings):
         """
         data = FaultFree(run.residuals, run.usable, 1, run.seams)
         count = int(run.usable.sum())
-        check_enough(count, run.residuals.shape[1], 1)
+        check_enough(count, run.residuals.shape[1], self.counted_samples)
         self._check_mean(count, data.moving)
         if data.spread <= SIGNAL_ROUNDING * run.signal_size():
             raise DataError(
@@ -311,7 +318,7 @@ class StreamSettings(TestSettings):
         text, time = self.promise(threshold, k)
         more = 1.0 if samples is None or self.threshold is not None else self.hurry(threshold, k, samples)
         if more > _NOTABLE:
-            text += f" with the mean known ({100 * (more - 1):.0f} % more often with a mean from {samples} samples)"
+            text += f" with {self.uncertain} known ({100 * (more - 1):.0f} % more often with it from {samples} samples)"
         basis += f": {text}, if the residual is white and Gaussian"
         release = self.falls_to * threshold
         return self.test(**parts, threshold=threshold, release=release, basis=f"{basis}; {origin}", mean_time=time)

@@ -21,11 +21,16 @@ from residua.validate.figure_table import FigureTable
 from residua.validate.intervals import Estimate, bootstrap
 from residua.validate.runs import quiet_statistics
 from residua.validate.scenario import Scenario
+from residua.visible import echo, listed
 
 #: Windows and persistences that are tried where none are given.
 WINDOWS, PERSISTENCES = (1, 2, 5, 10, 20, 50), (1, 3, 10)
 #: Alarms that a threshold is set by, at least.
 _ENOUGH = 10.0
+#: Windows that go into a run, at least.
+_FULL = 4
+#: What of a campaign can be set.
+_SIMULATED = {"noise", "inputs", "disturbances", "plants", "controller", "within", "confidence", "workers"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,11 +175,15 @@ def tune(
     (1, 0.0)
     """
     for name, values in (("windows", windows), ("persistences", persistences)):
-        if not len(values):
-            raise SettingError(f"{name} must have one number of samples at least")
+        if not isinstance(values, (Sequence, np.ndarray)) or isinstance(values, str) or not len(values):
+            raise SettingError(f"{name} must be a list of numbers of samples, one at least, got {echo(values)}")
         for value in values:
             check_samples(value, name)
+    unknown = simulated.keys() - _SIMULATED
+    if unknown:
+        raise SettingError(f"tune has no {listed(sorted(unknown))}; of campaign it takes {listed(sorted(_SIMULATED))}")
     test = _checked(monitor, false_alarm_rate, runs, samples, max(*windows, *persistences))
+    _check_length(monitor, samples, max(windows))
     faults = scenarios if isinstance(scenarios, Scenario) else tuple(scenarios)
     out: list[TuningCandidate] = []
     tell, close = progress_of(progress)
@@ -220,6 +229,16 @@ def _checked(monitor: Monitor, rate: float, runs: int, samples: int, longest: in
     return test
 
 
+def _check_length(monitor: Monitor, samples: int, window: int) -> None:
+    """Raise where runs are too short for sums over a window to be full in most of them."""
+    judged = samples - monitor.settling_samples
+    if judged < _FULL * window:
+        raise SettingError(
+            f"runs of {samples} samples, {max(judged, 0)} of which are judged, say too little of sums over {window}: "
+            f"samples={_FULL * window + monitor.settling_samples} at least, or shorter windows"
+        )
+
+
 def _with(monitor: Monitor, settings: NormThreshold) -> Monitor:
     """Return a monitor of the same design with another test."""
     return Monitor(
@@ -252,7 +271,8 @@ def _levels(
         statistic, usable = quiet_statistics(plan, first, min(first + plan.runs_at_once, runs))
         for one, counts in zip(statistic, usable, strict=True):
             for persistence in persistences:
-                levels[persistence].append(alarm_levels(one[counts], persistence, persistence))
+                made = alarm_levels(one[counts], persistence, persistence)
+                levels[persistence].append(made[settings.window - 1 :])  # once windows are full
     return {persistence: np.concatenate(parts) for persistence, parts in levels.items()}
 
 
