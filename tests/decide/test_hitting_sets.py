@@ -117,3 +117,9 @@ def test_nothing_fired() -> None:
 def test_bad_input(make: Callable[[], object], kind: type[Exception], words: str) -> None:
     with pytest.raises(kind, match=words):
         make()
+
+
+def test_a_name_is_no_set_of_letters() -> None:
+    for wrong in (["pump", "valve"], [None], "pump", {"pump": 1}, None):
+        with pytest.raises(SettingError, match="conflicts must"):
+            rs.decide.minimal_hitting_sets(wrong)  # pyright: ignore[reportArgumentType]

@@ -380,3 +380,44 @@ def test_files_that_fit_nothing_are_refused() -> None:
         test.check_state(
             dataclasses.replace(state, past=dataclasses.replace(state.past, usable=np.zeros((1, 9), bool)))
         )
+
+
+@pytest.mark.parametrize(("columns", "window", "rows"), [(1, 1, 60), (1, 20, 200), (3, 1, 60), (3, 10, 120)])
+def test_a_chi_squared_threshold_allows_for_the_covariance_of_a_fit(columns: int, window: int, rows: int) -> None:
+    rng, over = np.random.default_rng(4), []
+    settings = rs.decide.ChiSquared(window=window, false_alarm_rate=0.02, source="design", treatment="none")
+    for _ in range(60):
+        watch = rs.Monitor(given(columns), test=settings, isolate=None)
+        watch.fit(None, rng.standard_normal((rows, columns)), held_out=0)
+        over.append(watch.run(None, rng.standard_normal((1000, columns))).alarm[window:].mean())
+    spread = np.std(over) / len(over) ** 0.5
+    assert np.mean(over) == pytest.approx(0.02, abs=4 * spread + 0.002)  # the mean of the fit adds a little
+    assert "more often with it from" in watch.norm_test.basis
+
+
+def test_what_no_run_length_is_known_of_is_said() -> None:
+    with pytest.raises(SettingError, match="window=1"):
+        rs.decide.ChiSquared(window=3).run_length(3.9, 1)
+    with pytest.raises(DataError, match="window of 500"):
+        rs.Monitor(given(1), test=rs.decide.ChiSquared(window=500), isolate=None).fit(None, np.eye(300, 1))
+    with pytest.raises(SettingError, match="take a smaller one"):
+        rs.decide.CUSUM(shift=1000.0).designed(1)
+    with pytest.raises(SettingError, match="a smaller shift"):
+        rs.decide.CUSUM(shift=10.0, mean_time_between_false_alarms=100).designed(3)
+    with pytest.raises(SettingError, match="mean_time_between_false_alarms="):
+        rs.decide.CUSUM().designed(120)
+
+
+def test_many_residuals_have_a_run_length() -> None:
+    test = rs.decide.CUSUM(mean_time_between_false_alarms=300, shift=4.0)
+    threshold = test.designed(40)
+    rng, sums, lengths = np.random.default_rng(0), np.zeros((400, 40)), np.zeros(400)
+    left = np.arange(400)
+    while len(left):
+        lengths[left] += 1
+        v = sums[left] + rng.standard_normal((len(left), 40))
+        length = np.linalg.norm(v, axis=1)
+        kept = np.maximum(length - 2.0, 0.0)
+        sums[left] = v * (kept / length)[:, None]
+        left = left[kept <= threshold]
+    assert lengths.mean() == pytest.approx(300, abs=4 * lengths.std() / 20)

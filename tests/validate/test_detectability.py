@@ -183,11 +183,15 @@ def test_false_alarms_as_frequent_as_detections_make_the_size_zero() -> None:
         ({"within": []}, "one step"),
         ({"miss_rate": 1.0}, "miss_rate"),
         ({"faults": ["leak"]}, "no fault 'leak'"),
-        ({"faults": []}, "no faults"),
+        ({"faults": []}, "names none"),
         ({"runs": 3}, "runs"),
         ({"shape": "step"}, "shape must"),
         ({"shape": rs.validate.stuck_at(at=3.0)}, "campaign simulates"),
-        ({"residuals": np.zeros((100, 3))}, "3 columns"),
+        ({"residuals": np.eye(100, 3)}, "3 columns"),
+        ({"residuals": np.zeros((100, 2))}, "never change"),
+        ({"residuals": "x"}, "residuals must be numbers"),
+        ({"seed": -1}, "seed"),
+        ({"seed": 1.5}, "seed"),
         ({"within": 1e9}, "too many to hold"),
     ],
 )
@@ -209,3 +213,29 @@ def test_what_is_missing_is_said() -> None:
         rs.decide.detectability(watch)
     with pytest.raises(SettingError, match="of a Monitor"):
         rs.decide.detectability(watch.design)  # pyright: ignore[reportArgumentType]
+
+
+def test_few_runs_say_less() -> None:
+    watch = kalman(static(), rs.decide.NormThreshold(false_alarm_rate=1e-3, persistence=1))
+    seen = rs.decide.detectability(watch, within=6, runs=100, miss_rate=1e-3, faults="a sensor")
+    assert np.isinf(seen.smallest[0].size.high)  # a hundred runs cannot show that one of a thousand is missed
+    inside = 0
+    for seed in range(40):
+        (one,) = rs.decide.detectability(watch, within=6, runs=40, seed=seed, faults="a sensor").smallest
+
+        def missed(size: float) -> float:
+            return float(chndtr(watch.threshold**2, 2, (size / 0.3) ** 2)) ** 3 - 0.05
+
+        inside += brentq(missed, 0.01, 10.0) in one.size
+    assert inside >= 34  # of 40, at 95 %
+
+
+def test_the_time_of_sums_and_the_unit_are_said() -> None:
+    plant = rs.Plant([[0.0]], [[1.0]], [[0.0]], dt=2.0, outputs=["level"], units={"level": "m"}).with_sensor_faults()
+    watch = kalman(plant.with_noise(measurement=0.09), rs.decide.NormThreshold(false_alarm_rate=1e-3, window=5))
+    seen = rs.decide.detectability(watch, within=20, runs=100)
+    assert "or more seldom" in str(seen)
+    assert seen.table().columns()["unit"] == ["m"]
+    sizes, shares = seen.power("level sensor")
+    assert sizes[-1] < 100
+    assert shares[-1] == 1

@@ -58,7 +58,7 @@ def test_what_cannot_be_tuned(plant: rs.Plant) -> None:
         v.tune(monitor, STEP, **SMALL | {"false_alarm_rate": 1e-5})
     with pytest.raises(SettingError, match="needs a scenario"):
         v.tune(monitor, (), windows=[1], **SMALL)
-    with pytest.raises(SettingError, match="windows must have one"):
+    with pytest.raises(SettingError, match="windows must be a list"):
         v.tune(monitor, STEP, windows=[], **SMALL)
     with pytest.raises(SettingError, match="whole number of samples"):
         v.tune(monitor, STEP, persistences=[0], **SMALL)
@@ -71,3 +71,13 @@ def test_what_cannot_be_tuned(plant: rs.Plant) -> None:
         v.tune(fitted, STEP, **SMALL)
     with pytest.raises(TypeError, match="nois"):
         v.tune(monitor, STEP, windows=[1], nois=v.white(), **SMALL)
+
+
+def test_windows_that_hardly_fill_a_run_are_refused() -> None:
+    plant = rs.Plant([[0.9]], [[0.1]], [[1.0]], dt=1).with_sensor_faults().with_noise(process=1e-2, measurement=1e-2)
+    fault = rs.validate.Scenario("y1 sensor", rs.validate.step(at=100), size=1.0)
+    watch = rs.Monitor(rs.design.kalman_filter(plant))
+    with pytest.raises(SettingError, match="say too little of sums over 150"):
+        rs.validate.tune(watch, fault, false_alarm_rate=0.01, windows=[150], persistences=[1], runs=1000, samples=200)
+    with pytest.raises(SettingError, match="windows must be a list"):
+        rs.validate.tune(watch, fault, false_alarm_rate=0.01, windows=5)  # pyright: ignore[reportArgumentType]

@@ -26,6 +26,12 @@ def check_samples(value: object, name: str, *, least: int = 1) -> None:
         raise SettingError(f"{name} must be a whole number of samples, at least {least}, got {echo(value)}")
 
 
+def check_whole(value: object, name: str, *, least: int = 1) -> None:
+    """Raise unless a setting is a whole number."""
+    if not is_number(value) or int(value) != value or value < least:  # pyright: ignore
+        raise SettingError(f"{name} must be a whole number, at least {least}, got {echo(value)}")
+
+
 def check_rate(rate: float) -> None:
     """Raise unless ``rate`` is a usable false alarm rate."""
     if not is_number(rate) or not 0 < rate < 1:

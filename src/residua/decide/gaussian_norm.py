@@ -64,7 +64,9 @@ def norm_density(length: Values, mean: Values, dimension: int) -> Values:
     ) * (1 + (at * center) ** 2 / (4 * (order + 1)))
     at, center = r[~small], m[~small]
     if order >= _LARGE_ORDER:
-        logs = np.log(at) + order * np.log(at / center) - (at - center) ** 2 / 2 + _log_scaled_bessel(order, at * center)
+        logs = (
+            np.log(at) + order * np.log(at / center) - (at - center) ** 2 / 2 + _log_scaled_bessel(order, at * center)
+        )
         density[~small] = np.exp(logs)
         return density
     with np.errstate(over="ignore"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import log, log1p
+from typing import Any
 
 from residua.decide.checks import PRIOR_RATE, is_number
 from residua.errors import DataError, SettingError
@@ -128,8 +129,8 @@ def minimal_hitting_sets(
     3. M2 and M3
     4. M2 and A2
     """
-    needed = [tuple(dict.fromkeys(one)) for one in conflicts]
-    quiet = [frozenset(one) for one in silent]
+    needed = [tuple(dict.fromkeys(_names(one, "conflicts"))) for one in _listed(conflicts, "conflicts")]
+    quiet = [frozenset(_names(one, "silent")) for one in _listed(silent, "silent")]
     if most_faults is not None and not (is_number(most_faults) and most_faults >= 1 and most_faults % 1 == 0):
         raise SettingError(f"most_faults must be a whole number of faults, at least 1, got {echo(most_faults)}")
     names = tuple(dict.fromkeys(name for one in [*needed, *quiet] for name in one))
@@ -154,6 +155,22 @@ def minimal_hitting_sets(
         sets.append(HittingSet(faults, prior, sum(1 for other in quiet if other & one)))
     sets.sort(key=lambda s: (len(s.faults), -s.log_prior, s.silent, [place[name] for name in s.faults]))
     return HittingSets(tuple(sets), complete, most_faults)
+
+
+def _listed(sets: object, name: str) -> list[Any]:
+    """Return sets of names as a list of them, or raise."""
+    if isinstance(sets, (str, Mapping)) or not isinstance(sets, Iterable):
+        raise SettingError(f"{name} must be a list of sets of names, one for each residual, got {echo(sets)}")
+    return list(sets)
+
+
+def _names(one: object, name: str) -> list[Any]:
+    """Return the names of one set, or raise."""
+    if isinstance(one, str) or not isinstance(one, Iterable):
+        raise SettingError(
+            f"{name} must hold a set of names for each residual, such as [['pump', 'valve']], got {echo(one)}"
+        )
+    return list(one)
 
 
 def _hit(found: list[frozenset[str]], conflict: tuple[str, ...], most: int | None) -> tuple[list[frozenset[str]], bool]:

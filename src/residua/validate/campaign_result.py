@@ -407,6 +407,9 @@ def check_goes_on(made: Campaign, new: Campaign, path: str | Path) -> None:
         changed = [name for name, value in new.settings.items() if made.settings.get(name) != value]
         if made.watched != new.watched:
             changed.append("monitor")
+        changed += [name for name in ("samples", "seed") if getattr(made, name) != getattr(new, name)]
+        if made.figures.runs > new.runs:
+            changed.append(f"runs, of which it has {made.figures.runs:,}")
         raise SettingError(
             f"{echo(str(path))} holds another campaign (different: {listed(changed) if changed else 'runs'}): name "
             "another file, or remove that one"

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from residua.decide.checks import check_samples
+from residua.decide.checks import check_samples, check_whole
 from residua.errors import NotFittedError, SettingError, missing_extra
 from residua.files import check_output
 from residua.linear import StateSpace
@@ -149,8 +149,9 @@ def campaign(
     (True, True)
     """
     check_confidence(confidence)
-    for name, value in (("runs", runs), ("samples", samples), ("workers", workers)):
-        check_samples(value, name)
+    check_samples(samples, "samples")
+    for name, value in (("runs", runs), ("workers", workers)):
+        check_whole(value, name)
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise SettingError(f"seed must be a whole number, 0 or more, got {echo(seed)}")
     plan, words = plan_of(
@@ -250,6 +251,12 @@ def plan_of(
     d, drawn, about_disturbances = disturbance_signals(disturbances, simulated.disturbances, samples)
     chosen = _noise(noise, one, spec, bool(disturbances))
     counted = samples if within is None else _samples_within(within, dt)
+    late = [case for case in cases if within is not None and round(case.shape.latest / dt) + counted > samples]
+    if late:
+        raise SettingError(
+            f"scenario {echo(late[0].fault)}: the run ends before the {within:g} s are over in which a detection "
+            f"counts, after an onset at up to {late[0].shape.latest:g} s: an earlier onset, a shorter within=, or more samples"
+        )
     plan = Plan(
         spec,
         generator,

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.decide.checks import check_samples, is_number
+from residua.decide.checks import check_whole, is_number
 from residua.decide.stream_settings import is_white
 from residua.decide.test import Block, ResidualTest
+from residua.decide.whitened_norm import NormTest
 from residua.design import ResidualGenerator
 from residua.design.core.responses import state_covariance
 from residua.errors import NotFittedError, SettingError
@@ -86,6 +87,12 @@ class Detectability:
         Where the residuals come from, in words.
     mean_time : float or None
         Seconds between false alarms that Lorden's delays are for.
+    summed : bool
+        Whether that is the time of single samples, and sums over a window have false alarms more seldom.
+    before : int
+        Samples of a stream before the fault arrives.
+    units : mapping of str to str
+        Of the faults, as far as they are known.
     runs, seed : int
     notes : tuple of str
     """
@@ -97,8 +104,11 @@ class Detectability:
     shape: str
     noise: str
     mean_time: float | None
+    summed: bool
+    before: int
     runs: int
     seed: int
+    units: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
     @property
@@ -109,12 +119,14 @@ class Detectability:
 
     def table(self) -> FigureTable:
         """Return a row for each fault and delay."""
-        header = ("fault", "within [s]", "smallest size", "by chance", "mean delay [s]", "Lorden [s]")
+        header = ("fault", "within [s]", "smallest size", "unit", "by chance", "mean delay [s]", "Lorden [s]")
         chance = self.by_chance * (len(self.smallest) // len(self.by_chance))
         rows = [
-            (one.fault, one.within, one.size, by, one.mean_delay, one.asymptote)
+            (one.fault, one.within, one.size, self.units.get(one.fault, ""), by, one.mean_delay, one.asymptote)
             for one, by in zip(self.smallest, chance, strict=True)
         ]
+        if not any(self.units.values()):
+            header, rows = header[:3] + header[4:], [row[:3] + row[4:] for row in rows]
         return FigureTable(header, tuple(rows))
 
     def power(self, fault: str, within: float | None = None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -140,10 +152,14 @@ class Detectability:
 
     def __str__(self) -> str:
         missed = f"{100 * self.miss_rate:g} % missed at most" if self.miss_rate else "none missed"
-        head = f"{self.shape}, {missed}; {self.runs:,} runs, seed {self.seed}; residuals: {self.noise}"
+        head = (
+            f"{self.shape} after {self.before:,} samples, {missed}; {self.runs:,} runs, seed {self.seed}; residuals: "
+            f"{self.noise}"
+        )
         lines = [head, "", str(self.table())]
         if self.mean_time is not None:
-            lines.append(f"Lorden: the best test with a false alarm each {number(self.mean_time)} s")
+            seldom = " or more seldom" if self.summed else ""
+            lines.append(f"Lorden: the best test with a false alarm each {number(self.mean_time)} s{seldom}")
         return "\n".join([*lines, *(f"note: {one}" for one in self.notes)])
 
 
@@ -244,7 +260,8 @@ def detectability(
     if not monitor.is_fitted:
         raise NotFittedError("this monitor has no threshold: fit it, or give its plant noise, first")
     check_confidence(confidence)
-    check_samples(runs, "runs", least=_FEWEST)
+    check_whole(runs, "runs", least=_FEWEST)
+    check_whole(seed, "seed", least=0)
     if not is_number(miss_rate) or not 0 < miss_rate < 1:
         raise SettingError(f"miss_rate must lie between 0 and 1, got {echo(miss_rate)}")
     generator, test = monitor.generator, monitor._specification().test
@@ -286,8 +303,11 @@ def detectability(
         "step" if shape is None else str(shape),
         words,
         mean_time,
+        isinstance(test, NormTest) and test.window > 1,
+        _settled(test),
         int(runs),
         int(seed),
+        {name: _unit(generator, name) for name in names},
         _notes(trials, generator, test),
     )
 
@@ -374,7 +394,7 @@ def _noise(monitor: Monitor, test: ResidualTest, residuals: ArrayLike | Resample
     """Return what draws fault-free residuals, and the same in words."""
     k = len(test.center)
     if residuals is not None:
-        blocks = residuals if isinstance(residuals, Resampled) else resampled(residuals)
+        blocks = residuals if isinstance(residuals, Resampled) else _resampled(residuals)
         if blocks.residuals.shape[1] != k:
             raise SettingError(
                 f"residuals has {blocks.residuals.shape[1]} columns, the generator {counted(k, 'residual')}: take "
@@ -397,6 +417,19 @@ def _noise(monitor: Monitor, test: ResidualTest, residuals: ArrayLike | Resample
         )
     fitted = " around the mean of the fit" if monitor.fit_check is not None else ""
     return _from_model(generator, test.center), f"by the noise model of the plant{fitted}"
+
+
+def _resampled(residuals: Any) -> Resampled:
+    """Return residuals to draw from, or raise where they are none."""
+    try:
+        rows = np.asarray(residuals, dtype=float)
+    except (TypeError, ValueError):
+        rows = np.zeros(0)
+    if rows.ndim != 2 or not len(rows):
+        raise SettingError(f"residuals must be numbers of (time, residuals), got {echo(residuals)}")
+    if not np.ptp(rows[np.isfinite(rows).all(axis=1)], axis=0).any():
+        raise SettingError("residuals never change: give those of a fault-free recording (monitor.run(u, y).residuals)")
+    return resampled(rows)
 
 
 def _from_model(generator: ResidualGenerator, center: NDArray[np.float64]) -> _Draw:
@@ -458,37 +491,35 @@ class _Search:
         return int((self.tried[exponent] < within).sum())
 
     def smallest(self, within: int) -> Estimate:
-        """Return the smallest size of which enough runs are detected within a delay, with its interval."""
-        if not self.response[:within].any() or self.seen(_LARGEST * _STEPS, within) < self.wanted:
-            return Estimate(np.inf, np.inf, np.inf)
+        """Return the smallest size of which enough runs are detected within a delay, with its interval.
+
+        The interval holds the sizes of which the share asked for lies within the interval of the share that is seen.
+        """
+        runs, share = int(self.trials.quiet.sum()), self.wanted / self.trials.quiet.sum()
+        enough = [wilson(count, runs, self.confidence) for count in range(runs + 1)]
+        least = next(count for count, one in enumerate(enough) if one.high >= share)
+        surely = next((count for count, one in enumerate(enough) if one.low >= share), None)
+        value = self.size_for(self.wanted, within)
+        low = self.size_for(least, within) if least else 0.0
+        return Estimate(value, min(low, value), np.inf if surely is None else max(self.size_for(surely, within), value))
+
+    def size_for(self, count: float, within: int) -> float:
+        """Return the smallest size of which so many runs are detected within a delay; infinite if there is none."""
+        if not self.response[:within].any() or self.seen(_LARGEST * _STEPS, within) < count:
+            return np.inf
         low, high = 0, 0
-        while self.seen(high, within) < self.wanted:
+        while self.seen(high, within) < count:
             low, high = high, high + _STEPS
         if high == 0:
-            while self.seen(low, within) >= self.wanted:
+            while self.seen(low, within) >= count:
                 low, high = low - _STEPS, low
                 if low < -_LARGEST * _STEPS:
-                    return Estimate(0.0, 0.0, 0.0)
+                    return 0.0
         while high - low > 1:
             middle = (low + high) // 2
-            low, high = (low, middle) if self.seen(middle, within) >= self.wanted else (middle, high)
-        return self._between(low, high, within)
-
-    def _between(self, low: int, high: int, within: int) -> Estimate:
-        """Return the size between two neighbours, with its interval: that of the share, over the slope around it."""
+            low, high = (low, middle) if self.seen(middle, within) >= count else (middle, high)
         below, above = self.seen(low, within), self.seen(high, within)
-        at = low + (self.wanted - below) / (above - below)
-        apart = _STEPS // 8
-        rise = (self.seen(high + apart, within) - self.seen(low - apart, within)) / (high - low + 2 * apart)
-        runs = int(self.trials.quiet.sum())
-        share = wilson(self.wanted, runs, self.confidence)
-        if not rise > 0:
-            return Estimate(self.size(at), 0.0, np.inf)
-        return Estimate(
-            self.size(at),
-            self.size(at - (share.value - share.low) * runs / rise),
-            self.size(at + (share.high - share.value) * runs / rise),
-        )
+        return self.size(low + (count - below) / (above - below))
 
     def mean_delay(self, size: float, within: int, seed: int) -> Estimate:
         """Return the mean delay of faults of a size, in samples; unknown unless each run raises an alarm."""
@@ -503,9 +534,10 @@ class _Search:
     def curve(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the sizes that were tried, growing, and the shares of the runs that are detected by each delay."""
         exponents = sorted(self.tried)
-        counts = np.array([[(self.tried[one] < within).mean() for within in self.delays] for one in exponents])
-        sizes = np.array([self.size(one) for one in exponents])
-        return sizes, counts.reshape(len(exponents), len(self.delays))
+        shares = [[float((self.tried[one] < within).mean()) for within in self.delays] for one in exponents]
+        kept = shares.index(shares[-1]) + 1 if shares else 0  # larger ones tell no more
+        sizes = np.array([self.size(one) for one in exponents[:kept]])
+        return sizes, np.array(shares[:kept]).reshape(kept, len(self.delays))
 
 
 def _white_response(
@@ -544,9 +576,17 @@ def _checked_faults(faults: Iterable[str] | None, known: tuple[str, ...]) -> tup
     unknown = [one for one in names if one not in known]
     if unknown:
         raise SettingError(f"the plant has no fault {echo(unknown[0])}; known: {listed(known)}")
-    if not names:
+    if not known:
         raise SettingError("the plant has no faults: with_sensor_faults(), with_actuator_faults(), or with_faults(...)")
+    if not names:
+        raise SettingError(f"faults names none; known: {listed(known)}")
     return names
+
+
+def _unit(generator: ResidualGenerator, fault: str) -> str:
+    """Return the unit of a sensor's or an actuator's fault: that of its channel."""
+    plant = generator.plant
+    return str(plant.units.get(plant.fault_components[plant.faults.index(fault)], ""))
 
 
 def _delays(within: float | Iterable[float] | None, dt: float, window: int) -> tuple[int, ...]:

@@ -189,8 +189,9 @@ def load_scenarios(path: str | Path) -> tuple[Scenario, ...]:
         at = 600
         size = [0.02, 0.05, 0.1]
     """
+    data = read_bytes(path, "a file of scenarios")
     try:
-        content = tomllib.loads(read_bytes(path, "a file of scenarios").decode("utf-8"))
+        content = tomllib.loads(data.decode("utf-8"))
     except ValueError as error:
         raise FileFormatError(f"{path} is not TOML: {error}") from error
     tables = content.get("scenario")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.checks import check_rate, check_samples
+from residua.decide.checks import check_rate, check_samples, check_whole
 from residua.decide.false_alarms import alarm_levels
 from residua.decide.norm_threshold import NormTest, NormThreshold
 from residua.errors import SettingError
@@ -21,7 +21,7 @@ from residua.validate.figure_table import FigureTable
 from residua.validate.intervals import Estimate, bootstrap
 from residua.validate.runs import quiet_statistics
 from residua.validate.scenario import Scenario
-from residua.visible import echo, listed
+from residua.visible import echo
 
 #: Windows and persistences that are tried where none are given.
 WINDOWS, PERSISTENCES = (1, 2, 5, 10, 20, 50), (1, 3, 10)
@@ -29,8 +29,6 @@ WINDOWS, PERSISTENCES = (1, 2, 5, 10, 20, 50), (1, 3, 10)
 _ENOUGH = 10.0
 #: Windows that go into a run, at least.
 _FULL = 4
-#: What of a campaign can be set.
-_SIMULATED = {"noise", "inputs", "disturbances", "plants", "controller", "within", "confidence", "workers"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,9 +177,6 @@ def tune(
             raise SettingError(f"{name} must be a list of numbers of samples, one at least, got {echo(values)}")
         for value in values:
             check_samples(value, name)
-    unknown = simulated.keys() - _SIMULATED
-    if unknown:
-        raise SettingError(f"tune has no {listed(sorted(unknown))}; of campaign it takes {listed(sorted(_SIMULATED))}")
     test = _checked(monitor, false_alarm_rate, runs, samples, max(*windows, *persistences))
     _check_length(monitor, samples, max(windows))
     faults = scenarios if isinstance(scenarios, Scenario) else tuple(scenarios)
@@ -205,8 +200,8 @@ def tune(
 def _checked(monitor: Monitor, rate: float, runs: int, samples: int, longest: int) -> NormThreshold:
     """Return the test of a monitor that can be tuned, or raise."""
     check_rate(rate)
-    for name, value in (("runs", runs), ("samples", samples)):
-        check_samples(value, name)
+    check_whole(runs, "runs")
+    check_samples(samples, "samples")
     if not isinstance(monitor, Monitor):
         raise SettingError(f"what is tuned is a Monitor, got {type(monitor).__name__}")
     test = monitor.test
