@@ -91,3 +91,35 @@ def test_what_is_neither_zero_nor_one_is_refused(fired) -> None:
         consistent_faults(fired, codes, ["a", "b", "c"])
     with pytest.raises(DataError, match="0 or 1"):
         consistent_faults([1, 0, 0, 0], 7 * np.array(codes), ["a", "b", "c"])
+
+
+def test_prior_rates_weigh_the_likelihoods() -> None:
+    codes, faults = [[1, 1, 0], [1, 1, 0], [1, 0, 1], [1, 0, 1]], ["pump", "valve", "sensor"]
+    even = consistent_faults([1, 1, 0, 0], codes, faults)
+    pump = consistent_faults([1, 1, 0, 0], codes, faults, prior_rates={"pump": 0.1})
+    ratio = {one.faults[0]: one.probability for one in even.candidates}
+    odds = ratio["pump"] / ratio["valve"] * 0.1 / 1e-4
+    assert pump.candidates[0].faults == ("pump",)
+    assert pump.candidates[0].probability / pump.candidates[1].probability == pytest.approx(odds)
+    assert pump.evidence == even.evidence  # of the pattern alone
+    twins = consistent_faults(
+        [1, 0], [[1, 1, 0], [0, 0, 1]], ["a", "b", "c"], prior_rates={"a": 0.01, "b": 0.03, "c": 0.01}
+    )
+    first, second = twins.candidates[:2]
+    assert first.faults == ("a", "b")
+    plain = consistent_faults([1, 0], [[1, 1, 0], [0, 0, 1]], ["a", "b", "c"]).candidates
+    base = plain[0].probability / plain[1].probability / 2  # of two faults together
+    assert first.probability / second.probability == pytest.approx(base * 4)
+    with pytest.raises(SettingError, match="prior_rates"):
+        consistent_faults([1, 0], [[1], [0]], ["a"], prior_rates={"b": 0.1})
+
+
+def test_several_faults_at_once_are_the_smallest_sets() -> None:
+    codes, faults = [[1, 0, 0], [0, 1, 0], [0, 1, 1], [0, 0, 0]], ["a", "b", "c"]
+    made = consistent_faults([1, 1, 0, 1], codes, faults)
+    assert made.together is not None
+    assert [one.faults for one in made.together.sets] == [("a", "b")]
+    assert "together do a and b" in str(made)
+    assert consistent_faults([0, 0, 0, 0], codes, faults).together is None
+    alone = consistent_faults([0, 1, 1, 0], codes, faults)
+    assert "together" not in str(alone)

@@ -272,3 +272,17 @@ def test_damaged_files_are_refused(tmp_path: Path) -> None:
             rs.Monitor.load(tmp_path / "d.json")
         refused += 1
     assert refused == 5
+
+
+def test_the_margin_of_an_alarm_is_that_of_probabilities() -> None:
+    plant = (
+        rs.Plant([[0.5]], [[1.0]], [[1.0], [0.5]], dt=1).with_sensor_faults().with_noise(process=1e-2, measurement=1e-2)
+    )
+    watch = rs.Monitor(rs.design.kalman_filter(plant), isolate=rs.decide.Likelihood(), test=rs.decide.CUSUM())
+    y = 0.1 * np.random.default_rng(0).standard_normal((200, 2))
+    y[100:, 0] += 0.5
+    alarm = watch.run(np.zeros((200, 1)), y).alarms[-1]
+    first, second = alarm.candidates[:2]
+    assert first.probability is not None
+    assert second.probability is not None
+    assert alarm.margin == alarm.to_dict()["margin"] == first.probability - second.probability

@@ -17,7 +17,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.table import Table
 
 from residua.analysis import Diagnosability
-from residua.decide import Directional, Structured
+from residua.decide import Candidate, Directional, Structured
 from residua.decide.directional import direction_test
 from residua.decide.sizes import fault_unit
 from residua.decide.statement import ranked, sizes_text, tied_name
@@ -27,7 +27,7 @@ from residua.monitor.diagnosis import Alarm, Diagnosis
 from residua.report.tables import alarm_times
 from residua.report.verdict import verdict
 from residua.visible import visible
-from residua.words import counted
+from residua.words import counted, number
 
 #: Alarms that are listed at most; ``--alarms`` writes all of them.
 MAX_ALARMS = 20
@@ -262,8 +262,9 @@ def show_diagnosis(diagnosis: Diagnosis) -> None:
     say(words.headline)
     if diagnosis.alarms:
         shown = diagnosis.alarms[:MAX_ALARMS]
+        worth = "probability" if any(_judged(alarm.candidates) for alarm in shown) else "score"
         show_table(
-            ["alarm", "began", "raised", "ended", "samples", "most likely", "score", "next", "score"],
+            ["alarm", "began", "raised", "ended", "samples", "most likely", worth, "next", worth],
             [_alarm_row(k, alarm, diagnosis) for k, alarm in enumerate(shown, 1)],
         )
         if any(alarm.candidates and alarm.samples < window for alarm in shown):
@@ -272,10 +273,17 @@ def show_diagnosis(diagnosis: Diagnosis) -> None:
             say(f"... and {len(diagnosis.alarms) - MAX_ALARMS} more alarms (--alarms writes all of them)")
     if diagnosis.candidates:
         sized = any(c.sizes for c in diagnosis.candidates)
+        judged = _judged(diagnosis.candidates)
         show_table(
-            ["rank", "candidate", "score", "distance", *(["estimated size"] if sized else [])],
             [
-                [k, c.name, f"{c.score:.3f}", f"{c.distance:.3f}", *([sizes_text(c.sizes)] * sized)]
+                *("rank", "candidate", *(["probability"] if judged else []), "score", "distance"),
+                *(["estimated size"] if sized else []),
+            ],
+            [
+                [
+                    *(k, c.name, *([number(c.probability, 3)] * judged), f"{c.score:.3f}", f"{c.distance:.3f}"),
+                    *([sizes_text(c.sizes)] * sized),
+                ]
                 for k, c in ranked(diagnosis.candidates)
             ],
             title="candidates of the longest alarm" if len(diagnosis.alarms) > 1 else "",
@@ -294,10 +302,20 @@ def _alarm_row(k: int, alarm: Alarm, diagnosis: Diagnosis) -> list[object]:
         *alarm_times(alarm, diagnosis.clock),
         alarm.samples,
         best.name + (" (short)" if alarm.samples < window else "") if best else _unnamed(alarm),
-        f"{best.score:.3f}" if best else None,
+        _worth(best) if best else None,
         tied_name(alarm.candidates, 2) if following else None,
-        f"{following.score:.3f}" if following else None,
+        _worth(following) if following else None,
     ]
+
+
+def _judged(candidates: Iterable[Candidate]) -> bool:
+    """Tell whether candidates have probabilities."""
+    return any(c.probability is not None for c in candidates)
+
+
+def _worth(candidate: Candidate) -> str:
+    """Return the probability of a candidate, or its score where it has none."""
+    return f"{candidate.score:.3f}" if candidate.probability is None else number(candidate.probability, 3)
 
 
 def _unnamed(alarm: Alarm) -> str:

@@ -269,8 +269,11 @@ class Alarm:
 
     @property
     def margin(self) -> float | None:
-        """Lead of the best candidate over the next in score; ``None`` with fewer than two."""
-        return self.candidates[0].score - self.candidates[1].score if len(self.candidates) > 1 else None
+        """Lead of the best candidate over the next, in probability or else in score; ``None`` with fewer than two."""
+        if len(self.candidates) < 2:
+            return None
+        first, second = (c.score if c.probability is None else c.probability for c in self.candidates[:2])
+        return first - second
 
     @property
     def doubt(self) -> str:

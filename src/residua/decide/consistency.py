@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.analysis.codes import equal_codes
+from residua.decide.checks import PRIOR_RATE
 from residua.decide.code_reading import NAMED, quoted
+from residua.decide.hitting_sets import HittingSets, checked_rates, minimal_hitting_sets
 from residua.errors import DataError, SettingError
 from residua.visible import echo
+from residua.words import listing
+
+#: Faults of the largest sets that together may explain a pattern.
+_TOGETHER = 3
 
 
 @dataclass(frozen=True)
@@ -24,7 +30,7 @@ class ConsistentFault:
     consistent : bool
         Every member that fired answers to it.
     probability : float
-        Among all faults, if just one is there and each was equally likely before.
+        Among all faults, if just one is there, with the prior rates that were given.
     fired, silent : int
         Members that answer to it and fired, and that answer to it and did not.
     unexplained : int
@@ -61,12 +67,16 @@ class Explanation:
         zero, false alarms explain it better.
     pattern : tuple of bool
     members : tuple of str
+    together : HittingSets or None
+        The smallest sets of faults that explain all members that fired, up to three faults in each; ``None`` when none
+        fired. Members that no fault has in its code are left out: they are false alarms.
     """
 
     candidates: tuple[ConsistentFault, ...]
     evidence: float
     pattern: tuple[bool, ...]
     members: tuple[str, ...]
+    together: HittingSets | None = None
 
     @property
     def consistent(self) -> tuple[ConsistentFault, ...]:
@@ -94,7 +104,11 @@ class Explanation:
         )
         against = "no fault" if self.evidence < 0 else "a fault"
         lines = [f"fired: {names}; {against} is 10^{abs(self.evidence):.1f} times likelier than {_other(against)}"]
-        return "\n".join([*lines, *(f"  {one}" for one in self.candidates)])
+        lines += [f"  {one}" for one in self.candidates]
+        if self.together is not None and not self.consistent and self.together.sets:
+            several = [listing(one.faults) for one in self.together.sets[:NAMED]]
+            lines.append(f"no fault alone explains all that fired; together do {listing(several, 'or')}")
+        return "\n".join(lines)
 
 
 def _other(hypothesis: str) -> str:
@@ -109,6 +123,7 @@ def consistent_faults(
     false_alarm: ArrayLike = 0.01,
     missed: ArrayLike | None = None,
     members: Sequence[str] | None = None,
+    prior_rates: float | Mapping[str, float] = PRIOR_RATE,
 ) -> Explanation:
     r"""Rank the faults that can explain which members of a bank fired.
 
@@ -129,10 +144,13 @@ def consistent_faults(
         As for :func:`code_likelihoods`.
     members : sequence of str, optional
         Their names, for texts; numbers when omitted.
+    prior_rates : float or mapping of str to float
+        Prior probability of each fault; those without a name have 1e-4. That of faults with equal codes is their sum.
 
     Returns
     -------
     Explanation
+        With the probability of each fault if just one is there, and with the smallest sets of several at once.
 
     Raises
     ------
@@ -170,10 +188,12 @@ def consistent_faults(
         return Explanation((), 0.0, *made)
     columns = table[:, [group[0] for group in groups]]
     own, none = code_likelihoods(on, columns, false_alarm=false_alarm, missed=missed)
-    weights = np.exp(own - own.max())
+    rates = checked_rates(prior_rates, tuple(map(str, faults)))
+    sure = own + np.array([np.log(sum(rates[str(faults[j])] for j in group)) for group in groups])
+    weights = np.exp(sure - sure.max())
     weights /= weights.sum()
     candidates = []
-    for g in np.argsort(-own, kind="stable"):
+    for g in np.argsort(-sure, kind="stable"):
         code = columns[:, g]
         beside = int(np.count_nonzero(on & ~code))
         candidates.append(
@@ -186,7 +206,13 @@ def consistent_faults(
                 beside,
             )
         )
-    return Explanation(tuple(candidates), float((own.max() - none) / np.log(10)), *made)
+    conflicts = [{str(faults[j]) for j in np.flatnonzero(row).tolist()} for row in table[on]]
+    silent = [{str(faults[j]) for j in np.flatnonzero(row).tolist()} for row in table[~on]]
+    there = set().union(*conflicts, *silent)
+    own_rates = {name: rate for name, rate in rates.items() if name in there}
+    conflicts = [one for one in conflicts if one]
+    together = minimal_hitting_sets(conflicts, silent=silent, prior_rates=own_rates, most_faults=_TOGETHER)
+    return Explanation(tuple(candidates), float((own.max() - none) / np.log(10)), *made, together)
 
 
 def code_likelihoods(

@@ -31,7 +31,7 @@ from residua.words import counted
 #: The run length at which the approximation is compared with simulated runs, and their number.
 _COMPARED, _RUNS = 300.0, 4000
 #: Thresholds below are over at once, whatever the approximation says.
-_SMALLEST = 1e-3
+_SMALLEST = 0.01
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

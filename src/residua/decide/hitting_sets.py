@@ -134,7 +134,7 @@ def minimal_hitting_sets(
     if most_faults is not None and not (is_number(most_faults) and most_faults >= 1 and most_faults % 1 == 0):
         raise SettingError(f"most_faults must be a whole number of faults, at least 1, got {echo(most_faults)}")
     names = tuple(dict.fromkeys(name for one in [*needed, *quiet] for name in one))
-    rates = _rates(prior_rates, names)
+    rates = checked_rates(prior_rates, names)
     found: list[frozenset[str]] = [frozenset()]
     complete = True
     for i, conflict in enumerate(needed):
@@ -191,7 +191,7 @@ def _hit(found: list[frozenset[str]], conflict: tuple[str, ...], most: int | Non
     return list(dict.fromkeys(out)), cut
 
 
-def _rates(prior_rates: float | Mapping[str, float], names: tuple[str, ...]) -> dict[str, float]:
+def checked_rates(prior_rates: float | Mapping[str, float], names: tuple[str, ...]) -> dict[str, float]:
     """Return the prior rate of each fault."""
     own = dict(prior_rates) if isinstance(prior_rates, Mapping) else dict.fromkeys(names, prior_rates)
     strange = [name for name in own if name not in names]
