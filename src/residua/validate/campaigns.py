@@ -255,7 +255,7 @@ def plan_of(
     if late:
         raise SettingError(
             f"scenario {echo(late[0].fault)}: the run ends before the {within:g} s are over in which a detection "
-            f"counts, after an onset at {late[0].shape.latest:g} s: an earlier onset, a shorter within=, or more samples"
+            f"counts, after an onset at {late[0].shape.latest:g} s: an earlier onset, a shorter within=, more samples"
         )
     plan = Plan(
         spec,
