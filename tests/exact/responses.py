@@ -10,6 +10,8 @@ from flint import acb, acb_mat, arb, ctx
 from numpy.typing import NDArray
 
 _BITS = 200
+#: A response below this part of the terms that it is the sum of is none: the plant's own numbers have no more digits.
+_NO_RESPONSE = 1e-13
 
 
 def _matrix(M: NDArray) -> acb_mat:
@@ -25,6 +27,15 @@ def _response(E: NDArray | None, A: NDArray, B: NDArray, C: NDArray, D: NDArray,
     return _matrix(C) * (_matrix(E) * s - _matrix(A)).solve(_matrix(B)) + _matrix(D)
 
 
+def _terms(E: NDArray | None, A: NDArray, B: NDArray, C: NDArray, D: NDArray, s: acb) -> NDArray[np.float64]:
+    """Return the sums of the sizes of what each entry of the response is the sum of."""
+    n = len(A)
+    if not n or not B.shape[1] or not len(C):
+        return np.abs(D)
+    E = np.eye(n) if E is None else E
+    return np.abs(C) @ np.abs(_floats((_matrix(E) * s - _matrix(A)).solve(_matrix(B)))) + np.abs(D)
+
+
 def _floats(M: acb_mat) -> NDArray[np.complex128]:
     """Return the middles of the balls as floats; a ball that holds zero, with a radius that no float sees, is zero."""
     entries = [0.0 if z.contains(0) else complex(z) for z in M.entries()]
@@ -37,7 +48,8 @@ class Paths:
 
     ``total`` is the response, ``terms`` the sum of the sizes of what it is the sum of, ``reach`` the largest gain from
     any output to the residual times the largest response of any output, in base units. All of shape
-    (frequencies, residuals, inputs). ``apart`` tells which inputs nothing connects with all outputs.
+    (frequencies, residuals, inputs). ``apart`` tells which inputs nothing connects with all outputs, and ``own``, of
+    shape (residuals,), the largest response to an output of the filter itself, relative to the largest terms of one.
     """
 
     total: NDArray[np.complex128]
@@ -46,6 +58,7 @@ class Paths:
     controls: int
     disturbances: int
     apart: NDArray[np.bool_]
+    own: NDArray[np.float64]
 
     def leak(self, columns: slice) -> NDArray[np.float64]:
         """Return the response relative to the terms that cancel, zero where it is rounding of what stands elsewhere."""
@@ -83,7 +96,7 @@ def paths(filter: Any, plant: Any, y: NDArray[np.float64], w: list[float]) -> Pa
         m = len(plant.inputs)
         B = np.hstack([plant.Bu, plant.Bd, plant.Bf])
         D = np.hstack([plant.Du, plant.Dd, plant.Df])
-        total, terms, reach = [], [], []
+        total, terms, reach, own = [], [], [], []
         for x in w:
             angle = arb(x) * arb(float(plant.dt) if plant.dt else 1.0)
             s = acb(angle.cos(), angle.sin()) if plant.dt else acb(0, arb(x))
@@ -98,13 +111,18 @@ def paths(filter: Any, plant: Any, y: NDArray[np.float64], w: list[float]) -> Pa
                 [through[i, j] + (Q[i, j] if j < m else 0) for i in range(rows) for j in range(B.shape[1])],
             )
             q, r = np.abs(_floats(Q)), np.abs(_floats(P))
+            made = _terms(plant.E, plant.A, B, plant.C, D, s)
+            r = np.where(r < _NO_RESPONSE * made, made, r)  # an input that reaches no output is not its own rounding
+            inside = (_terms(None, filter.A, filter.B, filter.C, filter.D, s)[:, m:] / y).max(axis=1, initial=0.0)
+            own.append((q[:, m:] / y).max(axis=1, initial=0.0) / np.where(inside > 0, inside, 1.0))
             direct = np.hstack([q[:, :m], np.zeros((rows, B.shape[1] - m))])
             total.append(_floats(whole))
             terms.append(direct + q[:, m:] @ r)
             largest = (q[:, m:] / y).max(axis=1, initial=0.0)
             reach.append(direct + np.outer(largest, (r * y[:, None]).max(axis=0, initial=0.0)))
         apart = _apart(plant, B, D)
-        return Paths(np.array(total), np.array(terms), np.array(reach), m, len(plant.disturbances), apart)
+        relative = np.array(own).max(axis=0, initial=0.0)
+        return Paths(np.array(total), np.array(terms), np.array(reach), m, len(plant.disturbances), apart, relative)
     finally:
         ctx.prec = before
 

@@ -69,9 +69,13 @@ def _frequencies(subject: Subject, plant: Any) -> list[float]:
 
 
 def _live(found: Paths, structure: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Tell which residuals are more than rounding: marked for some fault, or not small against all others."""
+    """Tell which residuals are more than rounding: marked for some fault, or not small against all others.
+
+    Nor against their own terms in the filter: residuals have units of their own.
+    """
     heights = found.reach.max(axis=(0, 2), initial=0.0)
-    return structure.any(axis=1) | (heights > _NOTHING * heights.max(initial=0.0))
+    more = (heights > _NOTHING * heights.max(initial=0.0)) & (found.own > _NOTHING)
+    return structure.any(axis=1) | more
 
 
 def _leak(record: Record, found: Paths, made: Any, decoupled: bool, live: NDArray[np.bool_]) -> None:

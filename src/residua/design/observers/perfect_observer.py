@@ -26,7 +26,7 @@ from residua.linear.systems.balancing import descriptor_units
 from residua.linear.systems.descriptor import scaled_pencil
 from residua.linear.systems.response_terms import response_terms
 from residua.plant import Plant
-from residua.tolerances import RESPONSE_ROUNDING, above_rounding
+from residua.tolerances import RESPONSE_ROUNDING, SAME, above_rounding
 from residua.words import counted, used_up
 
 REFERENCE = "Twardy and Kaczorek, part I, eqs. (30) to (33), Theorem 4, Procedure 2"
@@ -573,7 +573,9 @@ def reduced_rows(o: PerfectObserver) -> NDArray[np.float64]:
     P = P / units
     # Orthonormal rows first: rows of the caller's choice may be nearly parallel, or far apart in size.
     U, s, _ = np.linalg.svd(np.hstack(list(P)), full_matrices=False)
-    left, P = (U / s).T @ o.left, (U / s).T @ P
+    kept = s > SAME * s.max(initial=0.0)  # a combination of rows that reads nothing, as of equal sensors, is none
+    U = U[:, kept] / s[kept]
+    left, P = U.T @ o.left, U.T @ P
     rows = np.zeros((0, len(left)))
     for degree in range(len(P)):
         higher = np.hstack([np.zeros((len(left), 0)), *P[degree + 1 :]])
