@@ -57,9 +57,9 @@ def test_what_directions_are_worth() -> None:
     assert _worth(4.0, _Directions(np.eye(3))) == pytest.approx(3.0, abs=0.01)
     assert _worth(4.0, _Directions(np.ones((1, 5)))) == pytest.approx(1.0, abs=1e-12)
     assert 1.5 < _worth(4.0, _Directions(directions("alike"))) < 3.0
-    level, ratio = _compared_along(_Directions(np.eye(2)), 10)
-    assert _approximate_along(level, _Directions(np.eye(2)), 10) == pytest.approx(300.0, rel=1e-6)
-    assert 0.8 < ratio < 1.3
+    made = _compared_along(_Directions(np.eye(2)), 10)
+    assert _approximate_along(made.level, _Directions(np.eye(2)), 10) == pytest.approx(300.0, rel=1e-6)
+    assert 0.8 < made.ratio < 1.3
 
 
 def test_a_fault_is_seen_sooner_than_by_the_norm_and_another_change_is_not() -> None:

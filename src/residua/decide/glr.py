@@ -30,6 +30,8 @@ from residua.words import counted
 
 #: The run length at which the approximation is compared with simulated runs, and their number.
 _COMPARED, _RUNS = 300.0, 4000
+#: Runs that are followed through an alarm to the next one.
+_CYCLES = 1000
 #: Thresholds below are over at once, whatever the approximation says.
 _SMALLEST = 0.01
 
@@ -123,7 +125,7 @@ class GLR(StreamSettings):
         In samples, from a start to the alarm, on average. The threshold follows by Siegmund and Venkatraman's
         approximation, corrected by 4,000 simulated runs (seeded); it is within about 5 %.
     false_alarm_rate : float
-        Where no time is given: the fraction of fault-free samples in alarm. An alarm is taken to last half a window.
+        Where no time is given: the fraction of fault-free samples in alarm, with alarms as long as simulated ones.
     threshold : float, optional
         h, where it is to be neither.
     source : {"auto", "design", "data", "quantile", "tail", "conformal"}
@@ -198,7 +200,11 @@ class GLR(StreamSettings):
 
     def cycle(self, threshold: float, dimension: int) -> AlarmCycle:
         """Return how long the test is quiet, and about how long a false alarm lasts."""
-        return AlarmCycle(self.run_length(threshold, dimension), 1 + self.window / 2)
+        if self._along is None:
+            made = _compared(dimension, self.window)
+        else:
+            made = _compared_along(_Directions(self._along), self.window)
+        return AlarmCycle(self.run_length(threshold, dimension), made.lasting)
 
     @property
     def harmless_offset(self) -> float:
@@ -280,14 +286,17 @@ def _largest_part(sums: Sums) -> NDArray[np.float64]:
 
 def _run_length(threshold: float, dimension: int, window: int) -> float:
     """Return the approximate run length, corrected by how far it was off where it was compared."""
-    level, ratio = _compared(dimension, window)
-    return _approximate(threshold, dimension, window) * (1 + (ratio - 1) * min(level / threshold, 1.0) ** 2)
+    return _approximate(threshold, dimension, window) * _correction(_compared(dimension, window), threshold)
+
+
+def _correction(made: _Simulated, threshold: float) -> float:
+    """Return how much longer runs are than the approximation says, which is the better the rarer alarms are."""
+    return 1 + (made.ratio - 1) * min(made.level / threshold, 1.0) ** 2
 
 
 def _run_length_along(threshold: float, along: _Directions, window: int) -> float:
     """Return the run length of the largest part along some directions, corrected as that of the norm is."""
-    level, ratio = _compared_along(along, window)
-    return _approximate_along(threshold, along, window) * (1 + (ratio - 1) * min(level / threshold, 1.0) ** 2)
+    return _approximate_along(threshold, along, window) * _correction(_compared_along(along, window), threshold)
 
 
 def _approximate_along(threshold: float, along: _Directions, window: int) -> float:
@@ -321,11 +330,10 @@ def _worth(threshold: float, along: _Directions) -> float:
 
 
 @lru_cache(maxsize=64)
-def _compared_along(along: _Directions, window: int) -> tuple[float, float]:
-    """Return a threshold, and how much longer simulated runs to it are than the approximation says."""
+def _compared_along(along: _Directions, window: int) -> _Simulated:
+    """Return what simulated runs to a threshold are, beside the approximation."""
     level = threshold_of(lambda h: _approximate_along(h, along, window), _COMPARED, 3.5)
-    longest = _simulated(len(along.vectors), window, lambda sums: np.abs(sums @ along.vectors).max(axis=2), level)
-    return level, longest / _COMPARED
+    return _simulated(len(along.vectors), window, lambda sums: np.abs(sums @ along.vectors).max(axis=2), level)
 
 
 def _approximate(threshold: float, dimension: int, window: int) -> float:
@@ -351,29 +359,62 @@ def _overshoot(x: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @lru_cache(maxsize=64)
-def _compared(dimension: int, window: int) -> tuple[float, float]:
-    """Return a threshold, and how much longer simulated runs to it are than the approximation says."""
+def _compared(dimension: int, window: int) -> _Simulated:
+    """Return what simulated runs to a threshold are, beside the approximation."""
     level = threshold_of(lambda h: _approximate(h, dimension, window), _COMPARED, 3.0 + 0.5 * dimension**0.5)
-    return level, _simulated(dimension, window, row_norms, level) / _COMPARED
+    return _simulated(dimension, window, row_norms, level)
 
 
-def _simulated(
-    dimension: int, window: int, size: Callable[[NDArray[np.float64]], NDArray[np.float64]], level: float
-) -> float:
-    """Return the mean of simulated runs, whose sums have a size of (runs, window)."""
+@dataclass(frozen=True)
+class _Simulated:
+    """What simulated runs say of one threshold.
+
+    Attributes
+    ----------
+    level : float
+        The threshold.
+    ratio : float
+        How much longer the runs to it are than the approximation says.
+    lasting : float
+        Samples of an alarm, for each of quiet ones as many as there would be from a start.
+    """
+
+    level: float
+    ratio: float
+    lasting: float
+
+
+def _simulated(dimension: int, window: int, size: Callable[[NDArray], NDArray], level: float) -> _Simulated:
+    """Return the runs to a level, and of some the alarm after it and the way to the next; sizes are (runs, window)."""
     rng = np.random.default_rng(0)
-    sums = np.zeros((_RUNS, window, dimension))
-    root = np.sqrt(np.arange(1.0, window + 1))
-    samples = 0
-    while len(sums):
-        samples += len(sums)
+    start = np.zeros((_RUNS, window, dimension))
+    first, stopped = _until(start, rng, lambda values: values > level, size)
+    alarm, over = _until(stopped[:_CYCLES], rng, lambda values: values <= level * GLR.falls_to, size)
+    again, _ = _until(over, rng, lambda values: values > level, size)
+    longest = float(first.mean())
+    return _Simulated(level, longest / _COMPARED, float(alarm.mean()) * longest / float(again.mean()))
+
+
+def _until(
+    sums: NDArray[np.float64],
+    rng: np.random.Generator,
+    ended: Callable[[NDArray[np.float64]], NDArray[np.bool_]],
+    size: Callable[[NDArray], NDArray],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the samples of each run until its statistic is so, and its sums then."""
+    root = np.sqrt(np.arange(1.0, sums.shape[1] + 1))
+    sums, left = sums.copy(), np.arange(len(sums))
+    samples, out = np.zeros(len(sums)), np.empty_like(sums)
+    while len(left):
+        samples[left] += 1
         sums[:, 1:] = sums[:, :-1].copy()
         sums[:, 0] = 0.0
-        sums += rng.standard_normal((len(sums), 1, dimension))
-        over = (size(sums) > level * root).any(axis=1)
-        if over.any():
-            sums = sums[~over]
-    return samples / _RUNS
+        sums += rng.standard_normal((len(sums), 1, sums.shape[2]))
+        done = ended((size(sums) / root).max(axis=1))
+        if done.any():
+            out[left[done]] = sums[done]
+            sums, left = sums[~done], left[~done]
+    return samples, out
 
 
 __all__ = ["GLR", "DirectedGLRTest", "GLRTest"]
