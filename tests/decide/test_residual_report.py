@@ -206,3 +206,15 @@ def test_what_cannot_be_is_refused() -> None:
         rs.decide.residual_report(given, None, moving)
     with pytest.raises(SettingError, match="transient must be a whole number"):
         rs.decide.residual_report(flt, u, y, transient=-1)
+
+
+def test_few_samples_recommend_nothing() -> None:
+    given = rs.identify.given_residuals(["r"], dt=1.0)
+    rng = np.random.default_rng(0)
+    report = rs.decide.residual_report(given, None, rng.standard_normal((80, 1)))
+    assert not report.findings
+    assert "show little" in report.recommendations[-1]
+    assert (
+        "designed test holds"
+        in rs.decide.residual_report(given, None, rng.standard_normal((800, 1))).recommendations[-1]
+    )

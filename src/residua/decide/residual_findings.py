@@ -35,6 +35,8 @@ _SAMPLES_PER_LAG = 60
 _LEAST = 50
 #: Part of the samples that the tail is.
 _TAIL = 0.05
+#: Samples from which on finding nothing means something.
+_ENOUGH = 500
 #: Residuals that a sentence lists.
 _LISTED = 5
 
@@ -244,7 +246,7 @@ def findings_of(
         places,
         independent,
         least_rate(worth),
-        _advice(found, len(parts["coefficients"])),
+        _advice(found, len(parts["coefficients"]), count),
     )
 
 
@@ -487,7 +489,7 @@ _REMEDIES = {
 }
 
 
-def _advice(found: Sequence[Finding], order: int) -> tuple[str, ...]:
+def _advice(found: Sequence[Finding], order: int, samples: int) -> tuple[str, ...]:
     """Return which test goes with what was found."""
     kinds, out = {one.kind for one in found}, []
     for kind, text in _REMEDIES.items():
@@ -506,6 +508,8 @@ def _advice(found: Sequence[Finding], order: int) -> tuple[str, ...]:
             out.append('for single samples take NormThreshold(source="tail"): a chi-squared threshold alarms too often')
     elif kinds & {"skewness", "quantised", "light tails"}:
         out.append('take source="quantile" where the rate matters: it assumes no distribution')
+    elif not kinds and samples < _ENOUGH:
+        out.append(f"nothing speaks against a designed test, but {samples} samples show little: give {_ENOUGH} or more")
     elif not kinds:
         out.append(
             "a designed test holds: CUSUM(mean_time_between_false_alarms=...), or NormThreshold for single samples"
