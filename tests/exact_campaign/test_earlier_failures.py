@@ -40,6 +40,8 @@ _EARLIER = [
     # states that no input reaches were judged in units of the caller
     ("sparse", 20002, designs._perfect),
     ("feedthrough", 20014, designs._perfect),
+    # equal sensors leave a combination of rows that reads nothing, which was divided by its size
+    ("duplicated sensors", 59, designs._perfect),
 ]
 
 

@@ -532,8 +532,12 @@ class _Search:
         return bootstrap(delays, lambda rows: rows.mean(axis=1), seed, self.confidence)
 
     def curve(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the sizes that were tried, growing, and the shares of the runs that are detected by each delay."""
-        exponents = sorted(self.tried)
+        """Return sizes, growing, and the shares of the runs that are detected by each delay, to where all are."""
+        tried = [one for one in sorted(self.tried) if one < _LARGEST * _STEPS]
+        if tried:  # those of the search lie close together: some between, and below
+            for exponent in range(tried[0] - _STEPS, tried[-1] + 1, _STEPS // 2):
+                self.seen(exponent, self.delays[-1])
+        exponents = [one for one in sorted(self.tried) if one < _LARGEST * _STEPS]
         shares = [[float((self.tried[one] < within).mean()) for within in self.delays] for one in exponents]
         kept = shares.index(shares[-1]) + 1 if shares else 0  # larger ones tell no more
         sizes = np.array([self.size(one) for one in exponents[:kept]])
