@@ -149,6 +149,17 @@ def test_a_fit_with_given_errors_keeps_their_size() -> None:
     assert watch.run(u, measured(plant.system("control"), u, 2)).alarm.mean() < 0.002
 
 
+def test_a_threshold_that_is_given_stays() -> None:
+    plant = plant_of()
+    watch = rs.Monitor(rs.design.kalman_filter(plant), test=rs.decide.Adaptive(relative=0.05, threshold=7.0))
+    assert watch.threshold == 7.0
+    u = inputs(3000, 1)
+    watch.fit(u, measured(plant.system("control"), u, 1))
+    assert watch.threshold == 7.0
+    assert watch.norm_test.promised is None
+    assert "threshold given" in watch.norm_test.basis
+
+
 def test_a_model_without_errors_moves_nothing() -> None:
     plant = plant_of()
     watch = rs.Monitor(rs.design.kalman_filter(plant), test=rs.decide.Adaptive(false_alarm_rate=0.01))

@@ -371,10 +371,10 @@ class Adaptive(NormSettings):
         promise = promise_by(self.source, observed(excess, data.full, run.usable, data.parts, k, **shape), rate)
         chosen = promise if promise.threshold >= least.threshold else least
         basis = f"fitted to {count} fault-free samples, {chosen}; {self._said(names, test.weights)}"
-        threshold = float(chosen.threshold)
         if self.threshold is not None:
-            threshold, basis = self.threshold, f"threshold given; {self._said(names, test.weights)}"
-        return replace(test, threshold=threshold, basis=basis, promised=float(promise.promised))
+            basis = f"threshold given, the rest fitted; {self._said(names, test.weights)}"
+            return replace(test, threshold=self.threshold, basis=basis)
+        return replace(test, threshold=float(chosen.threshold), basis=basis, promised=float(promise.promised))
 
     def _known(self, generator: ResidualGenerator, k: int) -> NDArray[np.float64]:
         """Return the whitening that is not from data."""
