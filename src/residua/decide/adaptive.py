@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 from residua.decide.checks import is_number
@@ -36,7 +38,7 @@ from residua.design import ResidualGenerator
 from residua.errors import DataError, FileFormatError, SettingError
 from residua.linear import StateSpace
 from residua.linear.systems.recursion import ordered_product, run_filter
-from residua.number_kinds import BOUND, POSITIVE, PROBABILITY, NumberKind
+from residua.number_kinds import BOUND, INDEX, POSITIVE, PROBABILITY, NumberKind
 from residua.records import values_out
 from residua.tolerances import SIGNAL_ROUNDING
 from residua.visible import echo
@@ -74,6 +76,19 @@ class AdaptiveState:
 
 
 @dataclass(frozen=True, eq=False)
+class _Part:
+    """The system of one error: its states and rows among those of all, and what a constant input settles it to."""
+
+    states: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    A: NDArray[np.float64]
+    B: NDArray[np.float64]
+    C: NDArray[np.float64]
+    D: NDArray[np.float64]
+    settled: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
 class AdaptiveTest(NormTest):
     """A threshold that moves with the inputs, with every number filled in: what runs.
 
@@ -84,19 +99,22 @@ class AdaptiveTest(NormTest):
     A, B, C, D : ndarray
         The system from the inputs to what each error does to the whitened residual: as many outputs for each as there
         are residuals.
+    orders : ndarray of int, shape (errors,)
+        The number of states of each.
     weights : ndarray, shape (errors,)
         What each is worth.
     together : bool
         Whether one of them holds at a time, so that the largest counts, and not their sum.
     """
 
-    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {**NormTest.NUMBER_KINDS, "weights": BOUND}
+    NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {**NormTest.NUMBER_KINDS, "weights": BOUND, "orders": INDEX}
 
     errors: tuple[str, ...] = field(kw_only=True)
     A: NDArray[np.float64] = field(kw_only=True)
     B: NDArray[np.float64] = field(kw_only=True)
     C: NDArray[np.float64] = field(kw_only=True)
     D: NDArray[np.float64] = field(kw_only=True)
+    orders: NDArray[np.int64] = field(kw_only=True)
     weights: NDArray[np.float64] = field(kw_only=True)
     together: bool = field(kw_only=True)
 
@@ -144,14 +162,28 @@ class AdaptiveTest(NormTest):
         u = _without_gaps(block.signals[..., :m], state.held)
         if not time:
             return state.x, state.held, state.running, np.zeros((plants, 0, len(self.C)))
-        x = state.x
-        fresh = ~state.running
-        if fresh.any():  # as if the plant had settled to its first inputs
-            settled = np.linalg.solve(np.eye(len(self.A)) - self.A, self.B)
-            x = x.copy()
-            x[fresh] = ordered_product(u[fresh, 0], np.ascontiguousarray(settled.T))
-        x, signed = run_filter(self.A, self.B, self.C, self.D, x, u)
+        x, fresh, signed = state.x.copy(), ~state.running, np.empty((plants, time, len(self.C)))
+        for part in self._parts:
+            if fresh.any():  # as if the plant had settled to its first inputs
+                x[np.ix_(fresh, part.states)] = ordered_product(u[fresh, 0], part.settled)
+            x[:, part.states], signed[..., part.rows] = run_filter(
+                part.A, part.B, part.C, part.D, np.ascontiguousarray(x[:, part.states]), u
+            )
         return x, u[:, -1].copy(), np.ones(plants, dtype=bool), signed
+
+    @cached_property
+    def _parts(self) -> tuple[_Part, ...]:
+        """The systems of the errors, one by one: together they are one with blocks on its diagonal."""
+        k, first, out = self.whitening.shape[1], 0, []
+        for g, order in enumerate(self.orders.tolist()):
+            states, rows = np.arange(first, first + order), np.arange(g * k, (g + 1) * k)
+            A, B = self.A[np.ix_(states, states)], self.B[states]
+            settled = np.linalg.solve(np.eye(order) - A, B).T
+            C = self.C[np.ix_(rows, states)]
+            matrices = [np.ascontiguousarray(M, dtype=np.float64) for M in (A, B, C, self.D[rows], settled)]
+            out.append(_Part(states, rows, *matrices))
+            first += order
+        return tuple(out)
 
     def _worth(self, explained: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return how far the threshold gives way at each sample."""
@@ -198,6 +230,8 @@ class AdaptiveTest(NormTest):
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
                 raise FileFormatError(f"fitted.{name} must have the shape {shape}")
+        if self.orders.shape != (len(self.errors),) or int(self.orders.sum()) != n:
+            raise FileFormatError(f"fitted.orders must be {len(self.errors)} numbers of states, {n} together")
         if n and not np.abs(np.linalg.eigvals(self.A)).max() < 1:
             raise FileFormatError("fitted.A must be stable")
 
@@ -335,9 +369,9 @@ class Adaptive(NormSettings):
         base = norm_test_from_model(self, generator.covariance_of_sums(self.window), generator.n_residuals)
         if base is None:
             return None
-        names, system, weights = self._errors_of(generator, base.whitening)
+        names, systems, weights = self._errors_of(generator)
         basis = f"{base.basis}; {self._said(names, weights)}"
-        return _with_errors(replace(base, basis=basis), names, system, weights, self.together)
+        return _with_errors(replace(base, basis=basis), names, systems, weights, self.together)
 
     def fitted(self, watched: Watched, run: FaultFreeRun, rate: float) -> AdaptiveTest:
         """Return the test fitted to fault-free data, for a rate of false alarms."""
@@ -350,16 +384,14 @@ class Adaptive(NormSettings):
                 "these residuals hold no noise, from which errors of the model could be told: take NormThreshold, "
                 "whose threshold is then the level of rounding"
             )
-        names, system, weights = self._errors_of(generator, np.eye(k))
-        raw = _with_errors(_blank(np.zeros(k), np.eye(k), self), names, system, weights, self.together)
+        names, systems, weights = self._errors_of(generator)
+        raw = _with_errors(_blank(np.zeros(k), np.eye(k), self), names, systems, weights, self.together)
         left = FaultFree(_without_errors(raw, run, data), run.usable, self.window, run.seams)
         moments = (
             left.moments() if self.whiten in ("auto", "data") else left.moments(whitening=self._known(generator, k))
         )
-        W = moments.whitening
-        system = StateSpace(system.A, system.B, _whitened(system.C, W), _whitened(system.D, W), dt=system.dt)
-        blank = _blank(moments.center, W, self)
-        test = _with_errors(blank, names, system, weights, self.together)
+        blank = _blank(moments.center, moments.whitening, self)
+        test = _with_errors(blank, names, systems, weights, self.together)
         norms, explained = _measured(test, run, data.parts)
         shape: dict[str, Any] = {"persistence": self.persistence, "release": blank.release, "window": self.window}
         quiet = observed(left.statistic(moments), data.full, run.usable, data.parts, k, **shape)
@@ -385,16 +417,15 @@ class Adaptive(NormSettings):
         return np.eye(k)
 
     def _errors_of(
-        self, generator: ResidualGenerator, whitening: NDArray[np.float64]
-    ) -> tuple[tuple[str, ...], StateSpace, NDArray[np.float64]]:
-        """Return the names of the errors, what they do to the whitened residual, and what they are worth."""
+        self, generator: ResidualGenerator
+    ) -> tuple[tuple[str, ...], tuple[StateSpace, ...], NDArray[np.float64]]:
+        """Return the names of the errors, what they do to the residual, and what they are worth."""
         plant = generator.plant if generator.plant.is_discrete else generator.plant.discretize(generator.dt)
         errors = self.errors or errors_of_gains(plant, changes=not self.bounds_errors)
         if not errors:
             raise SettingError("no output of this plant answers to an input: its threshold has nothing to move with")
-        system = residual_errors(errors, generator, whitening)
         weights = np.full(len(errors), self._share or 1.0)
-        return tuple(one.name for one in errors), system, weights
+        return tuple(one.name for one in errors), residual_errors(errors, generator), weights
 
     def _said(self, names: Sequence[str], weights: NDArray[np.float64]) -> str:
         """Return in words what the threshold gives way to."""
@@ -466,9 +497,14 @@ def _blank(center: NDArray[np.float64], whitening: NDArray[np.float64], settings
 
 
 def _with_errors(
-    base: NormTest, names: tuple[str, ...], system: StateSpace, weights: NDArray[np.float64], together: bool
+    base: NormTest,
+    names: tuple[str, ...],
+    systems: Sequence[StateSpace],
+    weights: NDArray[np.float64],
+    together: bool,
 ) -> AdaptiveTest:
-    """Return a norm test that gives way to errors of the model."""
+    """Return a norm test that gives way to errors of the model; the systems are from the inputs to the residual."""
+    W = base.whitening.T
     return AdaptiveTest(
         base.center,
         base.whitening,
@@ -478,19 +514,14 @@ def _with_errors(
         base.window,
         base.basis,
         errors=names,
-        A=np.array(system.A),
-        B=np.array(system.B),
-        C=np.array(system.C),
-        D=np.array(system.D),
+        A=scipy.linalg.block_diag(*[one.A for one in systems]),
+        B=np.vstack([one.B for one in systems]),
+        C=scipy.linalg.block_diag(*[W @ one.C for one in systems]),
+        D=np.vstack([W @ one.D for one in systems]),
+        orders=np.array([one.n_states for one in systems], dtype=np.int64),
         weights=weights,
         together=together,
     )
-
-
-def _whitened(rows: NDArray[np.float64], whitening: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rows of each error, a residual each, as those of whitened residuals."""
-    k = len(whitening)
-    return np.vstack([whitening.T @ rows[g : g + k] for g in range(0, len(rows), k)])
 
 
 def _measured(

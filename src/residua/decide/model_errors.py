@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
 from residua.design import ResidualGenerator
@@ -145,10 +144,8 @@ def errors_of_gains(plant: Plant, *, changes: bool = False) -> tuple[OutputError
     return tuple(made)
 
 
-def residual_errors(
-    errors: Sequence[OutputError], generator: ResidualGenerator, whitening: NDArray[np.float64]
-) -> StateSpace:
-    """Return the system from the inputs to what each error does to the whitened residual, one after the other.
+def residual_errors(errors: Sequence[OutputError], generator: ResidualGenerator) -> tuple[StateSpace, ...]:
+    """Return for each error the system from the inputs to what it does to the residual.
 
     Raises
     ------
@@ -177,14 +174,7 @@ def residual_errors(
                 "do follows from the inputs of a stable plant only; take NormThreshold, or a model of the closed loop"
             )
         parts.append(system.series(filtered))
-    W = whitening.T
-    return StateSpace(
-        scipy.linalg.block_diag(*[part.A for part in parts]),
-        np.vstack([part.B for part in parts]),
-        scipy.linalg.block_diag(*[W @ part.C for part in parts]),
-        np.vstack([W @ part.D for part in parts]),
-        dt=dt,
-    )
+    return tuple(parts)
 
 
 def _from_inputs(plant: Plant) -> StateSpace:
