@@ -160,6 +160,17 @@ def _size(seen: "rs.validate.Detectability", fault: str, within: float) -> float
     return next(one.size.value for one in seen.smallest if one.fault == fault and one.within == within)
 
 
+def test_a_fit_that_knows_no_memory_says_so() -> None:
+    rng = np.random.default_rng(0)
+    watch = kalman(static(), rs.decide.NormThreshold(false_alarm_rate=0.01, persistence=1))
+    watch.fit(np.zeros((4000, 1)), 0.3 * rng.standard_normal((4000, 2)))
+    seen = rs.decide.detectability(watch, within=10, runs=500, confidence=SURE)
+    assert seen.noise == "white, with the covariance of the fit"
+    assert "taken to be white" in seen.notes[0]
+    model = rs.decide.detectability(kalman(static(), watch.test), within=10, runs=500, confidence=SURE)
+    assert model.smallest[0].size.value == pytest.approx(seen.smallest[0].size.value, rel=0.1)  # of 4,000 samples
+
+
 def test_residuals_that_the_threshold_is_not_for_are_said() -> None:
     watch = kalman(static(), rs.decide.CUSUM(mean_time_between_false_alarms=1e4))
     wider = 0.45 * np.random.default_rng(0).standard_normal((5000, 2))

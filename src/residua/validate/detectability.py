@@ -37,6 +37,8 @@ _BEFORE, _MOST_BEFORE = 200, 5_000
 _ON, _ON_OWN = 4, 20
 #: Numbers that may be held at once: half a gigabyte.
 _MOST_NUMBERS = 6 * 10**7
+#: Where residuals come from after a fit that knows their covariance alone.
+_WHITE = "white, with the covariance of the fit"
 #: Fewer runs say nothing of a share.
 _FEWEST = 20
 #: Deviations by which simulated false alarms contradict a design.
@@ -308,7 +310,7 @@ def detectability(
         int(runs),
         int(seed),
         {name: _unit(generator, name) for name in names},
-        _notes(trials, generator, test),
+        _notes(trials, generator, test, words),
     )
 
 
@@ -408,7 +410,7 @@ def _noise(monitor: Monitor, test: ResidualTest, residuals: ArrayLike | Resample
             assert drawn is not None
             return drawn
 
-        return from_test, "as the fit describes them"
+        return from_test, _WHITE if isinstance(test, NormTest) else "as the fit describes them"
     generator = monitor.generator
     if generator.covariance_of_sums(1) is None:
         raise SettingError(
@@ -629,9 +631,11 @@ def _nearest(delays: tuple[float, ...], within: float) -> int:
     return place
 
 
-def _notes(trials: _Trials, generator: ResidualGenerator, test: ResidualTest) -> tuple[str, ...]:
+def _notes(trials: _Trials, generator: ResidualGenerator, test: ResidualTest, noise: str) -> tuple[str, ...]:
     """Return what to mind: disturbances, false alarms that are not as designed, runs that are left out."""
     notes = []
+    if noise == _WHITE:
+        notes.append("residuals are taken to be white: give residuals= of a fault-free recording where they are not")
     if generator.plant.disturbances and not _decoupled(generator):
         notes.append(f"disturbances are taken to be zero: {listed(generator.plant.disturbances)}")
     if test.mean_time is not None:
