@@ -2,7 +2,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-DEFINITION := pyproject.toml setup.py src/residua/linear/systems/_recursion.c
+DEFINITION := pyproject.toml setup.py $(shell find src -name "*.[ch]")
 CODE := src tests benchmarks docs
 
 # Where Python may not keep what it compiles, every process that a test starts compiles the package again.

@@ -1,4 +1,4 @@
-"""The optional compiled kernel; everything else about the package is in pyproject.toml."""
+"""The optional compiled kernels; everything else about the package is in pyproject.toml."""
 
 import os
 import sys
@@ -6,21 +6,33 @@ import sysconfig
 
 from setuptools import Extension, setup
 
-# The kernel promises the same bits as NumPy: no fused multiply-add, no reordering of sums.
+# The kernels promise the same bits as NumPy: no fused multiply-add, no reordering of sums.
 flags = ["/O2", "/fp:precise"] if sys.platform == "win32" else ["-O3", "-ffp-contract=off", "-std=c11", "-g0"]
 # Builds of Python without the global lock do not have the stable ABI.
 stable_abi = not sysconfig.get_config_var("Py_GIL_DISABLED")
 
-kernel = Extension(
-    "residua.linear.systems._recursion",
-    sources=["src/residua/linear/systems/_recursion.c"],
-    extra_compile_args=flags,
-    define_macros=[("Py_LIMITED_API", "0x030B0000")] if stable_abi else [],
-    py_limited_api=stable_abi,
-    optional=True,  # without a compiler the package is built all the same and runs on NumPy
-)
+
+def kernel(name: str, depends: list[str]) -> Extension:
+    """Return the definition of one compiled module."""
+    return Extension(
+        name,
+        sources=[f"src/{name.replace('.', '/')}.c"],
+        depends=depends,
+        extra_compile_args=flags,
+        define_macros=[("Py_LIMITED_API", "0x030B0000")] if stable_abi else [],
+        py_limited_api=stable_abi,
+        optional=True,  # without a compiler the package is built all the same and runs on NumPy
+    )
+
+
+filter_header, judging_header = "src/residua/linear/systems/_filter.h", "src/residua/decide/_judging.h"
+plant_header = "src/residua/monitor/_plant_filter.h"
+kernels = [
+    kernel("residua.linear.systems._recursion", [filter_header]),
+    kernel("residua.monitor._fused", [filter_header, judging_header, plant_header]),
+]
 
 setup(
-    ext_modules=[] if os.environ.get("RESIDUA_NO_COMPILED") == "1" else [kernel],
+    ext_modules=[] if os.environ.get("RESIDUA_NO_COMPILED") == "1" else kernels,
     options={"bdist_wheel": {"py_limited_api": "cp311"}} if stable_abi else {},
 )

@@ -12,6 +12,16 @@ _SIX = {
 }
 
 
+def _read_windows(state: Any) -> Any:
+    """Keep of every moving sum what it has read, and count all plants together, as before version 8."""
+    if not isinstance(state, dict) or "shape" in state:
+        return state
+    if set(state) == {"values", "begun", "filled"}:
+        counts = state["filled"]["int"]
+        return {"ends": state["values"], "block": state["values"], "begun": state["begun"], "filled": counts[0]}
+    return {name: _read_windows(entry) for name, entry in state.items()}
+
+
 _WINDOW, _RUNS = ("ends", "block", "begun", "filled"), ("up", "down", "alarm")
 
 
@@ -48,6 +58,11 @@ def _flat(content: dict[str, Any]) -> None:
 def as_version(version: int, content: dict[str, Any]) -> dict[str, Any]:
     """Take out of a file of today what came later than a version; it must hold nothing that only today has."""
     content["version"] = version
+    if content["state"] is not None:
+        content["state"] = _read_windows(content["state"]) | {"count": content["state"]["count"]["int"][0]}
+    if version == 7:
+        content["checksum"] = None
+        return content
     _flat(content)
     if version == 6:
         content["checksum"] = None

@@ -12,7 +12,7 @@ from residua.analysis import coding, diagnosability
 from residua.design.observers.general_residual_generator import residual_generator_from_observer
 from residua.design.suggestion import suggest
 from residua.linear import StateSpace
-from residua.monitor import Diagnosis, Monitor, RegimeMonitor, read_recording
+from residua.monitor import Diagnosis, Fleet, Monitor, RegimeMonitor, read_recording
 from residua.plant import InputOutputModel, Plant, UncertainPlant, load_plant
 
 _LAZY = ("report", "testing")  # they are not needed to run a monitor, and slower to import
@@ -21,6 +21,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "Diagnosis",
+    "Fleet",
     "InputOutputModel",
     "Monitor",
     "Plant",

@@ -162,3 +162,15 @@ def test_a_quadrature_that_does_not_settle_is_refused() -> None:
     with pytest.raises(AccuracyError, match="by two quadratures"):
         mean_run_length(Jump(), 4.0)
     assert settled(lambda factor: 3.0, "anything") == 3.0
+
+
+def test_the_fraction_in_alarm_is_that_of_a_whole_cycle() -> None:
+    """Of single samples: over with probability p, and at or below the release with q."""
+    from scipy.special import chdtrc
+
+    settings = rs.decide.EWMA(weight=1.0, false_alarm_rate=0.2)
+    h = settings.designed(2)
+    p, q = chdtrc(2, h**2), 1 - chdtrc(2, (h / 2) ** 2)
+    assert (1 / q) / (1 / p + 1 / q) == pytest.approx(0.2, rel=1e-4)
+    single = rs.decide.ChiSquared()
+    assert single.cycle(single.designed(3, 0.1), 3).fraction == pytest.approx(0.1, rel=1e-9)

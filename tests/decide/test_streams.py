@@ -94,6 +94,51 @@ def test_the_fraction_in_alarm_is_the_designed_one(kind: str, window: int) -> No
     assert monitor.run(None, noise(kind, rng, 40_000, 2)).alarm.mean() == pytest.approx(0.01, rel=0.35)
 
 
+@pytest.mark.parametrize(("window", "dimension"), [(1, 1), (1, 3), (2, 1), (10, 1), (30, 3)])
+def test_a_likelihood_ratio_is_as_rare_as_it_is_designed_where_alarms_are_frequent(window: int, dimension: int) -> None:
+    """Siegmund's approximation is off by factors there: 0.46 of the time at 10 samples of three residuals."""
+    for time in (4.0, 10.0, 50.0):
+        settings = rs.decide.GLR(window=window, mean_time_between_false_alarms=time)
+        h = settings.designed(dimension)
+        test = settings.test(**plain(np.zeros(dimension), np.eye(dimension)), threshold=h, release=h / 2, basis="")
+        e = np.random.default_rng(6).standard_normal((1500, int(12 * time), dimension))
+        over = test.run(test.start(1500), Block(e, np.ones(e.shape[:2], bool)))[1].exceeded
+        assert over.any(axis=1).all()
+        assert over.argmax(axis=1).mean() + 1 == pytest.approx(time, rel=0.08)  # 2.6 deviations, and 1 % of the design
+    assert settings.run_length(1e-3, dimension) == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_likelihood_ratio_over_single_samples_is_exact() -> None:
+    settings = rs.decide.GLR(window=1, mean_time_between_false_alarms=3000)
+    assert settings.designed(3) == pytest.approx(rs.decide.ChiSquared(false_alarm_rate=1 / 3000).designed(3), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("settings", "samples"),
+    [
+        (rs.decide.GLR(), 2000),
+        (rs.decide.GLR(window=10), 5000),
+        (rs.decide.CUSUM(form="page"), 2000),
+        (rs.decide.PageHinkley(), 20_000),
+    ],
+)
+def test_white_data_do_not_contradict_a_design(settings: rs.decide.CUSUM, samples: int) -> None:
+    """In 1 of 100 recordings or so: neither short times between alarms, nor a mean that starts again, are compared."""
+    blank = settings.test(**plain(np.zeros(3), np.eye(3)), threshold=np.inf, release=0.0, basis="")
+    e = np.random.default_rng(22).standard_normal((12, samples, 3))
+    seen = np.ones(e.shape[:2], bool)
+    values = blank.run(blank.start(12), Block(e, seen))[1].statistic
+    said = [settings._contradiction(values[k], seen[k], [slice(0, samples)], 3) for k in range(12)]
+    assert sum(map(bool, said)) <= 1
+
+
+def test_a_likelihood_ratio_can_be_fitted_to_2000_samples_of_one_residual() -> None:
+    """Where a time of 10 samples between alarms has no threshold by the approximation."""
+    r = np.random.default_rng(23).standard_normal((2500, 1))
+    monitor = rs.Monitor(given(1), test=rs.decide.GLR(), isolate=None).fit(None, r)
+    assert "do not contradict" in monitor.norm_test.basis
+
+
 def test_the_chi_squared_thresholds_and_power_as_published() -> None:
     """METHODS V12."""
     test = rs.decide.ChiSquared
@@ -291,6 +336,43 @@ def test_an_autoregression_takes_the_memory_off() -> None:
     assert whiteness(e[0], seen[0], parts) > 0.01
 
 
+def test_the_memory_is_that_of_the_residual_whatever_samples_are_missing() -> None:
+    """Products over gaps are smaller: with zeros in their place a pole of 0.9 looked like one of 0.4."""
+    rng = np.random.default_rng(20)
+    A, q = np.array([[0.9, 0.2], [0.0, 0.4]]), np.zeros((8000, 2))
+    for k in range(1, 8000):
+        q[k] = A @ q[k - 1] + rng.standard_normal(2)
+    usable = rng.random(8000) > 0.3
+    model = autoregression(np.where(usable[:, None], q, 0.0), usable, [slice(0, 3000), slice(3000, 8000)])
+    assert model.order == 1
+    np.testing.assert_allclose(model.coefficients[0].T, A, atol=0.06)
+    np.testing.assert_allclose(model.covariance, np.eye(2), atol=0.08)
+    shown = [
+        whiteness(rng.standard_normal((2000, 1)) * here[:, None], here, [slice(0, 2000)])
+        for here in (rng.random((300, 2000)) > 0.5)
+    ]
+    assert 0.01 < np.mean(np.array(shown) < 0.05) < 0.10  # as white as white noise is, and no whiter
+
+
+def test_a_fit_with_missing_samples_alarms_as_designed() -> None:
+    rng = np.random.default_rng(21)
+    r = noise("coloured 0.9", rng, 10_000, 1)
+    r[rng.random(10_000) < 0.3] = np.nan
+    settings = rs.decide.EWMA(false_alarm_rate=0.01)
+    monitor = rs.Monitor(given(1), test=settings, isolate=None).fit(None, r, held_out=0)
+    assert monitor.run(None, noise("coloured 0.9", rng, 60_000, 1)).alarm.mean() == pytest.approx(0.01, rel=0.4)
+
+
+def test_a_recording_with_a_gap_after_each_sample_is_not_judged_and_says_so() -> None:
+    rng = np.random.default_rng(24)
+    monitor = rs.Monitor(given(1), test=rs.decide.EWMA(), isolate=None).fit(None, noise("coloured 0.9", rng, 5000, 1))
+    r = noise("coloured 0.9", rng, 1001, 1)
+    r[1::2] = np.nan
+    diagnosis = monitor.run(None, r)
+    assert not diagnosis.decided.any()
+    assert any("99.9 % of the recording is not judged" in note for note in diagnosis.notes)
+
+
 def test_scores_are_gaussian_whatever_the_samples_are() -> None:
     rng = np.random.default_rng(11)
     e = rng.standard_t(4, (20_000, 2)) * [1.0, 1e-6]
@@ -354,6 +436,21 @@ def test_data_that_cannot_tell_are_refused() -> None:
             rs.Monitor(given(20), test=settings).fit(None, rng.standard_normal((400, 20)))
     with pytest.raises(SettingError, match="asks which part fired"):
         rs.decide.CUSUM().check(Watched(given(1), parts={"a": (0,)}))
+
+
+def test_a_time_between_alarms_from_the_data_counts_alarms_as_long_as_they_are_there() -> None:
+    """Of heavy tails they are shorter than of white residuals: by the designed fraction they came after 570 samples."""
+    settings, quiet, raised = rs.decide.GLR(window=20, mean_time_between_false_alarms=1000), 0, 0
+    for seed in (0, 1):
+        rng = np.random.default_rng((seed, 3))
+        monitor = rs.Monitor(given(2), test=settings, isolate=None)
+        monitor.fit(None, noise("heavy-tailed", rng, 20_000, 2), held_out=0)
+        assert "the data contradict the design" in monitor.norm_test.basis
+        found = monitor.run(None, noise("heavy-tailed", rng, 100_000, 2))
+        assert isinstance(found, rs.Diagnosis)
+        raised += int((found.alarm[1:] & ~found.alarm[:-1]).sum())
+        quiet += int((~found.alarm).sum())
+    assert 800 < quiet / raised < 1600
 
 
 def test_files_that_fit_nothing_are_refused() -> None:

@@ -457,3 +457,11 @@ def test_an_input_output_model_says_when_a_plant_is_needed() -> None:
         rs.diagnosability(io)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = io.nothing
+
+
+def test_relations_of_a_triple_pole_read_their_outputs() -> None:
+    A = [[-2, 1, 0], [-1, -2, 1], [0, 1, -2]]  # nilpotent but for the pole at -2
+    plant = rs.Plant(A, [[-1], [2], [3]], [[-1, 0, 1], [1, 0, 0]])
+    made = rs.design.primary_residuals(plant)  # (-1, 0, 1) A = -2 (-1, 0, 1)
+    assert made.relations.orders == (1, 3)
+    assert np.allclose(made.relations.output_rows.coefficients[:, 0, 0], [2, 1, 0, 0])

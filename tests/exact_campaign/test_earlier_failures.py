@@ -28,6 +28,9 @@ _EARLIER = [
     # sizes of polynomials on poles that meet came of the scatter of these
     ("repeated poles", 20001, designs._parity),
     ("repeated poles", 20008, designs._parity),
+    # the size of polynomials on one pole came of what rounding of the pole leaves on the diagonal
+    ("repeated poles", 19, designs._parity),
+    ("repeated poles", 41, designs._parity),
     # a direction of a response was taken for rounding because residuals have other units
     ("planted zeros", 20007, designs._filters),
     ("alike directions", 20011, designs._filters),

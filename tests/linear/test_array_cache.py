@@ -8,6 +8,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from residua.linear.poles.matrix_poles import explicit_poles
+from residua.linear.systems import array_cache
 from residua.linear.systems.array_cache import cached_by_entries
 from residua.linear.systems.balancing import balance_system
 from residua.linear.systems.units import _origins, matrix_units, pencil_units
@@ -44,12 +45,28 @@ def test_a_kept_result_cannot_be_written_to_and_does_not_follow_its_arguments():
         kept[0][0] = 1.0
 
 
-def test_large_matrices_and_errors_are_not_kept():
-    function, calls = counting()
-    for _ in range(2):
-        function(np.zeros((100, 100)), np.eye(2))
-    assert len(calls) == 2
+def test_large_matrices_are_kept_too_but_only_so_many_bytes_of_them(monkeypatch):
+    monkeypatch.setattr(array_cache, "_MOST_BYTES", 3 * 100 * 100 * 8)
+    calls = []
 
+    @cached_by_entries
+    def function(A):
+        calls.append(A[0, 0])
+        return A + 1.0
+
+    for value in (1.0, 2.0, 1.0, 3.0, 1.0, 4.0, 2.0, 1.0):
+        assert np.array_equal(function(np.full((100, 100), value)), np.full((100, 100), value + 1.0))
+    assert calls == [1.0, 2.0, 3.0, 4.0, 2.0]
+    for _ in range(2):
+        function(np.zeros((200, 200)))  # too large to be kept at all
+    assert calls[5:] == [0.0, 0.0]
+    changed = np.ones((100, 100))
+    changed[-1, -1] = np.nextafter(1.0, 2.0)  # large matrices too are told apart by their last bit
+    function(changed)
+    assert calls[7:] == [1.0]
+
+
+def test_errors_are_not_kept():
     tries = []
 
     @cached_by_entries

@@ -16,7 +16,8 @@ from effort import cases
 from residua.decide import BankTest, Directional, NormThreshold, Structured, read_codes
 from residua.decide.norm_threshold import fit_norm_test
 from residua.errors import FileFormatError, ModelError, SettingError
-from residua.monitor.running import Decisions, run_block
+from residua.monitor.fused import run_block
+from residua.monitor.running import Decisions
 from residua.records import values_out
 
 FIELDS = {
@@ -312,8 +313,8 @@ def test_a_fleet_gives_what_each_plant_alone_gives() -> None:
         (lambda c: c["state"]["test"]["runs"]["alarm"].update(shape=[1], bool=[False]), "state.test.runs.alarm"),
         (lambda c: c["state"]["isolation"]["since"]["int"].__setitem__(0, 10**6), "since must not be later"),
         (
-            lambda c: c["state"]["isolation"]["window"]["block"].update(shape=[1, 50, 1], float=[0.0] * 50),
-            "state.isolation.window.block",
+            lambda c: c["state"]["isolation"]["window"]["values"].update(shape=[1, 50, 1], float=[0.0] * 50),
+            "state.isolation.window.values",
         ),
         (lambda c: c["design"].update(codes=None), "none: use a bank"),
     ],

@@ -11,8 +11,9 @@ from hypothesis import given, settings, strategies as st
 import residua as rs
 from effort import rounds
 from residua.decide import Matched, NormThreshold
+from residua.monitor.fused import run_block
 from residua.monitor.partial_update import PartialUpdate
-from residua.monitor.running import initial_state, run_block
+from residua.monitor.running import initial_state
 from residua.records import values_out
 from running_examples import plant, recording
 

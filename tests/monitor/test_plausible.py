@@ -14,7 +14,8 @@ import residua as rs
 from older_files import as_version
 from residua.decide import Matched, NormThreshold, PeakThreshold
 from residua.errors import SettingError
-from residua.monitor.running import initial_state, run_block
+from residua.monitor.fused import run_block
+from residua.monitor.running import initial_state
 from residua.records import values_out
 from running_examples import plant, recording
 

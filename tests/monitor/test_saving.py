@@ -310,7 +310,11 @@ def test_no_number_that_runs_may_be_missing_or_infinite(
             -1,
             r"state\.filter\.age\[0\]: expected a whole number, 0 or more, got -1",
         ),
-        (("state", "test", "window", "filled"), 10**6, r"state\.test\.window\.filled must be below the window"),
+        (
+            ("state", "test", "window", "filled", "int", 0),
+            10**6,
+            r"state\.test\.window\.filled must be below the window",
+        ),
         (("fitted", "threshold"), "inf", r"fitted\.threshold: expected a positive, finite number"),
         (("fitted", "threshold"), 0, r"fitted\.threshold: expected a positive, finite number, got 0"),
         (("fitted", "persistence"), 0, r"fitted\.persistence: expected a whole number, 1 or more, got 0"),
@@ -472,10 +476,11 @@ SAVED = Path(__file__).parent / "saved"
 
 
 @pytest.mark.parametrize("kind", ["direction", "groups", "none", "bank", "peak", "matched"])
-def test_files_that_version_6_wrote_go_on_with_the_same_bits(kind: str, tmp_path: Path) -> None:
-    """The files, and what that version decided after them, were written by it while it was the latest."""
+@pytest.mark.parametrize("version", [6, 7])
+def test_files_of_earlier_versions_go_on_with_the_same_bits(version: int, kind: str, tmp_path: Path) -> None:
+    """The files were written by these versions, each while it was the latest, and version 6 decided what came after."""
     told = json.loads((SAVED / "expected.json").read_text())
-    path = SAVED / f"version6-{kind}.json"
+    path = SAVED / f"version{version}-{kind}.json"
     monitor = rs.Monitor.load(path)
     assert monitor.notes == ()
     monitor.save(tmp_path / "today.json")

@@ -12,7 +12,8 @@ from hypothesis import given, settings, strategies as st
 import residua as rs
 from residua.decide import NormThreshold, PeakThreshold
 from residua.errors import SettingError
-from residua.monitor.running import initial_state, run_block
+from residua.monitor.fused import run_block
+from residua.monitor.running import initial_state
 
 
 def tank() -> rs.Plant:

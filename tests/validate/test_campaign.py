@@ -500,6 +500,27 @@ def test_tables_have_a_row_for_each_case(monitor: rs.Monitor) -> None:
     assert len(made.detection_probabilities()) == 9
     assert set(made.roc()) == {case.name for case in made.cases}
     assert "false-alarm rate" in str(made)
+    alike = [v.Scenario("leak", v.intermittent(on=5, off=5, at=20), size=[0.123456, 0.123457])] * 2
+    assert len(v.campaign(monitor, alike, **SMALL).roc()) == 4
+
+
+def test_what_is_more_probably_no_fault_that_is_listed_is_unknown() -> None:
+    """The fault that the plant has moves another sensor than the model says."""
+    plant = rs.Plant([[0.5, 0.1], [0.0, 0.6]], [[1.0], [0.5]], [[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], dt=1.0)
+    model, other = (
+        plant.with_faults({"drift": ([0, 0], np.eye(3)[k]), "dirt": ([0, 0], [0, 1, 0])}).with_noise(
+            process=0.1, measurement=1.0
+        )
+        for k in (0, 2)
+    )
+    isolate = rs.decide.Likelihood(window=20)
+    test = rs.decide.CUSUM(mean_time_between_false_alarms=1e4)
+    monitor = rs.Monitor(rs.design.kalman_filter(model), test=test, isolate=isolate)
+    faults = [v.Scenario(name, v.step(at=100), size=8.0) for name in model.faults]
+    made = v.campaign(monitor, faults, runs=40, samples=140, plants=other, progress=False)
+    right, unknown = (made.confusion().columns()[name] for name in (model.faults[1], "unknown"))
+    assert unknown[0] > 0.9
+    assert right[1] > 0.9
 
 
 # ----------------------------------------------------------------------- bad input
@@ -515,12 +536,15 @@ def test_tables_have_a_row_for_each_case(monitor: rs.Monitor) -> None:
         ({"seed": -1}, SettingError, "seed must be a whole number"),
         ({"within": 0.1}, SettingError, "within must be one step"),
         ({"within": np.nan}, SettingError, "within must be one step"),
+        ({"within": "soon"}, SettingError, "within must be one step"),
         ({"inputs": np.zeros((10, 1))}, DataError, "300 samples or more"),
         ({"inputs": np.full((300, 1), np.nan)}, DataError, "inputs must be finite"),
         ({"inputs": "sweep"}, DataError, "array of numbers"),
         ({"disturbances": {"storm": 1.0}}, SettingError, "no disturbance 'storm'; known: gust"),
         ({"disturbances": {"gust": np.inf}}, DataError, "must be finite"),
         ({"disturbances": {"gust": np.zeros(5)}}, DataError, "300 samples or more"),
+        ({"disturbances": {"gust": "strong"}}, DataError, "must be a number, an array"),
+        ({"disturbances": ["gust"]}, SettingError, "signals by name"),
         ({"noise": "white"}, SettingError, "noise must be white"),
         ({"noise": v.white(2.0)}, SettingError, "the plant says how large its noise is"),
         ({"noise": v.resampled(np.zeros((50, 3)))}, SettingError, "3 columns"),
@@ -540,8 +564,16 @@ def test_what_does_not_fit_the_monitor(plant: rs.Plant, monitor: rs.Monitor) -> 
         v.campaign(monitor, v.Scenario("rust", v.step(at=1)), **SMALL)
     with pytest.raises(SettingError, match="after the last sample"):
         v.campaign(monitor, v.Scenario("leak", v.step(at=1000)), **SMALL)
+    dt, samples = monitor.generator.dt, SMALL["samples"]  # an onset between samples comes with the next one
+    last = v.Scenario("leak", v.step(at=dt * (samples - 10)))
+    between = v.Scenario("leak", v.step(at=dt * (samples - 9.6)))
+    v.campaign(monitor, last, **SMALL | {"runs": 1, "within": 10 * dt})
+    with pytest.raises(SettingError, match="the run ends before"):
+        v.campaign(monitor, between, **SMALL | {"runs": 1, "within": 10 * dt})
     with pytest.raises(SettingError, match="scenarios must be"):
         v.campaign(monitor, ["leak"], **SMALL)  # pyright: ignore
+    with pytest.raises(SettingError, match="scenarios must be"):
+        v.campaign(monitor, None, **SMALL)  # pyright: ignore
     with pytest.raises(SettingError, match="for a Monitor"):
         v.campaign(plant, **SMALL)  # pyright: ignore
     with pytest.raises(NotFittedError, match="no threshold"):

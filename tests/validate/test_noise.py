@@ -80,6 +80,7 @@ def test_of_a_diagnosis_the_decided_samples_count(monitor: rs.Monitor) -> None:
         (lambda: v.white(np.inf), SettingError, "positive, finite"),
         (lambda: v.resampled([[1.0, np.nan]]), DataError, "finite"),
         (lambda: v.resampled(np.zeros((0, 2))), DataError, "residuals must be"),
+        (lambda: v.resampled("abc"), DataError, "residuals must be numbers"),
         (lambda: v.resampled([np.zeros((9, 2)), np.zeros((9, 3))]), DataError, "as many columns"),
         (lambda: v.resampled(np.zeros((9, 2)), block=10), DataError, "shorter block"),
         (lambda: v.resampled(np.zeros((9, 2)), block=0), SettingError, "whole number of samples"),

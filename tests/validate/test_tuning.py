@@ -62,6 +62,9 @@ def test_what_cannot_be_tuned(plant: rs.Plant) -> None:
         v.tune(monitor, STEP, windows=[], **SMALL)
     with pytest.raises(SettingError, match="whole number of samples"):
         v.tune(monitor, STEP, persistences=[0], **SMALL)
+    for seed in (-1, 1.5):
+        with pytest.raises(SettingError, match="seed"):
+            v.tune(monitor, STEP, windows=[1], seed=seed, **SMALL)  # pyright: ignore
     with pytest.raises(SettingError, match="on the residual as a whole"):
         v.tune(rs.Monitor(rs.design.matched_filters(plant)), STEP, **SMALL)
     with pytest.raises(SettingError, match="is a Monitor"):

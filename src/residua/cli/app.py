@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -27,6 +29,7 @@ from residua.cli.recording_options import (
     Tolerance,
     Transpose,
     Variable,
+    in_words_of_options,
 )
 from residua.decide.false_alarms import ENOUGH, within_tolerance
 from residua.demos import Outcome
@@ -34,8 +37,9 @@ from residua.errors import AccuracyError, DataError
 from residua.files import check_input
 from residua.monitor import Diagnosis, Monitor
 from residua.monitor.inputs import settling_reason
+from residua.monitor.streaming import judged_file, write_outputs
 from residua.recording.recording import Recording
-from residua.recording.table_writer import write_table
+from residua.recording.table_writer import check_table
 from residua.visible import echo
 
 app = typer.Typer(
@@ -239,26 +243,45 @@ def run(
     check_input(monitor, "a monitor")
     check_input(recording, "a recording")
     check_outputs([report, alarms, residuals], [monitor, recording])
-    _check_table(residuals)
+    if residuals is not None:
+        check_table(residuals)
     watch = Monitor.load(monitor)
     watch.norm_test  # noqa: B018 (a monitor without a threshold says so before a long file is read)
     reading = Reading(time, dt, variable, fill_gaps, tolerance, day_first, time_format, decimal, columns, transpose)
-    data = reading.read(recording, watch)
-    diagnosis = _run(watch, data)
-    written = _write(diagnosis, report=report, alarms=alarms, residuals=residuals)
-    if not quiet:
-        screen.show_diagnosis(diagnosis)
-        if data.origin:
-            screen.say(f"times count from {data.origin}")
-        screen.say(*(f"written: {path}" for path in written))
-    if not diagnosis.decided.any():
-        waits = not diagnosis.missing.all()
-        settles = f": {settling_reason(watch.generator, watch.settling_samples)}" if waits else ""
-        raise DataError(
-            f"{recording}: no sample could be judged, so this is not a verdict: {len(diagnosis.time)} samples, "
-            f"{diagnosis.n_missing} of them incomplete; {diagnosis.why_undecided}{settles}"
-        )
-    raise typer.Exit(FAULT if diagnosis.fault_detected else NO_FAULT)
+    with _diagnosed(watch, recording, reading) as diagnosis:
+        written = write_outputs(diagnosis, report=report, alarms=alarms, residuals=residuals)
+        if not quiet:
+            screen.show_diagnosis(diagnosis)
+            if diagnosis.origin:
+                screen.say(f"times count from {diagnosis.origin}")
+            screen.say(*(f"written: {path}" for path in written))
+        if not diagnosis.decided.any():
+            waits = not diagnosis.missing.all()
+            settles = f": {settling_reason(watch.generator, watch.settling_samples)}" if waits else ""
+            raise DataError(
+                f"{recording}: no sample could be judged, so this is not a verdict: {len(diagnosis.time)} samples, "
+                f"{diagnosis.n_missing} of them incomplete; {diagnosis.why_undecided}{settles}"
+            )
+        raise typer.Exit(FAULT if diagnosis.fault_detected else NO_FAULT)
+
+
+#: Bytes of a file from which on it is read piece by piece: about 300 MB of memory at once otherwise.
+STREAMED = 50_000_000
+
+
+@contextmanager
+def _diagnosed(watch: Monitor, recording: Path, reading: Reading) -> Iterator[Diagnosis]:
+    """Yield the diagnosis of a recording, whose arrays are on the disk where it is large."""
+    if recording.stat().st_size < STREAMED:
+        yield _run(watch, reading.read(recording, watch))
+        return
+    with ExitStack() as kept:
+        with screen.progress() as bar, in_words_of_options():
+            whole = kept.enter_context(judged_file(watch, recording, reading.options(watch), bar))
+        if whole is not None:
+            yield replace(whole, notes=tuple(map(in_cli_words, whole.notes)))
+            return
+    yield _run(watch, reading.read(recording, watch))
 
 
 def _run(watch: Monitor, data: Recording) -> Diagnosis:
@@ -270,22 +293,6 @@ def _run(watch: Monitor, data: Recording) -> Diagnosis:
 
 def _span(diagnosis: Diagnosis) -> float:
     return float(diagnosis.time[-1] - diagnosis.time[0]) if len(diagnosis.time) else 0.0
-
-
-def _check_table(path: Path | None) -> None:
-    if path is not None and path.suffix.lower() not in (".csv", ".parquet"):
-        raise DataError(f"{path}: residuals are written as .csv or .parquet, by the ending of the name")
-
-
-def _write(diagnosis: Diagnosis, *, report: Path | None, alarms: Path | None, residuals: Path | None) -> list[Path]:
-    """Write what was asked for and return the paths."""
-    if report is not None:
-        diagnosis.to_html(report)
-    if alarms is not None:
-        diagnosis.write_alarms(alarms)
-    if residuals is not None:
-        write_table(residuals, diagnosis.columns())
-    return [path for path in (report, alarms, residuals) if path is not None]
 
 
 Folder = Annotated[

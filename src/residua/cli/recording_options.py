@@ -16,6 +16,7 @@ from residua.cli import screen
 from residua.errors import ModelError, ResiduaError
 from residua.monitor import Monitor
 from residua.plant import Plant
+from residua.recording.columns import ReadOptions
 from residua.recording.recording import Recording, read_recording
 
 
@@ -128,18 +129,32 @@ class Reading:
 
     def read(self, path: Path, watch: Monitor) -> Recording:
         """Read a recording for a monitor."""
-        try:
-            plant = watch.generator.plant  # sampled: knows the step of recordings without times
-        except ModelError:
-            plant = watch.design.plant
-        return self.read_channels(path, plant)
+        return self.read_channels(path, _plant_of(watch))
+
+    def options(self, watch: Monitor) -> ReadOptions:
+        """Return what was said, for a monitor."""
+        return ReadOptions(
+            _plant_of(watch),
+            self.time,
+            self.dt,
+            self._columns,
+            self.variable,
+            self.tolerance,
+            self.fill_gaps,
+            self.dayfirst,
+            self.time_format,
+            self.decimal.mark,
+            self.transpose,
+        )
+
+    @property
+    def _columns(self) -> Mapping[str, str] | Sequence[str] | None:
+        return None if self.columns is None else parse_columns(self.columns)
 
     def read_channels(self, path: Path, plant: Plant | None) -> Recording:
         """Read a recording for the channels of a plant; without one, every column as an output."""
-        columns: Mapping[str, str] | Sequence[str] | None = (
-            None if self.columns is None else parse_columns(self.columns)
-        )
-        with screen.reading(path), _in_words_of_options():
+        columns = self._columns
+        with screen.reading(path), in_words_of_options():
             recording = read_recording(
                 path,
                 plant,
@@ -155,6 +170,14 @@ class Reading:
                 transpose=self.transpose,
             )
         return replace(recording, notes=tuple(map(reading_words, recording.notes)))
+
+
+def _plant_of(watch: Monitor) -> Plant:
+    """Return the plant of a monitor: sampled, it knows the step of recordings without times."""
+    try:
+        return watch.generator.plant
+    except ModelError:
+        return watch.design.plant
 
 
 #: What is said in Python about reading, as a pattern, and the same for the command line.
@@ -181,7 +204,8 @@ def reading_words(text: str) -> str:
 
 
 @contextmanager
-def _in_words_of_options() -> Iterator[None]:
+def in_words_of_options() -> Iterator[None]:
+    """Say errors about reading in the words of the command line."""
     try:
         yield
     except ResiduaError as error:

@@ -14,6 +14,10 @@ from residua.linear.systems.recursion import ordered_product
 _ORDERS = (1, 2, 3, 4, 6, 8, 12, 16, 24)
 #: Samples to each coefficient of an equation.
 _SAMPLES = 20
+#: Samples to each gap, with fewer of which products of what is left are no longer those of all.
+_TO_EACH_GAP = 1000
+#: Rows of lagged samples that are held at a time.
+_PIECE = 10_000
 #: Lags that a test of whiteness looks at.
 LAGS = 20
 
@@ -90,8 +94,9 @@ def autoregression(
 ) -> Autoregression:
     r"""Return the autoregression of fault-free samples, of the order that Akaike's corrected criterion prefers.
 
-    By the equations of Yule and Walker, whose solution is stable; each residual by its own past, or all by the past
-    of all, whichever the criterion prefers. What counts is that nothing is left that could be foretold, not that the
+    By the equations of Yule and Walker, whose solution is stable; where samples are missing by least squares over those
+    whose past is whole, on which orders are compared in pairs. Each residual by its own past, or all by the past of
+    all, whichever the criterion prefers. What counts is that nothing is left that could be foretold, not that the
     order be a true one: residuals that a filter makes have none, and Schwarz's criterion leaves more of their memory.
 
     Parameters
@@ -106,19 +111,72 @@ def autoregression(
     """
     n, k = int(usable.sum()), rows.shape[1]
     orders = [p for p in _ORDERS if p * _SAMPLES <= n and (most is None or p <= most)]
+    if _has_gaps(usable, parts):
+        return _with_gaps(rows, usable, parts, orders)
     products = _products(rows, parts, max(orders, default=0)) / max(n, 1)
+    means = np.array([[_between(products, i, j) for j in range(len(products))] for i in range(len(products))])
     best = Autoregression(np.zeros((0, k, k)), products[0])
-    smallest = n * _log_determinant(products[0])
+    smallest = _criterion(best, False, n)
     for joint in (False, True) if k > 1 else (False,):
         for order in orders:
-            count = order * k * (k if joint else 1)
             if joint and order * k * _SAMPLES > n:
                 break
-            found = _solved(products, order, joint)
-            value = n * _log_determinant(found.covariance) + 2 * count * n / max(n - count / k - k - 1, 1)
+            found = _solved(means, order, joint)
+            value = _criterion(found, joint, n)
             if value < smallest:
                 best, smallest = found, value
     return best
+
+
+def _with_gaps(
+    rows: NDArray[np.float64], usable: NDArray[np.bool_], parts: Sequence[slice], orders: Sequence[int]
+) -> Autoregression:
+    """Return the autoregression where samples are missing: two orders are compared where both have a past."""
+    k = rows.shape[1]
+    best, joined = _solved(_means_of_whole(rows, usable, parts, 0)[0], 0, False), False
+    for joint in (False, True) if k > 1 else (False,):
+        for order in orders:
+            means, count = _means_of_whole(rows, usable, parts, max(order, best.order))
+            if count < order * _SAMPLES * (k if joint else 1):
+                break
+            found, rival = _solved(means, order, joint), _solved(means, best.order, joined)
+            if _criterion(found, joint, count) < _criterion(rival, joined, count) and _is_stable(found):
+                best, joined = found, joint
+    return best
+
+
+def _has_gaps(usable: NDArray[np.bool_], parts: Sequence[slice]) -> bool:
+    """Tell whether samples are missing between others of their recording, so often that it counts."""
+    runs = [np.count_nonzero(np.diff(usable[part].astype(np.int8), prepend=0) > 0) for part in parts]
+    gaps = sum(max(int(count) - 1, 0) for count in runs)
+    return gaps > 1 and gaps * _TO_EACH_GAP > int(np.count_nonzero(usable))
+
+
+def _means_of_whole(
+    rows: NDArray[np.float64], usable: NDArray[np.bool_], parts: Sequence[slice], order: int
+) -> tuple[NDArray[np.float64], int]:
+    """Return the means of ``q_{t-i}^T q_{t-j}`` over the samples whose past is there, and how many these are."""
+    k = rows.shape[1]
+    total, count = np.zeros(((order + 1) * k, (order + 1) * k)), 0
+    for part in parts:
+        whole = usable[part].copy()
+        for lag in range(1, order + 1):
+            whole[lag:] &= usable[part][:-lag]
+            whole[:lag] = False
+        at = np.flatnonzero(whole)
+        for first in range(0, len(at), _PIECE):
+            some = at[first : first + _PIECE]
+            lagged = np.concatenate([rows[part][some - lag] for lag in range(order + 1)], axis=1)
+            total += lagged.T @ lagged
+        count += len(at)
+    return (total / max(count, 1)).reshape(order + 1, k, order + 1, k).transpose(0, 2, 1, 3), count
+
+
+def _criterion(model: Autoregression, joint: bool, n: int) -> float:
+    """Return Akaike's criterion, corrected for few samples."""
+    k = len(model.covariance)
+    count = model.order * k * (k if joint else 1)
+    return n * _log_determinant(model.covariance) + 2 * count * n / max(n - count / k - k - 1, 1)
 
 
 def whiteness(e: NDArray[np.float64], seen: NDArray[np.bool_], parts: Sequence[slice], *, most: int = LAGS) -> float:
@@ -126,7 +184,9 @@ def whiteness(e: NDArray[np.float64], seen: NDArray[np.bool_], parts: Sequence[s
 
     Where the samples are few for that, of each residual with itself alone. ``most`` is the largest lag.
 
-    .. math:: Q = n^2 \sum_{l=1}^{L} \frac{1}{n-l} \mathrm{tr}(C_l^T C_0^{-1} C_l C_0^{-1}) \sim \chi^2(k^2 L)
+    .. math:: Q = n^2 \sum_{l=1}^{L} \frac{1}{n_l} \mathrm{tr}(C_l^T C_0^{-1} C_l C_0^{-1}) \sim \chi^2(k^2 L)
+
+    with :math:`n_l` pairs of samples :math:`l` apart, :math:`n - l` where none is missing.
 
     References
     ----------
@@ -137,12 +197,15 @@ def whiteness(e: NDArray[np.float64], seen: NDArray[np.bool_], parts: Sequence[s
     n, k = int(seen.sum()), e.shape[1]
     lags = min(most, max(n // 4, 1))
     products = _products(np.where(seen[:, None], e, 0.0), parts, lags) / max(n, 1)
+    pairs = _products(seen[:, None].astype(float), parts, lags)[1:, 0, 0]
+    there = pairs > 0
+    later, pairs, lags = products[1:][there], pairs[there], int(there.sum())
     if 2 * k * k * lags > n:  # too few to know what each has of every other
-        own = np.diagonal(products, axis1=1, axis2=2)
-        shares = (own[1:] / np.maximum(own[0], np.finfo(float).tiny)) ** 2
-        return float(chdtrc(k * lags, n**2 * np.sum(shares / (n - np.arange(1, lags + 1))[:, None])))
+        own = np.diagonal(later, axis1=1, axis2=2)
+        shares = (own / np.maximum(np.diagonal(products[0]), np.finfo(float).tiny)) ** 2
+        return float(chdtrc(k * lags, n**2 * np.sum(shares / pairs[:, None])))
     inverse = np.linalg.pinv(products[0])
-    terms = [float(np.trace(C.T @ inverse @ C @ inverse)) / max(n - lag, 1) for lag, C in enumerate(products) if lag]
+    terms = [float(np.trace(C.T @ inverse @ C @ inverse)) / count for C, count in zip(later, pairs, strict=True)]
     return float(chdtrc(k * k * lags, n**2 * sum(terms)))
 
 
@@ -157,24 +220,30 @@ def _products(rows: NDArray[np.float64], parts: Sequence[slice], lags: int) -> N
     return out
 
 
-def _solved(products: NDArray[np.float64], order: int, joint: bool) -> Autoregression:
-    k, lags = products.shape[1], range(order)
+def _solved(means: NDArray[np.float64], order: int, joint: bool) -> Autoregression:
+    """Return the autoregression by the means of ``q_{t-i}^T q_{t-j}``, shape (lags, lags, k, k)."""
+    k, lags = means.shape[2], order + 1
     A = np.zeros((order, k, k))
     if joint:
-        right = np.concatenate([_between(products, lag + 1, 0) for lag in lags])
-        left = np.block([[_between(products, i, j) for j in lags] for i in lags])
-        A = np.linalg.lstsq(left, right, rcond=None)[0].reshape(order, k, k)
-    else:
-        apart = np.abs(np.subtract.outer(np.array(lags), np.array(lags)))
+        left = means[1:lags, 1:lags].transpose(0, 2, 1, 3).reshape(order * k, order * k)
+        A = np.linalg.lstsq(left, means[1:lags, 0].reshape(order * k, k), rcond=None)[0].reshape(order, k, k)
+    elif order:
         for j in range(k):
-            r = products[: order + 1, j, j]
-            A[:, j, j] = np.linalg.lstsq(r[apart], r[1:], rcond=None)[0]
+            A[:, j, j] = np.linalg.lstsq(means[1:lags, 1:lags, j, j], means[1:lags, 0, j, j], rcond=None)[0]
     terms = [np.eye(k), *(-A)]
     covariance = np.zeros((k, k))
     for i, a in enumerate(terms):
         for j, b in enumerate(terms):
-            covariance += a.T @ _between(products, i, j) @ b
+            covariance += a.T @ means[i, j] @ b
     return Autoregression(np.asarray(A, dtype=float), (covariance + covariance.T) / 2)
+
+
+def _is_stable(model: Autoregression) -> bool:
+    """Tell whether what the model makes of white noise is bounded."""
+    order, k = model.coefficients.shape[:2]
+    A = np.eye(order * k, k=-k)
+    A[:k] = np.hstack([M.T for M in model.coefficients])
+    return bool(np.abs(np.linalg.eigvals(A)).max() < 1)
 
 
 def _between(products: NDArray[np.float64], i: int, j: int) -> NDArray[np.float64]:

@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.checks import check_samples
+from residua.decide.compiled import CompiledTest
 from residua.decide.recent_samples import Sums, over_recent
+from residua.decide.row_norms import row_squares
 from residua.decide.run_lengths import AlarmCycle
 from residua.decide.stream_settings import StreamSettings
 from residua.decide.stream_test import StreamTest
@@ -20,6 +22,8 @@ from residua.number_kinds import WINDOW, NumberKind
 
 #: Exceedances that are expected where the distribution is compared with the data, and deviations that contradict it.
 _EXPECTED, _CONTRADICTION = (0.1, 0.01), 3.5
+#: Windows over a level that are enough for that.
+_SEEN = 5
 
 
 #: With so many samples more than residuals a covariance from them has a variance.
@@ -42,7 +46,12 @@ class ChiSquaredTest(StreamTest):
         self, sums: NDArray[np.float64], e: NDArray[np.float64], seen: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the root of the sum of squares over the window."""
-        return over_recent(sums, np.sum(e**2, axis=2, keepdims=True), seen, _root_of_last)
+        return over_recent(sums, row_squares(e)[..., None], seen, _root_of_last)
+
+    @property
+    def compiled(self) -> CompiledTest | None:
+        """The same in C."""
+        return self.compiled_as("chi-squared", window=self.window) if type(self) is ChiSquaredTest else None
 
     @property
     def title(self) -> str:
@@ -200,19 +209,19 @@ class ChiSquared(StreamSettings):
 
     def _contradiction(
         self, values: NDArray[np.float64], seen: NDArray[np.bool_], parts: Sequence[slice], dimension: int
-    ) -> str:
-        """Return where other numbers of windows are over a threshold than the distribution says."""
+    ) -> str | None:
+        """Return where other numbers of windows are over a threshold than the distribution says, if any can be seen."""
         windows = np.concatenate([values[part][seen[part]][self.window - 1 :: self.window] for part in parts])
         for share in _EXPECTED:
             mean = share * len(windows)
             level = self.designed(dimension, share)
             over = int(np.sum(windows > level))
-            if mean >= 5 and abs(over - mean) > _CONTRADICTION * np.sqrt(mean):
+            if mean >= _SEEN and abs(over - mean) > _CONTRADICTION * np.sqrt(mean):
                 return (
                     f"the data contradict the design for white Gaussian residuals: {over} of {len(windows)} windows "
                     f"are over {level:.3g}, {mean:.0f} expected"
                 )
-        return ""
+        return "" if len(windows) * _EXPECTED[0] >= _SEEN else None
 
 
 def _trace(dimension: int, window: int, samples: int) -> tuple[float, float]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.checks import is_number
+from residua.decide.compiled import CompiledTest
 from residua.decide.row_norms import row_norms
 from residua.decide.run_lengths import AlarmCycle, Chain, alarm_cycle, mean_run_length, run_frequency
 from residua.decide.stream_settings import StreamSettings
@@ -118,6 +119,11 @@ class CUSUMTest(StreamTest):
             total = total * np.where(left > full, most / np.where(length > 0, length, 1.0), 1.0)[:, None]
             left = np.minimum(left, full)
         return np.where(left[:, None] > 0, np.hstack([total, count]), 0.0), left
+
+    @property
+    def compiled(self) -> CompiledTest | None:
+        """The same in C."""
+        return self.compiled_as(self.form, allowance=self.allowance) if type(self) is CUSUMTest else None
 
     @property
     def title(self) -> str:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.decide.alarm import Alarm, Candidate
 from residua.decide.checks import check_samples
+from residua.decide.compiled import CompiledIsolation
 from residua.decide.isolation import Isolation, IsolationSettings, Scores, check_groups
 from residua.decide.row_norms import row_norms
 from residua.decide.statement import Statement, angle, statement_by_score
@@ -76,6 +77,11 @@ class DirectionTest(Isolation):
             part = row_norms(ordered_product(sums, basis)) / size
             scores[..., g] = np.where(usable, np.minimum(part, 1.0), np.nan)
         return window, Scores(scores)
+
+    @property
+    def compiled(self) -> CompiledIsolation | None:
+        """The bases."""
+        return CompiledIsolation(self.window, self.bases) if type(self) is DirectionTest else None
 
     def candidates(self, scores: NDArray[np.float64]) -> tuple[Candidate, ...]:
         """Return the groups ranked by score, best first; none where the direction is not known.

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.checks import is_number
+from residua.decide.compiled import CompiledTest
 from residua.decide.row_norms import row_norms
 from residua.decide.run_lengths import AlarmCycle, alarm_cycle, mean_run_length
 from residua.decide.stream_settings import StreamSettings
@@ -43,6 +44,13 @@ class EWMATest(StreamTest):
             z = np.where(seen[:, k, None], old * z + new[:, k], z)
             averages[:, k] = z
         return row_norms(averages) / _deviation(self.weight), z
+
+    @property
+    def compiled(self) -> CompiledTest | None:
+        """The same in C."""
+        if type(self) is not EWMATest:
+            return None
+        return self.compiled_as("ewma", weight=self.weight, deviation=_deviation(self.weight))
 
     @property
     def title(self) -> str:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from residua.decide.alarm import Alarm, Candidate, LearntMatch, PresentFault, Size
 from residua.decide.code_reading import CodeReading
+from residua.decide.compiled import CompiledIsolation
 from residua.decide.learnt_faults import LearntFault
 from residua.decide.matched_hold import Match
 from residua.decide.member_bounds import MemberBounds
@@ -151,6 +152,11 @@ class Isolation(Record, ABC):
 
         A pure function, with the same bits however time is cut into blocks, and for any number of plants at once.
         """
+
+    @property
+    def compiled(self) -> CompiledIsolation | None:
+        """What the fused loop runs in its place, with the same bits; ``None`` where :meth:`run` is all there is."""
+        return None
 
     def candidates(self, scores: NDArray[np.float64]) -> tuple[Candidate, ...]:
         """Return the groups by their scores at one sample, best first; none where nothing is known."""
@@ -341,6 +347,11 @@ class NoNames(Isolation):
         """Return scores of no group."""
         return state, Scores(np.zeros((*tested.usable.shape, 0)))
 
+    @property
+    def compiled(self) -> CompiledIsolation | None:
+        """Nothing to be done."""
+        return CompiledIsolation() if type(self) is NoNames else None
+
     def words(self, step: float) -> dict[str, str]:
         """Return nothing."""
         return {}
@@ -376,8 +387,9 @@ def longest(alarms: Sequence[Alarm]) -> Alarm:
 
 def last_over(exceeded: NDArray[np.bool_], start: int, stop: int) -> int:
     """Return the last sample of a stretch that is over the threshold, or its first."""
-    over = np.flatnonzero(exceeded[start:stop])
-    return start + (int(over[-1]) if over.size else 0)
+    over = exceeded[start:stop][::-1]
+    back = int(np.argmax(over)) if len(over) else 0
+    return stop - 1 - back if len(over) and over[back] else start
 
 
 __all__ = [

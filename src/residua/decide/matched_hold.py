@@ -99,7 +99,7 @@ def hold_block(
     likelihoods: dict[str, NDArray],
     alarm: NDArray[np.bool_],
     over: NDArray[np.bool_],
-    count: int,
+    count: int | NDArray[np.int64],
 ) -> tuple[Match, HeldState]:
     """Put each alarm down to one fault and arrival: the most likely as long as that arrival lies within the window.
 
@@ -118,10 +118,11 @@ def hold_block(
         From :func:`residua.decide.matched_responses.match_block`.
     alarm, over : ndarray of bool, shape (plants, time)
         Whether the alarm is on, and whether the statistic of a usable sample is over its threshold.
-    count : int
+    count : int, or ndarray of int, shape (plants,)
         Samples before the block.
     """
     time, was = alarm.shape[1], state.on
+    count = np.broadcast_to(count, len(alarm))[:, None]
     now = count + np.arange(time)
     best = np.argmax(likelihoods["ratios"], axis=2)
     age = np.take_along_axis(likelihoods["ages"], best[..., None], axis=2)[..., 0]

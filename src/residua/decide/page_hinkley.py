@@ -176,6 +176,11 @@ class PageHinkley(StreamSettings):
         """One deviation: the mean of the stream itself is what counts."""
         return 1.0
 
+    @property
+    def uninterrupted(self) -> StreamSettings:
+        """A test that knows the mean, as a long stream does."""
+        return CUSUM(shift=2 * self.drift, form="page")
+
     def test(self, **parts: Any) -> PageHinkleyTest:
         """Return what runs."""
         return PageHinkleyTest(**parts, drift=self.drift)

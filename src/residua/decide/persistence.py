@@ -24,6 +24,10 @@ class AlarmRuns:
     down: NDArray[np.int64]
     alarm: NDArray[np.bool_]
 
+    def arrays(self) -> tuple[NDArray, ...]:
+        """Return what the fused loop reads and writes, in its order."""
+        return self.up, self.down, self.alarm
+
     @staticmethod
     def empty(plants: int, *parts: int) -> AlarmRuns:
         """Return the runs before the first sample."""

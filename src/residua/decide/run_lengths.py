@@ -55,7 +55,8 @@ class AlarmCycle:
     Attributes
     ----------
     quiet : float
-        Mean number of samples from a start at zero to the one that raises an alarm, which is counted.
+        Mean number of samples from a start at zero to the one that raises an alarm, which is counted. The start is the
+        sample that ended the alarm before.
     lasting : float
         Mean number of samples in alarm: that which raises it is counted, that which ends it is not.
     """
@@ -66,7 +67,7 @@ class AlarmCycle:
     @property
     def fraction(self) -> float:
         """The fraction of samples in alarm."""
-        return self.lasting / (self.quiet + self.lasting - 1)
+        return self.lasting / (self.quiet + self.lasting)
 
 
 @lru_cache(maxsize=1024)

@@ -38,10 +38,13 @@ _OF_DATA = ("data", "quantile", "tail", "conformal")
 
 #: Probability that white noise looks as coloured, below which it is taken to be coloured.
 _COLOURED = 0.01
-#: False alarms that are expected where a design is compared with the data, the rarest last: as many as data can show.
-_EXPECTED = (200.0, 50.0, 20.0)
+#: False alarms that are expected where a design is compared with the data, the rarest last: as many as data can show;
+#: and the samples between them, at least: of shorter times designs that are approximate are too far off.
+_EXPECTED = {200.0: 100.0, 50.0: 40.0, 20.0: 40.0}
 #: Deviations of their number by which the data contradict the design.
 _CONTRADICTION = 3.0
+#: Alarms that show how long they last, and the fractions in alarm among which a threshold is sought that has so many.
+_LEAST_RAISED, _MOST_SHARE, _SHARES = 30, 0.2, 12
 #: Stretches of time of which each is judged by what the others say.
 _FOLDS = 4
 #: How much more often false alarms come for a mean from few samples, where it is said.
@@ -114,6 +117,11 @@ class StreamSettings(TestSettings):
     @abstractmethod
     def harmless_offset(self) -> float:
         """The length of an error of the mean, in standard deviations, that hardly changes how often alarms come."""
+
+    @property
+    def uninterrupted(self) -> StreamSettings:
+        """What has alarms as often as this test has where none of them starts it again; as a rule it itself, nearly."""
+        return self
 
     @property
     def counted_samples(self) -> int:
@@ -196,9 +204,13 @@ class StreamSettings(TestSettings):
             f"source={self.source!r}" if self.source in _OF_DATA else mine._contradiction(values, seen, stretches, k)
         )
         if not against:
-            notes.append("the data do not contradict the design")
+            notes.append(
+                "the data do not contradict the design" if against == "" else "too few samples to contradict it"
+            )
             return mine._by_design(parts, k, other, "; ".join([origin, *notes]), count)
         blank = mine.test(**parts, threshold=np.inf, release=0.0, basis="")
+        if other is None and self.mean_time_between_false_alarms is not None:
+            rate = mine._share_for(self.mean_time_between_false_alarms, values, seen, stretches, rate)
         return mine._by_data(blank, values, seen, stretches, rate, [against, *notes])
 
     def _check_mean(self, count: int, k: int) -> None:
@@ -325,14 +337,18 @@ class StreamSettings(TestSettings):
 
     def _contradiction(
         self, values: NDArray[np.float64], seen: NDArray[np.bool_], parts: Sequence[slice], dimension: int
-    ) -> str:
-        """Return where other numbers of false alarms are seen than the design says; empty where they agree."""
-        count = int(seen.sum())
-        for expected in _EXPECTED:
-            if count < 10 * expected:
+    ) -> str | None:
+        """Return where other numbers of false alarms are seen than the design says; empty where they agree.
+
+        ``None`` where there are too few samples to see any.
+        """
+        count, like, said = int(seen.sum()), self.uninterrupted, None
+        for expected, apart in _EXPECTED.items():
+            if count < apart * expected:
                 continue
-            level = threshold_of(lambda h: self.run_length(h, dimension), count / expected, 3.0 + 0.5 * dimension**0.5)
-            cycle = self.cycle(level, dimension)
+            said, guess = "", 3.0 + 0.5 * dimension**0.5
+            level = threshold_of(lambda h: like.run_length(h, dimension), count / expected, guess)
+            cycle = like.cycle(level, dimension)
             mean = count / (cycle.quiet + cycle.lasting)
             levels = np.concatenate([_levels(values[part][seen[part]], self.falls_to) for part in parts])
             raised = int(np.sum((levels[1:] > level) & (levels[:-1] <= level)))
@@ -341,7 +357,26 @@ class StreamSettings(TestSettings):
                     f"the data contradict the design for white Gaussian residuals: {raised} alarms at a threshold of "
                     f"{level:.3g}, {mean:.0f} expected"
                 )
-        return ""
+        return said
+
+    def _share_for(
+        self,
+        time: float,
+        values: NDArray[np.float64],
+        seen: NDArray[np.bool_],
+        parts: Sequence[slice],
+        designed: float,
+    ) -> float:
+        """Return the fraction in alarm that goes with a time between alarms, with alarms as long as in these data."""
+        levels = [_levels(values[part][seen[part]], self.falls_to) for part in parts]
+        level = np.concatenate(levels)
+        for share in np.geomspace(max(designed, 1 / len(level)), max(designed, _MOST_SHARE), _SHARES):
+            height = float(np.quantile(level, 1 - share))
+            raised = sum(int(np.sum((one[1:] > height) & (one[:-1] <= height))) for one in levels)
+            if raised >= _LEAST_RAISED:
+                lasting = float(np.mean(level > height)) * len(level) / raised
+                return lasting / (time + lasting)
+        return designed
 
     def _by_data(
         self,

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.autoregression import Past, unforetold
+from residua.decide.compiled import CompiledTest
 from residua.decide.normal_scores import normal_scores, raw_values
 from residua.decide.persistence import AlarmRuns, held, run_alarm
 from residua.decide.test import Block, ResidualTest, Tested, Watched
@@ -37,6 +38,10 @@ class StreamState:
     past: Past
     sums: NDArray[np.float64]
     runs: AlarmRuns
+
+    def arrays(self) -> tuple[NDArray | None, ...]:
+        """Return what the fused loop reads and writes, in its order: window, past and sums, runs."""
+        return None, None, None, self.past.samples, self.past.usable, self.sums, *self.runs.arrays()
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +141,22 @@ class StreamTest(ResidualTest):
         nobody = np.zeros((*seen.shape, 0))
         tested = Tested(seen, values, exceeded, alarm, up, q, nobody, nobody.astype(bool))
         return StreamState(past, sums, runs), tested
+
+    def compiled_as(self, statistic: str, **numbers: Any) -> CompiledTest:
+        """Return what the fused loop runs, of a statistic that is written in C too."""
+        return CompiledTest(
+            statistic,
+            self.center,
+            self.whitening,
+            self.threshold,
+            sums=int(np.prod(self.first_sums(1).shape)),
+            release_level=self.release,
+            coefficients=self.coefficients,
+            rewhitening=self.rewhitening,
+            knots=self.knots,
+            scores=self.scores,
+            **numbers,
+        )
 
     def fault_free_residuals(self, normal: NDArray[np.float64]) -> NDArray[np.float64] | None:
         """Return residuals that this test makes white and Gaussian: the same steps, backwards."""

@@ -665,7 +665,7 @@ def _named_by(alarm: Alarm) -> set[tuple[str, ...]]:
     return set(alarm.reading.named) if alarm.reading else set()
 
 
-def alarms_since(fired: NDArray[np.bool_], state: CodeState, count: int) -> NDArray[np.int64]:
+def alarms_since(fired: NDArray[np.bool_], state: CodeState, count: int | NDArray[np.int64]) -> NDArray[np.int64]:
     """Return when each member first fired in the alarm that stands: how many samples had been seen with that one.
 
     0 without a standing alarm, or if the time is not known because the state is one of an earlier version.
@@ -676,14 +676,14 @@ def alarms_since(fired: NDArray[np.bool_], state: CodeState, count: int) -> NDAr
         With a sample at least.
     state : CodeState
         Before the block.
-    count : int
+    count : int, or ndarray of int, shape (plants,)
         Samples before the block.
     """
     time = fired.shape[1]
     samples = np.arange(time)
     last_off = np.where(fired.any(axis=2), -1, samples).max(axis=1)
     standing = fired & (samples > last_off[:, None])[..., None]
-    first = np.where(standing.any(axis=1), count + 1 + standing.argmax(axis=1), 0)
+    first = np.where(standing.any(axis=1), np.reshape(count, (-1, 1)) + 1 + standing.argmax(axis=1), 0)
     before = state.since
     return np.where((last_off == -1)[:, None] & (state.fired | (before > 0)), before, first)
 

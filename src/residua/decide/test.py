@@ -15,6 +15,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.compiled import CompiledTest
 from residua.design import ResidualGenerator
 from residua.records import Record, values_in, values_out
 
@@ -81,7 +82,7 @@ class Block:
         NaN where a value is missing.
     usable : ndarray of bool, shape (plants, time)
         Where a decision can be taken.
-    count : int
+    count : int, or ndarray of int, shape (plants,)
         Samples before this block.
     bends : sequence
         Where faults have other responses for a while; see :data:`Bends`.
@@ -92,7 +93,7 @@ class Block:
 
     residuals: NDArray[np.float64]
     usable: NDArray[np.bool_]
-    count: int = 0
+    count: int | NDArray[np.int64] = 0
     bends: Bends = ()
     signals: NDArray[np.float64] | None = None
 
@@ -186,6 +187,11 @@ class ResidualTest(Record, ABC):
     def reads_signals(self) -> bool:
         """Whether the threshold depends on the recorded signals besides the residual: on ``Block.signals``."""
         return False
+
+    @property
+    def compiled(self) -> CompiledTest | None:
+        """What the fused loop runs in its place, with the same bits; ``None`` where :meth:`run` is all there is."""
+        return None
 
     @property
     def is_bound(self) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.checks import FALSE_ALARM_RATE, check_rate, check_samples, is_number
+from residua.decide.compiled import CompiledTest
 from residua.decide.confident_thresholds import check_source, promise_by
 from residua.decide.false_alarms import Observed, observed
 from residua.decide.fault_free import FaultFree, check_enough, held_apart
@@ -93,6 +94,10 @@ class NormState:
     window: WindowState
     runs: AlarmRuns
 
+    def arrays(self) -> tuple[NDArray | None, ...]:
+        """Return what the fused loop reads and writes, in its order: window, past and sums, runs."""
+        return *self.window.arrays(), None, None, None, *self.runs.arrays()
+
 
 @dataclass(frozen=True, eq=False)
 class NormTest(ResidualTest):
@@ -149,6 +154,15 @@ class NormTest(ResidualTest):
         statistic = np.where(usable, row_norms(sums) / np.sqrt(self.window), np.nan)
         runs, tested = against_threshold(self, state.runs, statistic, usable, q)
         return NormState(window, runs), tested
+
+    @property
+    def compiled(self) -> CompiledTest | None:
+        """The same in C."""
+        if type(self) is not NormTest:
+            return None
+        return CompiledTest(
+            "norm", self.center, self.whitening, self.threshold, self.window, self.persistence, self.release
+        )
 
     # ----------------------------------------------- what the rest of a monitor asks for
 

@@ -14,36 +14,38 @@ from residua.errors import FileFormatError
 class WindowState:
     """What a moving sum remembers; every array has one row per plant.
 
-    Time is cut into blocks of one window length, counted from the very first sample.
+    Time is cut into blocks of one window length, counted from the very first sample of a plant. The sum after a place
+    of the last complete block is read for the last time when the sample of that place comes in, which takes its room.
 
     Attributes
     ----------
-    ends : ndarray, shape (plants, window, k)
-        Of the last complete block: for each position the sum of the samples after it, added backwards.
-    block : ndarray, shape (plants, window, k)
-        The block being filled.
+    values : ndarray, shape (plants, window, k)
+        The samples of the block being filled; behind them, of the last complete block, for each place the sum of the
+        samples after it, added backwards.
     begun : ndarray, shape (plants, k)
-        Sum of what is in it, added forwards.
-    filled : int
+        Sum of the samples of the block being filled, added forwards.
+    filled : ndarray of int, shape (plants,)
         How many samples are in it.
     """
 
-    ends: NDArray[np.float64]
-    block: NDArray[np.float64]
+    values: NDArray[np.float64]
     begun: NDArray[np.float64]
-    filled: int
+    filled: NDArray[np.int64]
+
+    def arrays(self) -> tuple[NDArray, ...]:
+        """Return what the fused loop reads and writes, in its order."""
+        return self.values, self.begun, self.filled
 
     def check(self, where: str) -> None:
         """Raise where a window from a file cannot be one."""
-        length = self.block.shape[1]
-        if not 0 <= self.filled < max(length, 2):
+        length = self.values.shape[1]
+        if not ((self.filled >= 0) & (self.filled < max(length, 2))).all():
             raise FileFormatError(f"{where}.filled must be below the window of {length}")
 
 
 def empty_window(plants: int, window: int, k: int) -> WindowState:
     """Return the state before the first sample."""
-    block = np.zeros((plants, window, k))
-    return WindowState(block, block, np.zeros((plants, k)), 0)
+    return WindowState(np.zeros((plants, window, k)), np.zeros((plants, k)), np.zeros(plants, dtype=np.int64))
 
 
 def moving_sum(values: NDArray[np.float64], state: WindowState) -> tuple[NDArray[np.float64], WindowState]:
@@ -63,39 +65,56 @@ def moving_sum(values: NDArray[np.float64], state: WindowState) -> tuple[NDArray
     state : WindowState
         To go on with.
     """
-    time, window = values.shape[1], state.block.shape[1]
-    if window == 1 or time == 0:
+    if state.values.shape[1] == 1 or values.shape[1] == 0:
         return values, state
-    total = state.filled + time
-    if total < window:  # stays within the block: no more is copied than must change
-        if state.filled:
-            begun = np.cumsum(np.concatenate([state.begun[:, None], values], axis=1), axis=1)[:, 1:]
-        else:
-            begun = np.cumsum(values, axis=1)
-        block = state.block.copy()
-        block[:, state.filled : total] = values
-        sums = state.ends[:, state.filled : total] + begun
-        return sums, WindowState(state.ends, block, begun[:, -1].copy(), total)
-    return _across_blocks(values, state, total)
+    places = np.unique(state.filled).tolist()
+    if len(places) <= 1:
+        sums, kept, begun, filled = _summed(values, state.values, state.begun, *(places or [0]))
+        return sums, WindowState(kept, begun, np.full_like(state.filled, filled))
+    sums, after = np.empty_like(values), WindowState(state.values.copy(), state.begun.copy(), state.filled.copy())
+    for place in places:
+        who = np.flatnonzero(state.filled == place)
+        parts = _summed(values[who], state.values[who], state.begun[who], place)
+        sums[who], after.values[who], after.begun[who], after.filled[who] = parts
+    return sums, after
+
+
+def _summed(
+    values: NDArray[np.float64], kept: NDArray[np.float64], begun: NDArray[np.float64], filled: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], int]:
+    """Return the sums of plants whose blocks are equally full; what is kept; what has begun; and how full they are."""
+    total = filled + values.shape[1]
+    if total >= kept.shape[1]:
+        return _across_blocks(values, kept, filled)
+    if filled:  # stays within the block: no more is copied than must change
+        forwards = np.cumsum(np.concatenate([begun[:, None], values], axis=1), axis=1)[:, 1:]
+    else:
+        forwards = np.cumsum(values, axis=1)
+    sums = kept[:, filled:total] + forwards
+    kept = kept.copy()
+    kept[:, filled:total] = values
+    return sums, kept, forwards[:, -1].copy(), total
 
 
 def _across_blocks(
-    values: NDArray[np.float64], state: WindowState, total: int
-) -> tuple[NDArray[np.float64], WindowState]:
-    plants, window, k = state.block.shape
+    values: NDArray[np.float64], kept: NDArray[np.float64], filled: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], int]:
+    plants, window, k = kept.shape
+    total = filled + values.shape[1]
     n_blocks = -(-total // window)
     padded = np.zeros((plants, n_blocks * window, k))
-    padded[:, : state.filled] = state.block[:, : state.filled]
-    padded[:, state.filled : total] = values
+    padded[:, :filled] = kept[:, :filled]
+    padded[:, filled:total] = values
     blocks = padded.reshape(plants, n_blocks, window, k)
-    ends = np.concatenate([state.ends[:, None], _ends(blocks)], axis=1)
-    begun = np.cumsum(blocks, axis=2)
-    sums = (ends[:, :-1] + begun).reshape(plants, -1, k)[:, state.filled : total]
+    ends = np.concatenate([kept[:, None], _ends(blocks)], axis=1)
+    forwards = np.cumsum(blocks, axis=2)
+    sums = (ends[:, :-1] + forwards).reshape(plants, -1, k)[:, filled:total]
     left = total % window
     if left == 0:
-        fresh = empty_window(plants, window, k)
-        return sums, WindowState(ends[:, -1].copy(), fresh.block, fresh.begun, 0)
-    return sums, WindowState(ends[:, -2].copy(), blocks[:, -1].copy(), begun[:, -1, left - 1].copy(), left)
+        return sums, ends[:, -1].copy(), np.zeros((plants, k)), 0
+    after = ends[:, -2].copy()
+    after[:, :left] = blocks[:, -1, :left]
+    return sums, after, forwards[:, -1, left - 1].copy(), left
 
 
 def _ends(blocks: NDArray[np.float64]) -> NDArray[np.float64]:

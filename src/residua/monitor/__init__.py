@@ -4,6 +4,8 @@ from residua.decide.alarm import Alarm, Beginning, Candidate, LearntMatch, Prese
 from residua.monitor.decision import Decision
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.fault_learning import LearntFaults, LearntRow
+from residua.monitor.fleet import Fleet
+from residua.monitor.fleet_block import FleetAlarm, Tick
 from residua.monitor.monitor import Monitor
 from residua.monitor.regime_diagnosis import RegimeAlarm, RegimeDiagnosis
 from residua.monitor.regime_monitor import RegimeMonitor
@@ -18,6 +20,8 @@ __all__ = [
     "Decision",
     "Decisions",
     "Diagnosis",
+    "Fleet",
+    "FleetAlarm",
     "LearntFaults",
     "LearntMatch",
     "LearntRow",
@@ -28,6 +32,7 @@ __all__ = [
     "RegimeDiagnosis",
     "RegimeMonitor",
     "Size",
+    "Tick",
     "read_recording",
     "recording_from_frame",
     "write_table",

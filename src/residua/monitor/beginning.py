@@ -18,6 +18,10 @@ MOST_DATED = 20
 APART = 200
 #: Samples of an alarm from which the direction of the change is taken at most.
 _MOST_ALARM = 2000
+#: Judged samples that are looked at before the crossing at most, and of the alarm: bounds memory in long recordings.
+MOST_ROWS = 200_000
+#: Samples that are looked through at once.
+_PIECE = 1 << 17
 #: Least squared distance that the residual has moved, in units of what noise alone moves it, to know its direction.
 CLEAR_DIRECTION = 10.0
 
@@ -36,16 +40,35 @@ def with_beginnings(
     time : ndarray, shape (time,)
     """
     longest = sorted(range(len(alarms)), key=lambda k: -alarms[k].samples)[:MOST_DATED]
-    judged = np.flatnonzero(usable & np.isfinite(residuals).all(axis=1))
     out = list(alarms)
     for k in longest:
         first = k
         while first and alarms[first].start - alarms[first - 1].stop < APART:
             first -= 1
         crossed = min(alarms[first].start, int(np.searchsorted(time, alarms[first].onset)))
-        rows = judged[(judged >= (alarms[first - 1].stop if first else 0)) & (judged < alarms[k].stop)]
+        begin = alarms[first - 1].stop if first else 0
+        before = _judged(residuals, usable, begin, crossed, last=True)
+        rows = np.concatenate([before, _judged(residuals, usable, max(crossed, begin), alarms[k].stop, last=False)])
         out[k] = replace(alarms[k], began=_beginning(alarms[k].start, crossed, residuals, rows, time))
     return tuple(out)
+
+
+def _judged(
+    residuals: NDArray[np.float64], usable: NDArray[np.bool_], start: int, stop: int, *, last: bool
+) -> NDArray[np.int64]:
+    """Return the samples of a stretch that are judged: the first ones, or the last ones, where there are many."""
+    parts: list[NDArray[np.int64]] = []
+    there = 0
+    while start < stop and there < MOST_ROWS:
+        low = max(start, stop - _PIECE) if last else start
+        high = stop if last else min(stop, start + _PIECE)
+        rows = low + np.flatnonzero(usable[low:high] & np.isfinite(residuals[low:high]).all(axis=1))
+        parts.append(rows)
+        there += len(rows)
+        start, stop = (start, low) if last else (high, stop)
+    if not parts:
+        return np.zeros(0, dtype=np.int64)
+    return np.concatenate(parts[::-1])[-MOST_ROWS:] if last else np.concatenate(parts)[:MOST_ROWS]
 
 
 def _beginning(

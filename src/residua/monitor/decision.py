@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,6 @@ from residua.monitor.running import Decisions, State
 from residua.monitor.specification import Specification
 
 
-@dataclass(frozen=True, eq=False)
 class Decision:
     """What a monitor decided on one sample.
 
@@ -53,23 +51,120 @@ class Decision:
         monitor was saved by an earlier version while they fired.
     """
 
-    residual: NDArray[np.float64]
-    statistic: float
-    alarm: bool
-    decided: bool
-    missing: bool
-    candidates: tuple[Candidate, ...] = field(default=())
-    fired: tuple[str, ...] = ()
-    reading: CodeReading | None = None
-    estimates: Mapping[str, float] = field(default_factory=dict)
-    arrived: float | None = None
-    blamed: str = ""
-    present: tuple[PresentFault, ...] = ()
+    __slots__ = (
+        *("_alarm", "_arrived", "_blamed", "_candidates", "_decided", "_estimates", "_fired", "_generator"),
+        *("_missing", "_present", "_reading", "_residual", "_statistic"),
+    )
+
+    def __init__(
+        self,
+        residual: NDArray[np.float64],
+        statistic: float,
+        alarm: bool,
+        decided: bool,
+        missing: bool,
+        candidates: tuple[Candidate, ...] = (),
+        fired: tuple[str, ...] = (),
+        reading: CodeReading | None = None,
+        estimates: Mapping[str, float] | None = None,
+        arrived: float | None = None,
+        blamed: str = "",
+        present: tuple[PresentFault, ...] = (),
+    ) -> None:
+        self._residual, self._statistic = residual, statistic
+        self._alarm, self._decided, self._missing = alarm, decided, missing
+        self._candidates, self._fired, self._reading = candidates, fired, reading
+        self._estimates: Mapping[str, float] | None = {} if estimates is None else estimates
+        self._arrived, self._blamed, self._present = arrived, blamed, present
+        self._generator: ResidualGenerator | None = None
+
+    @classmethod
+    def quiet(
+        cls, residual: NDArray[np.float64], statistic: float, decided: bool, missing: bool, generator: ResidualGenerator
+    ) -> Decision:
+        """Return the decision on a sample without an alarm; what it estimates is looked up when it is asked for."""
+        one = cls(residual, statistic, False, decided, missing)
+        if generator.estimated:
+            one._estimates, one._generator = None, generator
+        return one
+
+    @property
+    def residual(self) -> NDArray[np.float64]:
+        """NaN when a value was missing."""
+        return self._residual
+
+    @property
+    def statistic(self) -> float:
+        """NaN when nothing was decided."""
+        return self._statistic
+
+    @property
+    def alarm(self) -> bool:
+        """Whether an alarm stands."""
+        return self._alarm
+
+    @property
+    def decided(self) -> bool:
+        """Whether something was decided."""
+        return self._decided
+
+    @property
+    def missing(self) -> bool:
+        """Whether a value was missing."""
+        return self._missing
+
+    @property
+    def candidates(self) -> tuple[Candidate, ...]:
+        """Best first while the alarm is on."""
+        return self._candidates
+
+    @property
+    def fired(self) -> tuple[str, ...]:
+        """The members or groups that are in alarm."""
+        return self._fired
+
+    @property
+    def reading(self) -> CodeReading | None:
+        """What the members that fired say."""
+        return self._reading
+
+    @property
+    def estimates(self) -> Mapping[str, float]:
+        """The estimated sizes."""
+        if self._estimates is None:
+            assert self._generator is not None
+            self._estimates = sizes_now(self._generator, self._residual)
+        return self._estimates
+
+    @property
+    def arrived(self) -> float | None:
+        """How many seconds ago the fault arrived."""
+        return self._arrived
+
+    @property
+    def blamed(self) -> str:
+        """The fault that the alarm is put down to."""
+        return self._blamed
+
+    @property
+    def present(self) -> tuple[PresentFault, ...]:
+        """The faults that are read, and since when."""
+        return self._present
+
+    def __repr__(self) -> str:
+        names = ("residual", "statistic", "alarm", "decided", "missing", "candidates", "fired", "reading", "estimates")
+        values = (f"{name}={getattr(self, name)!r}" for name in (*names, "arrived", "blamed", "present"))
+        return f"Decision({', '.join(values)})"
 
     @property
     def named(self) -> tuple[tuple[str, ...], ...]:
         """The faults that are named now, one or several, each with its indistinguishable ones; else empty."""
         return put_down_to(self.reading, self.candidates)
+
+
+def sizes_now(generator: ResidualGenerator, residual: NDArray[np.float64]) -> dict[str, float]:
+    """Return the estimated sizes at one sample."""
+    return {name: float(value) for name, value in estimates_of(generator, residual).items()}
 
 
 def decision_from(decisions: Decisions, spec: Specification, generator: ResidualGenerator, state: State) -> Decision:
@@ -80,7 +175,7 @@ def decision_from(decisions: Decisions, spec: Specification, generator: Residual
         fired = tuple(name for name, on in zip(spec.members, tested.fired[0, 0], strict=True) if on)
     named = Named()
     if alarm:
-        one, count = decisions.of(0), state.count - 1  # the number of this sample in the run
+        one, count = decisions.of(0), int(state.count[0]) - 1  # the number of this sample in the run
         time = np.array([count * generator.dt])
         seen = Seen(time, one.residuals, one.tested, one.named, generator, spec.test, state.isolation, count)
         named = spec.isolation.name_now(seen)
@@ -93,7 +188,7 @@ def decision_from(decisions: Decisions, spec: Specification, generator: Residual
         candidates=named.candidates,
         fired=fired,
         reading=named.reading,
-        estimates={name: float(value) for name, value in estimates_of(generator, decisions.residuals[0, 0]).items()},
+        estimates=sizes_now(generator, decisions.residuals[0, 0]),
         arrived=named.arrived,
         blamed=named.blamed,
         present=named.present,

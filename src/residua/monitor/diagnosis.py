@@ -28,7 +28,7 @@ from residua.decide.statement import (
     weight_text,
 )
 from residua.decide.structured import CodeTest
-from residua.errors import MissingExtraError
+from residua.errors import DataError, MissingExtraError
 from residua.files import write_text
 from residua.recording.clock import Clock
 from residua.visible import echo, listed
@@ -41,6 +41,33 @@ __all__ = ["CLOSE_LEAD", "CLOSE_MARGIN", "NO_FIT", "Alarm", "Candidate", "Diagno
 
 #: The words for a fault that a single estimate shows.
 NO_DIRECTION = "one estimate has no direction: any of these would look like this"
+
+
+@dataclass(frozen=True)
+class Totals:
+    """Length and numbers of samples of a whole recording.
+
+    Attributes
+    ----------
+    samples : int
+    first, last : float
+        Times in seconds.
+    decided, alarmed : int
+        Those where a decision was taken, and of these those in alarm.
+    missing, waited : int
+        Those with a missing value, and those after them at which the filter settled again.
+    absent : tuple of int
+        Of each channel those without a value; empty where signals were not kept.
+    """
+
+    samples: int
+    first: float
+    last: float
+    decided: int
+    alarmed: int
+    missing: int
+    waited: int
+    absent: tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +157,14 @@ class Diagnosis:
     compared : tuple of (int, int)
         Residuals that are a measured output less its prediction from all that was measured before, as pairs (residual,
         output); see ``predictions``.
+    thinned : bool
+        Whether the series are those of a chart only: the smallest and largest value of each bin of samples, as
+        :meth:`residua.Monitor.run_file` leaves them of long recordings. Alarms, whose ``start`` and ``stop`` are sample
+        numbers of the recording, notes and numbers of samples are those of the whole.
+    table : str
+        Where the full table is then; empty if it was not written.
+    counted : Totals or None
+        The numbers of samples of the whole then; see ``totals``.
     """
 
     time: NDArray[np.float64] = field(repr=False)
@@ -170,6 +205,9 @@ class Diagnosis:
     signals: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
     compared: tuple[tuple[int, int], ...] = field(default=(), repr=False)
     isolation: Isolation = field(default_factory=NoNames, repr=False)
+    thinned: bool = False
+    table: str = ""
+    counted: Totals | None = field(default=None, repr=False)
 
     # ------------------------------------------------------------------- facts
 
@@ -276,18 +314,33 @@ class Diagnosis:
     @property
     def false_alarm_fraction(self) -> float:
         """Fraction of the decided samples that are in alarm (a false alarm rate on fault-free data)."""
-        decided = int(self.decided.sum())
-        return float((self.alarm & self.decided).sum() / decided) if decided else 0.0
+        return self.totals.alarmed / self.totals.decided if self.totals.decided else 0.0
 
     @property
     def n_missing(self) -> int:
         """Number of samples with at least one missing value."""
-        return int(self.missing.sum())
+        return self.totals.missing if self.counted else int(self.missing.sum())
+
+    @property
+    def totals(self) -> Totals:
+        """Numbers of samples of the whole recording."""
+        if self.counted is not None:
+            return self.counted
+        waited = ~(self.decided | self.missing) & np.maximum.accumulate(self.missing)
+        return Totals(
+            len(self.time),
+            *((float(self.time[0]), float(self.time[-1])) if len(self.time) else (0.0, 0.0)),
+            int(self.decided.sum()),
+            int((self.alarm & self.decided).sum()),
+            int(self.missing.sum()),
+            int(np.count_nonzero(waited)),
+            tuple(_absent(self.signals)),
+        )
 
     # ------------------------------------------------------------------ output
 
     def __str__(self) -> str:
-        lines = [f"{self.generator.plant.name}: {len(self.time)} samples, {self._span()}"]
+        lines = [f"{self.generator.plant.name}: {self.totals.samples} samples, {self._span()}"]
         if self.n_missing:
             lines.append(self.missing_text)
         if not self.alarms:
@@ -342,12 +395,11 @@ class Diagnosis:
         """Why nothing could be decided, where nothing was, in words: what is missing throughout, or too few samples."""
         if not len(self.time):
             return "the recording is empty"
-        if not self.missing.all():
+        if self.n_missing < self.totals.samples:
             return "the recording is too short, or has too many gaps, for the filter to settle"
-        names, absent = (*self.generator.plant.inputs, *self.generator.plant.outputs), np.zeros(0, dtype=int)
-        if len(self.signals):
-            absent = np.count_nonzero(~np.isfinite(self.signals), axis=0)
-        never = [name for name, count in zip(names, absent, strict=False) if count == len(self.time)]
+        names = (*self.generator.plant.inputs, *self.generator.plant.outputs)
+        absent = np.array(self.totals.absent, dtype=int)
+        never = [name for name, count in zip(names, absent, strict=False) if count == self.totals.samples]
         if never:
             them, their = ("them", "their") if len(never) > 1 else ("it", "its")
             return (
@@ -360,9 +412,10 @@ class Diagnosis:
     def _span(self) -> str:
         if not len(self.time):
             return "empty"
+        first, last = self.totals.first, self.totals.last
         if self.clock.moment is not None:
-            return f"{self.clock.at(float(self.time[0]))} to {self.clock.at(float(self.time[-1]))}"
-        return f"{self.time[0]:.6g} to {self.time[-1]:.6g} s"
+            return f"{self.clock.at(first)} to {self.clock.at(last)}"
+        return f"{first:.6g} to {last:.6g} s"
 
     @property
     def missing_text(self) -> str:
@@ -370,7 +423,7 @@ class Diagnosis:
         times = f"{self.resets} time{'' if self.resets == 1 else 's'}"
         restarts = f"; filter restarted {times} after longer gaps" if self.resets else ""
         one = "" if self.n_missing == 1 else "s"
-        waited = int(np.count_nonzero(~(self.decided | self.missing) & np.maximum.accumulate(self.missing)))
+        waited = self.totals.waited
         after = f", nor at {waited} after them while the filter settled again" if waited else ""
         how = "the filter went on with the others" if self.predicted else "last values held"
         return f"{self.n_missing} sample{one} with missing values: {how}, no decision there{after}{restarts}"
@@ -380,7 +433,17 @@ class Diagnosis:
 
         For a bank also the statistic of each member and whether it is in alarm; for an estimator also the
         estimates under the names of the faults; for matched filters sizes and ages of the faults.
+
+        Raises
+        ------
+        DataError
+            If the diagnosis is thinned: the message says where the full table is.
         """
+        if self.thinned:
+            where = f"the full table is in {self.table}" if self.table else "run_file(residuals=...) writes all of them"
+            raise DataError(
+                f"this diagnosis keeps {len(self.time)} points of {self.totals.samples} samples, to be drawn: {where}"
+            )
         out: dict[str, NDArray] = {"time": self.time}
         out |= {name: self.residuals[:, i] for i, name in enumerate(self.residual_names)}
         out |= {"statistic": self.statistic, "alarm": self.alarm}
@@ -429,13 +492,40 @@ class Diagnosis:
         Returns
         -------
         matplotlib Figure, or the Axes of the call
+
+        Raises
+        ------
+        DataError
+            If the diagnosis is thinned.
         """
+        self._check_whole()
         from residua.report.plots import plot_diagnosis
 
         return plot_diagnosis(self, ax=ax)
 
     def to_html(self, path: str | Path, *, title: str | None = None) -> Path:
-        """Write a self-contained report page and return its path."""
+        """Write a self-contained report page and return its path; not of a thinned diagnosis."""
+        self._check_whole()
         from residua.report.page import write_page
 
         return write_page(self, path, title=title)
+
+    def thinned_to_draw(self, table: str = "") -> Diagnosis:
+        """Return the diagnosis with few points of each series, all in memory; ``table``: where the full table is."""
+        from residua.report.thinned import thinned
+
+        return thinned(self, table)
+
+    def _check_whole(self) -> None:
+        if self.thinned:
+            raise DataError(
+                "a thinned diagnosis lacks the samples that alarms are drawn at: run_file(report=...) writes the page"
+            )
+
+
+def _absent(signals: NDArray[np.float64], rows: int = 1 << 18) -> NDArray[np.int64]:
+    """Return how many values of each channel are missing, piece by piece: recordings may be larger than memory."""
+    out = np.zeros(signals.shape[1] if len(signals) else 0, dtype=np.int64)
+    for start in range(0, len(signals), rows):
+        out += np.count_nonzero(~np.isfinite(signals[start : start + rows]), axis=0)
+    return out

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from residua.decide.checks import is_number
 from residua.decide.isolation import Isolation, IsolationSettings
 from residua.decide.learnt_faults import LearntFault, learnt_code, learnt_direction
-from residua.decide.learnt_isolation import LearntCodes, LearntDirections, learnt_label
+from residua.decide.learnt_isolation import LearntCodes, LearntDirections, learnt_label, with_learnt
 from residua.decide.structured import CodeTest, longest_code
 from residua.decide.test import ResidualTest
 from residua.decide.whitened_norm import is_selection
 from residua.decide.whitening import whitening_matrix
 from residua.errors import DataError, NotFittedError, SettingError
-from residua.monitor.running import Decisions, initial_state, run_block
+from residua.monitor.fused import run_block
+from residua.monitor.running import Decisions, initial_state
 from residua.monitor.specification import Specification
 from residua.visible import echo
 from residua.words import counted, number
@@ -265,3 +266,17 @@ def intervals_of(interval: Any, count: int) -> list[Any]:
 
 
 __all__ = ["LearntFaults", "LearntRow"]
+
+
+def with_faults(
+    plain: Specification,
+    faults: tuple[LearntFault, ...],
+    normal: NDArray[np.float64] | None,
+    isolate: IsolationSettings,
+) -> Specification:
+    """Return what runs with learnt faults."""
+    if not faults:
+        return plain
+    window = judging_window(isolate, plain.isolation)
+    isolation = with_learnt(plain.isolation, faults, plain.test, lambda: whitening_of(plain.test, normal), window)
+    return replace(plain, isolation=isolation)

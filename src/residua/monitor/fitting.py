@@ -19,8 +19,9 @@ from residua.design import ResidualGenerator
 from residua.errors import DataError, SettingError
 from residua.monitor.filtering import plausible_values
 from residua.monitor.fit_check import FitCheck
+from residua.monitor.fused import run_block
 from residua.monitor.inputs import settling_reason, settling_samples, signal_levels
-from residua.monitor.running import initial_state, run_block
+from residua.monitor.running import initial_state
 from residua.monitor.setup import blank_test, specification
 from residua.monitor.specification import Specification
 from residua.recording.levels import level_and_spread, units_at_point, units_between

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from residua.decide.checks import check_rate, check_samples
 from residua.decide.isolation import IsolationSettings, NoIsolation
 from residua.decide.learnt_faults import LearntFault
-from residua.decide.learnt_isolation import with_learnt
 from residua.decide.test import ResidualTest, TestSettings, Watched
 from residua.design import ResidualGenerator
 from residua.design.core.brought import as_generator
@@ -32,11 +30,13 @@ from residua.monitor.fault_learning import (
     learnt_from,
     learnt_table,
     whitening_of,
+    with_faults,
 )
 from residua.monitor.fit_check import FitCheck
 from residua.monitor.fitting import check_held_out, fitted_test
 from residua.monitor.inputs import Signals, settling_samples, several_signals, signals, with_all_channels
-from residua.monitor.outcome import Recorded, compared_outputs, diagnosis_from
+from residua.monitor.live import Live, checked_keep, run_whole
+from residua.monitor.outcome import Recorded, compared_outputs, diagnosis_from, unlike_the_fit
 from residua.monitor.plausible import (
     TIMES,
     Plausible,
@@ -45,7 +45,7 @@ from residua.monitor.plausible import (
     guarded_ranges,
     plausible_deviations,
 )
-from residua.monitor.running import Decisions, State, initial_state, joined_decisions, run_block
+from residua.monitor.running import Decisions, State
 from residua.monitor.setup import (
     blank_test,
     brought_bounds,
@@ -56,11 +56,7 @@ from residua.monitor.setup import (
 )
 from residua.monitor.specification import Specification
 from residua.monitor.starting import checked_start
-from residua.recording.levels import units_of
 from residua.tolerances import SAME
-
-#: Samples per piece when a recording is run: bounds memory and lets progress be shown.
-PIECE = 100_000
 
 
 class Monitor:
@@ -186,7 +182,7 @@ class Monitor:
         self._learnt: tuple[LearntFault, ...] = ()
         self._normal: NDArray[np.float64] | None = None
         self._running: tuple[Specification, Specification] | None = None
-        self._state: State | None = None
+        self._live = Live(len(generator.plant.inputs))
         if generator.system.is_discrete:
             if dt is not None and abs(dt - generator.dt) > SAME * dt:
                 raise ModelError(f"the generator has dt={generator.dt:g} s, dt={dt:g} s was given")
@@ -499,26 +495,38 @@ class Monitor:
         self._learn_step(measured.dt)
         data = self._block(measured.u, measured.y)
         generator, spec = self.generator, self._specification()
-        state = initial_state(spec, len(data))
-        parts: list[Decisions] = []
-        for start in range(0, max(1, data.shape[1]), PIECE):
-            state, part = run_block(spec, state, data[:, start : start + PIECE])
-            parts.append(part)
-            if progress is not None:
-                progress(min(start + PIECE, data.shape[1]), data.shape[1])
+        state, decisions = run_whole(spec, data, progress)
         self._state = state
         clock = generator.dt * np.arange(data.shape[1]) if measured.time is None else measured.time
-        decisions, compared = joined_decisions(parts), compared_outputs(self.design)
+        plant, compared = generator.plant, compared_outputs(self.design)
         notes = (*self.notes, *(self._check.notes if self._check else ()), *measured.notes)
         whole = []
         for p in range(len(data)):
             recorded = Recorded(clock, data[p], measured.source, measured.origin, compared, own)
-            told = (*notes, *self._unlike_the_fit(data[p], decisions.aside[p]))
+            told = (*notes, *unlike_the_fit(self._check, plant, data[p], decisions.aside[p]))
             diagnosis = diagnosis_from(decisions.of(p), recorded, spec, generator, state.filter, p, told, self._bounds)
             whole.append(diagnosis)
         return whole if np.ndim(measured.y) == 3 else whole[0]
 
-    def update(self, u: ArrayLike | None, y: ArrayLike) -> Decisions:
+    def run_file(
+        self,
+        path: str | Path,
+        *,
+        residuals: str | Path | None = None,
+        alarms: str | Path | None = None,
+        report: str | Path | None = None,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> Diagnosis:
+        """Run over a file that may be larger than memory, from a fresh start: the alarms and notes of :meth:`run`.
+
+        Table, alarms and page are written where they are asked for, each whole or not at all. The series of the
+        diagnosis are thinned. See :func:`residua.monitor.streaming.run_file` for arguments, errors and an example.
+        """
+        from residua.monitor.streaming import run_file
+
+        return run_file(self, path, residuals=residuals, alarms=alarms, report=report, progress=progress)
+
+    def update(self, u: ArrayLike | None, y: ArrayLike, *, keep: Sequence[str] | None = None) -> Decisions:
         """Go on with a block of samples.
 
         Parameters
@@ -526,6 +534,9 @@ class Monitor:
         u : array_like, shape (time, inputs) or (plants, time, inputs), or None
         y : array_like, shape (time, outputs) or (plants, time, outputs)
             In plant units; NaN where a value is missing.
+        keep : sequence of str, optional
+            What is wanted of the decisions, such as ``("alarm", "statistic")``: the rest is ``None``, and is not
+            written. All when omitted.
 
         Returns
         -------
@@ -537,7 +548,9 @@ class Monitor:
         DataError
             If the block does not fit the plant, or has another number of plants than the one before.
         """
-        return self._go_on(u, y)[0]
+        names, data, spec = checked_keep(keep), self._block(u, y), self._specification()
+        with self._lock:
+            return self._live.go_on(spec, data, names)[0]
 
     def step(self, u: ArrayLike | None, y: ArrayLike) -> Decision:
         """Go on with one sample of one plant; the same answers as :meth:`run`, to the last bit.
@@ -551,9 +564,15 @@ class Monitor:
         -------
         Decision
         """
-        u_ = None if u is None else np.atleast_1d(np.asarray(u, dtype=float))[None]
-        decisions, state = self._go_on(u_, np.atleast_1d(np.asarray(y, dtype=float))[None])
-        return decision_from(decisions, self._specification(), self.generator, state)
+        with self._lock:
+            spec = self._specification()
+            quick = self._live.step(spec, self.generator, u, y)
+            if quick is not None:
+                return quick
+            u_ = None if u is None else np.atleast_1d(np.asarray(u, dtype=float))[None]
+            data = self._block(u_, np.atleast_1d(np.asarray(y, dtype=float))[None])
+            decisions, state = self._live.go_on(spec, data)
+        return decision_from(decisions, spec, self.generator, state)
 
     def reset(self) -> None:
         """Forget all data seen so far; thresholds stay."""
@@ -601,19 +620,13 @@ class Monitor:
 
     # ------------------------------------------------------------------ helpers
 
-    def _go_on(self, u: ArrayLike | None, y: ArrayLike) -> tuple[Decisions, State]:
-        """Return what was decided on a block, and the state after it: one call at a time."""
-        data = self._block(u, y)
-        spec = self._specification()
-        with self._lock:
-            state = initial_state(spec, len(data)) if self._state is None else self._state
-            if len(state.filter.x) != len(data):
-                raise DataError(
-                    f"the monitor follows {len(state.filter.x)} plants, the block has {len(data)}; reset() first"
-                )
-            state, decisions = run_block(spec, state, data)
-            self._state = state
-        return decisions, state
+    @property
+    def _state(self) -> State | None:
+        return self._live.state
+
+    @_state.setter
+    def _state(self, state: State | None) -> None:
+        self._live.state = state
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the lock, which belongs to the object: a copy has one of its own."""
@@ -644,15 +657,6 @@ class Monitor:
                 "or design for this step"
             )
 
-    def _unlike_the_fit(self, data: NDArray[np.float64], aside: NDArray[np.bool_]) -> list[str]:
-        """Say which channels never come near what they were in the recordings that were fitted."""
-        if self._check is None or not self._check.mean:
-            return []
-        plant = self.generator.plant
-        was = np.array(self._check.mean), np.array(self._check.spread)
-        seen = np.where(aside, np.nan, data)
-        return units_of((*plant.inputs, *plant.outputs), seen, *was, "the recordings that the monitor was fitted on")
-
     def _block(self, u: ArrayLike | None, y: ArrayLike) -> NDArray[np.float64]:
         plant = self.generator.plant
         data = stack_signals(plant, *with_all_channels(u, y, plant))
@@ -668,13 +672,7 @@ class Monitor:
 
     def _extended(self, plain: Specification, faults: tuple[LearntFault, ...]) -> Specification:
         """Return what runs with learnt faults."""
-        if not faults:
-            return plain
-        base, test = plain.isolation, plain.test
-        window = judging_window(self._isolation, base)
-        return replace(
-            plain, isolation=with_learnt(base, faults, test, lambda: whitening_of(test, self._normal), window)
-        )
+        return with_faults(plain, faults, self._normal, self._isolation)
 
     def _plain_specification(self) -> Specification:
         """Return what runs, without learnt faults."""

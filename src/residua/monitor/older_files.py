@@ -11,10 +11,10 @@ from residua.json_files import CHECKSUM
 from residua.monitor.partial_update import empty_partial
 from residua.monitor.plausible import TIMES
 from residua.number_kinds import FLAG, INDEX
-from residua.records import array_in, array_out, record, table_in
+from residua.records import array_in, array_out, joined, record, table_in, whole_in
 
 #: Versions before today's that are read.
-OLDER = (3, 4, 5, 6)
+OLDER = (3, 4, 5, 6, 7)
 
 
 def renewed(content: dict[str, Any]) -> dict[str, Any]:
@@ -26,7 +26,8 @@ def renewed(content: dict[str, Any]) -> dict[str, Any]:
     rounding where there are zeros now: in the rows of residuals that a fault does not reach. Its starts were from rest,
     and its Kalman filters held the values of missing outputs, which both stay so; and every finite number was a
     measurement: without the recording that was fitted, only what would overflow is missing. Before version 7 what ran
-    and its state were one flat table of every kind of test and isolation.
+    and its state were one flat table of every kind of test and isolation. Before version 8 all plants of a monitor had
+    seen equally many samples, and a moving sum kept what it had read.
     """
     version, content = content["version"], {"bounds": {}, "fit_check": None, "normal": None, "learnt": []} | content
     if version == 3:
@@ -42,11 +43,39 @@ def renewed(content: dict[str, Any]) -> dict[str, Any]:
                 content[name] = _with_silent_rows(table_in(content[name], name), name)
         _with_promise(content)
         _with_plausible(content)
-    if version in OLDER:
+    if version in (3, 4, 5, 6):
         _nested(content)
+    if version in OLDER and content.get("state") is not None:
+        _with_counts(content)
     if content["fit_check"] is not None:  # what the channels were like was not kept at first
         content["fit_check"] = {"mean": [], "spread": [], "units": []} | table_in(content["fit_check"], "fit_check")
     return content
+
+
+# ----------------------------------------------------------------------------- version 7 to 8
+
+
+def _with_counts(content: dict[str, Any]) -> None:
+    """Count the samples of every plant by itself, and keep of moving sums only what is read again."""
+    state = table_in(content["state"], "state")
+    plants = len(array_in(table_in(state.get("filter"), "state.filter").get("gap"), "state.filter.gap", INDEX, 1))
+    count = array_out(np.full(plants, whole_in(state.get("count"), "state.count"), dtype=np.int64))
+    content["state"] = _with_counted_windows(state, "state", plants) | {"count": count}
+
+
+def _with_counted_windows(value: Any, where: str, plants: int) -> Any:
+    if not isinstance(value, dict):
+        return value
+    if not set(_WINDOW) <= set(value):
+        return {name: _with_counted_windows(entry, joined(where, name), plants) for name, entry in value.items()}
+    content = record(value, where, _WINDOW)
+    ends, block = (array_in(content[name], joined(where, name), ndim=3) for name in ("ends", "block"))
+    filled = whole_in(content["filled"], joined(where, "filled"))
+    if ends.shape != block.shape or filled >= max(ends.shape[1], 2):
+        raise FileFormatError(f"{where}: ends and block must be of one shape, and filled below its window")
+    kept = np.where(np.arange(ends.shape[1])[:, None] < filled, block, ends)
+    counted = array_out(np.full(plants, filled, dtype=np.int64))
+    return {"values": array_out(kept), "begun": content["begun"], "filled": counted}
 
 
 # ----------------------------------------------------------------------------- version 6 to 7

@@ -15,15 +15,21 @@ from residua.decide.member_bounds import MemberBounds
 from residua.design import ResidualGenerator
 from residua.monitor.beginning import with_beginnings
 from residua.monitor.diagnosis import Diagnosis
+from residua.monitor.fit_check import FitCheck
 from residua.monitor.inputs import settling_reason
 from residua.monitor.running import Decisions
 from residua.monitor.specification import FilterState, Specification
+from residua.plant import Plant
+from residua.recording.levels import rows_apart, units_of
 from residua.robust.estimators.certified_threshold import AFFINE_FORM
+from residua.words import percent
 
 #: Part of its threshold by which the residual must move before a note says so.
 _TOLD = 0.1
 #: Part of a recording that is not judged for want of values, from which on a note says so.
 _TOLD_GAPS = 0.05
+#: Samples that are counted at once.
+_PIECE = 1 << 18
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,10 +207,14 @@ def _gap_notes(
     share = (absent + waited) / int(np.count_nonzero(own))
     if share <= _TOLD_GAPS:
         return ()
-    gaps = np.count_nonzero((~np.isfinite(recorded.signals) | decisions.aside)[own], axis=0)
+    gaps = np.zeros(recorded.signals.shape[1], dtype=np.int64)
+    for k in range(0, len(own), _PIECE):  # the recording may be larger than memory
+        part = slice(k, k + _PIECE)
+        gaps += np.count_nonzero((~np.isfinite(recorded.signals[part]) | decisions.aside[part])[own[part]], axis=0)
     worst = (*generator.plant.inputs, *generator.plant.outputs)[int(gaps.argmax())]
     part = "the recording" if recorded.own is None else "its part of the recording"
-    said = f"{100 * share:.2g} % of {part} is not judged for want of values: {absent} samples miss one"
+    lost = percent(absent + waited, int(np.count_nonzero(own)))
+    said = f"{lost} of {part} is not judged for want of values: {absent} samples miss one"
     said += f" (channel {worst!r} at {gaps.max()} of them, the most)"
     if not waited:
         return (f"{said}; fill in what is known, or leave out a channel that is seldom there",)
@@ -255,6 +265,18 @@ def _start_notes(spec: Specification, moved: float) -> tuple[str, ...]:
     )
 
 
+def unlike_the_fit(
+    check: FitCheck | None, plant: Plant, signals: NDArray[np.float64], aside: NDArray[np.bool_]
+) -> list[str]:
+    """Say which channels never come near what they were in the recordings that were fitted."""
+    if check is None or not check.mean:
+        return []
+    apart = rows_apart(len(signals))
+    seen = np.where(aside[::apart], np.nan, signals[::apart])
+    was = np.array(check.mean), np.array(check.spread)
+    return units_of((*plant.inputs, *plant.outputs), seen, *was, "the recordings that the monitor was fitted on")
+
+
 def _alarms_of(seen: Seen, isolation: Isolation) -> tuple[Alarm, ...]:
     """Return the alarms of a recording, those that are one event as one."""
 
@@ -269,17 +291,32 @@ def _alarms_of(seen: Seen, isolation: Isolation) -> tuple[Alarm, ...]:
 def _alarms(seen: Seen, name: Naming) -> tuple[Alarm, ...]:
     """Return the alarms one by one, each with its attribution."""
     tested, time = seen.tested, seen.time
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], tested.alarm.astype(np.int8), [0]])))
-    counted = np.flatnonzero(tested.usable)
+    padded = np.zeros(len(tested.alarm) + 2, dtype=bool)
+    padded[1:-1] = tested.alarm
+    edges = np.flatnonzero(padded[1:] != padded[:-1])
     out = []
     for start, stop in edges.reshape(-1, 2).tolist():
-        position = int(np.searchsorted(counted, start, side="right")) - 1
-        first = counted[max(0, position - int(tested.up[start]) + 1)]
+        first = _usable_before(tested.usable, start, int(tested.up[start]))
         fields = name(start, stop, last_over(tested.exceeded, start, stop)).of_alarm()
         ended = float(time[stop]) if stop < len(time) else None
         values: dict[str, Any] = {"onset": float(time[first])} | fields
         out.append(Alarm(raised=float(time[start]), ended=ended, start=start, stop=stop, **values))
     return tuple(out)
+
+
+def _usable_before(usable: NDArray[np.bool_], last: int, count: int) -> int:
+    """Return the first of so many usable samples, the last of which is no later than ``last``."""
+    if count < 1:  # a test that does not count: the sample after
+        return last + 1 + int(np.argmax(usable[last + 1 :]))
+    stop, width = last + 1, 2 * count
+    while stop > 0:
+        begin = max(0, stop - width)
+        width = min(2 * width, _PIECE)
+        rows = np.flatnonzero(usable[begin:stop])
+        if len(rows) >= count:
+            return begin + int(rows[len(rows) - count])
+        count, stop = count - len(rows), begin
+    return int(np.argmax(usable))
 
 
 def _events(alarms: Sequence[Alarm], apart: int, isolation: Isolation) -> list[list[Alarm]]:

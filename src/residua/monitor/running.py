@@ -1,4 +1,4 @@
-"""The arithmetic of a monitor: a pure function from state and data to state and decisions.
+"""The arithmetic of a monitor in NumPy: a pure function from state and data to state and decisions.
 
 Everything here is vectorised over plants and gives the same bits however the time axis is cut.
 """
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from residua.decide.isolation import Scores
 from residua.decide.matched_hold import Match
 from residua.decide.test import Block, Tested
-from residua.monitor.filtering import filter_block
+from residua.monitor.filtering import Filtered, filter_block
 from residua.monitor.partial_update import empty_partial
 from residua.monitor.specification import FilterState, Specification
 
@@ -32,14 +32,14 @@ class State:
     filter : FilterState
     test, isolation : dataclass
         As the test and the isolation have it.
-    count : int
+    count : ndarray of int, shape (plants,)
         Samples so far.
     """
 
     filter: FilterState
     test: Any
     isolation: Any
-    count: int
+    count: NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,11 +174,26 @@ def initial_state(spec: Specification, plants: int) -> State:
         apart=flag,
         **empty_partial(spec.partial, plants),
     )
-    return State(filtered, spec.test.start(plants), spec.isolation.start(plants), 0)
+    return State(filtered, spec.test.start(plants), spec.isolation.start(plants), whole)
 
 
-def run_block(spec: Specification, state: State, data: NDArray[np.float64]) -> tuple[State, Decisions]:
-    """Run filter, test and isolation over a block of samples.
+def written_rows(whole: Any, rows: NDArray[np.int64], part: Any) -> Any:
+    """Return a dataclass of arrays with those of some plants written into it, in place but where it takes no memory."""
+    if whole is None:
+        return None
+    if isinstance(whole, np.ndarray):
+        if whole.size and not any(whole.strides):
+            if not part.any():
+                return whole
+            whole = whole.copy()
+        whole[rows] = part
+        return whole
+    names = [one.name for one in fields(whole)]
+    return type(whole)(**{name: written_rows(getattr(whole, name), rows, getattr(part, name)) for name in names})
+
+
+def run_reference(spec: Specification, state: State, data: NDArray[np.float64]) -> tuple[State, Decisions]:
+    """Run filter, test and isolation over a block of samples, in NumPy: the reference of the fused loop.
 
     Parameters
     ----------
@@ -205,13 +220,22 @@ def run_block(spec: Specification, state: State, data: NDArray[np.float64]) -> t
 
 def _run_at_once(spec: Specification, state: State, data: NDArray[np.float64]) -> tuple[State, Decisions]:
     filter_state, filtered = filter_block(spec, state.filter, data)
+    return judged(spec, state, filter_state, filtered)
+
+
+def judged(
+    spec: Specification, state: State, filter_state: FilterState, filtered: Filtered, *, name: bool = True
+) -> tuple[State, Decisions]:
+    """Run test and isolation over what the filter made of a block; ``name``: whether the isolation is run too."""
     block = Block(filtered.residuals, filtered.usable, state.count, filtered.bends, filtered.signals)
     test, tested = spec.test.run(state.test, block)
-    isolation, named = spec.isolation.run(state.isolation, block, tested)
+    isolation, named = state.isolation, Scores(np.zeros((*filtered.usable.shape, 0)))
+    if name:
+        isolation, named = spec.isolation.run(state.isolation, block, tested)
     if tested.likelihood is not None:  # what the isolation has read
         tested = replace(tested, likelihood=None)
-    if data.shape[1]:
-        state = State(filter_state, test, isolation, state.count + data.shape[1])
+    if filtered.usable.shape[1]:
+        state = State(filter_state, test, isolation, state.count + filtered.usable.shape[1])
     return state, Decisions(filtered.residuals, filtered.missing, filtered.aside, tested, named)
 
 

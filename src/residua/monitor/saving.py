@@ -57,7 +57,7 @@ from residua.visible import echo, shortened
 FORMAT = "residua-monitor"
 #: That of monitors by operating mode (``regime_files``), of which each holds several.
 REGIMES = "residua-regime-monitor"
-VERSION = 7
+VERSION = 8
 #: The first version whose files have a checksum.
 _CHECKED = 6
 
@@ -302,8 +302,11 @@ def _state_in(value: Any, spec: Specification) -> State:
     filtered = table_in(table_in(value, "state").get("filter"), "state.filter")
     plants = len(array_in(filtered.get("gap"), "state.filter.gap", INDEX, 1))
     state: State = state_in(value, "state", initial_state(spec, plants))
+    first = 0 if spec.first is None else spec.first.samples
+    if (state.filter.age[state.filter.starting] >= first).any():
+        raise FileFormatError(f"state.filter.age must be below {first} while a start is estimated")
     spec.test.check_state(state.test)
-    spec.isolation.check_state(state.isolation, state.count)
+    spec.isolation.check_state(state.isolation, int(state.count.max(initial=0)))
     return state
 
 

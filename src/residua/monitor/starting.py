@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.row_norms import row_norms
 from residua.decide.test import ResidualTest
 from residua.design import ResidualGenerator
 from residua.errors import SettingError
@@ -56,7 +57,7 @@ class StartFit:
     correction: NDArray[np.float64]
 
     @cached_property
-    def _rows(self) -> NDArray[np.float64]:
+    def rows(self) -> NDArray[np.float64]:
         """Products of each residual, at each sample after the start, with its response to the error: (N, nr, n)."""
         out = np.empty((self.samples, *self.C.shape))
         response = self.C
@@ -75,7 +76,7 @@ class StartFit:
         age : int
             Samples since the start, before these.
         """
-        rows = self._rows[age : age + residuals.shape[1]]
+        rows = self.rows[age : age + residuals.shape[1]]
         steps = np.zeros((*residuals.shape[:2], self.C.shape[1]))
         for i in range(rows.shape[1]):
             steps += residuals[:, :, i, None] * rows[:, i]
@@ -88,7 +89,7 @@ class StartFit:
         """
         left = ordered_product(sums, self.correction.T)
         moved = ordered_product(ordered_product(left, self.C.T), self.ratios)
-        return x - left, np.sqrt(np.sum(moved**2, axis=1))
+        return x - left, row_norms(moved)
 
 
 def checked_start(value: object) -> str:

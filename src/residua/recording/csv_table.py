@@ -6,11 +6,13 @@ import csv
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import DataError, FileFormatError
+from residua.recording import csv_arrow
 from residua.visible import echo
 
 DELIMITERS = (",", ";", "\t")
@@ -18,6 +20,8 @@ BLANKS = " "
 _DATE = re.compile(r"\d{1,4}([/.\-])\d{1,2}\1\d{1,4}(?!\d)")
 #: How spreadsheets say what stands between the cells, in a line of its own before all others.
 _SEPARATOR = re.compile(r"sep=([,;\t])", re.IGNORECASE)
+#: Characters in which the header is looked for before all lines are.
+_BEGINNING = 1 << 16
 
 #: What spreadsheets and loggers write where a value is missing, in lower case.
 MISSING = frozenset(
@@ -35,29 +39,43 @@ class CsvTable:
     names : tuple of str
         Of the columns; numbers from 1 on where there is no header.
     delimiter : str
-    lines : list of str
-        Those with data.
-    quoted : bool
+    body : str
+        The lines with data.
     above : int
         Lines of the file before them.
     decimal : {".", ","}
     headed : bool
         Whether the file names its columns.
+    blanks : bool
+        Whether blanks stood between the cells, which are tabs in ``body``.
     """
 
     source: str
     names: tuple[str, ...]
     delimiter: str
-    lines: list[str]
-    quoted: bool
+    body: str
     above: int
     decimal: str
     headed: bool
+    blanks: bool = False
+
+    @cached_property
+    def lines(self) -> list[str]:
+        """The lines with data, one by one."""
+        return self.body.split("\n")
+
+    @cached_property
+    def _bytes(self) -> csv_arrow.Body | None:
+        """The lines with data as pyarrow reads them; ``None`` where it does not, or not the same."""
+        return csv_arrow.served(self.body, len(self.names), self.delimiter, self.decimal)
 
     def numbers(self, wanted: Sequence[str]) -> dict[str, NDArray[np.float64]]:
         """Return columns of numbers; missing cells are NaN."""
         places = [self.names.index(name) for name in wanted]
-        block = None if self.quoted else self._fast(places)
+        block = self._bytes.numbers(places) if self._bytes is not None else None
+        if block is not None:
+            return {name: block[i] for i, name in enumerate(wanted)}
+        block = None if '"' in self.body else self._fast(places)
         if block is not None:
             return {name: block[:, i] for i, name in enumerate(wanted)}
         cells, rows = self._cells(places)
@@ -66,14 +84,23 @@ class CsvTable:
             for name, column in zip(wanted, cells, strict=True)
         }
 
-    def texts(self, name: str) -> tuple[list[str], list[int]]:
+    @property
+    def first_line(self) -> str:
+        """The first line with data."""
+        end = self.body.find("\n")
+        return self.body[:end] if end >= 0 else self.body
+
+    def texts(self, name: str) -> tuple[list[str], Sequence[int]]:
         """Return one column as text, with the line of the file that each cell is from."""
-        cells, rows = self._cells([self.names.index(name)])
-        return cells[0], rows
+        cells = self._bytes.texts(self.names.index(name)) if self._bytes is not None else None
+        if cells is not None:
+            return cells, range(self.above + 1, self.above + 1 + len(cells))
+        columns, rows = self._cells([self.names.index(name)])
+        return columns[0], rows
 
     def first(self, name: str) -> str:
         """Return the first cell of a column."""
-        row = next(csv.reader(self.lines[:1], delimiter=self.delimiter))
+        row = next(csv.reader([self.first_line], delimiter=self.delimiter))
         place = self.names.index(name)
         return row[place].strip() if place < len(row) else ""
 
@@ -134,34 +161,85 @@ def open_csv(content: bytes, source: str, *, decimal: str = ".") -> CsvTable:
     FileFormatError
         If it is not text.
     """
-    text = _decoded(content, source).replace("\r\n", "\n").replace("\r", "\n")
-    if not text.strip():
+    text = _decoded(content, source)
+    if "\r" in text:
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
+    if not text or text.isspace():
         raise DataError(f"{source}: the file is empty")
-    lines = text.split("\n")
+    head = _head(text, decimal)
+    body, names, delimiter = _without_blank_end(text, head.end), head.names, head.delimiter
+    blanks = delimiter == BLANKS
+    if blanks:
+        body, delimiter = "\n".join("\t".join(line.split()) for line in body.split("\n")), "\t"
+    headed = not names or not all(_is_number(name.replace(",", ".")) for name in names)
+    if headed:
+        if not body or body.isspace():
+            raise DataError(f"{source}: there is a header but no data")
+        return CsvTable(source, names, delimiter, body, head.above + 1, decimal, True, blanks)
+    numbered = tuple(str(i + 1) for i in range(len(names)))
+    first = delimiter.join(names)
+    body = first if not body or body.isspace() else f"{first}\n{body}"
+    return CsvTable(source, numbered, delimiter, body, head.above, decimal, False, blanks)
+
+
+def _without_blank_end(text: str, start: int) -> str:
+    """Return the text from there on without the blank lines at its end."""
+    last = len(text)
+    while last > start and text[max(start, last - _BEGINNING) : last].isspace():
+        last = max(start, last - _BEGINNING)
+    tail = text[max(start, last - _BEGINNING) : last]
+    end = text.find("\n", last - len(tail) + len(tail.rstrip()))
+    return text[start:end] if end >= 0 else text[start:]
+
+
+@dataclass(frozen=True)
+class _Head:
+    """The line that names the columns, or is the first one with data.
+
+    Attributes
+    ----------
+    names : tuple of str
+    delimiter : str
+    above : int
+        Lines above it.
+    end : int
+        Where the text after it begins.
+    """
+
+    names: tuple[str, ...]
+    delimiter: str
+    above: int
+    end: int
+
+
+def _head(text: str, decimal: str) -> _Head:
+    """Find the first line, by it and the one that follows: at the beginning of the text, or else in all of it."""
+    lines = text[:_BEGINNING].split("\n")
+    if len(text) > _BEGINNING:
+        lines.pop()  # it may go on
+        above = _first_line(lines)[0] if any(line.strip() for line in lines) else len(lines)
+        if not any(line.strip() for line in lines[above + 1 :]):
+            lines = text.split("\n")
+    above, said = _first_line(lines)
+    head = lines[above].lstrip()[1:].strip() if _is_comment(lines[above]) else lines[above]
+    following = next((line for line in lines[above + 1 :] if line.strip()), "")
+    if said:
+        delimiter, names = said, tuple(name.strip() for name in next(csv.reader([head], delimiter=said), []))
+    else:
+        delimiter, names = _separated(head, following, decimal)
+    end = sum(len(line) + 1 for line in lines[: above + 1])
+    return _Head(names, delimiter, above, end)
+
+
+def _first_line(lines: list[str]) -> tuple[int, str]:
+    """Return the number of the line with the names, or with the first data, and the separator that a line says."""
     above = next(i for i, line in enumerate(lines) if line.strip())
     said = _SEPARATOR.fullmatch(lines[above].strip(" "))
     if said:
         above = next((i for i, line in enumerate(lines) if i > above and line.strip()), above)
     while above + 1 < len(lines) and _is_comment(lines[above]) and _is_comment(lines[above + 1]):
         above += 1  # of several lines of comment the last one may name the columns
-    head = lines[above].lstrip()[1:].strip() if _is_comment(lines[above]) else lines[above]
-    following = next((line for line in lines[above + 1 :] if line.strip()), "")
-    if said:
-        delimiter, names = said[1], tuple(name.strip() for name in next(csv.reader([head], delimiter=said[1]), []))
-    else:
-        delimiter, names = _separated(head, following, decimal)
-    if delimiter == BLANKS:
-        lines, delimiter = [*lines[: above + 1], *("\t".join(line.split()) for line in lines[above + 1 :])], "\t"
-    while lines and not lines[-1].strip():
-        lines.pop()
-    headed = not names or not all(_is_number(name.replace(",", ".")) for name in names)
-    if headed:
-        if len(lines) < above + 2:
-            raise DataError(f"{source}: there is a header but no data")
-        return CsvTable(source, names, delimiter, lines[above + 1 :], '"' in text, above + 1, decimal, True)
-    numbered = tuple(str(i + 1) for i in range(len(names)))
-    data = [delimiter.join(names), *lines[above + 1 :]]
-    return CsvTable(source, numbered, delimiter, data, '"' in text, above, decimal, False)
+    return above, said[1] if said else ""
 
 
 def _is_comment(line: str) -> bool:

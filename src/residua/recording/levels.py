@@ -83,6 +83,11 @@ def units_between(channels: Sequence[str], sources: Sequence[str], mean: Values,
     return notes
 
 
+def rows_apart(count: int) -> int:
+    """Return how far apart the rows are that are looked at of so many."""
+    return -(-count // _MOST_ROWS) or 1
+
+
 def units_of(channels: Sequence[str], values: Values, mean: Values, spread: Values, reference: str) -> list[str]:
     """Return the channels of one recording that never come near what they were, as other units would make them.
 
@@ -96,7 +101,7 @@ def units_of(channels: Sequence[str], values: Values, mean: Values, spread: Valu
     reference : str
         Where that is from, in words.
     """
-    shown = values[:: -(-len(values) // _MOST_ROWS) or 1]
+    shown = values[:: rows_apart(len(values))]
     told: dict[int, str] = {}
     fahrenheit, perhaps = False, {}
     for i, channel in enumerate(channels):

@@ -52,20 +52,19 @@ def _name(part: zipfile.ZipInfo) -> str:
 def _array(archive: zipfile.ZipFile, part: zipfile.ZipInfo, source: str) -> NDArray:
     """Return one array, once its header fits what is there: NumPy makes room for what the header says."""
     with archive.open(part) as member:
-        dtype, size = _header(member)
+        shape, _, dtype = array_header(member)
         if dtype.hasobject:
             raise FileFormatError(
                 f"{source}: {echo(_name(part))} holds Python objects; only arrays of numbers are read"
             )
-        if size * dtype.itemsize > part.file_size:
+        if math.prod(shape) * dtype.itemsize > part.file_size:
             raise FileFormatError(f"{source}: {echo(_name(part))} is shorter than it says: the file is damaged")
     with archive.open(part) as member:
         return np.lib.format.read_array(member, allow_pickle=False)
 
 
-def _header(member: IO[bytes]) -> tuple[np.dtype, int]:
-    """Return type and number of the entries of an array."""
+def array_header(member: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype]:
+    """Return shape, whether columns come first, and type of an array."""
     version = np.lib.format.read_magic(member)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, _, dtype = read(member)
-    return dtype, math.prod(shape)
+    return read(member)

@@ -189,7 +189,7 @@ def _from_csv(path: Path, options: ReadOptions) -> Recording:
 
 def _has_numbers(table: CsvTable, clock: str, options: ReadOptions) -> bool:
     """Whether times are numbers, by the first one and what the caller says."""
-    return options.time_format is None and _reads_as_number(table, clock)
+    return options.time_format is None and reads_as_number(table, clock)
 
 
 def _times_of(table: CsvTable, name: str, options: ReadOptions) -> Times:
@@ -205,8 +205,8 @@ def _from_headless(table: CsvTable, options: ReadOptions, source: str) -> Record
     """Read text without a header as a matrix, whose columns the caller names."""
     if options.matrix_names is None and options.plant is not None:
         raise DataError(
-            f"{source}: the first line must name the columns, it holds {echo(table.lines[0], 60)}; of a file without a "
-            f"header name its {len(table.names)} columns in order, columns=[...]"
+            f"{source}: the first line must name the columns, it holds {echo(table.first_line, 60)}; of a file without "
+            f"a header name its {len(table.names)} columns in order, columns=[...]"
         )
     block = np.column_stack(list(table.numbers(table.names).values()))
     block = block.T if options.transpose else block
@@ -216,7 +216,8 @@ def _from_headless(table: CsvTable, options: ReadOptions, source: str) -> Record
     return replace(made, notes=(f"no header: every line is data, the columns are {named}", *made.notes))
 
 
-def _reads_as_number(table: CsvTable, name: str) -> bool:
+def reads_as_number(table: CsvTable, name: str) -> bool:
+    """Whether the first cell of a column is a number, or missing."""
     cell = table.first(name)
     if cell.lower() in MISSING:
         return True

@@ -13,6 +13,15 @@ from residua.errors import DataError, FileFormatError, missing_extra
 from residua.files import replacing
 from residua.visible import echo
 
+#: Rows of a Parquet file that are written at once, as one group.
+_ROWS = 1 << 16
+
+
+def check_table(path: str | Path) -> None:
+    """Raise :class:`DataError` unless residuals are written under such a name."""
+    if Path(path).suffix.lower() not in (".csv", ".parquet"):
+        raise DataError(f"{path}: residuals are written as .csv or .parquet, by the ending of the name")
+
 
 def write_table(path: str | Path, columns: Mapping[str, Iterable[float] | NDArray]) -> Path:
     """Write named columns to a .csv or .parquet file.
@@ -55,8 +64,13 @@ def write_table(path: str | Path, columns: Mapping[str, Iterable[float] | NDArra
             import pyarrow.parquet as parquet
         except ImportError as error:
             raise missing_extra("pyarrow", "parquet") from error
-        with replacing(path) as temporary:
-            parquet.write_table(pyarrow.table(arrays), temporary)
+        with (
+            replacing(path) as temporary,
+            parquet.ParquetWriter(temporary, pyarrow.table({n: a[:0] for n, a in arrays.items()}).schema) as writer,
+        ):
+            for start in range(0, max(1, max(lengths.values(), default=0)), _ROWS):
+                part = {name: array[start : start + _ROWS] for name, array in arrays.items()}
+                writer.write_table(pyarrow.table(part))
     else:
         raise FileFormatError(f"{path.name}: tables are written as .csv or .parquet, not {echo(suffix)}")
     return path

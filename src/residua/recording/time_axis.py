@@ -27,8 +27,12 @@ def seconds_from_dates(dates: NDArray) -> tuple[NDArray[np.float64], str]:
     """Return ``datetime64`` values as seconds since the first one, and that one as text."""
     if len(dates) == 0:
         return np.zeros(0), ""
-    since = (dates - dates[0]) / np.timedelta64(1, "ns")
-    return np.asarray(since, dtype=float) / 1e9, str(np.datetime_as_string(dates[0], unit="auto"))
+    return seconds_since(dates, dates[0]), str(np.datetime_as_string(dates[0], unit="auto"))
+
+
+def seconds_since(dates: NDArray, first: np.datetime64) -> NDArray[np.float64]:
+    """Return ``datetime64`` values as seconds since one of them."""
+    return np.asarray((dates - first) / np.timedelta64(1, "ns"), dtype=float) / 1e9
 
 
 def regular_step(time: NDArray[np.float64], tolerance: float, first_row: int, source: str) -> float:

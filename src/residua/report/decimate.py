@@ -7,6 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+#: Samples that are gathered at once: bounds memory.
+_AT_ONCE = 1 << 18
+
 
 @dataclass(frozen=True, eq=False)
 class Bins:
@@ -41,12 +44,17 @@ class Bins:
 
         NaN where a bin has no finite value.
         """
-        values = np.where(np.isfinite(values), values, np.nan)
         if self.width == 1:
-            return values
-        n_bins = self.n_points // 2
+            return np.where(np.isfinite(values), values, np.nan)
+        at_once = max(1, _AT_ONCE // self.width) * self.width
+        parts = [self._of_piece(values[k : k + at_once]) for k in range(0, self.n_samples, at_once)]
+        return np.concatenate(parts)
+
+    def _of_piece(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the extremes of the bins of a piece, which is whole bins but for its end."""
+        n_bins = -(-len(values) // self.width)
         blocks = np.full(n_bins * self.width, np.nan)
-        blocks[: self.n_samples] = values
+        blocks[: len(values)] = np.where(np.isfinite(values), values, np.nan)
         blocks = blocks.reshape(n_bins, self.width)
         rows = np.arange(n_bins)
         low = np.where(np.isnan(blocks), np.inf, blocks).argmin(axis=1)

@@ -84,8 +84,7 @@ def verdict(diagnosis: Diagnosis) -> Verdict:
         why = diagnosis.why_undecided
         return Verdict("undecided", "No decision.", (f"No sample could be judged: {why}.",))
     sentences = [f"{decided:,} of {len(diagnosis.time):,} samples were judged."]
-    seen = diagnosis.statistic[diagnosis.decided]
-    largest = float(np.nanmax(seen)) if np.isfinite(seen).any() else math.nan
+    largest = _largest(diagnosis)
     if math.isfinite(largest) and math.isfinite(diagnosis.threshold) and diagnosis.threshold > 0:
         share = 100 * largest / diagnosis.threshold
         sentences.append(
@@ -96,6 +95,17 @@ def verdict(diagnosis: Diagnosis) -> Verdict:
         want = "code" if diagnosis.codes else "signature"
         sentences.append(f"This monitor may not see {some(diagnosis.unjudged)}: without a {want} in it.")
     return Verdict("none", "No fault found.", tuple(sentences))
+
+
+def _largest(diagnosis: Diagnosis, rows: int = 1 << 18) -> float:
+    """Return the largest statistic where something was decided, NaN without a finite one; piece by piece."""
+    largest, there = -math.inf, False
+    for k in range(0, len(diagnosis.time), rows):
+        seen = diagnosis.statistic[k : k + rows][diagnosis.decided[k : k + rows]]
+        seen = seen[~np.isnan(seen)]
+        there = there or bool(np.isfinite(seen).any())
+        largest = max(largest, float(seen.max(initial=-math.inf)))
+    return largest if there else math.nan
 
 
 def _fault(diagnosis: Diagnosis) -> Verdict:

@@ -190,7 +190,8 @@ class Campaign:
         """Return how often each group was named, a row for each case; shares of all runs of the case.
 
         A run counts for what its longest alarm from the onset on is put down to. ``several``: several faults at once,
-        by code; ``unknown``: an alarm that is put down to none; ``none``: no alarm.
+        by code; ``unknown``: an alarm that is put down to none, by likelihood where a fault that is not listed, or
+        none, is more probable than each that is; ``none``: no alarm.
         """
         shown = [*range(len(self.groups)), SEVERAL, UNKNOWN, NO_ALARM]
         if not (self.figures.named == SEVERAL).any():
@@ -205,11 +206,16 @@ class Campaign:
         return FigureTable(header, tuple(rows))
 
     def roc(self, case: int | None = None) -> dict[str, Roc] | Roc:
-        """Return the curves of detections against false alarms over all thresholds, by case; or that of one case."""
+        """Return the curves of detections against false alarms over all thresholds, by case; or that of one case.
+
+        Cases whose names are the same are told apart by their number.
+        """
         if case is not None:
             f = self.figures
             return roc_of(f.peak[case], f.quiet_peak[case], self.threshold, self.confidence)
-        return {one.name: self.roc(c) for c, one in enumerate(self.cases)}  # pyright: ignore[reportReturnType]
+        names = [one.name for one in self.cases]
+        own = [name if names.count(name) == 1 else f"{name} (case {c})" for c, name in enumerate(names)]
+        return {name: self.roc(c) for c, name in enumerate(own)}  # pyright: ignore[reportReturnType]
 
     def detection_probabilities(self) -> tuple[DetectionProbability, ...]:
         """Return the probability of detection by size for each scenario: fit, a90 and a90/95, or why there is none."""

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from residua.decide.checks import check_samples, check_whole
+from residua.decide.checks import check_samples, check_whole, is_number
 from residua.errors import NotFittedError, SettingError, missing_extra
 from residua.files import check_output
 from residua.linear import StateSpace
@@ -251,7 +251,7 @@ def plan_of(
     d, drawn, about_disturbances = disturbance_signals(disturbances, simulated.disturbances, samples)
     chosen = _noise(noise, one, spec, bool(disturbances))
     counted = samples if within is None else _samples_within(within, dt)
-    late = [case for case in cases if within is not None and round(case.shape.latest / dt) + counted > samples]
+    late = [case for case in cases if within is not None and case.shape.latest_sample(dt) + counted > samples]
     if late:
         raise SettingError(
             f"scenario {echo(late[0].fault)}: the run ends before the {within:g} s are over in which a detection "
@@ -285,7 +285,7 @@ def plan_of(
 
 
 def _samples_within(within: float, dt: float) -> int:
-    if not np.isfinite(within) or not within >= dt:
+    if not is_number(within) or not within >= dt:
         raise SettingError(f"within must be one step ({dt:g} s) or more, in seconds, got {echo(within)}")
     return round(within / dt)
 

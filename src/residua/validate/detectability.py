@@ -201,8 +201,8 @@ def detectability(
         With a threshold.
     within : float or sequence of float, optional
         Delays in seconds: a fault that arrives with one sample is detected in time if there is an alarm on that or one
-        of the next, as many as go into this time. When omitted 1, 3, 10, 30, 100 samples, and so on up to twice what
-        the test sums.
+        of the next, as many as this time has steps, rounded. When omitted 1, 3, 10, 30, 100 samples, and so on up to
+        twice what the test sums.
     miss_rate : float
         :math:`\beta`, the share that may be missed.
     faults : sequence of str, optional
@@ -429,7 +429,10 @@ def _resampled(residuals: Any) -> Resampled:
         rows = np.zeros(0)
     if rows.ndim != 2 or not len(rows):
         raise SettingError(f"residuals must be numbers of (time, residuals), got {echo(residuals)}")
-    if not np.ptp(rows[np.isfinite(rows).all(axis=1)], axis=0).any():
+    there = rows[np.isfinite(rows).all(axis=1)]
+    if not len(there):
+        raise SettingError("residuals has no row without a missing value: give fault-free ones that were judged")
+    if not np.ptp(there, axis=0).any():
         raise SettingError("residuals never change: give those of a fault-free recording (monitor.run(u, y).residuals)")
     return resampled(rows)
 
@@ -577,8 +580,12 @@ def _asymptote(white: NDArray[np.float64] | None, size: float, mean_time: float 
 def _checked_faults(faults: Iterable[str] | None, known: tuple[str, ...]) -> tuple[str, ...]:
     if faults is None:
         names = known
+    elif isinstance(faults, str):
+        names = (faults,)
+    elif isinstance(faults, Iterable):
+        names = tuple(faults)
     else:
-        names = (faults,) if isinstance(faults, str) else tuple(faults)
+        raise SettingError(f"faults must be names of faults, got {echo(faults)}; known: {listed(known)}")
     unknown = [one for one in names if one not in known]
     if unknown:
         raise SettingError(f"the plant has no fault {echo(unknown[0])}; known: {listed(known)}")

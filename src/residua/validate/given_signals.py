@@ -111,11 +111,13 @@ def disturbance_signals(
     Raises
     ------
     SettingError
-        If a disturbance is unknown.
+        If a disturbance is unknown, or they are not by name.
     DataError
-        If a signal is too short or not finite.
+        If a signal is too short, not finite or no number.
     """
     fixed, drawn, words = np.zeros((samples, len(names))), [], []
+    if given is not None and not isinstance(given, Mapping):
+        raise SettingError(f"disturbances must be signals by name, such as {{'gust': 1.0}}, got {echo(given)}")
     for name, value in (given or {}).items():
         if name not in names:
             raise SettingError(f"the plant has no disturbance {echo(name)}; known: {listed(names)}")
@@ -124,7 +126,10 @@ def disturbance_signals(
             drawn.append((column, value))
             words.append(f"{name}: {value}, standard deviation {value.size:g}")
             continue
-        signal = np.asarray(value, dtype=float)
+        try:
+            signal = np.asarray(value, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise DataError(f"disturbance {echo(name)} must be a number, an array or a noise model: {error}") from error
         if signal.ndim > 1 or (signal.ndim == 1 and len(signal) < samples):
             raise DataError(f"disturbance {echo(name)}: expected {samples} samples or more, got shape {signal.shape}")
         signal = signal[:samples] if signal.ndim else signal

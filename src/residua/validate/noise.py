@@ -243,7 +243,10 @@ def resampled(residuals: Any, *, block: int | None = None) -> Resampled:
 def _stretches(part: Any) -> Sequence[NDArray[np.float64]]:
     """Return the stretches of one recording's residuals that can be used."""
     values: ArrayLike = getattr(part, "residuals", part)
-    rows = np.asarray(values, dtype=float)
+    try:
+        rows = np.asarray(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise DataError(f"residuals must be numbers of (time, residuals): {error}") from error
     rows = rows[:, None] if rows.ndim == 1 else rows
     if rows.ndim != 2 or not rows.size:
         raise DataError(f"residuals must be (time, residuals), got shape {rows.shape}")

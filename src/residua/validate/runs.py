@@ -14,12 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.alarm import put_down_to
-from residua.decide.isolation import Scores, Seen, last_over
+from residua.decide.isolation import Named, Scores, Seen, last_over
 from residua.decide.test import Block, Tested
 from residua.design import ResidualGenerator
 from residua.linear import StateSpace
 from residua.monitor.filtering import filter_block
-from residua.monitor.running import initial_state, rows_of, run_block
+from residua.monitor.fused import run_block
+from residua.monitor.running import initial_state, rows_of
 from residua.monitor.specification import FilterState, Specification
 from residua.robust.sets.uncertain_plant import UncertainPlant
 from residua.validate.noise import NoiseModel, Resampled
@@ -362,9 +363,17 @@ def _names(
         if len(faults) > 1:
             out[k] = SEVERAL
         elif faults:
-            judged = named.reading is not None or np.isfinite(named.candidates[0].score)
-            out[k] = number.get(tuple(faults[0]), UNKNOWN) if judged else UNKNOWN
+            out[k] = number.get(tuple(faults[0]), UNKNOWN) if _is_put_down(named) else UNKNOWN
     return out
+
+
+def _is_put_down(named: Named) -> bool:
+    """Tell whether the first candidate is what the alarm is put down to, not something that is not listed, or none."""
+    if named.reading is not None:
+        return True
+    first = named.candidates[0]
+    others = (named.unknown or 0.0, named.no_fault or 0.0)
+    return bool(np.isfinite(first.score)) and (first.probability is None or first.probability >= max(others))
 
 
 def _longest_alarm(alarm: NDArray[np.bool_], first: int, stop: int) -> tuple[int, int]:

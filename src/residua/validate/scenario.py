@@ -117,6 +117,8 @@ def cases_of(scenarios: Scenario | Iterable[Scenario], plant: Plant, samples: in
     SettingError
         If a fault is unknown, an onset is after the end, or a shape does not go with the kind of fault.
     """
+    if isinstance(scenarios, str) or not isinstance(scenarios, Scenario | Iterable):
+        raise SettingError(f"scenarios must be rs.validate.Scenario objects, got {echo(scenarios)}")
     given = [scenarios] if isinstance(scenarios, Scenario) else list(scenarios)
     out = []
     for number, one in enumerate(given):
@@ -125,7 +127,7 @@ def cases_of(scenarios: Scenario | Iterable[Scenario], plant: Plant, samples: in
         if one.fault not in plant.faults:
             raise SettingError(f"the plant has no fault {echo(one.fault)}; known: {listed(plant.faults)}")
         length = (samples - 1) * dt
-        if one.shape.latest > length:
+        if one.shape.latest_sample(dt) >= samples:
             raise SettingError(
                 f"scenario {echo(one.fault)}: the onset at {one.shape.latest:g} s is after the last sample of a run at "
                 f"{length:g} s ({samples} samples of {dt:g} s); onsets are in seconds: an earlier one, or more samples"

@@ -68,6 +68,10 @@ class Shape(ABC):
         """Return the first sample that the fault can reach."""
         return _sample_at(self.at[0] if isinstance(self.at, tuple) else self.at, dt)
 
+    def latest_sample(self, dt: float) -> int:
+        """Return the last sample at which it may begin."""
+        return _sample_at(self.latest, dt)
+
     @property
     def name(self) -> str:
         """The shape in a word or two."""

@@ -177,7 +177,7 @@ def tune(
             raise SettingError(f"{name} must be a list of numbers of samples, one at least, got {echo(values)}")
         for value in values:
             check_samples(value, name)
-    test = _checked(monitor, false_alarm_rate, runs, samples, max(*windows, *persistences))
+    test = _checked(monitor, false_alarm_rate, runs, samples, seed, max(*windows, *persistences))
     _check_length(monitor, samples, max(windows))
     faults = scenarios if isinstance(scenarios, Scenario) else tuple(scenarios)
     out: list[TuningCandidate] = []
@@ -197,11 +197,12 @@ def tune(
     return Tuning(tuple(sorted(out, key=lambda one: one.delay.value)), float(false_alarm_rate))
 
 
-def _checked(monitor: Monitor, rate: float, runs: int, samples: int, longest: int) -> NormThreshold:
+def _checked(monitor: Monitor, rate: float, runs: int, samples: int, seed: int, longest: int) -> NormThreshold:
     """Return the test of a monitor that can be tuned, or raise."""
     check_rate(rate)
     check_whole(runs, "runs")
     check_samples(samples, "samples")
+    check_whole(seed, "seed", least=0)
     if not isinstance(monitor, Monitor):
         raise SettingError(f"what is tuned is a Monitor, got {type(monitor).__name__}")
     test = monitor.test

@@ -26,7 +26,7 @@ from residua.words import counted
 #: Designs one member: takes its name, and the plant in which what the member ignores are disturbances.
 MemberDesign = Callable[[str, Plant], ResidualGenerator]
 #: States of all members together beyond which a design takes minutes, and the stacked filter runs slowly.
-MOST_STATES = 2000
+MOST_STATES = 4000
 
 
 @dataclass(frozen=True, eq=False, repr=False)

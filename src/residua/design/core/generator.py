@@ -21,7 +21,7 @@ from residua.design.core.internal_form import (
     with_silent_inputs,
 )
 from residua.design.core.responses import covariance_of_sums, steady_responses
-from residua.design.core.signals import discretized_filter, sampled_filter, stack_signals
+from residua.design.core.signals import discretized_filter, run_signals, sampled_filter
 from residua.design.core.signatures import signature_bases
 from residua.errors import AccuracyError
 from residua.linear import StateSpace, decide_rank
@@ -264,7 +264,7 @@ class ResidualGenerator:
         -------
         ndarray, shape (time, residuals) or (plants, time, residuals)
         """
-        return sampled_filter(self.system, self.plant, dt).simulate(stack_signals(self.plant, u, y), x0)
+        return run_signals(sampled_filter(self.system, self.plant, dt), self.plant, u, y, x0)
 
     def discretize(self, dt: float, *, hold_outputs: str = "linear") -> ResidualGenerator:
         """Return the generator sampled with step ``dt``.

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import DataError, ModelError
 from residua.linear import StateSpace
+from residua.linear.systems.recursion import run_filter
 from residua.plant import Plant
 from residua.tolerances import SAME
+
+#: Samples that are stacked at once.
+_PIECE = 8192
 
 
 def signal_names(plant: Plant) -> list[str]:
@@ -37,6 +43,36 @@ def discretized_filter(system: StateSpace, plant: Plant, dt: float, hold_outputs
 
 def stack_signals(plant: Plant, u: ArrayLike | None, y: ArrayLike) -> NDArray[np.float64]:
     """Return ``[u, y]`` as one block with time down the rows in memory too, after checking it against the plant."""
+    u_, y_ = checked_signals(plant, u, y)
+    if u_ is None:
+        return np.ascontiguousarray(y_)
+    return np.ascontiguousarray(np.concatenate([u_, y_], axis=-1))  # columns of a table lie the other way round
+
+
+def run_signals(system: StateSpace, plant: Plant, u: ArrayLike | None, y: ArrayLike, x0: Any) -> NDArray[np.float64]:
+    """Run a sampled filter over signals of a plant; long ones are stacked piece by piece, which stays in the cache."""
+    u_, y_ = checked_signals(plant, u, y)
+    time = y_.shape[-2]
+    if u_ is None or time <= _PIECE:
+        return system.simulate(stack_signals(plant, u_, y_), x0)
+    system = system.explicit()
+    system.simulate(np.zeros((*y_.shape[:-2], 0, system.n_inputs)), x0)  # checks x0
+    residuals = np.empty((*y_.shape[:-1], system.n_outputs))
+    into = residuals if y_.ndim == 3 else residuals[None]
+    u_, y_ = (one if one.ndim == 3 else one[None] for one in (u_, y_))
+    start = np.zeros(system.n_states) if x0 is None else np.asarray(x0, dtype=float)
+    state = np.array(np.broadcast_to(start, (len(y_), system.n_states)))
+    step = max(1, _PIECE // max(1, len(y_)))
+    for k in range(0, time, step):
+        piece = np.concatenate([u_[:, k : k + step], y_[:, k : k + step]], axis=-1)
+        state, into[:, k : k + step] = run_filter(system.A, system.B, system.C, system.D, state, piece)
+    return residuals
+
+
+def checked_signals(
+    plant: Plant, u: ArrayLike | None, y: ArrayLike
+) -> tuple[NDArray[np.float64] | None, NDArray[np.float64]]:
+    """Return inputs (``None`` without any) and outputs as arrays that go together, after checking them."""
     y_ = _numbers(y, "y")
     n_u, n_y = len(plant.inputs), plant.n_outputs
     if y_.ndim == 1 and n_y == 1:
@@ -46,7 +82,7 @@ def stack_signals(plant: Plant, u: ArrayLike | None, y: ArrayLike) -> NDArray[np
     if u is None:
         if n_u:
             raise DataError(f"u is missing: this plant has the inputs {', '.join(plant.inputs)}")
-        return np.ascontiguousarray(y_)
+        return None, y_
     u_ = _numbers(u, "u")
     if u_.ndim == y_.ndim - 1 and n_u == 1:
         u_ = u_[..., None]
@@ -55,7 +91,7 @@ def stack_signals(plant: Plant, u: ArrayLike | None, y: ArrayLike) -> NDArray[np
             f"u must be {(*y_.shape[:-1], n_u)} with the columns {', '.join(plant.inputs) or 'none'} "
             f"to go with y of shape {y_.shape}, got {u_.shape}"
         )
-    return np.ascontiguousarray(np.concatenate([u_, y_], axis=-1))  # columns of a table lie the other way round
+    return u_, y_
 
 
 def _numbers(value: ArrayLike, name: str) -> NDArray[np.float64]:

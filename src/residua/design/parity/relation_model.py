@@ -16,6 +16,7 @@ from residua.linear.polynomials.polynomial_basis import PolynomialBasis, basis_o
 from residua.plant import Plant
 from residua.plant.comparable_units import PlantUnits, canonical_units
 from residua.plant.input_output_model import InputOutputModel
+from residua.tolerances import RESIDUE, above_rounding
 
 #: Poles below this fraction of the size of the plant's dynamics are zero.
 _ZERO = 1e-10
@@ -131,8 +132,8 @@ def basis_for(plant: Plant, count: int) -> PolynomialBasis:
     finite = np.abs(poles[np.isfinite(poles)])
     size = (float(np.median(finite)) if finite.size else 0.0) or level
     if plant.E is None and 1 < plant.n_states <= _MOST_OF_ONE_POLE:
-        a = float(poles.real.mean())
-        rest = plant.A - a * np.eye(plant.n_states)
+        a = float(np.trace(plant.A)) / plant.n_states
+        rest = above_rounding(plant.A - a * np.eye(plant.n_states), float(np.abs(plant.A).max()), RESIDUE)
         scatter = float(np.linalg.norm(rest)) * (_SCATTER * np.finfo(float).eps) ** (1 / plant.n_states)
         if np.abs(poles - a).max() <= scatter:  # one pole, as far as rounding lets one tell
             return basis_on_poles(np.full(len(poles), a), count, _mean_size(rest), outward=True)

@@ -6,11 +6,11 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
 from residua.errors import AccuracyError, DesignError, ModelError
+from residua.linear.poles.doubling import filter_covariance
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.poles.pole_assignment import polished, real_block_diagonal, robust_assignment, schur_assignment
 from residua.linear.poles.spectrum import describe_modes, match_poles, spectrum_error
@@ -384,8 +384,9 @@ def _shifted_gain(F: Matrix, H: Matrix, dt: float, margin: float, weight: float)
     eye_states, eye_outputs = np.eye(F.shape[0]), np.eye(H.shape[0])
     if dt:
         shifted = F * np.exp(margin * dt)
-        P = scipy.linalg.solve_discrete_are(shifted.T, H.T, weight * eye_states, eye_outputs)
-        return np.linalg.solve(H @ P @ H.T + eye_outputs, H @ P @ F.T).T
+        P = filter_covariance(shifted, H, weight * eye_states, eye_outputs, dt=dt)
+        return np.asarray(np.linalg.solve(H @ P @ H.T + eye_outputs, H @ P @ F.T).T, dtype=np.float64)
     rate = max(margin, default_margin(F))
     noise = weight * rate**2 * eye_states
-    return scipy.linalg.solve_continuous_are((F + margin * eye_states).T, H.T, noise, eye_outputs) @ H.T
+    P = filter_covariance(F + margin * eye_states, H, noise, eye_outputs, dt=dt)
+    return np.asarray(P @ H.T, dtype=np.float64)

@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from residua import arrays
 from residua.errors import AccuracyError, DesignError, ModelError
+from residua.linear.poles.doubling import filter_covariance
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.observability import detectability, observability_form
@@ -211,12 +212,11 @@ def _connected(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix) -> NDArray
 
 
 def _solve(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix, dt: float) -> Matrix:
-    solver = scipy.linalg.solve_discrete_are if dt else scipy.linalg.solve_continuous_are
     cross = S if np.any(S) else None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the outcome is checked here
-            P = solver(A.T, C.T, Q, R, s=cross)
+            P = filter_covariance(A, C, Q, R, cross, dt=dt)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise DesignError(
             f"the Riccati equation has no stabilising solution that can be computed ({error}); "

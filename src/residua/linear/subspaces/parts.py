@@ -28,3 +28,26 @@ def row_parts(M: NDArray) -> list[NDArray[np.int_]]:
         parts.append(left[inside])
         left = left[~inside]
     return parts
+
+
+def connected_parts(coupled: NDArray[np.bool_]) -> list[NDArray[np.int_]]:
+    """Return the nodes of a graph in groups that nothing connects, each in order, that with the lowest node first.
+
+    Parameters
+    ----------
+    coupled : ndarray of bool, shape (nodes, nodes)
+        Whether an edge leads from one node to another; its direction does not count.
+    """
+    either = coupled | coupled.T
+    left = np.ones(len(coupled), dtype=bool)
+    parts = []
+    while left.any():
+        inside = np.zeros(len(coupled), dtype=bool)
+        inside[int(left.argmax())] = True
+        reached = inside
+        while reached.any():
+            reached = either[reached].any(axis=0) & ~inside
+            inside |= reached
+        parts.append(np.flatnonzero(inside))
+        left &= ~inside
+    return parts

@@ -1,4 +1,4 @@
-"""Results of functions of small matrices, kept for the next call with the same entries.
+"""Results of functions of matrices, kept for the next call with the same entries.
 
 A design asks for the units and the poles of the same few systems many times: for the filter as a whole, for each of its
 members, for every check of the result. The functions are pure, so that a kept result is the result.
@@ -6,19 +6,64 @@ members, for every check of the result. The functions are pure, so that a kept r
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import lru_cache, wraps
-from typing import TypeVar
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from functools import wraps
+from hashlib import blake2b
+from threading import Lock
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 R = TypeVar("R")
 
-#: Results of each function that are kept.
+#: Results of each function that are kept, ...
 _KEPT = 512
-#: Matrices of more bytes together are not kept: their results are asked for more rarely than they take room.
-MOST_BYTES = 16384
+#: ... and the bytes that those of large matrices take together.
+_MOST_BYTES = 2**26
+#: Matrices of more bytes together are known by a digest of their entries.
+_LARGE = 16384
+
+
+class Latest(Generic[R]):
+    """The latest results of one function, by what they were computed from. Threads may share it."""
+
+    def __init__(self) -> None:
+        self._results: OrderedDict[Hashable, tuple[R, int]] = OrderedDict()
+        self._bytes = 0
+        self._lock = Lock()
+
+    def of(self, key: Hashable, compute: Callable[[], R]) -> R:
+        """Return the result kept under a key, or compute it; an error is not kept, nor is what is too large."""
+        with self._lock:
+            if key in self._results:
+                self._results.move_to_end(key)
+                return self._results[key][0]
+        result = read_only(compute())
+        size = _bytes(result)
+        with self._lock:
+            if size <= _MOST_BYTES and key not in self._results:
+                self._results[key] = (result, size)
+                self._bytes += size
+                while len(self._results) > _KEPT or self._bytes > _MOST_BYTES:
+                    self._bytes -= self._results.popitem(last=False)[1][1]
+        return result
+
+
+def entries(*matrices: NDArray | None) -> Hashable:
+    """Return what tells matrices from all others: shapes and entries to the last bit, of large ones a digest of these.
+
+    The digest is a cryptographic one of 32 bytes: no two systems of one design will ever share it.
+    """
+    shapes = tuple(None if M is None else M.shape for M in matrices)
+    present = [np.ascontiguousarray(M) for M in matrices if M is not None]
+    if sum(M.nbytes for M in present) <= _LARGE:
+        return shapes, tuple(M.tobytes() for M in present)
+    digest = blake2b(digest_size=32)
+    for M in present:
+        digest.update(M.data if M.size else b"")
+    return shapes, digest.digest()
 
 
 def cached_by_entries(function: Callable[..., R]) -> Callable[..., R]:
@@ -26,25 +71,31 @@ def cached_by_entries(function: Callable[..., R]) -> Callable[..., R]:
 
     Threads may share it. An error is not kept.
     """
-
-    @lru_cache(maxsize=_KEPT)
-    def kept(*entries: tuple[tuple[int, ...], bytes]) -> R:
-        return read_only(function(*(np.frombuffer(data).reshape(shape) for shape, data in entries)))
+    latest: Latest[R] = Latest()
 
     @wraps(function)
     def cached(*matrices: NDArray) -> R:
         arrays = [np.asarray(M, dtype=float) for M in matrices]
-        if sum(M.nbytes for M in arrays) > MOST_BYTES:
-            return read_only(function(*arrays))
-        return kept(*((M.shape, M.tobytes()) for M in arrays))
+        # a copy: results may be views of the arguments, which the caller may write to
+        return latest.of(entries(*arrays), lambda: function(*(read_only(M.copy()) for M in arrays)))
 
     return cached
 
 
 def read_only(result: R) -> R:
     """Return a result whose arrays, its own or those of its fields, refuse to be written to."""
-    parts = result if isinstance(result, tuple) else getattr(result, "__dict__", {}).values()
-    for part in (result, *parts):
-        if isinstance(part, np.ndarray):
-            part.flags.writeable = False
+    for part in _arrays(result):
+        part.flags.writeable = False
     return result
+
+
+def _arrays(result: object) -> list[NDArray]:
+    """Return the arrays of a result: itself, or those in it."""
+    parts = result if isinstance(result, tuple) else getattr(result, "__dict__", {}).values()
+    return [part for part in (result, *parts) if isinstance(part, np.ndarray)]
+
+
+def _bytes(result: object) -> int:
+    """Return the bytes of the arrays of a result and of the systems in it."""
+    parts = (result, *getattr(result, "__dict__", {}).values())
+    return sum(M.nbytes for M in {id(M): M for part in parts for M in _arrays(part)}.values())

@@ -45,6 +45,11 @@ def compiled() -> bool:
     return _kernel is not None
 
 
+def best_path() -> int:
+    """Return the number of the fastest path of the compiled kernels that this processor has."""
+    return _BEST_PATH
+
+
 def run_filter(
     A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike, x: ArrayLike, v: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

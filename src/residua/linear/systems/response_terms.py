@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.errors import ModelError
-from residua.linear.systems.array_cache import MOST_BYTES, read_only
+from residua.linear.systems.array_cache import Latest, entries
+from residua.linear.systems.resolvent import independent_parts, solutions, solver
 from residua.linear.systems.state_space import StateSpace
 from residua.linear.systems.units import pencil_units, system_units
 
@@ -60,22 +59,14 @@ class EvenUnits:
     equations: Real
 
 
+_even: Latest[EvenUnits] = Latest()
+
+
 def in_even_units(system: StateSpace) -> EvenUnits:
     """Return a system in the units that do not depend on those it was written in; the latest results are kept."""
-    matrices = (system.A, system.B, system.C, system.D, system.E)
-    if sum(M.nbytes for M in matrices if M is not None) > MOST_BYTES:
-        return _in_even_units(system)
-    entries = tuple(None if M is None else (M.shape, M.tobytes()) for M in matrices)
-    return _kept((entries, system.dt, system.inputs, system.outputs, system.states))
-
-
-@lru_cache(maxsize=512)
-def _kept(content: tuple) -> EvenUnits:
-    """Return it of a system of this content: matrices, step and names."""
-    entries, dt, inputs, outputs, states = content
-    A, B, C, D = (np.frombuffer(data).reshape(shape) for shape, data in entries[:4])
-    E = None if entries[4] is None else np.frombuffer(entries[4][1]).reshape(entries[4][0])
-    return read_only(_in_even_units(StateSpace(A, B, C, D, E=E, dt=dt, inputs=inputs, outputs=outputs, states=states)))
+    matrices = entries(system.A, system.B, system.C, system.D, system.E)
+    names = (system.inputs, system.outputs, system.states)
+    return _even.of((matrices, system.dt, *names), lambda: _in_even_units(system))
 
 
 def _in_even_units(system: StateSpace) -> EvenUnits:
@@ -105,16 +96,21 @@ def response_terms(
     n, shape = system.n_states, (len(points), *system.D.shape)
     if not n:
         return ResponseTerms(np.broadcast_to(system.D, shape).astype(complex), np.broadcast_to(D, shape).astype(float))
-    M = _pencil(system, points)
-    try:
-        X = np.linalg.solve(M, np.broadcast_to(system.B, (len(points), *system.B.shape)).astype(complex))
-        Y = np.linalg.solve(M.swapaxes(1, 2), np.broadcast_to(system.C.T, (len(points), n, shape[1])).astype(complex))
-    except np.linalg.LinAlgError as error:
-        raise ModelError(f"the system has a pole at one of the points asked for: {error}") from error
-    inside, before = np.abs(X), np.abs(Y).swapaxes(1, 2)
-    terms = np.abs(system.C) @ inside + before @ (np.abs(M) @ inside + B) + D
+    values, terms = np.broadcast_to(system.D, shape).astype(complex), np.broadcast_to(D, shape).astype(float)
+    for part in independent_parts(system.A, system.E):
+        states = np.ix_(part, part)
+        rows = np.flatnonzero(system.C[:, part].any(axis=1))
+        columns = np.flatnonzero((system.B[part] != 0).any(axis=0) | (B[part] != 0).any(axis=0))
+        Cp, Bp = system.C[np.ix_(rows, part)], system.B[np.ix_(part, columns)]
+        E = None if system.E is None else system.E[states]
+        X, Y = solutions(system.A[states], E, points, Bp, Cp)
+        inside, before = np.abs(X), np.abs(Y)
+        through = before @ (_sizes_times(system.A[states], E, points, inside) + B[np.ix_(part, columns)])
+        at = np.ix_(np.arange(len(points)), rows, columns)
+        values[at] += Cp @ X
+        terms[at] += np.abs(Cp) @ inside + through
     path = paths(system, B, D)
-    return ResponseTerms(np.where(path, system.C @ X + system.D, 0.0), np.where(path, terms, 0.0))
+    return ResponseTerms(np.where(path, values, 0.0), np.where(path, terms, 0.0))
 
 
 def accurate_response(system: StateSpace, points: Complex) -> Complex:
@@ -122,35 +118,55 @@ def accurate_response(system: StateSpace, points: Complex) -> Complex:
 
     The solution of the equations is refined with twice the digits, and ``C X + D`` is summed with twice the digits.
     """
-    shape = (len(points), *system.D.shape)
+    value = np.broadcast_to(system.D, (len(points), *system.D.shape)).astype(complex)
+    rest = np.zeros_like(value)
     if not system.n_states or not system.n_inputs:
-        return np.broadcast_to(system.D, shape).astype(complex)
-    M = _pencil(system, points)
-    B = np.broadcast_to(system.B, (len(points), *system.B.shape)).astype(complex)
-    high, low = np.asarray(np.linalg.solve(M, B), dtype=complex), np.zeros_like(B)
+        return value
+    for part in independent_parts(system.A, system.E):
+        rows = np.flatnonzero(system.C[:, part].any(axis=1))
+        columns = np.flatnonzero(system.B[part].any(axis=0))
+        if rows.size and columns.size:
+            at, C = np.ix_(np.arange(len(points)), rows, columns), system.C[np.ix_(rows, part)]
+            high, low = _accurate_states(system, part, columns, points)
+            value[at], more = _product_added(C, high, value[at], rest[at])
+            rest[at] = more + C @ low
+    return value + rest
+
+
+def _accurate_states(
+    system: StateSpace, part: NDArray[np.int_], columns: NDArray[np.int_], points: Complex
+) -> tuple[Complex, Complex]:
+    """Return the responses of some states to some inputs with twice the digits."""
+    states = np.ix_(part, part)
+    A, E, B = system.A[states], None if system.E is None else system.E[states], system.B[np.ix_(part, columns)]
+    start = np.broadcast_to(B, (len(points), *B.shape)).astype(complex)
+    solve = solver(A, E, points)
+    high, low = solve(start), np.zeros_like(start)
     for _ in range(_REFINED):
-        step = np.asarray(np.linalg.solve(M, _residue(system, points, high, low)), dtype=complex)
+        step = solve(_residue(A, E, start, points, high, low))
         high, low = _two_sum(high, low + step)
-    direct = np.broadcast_to(system.D, shape).astype(complex)
-    value, rest = _product_added(system.C, high, direct, np.zeros_like(direct))
-    return value + (rest + system.C @ low)
+    return high, low
 
 
-def _pencil(system: StateSpace, points: Complex) -> Complex:
-    E = np.eye(system.n_states) if system.E is None else system.E
-    return points[:, None, None] * E - system.A
+def _sizes_times(A: Real, E: Real | None, points: Complex, inside: Real) -> Real:
+    """Return ``|s E - A| X`` for sizes ``X`` at each point; without ``E`` the points change the diagonal only."""
+    if E is not None:
+        return np.abs(points[:, None, None] * E - A) @ inside
+    diagonal = np.abs(points[:, None] - A.diagonal())
+    apart = np.abs(A)
+    np.fill_diagonal(apart, 0.0)
+    return apart @ inside + diagonal[:, :, None] * inside
 
 
-def _residue(system: StateSpace, points: Complex, high: Complex, low: Complex) -> Complex:
-    """Return ``B + A X - s E X`` with twice the digits, ``X = high + low``."""
-    start = np.broadcast_to(system.B, high.shape).astype(complex)
-    value, rest = _product_added(system.A, high, start, np.zeros_like(start))
-    rest = rest + system.A @ low
+def _residue(A: Real, E: Real | None, start: Complex, points: Complex, high: Complex, low: Complex) -> Complex:
+    """Return ``B + A X - s E X`` with twice the digits, ``X = high + low``, from ``B`` at each point."""
+    value, rest = _product_added(A, high, start, np.zeros_like(start))
+    rest = rest + A @ low
     through, through_rest = high, low
-    if system.E is not None:
+    if E is not None:
         none = np.zeros_like(high)
-        through, through_rest = _product_added(system.E, high, none, none)
-        through_rest = through_rest + system.E @ low
+        through, through_rest = _product_added(E, high, none, none)
+        through_rest = through_rest + E @ low
     s = points[:, None, None]
     for factor, part in ((-s.real, through), (-s.imag, 1j * through)):
         product, error = _two_product(factor, part)

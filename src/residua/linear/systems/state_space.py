@@ -16,6 +16,7 @@ from residua.arrays import frozen
 from residua.errors import ModelError
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.systems.descriptor import finite_poles
+from residua.linear.systems.resolvent import independent_parts, solutions
 from residua.linear.systems.units import matrix_units
 
 
@@ -196,12 +197,13 @@ class StateSpace:
         points = np.atleast_1d(np.asarray(points, dtype=complex))
         if self.n_states == 0 or self.n_inputs == 0:
             return np.broadcast_to(self.D, (len(points), *self.D.shape)).astype(complex)
-        E = np.eye(self.n_states) if self.E is None else self.E
-        try:
-            X = np.linalg.solve(points[:, None, None] * E - self.A, self.B[None].astype(complex))
-        except np.linalg.LinAlgError as error:
-            raise ModelError(f"the system has a pole at one of the points asked for: {error}") from error
-        return np.asarray(self.C @ X + self.D, dtype=complex)
+        values = np.broadcast_to(self.D, (len(points), *self.D.shape)).astype(complex)
+        for part in independent_parts(self.A, self.E):
+            rows = np.flatnonzero(self.C[:, part].any(axis=1))
+            E = None if self.E is None else self.E[np.ix_(part, part)]
+            X, _ = solutions(self.A[np.ix_(part, part)], E, points, self.B[part])
+            values[:, rows] += self.C[np.ix_(rows, part)] @ X
+        return values
 
     def dc_gain(self) -> NDArray[np.float64]:
         """Return the gain for constant inputs; raises when the system integrates."""

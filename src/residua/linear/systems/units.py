@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.linear.subspaces.parts import connected_parts
 from residua.linear.systems.array_cache import cached_by_entries
 from residua.tolerances import RESIDUE
 
@@ -266,18 +267,9 @@ def _normal_equations(
 
 def _origins(row: NDArray, column: NDArray, count: int) -> NDArray[np.int_]:
     """Return the first node of each connected part."""
-    first, parts = list(range(count)), count
-    for i, j in zip(row.tolist(), column.tolist(), strict=True):
-        while first[i] != i:
-            first[i] = i = first[first[i]]
-        while first[j] != j:
-            first[j] = j = first[first[j]]
-        if i != j:
-            first[max(i, j)] = min(i, j)
-            parts -= 1
-            if parts == 1:
-                break
-    return np.flatnonzero(np.array(first, dtype=int) == np.arange(count))
+    coupled = np.zeros((count, count), dtype=bool)
+    coupled[row, column] = True
+    return np.array([part[0] for part in connected_parts(coupled)], dtype=int)
 
 
 def _pencil_potentials(a: NDArray[np.float64], e: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:

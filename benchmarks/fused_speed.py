@@ -1,0 +1,245 @@
+"""How fast monitors and fleets run, in units of copying the signals: the table of the page on speed.
+
+Every figure is the median of interleaved rounds in this one run. A plant with 4 states, 5 inputs and 3 outputs has 64
+bytes a sample; "copies" are times the cost of copying them. CPU time of the thread is taken, and wall time where
+several threads run.
+
+    python benchmarks/fused_speed.py [--rounds 7] [--out docs/data/speed.csv]
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+
+import residua as rs
+from residua.linear.systems import recursion
+from residua.monitor.fused import OUTPUTS, FusedRun, copied, plan_of
+from residua.monitor.plant_records import bytes_of_record
+from residua.monitor.running import initial_state
+
+SAMPLES, PLANTS = 1_000_000, 1_000_000
+
+
+def plant() -> rs.Plant:
+    rng = np.random.default_rng(0)
+    A = np.diag([0.9, 0.8, 0.7, 0.6])
+    A[0, 1] = 0.1
+    made = rs.Plant(A, 0.1 * rng.standard_normal((4, 5)), rng.standard_normal((3, 4)), dt=1)
+    made = made.with_sensor_faults().with_actuator_faults(["u1", "u2"])
+    return made.with_noise(process=1e-2, measurement=1e-1)
+
+
+def recorded(made: rs.Plant, samples: int) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(1)
+    u, noise = rng.standard_normal((samples, 5)), rng.standard_normal((samples, len(made.noises)))
+    return u, made.system(("control", "noise")).simulate(np.hstack([u, noise]))
+
+
+def cost(call: Callable[[], object], clock: Callable[[], float]) -> float:
+    start = clock()
+    call()
+    return clock() - start
+
+
+class Rounds:
+    """Calls that take turns, so that whatever else the machine does hits all alike."""
+
+    def __init__(self, rounds: int) -> None:
+        self.rounds = rounds
+
+    def medians(self, calls: dict[str, Callable[[], object]], *, wall: bool = False) -> dict[str, float]:
+        """Return the median cost of each call, in seconds of this thread or by the wall clock."""
+        clock = time.perf_counter if wall else time.thread_time
+        for call in calls.values():
+            call()
+        costs: dict[str, list[float]] = {name: [] for name in calls}
+        for _ in range(self.rounds):
+            for name, call in calls.items():
+                costs[name].append(cost(call, clock))
+        return {name: median(values) for name, values in costs.items()}
+
+
+def one_series(rounds: Rounds) -> list[tuple[str, str, float, str]]:
+    made = plant()
+    generator = rs.design.kalman_filter(made)
+    u, y = recorded(made, SAMPLES)
+    source = np.hstack([u, y])
+    target, data = np.empty_like(source), np.hstack([u, y])[None]
+    system, out = generator.system, np.empty((1, SAMPLES, 3))
+    path, kernel = recursion.best_path(), recursion._kernel
+    assert kernel is not None
+    matrices = (system.A, system.B, system.C, system.D, np.zeros((1, 4)), data, np.empty((1, 4)), out, path)
+    calls: dict[str, Callable[[], object]] = {
+        "copy": lambda: np.copyto(target, source),
+        "kernel": lambda: kernel.run(*matrices),
+        "generator.run": lambda: generator.run(u, y),
+    }
+    kinds = {
+        "norm": ({"isolate": None}, ("residuals", "alarm")),
+        "CUSUM": ({"isolate": None, "test": rs.decide.CUSUM()}, ("residuals", "alarm")),
+        "chi-squared": ({"isolate": None, "test": rs.decide.ChiSquared()}, ("residuals", "alarm")),
+        "directions": ({"isolate": rs.decide.Directional(window=50)}, tuple(n for n in OUTPUTS if n != "ready")),
+    }
+    for name, (settings, keep) in kinds.items():
+        spec = rs.Monitor(generator, **settings)._specification()
+        plan = plan_of(spec)
+        assert plan is not None
+        run = FusedRun(spec, plan, copied(initial_state(spec, 1)), 5)
+        outputs = run.outputs(1, SAMPLES, keep)
+        calls[name] = lambda run=run, outputs=outputs: run.run(u[None], y[None], outputs)
+    for name, isolate in (("Monitor.run", None), ("Monitor.run, default", "auto")):
+        monitor = rs.Monitor(generator, test=rs.decide.NormThreshold(false_alarm_rate=1e-9), isolate=isolate)
+        calls[name] = lambda monitor=monitor: monitor.run(u, y)
+    taken = rounds.medians(calls)
+    copy, alone = taken["copy"], taken["kernel"]
+    rows = [("the filter alone, in copies", "", alone / copy, "")]
+    for name, label, most in (
+        ("norm", "fused norm and persistence, against the filter alone", "1.25"),
+        ("CUSUM", "fused CUSUM, against the filter alone", "1.25"),
+        ("chi-squared", "fused chi-squared, against the filter alone", "1.25"),
+        ("directions", "window 50 and five directions, all outputs, against the filter alone", "2.5"),
+    ):
+        rows.append((label, most, taken[name] / alone, ""))
+    rows.append(("generator.run, in copies", "3", taken["generator.run"] / copy, ""))
+    rows.append(("Monitor.run without isolation, with its diagnosis, in copies", "6", taken["Monitor.run"] / copy, ""))
+    rows.append(("Monitor.run, default, in copies", "10", taken["Monitor.run, default"] / copy, ""))
+    return rows
+
+
+def one_sample(rounds: Rounds) -> list[tuple[str, str, float, str]]:
+    made = plant()
+    generator = rs.design.kalman_filter(made)
+    u, y = recorded(made, 3000)
+    monitor = rs.Monitor(generator)
+    system, path, kernel = generator.system, recursion.best_path(), recursion._kernel
+    assert kernel is not None
+    x, v, out = np.zeros((1, 4)), np.zeros((1, 1, 8)), np.empty((1, 1, 3))
+
+    def bare() -> None:
+        for _ in range(2000):
+            kernel.run(system.A, system.B, system.C, system.D, x, v, np.empty((1, 4)), out, path)
+
+    def steps() -> None:
+        for k in range(2000):
+            monitor.step(u[k], y[k])
+
+    taken = rounds.medians({"bare": bare, "steps": steps})
+    latency = []
+    for k in range(3000):
+        start = time.perf_counter()
+        monitor.step(u[k], y[k])
+        latency.append(1e6 * (time.perf_counter() - start))
+    tail = f"p99 {np.quantile(latency, 0.99):.1f}, p99.9 {np.quantile(latency, 0.999):.1f} µs"
+    return [
+        ("Monitor.step, default, against bare calls of the filter", "2.5", taken["steps"] / taken["bare"], ""),
+        ("Monitor.step, default, in µs", "5", 1e6 * taken["steps"] / 2000, tail),
+    ]
+
+
+def fleets(rounds: Rounds, plants: int) -> list[tuple[str, str, float, str]]:
+    made = plant()
+    u, y = recorded(made, plants)
+    source = np.hstack([u, y])
+    target = np.empty_like(source)
+    rows: list[tuple[str, str, float, str]] = []
+    monitor = rs.Monitor(rs.design.kalman_filter(made), isolate=None)
+    fleet = rs.Fleet(monitor, plants=range(plants))
+    first = cost(lambda: fleet.tick(None, u, y), time.thread_time)
+    for _ in range(40):
+        fleet.tick(None, u, y)
+    shuffled = tuple(np.random.default_rng(2).permutation(plants).tolist())
+    calls: dict[str, Callable[[], object]] = {
+        "copy": lambda: np.copyto(target, source),
+        "tick": lambda: fleet.tick(None, u, y),
+        "shuffled": lambda: fleet.tick(shuffled, u, y),
+    }
+    taken = rounds.medians(calls)
+    rows.append((f"tick of {plants:,} plants, in copies", "5", taken["tick"] / taken["copy"], ""))
+    rows.append(("the same, ids shuffled, in copies", "15", taken["shuffled"] / taken["copy"], "ids looked up before"))
+    rows.append(("first tick, against a later one", "1.5", first / taken["tick"], "with the estimate of the start"))
+    fleet.threads = 2
+    both = rounds.medians({"two": lambda: fleet.tick(None, u, y)}, wall=True)["two"]
+    fleet.threads = 1
+    alone = rounds.medians({"one": lambda: fleet.tick(None, u, y)}, wall=True)["one"]
+    rows.append(("two threads, times as fast as one", "1.7", alone / both, ""))
+    content = fleet.snapshot()
+    own = rounds.medians({"copy": lambda: bytearray(content)})["copy"]
+    one = cost(fleet.snapshot, time.thread_time) / own
+    rows.append(("snapshot, in copies of itself", "15", one, f"{len(content) / plants:.0f} bytes a plant"))
+    back = cost(lambda: rs.Fleet.restore(content, monitor), time.thread_time) / own
+    rows.append(("restore, likewise", "15", back, ""))
+    state = bytes_of_record([fleet._blocks[""].state])
+    rows.append(("state of a plant, norm and persistence, in bytes", "128", state, ""))
+    named = rs.Fleet(rs.Monitor(monitor.design, isolate=rs.decide.Directional(window=50)), plants=range(4))
+    state = bytes_of_record([named._blocks[""].state])
+    rows.append(("state of a plant, window 50 and five directions, in bytes", "1400", state, ""))
+    return rows + missing(rounds, plants // 10)
+
+
+def missing(rounds: Rounds, plants: int) -> list[tuple[str, str, float, str]]:
+    made = plant()
+    bare = rs.Plant(made.A, made.Bu, made.C, dt=1).with_sensor_faults()
+    observer = rs.design.unknown_input_observer(bare).residual_generator()
+    u, y = recorded(made, plants)
+    holes = y.copy()
+    holes[::100, 0] = np.nan
+    rows = []
+    for name, generator in (("an observer", observer), ("a Kalman filter", rs.design.kalman_filter(made))):
+        monitor = rs.Monitor(generator, test=rs.decide.NormThreshold(threshold=10.0), isolate=None)
+        whole, holed = (rs.Fleet(monitor, plants=range(plants)) for _ in range(2))
+        for _ in range(40):
+            whole.tick(None, u, y)
+            holed.tick(None, u, y)
+        taken = rounds.medians(
+            {
+                "whole": lambda fleet=whole: fleet.tick(None, u, y),
+                "holes": lambda fleet=holed: fleet.tick(None, u, holes),
+            }
+        )
+        label = f"tick with 1 % of plants missing a value, {name}, against a complete one"
+        rows.append((label, "1.3", taken["holes"] / taken["whole"], "in NumPy" if "Kalman" in name else ""))
+    return rows
+
+
+def imports() -> list[tuple[str, str, float, str]]:
+    times = []
+    for line in ("import numpy, scipy.linalg", "import residua"):
+        runs = []
+        for _ in range(5):
+            start = time.perf_counter()
+            subprocess.run([sys.executable, "-c", line], check=True)
+            runs.append(time.perf_counter() - start)
+        times.append(median(runs))
+    return [("import residua, above NumPy and scipy.linalg, in seconds", "0.25", times[1] - times[0], "")]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--plants", type=int, default=PLANTS)
+    parser.add_argument("--out", type=Path)
+    options = parser.parse_args()
+    rounds = Rounds(options.rounds)
+    rows = [*one_series(rounds), *one_sample(rounds), *fleets(rounds, options.plants), *imports()]
+    for row in rows:
+        print(f"{row[0]:<75} {row[1]:>6} {row[2]:>9.3g}  {row[3]}")
+    print(f"{platform.machine()}, Python {platform.python_version()}, NumPy {np.__version__}")
+    if options.out:
+        with options.out.open("w", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow(["what", "at most", "measured", "remark"])
+            writer.writerows([(label, most, f"{value:.3g}", remark) for label, most, value, remark in rows])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,302 @@
+/* The inner loop of filters, for the kernels that run them:  x[k+1] = A x[k] + B v[k],  r[k] = C x[k] + D v[k].
+ *
+ * Every sum is formed in one fixed order (from zero; the columns of v first, then the columns of x), each product
+ * rounded before it is added. Vector lanes run over the rows, so the order does not depend on the width of the
+ * vectors, the number of plants, or where a recording is cut, and NumPy gives the same bits. This needs a compiler
+ * that neither contracts to fused multiply-add nor keeps excess precision: see setup.py for the flags, and the
+ * check below.
+ *
+ * After a sample of nothing but zeros, states below 2^-500 in size become zero, here and in NumPy: a filter at rest would
+ * otherwise end among the denormal numbers, which cost processors many times a product. While anything comes in, that
+ * costs no more than a look at the first input.
+ */
+#ifndef RESIDUA_FILTER_H
+#define RESIDUA_FILTER_H
+
+#include <float.h>
+#include <string.h>
+
+#if !defined(FLT_EVAL_METHOD) || FLT_EVAL_METHOD != 0
+#error "excess precision would break the bitwise guarantee; residua runs on NumPy here"
+#endif
+#if defined(__FAST_MATH__)
+#error "fast-math would break the bitwise guarantee and the flow of NaN"
+#endif
+#if defined(_MSC_VER) && !defined(__clang__)
+#pragma fp_contract(off)
+#endif
+
+#define MAX_SMALL 8 /* largest order and number of outputs that are kept in registers */
+#define BLOCK 8     /* rows per block for larger filters */
+#define SMALLEST 0x1p-500
+
+#if defined(__GNUC__)
+#define INLINE static inline __attribute__((always_inline))
+#else
+#define INLINE static __forceinline
+#endif
+
+typedef struct {
+    Py_ssize_t n, m, nr, plants, time;
+    const double *A, *B, *C, *D, *x, *v;
+    double *x_next, *r;
+    double *packed; /* columns of the matrices, padded with zero rows */
+    int is_packed;  /* whether they are there already */
+    double *state;  /* blocks: two padded states */
+} job;
+
+/* Every column of M (rows x columns, C order): rows top .. top + width, zero where M has no such row. */
+INLINE double *
+pack(double *to, const double *M, Py_ssize_t rows, Py_ssize_t columns, Py_ssize_t top, Py_ssize_t width)
+{
+    for (Py_ssize_t j = 0; j < columns; j++)
+        for (Py_ssize_t i = 0; i < width; i++)
+            *to++ = top + i < rows ? M[(top + i) * columns + j] : 0.0;
+    return to;
+}
+
+/* ---- blocks of rows: any sizes, plain C ------------------------------------------------------------------------ */
+
+typedef void (*block_product)(const double *columns, const double *v, Py_ssize_t m, const double *x, Py_ssize_t n,
+                              double *out, Py_ssize_t rows);
+
+INLINE void
+block_product_plain(const double *columns, const double *v, Py_ssize_t m, const double *x, Py_ssize_t n, double *out,
+                    Py_ssize_t rows)
+{
+    double sum[BLOCK] = {0.0};
+    for (Py_ssize_t j = 0; j < m; j++, columns += BLOCK)
+        for (int i = 0; i < BLOCK; i++)
+            sum[i] += columns[i] * v[j];
+    for (Py_ssize_t j = 0; j < n; j++, columns += BLOCK)
+        for (int i = 0; i < BLOCK; i++)
+            sum[i] += columns[i] * x[j];
+    for (Py_ssize_t i = 0; i < rows; i++)
+        out[i] = sum[i];
+}
+
+INLINE double *
+pack_blocks(double *to, const double *on_v, Py_ssize_t m, const double *on_x, Py_ssize_t n, Py_ssize_t rows)
+{
+    for (Py_ssize_t top = 0; top < rows; top += BLOCK) {
+        to = pack(to, on_v, rows, m, top, BLOCK);
+        to = pack(to, on_x, rows, n, top, BLOCK);
+    }
+    return to;
+}
+
+INLINE void
+all_blocks(block_product product, const double *columns, const double *v, Py_ssize_t m, const double *x, Py_ssize_t n,
+           double *out, Py_ssize_t rows)
+{
+    for (Py_ssize_t top = 0; top < rows; top += BLOCK, columns += BLOCK * (m + n))
+        product(columns, v, m, x, n, out + top, rows - top < BLOCK ? rows - top : BLOCK);
+}
+
+/* Whether a sample is nothing but zeros; as a rule its first value tells. */
+INLINE int
+is_silent(const double *v, Py_ssize_t m)
+{
+    for (Py_ssize_t j = 0; j < m; j++)
+        if (v[j] != 0.0)
+            return 0;
+    return 1;
+}
+
+INLINE void
+flush(double *state, Py_ssize_t n)
+{
+    for (Py_ssize_t i = 0; i < n; i++)
+        state[i] = (state[i] < SMALLEST) & (state[i] > -SMALLEST) & (state[i] != 0.0) ? 0.0 : state[i];
+}
+
+INLINE void
+run_blocks(const job *q, block_product product)
+{
+    const Py_ssize_t n = q->n, m = q->m, nr = q->nr;
+    double *const on_state = q->packed;
+    double *const on_output = on_state + (n + BLOCK - 1) / BLOCK * BLOCK * (m + n);
+    if (!q->is_packed) {
+        pack_blocks(on_state, q->B, m, q->A, n, n);
+        pack_blocks(on_output, q->D, m, q->C, n, nr);
+    }
+    const double *v = q->v;
+    double *r = q->r, *now = q->state, *next = q->state + n;
+    for (Py_ssize_t p = 0; p < q->plants; p++) {
+        memcpy(now, q->x + p * n, (size_t)n * sizeof(double));
+        for (Py_ssize_t k = 0; k < q->time; k++, v += m, r += nr) {
+            all_blocks(product, on_output, v, m, now, n, r, nr);
+            all_blocks(product, on_state, v, m, now, n, next, n);
+            if (is_silent(v, m))
+                flush(next, n);
+            double *swap = now;
+            now = next;
+            next = swap;
+        }
+        memcpy(q->x_next + p * n, now, (size_t)n * sizeof(double));
+    }
+}
+
+static void
+run_plain(const job *q)
+{
+    run_blocks(q, block_product_plain);
+}
+
+/* ---- vectors: blocks as above, and for order and outputs up to 8 the state stays in registers ------------------ */
+
+#if defined(__GNUC__) && !defined(RESIDUA_PLAIN_C)
+#define HAVE_VECTORS 1
+typedef double lanes2 __attribute__((vector_size(16), aligned(8), may_alias));
+typedef double lanes4 __attribute__((vector_size(32), aligned(8), may_alias));
+typedef long long flags2 __attribute__((vector_size(16)));
+typedef long long flags4 __attribute__((vector_size(32)));
+#define SMALL(L, value) ((flags##L)((value) < SMALLEST) & (flags##L)((value) > -SMALLEST) & (flags##L)((value) != 0.0))
+typedef void (*runner)(const job *);
+
+/* A padded column is (width / L) vectors of L lanes. Every loop and condition on constants unrolls away. */
+#define EACH_VECTOR(width, L) _Pragma("GCC unroll 8") for (int i = 0; i < (width) / (L); i++)
+#define ADD_COLUMN(sum, column, width, L, value)                                                                      \
+    EACH_VECTOR(width, L) sum[i] += ((const lanes##L *)(column))[i] * (value);
+
+#define DEFINE_BLOCK_PRODUCT(FAMILY, TARGET, L)                                                                       \
+    TARGET INLINE void block_product_##FAMILY(const double *columns, const double *v, Py_ssize_t m, const double *x,  \
+                                              Py_ssize_t n, double *out, Py_ssize_t rows)                             \
+    {                                                                                                                 \
+        lanes##L sum[BLOCK / L] = {{0.0}};                                                                            \
+        for (Py_ssize_t j = 0; j < m; j++, columns += BLOCK)                                                          \
+            ADD_COLUMN(sum, columns, BLOCK, L, v[j])                                                                  \
+        for (Py_ssize_t j = 0; j < n; j++, columns += BLOCK)                                                          \
+            ADD_COLUMN(sum, columns, BLOCK, L, x[j])                                                                  \
+        for (int i = 0; i < BLOCK; i++)                                                                               \
+            if (i < rows)                                                                                             \
+                out[i] = sum[i / L][i % L];                                                                           \
+    }                                                                                                                 \
+    TARGET static void FAMILY##_blocks(const job *q) { run_blocks(q, block_product_##FAMILY); }
+
+#define DEFINE_SMALL(FAMILY, TARGET, L, N, WIDTH, OUT)                                                                \
+    TARGET static void FAMILY##_##N##_##OUT(const job *q)                                                             \
+    {                                                                                                                 \
+        const Py_ssize_t m = q->m, nr = q->nr;                                                                        \
+        double *const a = q->packed;                                                                                  \
+        double *const b = a + N * WIDTH, *const c = b + m * WIDTH, *const d = c + N * OUT;                            \
+        if (!q->is_packed) {                                                                                          \
+            pack(a, q->A, N, N, 0, WIDTH);                                                                            \
+            pack(b, q->B, N, m, 0, WIDTH);                                                                            \
+            pack(c, q->C, nr, N, 0, OUT);                                                                             \
+            pack(d, q->D, nr, m, 0, OUT);                                                                             \
+        }                                                                                                             \
+        const double *v = q->v;                                                                                       \
+        double *restrict r = q->r;                                                                                    \
+        for (Py_ssize_t p = 0; p < q->plants; p++) {                                                                  \
+            lanes##L x[WIDTH / L];                                                                                    \
+            memset(x, 0, sizeof x);                                                                                   \
+            _Pragma("GCC unroll 8") for (int j = 0; j < N; j++) x[j / L][j % L] = q->x[p * N + j];                    \
+            for (Py_ssize_t k = 0; k < q->time; k++, v += m, r += nr) {                                               \
+                lanes##L sum[WIDTH / L] = {{0.0}}, out[OUT / L] = {{0.0}};                                            \
+                for (Py_ssize_t j = 0; j < m; j++) {                                                                  \
+                    ADD_COLUMN(sum, b + j * WIDTH, WIDTH, L, v[j])                                                    \
+                    ADD_COLUMN(out, d + j * OUT, OUT, L, v[j])                                                        \
+                }                                                                                                     \
+                _Pragma("GCC unroll 8") for (int j = 0; j < N; j++)                                                   \
+                {                                                                                                     \
+                    const double value = x[j / L][j % L];                                                             \
+                    ADD_COLUMN(sum, a + j * WIDTH, WIDTH, L, value)                                                   \
+                    ADD_COLUMN(out, c + j * OUT, OUT, L, value)                                                       \
+                }                                                                                                     \
+                EACH_VECTOR(WIDTH, L) x[i] = sum[i];                                                                  \
+                if (__builtin_expect(is_silent(v, m), 0)) {                                                           \
+                    double rest[WIDTH];                                                                               \
+                    memcpy(rest, x, sizeof rest);                                                                     \
+                    flush(rest, WIDTH);                                                                               \
+                    __asm__ volatile("" ::: "memory"); /* a branch: as a selection every state would wait for it */   \
+                    memcpy(x, rest, sizeof rest);                                                                     \
+                }                                                                                                     \
+                if (nr == OUT) {                                                                                      \
+                    EACH_VECTOR(OUT, L)((lanes##L *)r)[i] = out[i];                                                   \
+                } else {                                                                                              \
+                    _Pragma("GCC unroll 8") for (int i = 0; i < OUT; i++) if (i < nr) r[i] = out[i / L][i % L];       \
+                }                                                                                                     \
+            }                                                                                                         \
+            _Pragma("GCC unroll 8") for (int j = 0; j < N; j++) q->x_next[p * N + j] = x[j / L][j % L];               \
+        }                                                                                                             \
+    }
+
+#define DEFINE_ORDER(FAMILY, TARGET, L, N, WIDTH)                                                                     \
+    DEFINE_SMALL(FAMILY, TARGET, L, N, WIDTH, L)                                                                      \
+    DEFINE_SMALL(FAMILY, TARGET, L, N, WIDTH, 8)
+#define ROW(FAMILY, L, N) {FAMILY##_##N##_##L, FAMILY##_##N##_8}
+#define DEFINE_FAMILY(FAMILY, TARGET, L)                                                                              \
+    DEFINE_BLOCK_PRODUCT(FAMILY, TARGET, L)                                                                           \
+    DEFINE_ORDER(FAMILY, TARGET, L, 1, L)                                                                             \
+    DEFINE_ORDER(FAMILY, TARGET, L, 2, L)                                                                             \
+    DEFINE_ORDER(FAMILY, TARGET, L, 3, 4)                                                                             \
+    DEFINE_ORDER(FAMILY, TARGET, L, 4, 4)                                                                             \
+    DEFINE_ORDER(FAMILY, TARGET, L, 5, 8)                                                                             \
+    DEFINE_ORDER(FAMILY, TARGET, L, 6, 8)                                                                             \
+    DEFINE_ORDER(FAMILY, TARGET, L, 7, 8)                                                                             \
+    DEFINE_ORDER(FAMILY, TARGET, L, 8, 8)                                                                             \
+    static const runner FAMILY##_table[MAX_SMALL][2] = {ROW(FAMILY, L, 1), ROW(FAMILY, L, 2), ROW(FAMILY, L, 3),      \
+                                                        ROW(FAMILY, L, 4), ROW(FAMILY, L, 5), ROW(FAMILY, L, 6),      \
+                                                        ROW(FAMILY, L, 7), ROW(FAMILY, L, 8)};                        \
+    static void FAMILY##_run(const job *q)                                                                            \
+    {                                                                                                                 \
+        if (q->n >= 1 && q->n <= MAX_SMALL && q->nr <= MAX_SMALL)                                                     \
+            FAMILY##_table[q->n - 1][q->nr > L](q);                                                                   \
+        else                                                                                                          \
+            FAMILY##_blocks(q);                                                                                       \
+    }
+
+DEFINE_FAMILY(baseline, , 2)
+#if defined(__x86_64__)
+#define HAVE_AVX2 1
+DEFINE_FAMILY(avx2, __attribute__((target("avx2"))), 4) /* this target does not bring FMA with it */
+#endif
+#endif
+
+/* ---- choice of path ------------------------------------------------------------------------------------------- */
+
+enum { PATH_PLAIN = 0, PATH_BASELINE = 1, PATH_AVX2 = 2 };
+
+/* Numbers that the packed matrices of a filter take, at most. */
+INLINE Py_ssize_t
+packed_size(Py_ssize_t n, Py_ssize_t m, Py_ssize_t nr)
+{
+    return (n + nr + 2 * BLOCK) * (n + m);
+}
+
+static int
+best_path(void)
+{
+#if defined(HAVE_AVX2)
+    __builtin_cpu_init();
+    if (__builtin_cpu_supports("avx2"))
+        return PATH_AVX2;
+#endif
+#if defined(HAVE_VECTORS)
+    return PATH_BASELINE;
+#else
+    return PATH_PLAIN;
+#endif
+}
+
+static void
+execute(const job *q, int path)
+{
+#if defined(HAVE_AVX2)
+    if (path == PATH_AVX2) {
+        avx2_run(q);
+        return;
+    }
+#endif
+#if defined(HAVE_VECTORS)
+    if (path == PATH_BASELINE) {
+        baseline_run(q);
+        return;
+    }
+#endif
+    (void)path;
+    run_plain(q);
+}
+
+#endif

@@ -1,0 +1,747 @@
+/* The fused loop of residua.monitor.fused: filter, test and isolation in one pass over the data of many plants.
+ *
+ * A plant is run over pieces of the recording that stay in the cache: its filter first (_plant_filter.h), then test
+ * and isolation (_judging.h). A Kalman filter with missing values is left to NumPy: `done` says from which sample on. The
+ * same bits as NumPy, in place: nothing can fail once the arrays are checked.
+ */
+#define PY_SSIZE_T_CLEAN
+#include <Python.h>
+
+#include <stdlib.h>
+
+#include "_plant_filter.h"
+
+/* ---- judging a piece --------------------------------------------------------------------------------------------- */
+
+static test_row
+row_of_test(const Runner *self, Py_ssize_t row)
+{
+    const test_plan *t = &self->test;
+    test_row out = {.up = I8(self, UP, row), .down = I8(self, DOWN, row), .alarm = B1(self, ALARM, row)};
+    if (t->kind == NORM) {
+        out.window.values = F8(self, TEST_VALUES, row);
+        out.window.begun = F8(self, TEST_BEGUN, row);
+        out.window.filled = I8(self, TEST_FILLED, row);
+    } else {
+        out.past = F8(self, PAST, row);
+        out.past_usable = B1(self, PAST_USABLE, row);
+        out.sums = F8(self, SUMS, row);
+    }
+    return out;
+}
+
+static window_row
+row_of_isolation(const Runner *self, Py_ssize_t row)
+{
+    const isolation_plan *p = &self->naming;
+    window_row out = {NULL, NULL, NULL};
+    if (p->groups) {
+        out.values = F8(self, VALUES, row);
+        out.begun = F8(self, BEGUN, row);
+        out.filled = I8(self, FILLED, row);
+    }
+    return out;
+}
+
+static void
+write_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t first, const piece *p)
+{
+    const Py_ssize_t time = p->time;
+    if (b->out[OUT_USABLE].base != NULL)
+        copy_flags(out_b1(b, OUT_USABLE, plant, first), p->usable, time);
+    if (b->out[OUT_STATISTIC].base != NULL)
+        copy_doubles(out_f8(b, OUT_STATISTIC, plant, first), p->statistic, time);
+    if (b->out[OUT_WHITENED].base != NULL)
+        copy_doubles(out_f8(b, OUT_WHITENED, plant, first), p->q, time * self->test.k);
+    if (p->is_quiet) /* these are zeros where nothing is written */
+        return;
+    if (b->out[OUT_EXCEEDED].base != NULL)
+        copy_flags(out_b1(b, OUT_EXCEEDED, plant, first), p->over, time);
+    if (b->out[OUT_ALARM].base != NULL)
+        copy_flags(out_b1(b, OUT_ALARM, plant, first), p->alarm, time);
+    if (b->out[OUT_UP].base != NULL)
+        memcpy(out_f8(b, OUT_UP, plant, first), p->up, (size_t)time * sizeof(whole));
+}
+
+/* What is kept of the last sample of a plant; scores of a standing alarm alone. */
+static void
+write_last(const Runner *self, Py_ssize_t row, const piece *p, const scratch *s, double *spare, Py_ssize_t k)
+{
+    const Py_ssize_t last = p->time - 1;
+    const int alarm = !p->is_quiet && p->alarm[last];
+    *B1(self, LAST_FLAGS, row) = (flag)((alarm ? 1 : 0) | (p->usable[last] ? 2 : 0) | (s->is_missing ? 4 : 0));
+    *F8(self, LAST_STATISTIC, row) = p->statistic[last];
+    *I8(self, LAST_UP, row) = p->is_quiet ? 0 : p->up[last];
+    copy_doubles(F8(self, LAST_RESIDUALS, row), s->r + last * self->nr, self->nr);
+    if (alarm && self->naming.groups)
+        score_sample(&self->naming, p->sums + last * k, p->usable[last], spare, F8(self, LAST_SCORES, row), k);
+}
+
+/* With constant numbers of residuals the loops over them unroll. */
+INLINE void
+judge_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, Py_ssize_t first, Py_ssize_t time,
+            scratch *s, Py_ssize_t nr, Py_ssize_t k)
+{
+    const test_plan *t = &self->test;
+    const test_row test = row_of_test(self, row);
+    double *e = s->small, *part = e + k + t->sums + 1, *spare = part + k + t->sums + t->directions + 1;
+    piece p = {time, s->r, s->q, s->sums, s->statistic, out_f8(b, OUT_SCORES, plant, first), s->usable, s->over,
+               s->alarm, s->up, 0};
+    if (b->out[OUT_RESIDUALS].base != NULL)
+        copy_doubles(out_f8(b, OUT_RESIDUALS, plant, first), s->r, time * nr);
+    if (b->out[OUT_READY].base != NULL)
+        copy_flags(out_b1(b, OUT_READY, plant, first), s->usable, time);
+    whiten(t, &p, nr, k);
+    if (t->kind == NORM)
+        judge_norm(t, &test, &p, k);
+    else
+        judge_stream(t, &test, &p, e, part, spare);
+    raise_alarms(t, &test, &p);
+    write_piece(self, b, plant, first, &p);
+    if (self->naming.groups)
+        name_by_direction(&self->naming, row_of_isolation(self, row), &p, spare, k);
+    if (self->has_state[LAST_FLAGS])
+        write_last(self, row, &p, s, spare, k);
+}
+
+static void
+judge(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, Py_ssize_t k, Py_ssize_t time, scratch *s)
+{
+    const int square = self->nr == self->test.k;
+    if (square && self->nr == 1)
+        judge_piece(self, b, plant, row, k, time, s, 1, 1);
+    else if (square && self->nr == 2)
+        judge_piece(self, b, plant, row, k, time, s, 2, 2);
+    else if (square && self->nr == 3)
+        judge_piece(self, b, plant, row, k, time, s, 3, 3);
+    else if (square && self->nr == 4)
+        judge_piece(self, b, plant, row, k, time, s, 4, 4);
+    else
+        judge_piece(self, b, plant, row, k, time, s, self->nr, self->test.k);
+}
+
+/* Run one plant from a sample on; return up to which it has come. */
+static void
+clear_outputs(const Runner *self, const block *b, Py_ssize_t place)
+{
+    const size_t time = (size_t)b->time;
+    const int which[] = {OUT_MISSING, OUT_ASIDE, OUT_EXCEEDED, OUT_ALARM, OUT_UP};
+    const size_t bytes[] = {time, time * (size_t)self->m, time, time, time * sizeof(whole)};
+    for (int j = 0; j < 5; j++)
+        if (b->out[which[j]].base != NULL) {
+            flag *at = out_b1(b, which[j], place, 0);
+            if (bytes[j] == 1)
+                *at = 0;
+            else if (bytes[j] == sizeof(double))
+                clear_doubles(at, 1);
+            else
+                memset(at, 0, bytes[j]);
+        }
+}
+
+static Py_ssize_t
+run_plant(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, Py_ssize_t k, scratch *s)
+{
+    const Py_ssize_t begin = k;
+    if (b->is_used)
+        clear_outputs(self, b, plant);
+    while (k < b->time) {
+        const Py_ssize_t time = b->time - k < PIECE ? b->time - k : PIECE;
+        if (!filter_piece(self, b, plant, row, k, time, s))
+            break;
+        judge(self, b, plant, row, k, time, s);
+        k += time;
+    }
+    *I8(self, COUNT, row) += k - begin;
+    return k;
+}
+
+/* ---- Python: arrays ---------------------------------------------------------------------------------------------- */
+
+static int
+take(PyObject *object, Py_buffer *view, const char *format, Py_ssize_t items, int writable, const char *what, int which)
+{
+    if (PyObject_GetBuffer(object, view, PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | (writable ? PyBUF_WRITABLE : 0)) < 0)
+        return -1;
+    if (view->format != NULL && strchr(format, view->format[0]) && view->format[1] == 0
+        && view->len == items * view->itemsize)
+        return 0;
+    PyErr_Format(PyExc_ValueError, "array %d of the %s has another type or size", which, what);
+    PyBuffer_Release(view);
+    return -1;
+}
+
+/* An array with a row for each plant, whose numbers lie side by side. */
+static int
+take_rows(Runner *self, PyObject *object, int which, const char *format, Py_ssize_t width)
+{
+    Py_buffer *view = &self->state[which];
+    if (PyObject_GetBuffer(object, view, PyBUF_STRIDES | PyBUF_FORMAT | PyBUF_WRITABLE) < 0)
+        return -1;
+    Py_ssize_t items = 1, expected = view->itemsize;
+    int fits = view->ndim >= 1 && view->format != NULL && strchr(format, view->format[0]) && view->format[1] == 0
+               && view->shape[0] == self->plants;
+    for (int d = view->ndim - 1; fits && d > 0; d--) {
+        fits = view->strides[d] == expected || view->shape[d] <= 1;
+        expected *= view->shape[d];
+        items *= view->shape[d];
+    }
+    if (fits && items == width) {
+        self->base[which] = view->buf;
+        self->stride[which] = view->strides[0];
+        return 0;
+    }
+    PyErr_Format(PyExc_ValueError, "array %d of the state has another type or size", which);
+    PyBuffer_Release(view);
+    return -1;
+}
+
+static int
+take_all(Runner *self, PyObject *plan, PyObject *state)
+{
+    const test_plan *t = &self->test;
+    const isolation_plan *p = &self->naming;
+    const Py_ssize_t n = self->n, m = self->m, nr = self->nr, k = t->k;
+    const Py_ssize_t plan_sizes[PLAN_ARRAYS] = {
+        n * n, n * m, nr * n, nr * m, n * m, m, m, m, (Py_ssize_t)self->first * nr * n, n * n, nr * self->n_ratios, nr,
+        nr * k, t->order * k * k, k * k, k * t->knots_of_each, t->knots_of_each, k * t->directions, k * p->columns,
+        p->groups};
+    const Py_ssize_t state_sizes[STATE_ARRAYS] = {
+        n, m, 1, 1, 1, 1, 1, 1, n, 1, 1, 1, t->window * k, k, 1, t->order * k, t->order, t->sums, 1, 1, 1,
+        p->window * k, k, 1, 1, 1, nr, 1, p->groups};
+    const char *const formats[STATE_ARRAYS] = {"d", "d", "lq", "?", "lq", "lq", "lq", "?",  "d", "d", "?", "lq",
+                                               "d", "d", "lq", "d", "?",  "d",  "lq", "lq", "?", "d", "d", "lq",
+                                               "B", "d", "d", "lq", "d"};
+    for (int j = 0; j < PLAN_ARRAYS; j++) {
+        PyObject *one = PyTuple_GetItem(plan, j);
+        if (one == NULL || (one != Py_None && take(one, &self->plan[j], j == DIMENSIONS ? "lq" : "d", plan_sizes[j], 0,
+                                                   "plan", j) < 0))
+            return -1;
+        self->has_plan[j] = one != Py_None;
+    }
+    for (int j = 0; j < STATE_ARRAYS; j++) {
+        PyObject *one = PyTuple_GetItem(state, j);
+        if (one == NULL || (one != Py_None && take_rows(self, one, j, formats[j], state_sizes[j]) < 0))
+            return -1;
+        self->has_state[j] = one != Py_None;
+    }
+    return 0;
+}
+
+/* Whether everything that will be read is there. */
+static int
+is_complete(const Runner *self)
+{
+    int complete = 1;
+    const int norm = self->test.kind == NORM, named = self->naming.groups > 0;
+    for (int j = 0; j < PLAN_ARRAYS; j++) {
+        const int needed = j <= HIGH || j == CENTER || j == WHITENING || (self->first && j <= RATIOS)
+                           || (self->test.order && (j == COEFFICIENTS || j == REWHITENING))
+                           || (self->test.knots_of_each && (j == KNOTS || j == SCORES))
+                           || (self->test.kind == DIRECTED_GLR && j == ALONG) || (named && j >= BASES);
+        complete &= self->has_plan[j] || !needed;
+    }
+    for (int j = 0; j < STATE_ARRAYS; j++) {
+        const int needed = (j <= COUNT && (j != START_SUMS || self->first)) || (j >= UP && j <= ALARM)
+                           || (norm && j >= TEST_VALUES && j <= TEST_FILLED) || (!norm && j >= PAST && j <= SUMS)
+                           || (named && j >= VALUES && j <= FILLED)
+                           || (self->has_state[LAST_FLAGS] && j > LAST_FLAGS && (j != LAST_SCORES || named));
+        complete &= self->has_state[j] || !needed;
+    }
+    if (!complete)
+        PyErr_SetString(PyExc_ValueError, "an array that is needed is None");
+    return complete;
+}
+
+/* Whether no state points beyond an array: it may come from a file. */
+static int
+points_inside(const Runner *self)
+{
+    const int norm = self->test.kind == NORM, named = self->naming.groups > 0;
+    for (Py_ssize_t p = 0; p < self->plants; p++) {
+        const whole test = norm ? *I8(self, TEST_FILLED, p) : 0, naming = named ? *I8(self, FILLED, p) : 0;
+        const whole age = *B1(self, STARTING, p) ? *I8(self, AGE, p) : 0;
+        if (test < 0 || test >= self->test.window || naming < 0 || naming >= (named ? self->naming.window : 1) || age < 0
+            || (*B1(self, STARTING, p) && age >= self->first)) {
+            PyErr_SetString(PyExc_ValueError, "a state that cannot be");
+            return 0;
+        }
+    }
+    return 1;
+}
+
+static int
+read_plan(Runner *self, const whole *i, const double *d)
+{
+    self->n = (Py_ssize_t)i[N];
+    self->n_u = (Py_ssize_t)i[N_U];
+    self->n_y = (Py_ssize_t)i[N_Y];
+    self->m = self->n_u + self->n_y;
+    self->nr = (Py_ssize_t)i[N_R];
+    self->n_ratios = (Py_ssize_t)i[N_RATIOS];
+    self->settle = i[SETTLE];
+    self->max_hold = i[MAX_HOLD];
+    self->first = i[FIRST];
+    self->partial = (int)i[PARTIAL];
+    test_plan *t = &self->test;
+    t->kind = (int)i[TEST_KIND];
+    t->nr = self->nr;
+    t->k = (Py_ssize_t)i[K];
+    t->window = (Py_ssize_t)i[WINDOW];
+    t->persistence = i[PERSISTENCE];
+    t->release = i[RELEASE];
+    t->order = (Py_ssize_t)i[ORDER];
+    t->knots_of_each = (Py_ssize_t)i[N_KNOTS];
+    t->sums = (Py_ssize_t)i[N_SUMS];
+    t->directions = (Py_ssize_t)i[N_ALONG];
+    t->root = sqrt((double)t->window);
+    t->threshold = d[THRESHOLD];
+    t->release_level = d[RELEASE_LEVEL];
+    t->allowance = d[ALLOWANCE];
+    t->old_weight = d[OLD_WEIGHT];
+    t->new_weight = d[NEW_WEIGHT];
+    t->deviation = d[DEVIATION];
+    self->naming.k = t->k;
+    self->naming.groups = (Py_ssize_t)i[GROUPS];
+    self->naming.window = (Py_ssize_t)i[ISOLATION_WINDOW];
+    self->naming.columns = (Py_ssize_t)i[COLUMNS];
+    for (int j = 0; j < INTEGERS; j++)
+        if (i[j] < 0 || i[j] > (whole)1 << 40)
+            return -1;
+    const Py_ssize_t width = t->kind == DIRECTED_GLR ? t->directions : t->kind == CHI_SQUARED ? 1 : t->k;
+    const Py_ssize_t sums[] = {[NORM] = 0, [PAGE] = 2 * t->k + 1, [CROSIER] = t->k + 1,
+                               [PIGNATIELLO_RUNGER] = t->k + 2, [EWMA] = t->k, [CHI_SQUARED] = (t->window - 1) * width,
+                               [GLR] = (t->window - 1) * width, [DIRECTED_GLR] = (t->window - 1) * width};
+    return t->kind < NORM || t->kind > DIRECTED_GLR || t->window < 1 || t->sums != sums[t->kind]
+                   || (self->naming.groups && self->naming.window < 1) || t->knots_of_each == 1
+               ? -1
+               : 0;
+}
+
+static int
+check_dimensions(Runner *self)
+{
+    const whole *dimensions = self->plan[DIMENSIONS].buf;
+    whole columns = 0;
+    self->naming.are_lines = 1;
+    for (Py_ssize_t g = 0; g < self->naming.groups; g++) {
+        if (dimensions[g] < 0 || dimensions[g] > self->naming.columns)
+            return -1;
+        columns += dimensions[g];
+        self->naming.are_lines &= dimensions[g] == 1;
+    }
+    return columns == self->naming.columns ? 0 : -1;
+}
+
+static void
+point_at_plan(Runner *self)
+{
+    test_plan *t = &self->test;
+    t->center = PLAN(self, CENTER);
+    t->whitening = PLAN(self, WHITENING);
+    t->coefficients = PLAN(self, COEFFICIENTS);
+    t->rewhitening = PLAN(self, REWHITENING);
+    t->knots = PLAN(self, KNOTS);
+    t->scores = PLAN(self, SCORES);
+    t->along = PLAN(self, ALONG);
+    self->naming.bases = PLAN(self, BASES);
+    self->naming.dimensions = self->plan[DIMENSIONS].buf;
+    for (Py_ssize_t i = 0; i < self->nr && self->nr <= 4 && t->k <= 4; i++)
+        for (Py_ssize_t j = 0; j < t->k; j++)
+            t->padded[4 * i + j] = t->whitening[i * t->k + j];
+    for (Py_ssize_t i = 0; i < 4 * self->m; i++) {
+        self->tile[i] = PLAN(self, OFFSET)[i % self->m];
+        self->tile[4 * self->m + i] = PLAN(self, LOW)[i % self->m];
+        self->tile[8 * self->m + i] = PLAN(self, HIGH)[i % self->m];
+    }
+    job *q = &self->filter;
+    q->n = self->n;
+    q->m = self->m;
+    q->nr = self->nr;
+    q->A = PLAN(self, A_);
+    q->B = PLAN(self, B_);
+    q->C = PLAN(self, C_);
+    q->D = PLAN(self, D_);
+}
+
+static PyObject *
+runner_new(PyTypeObject *type, PyObject *args, PyObject *keywords)
+{
+    (void)keywords;
+    PyObject *integers, *numbers, *plan, *state;
+    Py_ssize_t plants;
+    int path;
+    if (!PyArg_ParseTuple(args, "OOO!O!ni", &integers, &numbers, &PyTuple_Type, &plan, &PyTuple_Type, &state, &plants,
+                          &path))
+        return NULL;
+    allocfunc allocate = (allocfunc)PyType_GetSlot(type, Py_tp_alloc);
+    Runner *self = (Runner *)allocate(type, 0);
+    if (self == NULL)
+        return NULL;
+    Py_buffer i, d;
+    int status = -1;
+    self->plants = plants;
+    self->path = path;
+    if (take(integers, &i, "lq", INTEGERS, 0, "integers", 0) == 0) {
+        if (take(numbers, &d, "d", NUMBERS, 0, "numbers", 0) == 0) {
+            status = read_plan(self, i.buf, d.buf);
+            PyBuffer_Release(&d);
+            if (status < 0 || path < 0 || path > best_path() || plants < 0)
+                status = -1, PyErr_SetString(PyExc_ValueError, "these integers are no plan");
+        }
+        PyBuffer_Release(&i);
+    }
+    if (status == 0 && (take_all(self, plan, state) < 0 || !is_complete(self)))
+        status = -1;
+    if (status == 0 && !points_inside(self))
+        status = -1;
+    if (status == 0 && self->naming.groups && check_dimensions(self) < 0)
+        status = -1, PyErr_SetString(PyExc_ValueError, "the dimensions of the signatures do not add up");
+    if (status == 0) {
+        const Py_ssize_t packed = packed_size(self->n, self->m, self->nr) + 1;
+        self->filter.packed = PyMem_Malloc((size_t)(packed + 12 * self->m) * sizeof(double));
+        if (self->filter.packed == NULL)
+            status = -1, PyErr_NoMemory();
+        else {
+            self->tile = self->filter.packed + packed;
+            point_at_plan(self);
+        }
+    }
+    if (status < 0) {
+        Py_DECREF(self);
+        return NULL;
+    }
+    job q = self->filter; /* without plants it only packs */
+    execute(&q, path);
+    self->filter.is_packed = 1;
+    return (PyObject *)self;
+}
+
+static void
+runner_dealloc(PyObject *object)
+{
+    Runner *self = (Runner *)object;
+    PyTypeObject *type = Py_TYPE(object);
+    for (int j = 0; j < PLAN_ARRAYS; j++)
+        if (self->has_plan[j])
+            PyBuffer_Release(&self->plan[j]);
+    for (int j = 0; j < STATE_ARRAYS; j++)
+        if (self->has_state[j])
+            PyBuffer_Release(&self->state[j]);
+    while (self->one_views.held > 0)
+        PyBuffer_Release(&self->one_views.views[--self->one_views.held]);
+    free(self->one_room);
+    PyMem_Free(self->filter.packed);
+    freefunc release = (freefunc)PyType_GetSlot(type, Py_tp_free);
+    release(object);
+    Py_DECREF(type);
+}
+
+static Py_ssize_t
+small_size(const Runner *self)
+{
+    const test_plan *t = &self->test;
+    const Py_ssize_t judging = 3 * (t->k + t->sums + t->directions + 2) + self->nr + self->naming.columns;
+    const Py_ssize_t starting = self->n + self->nr + self->n_ratios;
+    return judging + starting + 8;
+}
+
+static void *
+make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
+{
+    const Py_ssize_t samples = time < PIECE ? time : PIECE, k = self->test.k;
+    const Py_ssize_t doubles = samples * (self->m + self->nr + 2 * k + 2) + 2 * self->n + 16 + small_size(self);
+    double *room = malloc((size_t)doubles * sizeof(double) + 3 * (size_t)samples + 1);
+    if (room == NULL)
+        return NULL;
+    s->v = room;
+    s->r = s->v + samples * self->m;
+    s->q = s->r + samples * self->nr;
+    s->sums = s->q + samples * k;
+    s->statistic = s->sums + samples * k;
+    s->up = (whole *)(s->statistic + samples);
+    s->x = (double *)(s->up + samples);
+    s->small = s->x + 2 * self->n + 16;
+    s->usable = (flag *)(room + doubles);
+    s->over = s->usable + samples;
+    s->alarm = s->over + samples;
+    s->filter = self->filter;
+    s->filter.plants = 1;
+    s->filter.state = s->x;
+    return room;
+}
+
+/* ---- Python: running --------------------------------------------------------------------------------------------- */
+
+/* An array of (plants, time, channels) with any strides. */
+static int
+get_signals(PyObject *object, Py_buffer *view, Py_ssize_t plants, Py_ssize_t *time, Py_ssize_t channels)
+{
+    if (PyObject_GetBuffer(object, view, PyBUF_STRIDES | PyBUF_FORMAT) < 0)
+        return -1;
+    if (view->ndim == 3 && view->format != NULL && strcmp(view->format, "d") == 0 && view->shape[0] == plants
+        && (*time < 0 || view->shape[1] == *time) && view->shape[2] == channels) {
+        *time = view->shape[1];
+        return 0;
+    }
+    PyErr_SetString(PyExc_ValueError, "u and y must be float64 of (plants, time, channels)");
+    PyBuffer_Release(view);
+    return -1;
+}
+
+/* An array of (plants, time, ...) whose rows lie one after the other for each plant. */
+static int
+get_output(PyObject *object, Py_buffer *view, Py_ssize_t plants, Py_ssize_t time, Py_ssize_t width, Py_ssize_t size,
+           output *out)
+{
+    if (PyObject_GetBuffer(object, view, PyBUF_STRIDES | PyBUF_WRITABLE) < 0)
+        return -1;
+    Py_ssize_t expected = size * width;
+    int fits = view->ndim >= 2 && view->itemsize == size && view->shape[0] == plants && view->shape[1] == time;
+    if (view->ndim == 3)
+        fits = fits && view->shape[2] == width && (view->strides[2] == size || width <= 1);
+    else
+        fits = fits && width == 1;
+    if (fits && (time <= 1 || view->strides[1] == expected)) {
+        *out = (output){view->buf, view->strides[0], expected};
+        return 0;
+    }
+    PyErr_SetString(PyExc_ValueError, "an output has another shape, or does not lie as it must");
+    PyBuffer_Release(view);
+    return -1;
+}
+
+static int
+get_outputs(const Runner *self, PyObject *outputs, Py_ssize_t plants, block *b, views *all)
+{
+    const Py_ssize_t widths[OUTPUTS] = {self->nr, 1, self->m, 1, 1, 1, 1, 1, self->test.k, self->naming.groups, 1};
+    const Py_ssize_t sizes[OUTPUTS] = {8, 1, 1, 1, 8, 1, 1, 8, 8, 8, 1};
+    for (int j = 0; j < OUTPUTS; j++) {
+        PyObject *one = PyTuple_GetItem(outputs, j);
+        if (one == NULL)
+            return -1;
+        if (one == Py_None)
+            continue;
+        if (get_output(one, &all->views[all->held], plants, b->time, widths[j], sizes[j], &b->out[j]) < 0)
+            return -1;
+        all->held++;
+    }
+    return 0;
+}
+
+static int
+check_rows(const Runner *self, const whole *rows, const whole *done, Py_ssize_t plants, Py_ssize_t time)
+{
+    for (Py_ssize_t p = 0; p < plants; p++)
+        if ((rows != NULL && (rows[p] < 0 || rows[p] >= self->plants)) || done[p] < 0 || done[p] > time) {
+            PyErr_SetString(PyExc_ValueError, "a row or a sample that is not there");
+            return -1;
+        }
+    if (rows == NULL && plants != self->plants) {
+        PyErr_SetString(PyExc_ValueError, "another number of plants");
+        return -1;
+    }
+    return 0;
+}
+
+static int
+run_all(const Runner *self, const block *b, const whole *rows, whole *done, Py_ssize_t first, Py_ssize_t stop)
+{
+    scratch s;
+    void *room = make_scratch(self, &s, b->time);
+    if (room == NULL)
+        return -1;
+    for (Py_ssize_t p = first; p < stop; p++)
+        done[p] = run_plant(self, b, p, rows == NULL ? p : (Py_ssize_t)rows[p], (Py_ssize_t)done[p], &s);
+    free(room);
+    return 0;
+}
+
+PyDoc_STRVAR(run_doc, "run(u, y, outputs, rows, done, first, stop)\n--\n\n"
+                      "Run plants first to stop of a block, each from sample done on; done is up to which they came.");
+
+static PyObject *
+runner_run(PyObject *object, PyObject *args)
+{
+    const Runner *self = (Runner *)object;
+    PyObject *u, *y, *outputs, *rows, *done;
+    Py_ssize_t first, stop;
+    if (!PyArg_ParseTuple(args, "OOO!OOnn:run", &u, &y, &PyTuple_Type, &outputs, &rows, &done, &first, &stop))
+        return NULL;
+    views all = {.held = 0};
+    block b = {.time = -1};
+    int status = -1;
+    Py_buffer *const view = all.views;
+    if (PyObject_GetBuffer(done, &view[0], PyBUF_C_CONTIGUOUS | PyBUF_WRITABLE | PyBUF_FORMAT) < 0)
+        return NULL;
+    all.held = 1;
+    const Py_ssize_t plants = view[0].len / 8;
+    if (view[0].itemsize != 8 || first < 0 || stop < first || stop > plants)
+        PyErr_SetString(PyExc_ValueError, "no such plants");
+    else if (get_signals(y, &view[1], plants, &b.time, self->n_y) == 0) {
+        all.held = 2;
+        if (get_signals(u, &view[2], plants, &b.time, self->n_u) == 0) {
+            all.held = 3;
+            const whole *places = NULL;
+            if (rows == Py_None || take(rows, &view[3], "lq", plants, 0, "rows", 0) == 0) {
+                if (rows != Py_None) {
+                    places = view[3].buf;
+                    all.held = 4;
+                }
+                b.y = view[1].buf;
+                b.u = view[2].buf;
+                memcpy(b.y_strides, view[1].strides, sizeof b.y_strides);
+                memcpy(b.u_strides, view[2].strides, sizeof b.u_strides);
+                b.is_dense = b.u_strides[2] == sizeof(double) && b.y_strides[2] == sizeof(double);
+                if (get_outputs(self, outputs, plants, &b, &all) == 0
+                    && check_rows(self, places, view[0].buf, plants, b.time) == 0) {
+                    Py_BEGIN_ALLOW_THREADS
+                    status = run_all(self, &b, places, view[0].buf, first, stop);
+                    Py_END_ALLOW_THREADS
+                    if (status < 0)
+                        PyErr_NoMemory();
+                }
+            }
+        }
+    }
+    while (all.held > 0)
+        PyBuffer_Release(&all.views[--all.held]);
+    if (status < 0)
+        return NULL;
+    Py_RETURN_NONE;
+}
+
+PyDoc_STRVAR(bind_doc, "bind(outputs)\n--\n\nName the arrays that steps write, of one plant and one sample.");
+
+static PyObject *
+runner_bind(PyObject *object, PyObject *outputs)
+{
+    Runner *self = (Runner *)object;
+    if (self->plants != 1 || self->one_room != NULL || !PyTuple_Check(outputs)) {
+        PyErr_SetString(PyExc_ValueError, "steps are of one plant, and bound once to a tuple of arrays");
+        return NULL;
+    }
+    self->one.time = 1;
+    self->one.is_used = 1;
+    if (get_outputs(self, outputs, 1, &self->one, &self->one_views) < 0)
+        return NULL;
+    for (int j = 0; j < OUTPUTS; j++)
+        if (self->one.out[j].base == NULL && (j == OUT_STATISTIC || j == OUT_USABLE || j == OUT_ALARM || j == OUT_MISSING)) {
+            PyErr_SetString(PyExc_ValueError, "an output that a step needs is None");
+            return NULL;
+        }
+    self->one_room = make_scratch(self, &self->one_scratch, 1);
+    if (self->one_room == NULL)
+        return PyErr_NoMemory();
+    Py_RETURN_NONE;
+}
+
+/* One sample; None where there are no channels. */
+static int
+get_sample(PyObject *object, Py_buffer *view, Py_ssize_t channels, const char **at, Py_ssize_t *stride)
+{
+    *at = NULL;
+    *stride = sizeof(double);
+    if (object == Py_None && channels == 0)
+        return 0;
+    if (PyObject_GetBuffer(object, view, PyBUF_STRIDES | PyBUF_FORMAT) < 0)
+        return -1;
+    if (view->ndim == 1 && view->format != NULL && strcmp(view->format, "d") == 0 && view->shape[0] == channels) {
+        *at = view->buf;
+        *stride = view->strides[0];
+        return 1;
+    }
+    PyErr_SetString(PyExc_ValueError, "a sample must be float64 of as many channels as there are");
+    PyBuffer_Release(view);
+    return -1;
+}
+
+PyDoc_STRVAR(step_doc, "step(u, y)\n--\n\nRun one sample; 1 alarm, 2 usable, 4 missing, 8 left to NumPy; the statistic.");
+
+static PyObject *
+runner_step(PyObject *object, PyObject *args)
+{
+    Runner *self = (Runner *)object;
+    PyObject *u, *y;
+    Py_buffer u_view, y_view;
+    block *b = &self->one;
+    if (!PyArg_ParseTuple(args, "OO:step", &u, &y))
+        return NULL;
+    if (self->one_room == NULL) {
+        PyErr_SetString(PyExc_ValueError, "bind comes before step");
+        return NULL;
+    }
+    const int has_u = get_sample(u, &u_view, self->n_u, &b->u, &b->u_strides[2]);
+    if (has_u < 0)
+        return NULL;
+    const int has_y = get_sample(y, &y_view, self->n_y, &b->y, &b->y_strides[2]);
+    if (has_y < 0) {
+        if (has_u)
+            PyBuffer_Release(&u_view);
+        return NULL;
+    }
+    b->is_dense = b->u_strides[2] == sizeof(double) && b->y_strides[2] == sizeof(double);
+    const int left = run_plant(self, b, 0, 0, 0, &self->one_scratch) == 0;
+    const int flags = (*out_b1(b, OUT_ALARM, 0, 0) ? 1 : 0) | (*out_b1(b, OUT_USABLE, 0, 0) ? 2 : 0)
+                      | (*out_b1(b, OUT_MISSING, 0, 0) ? 4 : 0) | (left ? 8 : 0);
+    if (has_u)
+        PyBuffer_Release(&u_view);
+    if (has_y)
+        PyBuffer_Release(&y_view);
+    return Py_BuildValue("id", flags, *out_f8(b, OUT_STATISTIC, 0, 0));
+}
+
+static PyMethodDef runner_methods[] = {
+    {"bind", runner_bind, METH_O, bind_doc},
+    {"step", runner_step, METH_VARARGS, step_doc},
+    {"run", runner_run, METH_VARARGS, run_doc},
+    {NULL, NULL, 0, NULL},
+};
+
+static PyType_Slot runner_slots[] = {
+    {Py_tp_new, runner_new},
+    {Py_tp_dealloc, runner_dealloc},
+    {Py_tp_methods, runner_methods},
+    {Py_tp_doc, "Runner(integers, numbers, plan, state, plants, path)\n--\n\nRuns plants, whose state it changes."},
+    {0, NULL},
+};
+
+static PyType_Spec runner_spec = {
+    .name = "residua.monitor._fused.Runner",
+    .basicsize = sizeof(Runner),
+    .flags = Py_TPFLAGS_DEFAULT,
+    .slots = runner_slots,
+};
+
+static int
+fill_module(PyObject *module)
+{
+    PyObject *type = PyType_FromSpec(&runner_spec);
+    if (type == NULL)
+        return -1;
+    const int status = PyModule_AddObjectRef(module, "Runner", type);
+    Py_DECREF(type);
+    return status;
+}
+
+static PyModuleDef_Slot slots[] = {
+    {Py_mod_exec, fill_module},
+#if defined(Py_mod_gil) && !defined(Py_LIMITED_API)
+    {Py_mod_gil, Py_MOD_GIL_NOT_USED},
+#endif
+    {0, NULL},
+};
+
+static struct PyModuleDef definition = {
+    PyModuleDef_HEAD_INIT,
+    .m_name = "residua.monitor._fused",
+    .m_doc = "The compiled loop of residua.monitor.fused.",
+    .m_size = 0,
+    .m_slots = slots,
+};
+
+PyMODINIT_FUNC
+PyInit__fused(void)
+{
+    return PyModuleDef_Init(&definition);
+}

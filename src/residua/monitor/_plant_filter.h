@@ -1,0 +1,425 @@
+/* What the fused loop runs, and its filter on a piece of one plant: values held, starts, restarts, overflows.
+ *
+ * As residua.monitor.filtering and residua.monitor.one_plant have it, with the same bits.
+ */
+#ifndef RESIDUA_PLANT_FILTER_H
+#define RESIDUA_PLANT_FILTER_H
+
+#include "../linear/systems/_filter.h"
+#include "../decide/_judging.h"
+
+#define PIECE 256
+#define LARGEST 1e150 /* as in residua.monitor.one_plant */
+
+/* ---- what runs, and its arrays ---------------------------------------------------------------------------------- */
+
+enum {
+    A_, B_, C_, D_, START, OFFSET, LOW, HIGH, ROWS, CORRECTION, RATIOS, CENTER, WHITENING, COEFFICIENTS, REWHITENING,
+    KNOTS, SCORES, ALONG, BASES, DIMENSIONS, PLAN_ARRAYS
+};
+enum {
+    X, HELD, GAP, RUNNING, AGE, RESETS, BROKEN, STARTING, START_SUMS, MOVED, APART, COUNT, TEST_VALUES, TEST_BEGUN,
+    TEST_FILLED, PAST, PAST_USABLE, SUMS, UP, DOWN, ALARM, VALUES, BEGUN, FILLED, LAST_FLAGS, LAST_STATISTIC, LAST_RESIDUALS, LAST_UP, LAST_SCORES,
+    STATE_ARRAYS
+};
+enum {
+    OUT_RESIDUALS, OUT_MISSING, OUT_ASIDE, OUT_USABLE, OUT_STATISTIC, OUT_EXCEEDED, OUT_ALARM, OUT_UP, OUT_WHITENED,
+    OUT_SCORES, OUT_READY, OUTPUTS
+};
+enum {
+    N, N_U, N_Y, N_R, SETTLE, MAX_HOLD, FIRST, N_RATIOS, PARTIAL, TEST_KIND, K, WINDOW, PERSISTENCE, RELEASE, ORDER,
+    N_KNOTS, N_SUMS, N_ALONG, GROUPS, ISOLATION_WINDOW, COLUMNS, INTEGERS
+};
+enum { THRESHOLD, RELEASE_LEVEL, ALLOWANCE, OLD_WEIGHT, NEW_WEIGHT, DEVIATION, NUMBERS };
+
+typedef struct {
+    double *v, *r, *q, *sums, *statistic; /* of a piece */
+    whole *up;
+    double *x, *small; /* of one state and its spare; of one sample */
+    flag *usable, *over, *alarm;
+    job filter;
+    int is_missing; /* the last sample of the piece */
+} scratch;
+
+typedef struct {
+    char *base;
+    Py_ssize_t plant, time; /* bytes from one to the next */
+} output;
+
+typedef struct {
+    const char *u, *y;
+    Py_ssize_t u_strides[3], y_strides[3], time;
+    int is_dense; /* whether the channels of a sample lie side by side */
+    int is_used;  /* whether outputs hold something, which is cleared first */
+    output out[OUTPUTS];
+} block;
+
+typedef struct {
+    Py_buffer views[OUTPUTS + 4];
+    int held;
+} views;
+
+typedef struct {
+    PyObject_HEAD
+    Py_ssize_t n, m, n_u, n_y, nr, n_ratios;
+    whole settle, max_hold, first;
+    int partial, path;
+    test_plan test;
+    isolation_plan naming;
+    job filter;
+    double *tile; /* of four samples: offsets, lowest values, highest values */
+    Py_ssize_t plants;
+    Py_buffer plan[PLAN_ARRAYS], state[STATE_ARRAYS];
+    char *base[STATE_ARRAYS]; /* of the state: where the first row lies, and how far apart rows are */
+    Py_ssize_t stride[STATE_ARRAYS];
+    char has_plan[PLAN_ARRAYS], has_state[STATE_ARRAYS];
+    block one; /* of a step: its outputs */
+    views one_views;
+    scratch one_scratch;
+    void *one_room;
+} Runner;
+
+#define PLACE(self, which, row) ((self)->base[which] + (row) * (self)->stride[which])
+#define F8(self, which, row) ((double *)PLACE(self, which, row))
+#define I8(self, which, row) ((whole *)PLACE(self, which, row))
+#define B1(self, which, row) ((flag *)PLACE(self, which, row))
+#define PLAN(self, which) ((const double *)(self)->plan[which].buf)
+
+static double *
+out_f8(const block *b, int which, Py_ssize_t plant, Py_ssize_t k)
+{
+    const output *o = &b->out[which];
+    return o->base == NULL ? NULL : (double *)(o->base + plant * o->plant + k * o->time);
+}
+
+static flag *
+out_b1(const block *b, int which, Py_ssize_t plant, Py_ssize_t k)
+{
+    return (flag *)out_f8(b, which, plant, k);
+}
+
+/* ---- the filter -------------------------------------------------------------------------------------------------- */
+
+/* Take the offset from samples in a row; whether all are between the limits. The tile has four samples of each. */
+INLINE int
+deviations_plain(double *v, Py_ssize_t total, const double *tile, Py_ssize_t period)
+{
+    int all = 1;
+    for (Py_ssize_t left = total; left > 0; left -= period, v += period)
+        for (Py_ssize_t i = 0; i < (left < period ? left : period); i++) {
+            v[i] -= tile[i];
+            all &= (v[i] >= tile[period + i]) & (v[i] <= tile[2 * period + i]);
+        }
+    return all;
+}
+
+#if defined(HAVE_VECTORS)
+#define DEFINE_DEVIATIONS(FAMILY, TARGET, L)                                                                          \
+    TARGET static int deviations_##FAMILY(double *v, Py_ssize_t total, const double *tile, Py_ssize_t period)         \
+    {                                                                                                                 \
+        flags##L within = ((flags##L){0} == (flags##L){0});                                                           \
+        const double *low = tile + period, *high = low + period;                                                      \
+        Py_ssize_t left = total;                                                                                      \
+        for (; left >= period; left -= period, v += period)                                                           \
+            for (Py_ssize_t i = 0; i < period; i += L) {                                                              \
+                const lanes##L value = *(const lanes##L *)(v + i) - *(const lanes##L *)(tile + i);                    \
+                *(lanes##L *)(v + i) = value;                                                                         \
+                within &= (flags##L)(value >= *(const lanes##L *)(low + i))                                           \
+                          & (flags##L)(value <= *(const lanes##L *)(high + i));                                       \
+            }                                                                                                         \
+        int all = deviations_plain(v, left, tile, period);                                                            \
+        for (int l = 0; l < L; l++)                                                                                   \
+            all &= within[l] != 0;                                                                                    \
+        return all;                                                                                                   \
+    }
+DEFINE_DEVIATIONS(baseline, , 2)
+#if defined(HAVE_AVX2)
+DEFINE_DEVIATIONS(avx2, __attribute__((target("avx2"))), 4)
+#endif
+#endif
+
+static int
+deviations(const Runner *self, double *v, Py_ssize_t time)
+{
+#if defined(HAVE_AVX2)
+    if (self->path == PATH_AVX2)
+        return deviations_avx2(v, time * self->m, self->tile, 4 * self->m);
+#endif
+#if defined(HAVE_VECTORS)
+    if (self->path == PATH_BASELINE)
+        return deviations_baseline(v, time * self->m, self->tile, 4 * self->m);
+#endif
+    return deviations_plain(v, time * self->m, self->tile, 4 * self->m);
+}
+
+/* A few numbers, without a call. */
+INLINE double *
+copy_few(double *to, const char *from, Py_ssize_t count)
+{
+    for (; count >= 4; count -= 4, to += 4, from += 32)
+        memcpy(to, from, 32);
+    if (count & 2) {
+        memcpy(to, from, 16);
+        to += 2;
+        from += 16;
+    }
+    if (count & 1)
+        memcpy(to++, from, 8);
+    return to;
+}
+
+INLINE void
+copy_doubles(void *to, const void *from, Py_ssize_t count)
+{
+    if (count <= 16)
+        copy_few(to, from, count);
+    else
+        memcpy(to, from, (size_t)count * sizeof(double));
+}
+
+INLINE void
+copy_flags(flag *to, const flag *from, Py_ssize_t count)
+{
+    if (count == 1)
+        *to = *from;
+    else
+        memcpy(to, from, (size_t)count);
+}
+
+INLINE void
+clear_doubles(void *to, Py_ssize_t count)
+{
+    for (Py_ssize_t j = 0; j < count; j++)
+        ((double *)to)[j] = 0.0;
+}
+
+/* Deviations of a piece; whether all are values. */
+static int
+gather(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t k, Py_ssize_t time, scratch *s)
+{
+    const Py_ssize_t n_u = self->n_u, n_y = self->n_y;
+    const char *u = b->u + plant * b->u_strides[0] + k * b->u_strides[1];
+    const char *y = b->y + plant * b->y_strides[0] + k * b->y_strides[1];
+    double *v = s->v;
+    if (b->is_dense)
+        for (Py_ssize_t i = 0; i < time; i++, u += b->u_strides[1], y += b->y_strides[1])
+            v = copy_few(copy_few(v, u, n_u), y, n_y);
+    else
+        for (Py_ssize_t i = 0; i < time; i++, u += b->u_strides[1], y += b->y_strides[1]) {
+            for (Py_ssize_t j = 0; j < n_u; j++)
+                *v++ = *(const double *)(u + j * b->u_strides[2]);
+            for (Py_ssize_t j = 0; j < n_y; j++)
+                *v++ = *(const double *)(y + j * b->y_strides[2]);
+        }
+    return deviations(self, s->v, time);
+}
+
+static void
+filter_some(const Runner *self, scratch *s, double *x, const double *v, double *r, Py_ssize_t time)
+{
+    s->filter.time = time;
+    s->filter.x = s->filter.x_next = x;
+    s->filter.v = v;
+    s->filter.r = r;
+    execute(&s->filter, self->path);
+}
+
+static int
+is_finite(const double *values, Py_ssize_t count)
+{
+    int finite = 1;
+    for (Py_ssize_t j = 0; j < count; j++)
+        finite &= isfinite(values[j]) != 0;
+    return finite;
+}
+
+static void
+stop_filter(const Runner *self, Py_ssize_t row)
+{
+    *B1(self, RUNNING, row) = *B1(self, STARTING, row) = 0;
+    memset(F8(self, X, row), 0, (size_t)self->n * sizeof(double));
+    if (self->first)
+        memset(F8(self, START_SUMS, row), 0, (size_t)self->n * sizeof(double));
+}
+
+static void
+break_filter(const Runner *self, Py_ssize_t row)
+{
+    stop_filter(self, row);
+    *I8(self, BROKEN, row) += 1;
+    *I8(self, GAP, row) = 0;
+}
+
+static void
+start_filter(const Runner *self, Py_ssize_t row, const double *v)
+{
+    const double *start = PLAN(self, START);
+    double *x = F8(self, X, row);
+    stop_filter(self, row);
+    for (Py_ssize_t i = 0; i < self->n; i++) {
+        double sum = 0.0;
+        for (Py_ssize_t j = 0; j < self->m; j++)
+            sum += v[j] * start[i * self->m + j];
+        x[i] = sum;
+    }
+    *B1(self, RUNNING, row) = 1;
+    *B1(self, STARTING, row) = self->first > 0;
+    *I8(self, AGE, row) = *I8(self, GAP, row) = 0;
+}
+
+/* Take out of the state what the start has left in it, and say how far that moves the next residual. */
+static void
+correct_start(const Runner *self, Py_ssize_t row, double *left)
+{
+    const Py_ssize_t n = self->n, nr = self->nr, ratios = self->n_ratios;
+    const double *correction = PLAN(self, CORRECTION), *C = PLAN(self, C_);
+    double *x = F8(self, X, row), *sums = F8(self, START_SUMS, row), *seen = left + n, *moved = seen + nr;
+    for (Py_ssize_t i = 0; i < n; i++) {
+        left[i] = 0.0;
+        for (Py_ssize_t j = 0; j < n; j++)
+            left[i] += sums[j] * correction[i * n + j];
+    }
+    for (Py_ssize_t i = 0; i < nr; i++) {
+        seen[i] = 0.0;
+        for (Py_ssize_t j = 0; j < n; j++)
+            seen[i] += left[j] * C[i * n + j];
+    }
+    row_product(seen, PLAN(self, RATIOS), nr, ratios, moved);
+    const double far = length_of(moved, ratios);
+    for (Py_ssize_t i = 0; i < n; i++)
+        x[i] -= left[i];
+    if (far > *F8(self, MOVED, row))
+        *F8(self, MOVED, row) = far;
+    memset(sums, 0, (size_t)n * sizeof(double));
+    *B1(self, STARTING, row) = 0;
+}
+
+static void
+learn_start(const Runner *self, Py_ssize_t row, const double *r, int complete, double *spare)
+{
+    const Py_ssize_t n = self->n;
+    double *sums = F8(self, START_SUMS, row);
+    if (!complete) {
+        memset(sums, 0, (size_t)n * sizeof(double));
+        return;
+    }
+    const double *response = PLAN(self, ROWS) + *I8(self, AGE, row) * self->nr * n;
+    row_product(r, response, self->nr, n, spare);
+    for (Py_ssize_t j = 0; j < n; j++)
+        sums[j] += spare[j];
+}
+
+/* One sample where values may be missing, or whose filter starts; whether there is a residual. */
+static int
+filter_sample(const Runner *self, Py_ssize_t row, const double *held, int complete, double *r, scratch *s)
+{
+    double *x = F8(self, X, row), *before = s->small;
+    whole *age = I8(self, AGE, row), *gap = I8(self, GAP, row);
+    for (;;) {
+        int fresh = 0;
+        if (!*B1(self, RUNNING, row)) {
+            if (!complete) {
+                *gap += 1;
+                return 0;
+            }
+            start_filter(self, row, held);
+            fresh = 1;
+        }
+        if (!complete && *gap + 1 > self->max_hold) { /* too long a gap: wait for a complete sample */
+            if (is_finite(x, self->n)) {
+                stop_filter(self, row);
+                *I8(self, RESETS, row) += 1;
+            } else
+                break_filter(self, row);
+            continue;
+        }
+        copy_doubles(before, x, self->n);
+        filter_some(self, s, x, held, r, 1);
+        if (all_within(r, self->nr, LARGEST)) {
+            *gap = complete ? 0 : *gap + 1;
+            break;
+        }
+        break_filter(self, row);
+        if (fresh) /* a sample that overflows by itself: pass it over */
+            return 0;
+    }
+    if (*B1(self, STARTING, row))
+        learn_start(self, row, r, complete, before);
+    *age = complete ? *age + 1 : 0;
+    if (*B1(self, STARTING, row) && *age == self->first)
+        correct_start(self, row, before);
+    return complete;
+}
+
+/* A piece of one plant, sample by sample. */
+static void
+filter_with_gaps(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, Py_ssize_t k, Py_ssize_t time,
+                 scratch *s)
+{
+    const Py_ssize_t m = self->m, nr = self->nr;
+    const double *low = PLAN(self, LOW), *high = PLAN(self, HIGH);
+    double *held = F8(self, HELD, row);
+    for (Py_ssize_t i = 0; i < time; i++) {
+        const double *v = s->v + i * m;
+        double *r = s->r + i * nr;
+        int complete = 1;
+        for (Py_ssize_t j = 0; j < m; j++) {
+            const int there = (v[j] >= low[j]) & (v[j] <= high[j]);
+            complete &= there;
+            if (there)
+                held[j] = v[j];
+            else if (b->out[OUT_ASIDE].base != NULL) {
+                const char *at = j < self->n_u ? b->u + plant * b->u_strides[0] + (k + i) * b->u_strides[1]
+                                                     + j * b->u_strides[2]
+                                               : b->y + plant * b->y_strides[0] + (k + i) * b->y_strides[1]
+                                                     + (j - self->n_u) * b->y_strides[2];
+                if (isfinite(*(const double *)at))
+                    out_b1(b, OUT_ASIDE, plant, k + i)[j] = 1;
+            }
+        }
+        if (!complete && b->out[OUT_MISSING].base != NULL)
+            *out_b1(b, OUT_MISSING, plant, k + i) = 1;
+        s->is_missing = !complete;
+        const int known = filter_sample(self, row, held, complete, r, s);
+        s->usable[i] = known && *I8(self, AGE, row) > self->settle;
+        if (!known)
+            for (Py_ssize_t j = 0; j < nr; j++)
+                r[j] = NAN;
+    }
+}
+
+/* A piece of one plant; 0 if it is left to NumPy, untouched. */
+static int
+filter_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, Py_ssize_t k, Py_ssize_t time,
+             scratch *s)
+{
+    const Py_ssize_t n = self->n;
+    const int all = gather(self, b, plant, k, time, s);
+    if (self->partial && (!all || *B1(self, APART, row)))
+        return 0;
+    if (all && *B1(self, RUNNING, row) && !*B1(self, STARTING, row)) {
+        double *x = F8(self, X, row), *before = s->small;
+        copy_doubles(before, x, n);
+        filter_some(self, s, x, s->v, s->r, time);
+        if (all_within(s->r, time * self->nr, LARGEST) && is_finite(x, n)) {
+            const whole age = *I8(self, AGE, row);
+            s->is_missing = 0;
+            if (age >= self->settle && time > 1)
+                memset(s->usable, 1, (size_t)time);
+            else
+                for (Py_ssize_t i = 0; i < time; i++)
+                    s->usable[i] = age + 1 + i > self->settle;
+            *I8(self, AGE, row) = age + time;
+            *I8(self, GAP, row) = 0;
+            copy_doubles(F8(self, HELD, row), s->v + (time - 1) * self->m, self->m);
+            return 1;
+        }
+        copy_doubles(x, before, n);
+    }
+    filter_with_gaps(self, b, plant, row, k, time, s);
+    if (k + time == b->time && *B1(self, RUNNING, row) && !is_finite(F8(self, X, row), n))
+        break_filter(self, row);
+    return 1;
+}
+
+#endif

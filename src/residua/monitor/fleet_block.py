@@ -1,0 +1,318 @@
+"""The plants of a fleet that share a monitor: one contiguous block of state, a row for each plant."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide.alarm import Candidate
+from residua.errors import DataError
+from residua.monitor.decision import Decision, decision_from
+from residua.monitor.fused import FusedRun, LastSample, decisions_of, plan_of
+from residua.monitor.monitor import Monitor
+from residua.monitor.plant_records import as_records, takes_no_memory
+from residua.monitor.running import Decisions, State, initial_state, rows_of, run_reference, written_rows
+from residua.monitor.saving import monitor_out
+from residua.visible import echo
+
+#: What a tick says of its records.
+_TOLD = ("missing", "usable", "statistic", "alarm")
+
+
+@dataclass(frozen=True)
+class FleetAlarm:
+    """An alarm that stands at one plant of a fleet.
+
+    Attributes
+    ----------
+    plant : object
+        Its id.
+    onset, raised : float
+        When the statistic went over its threshold and stayed, and when the alarm was raised, in seconds since the first
+        sample of this plant.
+    candidates : tuple of Candidate
+        Best first, by the last sample.
+    """
+
+    plant: Hashable
+    onset: float
+    raised: float
+    candidates: tuple[Candidate, ...]
+
+    def __str__(self) -> str:
+        named = self.candidates[0].name if self.candidates else "unknown fault"
+        return f"{self.plant}: {named}, alarm since {self.raised:g} s, onset {self.onset:g} s"
+
+
+@dataclass(frozen=True, eq=False)
+class Tick:
+    """What was decided on the records of a tick, in their order.
+
+    Attributes
+    ----------
+    alarm, decided, missing : ndarray of bool, shape (records,)
+    statistic : ndarray, shape (records,)
+        NaN where nothing is decided.
+    """
+
+    alarm: NDArray[np.bool_]
+    decided: NDArray[np.bool_]
+    missing: NDArray[np.bool_]
+    statistic: NDArray[np.float64]
+
+
+class FleetBlock:
+    """Plants that share a monitor.
+
+    Parameters
+    ----------
+    monitor : Monitor
+        Fitted; its own state is not used.
+    ids : sequence of hashable
+    state : State, optional
+        A row for each; the start when omitted.
+    standing : mapping of int to (int, int), optional
+        Rows in alarm, with the samples of its onset and of its raise.
+    """
+
+    def __init__(
+        self,
+        monitor: Monitor,
+        ids: Sequence[Hashable],
+        state: State | None = None,
+        standing: Mapping[int, tuple[int, int]] | None = None,
+    ) -> None:
+        self.monitor, self.ids = monitor, list(ids)
+        self.spec, self.generator = monitor._specification(), monitor.generator
+        self.rows = {plant: row for row, plant in enumerate(self.ids)}
+        if len(self.rows) < len(self.ids):
+            twice = next(plant for row, plant in enumerate(self.ids) if self.rows[plant] != row)
+            raise DataError(f"the plant {echo(twice)} is there twice")
+        self.standing: dict[int, tuple[int, int]] = dict(standing or {})
+        self._place(initial_state(self.spec, len(self.ids)) if state is None else state)
+
+    def _place(self, state: State) -> None:
+        """Put a state of its own, one record for each plant, in the hands of the kernel."""
+        plan, plants = plan_of(self.spec), len(self.ids)
+        last = LastSample.blank(plants, self.generator.n_residuals, len(self.spec.isolation.groups))
+        self._state, self.last = as_records([state, last]) if plants else (state, last)
+        self._run: FusedRun | None = None
+        if plan is not None and plan.names:
+            self._run = FusedRun(self.spec, plan, self._state, len(self.generator.plant.inputs), self.last)
+        #: In NumPy: the decisions that hold the last sample of each plant, and where in them.
+        self._made, self._place_in_made = np.empty(plants, dtype=object), np.zeros(plants, dtype=np.int64)
+        self._looked_up: tuple[Any, NDArray[np.int64] | None] = (None, None)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """What tells that two monitors run the same: the SHA-256 of all that they are made of."""
+        content = monitor_out(self.monitor)
+        ran = {name: content[name] for name in sorted(content) if name not in ("state", "notes", "fit_check")}
+        return hashlib.sha256(json.dumps(ran, sort_keys=True).encode()).hexdigest()
+
+    @property
+    def state(self) -> State:
+        """Of all plants, in the order of their ids."""
+        return self._state if self._run is None else self._run.state
+
+    # ----------------------------------------------------------------------- running
+
+    def places(self, ids: Any) -> NDArray[np.int64] | None:
+        """Return the rows of plants, ``None`` for all in order; the same list again is not looked up again."""
+        if ids is self._looked_up[0] and ids is not None:
+            return self._looked_up[1]
+        if ids is None:
+            return None
+        keys = ids.tolist() if isinstance(ids, np.ndarray) else list(ids)
+        if keys == self.ids:
+            rows = None
+        else:
+            try:
+                rows = np.fromiter(map(self.rows.__getitem__, keys), dtype=np.int64, count=len(keys))
+            except KeyError as error:
+                raise DataError(f"the fleet has no plant {echo(error.args[0])}: add([...]) it first") from error
+        if isinstance(ids, tuple):  # nothing else is sure to be the same when it comes again
+            self._looked_up = (ids, rows)
+        return rows
+
+    def tick(self, rows: NDArray[np.int64] | None, u: NDArray, y: NDArray, threads: int) -> Tick:
+        """Go on with one sample of some plants; (records, channels). Records of one plant are applied in order."""
+        passes = [] if rows is None else _passes(rows, len(self.ids))
+        if not passes:
+            return self._pass(rows, u[:, None], y[:, None], threads)
+        parts = []
+        for which in passes:
+            places = None if rows is None else rows[which]
+            parts.append(self._pass(places, u[which, None], y[which, None], threads))
+        order = np.argsort(np.concatenate(passes), kind="stable")
+        return Tick(*(np.concatenate([getattr(part, one.name) for part in parts])[order] for one in fields(Tick)))
+
+    def _pass(self, rows: NDArray[np.int64] | None, u: NDArray, y: NDArray, threads: int) -> Tick:
+        """Go on with one sample of plants, each once."""
+        run = self._run
+        if run is not None:
+            out: dict[str, Any] = run.outputs(len(y), 1, _TOLD)
+            run.run(u, y, out, rows, threads=threads)
+        else:
+            places = np.arange(len(self.ids)) if rows is None else rows
+            data = np.ascontiguousarray(np.concatenate([u, y], axis=2))
+            after, made = run_reference(self.spec, rows_of(self.state, places), data)
+            self._state = written_rows(self.state, places, after)
+            self._remember(places, made)
+            out = {name: getattr(made, name) for name in _TOLD}
+        missing, decided, statistic, alarm = (out[name][:, 0] for name in _TOLD)
+        self._follow_alarms(rows, alarm)
+        return Tick(alarm, decided, missing, statistic)
+
+    def _remember(self, places: NDArray[np.int64], made: Decisions) -> None:
+        """Keep what was decided on the last sample of plants, in NumPy."""
+        self.last.remember(places, made)
+        self._made[places], self._place_in_made[places] = made, np.arange(len(places))
+
+    def _follow_alarms(self, rows: NDArray[np.int64] | None, alarm: NDArray[np.bool_]) -> None:
+        """Note which alarms were raised, and forget those that have ended."""
+        for row in [row for row in self.standing if not self.last.flags[row] & 1]:
+            del self.standing[row]
+        on = np.flatnonzero(alarm)
+        for row in (on if rows is None else rows[on]).tolist():
+            if row not in self.standing:
+                count = int(self.state.count[row])
+                self.standing[row] = (count - int(self.last.up[row]), count - 1)
+
+    def run(self, data: NDArray[np.float64], threads: int) -> Decisions:
+        """Go on with a block of all plants, (plants, time, channels)."""
+        run, before = self._run, self.state.count.copy()
+        if run is not None:
+            inputs = len(self.generator.plant.inputs)
+            outputs = run.outputs(data.shape[0], data.shape[1])
+            run.run(data[..., :inputs], data[..., inputs:], outputs, threads=threads)
+            decisions = decisions_of(outputs)
+        else:
+            after, decisions = run_reference(self.spec, self.state, data)
+            self._state = written_rows(self.state, np.arange(len(self.ids)), after)
+        if data.shape[1]:
+            if run is None:
+                self._remember(np.arange(len(self.ids)), decisions)
+            self._follow_block(decisions, before)
+        return decisions
+
+    def _follow_block(self, decisions: Decisions, before: NDArray[np.int64]) -> None:
+        """Note the alarms that stand after a block."""
+        standing = {}
+        for row in np.flatnonzero(decisions.alarm[:, -1]).tolist():
+            off = np.flatnonzero(~decisions.alarm[row])
+            if not off.size and row in self.standing:
+                standing[row] = self.standing[row]
+                continue
+            raised = int(off[-1]) + 1 if off.size else 0
+            number = int(before[row]) + raised
+            standing[row] = (number + 1 - int(decisions.up[row, raised]), number)
+        self.standing = standing
+
+    # ----------------------------------------------------------------------- looking
+
+    def decision(self, row: int) -> Decision:
+        """Return the decision on the last sample of a plant."""
+        if not self.state.count[row]:
+            raise DataError(f"the plant {echo(self.ids[row])} has had no sample yet")
+        state = rows_of(self.state, np.array([row]))
+        if self._run is None and self._made[row] is not None:
+            made = _last_sample(rows_of(self._made[row], self._place_in_made[[row]]))
+            return decision_from(made, self.spec, self.generator, state)
+        one, flags = self.last, int(self.last.flags[row])
+        alarm, usable, missing = (np.array([[bool(flags & bit)]]) for bit in (1, 2, 4))
+        out: dict[str, Any] = {
+            "alarm": alarm,
+            "usable": usable,
+            "missing": missing,
+            "exceeded": alarm,
+            "whitened": None,
+        }
+        out |= {"aside": np.zeros((1, 1, self.spec.B.shape[1]), dtype=bool), "up": one.up[[row], None]}
+        out |= {"statistic": one.statistic[[row], None], "residuals": one.residuals[[row], None]}
+        made = decisions_of(out | {"scores": one.scores[[row], None]})
+        if self.spec.members:  # of a restored fleet of banks: which fired is known again with the next sample
+            nobody = np.zeros((1, 1, len(self.spec.members)))
+            made = replace(made, tested=replace(made.tested, part_statistics=nobody, fired=nobody.astype(bool)))
+        return decision_from(made, self.spec, self.generator, state)
+
+    def alarms(self) -> list[FleetAlarm]:
+        """Return the alarms that stand, the oldest first."""
+        dt, isolation, scores = self.generator.dt, self.spec.isolation, self.last.scores
+        return [
+            FleetAlarm(self.ids[row], onset * dt, raised * dt, isolation.candidates(scores[row]))
+            for row, (onset, raised) in sorted(self.standing.items(), key=lambda item: item[1][1])
+        ]
+
+    # ------------------------------------------------------------------- other plants
+
+    def of(self, rows: NDArray[np.int64]) -> FleetBlock:
+        """Return a block of some of the plants, with a state of its own."""
+        places = {int(row): k for k, row in enumerate(rows)}
+        standing = {places[row]: when for row, when in self.standing.items() if row in places}
+        part = FleetBlock(self.monitor, [self.ids[row] for row in rows], rows_of(self.state, rows), standing)
+        part.take_over(rows_of(self.last, rows), self._made[rows], self._place_in_made[rows])
+        return part
+
+    def take_over(self, last: LastSample, made: NDArray | None = None, places: NDArray | None = None) -> None:
+        """Take over what was decided on the last sample of every plant."""
+        written_rows(self.last, np.arange(len(self.ids)), last)
+        if made is not None and places is not None:
+            self._made, self._place_in_made = made.copy(), places.copy()
+
+    @staticmethod
+    def joined(parts: Sequence[FleetBlock]) -> FleetBlock:
+        """Return blocks as one."""
+        first, standing, start = parts[0], {}, 0
+        for part in parts:
+            standing |= {start + row: when for row, when in part.standing.items()}
+            start += len(part.ids)
+        ids = [plant for part in parts for plant in part.ids]
+        whole = FleetBlock(first.monitor, ids, _stacked([part.state for part in parts]), standing)
+        made = np.concatenate([part._made for part in parts])
+        places = np.concatenate([part._place_in_made for part in parts])
+        whole.take_over(_stacked([part.last for part in parts]), made, places)
+        return whole
+
+
+def _last_sample(whole: Any) -> Any:
+    """Return a dataclass of arrays of (plants, time, ...) with the last sample alone."""
+    if whole is None:
+        return None
+    if isinstance(whole, np.ndarray):
+        return whole[:, -1:]
+    return type(whole)(**{one.name: _last_sample(getattr(whole, one.name)) for one in fields(whole)})
+
+
+def _passes(rows: NDArray[np.int64], plants: int) -> list[NDArray[np.int64]]:
+    """Return which records to apply together, so that each plant is there once at a time; empty for all of them."""
+    if len(rows) < 2 or np.bincount(rows, minlength=plants).max() == 1:
+        return []
+    order = np.argsort(rows, kind="stable")
+    first = np.concatenate([[True], rows[order][1:] != rows[order][:-1]])
+    begins = np.maximum.accumulate(np.where(first, np.arange(len(rows)), 0))
+    number = np.empty(len(rows), dtype=np.int64)
+    number[order] = np.arange(len(rows)) - begins
+    return [np.flatnonzero(number == k) for k in range(int(number.max()) + 1)]
+
+
+def _stacked(parts: Sequence[Any]) -> Any:
+    """Return dataclasses of arrays as one, with the plants one after the other."""
+    first = parts[0]
+    if first is None:
+        return None
+    if isinstance(first, np.ndarray):
+        if all(takes_no_memory(one) for one in parts):
+            return np.broadcast_to(0.0, (sum(map(len, parts)), *first.shape[1:]))
+        return np.concatenate(parts)
+    return type(first)(**{one.name: _stacked([getattr(part, one.name) for part in parts]) for one in fields(first)})
+
+
+__all__ = ["FleetAlarm", "FleetBlock", "Tick"]

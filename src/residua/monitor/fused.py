@@ -1,0 +1,371 @@
+"""The fused loop: filter, test and isolation in one pass over the data, where there is a compiled kernel.
+
+It gives the same bits as :mod:`residua.monitor.running`, its reference, which runs where there is no kernel, where
+``RESIDUA_NO_COMPILED`` is ``1``, or where a test or an isolation is not written in C. What a Kalman filter does
+with missing values is NumPy's: the loop leaves a plant where they begin, and takes it up again after some samples.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields, is_dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide.compiled import STATISTICS, CompiledIsolation, CompiledTest
+from residua.decide.isolation import Scores
+from residua.decide.test import Block, Tested
+from residua.linear.systems.recursion import best_path, compiled
+from residua.monitor.filtering import filter_block
+from residua.monitor.running import Decisions, State, judged, rows_of, run_reference, written_rows
+from residua.monitor.specification import Specification
+
+try:
+    if os.environ.get("RESIDUA_NO_COMPILED") == "1":
+        _kernel = None
+    else:
+        import residua.monitor._fused as _kernel  # pyright: ignore[reportMissingImports]
+except ImportError:  # built without a C compiler
+    _kernel = None
+
+#: What a block leaves, in the order of the kernel.
+OUTPUTS = (
+    *("residuals", "missing", "aside", "usable", "statistic", "exceeded", "alarm", "up", "whitened", "scores", "ready"),
+)
+_TYPES = {
+    "ready": bool,
+    "missing": bool,
+    "aside": bool,
+    "usable": bool,
+    "exceeded": bool,
+    "alarm": bool,
+    "up": np.int64,
+}
+#: What a step returns in one number, and that the plant is left to NumPy.
+_FLAGS, _IS_LEFT = {1: "alarm", 2: "usable", 4: "missing"}, 8
+#: Samples that NumPy runs of a plant that was left to it before the loop takes it up again.
+_LEFT = 256
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What the kernel needs of a specification, in its order.
+
+    Attributes
+    ----------
+    integers, numbers : ndarray
+    arrays : tuple of ndarray or None
+    widths : mapping of str to int
+        Columns of each output; 0 for one without an axis of its own.
+    names : bool
+        Whether the isolation is in C too.
+    """
+
+    integers: NDArray[np.int64]
+    numbers: NDArray[np.float64]
+    arrays: tuple[NDArray | None, ...]
+    widths: dict[str, int]
+    names: bool
+
+
+def plan_of(spec: Specification) -> Plan | None:
+    """Return what the kernel needs; ``None`` where NumPy runs. It is made once for a specification."""
+    if _kernel is None or not compiled():
+        return None
+    known = spec.__dict__.get("_plan", False)
+    if known is False:
+        test = spec.test.compiled
+        usual = test is not None and spec.test.responses is None and not spec.test.reads_signals
+        known = _plan(spec, test) if usual and test is not None else None
+        object.__setattr__(spec, "_plan", known)
+    return known
+
+
+def _plan(spec: Specification, test: CompiledTest) -> Plan:
+    named = spec.isolation.compiled
+    naming = named or CompiledIsolation()
+    channels, k = spec.B.shape[1], test.whitening.shape[1]
+    first = spec.first
+    integers = [
+        len(spec.A), channels, 0, len(spec.C), spec.settle, spec.max_hold,
+        0 if first is None else first.samples, 0 if first is None else first.ratios.shape[1], spec.partial is not None,
+        STATISTICS.index(test.statistic) + 1, k, test.window, test.persistence, test.release,
+        0 if test.coefficients is None else len(test.coefficients), 0 if test.scores is None else len(test.scores),
+        test.sums, 0 if test.along is None else test.along.shape[1], len(naming.bases), naming.window,
+        sum(basis.shape[1] for basis in naming.bases),
+    ]  # fmt: skip
+    numbers = [
+        *(test.threshold, test.release_level, test.allowance, 1 - test.weight, test.weight, test.deviation),
+    ]
+    started = (None, None, None) if first is None else (first.rows, first.correction, first.ratios)
+    bases = np.hstack(naming.bases) if naming.bases else None
+    arrays = (
+        spec.A, spec.B, spec.C, spec.D, spec.start, spec.offset, *spec.plausible.T, *started, test.center,
+        test.whitening, test.coefficients, test.rewhitening, test.knots, test.scores, test.along, bases,
+    )  # fmt: skip
+    dimensions = np.array([basis.shape[1] for basis in naming.bases], dtype=np.int64) if naming.bases else None
+    widths = {"residuals": len(spec.C), "aside": channels, "whitened": k, "scores": len(naming.bases)}
+    return Plan(
+        np.array(integers, dtype=np.int64),
+        np.array(numbers, dtype=float),
+        (*(None if a is None else np.ascontiguousarray(a, dtype=float) for a in arrays), dimensions),
+        widths,
+        named is not None,
+    )
+
+
+def state_arrays(spec: Specification, state: State) -> tuple[NDArray | None, ...]:
+    """Return the arrays of a state in the order of the kernel; ``None`` for what it does not read."""
+    f = state.filter
+    named = spec.isolation.compiled
+    naming = state.isolation.arrays() if named is not None and named.bases else (None, None, None)
+    return (
+        f.x, f.held, f.gap, f.running, f.age, f.resets, f.broken, f.starting,
+        None if spec.first is None else f.start_sums, f.moved, f.apart,
+        state.count, *state.test.arrays(), *naming,
+    )  # fmt: skip
+
+
+def _there(values: NDArray | None) -> NDArray:
+    assert values is not None
+    return values
+
+
+def _row(values: Any) -> NDArray[np.float64]:
+    return np.zeros((1, 1, 0)) if values is None else np.asarray(values, dtype=float)[None, None]
+
+
+def copied(whole: Any) -> Any:
+    """Return a dataclass of arrays with arrays of its own; those that are broadcast from one number stay so."""
+    if isinstance(whole, np.ndarray):
+        return whole if whole.size and not any(whole.strides) else whole.copy()
+    if not is_dataclass(whole):
+        return whole
+    return type(whole)(**{one.name: copied(getattr(whole, one.name)) for one in fields(whole)})  # pyright: ignore
+
+
+@dataclass(frozen=True, eq=False)
+class LastSample:
+    """What was decided on the last sample of every plant, a row each, in the order of the kernel.
+
+    Attributes
+    ----------
+    flags : ndarray of uint8
+        1 in alarm, 2 decided, 4 a value missing, added.
+    statistic : ndarray
+    residuals : ndarray, shape (plants, residuals)
+    up : ndarray of int
+        Samples in a row over the threshold.
+    scores : ndarray, shape (plants, groups)
+        Of those in alarm.
+    """
+
+    flags: NDArray[np.uint8]
+    statistic: NDArray[np.float64]
+    residuals: NDArray[np.float64]
+    up: NDArray[np.int64]
+    scores: NDArray[np.float64]
+
+    @staticmethod
+    def blank(plants: int, residuals: int, groups: int) -> LastSample:
+        """Return that nothing was decided yet."""
+        return LastSample(
+            np.zeros(plants, dtype=np.uint8),
+            np.full(plants, np.nan),
+            np.full((plants, residuals), np.nan),
+            np.zeros(plants, dtype=np.int64),
+            np.full((plants, groups), np.nan),
+        )
+
+    def remember(self, rows: NDArray[np.int64], made: Decisions) -> None:
+        """Keep the last sample of decisions on some plants."""
+        flags = (made.alarm, made.usable, made.missing)
+        self.flags[rows] = sum((one[:, -1].astype(np.uint8) << bit for bit, one in enumerate(flags)), np.uint8(0))
+        self.statistic[rows], self.residuals[rows] = made.statistic[:, -1], made.residuals[:, -1]
+        self.up[rows] = made.up[:, -1]
+        self.scores[rows] = made.scores[:, -1]
+
+
+class FusedRun:
+    """A state that is run in place, with the kernel that runs it.
+
+    Parameters
+    ----------
+    spec : Specification
+    plan : Plan
+    state : State
+        Its arrays change.
+    inputs : int, optional
+        Channels that come as ``u``, the others as ``y``; all when omitted.
+    last : LastSample, optional
+        Where to keep the decisions on the last sample of every plant.
+    """
+
+    def __init__(
+        self, spec: Specification, plan: Plan, state: State, inputs: int | None = None, last: LastSample | None = None
+    ) -> None:
+        assert _kernel is not None
+        self.spec, self.plan, self.state, self.last = spec, plan, state, last
+        self.plants = len(state.count)
+        self._one: dict[str, NDArray | None] | None = None
+        integers = plan.integers.copy()
+        self._inputs = int(integers[1]) if inputs is None else inputs
+        integers[1:3] = self._inputs, integers[1] - self._inputs
+        names = [one.name for one in fields(LastSample)]
+        kept = [None if last is None else getattr(last, name) for name in names]
+        if not plan.widths["scores"]:
+            kept[-1] = None
+        self._kernel = _kernel.Runner(
+            integers, plan.numbers, plan.arrays, (*state_arrays(spec, state), *kept), self.plants, best_path()
+        )
+
+    def outputs(self, plants: int, time: int, keep: Sequence[str] = OUTPUTS) -> dict[str, NDArray | None]:
+        """Return arrays for what a block leaves: zeros, for much of it is written only where it is not zero."""
+        out: dict[str, NDArray | None] = {}
+        for name in OUTPUTS:
+            width = self.plan.widths.get(name)
+            shape = (plants, time) if width is None else (plants, time, width)
+            kept = name in keep and not (name == "ready" and self.plan.names)
+            out[name] = np.zeros(shape, dtype=_TYPES.get(name, np.float64)) if kept else None
+        return out
+
+    def run(
+        self,
+        u: NDArray[np.float64],
+        y: NDArray[np.float64],
+        outputs: dict[str, NDArray | None],
+        rows: NDArray[np.int64] | None = None,
+        *,
+        threads: int = 1,
+    ) -> None:
+        """Go on with a block.
+
+        Parameters
+        ----------
+        u, y : ndarray, shape (plants, time, channels)
+        outputs : dict
+            As :meth:`outputs` makes them.
+        rows : ndarray of int, shape (plants,), optional
+            Whose data they are: each row of the state once. All rows in order when omitted.
+        threads : int
+            The plants are shared among so many.
+        """
+        done, time = np.zeros(len(y), dtype=np.int64), y.shape[1]
+        call = (u, y, tuple(outputs[name] for name in OUTPUTS), rows, done)
+        self._shared(call, threads)
+        while True:
+            left = np.flatnonzero(done < time)
+            if not left.size:
+                return
+            for begin in np.unique(done[left]).tolist():
+                who = left[done[left] == begin]
+                places = who if rows is None else rows[who]
+                self._leave(places, who, u, y, outputs, done)
+            self._shared(call, threads)
+
+    def _shared(self, call: tuple[Any, ...], threads: int) -> None:
+        plants = len(call[-1])
+        if threads == 1 or plants < 2 * threads:
+            self._kernel.run(*call, 0, plants)
+            return
+        bounds = np.linspace(0, plants, threads + 1).astype(int).tolist()
+        with ThreadPoolExecutor(threads) as pool:
+            parts = [pool.submit(self._kernel.run, *call, *ends) for ends in pairwise(bounds)]
+            for part in parts:
+                part.result()
+
+    def block(self, data: NDArray[np.float64], outputs: dict[str, NDArray | None]) -> Decisions:
+        """Go on with a block of (plants, time, channels), and return what was decided, isolation included."""
+        before = self.state
+        count = before.count.copy()
+        self.run(data[..., : self._inputs], data[..., self._inputs :], outputs)
+        decisions = decisions_of(outputs)
+        if self.plan.names:
+            return decisions
+        block = Block(decisions.residuals, _there(outputs["ready"]), count)
+        isolation, named = self.spec.isolation.run(before.isolation, block, decisions.tested)
+        self.state = replace(self.state, isolation=isolation)
+        return replace(decisions, named=named)
+
+    # ------------------------------------------------------------------------ one sample
+
+    def step(self, u: Any, y: Any) -> tuple[bool, bool, bool, float]:
+        """Go on with one sample of one plant, and return alarm, whether it was decided, missing, and the statistic.
+
+        Raises an error of Python where u or y is no array of floats with as many numbers as there are channels.
+        """
+        out = self._one
+        if out is None:
+            self._one = out = self.outputs(1, 1)
+            self._kernel.bind(tuple(out[name] for name in OUTPUTS))
+        flags, statistic = self._kernel.step(u, y)
+        if flags & _IS_LEFT:
+            one = np.zeros(1, dtype=np.int64)
+            self._leave(one, one, _row(u), _row(y), out, one.copy())
+            flags = sum(bit for bit, name in _FLAGS.items() if _there(out[name])[0, 0])
+            statistic = float(_there(out["statistic"])[0, 0])
+        return bool(flags & 1), bool(flags & 2), bool(flags & 4), statistic
+
+    def last_residual(self) -> NDArray[np.float64]:
+        """Return the residual of the last step."""
+        assert self._one is not None
+        return _there(self._one["residuals"])[0, 0].copy()
+
+    def last_decisions(self) -> Decisions:
+        """Return the decisions of the last step."""
+        assert self._one is not None
+        return decisions_of({name: None if values is None else values.copy() for name, values in self._one.items()})
+
+    # ------------------------------------------------------------------- left to NumPy
+
+    def _leave(
+        self,
+        rows: NDArray[np.int64],
+        who: NDArray[np.int64],
+        u: NDArray,
+        y: NDArray,
+        outputs: dict[str, NDArray | None],
+        done: NDArray[np.int64],
+    ) -> None:
+        """Run some samples of plants in NumPy, all from the same one on."""
+        part = slice(int(done[who[0]]), min(int(done[who[0]]) + _LEFT, y.shape[1]))
+        data = np.ascontiguousarray(np.concatenate([u[who, part], y[who, part]], axis=2))
+        before = rows_of(self.state, rows)
+        filter_state, filtered = filter_block(self.spec, before.filter, data)
+        after, made = judged(self.spec, before, filter_state, filtered, name=self.plan.names)
+        self.state = written_rows(self.state, rows, after)
+        beside = {"ready": filtered.usable, "whitened": made.tested.whitened}
+        for name, values in outputs.items():
+            if values is not None:
+                values[who, part] = beside[name] if name in beside else getattr(made, name)
+        if self.last is not None:
+            self.last.remember(rows, made)
+        done[who] = part.stop
+
+
+def decisions_of(outputs: dict[str, Any]) -> Decisions:
+    """Return what a block left as decisions; names are those of an isolation in C."""
+    shape = () if outputs["alarm"] is None else outputs["alarm"].shape
+    nobody = np.zeros((*shape, 0))
+    usable, statistic, exceeded, alarm, up = (outputs[n] for n in ("usable", "statistic", "exceeded", "alarm", "up"))
+    whitened = nobody if outputs["whitened"] is None else outputs["whitened"]
+    tested = Tested(usable, statistic, exceeded, alarm, up, whitened, nobody, nobody.astype(bool))
+    return Decisions(outputs["residuals"], outputs["missing"], outputs["aside"], tested, Scores(outputs["scores"]))
+
+
+def run_block(spec: Specification, state: State, data: NDArray[np.float64]) -> tuple[State, Decisions]:
+    """Run filter, test and isolation over a block of samples; see :func:`residua.monitor.running.run_reference`."""
+    plan = plan_of(spec)
+    if plan is None:
+        return run_reference(spec, state, data)
+    run = FusedRun(spec, plan, copied(state))
+    decisions = run.block(data, run.outputs(data.shape[0], data.shape[1]))
+    return run.state, decisions
+
+
+__all__ = ["OUTPUTS", "FusedRun", "LastSample", "Plan", "copied", "decisions_of", "plan_of", "run_block"]

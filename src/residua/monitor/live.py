@@ -1,0 +1,152 @@
+"""What a monitor goes on from: the state after the last sample, in the hands of the fused loop where there is one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide.isolation import Scores
+from residua.decide.test import Tested
+from residua.design import ResidualGenerator
+from residua.errors import DataError, SettingError
+from residua.monitor.decision import Decision, decision_from
+from residua.monitor.fused import OUTPUTS, FusedRun, copied, decisions_of, plan_of
+from residua.monitor.running import Decisions, State, initial_state, joined_decisions, run_reference
+from residua.monitor.specification import Specification
+from residua.visible import echo, listed
+
+#: Samples per piece when a recording is run: bounds memory and lets progress be shown.
+PIECE = 100_000
+#: What users can have of a block: all that decisions have but what they are made from.
+KEPT = ("residuals", "missing", "aside", "usable", "statistic", "exceeded", "alarm", "up", "scores")
+#: What is not needed of a recording once it is judged.
+_PASSING = ("whitened", "ready")
+
+
+class Live:
+    """The running state of a monitor, changed in place by the kernel.
+
+    Parameters
+    ----------
+    inputs : int
+        Channels of u; the others are of y.
+
+    Attributes
+    ----------
+    state : State or None
+        ``None`` before the first sample. Setting it makes the next block go on from there.
+    """
+
+    def __init__(self, inputs: int) -> None:
+        self.inputs = inputs
+        self.state: State | None = None
+        self._run: FusedRun | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out the kernel, which belongs to the arrays of this very object."""
+        return {"inputs": self.inputs, "state": self.state, "_run": None}
+
+    def go_on(
+        self, spec: Specification, data: NDArray[np.float64], keep: Sequence[str] | None = None
+    ) -> tuple[Decisions, State]:
+        """Return what was decided on a block of (plants, time, channels), and the state after it."""
+        if self.state is not None and len(self.state.count) != len(data):
+            raise DataError(
+                f"the monitor follows {len(self.state.count)} plants, the block has {len(data)}; reset() first"
+            )
+        run = self._fused(spec, len(data))
+        if run is None:
+            state = initial_state(spec, len(data)) if self.state is None else self.state
+            self.state, decisions = run_reference(spec, state, data)
+            return (decisions if keep is None else _only(decisions, keep)), self.state
+        wanted = OUTPUTS if keep is None else (*keep, *(() if run.plan.names else ("residuals", "ready", "usable")))
+        outputs = run.outputs(data.shape[0], data.shape[1], wanted)
+        decisions = run.block(data, outputs)
+        self.state = run.state
+        return (decisions if keep is None else _only(decisions, keep)), run.state
+
+    def step(self, spec: Specification, generator: ResidualGenerator, u: Any, y: Any) -> Decision | None:
+        """Return the decision on one sample, if the kernel can take it as it is."""
+        run = self._fused(spec, 1)
+        if run is None or not run.plan.names or run.plants != 1:
+            return None
+        try:
+            alarm, decided, missing, statistic = run.step(u, y)
+        except (TypeError, ValueError, BufferError):
+            return None  # what is wrong with them is said where they are checked
+        self.state = run.state
+        if alarm:
+            return decision_from(run.last_decisions(), spec, generator, run.state)
+        return Decision.quiet(run.last_residual(), statistic, decided, missing, generator)
+
+    def _fused(self, spec: Specification, plants: int) -> FusedRun | None:
+        """Return the kernel on the state; ``None`` where NumPy runs."""
+        run = self._run
+        if run is not None and run.state is self.state and run.spec is spec:
+            return run
+        plan = plan_of(spec)
+        if plan is None:
+            return None
+        state = initial_state(spec, plants) if self.state is None else self.state
+        self._run = FusedRun(spec, plan, copied(state), self.inputs)
+        self.state = self._run.state
+        return self._run
+
+
+def run_whole(
+    spec: Specification, data: NDArray[np.float64], progress: Callable[[int, int], None] | None = None
+) -> tuple[State, Decisions]:
+    """Run over whole recordings, (plants, time, channels), from a fresh start; progress is told by pieces."""
+    state, time = initial_state(spec, len(data)), data.shape[1]
+    plan = plan_of(spec)
+    run = None if plan is None else FusedRun(spec, plan, copied(state))
+    whole = run is not None and run.plan.names  # else isolation runs by pieces, which bounds its memory
+    out = run.outputs(len(data), time, [n for n in OUTPUTS if n not in _PASSING]) if run is not None and whole else {}
+    parts: list[Decisions] = []
+    for start in range(0, max(1, time), PIECE):
+        part = data[:, start : start + PIECE]
+        if run is None:
+            state, decisions = run_reference(spec, state, part)
+            parts.append(decisions)
+        elif whole:
+            places = {n: None if v is None else v[:, start : start + PIECE] for n, v in out.items()}
+            run.run(part, part[..., :0], places)
+        else:
+            parts.append(run.block(part, run.outputs(part.shape[0], part.shape[1])))
+        if progress is not None:
+            progress(min(start + PIECE, time), time)
+    if run is None:
+        return state, joined_decisions(parts)
+    return run.state, decisions_of(out) if whole else joined_decisions(parts)
+
+
+def checked_keep(keep: Sequence[str] | None) -> tuple[str, ...] | None:
+    """Return the names of what is to be kept of a block; ``None`` for all."""
+    if keep is None:
+        return None
+    names = (keep,) if isinstance(keep, str) else tuple(keep)
+    for name in names:
+        if name not in KEPT:
+            raise SettingError(f"keep: decisions have no {echo(name)}; they have {listed(KEPT)}")
+    return names
+
+
+def _only(decisions: Decisions, keep: Sequence[str]) -> Decisions:
+    """Return decisions with what is not kept left out: ``None`` in its place."""
+    tested = decisions.tested
+    fields = ("usable", "statistic", "exceeded", "alarm", "up")
+    only: Any = {name: getattr(tested, name) if name in keep else None for name in fields}
+    made = Tested(**only, whitened=_none(), part_statistics=tested.part_statistics, fired=tested.fired)
+    parts: Any = {n: getattr(decisions, n) if n in keep else None for n in ("residuals", "missing", "aside")}
+    scores = decisions.named.scores if "scores" in keep else _none()
+    return Decisions(**parts, tested=made, named=Scores(scores, code=decisions.named.code))
+
+
+def _none() -> Any:
+    return None
+
+
+__all__ = ["KEPT", "PIECE", "Live", "checked_keep", "run_whole"]

@@ -1,0 +1,221 @@
+"""What a fleet remembers as bytes: little-endian columns behind a header, with a checksum; none of it is executed.
+
+The layout, version 1: the mark ``RESIDUAF``; the version and the length of the header, four bytes each; the header,
+JSON in UTF-8, which names for each model the fingerprint of its monitor and its columns (name, type, shape); the
+columns, one after the other, each from a multiple of eight bytes on; and the SHA-256 of everything before it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import struct
+from collections.abc import Hashable, Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import FileFormatError, ResiduaError
+from residua.monitor.fleet_block import FleetBlock
+from residua.monitor.monitor import Monitor
+from residua.monitor.plant_records import takes_no_memory
+from residua.monitor.running import State, initial_state
+from residua.visible import echo, listed
+
+#: The mark and the version.
+MARK, VERSION = b"RESIDUAF", 1
+_HEAD, _SUM = struct.Struct("<8sII"), 32
+_TYPES = {"<f8": np.float64, "<i8": np.int64, "|b1": np.bool_, "|u1": np.uint8}
+
+
+def snapshot_of(blocks: Mapping[str, FleetBlock]) -> bytes:
+    """Return what blocks of plants remember, as bytes."""
+    models, columns = [], []
+    for name, block in blocks.items():
+        kept = _columns(block)
+        models.append(
+            {
+                "model": name,
+                "monitor": block.fingerprint,
+                "ids": _kind_of_ids(block.ids),
+                "columns": [[label, one.dtype.newbyteorder("<").str, list(one.shape)] for label, one in kept.items()],
+            }
+        )
+        columns += kept.values()
+    header = json.dumps({"models": models}, allow_nan=False).encode()
+    parts: list[Any] = [_HEAD.pack(MARK, VERSION, len(header)), header, _padding(_HEAD.size + len(header))]
+    for one in columns:
+        little = np.ascontiguousarray(one, dtype=one.dtype.newbyteorder("<"))
+        parts += [little.data.cast("B") if little.size else b"", _padding(little.nbytes)]
+    check = hashlib.sha256()
+    for part in parts:
+        check.update(part)
+    return b"".join([*parts, check.digest()])
+
+
+def restored_blocks(content: bytes, monitors: Mapping[str, Monitor]) -> dict[str, FleetBlock]:
+    """Return the blocks of a snapshot, for the monitors that they ran with."""
+    view = memoryview(content)
+    header, start = _header(view)
+    try:
+        blocks = {}
+        for model in header["models"]:
+            name, kept = model["model"], {}
+            for label, kind, shape in model["columns"]:
+                kept[label], start = _column(view, start, kind, shape, label)
+            blocks[name] = _block(name, model, kept, monitors)
+    except ResiduaError:
+        raise
+    except (TypeError, KeyError, ValueError, AttributeError, OverflowError) as error:
+        raise FileFormatError(f"the header of this snapshot is none: {error}") from error
+    if start != len(view) - _SUM:
+        raise FileFormatError("this snapshot has more in it than its header says")
+    missing = [name for name in monitors if name not in blocks]
+    if missing:
+        raise FileFormatError(f"this snapshot has no model {listed(missing)}; it has {listed(list(blocks))}")
+    return blocks
+
+
+def _header(view: memoryview) -> tuple[dict[str, Any], int]:
+    """Return the header of a snapshot whose checksum is right, and where its columns begin."""
+    if len(view) < len(MARK) or bytes(view[: len(MARK)]) != MARK:
+        raise FileFormatError("these bytes are no snapshot of a fleet")
+    if len(view) < _HEAD.size + _SUM:
+        raise FileFormatError("this snapshot is cut short")
+    _, version, length = _HEAD.unpack_from(view)
+    if version != VERSION:
+        raise FileFormatError(f"this snapshot has version {version}, this residua reads version {VERSION}")
+    if hashlib.sha256(view[:-_SUM]).digest() != bytes(view[-_SUM:]):
+        raise FileFormatError("this snapshot is cut short or was changed: its checksum is that of other bytes")
+    try:
+        header = json.loads(bytes(view[_HEAD.size : _HEAD.size + length]))
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(f"the header of this snapshot is none: {error}") from error
+    if not isinstance(header, dict) or not isinstance(header.get("models"), list):
+        raise FileFormatError("the header of this snapshot is none: it has no models")
+    start = _HEAD.size + length
+    return header, start + len(_padding(start))
+
+
+def _column(view: memoryview, start: int, kind: str, shape: list[int], label: str) -> tuple[NDArray, int]:
+    if kind not in _TYPES or any(not isinstance(n, int) or n < 0 for n in shape):
+        raise FileFormatError(f"the column {echo(label)} of this snapshot is no array")
+    count = math.prod(shape)
+    size = count * np.dtype(kind).itemsize
+    if start + size > len(view) - _SUM:
+        raise FileFormatError("this snapshot is shorter than its header says")
+    array = np.frombuffer(view, dtype=kind, count=count, offset=start).reshape(shape).astype(_TYPES[kind])
+    return array, start + size + len(_padding(size))
+
+
+def _padding(size: int) -> bytes:
+    return bytes(-size % 8)
+
+
+# ----------------------------------------------------------------------------- one model
+
+
+def _columns(block: FleetBlock) -> dict[str, NDArray]:
+    """Return what a block remembers, by name."""
+    standing = np.array([(row, *when) for row, when in block.standing.items()], dtype=np.int64).reshape(-1, 3)
+    out = {"ids": _ids_out(block.ids), "standing": standing}
+    return out | dict(_arrays(block.state, "state")) | dict(_arrays(block.last, "last"))
+
+
+def _arrays(whole: Any, where: str) -> list[tuple[str, NDArray]]:
+    """Return the arrays of a state by name; those that take no memory are left out."""
+    if whole is None:
+        return []
+    if isinstance(whole, np.ndarray):
+        return [] if takes_no_memory(whole) else [(where, whole)]
+    return [pair for one in fields(whole) for pair in _arrays(getattr(whole, one.name), f"{where}.{one.name}")]
+
+
+def _state_from(like: Any, kept: dict[str, NDArray], where: str) -> Any:
+    """Return the state that columns describe; what was left out is as at the start."""
+    if like is None:
+        return None
+    if is_dataclass(like):
+        parts = {one.name: _state_from(getattr(like, one.name), kept, f"{where}.{one.name}") for one in fields(like)}
+        return type(like)(**parts)  # pyright: ignore[reportCallIssue]
+    array = kept.pop(where, None)
+    if array is None:
+        if takes_no_memory(like):
+            return like
+        raise FileFormatError(f"this snapshot has no column {where!r}")
+    if array.shape != like.shape or array.dtype != like.dtype:
+        raise FileFormatError(f"the column {where!r} of this snapshot has another type or shape")
+    return array
+
+
+def _block(name: str, model: Any, kept: dict[str, NDArray], monitors: Mapping[str, Monitor]) -> FleetBlock:
+    label = f" {name!r}" if name else ""
+    if name not in monitors:
+        raise FileFormatError(
+            f"this snapshot has a model{label} that no monitor is given for: monitors={{name: monitor}}"
+        )
+    ids = _ids_in(kept.pop("ids"), str(model["ids"]))
+    block = FleetBlock(monitors[name], ids)
+    if model["monitor"] != block.fingerprint:
+        raise FileFormatError(f"this snapshot is of another monitor{label}, or of other thresholds")
+    state: State = _state_from(initial_state(block.spec, len(ids)), kept, "state")
+    _check_state(block, state)
+    standing = kept.pop("standing")
+    if standing.ndim != 2 or standing.shape[1] != 3 or not ((standing >= 0) & (standing[:, :1] < len(ids))).all():
+        raise FileFormatError("the alarms of this snapshot are none of its plants")
+    block = FleetBlock(monitors[name], ids, state, {int(row): (int(a), int(b)) for row, a, b in standing})
+    block.take_over(_state_from(block.last, kept, "last"))
+    if kept:
+        raise FileFormatError(f"this snapshot has columns that are not known: {listed(list(kept))}")
+    return block
+
+
+def _check_state(block: FleetBlock, state: State) -> None:
+    """Raise where a state cannot be one; the checksum keeps out damage, and this what somebody made up."""
+    counters = (state.count, state.filter.age, state.filter.gap, state.filter.resets, state.filter.broken)
+    if any((one < 0).any() for one in counters) or not np.isfinite(state.filter.x).all():
+        raise FileFormatError("this snapshot holds a filter that cannot be")
+    first = block.spec.first
+    if first is not None and (state.filter.age[state.filter.starting] >= first.samples).any():
+        raise FileFormatError("this snapshot holds a start that should be over")
+    try:
+        block.spec.test.check_state(state.test)
+        block.spec.isolation.check_state(state.isolation, int(state.count.max(initial=0)))
+    except ResiduaError as error:
+        raise FileFormatError(f"this snapshot holds a state that cannot be: {error}") from error
+
+
+# -------------------------------------------------------------------------------- ids
+
+
+def _kind_of_ids(ids: list[Hashable]) -> str:
+    if all(type(one) is int for one in ids):
+        return "whole"
+    if all(type(one) is str for one in ids):
+        return "text"
+    raise FileFormatError("a snapshot holds plants whose ids are all whole numbers, or all texts")
+
+
+def _ids_out(ids: list[Any]) -> NDArray:
+    if _kind_of_ids(ids) == "whole":
+        try:
+            return np.array(ids, dtype=np.int64)
+        except OverflowError as error:
+            raise FileFormatError("the ids of plants must be whole numbers of 64 bits") from error
+    return np.frombuffer(json.dumps(ids).encode(), dtype=np.uint8)
+
+
+def _ids_in(column: NDArray, kind: str) -> list[Hashable]:
+    if kind == "whole" and column.ndim == 1 and column.dtype == np.int64:
+        return column.tolist()
+    if kind == "text" and column.ndim == 1 and column.dtype == np.uint8:
+        ids = json.loads(column.tobytes())
+        if isinstance(ids, list) and all(isinstance(one, str) for one in ids):
+            return ids
+    raise FileFormatError("the ids of this snapshot are none")
+
+
+__all__ = ["MARK", "VERSION", "restored_blocks", "snapshot_of"]

@@ -1,0 +1,336 @@
+"""Recordings read piece by piece: Parquet by batches of a row group, text by blocks of lines, .npz by memory map.
+
+What is read is what :func:`residua.read_recording` reads, bit for bit, or nothing: a file, or a piece of one, that is
+not plainly the same either way raises :class:`NotServedError`, and is then read by that function, which says what is
+wrong.
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.recording import csv_arrow
+from residua.recording.array_files import table_from_arrays
+from residua.recording.columns import ReadOptions
+from residua.recording.csv_table import open_csv
+from residua.recording.npz_files import array_header
+from residua.recording.recording import reads_as_number
+from residua.recording.unpacked import unpacked_limit
+
+#: Rows of a piece, about; bytes of a piece of text.
+ROWS, BYTES = 65_536, 1 << 23
+#: How far a file of text is read for its header.
+_HEAD = 1 << 20
+#: Times its own size that a file may unpack to, if that is over the limit: more is made to fill the disk.
+_UNPACKED = 1000
+_BOM = b"\xef\xbb\xbf"
+
+
+class NotServedError(Exception):
+    """A recording is not read piece by piece; the text says why."""
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """Rows of a recording.
+
+    Attributes
+    ----------
+    values : ndarray, shape (rows, channels)
+        Inputs, then outputs.
+    time : ndarray, shape (rows,), or None
+        As it stands in the file: seconds, or dates as ``datetime64[ns]``.
+    done : float
+        The part of the file that is read, 0 to 1.
+    """
+
+    values: NDArray[np.float64]
+    time: NDArray | None
+    done: float
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """A recording that is read piece by piece.
+
+    Attributes
+    ----------
+    path : Path
+    columns : dict of str to str
+        Of every channel.
+    clock : str or None
+        The time column.
+    inputs : int
+        Channels that are inputs: the first ones.
+    first_row : int
+        Number of the first row, for messages.
+    reader : object
+        Yields columns by their names, with the part of the file that is read.
+    """
+
+    path: Path
+    columns: Mapping[str, str]
+    clock: str | None
+    inputs: int
+    first_row: int
+    reader: Any
+
+    def pieces(self) -> Iterator[Piece]:
+        """Read the recording from its beginning.
+
+        Raises
+        ------
+        NotServedError
+            If a piece may not be what :func:`residua.read_recording` reads.
+        """
+        names = [*self.columns.values(), *([self.clock] if self.clock else [])]
+        for columns, done in self.reader(list(dict.fromkeys(names))):
+            values = np.column_stack([_numbers(columns[name]) for name in self.columns.values()])
+            yield Piece(values, None if self.clock is None else _times(columns[self.clock]), done)
+
+
+def open_stream(path: Path, options: ReadOptions) -> Stream:
+    """Open a recording to be read piece by piece.
+
+    Parameters
+    ----------
+    path : Path
+    options : ReadOptions
+
+    Raises
+    ------
+    NotServedError
+        If it is read by :func:`residua.read_recording` only, or not at all.
+    DataError
+        If a column is missing, as that function says it.
+    """
+    if options.fill_gaps or options.gets_round_times or options.transpose or options.matrix_names is not None:
+        raise NotServedError("it is put on a grid, transposed, has its columns named, or its times are not used")
+    if options.time_format is not None or options.variable is not None:
+        raise NotServedError("its times are in a format of their own, or one of its matrices was chosen")
+    suffix = path.suffix.lower()
+    if suffix == ".parquet":
+        return _parquet(path, options)
+    if suffix == ".npz":
+        return _npz(path, options)
+    if suffix in (".csv", ".txt", ".dat", ".tsv"):
+        return _text(path, options)
+    raise NotServedError(f"{suffix} files are read at once")
+
+
+def _stream(path: Path, options: ReadOptions, names: list[str], first_row: int, reader: Any) -> Stream:
+    chosen, clock = options.matched(names, path.name)
+    outputs = options.outputs or tuple(chosen)
+    columns = {name: chosen[name] for name in (*options.inputs, *outputs)}
+    if len(columns) != len(options.inputs) + len(outputs):
+        raise NotServedError("a channel is input and output")
+    return Stream(path, columns, clock, len(options.inputs), first_row, reader)
+
+
+def _numbers(values: NDArray) -> NDArray[np.float64]:
+    if values.dtype.kind not in "fiub":
+        raise NotServedError(f"a column has values of type {values.dtype}")
+    return np.asarray(values, dtype=np.float64)
+
+
+def _times(values: NDArray) -> NDArray:
+    if values.dtype.kind != "M":
+        return _numbers(values)
+    if np.isnat(values).any():
+        raise NotServedError("a time is missing")
+    return values.astype("datetime64[ns]")
+
+
+# ------------------------------------------------------------------ Parquet
+
+
+def _parquet(path: Path, options: ReadOptions) -> Stream:
+    try:
+        import pyarrow
+        import pyarrow.parquet as parquet
+    except ImportError as error:
+        raise NotServedError("pyarrow is not installed") from error
+    try:
+        with parquet.ParquetFile(path) as file:
+            schema, rows = file.schema_arrow, file.metadata.num_rows
+            values = rows * len(schema.names)
+    except Exception as error:  # whatever pyarrow says of a damaged file
+        raise NotServedError(str(error)) from error
+
+    if 8 * values > max(unpacked_limit(), _UNPACKED * path.stat().st_size):
+        raise NotServedError("it unpacks to very much more than it is")
+
+    def batches(names: list[str]) -> Iterator[tuple[dict[str, NDArray], float]]:
+        done = 0
+        try:
+            with parquet.ParquetFile(path, pre_buffer=False) as file:
+                for batch in file.iter_batches(batch_size=ROWS, columns=names, use_threads=False):
+                    done += batch.num_rows
+                    columns = {name: batch.column(name).to_numpy(zero_copy_only=False) for name in names}
+                    yield columns, done / max(rows, 1)
+        except Exception as error:
+            raise NotServedError(str(error)) from error
+        pyarrow.default_memory_pool().release_unused()
+        if done != rows:
+            raise NotServedError("it has fewer rows than it says")
+
+    return _stream(path, options, list(schema.names), 0, batches)
+
+
+# ------------------------------------------------------------------ text
+
+
+def _text(path: Path, options: ReadOptions) -> Stream:
+    with path.open("rb") as file:
+        raw = file.read(_HEAD)
+    whole = len(raw) < _HEAD
+    if not whole and b"\n" not in raw:
+        raise NotServedError("it has no line end near its beginning")
+    raw = raw if whole else raw[: raw.rfind(b"\n") + 1]
+    try:
+        head = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise NotServedError("its header is not in UTF-8") from error
+    if "\x00" in head or head.startswith("\ufeff"):
+        raise NotServedError("its header is not plain text")
+    table = open_csv(raw, path.name, decimal=options.decimal)
+    if not table.headed or table.blanks:
+        raise NotServedError("it has no header, or blanks between its cells")
+    stream = _stream(path, options, list(table.names), table.above + 1, None)
+    if stream.clock is not None and not reads_as_number(table, stream.clock):
+        raise NotServedError("its times are dates")
+    size = path.stat().st_size
+
+    def blocks(names: list[str]) -> Iterator[tuple[dict[str, NDArray], float]]:
+        places = [table.names.index(name) for name in names]
+        with path.open("rb") as file:
+            for lines in _lines(file, table.above):
+                body = csv_arrow.body_of(lines, len(table.names), table.delimiter, options.decimal)
+                columns = None if body is None else body.numbers(places)
+                if columns is None:
+                    raise NotServedError("a cell is no number, or a line is not as the others")
+                yield dict(zip(names, columns, strict=True)), min(1.0, file.tell() / max(size, 1))
+
+    return Stream(path, stream.columns, stream.clock, stream.inputs, stream.first_row, blocks)
+
+
+def _lines(file: IO[bytes], above: int) -> Iterator[bytes]:
+    """Yield the lines below the first ones in blocks, ended by line feeds; not those that are blank at the end."""
+    if file.read(len(_BOM)) != _BOM:
+        file.seek(0)
+    rest, blank, first = b"", b"", True
+    while True:
+        more = file.read(BYTES)
+        block = rest + more
+        cut = block.rfind(b"\n") + 1 if more else len(block)
+        if more and not cut:
+            raise NotServedError("a line is too long")
+        lines, rest = block[:cut], block[cut:]
+        if b"\r" in lines:
+            lines = lines.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+        if first:
+            lines, first = lines.split(b"\n", above)[-1], False
+        lines = blank + lines if blank else lines
+        last = _last_written(lines)
+        end = lines.find(b"\n", last) + 1 if last else 0
+        if last:
+            yield lines[: end or None]
+        blank = lines[end:] if end or not last else b""
+        if not more:
+            return
+
+
+def _last_written(lines: bytes) -> int:
+    """Return where what is not blank ends."""
+    tail = lines[-1000:]
+    return len(lines) - len(tail) + len(tail.rstrip()) if tail.strip() else len(lines.rstrip())
+
+
+# ------------------------------------------------------------------ .npz
+
+
+def _npz(path: Path, options: ReadOptions) -> Stream:
+    try:
+        arrays = _mapped(path)
+    except Exception as error:  # whatever a reader of damaged data ends with
+        raise NotServedError(str(error)) from error
+    renamed = options.columns if isinstance(options.columns, Mapping) else {}
+    table = table_from_arrays(
+        arrays,
+        [renamed.get(name, name) for name in options.inputs],
+        [renamed.get(name, name) for name in options.outputs],
+        variable=None,
+        names=None,
+        source=path.name,
+    )
+    stream = _stream(path, options, list(table), 0, None)
+    names = [*stream.columns.values(), *([stream.clock] if stream.clock else [])]
+    lengths = {len(table[name]) for name in names}
+    if len(lengths) != 1:
+        raise NotServedError("its columns differ in length")
+    rows = lengths.pop()
+
+    def slices(names: list[str]) -> Iterator[tuple[dict[str, NDArray], float]]:
+        for start in range(0, rows, ROWS):
+            stop = min(rows, start + ROWS)
+            yield {name: np.array(table[name][start:stop]) for name in names}, stop / rows
+
+    return Stream(path, stream.columns, stream.clock, stream.inputs, 0, slices)
+
+
+def _mapped(path: Path) -> dict[str, NDArray]:
+    """Return the arrays of a .npz file without reading them; their check sums are right."""
+    out: dict[str, NDArray] = {}
+    with zipfile.ZipFile(path) as archive, path.open("rb") as file:
+        for part in archive.infolist():
+            if part.compress_type != zipfile.ZIP_STORED or not part.filename.endswith(".npy"):
+                raise NotServedError("its arrays are compressed")
+            with archive.open(part) as member:
+                shape, fortran, dtype = array_header(member)
+                start = member.tell()
+            if not shape or dtype.hasobject or int(np.prod(shape)) * dtype.itemsize + start != part.file_size:
+                raise NotServedError("an array is not what its header says")
+            begin = _beginning(file, part)
+            file.seek(begin)
+            if _check_sum(file, part.file_size) != part.CRC:
+                raise NotServedError("an array is damaged")
+            order = "F" if fortran else "C"
+            name = part.filename.removesuffix(".npy")
+            size = int(np.prod(shape))
+            out[name] = (
+                np.memmap(path, dtype=dtype, mode="r", offset=begin + start, shape=shape, order=order)
+                if size
+                else np.zeros(shape, dtype)
+            )
+    return out
+
+
+def _beginning(file: IO[bytes], part: zipfile.ZipInfo) -> int:
+    """Return where the content of a member begins, behind its own header."""
+    file.seek(part.header_offset)
+    header = file.read(30)
+    if header[:4] != b"PK\x03\x04":
+        raise NotServedError("a member has no header")
+    return part.header_offset + 30 + int.from_bytes(header[26:28], "little") + int.from_bytes(header[28:30], "little")
+
+
+def _check_sum(file: IO[bytes], size: int) -> int:
+    total = 0
+    while size > 0:
+        part = file.read(min(size, io.DEFAULT_BUFFER_SIZE * 128))
+        if not part:
+            raise NotServedError("it is cut off")
+        total, size = zlib.crc32(part, total), size - len(part)
+    return total
+
+
+__all__ = ["NotServedError", "Piece", "Stream", "open_stream"]

@@ -1,0 +1,264 @@
+"""The fused loop has the bits of NumPy: for every test and isolation, whatever the data, and however they are cut."""
+
+from __future__ import annotations
+
+from dataclasses import fields, is_dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings, strategies as st
+
+import residua as rs
+from residua.decide import (
+    CUSUM,
+    EWMA,
+    GLR,
+    ChiSquared,
+    Directional,
+    Likelihood,
+    NormThreshold,
+    PeakThreshold,
+)
+from residua.decide.whitened_norm import NormTest
+from residua.monitor import fused
+from residua.monitor.fused import FusedRun, copied, plan_of, run_block
+from residua.monitor.running import State, initial_state, joined_decisions, run_reference
+from residua.monitor.specification import Specification
+
+needs_kernel = pytest.mark.skipif(fused._kernel is None, reason="there is no compiled kernel")
+
+TESTS: dict[str, Any] = {
+    "norm": NormThreshold(threshold=3.0),
+    "norm over a window": NormThreshold(threshold=2.5, window=7, persistence=2, release=4),
+    "page": CUSUM(threshold=4.0, form="page"),
+    "crosier": CUSUM(threshold=5.0, form="crosier"),
+    "pignatiello-runger": CUSUM(threshold=5.0, form="pignatiello-runger"),
+    "ewma": EWMA(threshold=3.0, weight=0.2),
+    "chi-squared": ChiSquared(threshold=3.5),
+    "chi-squared over a window": ChiSquared(threshold=5.0, window=5),
+    "glr": GLR(threshold=3.5, window=6),
+    "glr along faults": GLR(threshold=3.5, window=5, directions="faults"),
+}
+ISOLATIONS: dict[str, Any] = {
+    "none": None,
+    "short": Directional(window=3),
+    "long": Directional(window=40, signature="steady"),
+}
+ORDERS = (0, 1, 2, 3, 4, 5, 8, 9)
+
+
+def plant(order: int, outputs: int, inputs: int, seed: int) -> rs.Plant:
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((order, order))
+    A *= 0.8 / max(np.abs(np.linalg.eigvals(A)).max(initial=0.0), 1e-3)
+    made = rs.Plant(A, rng.standard_normal((order, inputs)), rng.standard_normal((outputs, order)),
+                    rng.standard_normal((outputs, inputs)), dt=1)  # fmt: skip
+    return made.with_sensor_faults()
+
+
+@cache
+def specification(test: str, isolation: str, order: int, outputs: int, method: str) -> Specification:
+    """Return what runs: a Kalman filter, or an observer, fitted where heavy tails and memory are to be taken off."""
+    made = plant(order, outputs, 2, 7 * order + outputs)
+    rng = np.random.default_rng(5)
+    if method == "kalman" and order:
+        made = made.with_noise(process=1e-2, measurement=1e-1)
+        generator = rs.design.kalman_filter(made)
+    elif order:
+        generator = rs.design.unknown_input_observer(made).residual_generator()
+    else:
+        generator = rs.identify.given_residuals([f"r{j}" for j in range(outputs)])
+    monitor = rs.Monitor(generator, test=TESTS[test], isolate=ISOLATIONS[isolation])
+    channels = monitor.generator.system.n_inputs
+    noise = rng.standard_t(4, (3000, channels))
+    for k in range(1, len(noise)):
+        noise[k] += 0.4 * noise[k - 1]
+    n_u = len(monitor.generator.plant.inputs)
+    if method != "kalman" or not order:
+        monitor.fit(noise[:, :n_u] if n_u else None, noise[:, n_u:], held_out=0)
+    return monitor._specification()
+
+
+def recording(spec: Specification, rng: np.random.Generator, samples: int, marks: list[float]) -> np.ndarray:
+    """Return data of three plants: one whole, one with marks, one with gaps, all with a change in the middle."""
+    channels = spec.B.shape[1]
+    data = rng.standard_normal((3, samples, channels)) + spec.offset
+    data[:, samples // 2 : samples // 2 + 60] += 3 * rng.standard_normal(channels)
+    for mark in marks:
+        data[1, rng.integers(samples), rng.integers(channels)] = mark
+    for _ in range(4):
+        start, length = rng.integers(samples), rng.integers(1, 25)
+        data[2, start : start + length, rng.integers(channels)] = np.nan
+    return data
+
+
+def same(one: Any, other: Any, where: str = "") -> None:
+    """Assert that two dataclasses of arrays have the same bits; that of a NaN is not looked at."""
+    if is_dataclass(one):
+        for field in fields(one):
+            same(getattr(one, field.name), getattr(other, field.name), f"{where}.{field.name}")
+    elif isinstance(one, np.ndarray):
+        assert one.dtype == other.dtype, where
+        assert np.array_equal(one, other, equal_nan=one.dtype.kind == "f"), where
+    else:
+        assert one == other, where
+
+
+MARKS = (np.nan, np.inf, -np.inf, 1e300, 1e308, 1e12, 1e200)
+
+
+@needs_kernel
+@settings(max_examples=150, deadline=None)
+@given(
+    test=st.sampled_from(list(TESTS)),
+    isolation=st.sampled_from(list(ISOLATIONS)),
+    order=st.sampled_from(ORDERS),
+    outputs=st.sampled_from((1, 2, 3, 5)),
+    method=st.sampled_from(("kalman", "observer")),
+    marks=st.lists(st.sampled_from(MARKS), max_size=8),
+    overflow=st.booleans(),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_it_has_the_bits_of_numpy(
+    test: str, isolation: str, order: int, outputs: int, method: str, marks: list[float], overflow: bool, seed: int
+) -> None:
+    assume(order > 0 or test != "glr along faults")  # no fault has a direction among bare residuals
+    spec = specification(test, isolation, order, outputs, method)
+    rng = np.random.default_rng(seed)
+    if overflow:
+        spec = replace(spec, plausible=np.tile([-1e308, 1e308], (spec.B.shape[1], 1)), max_hold=int(rng.integers(12)))
+    assert plan_of(spec) is not None
+    data = recording(spec, rng, int(rng.integers(2, 700)), marks)
+    with np.errstate(all="ignore"):
+        state, expected = run_reference(spec, initial_state(spec, 3), data)
+        now, parts = initial_state(spec, 3), []
+        for part in np.split(data, np.sort(rng.integers(0, data.shape[1] + 1, rng.integers(6))), axis=1):
+            now, decisions = run_block(spec, now, part)
+            parts.append(decisions)
+    same(joined_decisions(parts), expected, "decisions")
+    same(now, state, "state")
+
+
+def _rows(monitor: rs.Monitor, samples: int = 600) -> np.ndarray:
+    return recording(monitor._specification(), np.random.default_rng(3), samples, [np.nan, 1e300])
+
+
+@needs_kernel
+@pytest.mark.parametrize("isolation", ["likelihood", "learnt"])
+def test_an_isolation_that_is_not_in_c_follows_in_numpy(isolation: str) -> None:
+    made = plant(3, 3, 2, 1).with_noise(process=1e-2, measurement=1e-1)
+    isolate = Likelihood() if isolation == "likelihood" else Directional(window=5)
+    monitor = rs.Monitor(rs.design.kalman_filter(made), test=CUSUM(), isolate=isolate)
+    if isolation == "learnt":
+        y = np.random.default_rng(0).standard_normal((300, 3)) + [4.0, 0.0, 0.0]
+        monitor.learn_fault("worn", np.zeros((300, 2)), y, interval=(0, np.inf))
+    spec = monitor._specification()
+    plan = plan_of(spec)
+    assert plan is not None
+    assert not plan.names
+    data = _rows(monitor)
+    state, expected = run_reference(spec, initial_state(spec, 3), data)
+    now, first = run_block(spec, initial_state(spec, 3), data[:, :123])
+    now, second = run_block(spec, now, data[:, 123:])
+    same(joined_decisions([first, second]), expected)
+    same(now, state)
+
+
+class Doubled(NormTest):
+    """A test of somebody's own, made of one of the package."""
+
+    def run(self, state: Any, block: Any) -> Any:
+        return super().run(state, replace(block, residuals=2 * block.residuals))
+
+
+def test_what_is_not_in_c_runs_in_numpy() -> None:
+    made = plant(3, 3, 2, 1).with_noise(process=1e-2, measurement=1e-1)
+    banks = rs.Monitor(rs.design.sensor_fault_bank(made), test=NormThreshold(threshold=5.0))
+    assert plan_of(banks._specification()) is None
+    bounds = rs.Monitor(rs.design.kalman_filter(made), test=PeakThreshold(thresholds=3.0))
+    assert plan_of(bounds._specification()) is None
+    spec = rs.Monitor(rs.design.kalman_filter(made))._specification()
+    own = replace(spec, test=Doubled(*(getattr(spec.test, field.name) for field in fields(spec.test))))
+    assert plan_of(own) is None
+    data = np.random.default_rng(0).standard_normal((1, 50, 5))
+    assert np.array_equal(
+        run_block(own, initial_state(own, 1), data)[1].statistic,
+        2 * run_block(spec, initial_state(spec, 1), data)[1].statistic,
+        equal_nan=True,
+    )
+
+
+@needs_kernel
+def test_rows_of_a_state_are_run_in_any_order() -> None:
+    monitor = rs.Monitor(rs.design.kalman_filter(plant(4, 3, 2, 2).with_noise(process=1e-2, measurement=1e-1)))
+    spec = monitor._specification()
+    plan = plan_of(spec)
+    assert plan is not None
+    data = np.concatenate([_rows(monitor), _rows(monitor)[:, ::-1]])
+    run = FusedRun(spec, plan, copied(initial_state(spec, 6)), inputs=2)
+    order, found = np.random.default_rng(0).permutation(6), []
+    for k in range(data.shape[1]):
+        out = run.outputs(6, 1, ("statistic", "scores"))
+        run.run(data[order, k : k + 1, :2], data[order, k : k + 1, 2:], out, order)
+        found.append(out["statistic"][np.argsort(order), 0])  # pyright: ignore[reportOptionalSubscript]
+    state, expected = run_reference(spec, initial_state(spec, 6), data)
+    assert np.array_equal(np.stack(found, axis=1), expected.statistic, equal_nan=True)
+    same(run.state, state)
+
+
+@needs_kernel
+def test_strided_signals_are_read_where_they_lie() -> None:
+    monitor = rs.Monitor(rs.design.kalman_filter(plant(4, 3, 2, 2).with_noise(process=1e-2, measurement=1e-1)))
+    spec, data = monitor._specification(), _rows(monitor)
+    plan = plan_of(spec)
+    assert plan is not None
+    plain, strided = (FusedRun(spec, plan, copied(initial_state(spec, 3)), inputs=2) for _ in range(2))
+    one, other = plain.outputs(3, data.shape[1]), strided.outputs(3, data.shape[1])
+    plain.run(data[..., :2], data[..., 2:], one)
+    backwards = np.ascontiguousarray(data[:, ::-1, ::-1].transpose(2, 1, 0)).transpose(2, 1, 0)[:, ::-1, ::-1]
+    strided.run(backwards[..., :2], backwards[..., 2:], other)
+    same(plain.state, strided.state)
+    for name, values in one.items():
+        same(values, other[name], name)
+
+
+@needs_kernel
+@pytest.mark.parametrize("change", ["state", "plan", "signals", "rows", "outputs", "integers"])
+def test_the_kernel_refuses_arrays_that_do_not_fit(change: str) -> None:
+    """It never reads beyond an array, whatever it is handed."""
+    monitor = rs.Monitor(rs.design.kalman_filter(plant(3, 2, 2, 2).with_noise(process=1e-2, measurement=1e-1)))
+    spec = monitor._specification()
+    plan, state = plan_of(spec), copied(initial_state(spec, 3))
+    assert plan is not None
+    data = np.zeros((3, 5, 4))
+    if change == "state":
+        state = replace(state, filter=replace(state.filter, x=np.zeros((2, 3))))
+    if change == "plan":
+        plan = replace(plan, arrays=(plan.arrays[0][:2], *plan.arrays[1:]))  # pyright: ignore[reportOptionalSubscript]
+    if change == "integers":
+        plan = replace(plan, integers=-plan.integers)
+    if change in ("state", "plan", "integers"):
+        with pytest.raises(ValueError, match=r"has another type or size|are no plan"):
+            FusedRun(spec, plan, state)
+        return
+    run = FusedRun(spec, plan, state)
+    out, rows = run.outputs(3, 5), None
+    if change == "signals":
+        data = data[..., :3]
+    if change == "rows":
+        rows = np.array([0, 1, 3])
+    if change == "outputs":
+        out["residuals"] = np.zeros((3, 4, 2))
+    with pytest.raises(ValueError, match=r"u and y must be|a row or a sample|an output has another shape"):
+        run.run(data, data[..., :0], out, rows)
+
+
+def test_states_are_run_in_place_and_blocks_are_pure() -> None:
+    monitor = rs.Monitor(rs.design.kalman_filter(plant(3, 2, 2, 2).with_noise(process=1e-2, measurement=1e-1)))
+    spec, data = monitor._specification(), _rows(monitor)
+    before: State = run_block(spec, initial_state(spec, 3), data[:, :100])[0]
+    kept = copied(before)
+    run_block(spec, before, data[:, 100:])
+    same(before, kept)
