@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import residua as rs
-from residua.decide.adaptive import _quantile_weights
+from residua.decide.adaptive import AdaptiveTest, _quantile_weights
 from residua.decide.model_errors import errors_of_gains, errors_of_parameters
 from residua.decide.test import Block
 from residua.errors import DataError, ModelError, SettingError
@@ -136,6 +136,24 @@ def test_a_fit_is_sharp_at_rest_and_quiet_in_motion() -> None:
     y[2000:, 0] += 0.1
     assert moving.run(rest, y).alarm[2010:].mean() > 0.95
     assert fixed.run(rest, y).alarm[2010:].mean() < 0.05  # the fixed one has grown to what errors do in motion
+
+
+def test_a_fit_to_few_samples_keeps_its_promise() -> None:
+    """By weights of samples that are far from those judged: by weights of all samples 4 of these fits broke it."""
+    plant = plant_of().with_noise(process=1e-6 * np.eye(2), measurement=NOISE**2 * np.eye(2))
+    observer, broken = rs.design.kalman_filter(plant), 0
+    for seed in range(25):
+        rng = np.random.default_rng(seed)
+        factors, u = 1 + 0.05 * rng.uniform(-1, 1, (2, 2)), inputs(500, 100 + seed)
+        y = by_gains(plant, factors, u) + NOISE * rng.standard_normal((500, 2))
+        watch = rs.Monitor(observer, test=rs.decide.Adaptive(false_alarm_rate=0.01)).fit(u, y, held_out=0)
+        u = inputs(10_000, 900 + seed)
+        alarm = watch.run(u, by_gains(plant, factors, u) + NOISE * rng.standard_normal((10_000, 2))).alarm
+        test = watch._specification().test
+        assert isinstance(test, AdaptiveTest)
+        assert test.promised is not None
+        broken += bool(alarm.mean() > test.promised)
+    assert broken <= 2  # 95 % are promised
 
 
 def test_a_fit_with_given_errors_keeps_their_size() -> None:

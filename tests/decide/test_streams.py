@@ -518,3 +518,16 @@ def test_many_residuals_have_a_run_length() -> None:
         sums[left] = v * (kept / length)[:, None]
         left = left[kept <= threshold]
     assert lengths.mean() == pytest.approx(300, abs=4 * lengths.std() / 20)
+
+
+@pytest.mark.parametrize(("kind", "largest"), [(rs.decide.GLR, 0.1), (rs.decide.PageHinkley, 0.02)])
+def test_fractions_beyond_the_design_are_refused(kind: type[rs.decide.GLR], largest: float) -> None:
+    with pytest.raises(SettingError, match=f"designed for at most {largest:g} of samples in alarm"):
+        kind(false_alarm_rate=1.01 * largest)
+    kind(false_alarm_rate=0.5, mean_time_between_false_alarms=1000)  # a time is designed whatever the fraction
+    kind(false_alarm_rate=0.5, source="quantile")  # and so is a threshold from data
+    settings = kind(false_alarm_rate=largest)
+    for dimension in (1, 3):
+        e = np.random.default_rng(3).standard_normal((100_000, dimension))
+        monitor = rs.Monitor(given(dimension), test=settings, isolate=None).fit(None, e[:50_000], held_out=0)
+        assert monitor.run(None, e[50_000:]).alarm.mean() == pytest.approx(largest, rel=0.35)

@@ -396,10 +396,11 @@ class Adaptive(NormSettings):
         shape: dict[str, Any] = {"persistence": self.persistence, "release": blank.release, "window": self.window}
         quiet = observed(left.statistic(moments), data.full, run.usable, data.parts, k, **shape)
         least = promise_by(self.source, quiet, rate)
+        worth = test._worth(explained[None])[0]
         if not self.bounds_errors:
-            rows = np.flatnonzero(data.full)
-            test = replace(test, weights=_quantile_weights(norms[rows], explained[rows], float(least.threshold), rate))
-        excess = np.where(run.usable, np.maximum(norms - test._worth(explained[None])[0], 0.0), 0.0)
+            weights, worth = _fitted_worth(norms, explained, data, float(least.threshold), rate)
+            test = replace(test, weights=weights)
+        excess = np.where(run.usable, np.maximum(norms - worth, 0.0), 0.0)
         promise = promise_by(self.source, observed(excess, data.full, run.usable, data.parts, k, **shape), rate)
         chosen = promise if promise.threshold >= least.threshold else least
         basis = f"fitted to {count} fault-free samples, {chosen}; {self._said(names, test.weights)}"
@@ -556,6 +557,22 @@ def _without_errors(raw: AdaptiveTest, run: FaultFreeRun, data: FaultFree) -> ND
     theta = np.linalg.lstsq(flat / sizes, wanted.ravel(), rcond=None)[0] / sizes
     explained = np.einsum("tgk,g->tk", columns, theta)
     return np.where(run.usable[:, None], run.residuals - explained, run.residuals)
+
+
+def _fitted_worth(
+    norms: NDArray[np.float64], explained: NDArray[np.float64], data: FaultFree, least: float, rate: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return what errors are worth by all samples, and what they explain of each sample by those far from it."""
+
+    def weights_by(rows: NDArray[np.bool_]) -> NDArray[np.float64]:
+        return _quantile_weights(norms[rows], explained[rows], least, rate)
+
+    whole = weights_by(data.full)
+    worth = explained @ whole
+    for held, _, kept in data.held_out():
+        if kept.any():
+            worth[held] = explained[held] @ weights_by(kept)
+    return whole, worth
 
 
 def _quantile_weights(

@@ -140,7 +140,7 @@ class GLR(StreamSettings):
         is within about 5 %.
     false_alarm_rate : float
         Where no time is given: the fraction of fault-free samples in alarm, with alarms as long as simulated ones that
-        are 300 samples apart: exceeded by a tenth at 0.05, by more at larger rates, and not at small ones.
+        are 300 samples apart: exceeded by a tenth at 0.05 and at 0.1, beyond which none is designed.
     threshold : float, optional
         h, where it is to be neither.
     source : {"auto", "design", "data", "quantile", "tail", "conformal"}
@@ -179,6 +179,7 @@ class GLR(StreamSettings):
     kind: ClassVar[str] = "glr"
     makes: ClassVar[type[ResidualTest]] = GLRTest
     falls_to: ClassVar[float] = 0.5
+    largest_fraction: ClassVar[float] = 0.1
     origin: ClassVar[str] = "by approximation and simulation"
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {**StreamSettings.NUMBER_KINDS, "window": WINDOW}
 

@@ -99,7 +99,8 @@ class PageHinkley(StreamSettings):
         In samples, from a start or the end of an alarm to the next false alarm, on average. The threshold follows
         from it by integral equation.
     false_alarm_rate : float
-        Where no time is given: the fraction of fault-free samples in alarm, by the same equations.
+        Where no time is given: the fraction of fault-free samples in alarm, by the same equations; at most 0.02, since
+        sooner after a start the mean is not known well enough for an alarm to end as it should.
     threshold : float, optional
         h, where it is to be neither.
     source : {"auto", "design", "data", "quantile", "tail", "conformal"}
@@ -141,6 +142,7 @@ class PageHinkley(StreamSettings):
     kind: ClassVar[str] = "page-hinkley"
     makes: ClassVar[type[ResidualTest]] = PageHinkleyTest
     falls_to: ClassVar[float] = 0.5
+    largest_fraction: ClassVar[float] = 0.02
     NUMBER_KINDS: ClassVar[Mapping[str, NumberKind]] = {**StreamSettings.NUMBER_KINDS, "drift": POSITIVE}
 
     drift: float = 0.5

@@ -68,6 +68,8 @@ class StreamSettings(TestSettings):
     falls_to: ClassVar[float] = 0.0
     #: How a threshold is designed.
     origin: ClassVar[str] = "by integral equation"
+    #: The largest fraction of samples in alarm for which the design holds.
+    largest_fraction: ClassVar[float] = 1.0
     #: What of a fit makes false alarms more frequent.
     uncertain: ClassVar[str] = "the mean"
 
@@ -96,6 +98,13 @@ class StreamSettings(TestSettings):
         if self.threshold is not None and self.source in _OF_DATA[1:]:
             raise SettingError(
                 f"threshold={self.threshold:g} is given, so that source={self.source!r} is of no use: leave one out"
+            )
+        by_design = time is None and self.threshold is None and self.source not in _OF_DATA
+        if by_design and self.false_alarm_rate > self.largest_fraction:
+            raise SettingError(
+                f"{type(self).__name__} is designed for at most {self.largest_fraction:g} of samples in alarm, got "
+                f"false_alarm_rate={self.false_alarm_rate:g}: beyond, alarms come so soon after one another that each "
+                "changes the next; give less, or mean_time_between_false_alarms="
             )
         object.__setattr__(self, "false_alarm_rate", float(self.false_alarm_rate))
 
