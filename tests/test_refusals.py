@@ -33,9 +33,9 @@ def run(folder: Path, tests: str, *options: str) -> tuple[int, str]:
     (folder / "test_them.py").write_text(tests, encoding="utf-8")
     (folder / "pytest.ini").write_text("[pytest]\nmarkers = refusals: x\n", encoding="utf-8")
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *options],
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "xdist", *options],
         cwd=folder,
-        env=os.environ | {"PYTHONPATH": str(Path(refusals.__file__).parent)},
+        env=os.environ | {"PYTHONPATH": str(Path(refusals.__file__).parent), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"},
         capture_output=True,
         text=True,
         check=False,

@@ -19,7 +19,7 @@ from residua.plant.algebraic_equations import without_algebraic_equations
 from whole_number_plants import KINDS, in_other_units, whole_number_plant
 
 #: Plants of eighteen kinds; in the campaign many more.
-FEW, MANY = range(36), range(36, 2000)
+FEW, MANY = range(18), range(2000)
 
 
 def asked(seeds: range) -> Disagreements:
@@ -38,7 +38,7 @@ def test_answers_are_the_exact_ones_in_any_units() -> None:
     assert out.wrong == []
     assert out.refused == []
     assert out.counts["isolable"] == 2 * len(FEW)
-    assert out.counts["attainable, constant"] >= 200
+    assert out.counts["attainable, constant"] >= 100
 
 
 @pytest.mark.campaign

@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from effort import cases
 from refusals import Refused
 from residua.errors import DesignError, MissingExtraError, ModelError, SettingError
 from residua.linear import StateSpace, UncertainSystem, peak_input, peak_norm, robust_peak_norm
@@ -47,7 +48,7 @@ def check_order(seed: int, refused: Refused | None = None) -> None:
     assert attained <= min(chain[2:])
 
 
-@pytest.mark.parametrize("seed", range(7))
+@pytest.mark.parametrize("seed", cases(range(7), 4))
 @pytest.mark.refusals(at_most=3)
 def test_order_of_the_methods(seed, refused: Refused):
     pytest.importorskip("clarabel")
@@ -231,7 +232,7 @@ def test_without_the_extra(monkeypatch):
             robust_peak_norm(system, method=method)
 
 
-@pytest.mark.parametrize("seed", [0, 5, 9])
+@pytest.mark.parametrize("seed", cases([0, 9, 5], 2))
 def test_boxes_come_down_to_the_worst_member(seed):
     system = random_uncertain_system(seed)
     found = [robust_peak_norm(system, method="centred", boxes=boxes, rtol=1e-4) for boxes in (1, 8, 64)]
