@@ -133,7 +133,7 @@ def test_a_bank_reaches_just_these(seed: int) -> None:
             assert "".join("01"[int(one)] for one in reached) == row
 
 
-@pytest.mark.parametrize("seed", range(15))
+@pytest.mark.parametrize("seed", cases(range(15), 8))
 @pytest.mark.refusals(at_most=0)
 def test_singular_plants(seed: int, refused: Refused) -> None:
     rng = np.random.default_rng(seed)
