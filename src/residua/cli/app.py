@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -34,6 +35,7 @@ from residua.cli.recording_options import (
 from residua.decide.false_alarms import ENOUGH, within_tolerance
 from residua.demos import Outcome
 from residua.errors import AccuracyError, DataError
+from residua.export import to_c, to_structured_text
 from residua.files import check_input
 from residua.monitor import Diagnosis, Monitor
 from residua.monitor.inputs import settling_reason
@@ -293,6 +295,51 @@ def _run(watch: Monitor, data: Recording) -> Diagnosis:
 
 def _span(diagnosis: Diagnosis) -> float:
     return float(diagnosis.time[-1] - diagnosis.time[0]) if len(diagnosis.time) else 0.0
+
+
+class Target(StrEnum):
+    """What a monitor is written as."""
+
+    c = "c"
+    st = "st"
+
+
+class Precision(StrEnum):
+    """The numbers of the code."""
+
+    double = "double"
+    float = "float"
+
+
+@app.command()
+def export(
+    monitor: Annotated[Path, typer.Argument(metavar="MONITOR.json", help="What design or fit wrote.")],
+    folder: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the files; made if absent.")
+    ],
+    to: Annotated[Target, typer.Option("--to", help="C99, or Structured Text (IEC 61131-3).")] = Target.c,
+    name: Annotated[
+        str | None, typer.Option("--name", metavar="NAME", help="Of the files and of what is in them.")
+    ] = None,
+    precision: Annotated[Precision, typer.Option(help="Of the numbers.")] = Precision.double,
+    hold: Annotated[
+        bool,
+        typer.Option("--hold", help="Hold what is missing, where a Kalman filter would go on with other outputs."),
+    ] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files of an earlier export.")] = False,
+) -> None:
+    """Write a monitor as code: for a controller, an embedded computer, a simulation."""
+    check_input(monitor, "a monitor")
+    write = {Target.c: to_c, Target.st: to_structured_text}[to]
+    made = write(
+        Monitor.load(monitor),
+        folder,
+        name=name,
+        precision=precision.value,
+        missing="hold" if hold else "as monitored",
+        overwrite=overwrite,
+    )
+    screen.say(*(f"written: {path}" for path in sorted(made.iterdir())))
 
 
 Folder = Annotated[

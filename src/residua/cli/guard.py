@@ -109,6 +109,7 @@ _FAULTS = r"with_(?:sensor_faults|actuator_faults|faults)"
 #: What is done in Python, as a pattern, and how the same is asked for here.
 _WORDS = {
     r"allow_missing=True": "--allow-missing",
+    r"missing='hold'": "--hold",
     r"constant=True": "--constant",
     r"plant\.discretize\(dt\)": "by sample_time in the plant file",
     rf"(?:plant\.)?{_FAULTS}(?:(?:, or | or |, ){_FAULTS})*": "[[faults]] in the plant file",
