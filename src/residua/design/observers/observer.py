@@ -11,14 +11,16 @@ from residua.analysis.unknown_input import algebraic_equations, output_free_form
 from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
+from residua.design.core.internal_form import frequency_grid
 from residua.design.core.signals import sampled_filter, signal_names, stack_signals
 from residua.errors import DesignError
 from residua.linear import StateSpace
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.systems.balancing import power_of_two, without_rounding
+from residua.linear.systems.response_terms import response_terms
 from residua.plant import Plant
 from residua.plant.comparable_units import EvenPlant, even_plant
-from residua.tolerances import TINY, above_rounding
+from residua.tolerances import DESIGN_ROUNDING, TINY, above_rounding
 from residua.words import counted, used_up
 
 
@@ -178,7 +180,7 @@ class Observer:
         alive = _more_than(through / Y, terms / Y) | _path(static / R, read * S, J / S[:, None] / R)
         if not alive.any():
             raise DesignError(self._why_blind())
-        keep = alive if self.V is not None else np.ones(len(alive), dtype=bool)
+        keep = alive if self.V is not None else alive | self._copies(states, through)
         through, states, static = through[keep], states[keep], static[keep]
         system = StateSpace(
             self.F,
@@ -196,6 +198,14 @@ class Observer:
     def __repr__(self) -> str:
         kind = f"dt={self.plant.dt:g} s" if self.plant.is_discrete else "continuous"
         return f"Observer({self.method} of {self.plant.name!r}: order {self.order}, {kind})"
+
+    def _copies(self, states: NDArray, through: NDArray) -> NDArray[np.bool_]:
+        """Tell which rows of a residual hear the measurements by way of the state, as filtered copies of other rows."""
+        system = StateSpace(self.F, self.K, states, through, dt=self.plant.dt)
+        w = frequency_grid(system, points=12)
+        points = np.asarray(np.exp(1j * w * system.dt) if system.is_discrete else 1j * w, dtype=np.complex128)
+        response = response_terms(system, points)
+        return np.any(np.abs(response.values) > DESIGN_ROUNDING * response.terms, axis=(0, 2))
 
     def _residual_names(self) -> list[str]:
         """Return the names of residuals: those of the outputs whose errors they are, if all differ; else numbers."""
