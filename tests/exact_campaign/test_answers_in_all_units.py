@@ -190,13 +190,31 @@ def test_directions_are_told_in_units_of_what_residuals_read() -> None:
             assert np.all(off < 1e-6 * np.linalg.norm(r, axis=0)), name
 
 
+def leaks_in_units(kind: str, seed: int, design: Callable[[Plant], Any]) -> list[float]:
+    """Return by how much controls leak into a residual, in base units and in others."""
+    case = case_of(kind, seed)
+    plants = [plant_of(case), plant_of(case, units(case, seed, powers_of_two=True))]
+    return [float(design(plant).evidence.decoupling["control"]) for plant in plants]
+
+
 @pytest.mark.parametrize(("kind", "seed"), [("integrators", 133), ("sparse", 202)])
 def test_relations_of_chains_of_integrators_do_not_depend_on_units(kind: str, seed: int) -> None:
     """Such a chain has no rate but by the units of its states, which were those of the caller."""
-    case, leaks = case_of(kind, seed), []
-    for by in (None, units(case, seed, powers_of_two=True)):
-        plant = plant_of(case, by)
+
+    def design(plant: Plant) -> Any:
         directions = {plant.faults[0]: [1.0, 0.0], plant.faults[1]: [0.0, 1.0]}
-        made = rs.design.directional_parity(plant, directions=directions, insensitive_to=plant.faults[2:3])
-        leaks.append(made.evidence.decoupling["control"])
+        return rs.design.directional_parity(plant, directions=directions, insensitive_to=plant.faults[2:3])
+
+    leaks = leaks_in_units(kind, seed, design)
     assert max(leaks) < max(10 * min(leaks), 1e-11)
+
+
+def test_relations_are_the_same_to_the_last_bit_whatever_the_units_of_what_they_ignore() -> None:
+    """Columns of ignored disturbances kept the units of the caller, and moved the rounding of the others."""
+    base, other = leaks_in_units("integrators", 130, rs.design.parity_relations)
+    assert base == other
+
+
+def test_relations_of_a_structure_do_not_exist_by_units() -> None:
+    plants = in_all_units("oscillators", 204)
+    assert len({reaction(lambda p=p: rs.design.structured_parity(p, ["11111"]).generator) for p in plants}) == 1
