@@ -190,6 +190,12 @@ def test_directions_are_told_in_units_of_what_residuals_read() -> None:
             assert np.all(off < 1e-6 * np.linalg.norm(r, axis=0)), name
 
 
+def directional(plant: Plant) -> Any:
+    """Return relations that give the first two faults residuals of their own."""
+    directions = {plant.faults[0]: [1.0, 0.0], plant.faults[1]: [0.0, 1.0]}
+    return rs.design.directional_parity(plant, directions=directions, insensitive_to=plant.faults[2:3])
+
+
 def leaks_in_units(kind: str, seed: int, design: Callable[[Plant], Any]) -> list[float]:
     """Return by how much controls leak into a residual, in base units and in others."""
     case = case_of(kind, seed)
@@ -200,13 +206,14 @@ def leaks_in_units(kind: str, seed: int, design: Callable[[Plant], Any]) -> list
 @pytest.mark.parametrize(("kind", "seed"), [("integrators", 133), ("sparse", 202)])
 def test_relations_of_chains_of_integrators_do_not_depend_on_units(kind: str, seed: int) -> None:
     """Such a chain has no rate but by the units of its states, which were those of the caller."""
-
-    def design(plant: Plant) -> Any:
-        directions = {plant.faults[0]: [1.0, 0.0], plant.faults[1]: [0.0, 1.0]}
-        return rs.design.directional_parity(plant, directions=directions, insensitive_to=plant.faults[2:3])
-
-    leaks = leaks_in_units(kind, seed, design)
+    leaks = leaks_in_units(kind, seed, directional)
     assert max(leaks) < max(10 * min(leaks), 1e-11)
+
+
+def test_parts_that_nothing_connects_are_not_combined_in_units_of_the_caller() -> None:
+    reactions = {reaction(lambda p=p: directional(p)) for p in in_all_units("no states", 123)}
+    assert len(reactions) == 1
+    assert "Error" not in reactions.pop()
 
 
 def test_relations_are_the_same_to_the_last_bit_whatever_the_units_of_what_they_ignore() -> None:
