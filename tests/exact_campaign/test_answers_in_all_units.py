@@ -62,6 +62,14 @@ def test_zeros_of_a_stiff_plant_do_not_depend_on_units_nor_on_that_of_time(unit_
         assert seen.rank == p.n_states
 
 
+def test_a_state_that_nothing_sees_is_hidden_in_all_units() -> None:
+    """What rounding left beside the state of its own was a direction where other states have larger units."""
+    for p in in_all_units("stiff", 310):
+        answer = rs.linear.detectability(p.A, p.C)
+        assert len(answer.unobservable_modes) == 1
+        assert answer.form.residual < 1e-9
+
+
 @pytest.mark.parametrize(("kind", "seed"), [("repeated poles", 25), ("repeated poles", 108), ("repeated poles", 133)])
 @pytest.mark.parametrize("design", [rs.design.detection_filter, rs.design.luenberger_observer])
 def test_no_gain_is_rounding(kind: str, seed: int, design: Any) -> None:
