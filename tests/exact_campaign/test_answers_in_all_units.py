@@ -15,7 +15,7 @@ from exact import questions
 from exact.matrices import rank
 from exact.plants import at, exact_plant
 from exact.responses import frequencies, paths
-from exact_campaign.cases import base_units, plant_of, units
+from exact_campaign.cases import plant_of, units
 from exact_campaign.kinds import case_of
 from guards import trips
 from residua.design.detection_filters import detection_filter
@@ -142,24 +142,6 @@ def test_an_observer_delivers_no_rows_of_pure_rounding() -> None:
         made = rs.design.actuator_fault_bank(p, observer="unknown-input", allow_missing=True).generator
         assert made.n_residuals == 2
         assert made.structure.any(axis=1).all()
-
-
-@pytest.mark.parametrize("seed", [8, 114])
-def test_no_fault_is_marked_for_what_an_eigenproblem_leaves_of_nothing(seed: int) -> None:
-    case = case_of("more outputs than states", seed)
-    for by in (base_units(case), units(case, seed, powers_of_two=True), units(case, seed, powers_of_two=False)):
-        plant = plant_of(case, by)
-        bank = [rs.design.parity_relations(plant)]
-        if seed == 8:
-            sizes = dict(zip(plant.disturbances, 1 / by.d, strict=True))
-            bank.append(rs.design.optimal_parity(plant, order=1, sizes=sizes).generator)
-        for made in bank:
-            read = np.abs(made.system.D[:, len(plant.inputs) :] / by.y)
-            share = read / read.max(axis=1, keepdims=True)
-            for j, fault in enumerate(plant.fault_list):
-                if fault.kind == "sensor":
-                    faint = share[:, plant.outputs.index(fault.component)] < 1e-11
-                    assert not np.any(made.structure[faint, j])
 
 
 def test_an_equation_that_outputs_free_of_disturbances_is_a_residual() -> None:

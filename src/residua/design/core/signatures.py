@@ -13,9 +13,8 @@ from residua.linear.systems.response_terms import in_even_units, response_terms
 from residua.plant import Plant
 from residua.tolerances import DESIGN_ROUNDING, TINY
 
-#: Of the largest terms of a row and of a column, wherever they stand: what stands elsewhere leaves rounding, of a
-#: thousand operations where coefficients come of an eigenproblem, :data:`residua.tolerances.RESPONSE_ROUNDING` in all.
-_ELSEWHERE = 1e-3
+#: Of the largest terms of a row and of a column, wherever they stand: what stands elsewhere leaves eps of rounding.
+_ELSEWHERE = 1e-4
 #: Frequencies at which a response is this far below its largest say nothing about its direction.
 _FAINT = 1e-7
 #: Faint directions of a response are there when the gap behind them is so much wider than that before them ...
