@@ -45,6 +45,10 @@ _EARLIER = [
     ("feedthrough", 20014, designs._perfect),
     # equal sensors leave a combination of rows that reads nothing, which was divided by its size
     ("duplicated sensors", 59, designs._perfect),
+    # what rounding left of a fault of a sensor among the events was a coupling
+    ("used-up measurements", 16, designs._filters),
+    # polynomials of relations had sizes in the units of the caller
+    ("dead sensors", 136, designs._parity),
 ]
 
 

@@ -330,18 +330,19 @@ def error_pair(decoupling: Decoupling, form: OutputFreeForm) -> tuple[NDArray, N
     return without_rounding(decoupling.T, form.A), np.vstack([form.C, without_rounding(decoupling.N, form.A)])
 
 
-def algebraic_equations(plant: Plant, *, undisturbed: bool = False) -> NDArray[np.float64]:
+def algebraic_equations(plant: Plant, *, without: NDArray | None = None) -> NDArray[np.float64]:
     """Return a basis, of unit size, of the combinations ``N`` of a plant's equations without derivatives, ``N E = 0``.
 
-    With ``undisturbed`` only of those that no disturbance enters.
+    Only of those that no disturbance enters by the columns of ``without``, if there are any.
     """
     if plant.E is None:
         return np.zeros((0, plant.n_states))
     drive, direct = np.hstack([plant.Bu, plant.Bd]), np.hstack([plant.Du, plant.Dd])
     u = descriptor_units(plant.A, plant.E, drive, plant.C, direct)
-    E, D = u.equations[:, None] * plant.E * u.states, u.equations[:, None] * plant.Bd
+    E = u.equations[:, None] * plant.E * u.states
+    D = u.equations[:, None] * (plant.Bd[:, :0] if without is None else without)
     size = np.linalg.norm(D, axis=0)
-    D = D / np.where(size > 0, size, 1.0) if undisturbed else D[:, :0]
+    D = D / np.where(size > 0, size, 1.0)
     N = left_null_basis(np.hstack([E / (np.linalg.norm(E) or 1.0), D]))[0].T
     N = above_rounding(N, 1.0, RESIDUE) * u.equations
     return N / np.maximum(np.abs(N).max(axis=1, keepdims=True, initial=0.0), TINY)

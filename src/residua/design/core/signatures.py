@@ -35,6 +35,8 @@ class FaultResponses:
         Exactly zero where a fault does not reach a residual.
     terms : ndarray, shape (k, residuals, faults)
         In the internal form.
+    sizes : ndarray, shape (k, residuals, faults)
+        Of the filter driven by the plant.
     reached : ndarray of bool, shape (residuals, faults)
     residuals : ndarray, shape (residuals,)
         The factors that bring the residuals to even units.
@@ -43,6 +45,7 @@ class FaultResponses:
     form: StateSpace
     values: NDArray[np.complex128]
     terms: NDArray[np.float64]
+    sizes: NDArray[np.float64]
     reached: NDArray[np.bool_]
     residuals: NDArray[np.float64]
 
@@ -94,7 +97,7 @@ def fault_responses(
     driven = _largest(Q, np.abs(p.system.frequency_response(w)))
     reached = np.any(np.abs(response.values) > DESIGN_ROUNDING * (response.terms + driven), axis=0)
     terms = response.terms + driven if T is None else response.terms
-    return FaultResponses(scaled, np.where(reached, response.values, 0.0), terms, reached, own.outputs)
+    return FaultResponses(scaled, np.where(reached, response.values, 0.0), terms, driven, reached, own.outputs)
 
 
 def _largest(rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
@@ -172,7 +175,7 @@ def _dimension(s: NDArray[np.float64], rtol: float) -> int:
 
 def residual_units(responses: FaultResponses) -> NDArray[np.float64]:
     """Return the size of what each residual is made of: residuals that ignore every fault have one as well."""
-    units = responses.terms.max(axis=(0, 2), initial=0.0)
+    units = responses.sizes.max(axis=(0, 2), initial=0.0)
     return np.where(units > 0, units, 1.0)
 
 

@@ -34,11 +34,14 @@ from residua.linear import StateSpace
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.poles.placement import default_margin
 from residua.linear.poles.spectrum import spectrum_error
+from residua.linear.subspaces.detection_space import inverse_without_rounding
+from residua.linear.subspaces.far_gain import refuse_far_gain
 from residua.linear.subspaces.observability import detectability
 from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank
-from residua.linear.systems.balancing import balance_system
+from residua.linear.systems.balancing import balance_system, without_rounding
 from residua.plant import Plant
 from residua.plant.comparable_units import EvenPlant, even_plant
+from residua.tolerances import above_rounding
 
 #: What a fault does to the error, relative to the terms that it is the sum of, is rounding below this.
 _NO_EVENT = 1e-11
@@ -213,6 +216,8 @@ def directional_filters(
                     )
                     for group in groups
                 ]
+            for gain in gains:  # as a whole too: the blocks have units of their own
+                refuse_far_gain(A, C, gain.gain, _farthest(gain.requested, pole, distance, plant))
             observers = [frame.observer(gain, (*notes, *lowered)) for gain in gains]
             return _stacked(original, observers, groups, pole is not None)
         except AccuracyError as error:
@@ -227,6 +232,13 @@ def _margins(A: NDArray, dt: float, poles: Poles, margin: float | None) -> list[
         return [margin]
     default = default_margin(A, dt)
     return [default, default / 4, default / 16]
+
+
+def _farthest(requested: NDArray, pole: float | None, margin: float | None, plant: Plant) -> float:
+    """Return the size of the farthest pole that a filter was asked for; one where the plant is sampled."""
+    if plant.dt:
+        return 1.0
+    return float(max([margin or 0.0, abs(pole or 0.0), *np.abs(requested)]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,9 +256,9 @@ class _Frame:
 
     def observer(self, design: DirectionalGain, notes: tuple[str, ...]) -> Observer:
         """Return the observer of a directional gain."""
-        K1 = design.gain @ self.W + self.offset
         plant = self.even.plant
-        F = self.T @ plant.A - K1 @ plant.C
+        K1 = design.gain @ self.W + self.offset
+        F = without_rounding(np.hstack([self.T, -K1]), np.vstack([plant.A, plant.C]))
         evidence = self.base.extended(
             poles=explicit_poles(F),
             requested_poles=design.requested,
@@ -254,7 +266,7 @@ class _Frame:
             conditions={"pole error": self._pole_error(design, F), "norm of K1": float(np.linalg.norm(K1))},
             notes=(*notes, design.note) if design.note else notes,
         )
-        K, M = K1 + F @ self.H, np.eye(len(F))
+        K, M = above_rounding(K1 + F @ self.H, np.abs(K1) + np.abs(F) @ np.abs(self.H)), np.eye(len(F))
         made = Observer(plant, F, self.T, K, M, self.H, self.W, self.base.method, self.decouples, evidence)
         return in_units_of_the_plant(made, self.plant, self.even)
 
@@ -318,20 +330,29 @@ def event_matrices(
     """
     out = {}
     form = output_free_form(plant) if form is None else form
-    inverse = np.linalg.pinv(form.C)
+    inverse = inverse_without_rounding(form.C)
     for name in faults:
         i = plant.faults.index(name)
         f, d = plant.Bf[:, [i]], plant.Df[:, [i]]
+        effects, sizes = f, np.abs(f)
         if np.any(d):
-            g = inverse @ (form.W @ d)
-            effects = np.hstack([g, f - form.G @ d - form.A @ g])
-            sizes = np.hstack([np.abs(g), np.abs(f) + np.abs(form.G) @ np.abs(d) + np.abs(form.A) @ np.abs(g)])
-        else:
-            effects, sizes = f, np.abs(f)
-        L, terms = T @ effects, np.abs(T) @ sizes
+            g, above = _product(inverse, *_product(form.W, d, np.abs(d)))
+            parts = np.hstack([np.eye(len(f)), -form.G, -form.A])
+            late = _product(parts, np.vstack([f, d, g]), np.abs(np.vstack([f, d, above])))
+            effects, sizes = np.hstack([g, late[0]]), np.hstack([above, late[1]])
+        L, terms = _product(T, effects, sizes)
         real = np.linalg.norm(L, axis=0) > _NO_EVENT * np.linalg.norm(terms, axis=0)
         out[name] = _unit_columns(np.where(real, L, 0.0))
     return out
+
+
+def _product(M: NDArray, x: NDArray, sizes: NDArray) -> tuple[NDArray, NDArray]:
+    """Return ``M x``, exactly zero where it is rounding of its terms, and their sizes; ``sizes`` are those of ``x``.
+
+    An entry that rounding left in an event would be a coupling to what balances the error pair, and to every space.
+    """
+    terms = np.abs(M) @ sizes
+    return above_rounding(M @ x, terms), terms
 
 
 def _shared(faults: Sequence[str], directly: Sequence[str]) -> list[str]:

@@ -12,10 +12,17 @@ from numpy.typing import ArrayLike, NDArray
 from residua.errors import DesignError
 from residua.linear.poles.placement import default_margin, place_observer_margin, place_observer_poles
 from residua.linear.poles.stability import is_stable_mode
-from residua.linear.subspaces.detection_space import DetectionSpace, detection_space, separation, split_blocks
+from residua.linear.subspaces.detection_space import (
+    DetectionSpace,
+    detection_space,
+    inverse_without_rounding,
+    separation,
+    split_blocks,
+)
 from residua.linear.subspaces.far_gain import refuse_far_gain
 from residua.linear.subspaces.observability import detectability, observability_form
 from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank
+from residua.linear.systems.balancing import without_rounding
 from residua.words import counted
 
 Poles = Sequence[complex] | ArrayLike | Mapping[str, Sequence[complex]] | None
@@ -122,7 +129,7 @@ def scalar_gain(A: NDArray, C: NDArray, pole: float, weights: NDArray, *, asked:
 
     The inverse is that of least squares over the weighted outputs.
     """
-    K = (A - pole * np.eye(len(A))) @ np.linalg.pinv(weights[:, None] * C) * weights
+    K = without_rounding(A - pole * np.eye(len(A)), inverse_without_rounding(weights[:, None] * C)) * weights
     achieved = np.linalg.eigvals(A - K @ C)
     error = float(np.abs(achieved - pole).max(initial=0.0))
     note = "as many independent measurements as states: every fault keeps its direction or plane"

@@ -7,18 +7,20 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residua.analysis.unknown_input import algebraic_equations
+from residua.analysis.unknown_input import algebraic_equations, output_free_form
 from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
+from residua.design.core.internal_form import frequency_grid
 from residua.design.core.signals import sampled_filter, signal_names, stack_signals
 from residua.errors import DesignError
 from residua.linear import StateSpace
 from residua.linear.poles.matrix_poles import explicit_poles
-from residua.linear.systems.balancing import power_of_two
+from residua.linear.systems.balancing import power_of_two, without_rounding
+from residua.linear.systems.response_terms import response_terms
 from residua.plant import Plant
 from residua.plant.comparable_units import EvenPlant, even_plant
-from residua.tolerances import TINY, above_rounding
+from residua.tolerances import DESIGN_ROUNDING, TINY, above_rounding
 from residua.words import counted, used_up
 
 
@@ -92,7 +94,15 @@ class Observer:
     @property
     def G(self) -> NDArray[np.float64]:
         """``T B``: how control inputs enter the observer."""
-        return self.T @ self.plant.Bu
+        return without_rounding(self.T, self.plant.Bu)
+
+    @property
+    def _entrance(self) -> NDArray[np.float64]:
+        """How controls and measurements enter, ``[T B - K D, K]``: of a control that is decoupled nothing is left."""
+        p = self.plant
+        terms = np.abs(self.T) @ np.abs(p.Bu) + np.abs(self.K) @ np.abs(p.Du)
+        controls = above_rounding(self.G - self.K @ p.Du, terms)
+        return np.hstack([controls, self.K])
 
     @property
     def A1(self) -> NDArray[np.float64]:
@@ -123,7 +133,7 @@ class Observer:
         direct = -self.H @ p.Du - (0.0 if self.J is None else self.J @ p.Bu)
         return StateSpace(
             self.F,
-            np.hstack([self.G - self.K @ p.Du, self.K]),
+            self._entrance,
             self.M,
             np.hstack([direct, self.H]),
             dt=p.dt,
@@ -170,11 +180,11 @@ class Observer:
         alive = _more_than(through / Y, terms / Y) | _path(static / R, read * S, J / S[:, None] / R)
         if not alive.any():
             raise DesignError(self._why_blind())
-        keep = alive if self.V is not None else np.ones(len(alive), dtype=bool)
+        keep = alive if self.V is not None else alive | self._copies(states, through)
         through, states, static = through[keep], states[keep], static[keep]
         system = StateSpace(
             self.F,
-            np.hstack([self.G - self.K @ p.Du, self.K]),
+            self._entrance,
             states,
             np.hstack([-through @ p.Du - static @ p.Bu, through]),
             dt=p.dt,
@@ -188,6 +198,14 @@ class Observer:
     def __repr__(self) -> str:
         kind = f"dt={self.plant.dt:g} s" if self.plant.is_discrete else "continuous"
         return f"Observer({self.method} of {self.plant.name!r}: order {self.order}, {kind})"
+
+    def _copies(self, states: NDArray, through: NDArray) -> NDArray[np.bool_]:
+        """Tell which rows of a residual hear the measurements by way of the state, as filtered copies of other rows."""
+        system = StateSpace(self.F, self.K, states, through, dt=self.plant.dt)
+        w = frequency_grid(system, points=12)
+        points = np.asarray(np.exp(1j * w * system.dt) if system.is_discrete else 1j * w, dtype=np.complex128)
+        response = response_terms(system, points)
+        return np.any(np.abs(response.values) > DESIGN_ROUNDING * response.terms, axis=(0, 2))
 
     def _residual_names(self) -> list[str]:
         """Return the names of residuals: those of the outputs whose errors they are, if all differ; else numbers."""
@@ -242,14 +260,15 @@ def without_measured_equations(observer: Observer, plant: Plant, N: NDArray) -> 
     """Return an observer that was designed with the algebraic equations ``N`` as last outputs, for the plant itself.
 
     Those outputs read zero, so that their columns go over into ``T``, ``J`` and ``V``. Without any the equations
-    that no disturbance enters are added to the residual.
+    that no disturbance enters are added to the residual, once outputs have told what the disturbances in them are.
     """
     p = plant.n_outputs
     K, H, W = observer.K, observer.H, observer.W
     V = W[:, p:] @ N
     if not len(N):
-        V = algebraic_equations(plant, undisturbed=True)
-        W = np.vstack([W, np.zeros((len(V), p))])
+        form = output_free_form(plant)
+        V = algebraic_equations(plant, without=form.E)
+        W = np.vstack([W, -without_rounding(V, form.G)])
         V = np.vstack([np.zeros((len(observer.W), plant.n_states)), V])
     return replace(
         observer,

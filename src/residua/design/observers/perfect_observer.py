@@ -639,9 +639,10 @@ def _estimate_off(o: PerfectObserver, system: StateSpace, limit: float = 1e-6) -
         return 0.0
     units = descriptor_units(driven.A, driven.E, driven.B, driven.C, driven.D).inputs
     points = np.exp(1j * np.array([0.2, 0.9, 2.3])) if p.dt else 1j * o.bandwidth * np.array([0.043, 0.21, 0.93])
-    reached = response_terms(driven.replaced(C=np.eye(n), D=np.zeros((n, m)), outputs=None), points)
-    X = above_rounding(reached.values, reached.terms, RESPONSE_ROUNDING)
-    Q, P = system.evaluate(points), driven.evaluate(points)
+    states = driven.replaced(C=np.eye(n), D=np.zeros((n, m)), outputs=None)
+    reached = [response_terms(one, points) for one in (states, driven)]
+    X, P = (above_rounding(one.values, one.terms, RESPONSE_ROUNDING) for one in reached)
+    Q = system.evaluate(points)
     product = Q[..., n_u:] @ P
     product[..., :n_u] += Q[..., :n_u]
     late = (1 / points if p.dt else 1 / (points / o.bandwidth + 1)) ** o.derivatives

@@ -167,8 +167,10 @@ def _through_outputs(plant: Plant, used: list[int]) -> NDArray:
         return np.zeros((plant.n_states, plant.n_outputs))
     rows, columns = np.abs(Dd).max(axis=1), np.abs(Dd).max(axis=0)
     rows, columns = np.where(rows > 0, rows, 1.0), np.where(columns > 0, columns, 1.0)
-    inverse = np.linalg.pinv(Dd / rows[:, None] / columns, rcond=1e-10) / rows / columns[:, None]
-    return _embedded((plant.Bd @ inverse).T, used, plant.n_outputs).T
+    inverse = np.linalg.pinv(Dd / rows[:, None] / columns, rcond=1e-10)
+    # an output that rounding reads would bring in the disturbances in it
+    inverse = above_rounding(inverse, np.abs(inverse).max(initial=0.0), RESIDUE) / rows / columns[:, None]
+    return _embedded(without_rounding(plant.Bd, inverse).T, used, plant.n_outputs).T
 
 
 def _embedded(rows: NDArray, used: list[int], p: int) -> NDArray:

@@ -226,7 +226,7 @@ def assemble(
     """Return the observer of a decoupling and a placed gain, with its identities checked."""
     K1 = placed.gain @ form.W + T @ form.G
     F = without_rounding(np.hstack([T, -K1]), np.vstack([plant.A, plant.C]))
-    K = K1 + F @ H
+    K = above_rounding(K1 + F @ H, np.abs(K1) + np.abs(F) @ np.abs(H))  # nothing, where H leaves nothing of an output
     # where nothing is left of T, or of a column, what counts is what it is the rounding of
     sizes = max(1.0, float(np.linalg.norm(T))), float(np.linalg.norm(K))
     terms = sizes[0] * np.linalg.norm(plant.Bd, axis=0) + sizes[1] * np.linalg.norm(plant.Dd, axis=0)

@@ -24,6 +24,7 @@ from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis
 from residua.plant import Plant
+from residua.plant.comparable_units import canonical_units
 from residua.plant.input_output_model import InputOutputModel
 from residua.tolerances import TINY
 from residua.words import counted
@@ -132,13 +133,18 @@ def directional_parity(
     both = [name for name in wanted.faults if name in ignored]
     if both:
         raise DesignError(f"fault {both[0]!r} can have a direction or be ignored, not both")
-    most = _highest_degree(model, wanted, order)
-    basis = basis_for(model.plant, most + 1)
-    joint = directional_pencil(model.plant, model.ignored_columns(ignored), wanted, basis, rtol=rtol)
-    generic = _attainable(model, joint, wanted, ignored, rtol)
+    units = canonical_units(model.plant)  # parts that nothing connects are not combined in units of the caller
+    even = replace(relation_model(units.applied(model.plant)), notes=model.notes)
+    most = _highest_degree(even, wanted, order)
+    basis = basis_for(even.plant, most + 1)
+    joint = directional_pencil(even.plant, even.ignored_columns(ignored), wanted, basis, rtol=rtol)
+    generic = _attainable(even, joint, wanted, ignored, rtol)
     solutions = _shortest(joint, generic, most, rtol) if order is None else _of_order(joint, generic, order, most, rtol)
     X = joint.relations(solutions.best_combination())
-    rows = _relations(model, X, basis, ignored, divide=order is not None)
+    rows = [
+        replace(row, p=units.equations * row.p, q=units.outputs * row.q, ignored=model.ignored_columns(ignored))
+        for row in _relations(even, X, basis, ignored, divide=order is not None)
+    ]
     relations = relations_of(model.plant, rows, directions=wanted)
     notes = (*model.notes, *((f"ignores {', '.join(ignored)}",) if ignored else ()), *_free(model, wanted, ignored))
     try:

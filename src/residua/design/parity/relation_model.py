@@ -14,7 +14,7 @@ from residua.errors import ModelError
 from residua.linear.polynomials.pencil_null_space import Pencil, pencil
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis, basis_on_poles
 from residua.plant import Plant
-from residua.plant.comparable_units import PlantUnits, canonical_units
+from residua.plant.comparable_units import PlantUnits, canonical_units, even_plant
 from residua.plant.input_output_model import InputOutputModel
 from residua.tolerances import RESIDUE, above_rounding
 
@@ -119,7 +119,11 @@ def state_pencil(
 
 
 def basis_for(plant: Plant, count: int) -> PolynomialBasis:
-    """Return the basis on the poles of a plant, each used as often as needed for a number of nodes."""
+    """Return the basis on the poles of a plant, each used as often as needed for a number of nodes.
+
+    Sizes are those of even units: the entries of a chain of integrators have none but those of its states.
+    """
+    plant = even_plant(plant).plant
     try:
         poles = plant.system(()).poles()
     except ModelError:  # the pencil of a singular plant need not be regular
@@ -141,6 +145,6 @@ def basis_for(plant: Plant, count: int) -> PolynomialBasis:
 
 
 def _mean_size(M: NDArray[np.float64]) -> float:
-    """Return the geometric mean of the entries that are not zero: units of states hardly change it."""
+    """Return the geometric mean of the entries that are not zero."""
     sizes = np.abs(M[M != 0])
     return float(np.exp(np.mean(np.log(sizes)))) if sizes.size else 1.0

@@ -22,7 +22,7 @@ from residua.design.parity.relation import Relation, digits_lost, plant_rate
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import PolynomialMatrix, StateSpace, is_stable_mode
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
-from residua.linear.systems.balancing import descriptor_units
+from residua.linear.systems.balancing import descriptor_units, power_of_two
 from residua.plant import Plant
 from residua.plant.comparable_units import PlantUnits, canonical_units
 from residua.tolerances import POLYNOMIAL_LEAKAGE, RESIDUE, above_rounding
@@ -191,10 +191,11 @@ class ParityRelations:
     def _in_units(self, units: PlantUnits) -> ParityRelations:
         """Return the relations between the signals of the scaled plant."""
         height = np.concatenate([units.equations, units.outputs])[:, None]
-        rows = (
-            replace(row, p=row.p / units.equations, q=row.q / units.outputs, ignored=row.ignored * height)
-            for row in self.rows
-        )
+        rows = []
+        for row in self.rows:
+            ignored = row.ignored * height  # its columns have units of their own, which must not count either
+            ignored = ignored / power_of_two(np.abs(ignored).max(axis=0, initial=0.0))
+            rows.append(replace(row, p=row.p / units.equations, q=row.q / units.outputs, ignored=ignored))
         return replace(self, plant=units.applied(self.plant), rows=tuple(rows))
 
     def _filtered(

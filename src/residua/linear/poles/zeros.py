@@ -79,11 +79,11 @@ def _standard(M: Matrices, E: NDArray[np.float64], rtol: float, decisions: list[
 
 
 def _balanced(M: Matrices) -> tuple[Matrices, float]:
-    """Balance a standard system and choose the unit of ``s`` so that all blocks have comparable norms."""
+    """Balance a standard system and choose the unit of ``s``, which outputs take too: all blocks stay comparable."""
     s = balance_system(*M)
     size = float(np.linalg.norm(s.A, 2)) if s.A.size else 0.0
     unit = float(power_of_two(np.array(size))) if size else 1.0
-    return (s.A / unit, s.B / unit, s.C, s.D), unit
+    return (s.A / unit, s.B / unit, s.C / unit, s.D / unit), unit
 
 
 def _deflate(M: Matrices, rtol: float, scale: float, decisions: list[RankDecision]) -> Matrices:

@@ -178,12 +178,14 @@ def split_blocks(A: NDArray, C: NDArray, spaces: list[DetectionSpace], *, rtol: 
     inside = range_C - D @ np.linalg.lstsq(D, range_C, rcond=None)[0] if D.shape[1] else range_C
     U, _, _ = np.linalg.svd(inside, full_matrices=False)
     rest_outputs = without_noise(U[:, : range_C.shape[1] - D.shape[1]])
-    read = _inverse(np.hstack([D, rest_outputs]))
+    read = inverse_without_rounding(np.hstack([D, rest_outputs]))
     pairs, confining, row = [], [], 0
     for space in spaces:
         S, q = space.basis, space.outputs.shape[1]
         seen = without_rounding(space.outputs.T, C, S)
-        confining.append(without_rounding(np.hstack([np.eye(n), -S]), np.vstack([A, S.T @ A]), S, _inverse(seen)))
+        confining.append(
+            without_rounding(np.hstack([np.eye(n), -S]), np.vstack([A, S.T @ A]), S, inverse_without_rounding(seen))
+        )
         pairs.append((without_rounding(S.T, A, S), seen))
         row += q
     S_all = np.hstack([np.zeros((n, 0)), *(space.basis for space in spaces)])
@@ -194,7 +196,7 @@ def split_blocks(A: NDArray, C: NDArray, spaces: list[DetectionSpace], *, rtol: 
     return Blocks(pairs, (A0, without_rounding(read[row:], C, R)), spaces, confining, R, read)
 
 
-def _inverse(M: NDArray) -> NDArray[np.float64]:
-    """Return the pseudo-inverse of a matrix of comparable columns, exactly zero where only rounding is left."""
+def inverse_without_rounding(M: NDArray) -> NDArray[np.float64]:
+    """Return the pseudo-inverse of a matrix in even units, exactly zero where only rounding is left."""
     inverse = np.linalg.pinv(M, rcond=1e-12)
     return above_rounding(inverse, np.abs(inverse).max(initial=0.0), RESIDUE)

@@ -14,6 +14,7 @@ from residua.linear.poles.stability import dies_out, modes_with_uncertainty
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision
 from residua.linear.systems.balancing import balance_system
 from residua.linear.systems.units import system_units
+from residua.tolerances import RESIDUE, above_rounding
 
 _EPS = float(np.finfo(float).eps)
 #: How much of ``norm(A)`` the staircase may drop in the caller's coordinates before it is called a failure.
@@ -97,6 +98,12 @@ class Staircase:
         return self.dropped + 10 * self.A.shape[0] * _EPS * self.size
 
     @property
+    def rounding_of_basis(self) -> float:
+        """What rounding may have left in ``Q``: that of the norm of ``A`` beside the weakest coupling kept."""
+        kept = [float(one.singular_values[one.rank - 1]) for one in self.decisions[1:] if one.rank]
+        return RESIDUE * max(1.0, self.size / min(kept, default=self.size or 1.0))
+
+    @property
     def size(self) -> float:
         """Spectral norm of ``A``."""
         return float(np.linalg.norm(self.A, 2)) if self.A.size else 0.0
@@ -162,19 +169,34 @@ def staircase(
     return Staircase(A, C, Q, seen, first, tuple(decisions), T, Y, dropped * scale_A, has_units)
 
 
-def _orthogonal(form: Staircase) -> NDArray[np.float64]:
-    """Return ``Q`` in the caller's units: its last columns span the unobservable subspace ``T Q2``."""
+def _orthogonal(form: Staircase, noise: float) -> NDArray[np.float64]:
+    """Return ``Q`` in the caller's units: its last columns span the unobservable subspace ``T Q2``.
+
+    Entries of ``Q2`` up to ``noise`` are taken for rounding, which would be a direction where other states have larger
+    units.
+    """
     k = form.n_observable
     n = form.Q.shape[0]
     if np.all(form.states == 1) or k in (0, n):
         return form.Q
-    N = form.states[:, None] * form.Q[:, k:]
+    N = form.states[:, None] * above_rounding(form.Q[:, k:], 1.0, noise)
     # Sorted rows and pivoted columns keep the small rows of a badly scaled basis accurate.
     order = np.argsort(-np.abs(N).max(axis=1), kind="stable")
     full = scipy.linalg.qr(N[order], pivoting=True)[0]
     Q = np.empty_like(full)
     Q[order] = full
     return np.hstack([Q[:, n - k :], Q[:, : n - k]])
+
+
+def _dropped(A: NDArray, C: NDArray, Q: NDArray, k: int) -> float:
+    """Return what is not zero of the zeros of an observability form, relative to the pair."""
+    At, Ct = Q.T @ A @ Q, C @ Q
+    lost = [
+        float(np.linalg.norm(M)) / max(float(np.linalg.norm(whole)), np.finfo(float).tiny)
+        for M, whole in ((At[:k, k:], A), (Ct[:, k:], C))
+        if M.size
+    ]
+    return max(lost, default=0.0)
 
 
 def observability_form(A: ArrayLike, C: ArrayLike, *, rtol: float = DEFAULT_RTOL) -> ObservabilityForm:
@@ -218,14 +240,11 @@ def observability_form(A: ArrayLike, C: ArrayLike, *, rtol: float = DEFAULT_RTOL
     A = arrays.matrix(A, "A", (A.shape[0], A.shape[0]))
     C = arrays.matrix(C, "C", (None, A.shape[0]))
     form = staircase(A, C, rtol=rtol)
-    k, Q = form.n_observable, _orthogonal(form)
+    k = form.n_observable
+    # the hidden subspace is known to rounding times the condition of what sees the rest; of two the one that drops less
+    bases = [_orthogonal(form, noise) for noise in (0.0, min(rtol, form.rounding_of_basis))]
+    residual, Q = min(((_dropped(A, C, basis, k), basis) for basis in bases), key=lambda one: one[0])
     At, Ct = Q.T @ A @ Q, C @ Q
-    lost = [
-        float(np.linalg.norm(M)) / max(float(np.linalg.norm(whole)), np.finfo(float).tiny)
-        for M, whole in ((At[:k, k:], A), (Ct[:, k:], C))
-        if M.size
-    ]
-    residual = max(lost, default=0.0)
     if residual > max(_MOST_DROPPED, 10 * rtol):
         raise AccuracyError(
             f"the observability form drops {residual:.3g} of the norm of (A, C) with rtol={rtol:.3g}; "

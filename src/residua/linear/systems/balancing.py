@@ -27,6 +27,8 @@ _WIDEST = 64
 _LARGEST = 2.0**200
 #: Ratios of scales that move by more than this power of two in the second half of the sweeps will not come to rest.
 _DRIFT = 4
+#: A spectral radius above this, relative to that of the sizes of the entries, is near enough to a level, real or not.
+_SURELY_REAL = 1e-2
 #: Ratios of a row to its column, and of a channel to its level, from here to the inverse surely round to a factor of
 #: one: those up to 1/2 and to the root of 1/2 do, and what is nearer to these than rounding is decided by logarithms.
 _EVEN, _NEAR = 0.501, 0.708
@@ -156,11 +158,7 @@ def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> Ba
     W = without_residue(bordered(A, B, C, D))
     # Only couplings count in a sweep; the diagonal of A does not change with the units of the states.
     np.fill_diagonal(W[:n, :n], 0.0)
-    # The spectral radius of A sets the level for the channels, whose units are free: it has no units of states.
-    radius, size = (float(np.abs(np.linalg.eigvals(A)).max()), float(np.linalg.norm(A))) if n else (0.0, 0.0)
-    if radius < np.sqrt(np.finfo(float).eps) * size:  # numerically nilpotent: the radius is rounding
-        radius = size
-    level = float(power_of_two(np.array(radius or 1.0)))
+    level = _level(A)
     scaled = W.copy()
     left, right, settled = _factors(scaled, n, level, _length)
     if not settled or _vanished(scaled):
@@ -173,6 +171,21 @@ def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> Ba
     T, U, Y = T / c, U / c, Y * c
     scaled = A0 / T[:, None] * T, B0 / T[:, None] * U, Y[:, None] * C0 * T, Y[:, None] * D0 * U
     return BalancedSystem(*scaled, T, U, Y, start.states)
+
+
+def _level(A: NDArray[np.float64]) -> float:
+    """Return the level for the channels, whose units are free: the spectral radius of ``A``, without units of states.
+
+    Of a nilpotent matrix it is rounding, which a chain of ``n`` states grows to the ``n``-th root of it, beside the
+    radius of the sizes of the entries; its norm is taken then, and the channels are not made nothing beside the states.
+    """
+    n = len(A)
+    if not n:
+        return 1.0
+    eps, size = float(np.finfo(float).eps), float(np.linalg.norm(A))
+    radius, of_sizes = (float(np.abs(np.linalg.eigvals(M)).max()) for M in (A, np.abs(A)))
+    rounding = max(math.sqrt(eps) * size, min((n * eps) ** (1 / n), _SURELY_REAL) * of_sizes)
+    return float(power_of_two(np.array((size if radius < rounding else radius) or 1.0)))
 
 
 def _vanished(W: NDArray[np.float64]) -> bool:

@@ -109,8 +109,9 @@ def response_terms(
         at = np.ix_(np.arange(len(points)), rows, columns)
         values[at] += Cp @ X
         terms[at] += np.abs(Cp) @ inside + through
-    path = paths(system, B, D)
-    return ResponseTerms(np.where(path, values, 0.0), np.where(path, terms, 0.0))
+    # what pivoting leaves where no coupling leads is nothing, whatever stands beside it
+    own = paths(system, system.B, system.D)
+    return ResponseTerms(np.where(own, values, 0.0), np.where(paths(system, B, D), terms, 0.0))
 
 
 def accurate_response(system: StateSpace, points: Complex) -> Complex:
@@ -211,10 +212,11 @@ def paths(system: StateSpace, B: Real, D: Real) -> NDArray[np.bool_]:
     """Tell from which inputs a chain of couplings leads to which outputs; from all to all of a descriptor system."""
     if system.E is not None:
         return np.ones(D.shape, dtype=bool)
-    coupled, reached = (system.A != 0).astype(np.float32), (B != 0).astype(np.float32)
+    # Of truth values, which no BLAS multiplies: its kernel for small floats now and then raises a flag of its own.
+    coupled, reached = system.A != 0, B != 0
     for _ in range(system.n_states):
-        more = np.minimum(reached + coupled @ reached, 1.0)
+        more = reached | (coupled @ reached)
         if np.array_equal(more, reached):
             break
         reached = more
-    return ((system.C != 0).astype(np.float32) @ reached > 0) | (D != 0)
+    return ((system.C != 0) @ reached) | (D != 0)

@@ -1,0 +1,217 @@
+"""Answers that rounding once decided, in base units and in units from 2^-20 to 2^20, against exact ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from flint import fmpq
+
+import residua as rs
+from exact import questions
+from exact.matrices import rank
+from exact.plants import at, exact_plant
+from exact.responses import frequencies, paths
+from exact_campaign.cases import plant_of, units
+from exact_campaign.kinds import case_of
+from guards import trips
+from residua.design.detection_filters import detection_filter
+from residua.errors import AccuracyError, DesignError
+from residua.linear.systems.response_terms import response_terms
+from residua.plant import Plant
+
+#: A gain of a plant of small fractions; one that rounding asks for is 1e10 and more.
+GAIN = 1e5
+
+
+def in_all_units(kind: str, seed: int) -> list[Plant]:
+    """Return a plant of the campaign in base units and in four others."""
+    case = case_of(kind, seed)
+    return [plant_of(case), *(plant_of(case, units(case, k, powers_of_two=True)) for k in (seed, 0, 1, 2))]
+
+
+def reaction(call: Callable[[], Any]) -> str:
+    """Return how a design ends, without numbers: what it makes, or which error it raises."""
+    try:
+        made = call()
+    except DesignError as error:
+        return type(error).__name__
+    return repr(np.asarray(made.structure).tolist())
+
+
+@pytest.mark.parametrize("seed", [55, 133])
+def test_channels_of_a_nilpotent_plant_are_not_scaled_to_rounding(seed: int) -> None:
+    """Its spectral radius is the n-th root of rounding, to which inputs and outputs were brought down."""
+    plants = in_all_units("repeated poles", seed)
+    X = exact_plant(plants[0])
+    wanted = rank(at(X.pencil(X.Bd, X.Dd), fmpq(3, 8)))
+    for p in plants:
+        assert rs.linear.pencil_rank_at(p.A, p.Bd, p.C, p.Dd, s=0.375).rank == wanted
+
+
+@pytest.mark.parametrize("unit_of_time", [2.0**-20, 1.0, 2.0**20])
+def test_zeros_of_a_stiff_plant_do_not_depend_on_units_nor_on_that_of_time(unit_of_time: float) -> None:
+    """Rates of 2^10 made a coupling of 2^-13 nothing beside the outputs, which had no share in the unit of ``s``."""
+    for p in in_all_units("stiff", 47):
+        none = p.Bu[:, :0]
+        assert not rs.linear.invariant_zeros(p.A * unit_of_time, none, p.C).zeros.size
+        seen = rs.linear.pencil_rank_at(p.A * unit_of_time, none, p.C, s=0.375 * unit_of_time)
+        assert seen.rank == p.n_states
+
+
+def test_a_state_that_nothing_sees_is_hidden_in_all_units() -> None:
+    """What rounding left beside the state of its own was a direction where other states have larger units."""
+    for p in in_all_units("stiff", 310):
+        answer = rs.linear.detectability(p.A, p.C)
+        assert len(answer.unobservable_modes) == 1
+        assert answer.form.residual < 1e-9
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("repeated poles", 25), ("repeated poles", 108), ("repeated poles", 133)])
+@pytest.mark.parametrize("design", [rs.design.detection_filter, rs.design.luenberger_observer])
+def test_no_gain_is_rounding(kind: str, seed: int, design: Any) -> None:
+    """Whatever decides on it, a gain of plants of small fractions in even units is no 1e10."""
+    plant = plant_of(case_of(kind, seed))
+    made = design(plant)
+    assert max(v for name, v in made.evidence.conditions.items() if name.startswith("norm of")) < GAIN
+
+
+@trips("linear.subspaces.far_gain:refuse_far_gain")
+def test_a_far_gain_is_refused_as_a_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blocks have units of their own: what is modest there may be far in those of the plant."""
+    own = detection_filter.block_gain
+
+    def far(*pair: Any, **options: Any) -> Any:
+        design = own(*pair, **options)
+        return replace(design, gain=1e17 * design.gain)
+
+    plant = plant_of(case_of("repeated poles", 25))
+    rs.design.detection_filter(plant)
+    monkeypatch.setattr(detection_filter, "block_gain", far)
+    with pytest.raises(AccuracyError, match="more than 1e"):
+        rs.design.detection_filter(plant)
+
+
+def test_faults_of_sensors_are_no_event_where_nothing_of_the_output_is_read() -> None:
+    """A pseudo-inverse leaves 1e-17 in rows of states that no output sees, and units are balanced by these."""
+    plant = plant_of(case_of("repeated poles", 25))
+    events = detection_filter.event_matrices(plant, np.eye(plant.n_states), plant.faults)
+    for name, L in events.items():
+        sizes = np.abs(L[L != 0])
+        assert sizes.min() > 1e-3, name
+
+
+@pytest.mark.parametrize(
+    ("kind", "seed", "design"),
+    [
+        # the ideal gain (A - p I) C^+ kept what rounding left of a pseudo-inverse
+        ("more outputs than states", 122, rs.design.detection_filter),
+        ("hidden modes", 28, rs.design.detection_filter),
+        # a control that is decoupled entered by what rounding left of T B, and all of K where T = 0
+        ("more outputs than states", 111, lambda plant: rs.design.actuator_fault_bank(plant, observer="unknown-input")),
+        ("singular E", 102, lambda plant: rs.design.actuator_fault_bank(plant, observer="unknown-input")),
+        # the disturbance in an output came in through what rounding left of a pseudo-inverse
+        ("more outputs than states", 207, lambda plant: rs.design.reduced_order_observer(plant).residual_generator()),
+        # a response that is nothing was held against its rounding
+        ("delays", 115, lambda plant: rs.design.perfect_observer(plant, least_order=True).residual_generator()),
+        (
+            "alike directions",
+            139,
+            lambda plant: rs.design.perfect_observer(plant, least_order=True).residual_generator(),
+        ),
+    ],
+)
+def test_structure_does_not_depend_on_units(kind: str, seed: int, design: Any) -> None:
+    reactions = {reaction(lambda p=p: design(p)) for p in in_all_units(kind, seed)}
+    assert len(reactions) == 1
+    assert "Error" not in reactions.pop()
+
+
+def test_nothing_is_left_of_an_observer_without_states_to_estimate() -> None:
+    plant = plant_of(case_of("more outputs than states", 111))
+    bank = rs.design.actuator_fault_bank(plant, observer="unknown-input")
+    assert not np.any(bank.generator.system.B)
+
+
+def test_an_observer_delivers_no_rows_of_pure_rounding() -> None:
+    """A measurement that the estimate reproduces is a filtered copy of other residuals, or else nothing at all."""
+    for p in in_all_units("duplicated sensors", 121):
+        made = rs.design.actuator_fault_bank(p, observer="unknown-input", allow_missing=True).generator
+        assert made.n_residuals == 2
+        assert made.structure.any(axis=1).all()
+
+
+def test_an_equation_that_outputs_free_of_disturbances_is_a_residual() -> None:
+    """An algebraic equation holds the disturbance that an output measures: their combination is undisturbed."""
+    for p in in_all_units("singular E", 37):
+        assert questions.residual_exists(exact_plant(p))
+        made = rs.design.unknown_input_observer(p).residual_generator()
+        assert made.n_residuals == 1
+        assert made.structure.all()
+        assert made.evidence.decoupling["disturbance"] < 1e-9
+
+
+def test_no_response_is_where_no_coupling_leads() -> None:
+    """Pivoting mixes rows of states that nothing couples, and left 1e-16 of the largest response in the others."""
+    plant = plant_of(case_of("stiff", 122))
+    bank = rs.design.actuator_fault_bank(plant, observer="unknown-input")
+    assert bank.generator.structure.tolist() == [[False, False, False, x] for x in (False, False, True, True)]
+    s = rs.linear.StateSpace([[-1.0, 0.0], [-3.0, -2.0]], [[0.0], [1.0]], [[1.0, 0.0]])
+    response = response_terms(s, 1j * np.array([0.1, 1.0]), np.ones((2, 1)))
+    assert not np.any(response.values)
+    assert np.all(response.terms > 0)
+
+
+def test_directions_are_told_in_units_of_what_residuals_read() -> None:
+    """An ill-conditioned observer has terms of 1e9 inside, beside which a direction of size one was rounding."""
+    for by in (None, units(case_of("stiff", 12), 0, powers_of_two=True)):
+        plant = plant_of(case_of("stiff", 12), by)
+        made = rs.design.sensor_fault_bank(plant, observer="unknown-input", allow_missing=True).generator
+        y = np.ones(plant.n_outputs) if by is None else by.y
+        responses = paths(made.system, made.plant, y, frequencies(plant.dt))
+        size = responses.reach[:, :, responses.to_faults].max(axis=(0, 2))
+        for j, name in enumerate(plant.faults):
+            basis = np.linalg.qr(made.subspaces[name] / size[:, None])[0]
+            r = (responses.total[:, :, responses.to_faults][:, :, j] / size).T
+            off = np.linalg.norm(r - basis @ (basis.T @ r), axis=0)
+            assert np.all(off < 1e-6 * np.linalg.norm(r, axis=0)), name
+
+
+def directional(plant: Plant) -> Any:
+    """Return relations that give the first two faults residuals of their own."""
+    directions = {plant.faults[0]: [1.0, 0.0], plant.faults[1]: [0.0, 1.0]}
+    return rs.design.directional_parity(plant, directions=directions, insensitive_to=plant.faults[2:3])
+
+
+def leaks_in_units(kind: str, seed: int, design: Callable[[Plant], Any]) -> list[float]:
+    """Return by how much controls leak into a residual, in base units and in others."""
+    case = case_of(kind, seed)
+    plants = [plant_of(case), plant_of(case, units(case, seed, powers_of_two=True))]
+    return [float(design(plant).evidence.decoupling["control"]) for plant in plants]
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("integrators", 133), ("sparse", 202)])
+def test_relations_of_chains_of_integrators_do_not_depend_on_units(kind: str, seed: int) -> None:
+    """Such a chain has no rate but by the units of its states, which were those of the caller."""
+    leaks = leaks_in_units(kind, seed, directional)
+    assert max(leaks) < max(10 * min(leaks), 1e-11)
+
+
+def test_parts_that_nothing_connects_are_not_combined_in_units_of_the_caller() -> None:
+    reactions = {reaction(lambda p=p: directional(p)) for p in in_all_units("no states", 123)}
+    assert len(reactions) == 1
+    assert "Error" not in reactions.pop()
+
+
+def test_relations_are_the_same_to_the_last_bit_whatever_the_units_of_what_they_ignore() -> None:
+    """Columns of ignored disturbances kept the units of the caller, and moved the rounding of the others."""
+    base, other = leaks_in_units("integrators", 130, rs.design.parity_relations)
+    assert base == other
+
+
+def test_relations_of_a_structure_do_not_exist_by_units() -> None:
+    plants = in_all_units("oscillators", 204)
+    assert len({reaction(lambda p=p: rs.design.structured_parity(p, ["11111"]).generator) for p in plants}) == 1
