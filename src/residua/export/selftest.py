@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from residua.errors import SettingError
 from residua.export.monitor_program import MonitorProgram
 from residua.export.writer import indented
+from residua.linear.poles.spectrum import spectral_radius
 from residua.monitor.running import initial_state, run_reference
 from residua.monitor.specification import Specification
 
@@ -100,13 +101,13 @@ def rounding_bound(spec: Specification, sizes: NDArray[np.float64]) -> NDArray[n
 
     .. math::
 
-       |\Delta r| \le |C| (T \delta + G v) + \gamma (|C| X + |D| V) + |D| v + |C| T |A^s| e_0, \qquad
+       |\Delta r| \le H \delta + (G_r + |D|) v + \gamma (|C| X + |D| V) + H |A^s| e_0, \qquad
        \delta = \gamma (|A| X + |B| V)
 
-    with :math:`T = \sum_{k \ge 0} |A^k|`, :math:`G = \sum_{k \ge 0} |A^k B|`, :math:`\gamma = (n + m + 3) u` for
-    sums of n + m products of rounded matrices and signals, u = 2^-24, states of :math:`X = G V` enlarged by what
-    rounding adds to them, :math:`v = u (V + |\text{offset}|)` for the difference from the operating point, and what
-    the start of the filter is off by, :math:`e_0`, of which :math:`A^s` is left when it has settled.
+    with :math:`H = \sum_{k \ge 0} |C A^k|`, :math:`G_r = \sum_{k \ge 0} |C A^k B|`, :math:`\gamma = (n + m + 3) u` for
+    sums of n + m products of rounded matrices and signals, u = 2^-24, states of :math:`X = \sum |A^k B| V` enlarged by
+    what rounding adds to them, :math:`v = u (V + |\text{offset}|)` for the difference from the operating point, and
+    what the start of the filter is off by, :math:`e_0`, of which :math:`A^s` is left when it has settled.
 
     Parameters
     ----------
@@ -117,7 +118,7 @@ def rounding_bound(spec: Specification, sizes: NDArray[np.float64]) -> NDArray[n
     Raises
     ------
     SettingError
-        If the filter forgets so slowly, or the order is so high, that rounding is not bounded.
+        If the filter forgets so slowly, or amplifies so much, that this bounds nothing.
     """
     A, B, C, D = (np.abs(M) for M in (spec.A, spec.B, spec.C, spec.D))
     n, m = spec.B.shape
@@ -125,35 +126,40 @@ def rounding_bound(spec: Specification, sizes: NDArray[np.float64]) -> NDArray[n
     taken = _UNIT * (sizes + np.abs(spec.offset))
     if not n:
         return unit * (D @ sizes) + D @ taken
-    total, gains = _sums_of_powers(spec.A, spec.B)
-    if unit * np.linalg.norm(total @ A, np.inf) >= 0.5:
-        raise SettingError("rounding would grow in single precision without a bound: export it in double precision")
-    reached = np.linalg.solve(np.eye(n) - unit * (total @ A), gains @ sizes + unit * (total @ (B @ sizes)))
-    each = unit * (A @ reached + B @ sizes)
-    steady = C @ (total @ each + gains @ taken) + unit * (C @ reached + D @ sizes) + D @ taken
+    (states, gains), (H, on_residual) = (_sums_of_powers(spec.A, spec.B, M) for M in (np.eye(n), spec.C))
+    if spectral_radius(unit * (states @ A)) >= 0.5:
+        raise SettingError(
+            "this filter amplifies rounding so much that nothing can be promised in single precision: export it in "
+            "double precision"
+        )
+    reached = np.linalg.solve(np.eye(n) - unit * (states @ A), gains @ sizes + unit * (states @ (B @ sizes)))
     residuals = C @ reached + D @ sizes
+    steady = H @ (unit * (A @ reached + B @ sizes)) + (on_residual + D) @ taken + unit * residuals
     start = np.abs(spec.start) @ (unit * sizes + taken)
     begun, first = 0, spec.first
     if first is not None:  # its residuals correct the start, with what they are off by themselves
         begun, rows = first.samples, np.abs(first.rows).reshape(-1, len(spec.C), n).sum(axis=0)
-        off = steady + C @ (total @ start)
-        sums = (off + (first.samples + len(spec.C)) * _UNIT * residuals) @ rows
-        start = total @ start + np.abs(first.correction) @ (sums + n * _UNIT * (residuals @ rows))
+        off = steady + H @ start + (first.samples + len(spec.C)) * _UNIT * residuals
+        start = states @ start + np.abs(first.correction) @ (np.sum(off[:, None] * rows, axis=0))
+        start += n * _UNIT * (np.abs(first.correction) @ (residuals @ rows))
     left = np.abs(np.linalg.matrix_power(spec.A, max(spec.settle - begun, 0)))
-    return steady + C @ (total @ (left @ start))
+    return steady + H @ (left @ start)
 
 
-def _sums_of_powers(A: NDArray[np.float64], B: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
-    """Return the sums of the sizes of A^k and of A^k B, from above."""
+def _sums_of_powers(
+    A: NDArray[np.float64], B: NDArray[np.float64], C: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the sums of the sizes of C A^k and of C A^k B, from above."""
     n = len(A)
-    total, gains, power = np.zeros((n, n)), np.zeros(B.shape), np.eye(n)
+    total, gains, power = np.zeros(C.shape), np.zeros((len(C), B.shape[1])), np.eye(n)
     for _ in range(_LONGEST):
-        total += np.abs(power)
-        gains += np.abs(power @ B)
+        now = C @ power
+        total += np.abs(now)
+        gains += np.abs(now @ B)
         power = power @ A
-        if np.abs(power).sum() <= _LEFT / n:  # of all that comes: T <= T_N + |A^N| T
-            rest = np.eye(n) - np.abs(power)
-            return np.linalg.solve(rest, total), np.linalg.solve(rest, gains)
+        if np.abs(power).sum() <= _LEFT / n:  # of all that comes: H <= H_N + H |A^N|, and what B adds to it
+            every = np.linalg.solve(np.eye(n) - np.abs(power).T, total.T).T
+            return every, gains + (every @ np.abs(power)) @ np.abs(B)
     raise SettingError("this filter forgets too slowly for single precision: export it in double precision")
 
 
