@@ -158,7 +158,7 @@ def _sums_of_powers(
         gains += np.abs(now @ B)
         power = power @ A
         if np.abs(power).sum() <= _LEFT / n:  # of all that comes: H <= H_N + H |A^N|, and what B adds to it
-            every = np.linalg.solve(np.eye(n) - np.abs(power).T, total.T).T
+            every = np.asarray(np.linalg.solve(np.eye(n) - np.abs(power).T, total.T).T, dtype=float)
             return every, gains + (every @ np.abs(power)) @ np.abs(B)
     raise SettingError("this filter forgets too slowly for single precision: export it in double precision")
 
