@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 
 import residua as rs
-from compiled_exports import CompiledExport
+from compiled_exports import STRICT, CompiledExport
 from residua.errors import DataError, ModelError, NotFittedError, SettingError
 from residua.export.identifiers import comment_text, identifier
 from residua.export.monitor_program import FLOAT, monitor_program
 from residua.export.selftest import comparison, rounding_bound
+from structured_text import FunctionBlock
 
 needs_compiler = pytest.mark.skipif(shutil.which("gcc") is None, reason="there is no gcc")
 needs_make = pytest.mark.skipif(shutil.which("make") is None, reason="there is no make")
@@ -141,6 +142,8 @@ def test_a_folder_is_not_overwritten_unless_asked(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(DataError, match="is a file: name a folder"):
         rs.export.to_c(watch(), tmp_path / "file", missing="hold")
+    with pytest.raises(DataError, match="name a folder that can be made"):
+        rs.export.to_c(watch(), tmp_path / "file" / "below", missing="hold")
 
 
 def test_names_of_users_end_no_comment_and_break_no_line() -> None:
@@ -152,6 +155,22 @@ def test_names_of_users_end_no_comment_and_break_no_line() -> None:
     assert identifier("Füllstand 3") == "f_llstand_3"
     assert identifier("7") == "monitor_7"
     assert identifier("") == "monitor"
+
+
+@needs_compiler
+@pytest.mark.parametrize("precision", ["double", "float"])
+def test_code_of_odd_names_and_without_inputs_compiles(precision: str, tmp_path: Path) -> None:
+    plant = rs.Plant(
+        [[0.9]], np.zeros((1, 0)), [[1.0], [2.0]], dt=1, outputs=["T_1 (°C) */", 'p "x" ??/'], name="Ofen */ (* 3"
+    )
+    plant = plant.with_sensor_faults().with_noise(process=1e-3, measurement=1e-2)
+    monitor = rs.Monitor(rs.design.kalman_filter(plant))
+    folder = rs.export.to_c(monitor, tmp_path / "c", precision=precision, missing="hold")
+    command = ["gcc", *STRICT, "ofen_3.c", "-o", "ofen.so", "-lm"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    rs.export.to_structured_text(monitor, tmp_path / "st", precision=precision, missing="hold")
+    FunctionBlock((tmp_path / "st" / "ofen_3.st").read_text())
 
 
 @needs_cppcheck

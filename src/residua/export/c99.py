@@ -129,7 +129,7 @@ def _about(made: MonitorProgram) -> list[str]:
         "recursion, bounded loops.",
         "In double precision, without contraction of products and sums (-std=c99, or -ffp-contract=off), it gives the "
         "bits of the monitor that it was made from.",
-        *made.notes,
+        *map(comment_text, made.notes),
     ]
     return ["/*", *(f" * {part}" for line in lines for part in wrap(line, 110)), " */"]
 

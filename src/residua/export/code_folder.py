@@ -198,7 +198,10 @@ def _written(folder: str | os.PathLike[str], files: Mapping[str, str], *, overwr
     there = sorted(one.name for one in path.iterdir()) if path.is_dir() else []
     if there and not overwrite:
         raise DataError(f"{path} has {there[0]!r} in it: name another folder, or ask to overwrite (overwrite=True)")
-    path.mkdir(parents=True, exist_ok=True)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"{path}: {error.strerror or error}; name a folder that can be made") from error
     for one, text in files.items():
         with replacing(path / one) as partial:
             partial.write_text(text, encoding="utf-8")

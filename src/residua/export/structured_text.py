@@ -112,7 +112,7 @@ def _about(made: MonitorProgram) -> list[str]:
         f"Call it once for each sample, every {made.dt:g} s. A value that is missing is to be set outside of its "
         "plausible range (lowest, highest, as deviations from offset), or is NaN where the controller compares it as "
         "IEEE 754 says.",
-        *made.notes,
+        *map(comment_text, made.notes),
         *(f"u[{k}]  {name}{unit}" for k, (name, unit) in enumerate(zip(named[:cut], units[:cut], strict=True))),
         *(f"y[{k}]  {name}{unit}" for k, (name, unit) in enumerate(zip(named[cut:], units[cut:], strict=True))),
         *(f"score[{g}]  {comment_text(' or '.join(group))}" for g, group in enumerate(made.groups)),
