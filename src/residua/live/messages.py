@@ -1,0 +1,40 @@
+"""What a source hands on, and the readings that are in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from residua.live.source import Source
+
+
+@dataclass(slots=True)
+class Message:
+    """One message of a source, as it came.
+
+    Attributes
+    ----------
+    source : Source
+        Which is told when the message is safe: :meth:`residua.live.source.Source.acknowledge`.
+    payload : bytes or float
+        JSON, as ``docs/live-sources`` describes it; of one channel its value, or JSON with ``t`` and ``value``.
+    arrived : float
+        When it came, in seconds since 1970: the time of a value that has none.
+    plant : str
+        The id of the plant, where the topic or the node says it; a message that says another is refused.
+    channel : str
+        The channel, where a topic or a node has one channel; else empty: the payload says what is in it.
+    time : float or None
+        In seconds, where the protocol says it.
+    token : object
+        What the source needs to acknowledge it.
+    """
+
+    source: Source
+    payload: bytes | float
+    arrived: float
+    plant: str = ""
+    channel: str = ""
+    time: float | None = None
+    token: Any = None

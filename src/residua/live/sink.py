@@ -1,0 +1,44 @@
+"""The seam of sinks: what takes events to their receivers."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import ClassVar
+
+from residua.live.events import Event
+
+
+class DeliveryError(Exception):
+    """A receiver is away, or refuses an event: it is tried again later. The text is shown, and has no secret in it."""
+
+
+class Sink(ABC):
+    """What takes events to a receiver. One thread calls it, with events in their order.
+
+    Attributes
+    ----------
+    kind : str
+        As in the configuration.
+    name : str
+        Which sink it is: by it the store knows what was delivered, so it must stay the same from run to run; never with
+        a secret in it.
+
+    Notes
+    -----
+    Events are delivered at least once: those of a call that raised, or whose success could not be noted before the
+    process ended, come again. The pair (plant, number) of an event lets the receiver drop the second.
+    """
+
+    kind: ClassVar[str]
+    name: str
+
+    @abstractmethod
+    def deliver(self, events: Sequence[Event]) -> int:
+        """Deliver events, oldest first, and return how many were: those after them come again.
+
+        Raises :class:`DeliveryError` where not even the first could be, within a time that the sink bounds.
+        """
+
+    def close(self) -> None:
+        """Leave the receiver."""

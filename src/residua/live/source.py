@@ -1,0 +1,109 @@
+"""The seam of sources: what brings messages, and is told when they are safe."""
+
+from __future__ import annotations
+
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+from residua.live.messages import Message
+
+
+@dataclass(frozen=True)
+class Health:
+    """How a source or a sink is.
+
+    Attributes
+    ----------
+    good : bool
+        Whether it is connected.
+    text : str
+        In words: to what it is connected, or why it is not and what is being done.
+    """
+
+    good: bool
+    text: str
+
+
+class Source(ABC):
+    """What brings messages. It runs in threads of its own, between :meth:`start` and :meth:`stop`.
+
+    Attributes
+    ----------
+    kind : str
+        As in the configuration.
+    name : str
+        Which source it is, for the page and the log; never with a secret in it.
+    finite : bool
+        Whether it ends by itself, as a recording does: the run ends when all sources have.
+
+    Notes
+    -----
+    A source that loses its connection tries again after growing pauses, for ever; it never raises after ``start``.
+    Memory is bounded: ``put`` blocks while there is no room, and the source must then stop reading, not collect.
+    """
+
+    kind: ClassVar[str]
+    finite: ClassVar[bool] = False
+    name: str
+
+    @abstractmethod
+    def start(self, put: Callable[[Message], None]) -> None:
+        """Begin to bring messages; ``put`` takes them, from any thread, and blocks while there is no room.
+
+        ``put`` raises :class:`Stopped` where the run is ending: the source then leaves.
+        """
+
+    @abstractmethod
+    def stop(self) -> None:
+        """End all threads and connections, within a few seconds; messages that were not acknowledged stay unsafe."""
+
+    def acknowledge(self, messages: Sequence[Message]) -> None:
+        """Take note that messages are safe: what follows from them is committed. From the thread of the run.
+
+        In the order in which they were put. Nothing to do where the protocol knows no acknowledgement.
+        """
+
+    @property
+    def over(self) -> bool:
+        """Whether a finite source has brought all that it has."""
+        return False
+
+    @property
+    @abstractmethod
+    def health(self) -> Health:
+        """How it is now; from any thread."""
+
+
+class Stopped(Exception):
+    """The run is ending: nothing is taken any more."""
+
+
+class Pauses:
+    """Growing pauses between attempts: doubled each time, from the first to the longest.
+
+    Examples
+    --------
+    >>> pauses = Pauses(first=0.5, longest=3.0)
+    >>> [pauses.next() for _ in range(5)]
+    [0.5, 1.0, 2.0, 3.0, 3.0]
+    """
+
+    def __init__(self, first: float = 0.5, longest: float = 30.0) -> None:
+        self.first, self.longest = first, longest
+        self._now = first
+
+    def next(self) -> float:
+        """Return the seconds to wait before the next attempt."""
+        now, self._now = self._now, min(2 * self._now, self.longest)
+        return now
+
+    def reset(self) -> None:
+        """Begin anew, after a success."""
+        self._now = self.first
+
+    def wait(self, stopping: threading.Event) -> bool:
+        """Wait, but not while the run is ending; return whether it is."""
+        return stopping.wait(self.next())
