@@ -44,7 +44,7 @@ ROOMS = (
     ),
     *("linear", "plant", "recording", "analysis", "design", "decide", "robust", "library", "identify"),
     *("monitor", "validate", "export"),
-    *("report", "testing", "demos", "cli", "residua", "__main__"),
+    *("report", "live", "testing", "demos", "cli", "residua", "__main__"),
 )
 LOOSE = ROOMS[: ROOMS.index("linear")]
 

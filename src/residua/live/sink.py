@@ -40,5 +40,5 @@ class Sink(ABC):
         Raises :class:`DeliveryError` where not even the first could be, within a time that the sink bounds.
         """
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027 (most have nothing to leave)
         """Leave the receiver."""

@@ -53,14 +53,14 @@ class Source(ABC):
     def start(self, put: Callable[[Message], None]) -> None:
         """Begin to bring messages; ``put`` takes them, from any thread, and blocks while there is no room.
 
-        ``put`` raises :class:`Stopped` where the run is ending: the source then leaves.
+        ``put`` raises :class:`RunStoppedError` where the run is ending: the source then leaves.
         """
 
     @abstractmethod
     def stop(self) -> None:
         """End all threads and connections, within a few seconds; messages that were not acknowledged stay unsafe."""
 
-    def acknowledge(self, messages: Sequence[Message]) -> None:
+    def acknowledge(self, messages: Sequence[Message]) -> None:  # noqa: B027 (some protocols have none)
         """Take note that messages are safe: what follows from them is committed. From the thread of the run.
 
         In the order in which they were put. Nothing to do where the protocol knows no acknowledgement.
@@ -77,7 +77,7 @@ class Source(ABC):
         """How it is now; from any thread."""
 
 
-class Stopped(Exception):
+class RunStoppedError(Exception):
     """The run is ending: nothing is taken any more."""
 
 

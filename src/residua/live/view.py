@@ -1,0 +1,66 @@
+"""What the page, the metrics and other readers see of a run, from any thread."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+from residua.live.events import Event
+
+
+class View(Protocol):
+    """A look at a run; every method may be called from any thread, and returns plain values for JSON.
+
+    Times are in seconds, as in the data: since 1970 where they are dates.
+    """
+
+    @property
+    def title(self) -> str:
+        """What is watched, in words: the names of the plants' models."""
+        ...
+
+    def overview(self, first: int = 0, count: int = 100) -> dict[str, Any]:
+        """Return how everything is.
+
+        ``{"plants": {"all": n, "fault": n, "missing": n, "waiting": n, "quiet": n}, "rows": [...], "sources": [{"name",
+        "kind", "good", "text"}], "sinks": [{"name", "kind", "good", "text", "behind"}], "last_event": place, "dated":
+        bool, "problems": [text, ...]}``. ``rows`` are plants, those with a fault first (the latest alarm first), then
+        those with missing data, then the others by id: ``{"plant", "state": "fault" | "missing" | "waiting" | "quiet",
+        "since": time or null, "time": of the last sample or null, "name": text, "sure": text, "ratio": statistic over
+        threshold or null, "rows": number of samples}``.
+        """
+        ...
+
+    def plant(self, plant: str) -> dict[str, Any] | None:
+        """Return one plant with its recent past; ``None``: there is no such plant.
+
+        ``{"plant", "model", "dt", "dated", "row": as in ``overview``, "time": [t, ...], "statistic": [x or null, ...],
+        "threshold": x, "residuals": [{"name", "unit", "values": [x or null, ...], "center": x, "band": x}, ...],
+        "signals": [{"name", "unit", "values": [...]}, ...], "alarms": [{"raised", "onset", "ended": time or null,
+        "name": text, "sure": text, "lines": [text, ...], "candidates": [{"name", "weight": text}, ...]}, ...],
+        "missing": [[from, to], ...], "events": [as Event.to_dict with "place"], "notes": [text, ...]}``; series are of
+        the last hour or so, thinned to a few hundred points that keep the extremes.
+        """
+        ...
+
+    def events_after(self, place: int, limit: int = 500, plant: str | None = None) -> Sequence[Event]:
+        """Return events after a place in the order of all, the oldest first."""
+        ...
+
+    def wait_for_event(self, place: int, timeout: float) -> bool:
+        """Wait until there is an event after a place, or the time is over; return whether there is one."""
+        ...
+
+    def counters(self) -> Mapping[tuple[str, tuple[tuple[str, str], ...]], float]:
+        """Return the numbers for the metrics: by name and labels, such as ``("messages", (("source", "mqtt"),))``.
+
+        Counters: ``messages`` by source, ``dropped`` by reason, ``rows`` by model, ``events`` by kind, ``commits``,
+        ``delivered`` and ``delivery_failures`` by sink. Gauges: ``plants``, ``plants_in_alarm``, ``plants_missing``,
+        ``largest_ratio`` (statistic to threshold) and ``oldest_age`` (seconds since the last row) by model and shard,
+        ``queue`` (messages that wait), ``behind`` (events that wait) by sink, ``connected`` by source or sink.
+        """
+        ...
+
+    def ratios(self) -> Mapping[str, float]:
+        """Return the last statistic over its threshold of every plant: for one series per plant, when asked for."""
+        ...
