@@ -18,7 +18,7 @@ class Message:
     source : Source
         Which is told when the message is safe: :meth:`residua.live.source.Source.acknowledge`.
     payload : bytes or float
-        JSON, as ``docs/live-sources`` describes it; of one channel its value, or JSON with ``t`` and ``value``.
+        JSON, as the page "Live sources" describes it; of one channel its value, or JSON with ``t`` and ``value``.
     arrived : float
         When it came, in seconds since 1970: the time of a value that has none.
     plant : str

@@ -113,9 +113,7 @@ class FleetBlock:
     @cached_property
     def fingerprint(self) -> str:
         """What tells that two monitors run the same: the SHA-256 of all that they are made of."""
-        content = monitor_out(self.monitor)
-        ran = {name: content[name] for name in sorted(content) if name not in ("state", "notes", "fit_check")}
-        return hashlib.sha256(json.dumps(ran, sort_keys=True).encode()).hexdigest()
+        return fingerprint_of(self.monitor)
 
     @property
     def state(self) -> State:
@@ -170,6 +168,22 @@ class FleetBlock:
         missing, decided, statistic, alarm = (out[name][:, 0] for name in _TOLD)
         self._follow_alarms(rows, alarm)
         return Tick(alarm, decided, missing, statistic)
+
+    def advance(
+        self, rows: NDArray[np.int64], data: NDArray[np.float64], names: Sequence[str], threads: int = 1
+    ) -> dict[str, NDArray]:
+        """Go on with a block of some plants, each once, (plants, time, channels); return of the decisions some."""
+        run = self._run
+        if run is not None:
+            inputs = len(self.generator.plant.inputs)
+            out: dict[str, Any] = run.outputs(data.shape[0], data.shape[1], names)
+            run.run(data[..., :inputs], data[..., inputs:], out, rows, threads=threads)
+            return {name: out[name] for name in names}
+        after, made = run_reference(self.spec, rows_of(self.state, rows), data)
+        self._state = written_rows(self.state, rows, after)
+        if data.shape[1]:
+            self._remember(rows, made)
+        return {name: getattr(made, name) for name in names}
 
     def _remember(self, places: NDArray[np.int64], made: Decisions) -> None:
         """Keep what was decided on the last sample of plants, in NumPy."""
@@ -282,6 +296,13 @@ class FleetBlock:
         return whole
 
 
+def fingerprint_of(monitor: Monitor) -> str:
+    """Return what tells that two monitors run the same: the SHA-256 of all that they are made of."""
+    content = monitor_out(monitor)
+    ran = {name: content[name] for name in sorted(content) if name not in ("state", "notes", "fit_check")}
+    return hashlib.sha256(json.dumps(ran, sort_keys=True).encode()).hexdigest()
+
+
 def _last_sample(whole: Any) -> Any:
     """Return a dataclass of arrays of (plants, time, ...) with the last sample alone."""
     if whole is None:
@@ -315,4 +336,4 @@ def _stacked(parts: Sequence[Any]) -> Any:
     return type(first)(**{one.name: _stacked([getattr(part, one.name) for part in parts]) for one in fields(first)})
 
 
-__all__ = ["FleetAlarm", "FleetBlock", "Tick"]
+__all__ = ["FleetAlarm", "FleetBlock", "Tick", "fingerprint_of"]

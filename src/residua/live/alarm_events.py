@@ -1,0 +1,128 @@
+"""From the alarms of a plant's rows to events: what is new since the last look, whatever was looked at in between.
+
+A look runs the code of a recorded run over the rows of the plant and gives its alarms as that would, those that are
+one event joined. When it is looked depends on the rows alone, so that events do not depend on how rows came in batches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, replace
+from typing import Any
+
+from residua.decide.alarm import Alarm, Beginning
+
+
+@dataclass(frozen=True, slots=True)
+class ToldAlarm:
+    """An alarm that was told of, and is not over for sure.
+
+    Attributes
+    ----------
+    raised, onset : float
+        ``raised`` tells alarms apart.
+    named : tuple of tuple of str
+    began : Beginning or None
+        As the last look had it.
+    shortened : bool
+        Whether rows of its beginning are no longer kept.
+    """
+
+    raised: float
+    onset: float
+    named: tuple[tuple[str, ...], ...]
+    began: Beginning | None = None
+    shortened: bool = False
+
+    def to_record(self) -> list[Any]:
+        """Return it as plain values for JSON."""
+        began = None if self.began is None else list(astuple(self.began))
+        return [self.raised, self.onset, [list(group) for group in self.named], began, self.shortened]
+
+    @staticmethod
+    def from_record(content: list[Any]) -> ToldAlarm:
+        """Return what :meth:`to_record` describes."""
+        raised, onset, named, began, shortened = content
+        since = None if began is None else Beginning(*began)
+        return ToldAlarm(raised, onset, tuple(tuple(group) for group in named), since, shortened)
+
+
+@dataclass(frozen=True, slots=True)
+class News:
+    """What is to be told of an alarm.
+
+    Attributes
+    ----------
+    kind : str
+        ``raised``, ``renamed`` or ``ended``.
+    alarm : Alarm
+    part : ToldAlarm or None
+        Of an ended one that turned out to be part of an earlier one, ``alarm``: what was told of it.
+    """
+
+    kind: str
+    alarm: Alarm
+    part: ToldAlarm | None = None
+
+
+def news(
+    told: Sequence[ToldAlarm], alarms: Sequence[Alarm], since: float, over: bool
+) -> tuple[list[ToldAlarm], list[News]]:
+    """Return what is to be told of alarms, and what was told of then.
+
+    Parameters
+    ----------
+    told : sequence of ToldAlarm
+        Those that are not over.
+    alarms : sequence of Alarm
+        Of the rows that are kept.
+    since : float
+        When the first alarm of those that are not over was raised: earlier ones are over.
+    over : bool
+        Whether no row to come can belong to an alarm of these any more.
+
+    Returns
+    -------
+    told : list of ToldAlarm
+    events : list of News
+        In the order of the alarms; those that are part of an earlier one first.
+    """
+    known = {one.raised: one for one in told}
+    now: list[ToldAlarm] = []
+    events: list[News] = []
+    for alarm in _with_beginnings_kept(told, [one for one in alarms if one.raised >= since or _kept(told, one)]):
+        before = known.pop(alarm.raised, None)
+        if before is None:
+            events.append(News("raised", alarm))
+        elif before.named != alarm.named:
+            events.append(News("renamed", alarm))
+        if over:
+            events.append(News("ended", alarm))
+        else:
+            shortened = before is not None and before.shortened
+            now.append(ToldAlarm(alarm.raised, alarm.onset, alarm.named, alarm.began, shortened))
+    whole = [one.alarm for one in events] + [one for one in alarms if one.raised >= since]
+    parts = [News("ended", _owner(part, whole), part) for part in known.values() if whole]
+    return now, [*parts, *events]
+
+
+def _owner(part: ToldAlarm, alarms: Sequence[Alarm]) -> Alarm:
+    """Return the alarm that a part belongs to: the last one that was raised before it."""
+    before = [one for one in alarms if one.raised <= part.raised]
+    return max(before, key=lambda one: one.raised) if before else alarms[0]
+
+
+def _kept(told: Sequence[ToldAlarm], alarm: Alarm) -> bool:
+    return alarm.start == 0 and any(one.shortened for one in told)
+
+
+def _with_beginnings_kept(told: Sequence[ToldAlarm], alarms: Sequence[Alarm]) -> list[Alarm]:
+    """Return alarms with the times of the one whose beginning is no longer kept, as it was told."""
+    first = next((one for one in told if one.shortened), None)
+    if first is None or not alarms or alarms[0].start:
+        return list(alarms)
+    whole = replace(alarms[0], raised=first.raised, onset=first.onset, began=first.began)
+    return [whole, *alarms[1:]]
+
+
+__all__ = ["ToldAlarm", "news"]

@@ -1,0 +1,276 @@
+"""From a message to readings: what JSON may say, and what is refused, by its reason."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from itertools import chain, pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import missing_extra
+from residua.live.messages import Message
+
+try:
+    import orjson
+except ImportError as error:
+    raise missing_extra("orjson", "live") from error
+
+#: Bytes of a message at most.
+LARGEST = 4_000_000
+#: Rows of a packed message at most.
+MOST_ROWS = 100_000
+#: Characters of the id of a plant at most.
+LONGEST_ID = 200
+#: Seconds from 1970 that a time is taken for: dates from the year -29,700 to 33,600.
+_LARGEST_TIME = 1e12
+_NUMBERS = frozenset({int, float, type(None)})
+_KEYS = (
+    frozenset({"plant", "t", "u", "y"}),
+    frozenset({"plant", "t", "values"}),
+    frozenset({"plant", "t0", "dt", "u", "y"}),
+)
+
+#: Why a message is refused: the labels by which they are counted.
+REASONS = ("json", "size", "shape", "number", "time", "channel", "plant")
+
+
+class MessageError(ValueError):
+    """A message that is refused.
+
+    Attributes
+    ----------
+    reason : str
+        One of :data:`REASONS`.
+    """
+
+    def __init__(self, reason: str, text: str) -> None:
+        super().__init__(text)
+        self.reason = reason
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The channels of a plant.
+
+    Attributes
+    ----------
+    inputs, outputs : tuple of str
+    dt : float
+        Seconds between samples.
+    """
+
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    dt: float
+    places: Mapping[str, int] = field(init=False, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "places", {name: k for k, name in enumerate(self.channels)})
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Inputs, then outputs."""
+        return (*self.inputs, *self.outputs)
+
+
+@dataclass(slots=True)
+class Readings:
+    """What a message says of one plant.
+
+    Attributes
+    ----------
+    plant : str
+    times : sequence of float
+        In seconds, as they were stated.
+    values : ndarray, shape (rows, channels)
+        NaN for a missing value.
+    stated : tuple of int, or None
+        The channels that are spoken of; ``None`` for all.
+    dated : bool
+        Whether times are dates.
+    """
+
+    plant: str
+    times: list[float]
+    values: NDArray[np.float64]
+    stated: tuple[int, ...] | None
+    dated: bool
+
+
+#: Returns the channels of a plant; ``None`` where the plant is not known.
+Layouts = Callable[[str], Layout | None]
+
+
+def readings_of(message: Message, layouts: Layouts) -> Readings:
+    """Return what a message says.
+
+    Parameters
+    ----------
+    message : Message
+    layouts : callable
+        Called with the id of a plant; ``None`` where it is not watched.
+
+    Raises
+    ------
+    MessageError
+        If it is no JSON, or not of the shape that is read; nothing of it is used then.
+    """
+    content = message.payload
+    if message.channel:
+        return _channel(message, content, layouts)
+    if not isinstance(content, bytes):
+        raise MessageError("shape", "a number without a channel")
+    whole = _json(content)
+    if type(whole) is not dict:
+        raise MessageError("shape", "no JSON object")
+    plant = whole.get("plant", message.plant)
+    if message.plant and plant != message.plant:
+        raise MessageError("plant", "another plant than the topic says")
+    layout = _layout(plant, layouts)
+    keys = whole.keys() | {"plant"}
+    if "values" in keys and keys <= _KEYS[1]:
+        time, dated = time_of(whole.get("t"))
+        return _named(plant, time, dated, whole["values"], layout)
+    if "t0" in keys and keys <= _KEYS[2]:
+        return _packed(plant, whole, layout)
+    if "y" in keys and keys <= _KEYS[0]:
+        if type(whole.get("t")) is list:
+            return _packed(plant, whole, layout)
+        time, dated = time_of(whole.get("t"))
+        values = _numbers([_list(whole.get("u", []), len(layout.inputs)) + _list(whole["y"], len(layout.outputs))])
+        return Readings(plant, [time], values, None, dated)
+    raise MessageError("shape", "keys must be plant, t, u, y; or plant, t, values; or plant, t0, dt, u, y")
+
+
+def _json(content: bytes) -> Any:
+    if len(content) > LARGEST:
+        raise MessageError("size", f"larger than {LARGEST:,} bytes")
+    try:
+        return orjson.loads(content)
+    except (ValueError, RecursionError) as error:
+        raise MessageError("json", "no JSON") from error
+
+
+def _layout(plant: Any, layouts: Layouts) -> Layout:
+    if type(plant) is not str or not plant or len(plant) > LONGEST_ID or not plant.isprintable():
+        raise MessageError("plant", "the id of a plant is a text of up to 200 characters")
+    layout = layouts(plant)
+    if layout is None:
+        raise MessageError("plant", "a plant that is not watched")
+    return layout
+
+
+def time_of(stated: Any) -> tuple[float, bool]:
+    """Return a time in seconds, and whether it is a date.
+
+    Parameters
+    ----------
+    stated : int, float, or str
+        Seconds, or ISO 8601 with a zone.
+
+    Raises
+    ------
+    MessageError
+        If it is neither.
+
+    Examples
+    --------
+    >>> time_of("1970-01-01T01:00:05+01:00")
+    (5.0, True)
+    """
+    if type(stated) is float or type(stated) is int:
+        time = float(stated) if abs(stated) < _LARGEST_TIME else math.nan
+        if time == time:
+            return time, False
+    elif type(stated) is str and len(stated) < 64:
+        try:
+            moment = datetime.fromisoformat(stated)
+        except ValueError:
+            moment = None
+        if moment is not None and moment.tzinfo is not None:
+            return moment.timestamp(), True
+    raise MessageError("time", "t must be seconds, or ISO 8601 with its zone")
+
+
+def _named(plant: str, time: float, dated: bool, values: Any, layout: Layout) -> Readings:
+    if type(values) is not dict or not values:
+        raise MessageError("shape", "values must be an object with a number for each channel")
+    try:
+        stated = tuple(layout.places[name] for name in values)
+    except KeyError:
+        raise MessageError("channel", "a channel that the plant does not have") from None
+    row = np.full((1, len(layout.channels)), np.nan)
+    row[0, list(stated)] = _numbers([list(values.values())])[0]
+    return Readings(plant, [time], row, None if len(stated) == row.shape[1] else stated, dated)
+
+
+def _packed(plant: str, whole: dict[str, Any], layout: Layout) -> Readings:
+    y = whole.get("y")
+    if type(y) is not list or not 0 < len(y) <= MOST_ROWS:
+        raise MessageError("shape", f"y must be a list of 1 to {MOST_ROWS:,} rows")
+    u = whole.get("u", [[]] * len(y) if not layout.inputs else None)
+    if type(u) is not list or len(u) != len(y):
+        raise MessageError("shape", "u and y must have as many rows")
+    if not layout.inputs and not u[0]:
+        u = [[]] * len(y)
+    rows = [_list(a, len(layout.inputs)) + _list(b, len(layout.outputs)) for a, b in zip(u, y, strict=True)]
+    values = _numbers(rows)
+    if "t0" in whole:
+        start, dated = time_of(whole["t0"])
+        step: Any = whole.get("dt")
+        if type(step) not in (int, float) or not abs(step - layout.dt) <= 1e-3 * layout.dt:
+            raise MessageError("time", f"dt must be that of the monitor, {layout.dt:g} s")
+        return Readings(plant, [start + k * step for k in range(len(rows))], values, None, dated)
+    moments = [time_of(one) for one in whole["t"]]
+    if len(moments) != len(rows):
+        raise MessageError("shape", "t and y must have as many rows")
+    times = [time for time, _ in moments]
+    if any(later <= earlier for earlier, later in pairwise(times)):
+        raise MessageError("time", "times must grow")
+    return Readings(plant, times, values, None, moments[0][1])
+
+
+def _list(values: Any, width: int) -> list[Any]:
+    if type(values) is not list or len(values) != width:
+        raise MessageError("shape", f"a row has not the {width} values of the plant")
+    return values
+
+
+def _numbers(rows: list[list[Any]]) -> NDArray[np.float64]:
+    """Return rows of JSON numbers; no text, no truth value."""
+    if not _NUMBERS.issuperset(map(type, chain.from_iterable(rows))):
+        raise MessageError("number", "values must be numbers or null")
+    try:
+        return np.array(rows, dtype=np.float64)
+    except OverflowError as error:
+        raise MessageError("number", "a number that is too large") from error
+
+
+def _channel(message: Message, content: bytes | float, layouts: Layouts) -> Readings:
+    """Return the reading of a topic or node of one channel."""
+    layout = _layout(message.plant, layouts)
+    place = layout.places.get(message.channel)
+    if place is None:
+        raise MessageError("channel", "a channel that the plant does not have")
+    time, dated, value = message.time, message.time is not None, content
+    if isinstance(content, bytes):
+        value = _json(content)
+        if type(value) is dict:
+            if not value.keys() <= {"t", "value"} or "value" not in value:
+                raise MessageError("shape", "the reading of a channel is a number, or has the keys t and value")
+            if "t" in value:
+                time, dated = time_of(value["t"])
+            value = value["value"]
+    if time is None:
+        time, dated = message.arrived, True
+    row = np.full((1, len(layout.channels)), np.nan)
+    row[0, place] = _numbers([[value]])[0, 0]
+    return Readings(message.plant, [time], row, (place,), dated)
+
+
+__all__ = ["REASONS", "Layout", "Layouts", "MessageError", "Readings", "readings_of", "time_of"]

@@ -1,0 +1,430 @@
+"""From readings to rows on the grid of the sample step: a pure function from state and readings to state and rows.
+
+A row is released when every channel of it has been stated and all rows before it are out; or ``wait`` seconds after
+it should have been, by the times of later readings or by the clock, with NaN for what is missing. Rows come out in
+order, each once. The grid follows the plant's clock slowly, so that a step that is stated a little wrong does no harm.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.live.readings import Readings
+
+#: The part of a reading's distance from the grid by which the grid moves.
+FOLLOW = 1 / 32
+#: Readings in a row that are older than the last row, from which on the clock has gone back.
+BACK_AFTER = 10
+#: Rows that may wait for one that is missing, whatever ``wait`` is.
+MOST_PENDING = 10_000
+
+
+@dataclass(frozen=True)
+class SamplingSettings:
+    """How readings become rows.
+
+    Attributes
+    ----------
+    wait : float
+        Seconds that a row waits for readings that are missing.
+    max_age : float
+        Seconds for which a channel that is not stated keeps its last value; 0: it is missing at once.
+    longest_gap : int
+        Rows of NaN that a gap becomes at most: more say nothing more to a filter that starts anew.
+    """
+
+    wait: float
+    max_age: float
+    longest_gap: int
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """A row that is not complete, or waits for others.
+
+    Attributes
+    ----------
+    time : float
+        As the first reading stated it.
+    values : tuple of float
+        NaN where a channel has not been stated, or was stated to be missing.
+    stated : int
+        Bit ``c``: channel ``c`` has been stated.
+    arrived : float
+        When the first reading came, by the clock.
+    """
+
+    time: float
+    values: tuple[float, ...]
+    stated: int
+    arrived: float
+
+
+@dataclass(frozen=True, slots=True)
+class SamplingState:
+    """What is remembered of the readings of one plant.
+
+    Attributes
+    ----------
+    last, grid : float
+        The time of the last row as it was stated, and on the grid; NaN before the first.
+    dated : bool
+        Whether times are dates.
+    pending : tuple of (int, Slot)
+        By the number of steps after the last row, in order.
+    held, held_at : tuple of float
+        The last value of each channel, and its time; empty where values are not held.
+    late : int
+        Readings in a row that were older than the last row.
+    back : bool
+        Whether the clock has gone back: readings are refused until their time is past the last row.
+    """
+
+    last: float = math.nan
+    grid: float = math.nan
+    dated: bool = False
+    pending: tuple[tuple[int, Slot], ...] = ()
+    held: tuple[float, ...] = ()
+    held_at: tuple[float, ...] = ()
+    late: int = 0
+    back: bool = False
+
+    def to_record(self) -> dict[str, Any]:
+        """Return the state as plain values for JSON."""
+        slots = [[n, s.time, _out(s.values), s.stated] for n, s in self.pending]
+        out = {"last": _none(self.last), "grid": _none(self.grid), "dated": self.dated, "late": self.late}
+        return out | {"pending": slots, "back": self.back, "held": _out(self.held), "held_at": _out(self.held_at)}
+
+    @staticmethod
+    def from_record(content: dict[str, Any], arrived: float) -> SamplingState:
+        """Return the state of a record; what was pending counts as having come at ``arrived``."""
+        slots = tuple((n, Slot(time, _in(values), stated, arrived)) for n, time, values, stated in content["pending"])
+        last, grid = (math.nan if content[name] is None else content[name] for name in ("last", "grid"))
+        held, held_at = _in(content["held"]), _in(content["held_at"])
+        return SamplingState(last, grid, content["dated"], slots, held, held_at, content["late"], content["back"])
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Rows that were released.
+
+    Attributes
+    ----------
+    times : ndarray, shape (rows,)
+        As stated; of a row that nothing was said of, that of the grid.
+    values : ndarray, shape (rows, channels)
+    """
+
+    times: NDArray[np.float64]
+    values: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Remark:
+    """What is to be counted, or told.
+
+    Attributes
+    ----------
+    kind : str
+        ``repeat``: said before; ``conflict``: another value for a time that was said; ``late``: for a row that is out;
+        ``refused``: while the clock is back; ``clock``: it has gone back; ``gap``: rows without any reading.
+    time : float
+    count : int
+    """
+
+    kind: str
+    time: float
+    count: int = 1
+
+
+#: Returns the row that is out for a time, NaN for missing values; ``None`` where it is not kept.
+Known = Callable[[float], Sequence[float] | None]
+
+
+def sample(
+    state: SamplingState,
+    readings: Readings,
+    dt: float,
+    settings: SamplingSettings,
+    arrived: float,
+    known: Known,
+) -> tuple[SamplingState, list[Rows], list[Remark]]:
+    """Take readings of one plant, and release the rows that are complete or overdue.
+
+    Parameters
+    ----------
+    state : SamplingState
+    readings : Readings
+    dt : float
+        Seconds between rows.
+    settings : SamplingSettings
+    arrived : float
+        When the readings came, by the clock.
+    known : callable
+        Looks up rows that are out, for readings that come again.
+
+    Returns
+    -------
+    state : SamplingState
+    rows : list of Rows
+        In order.
+    remarks : list of Remark
+    """
+    quick = _next_rows(state, readings, dt, settings)
+    if quick is not None:
+        return quick
+    rows: list[Rows] = []
+    remarks: list[Remark] = []
+    for k, time in enumerate(readings.times):
+        state = _one(state, time, readings, k, dt, arrived, known, remarks)
+        state, released = _released(state, dt, settings, arrived, remarks)
+        rows += released
+    return state, rows, remarks
+
+
+def due(
+    state: SamplingState, dt: float, settings: SamplingSettings, now: float
+) -> tuple[SamplingState, list[Rows], list[Remark]]:
+    """Release the rows that have waited long enough by the clock; ``now`` infinite: all of them."""
+    remarks: list[Remark] = []
+    if not state.pending:
+        return state, [], remarks
+    state, rows = _released(state, dt, settings, now, remarks)
+    return state, rows, remarks
+
+
+def _next_rows(
+    state: SamplingState, readings: Readings, dt: float, settings: SamplingSettings
+) -> tuple[SamplingState, list[Rows], list[Remark]] | None:
+    """Return whole rows, each a step after the one before and the first a step after the last one; else ``None``."""
+    if state.pending or readings.stated is not None or settings.max_age > 0:
+        return None
+    grid, times = state.grid, readings.times
+    for time in times:
+        if grid == grid:
+            off = time - grid - dt
+            if not abs(off) < 0.5 * dt:
+                return None
+            grid = grid + dt + FOLLOW * off
+        else:
+            grid = time
+    after = SamplingState(times[-1], grid, readings.dated)
+    return after, [Rows(np.array(times), readings.values)], []
+
+
+def _one(
+    state: SamplingState,
+    time: float,
+    readings: Readings,
+    k: int,
+    dt: float,
+    arrived: float,
+    known: Known,
+    remarks: list[Remark],
+) -> SamplingState:
+    """Put one reading into its slot."""
+    if math.isnan(state.grid):
+        state = replace(state, grid=time - dt, last=time - dt, dated=readings.dated)
+    number = round((time - state.grid) / dt)
+    values = readings.values[k]
+    if number <= 0:
+        return _old(state, time, values, readings.stated, known, remarks)
+    if state.late or state.back:
+        state = replace(state, late=0, back=False)
+    slots = dict(state.pending)
+    slot = slots.get(number)
+    if slot is None:
+        slot = Slot(time, (math.nan,) * len(values), 0, arrived)
+    now, bits, clash = list(slot.values), slot.stated, False
+    for c in range(len(values)) if readings.stated is None else readings.stated:
+        value = float(values[c])
+        if not bits >> c & 1:
+            now[c], bits = value, bits | 1 << c
+        elif not _same(now[c], value):
+            clash = True
+    if bits == slot.stated:
+        remarks.append(Remark("conflict" if clash else "repeat", time))
+        return state
+    slots[number] = Slot(slot.time, tuple(now), bits, slot.arrived)
+    return replace(state, pending=tuple(sorted(slots.items())))
+
+
+def _old(
+    state: SamplingState,
+    time: float,
+    values: NDArray[np.float64],
+    stated: tuple[int, ...] | None,
+    known: Known,
+    remarks: list[Remark],
+) -> SamplingState:
+    """Say of a reading for a row that is out whether it was said before, and whether the clock has gone back."""
+    if state.back:
+        remarks.append(Remark("refused", time))
+        return state
+    row = known(time)
+    if row is not None:
+        pairs = [(row[c], float(values[c])) for c in (range(len(values)) if stated is None else stated)]
+        if all(_same(a, b) for a, b in pairs):
+            remarks.append(Remark("repeat", time))
+            return state
+        if any(a == a for a, _ in pairs):
+            remarks.append(Remark("conflict", time))
+            return _later(state, time, remarks)
+    remarks.append(Remark("late", time))
+    return _later(state, time, remarks)
+
+
+def _later(state: SamplingState, time: float, remarks: list[Remark]) -> SamplingState:
+    """Count a reading that is older than the last row."""
+    late = state.late + 1
+    if late < BACK_AFTER:
+        return replace(state, late=late)
+    remarks.append(Remark("clock", time))
+    return replace(state, late=0, back=True)
+
+
+def _released(
+    state: SamplingState, dt: float, settings: SamplingSettings, now: float, remarks: list[Remark]
+) -> tuple[SamplingState, list[Rows]]:
+    """Release rows from the front for as long as they are complete or overdue."""
+    out = _Releasing(state, dt, settings)
+    pending = list(state.pending)
+    while pending:
+        number, slot = pending[0]
+        full = (1 << len(slot.values)) - 1
+        overdue = now - slot.arrived >= settings.wait or len(pending) > MOST_PENDING
+        newest = math.inf if overdue else pending[-1][1].time
+        gap = number - out.step - 1
+        if gap:
+            later = settings.max_age > 0 and _spoken_of(pending) == full
+            gone = gap if later or newest == math.inf else _steps(newest - settings.wait - out.grid, dt)
+            if gone < 1:
+                break
+            remarks.append(Remark("gap", out.grid + dt, min(gap, gone)))
+            out.skip(min(gap, gone), len(slot.values))
+            if gone < gap:
+                break
+        due_at = out.grid + dt + settings.wait
+        if slot.stated != full and newest < due_at and not (settings.max_age > 0 and _spoken_of(pending) == full):
+            break
+        out.take(slot)
+        pending.pop(0)
+    return out.finished(pending)
+
+
+class _Releasing:
+    """The rows that are on their way out, and what is remembered after each."""
+
+    def __init__(self, state: SamplingState, dt: float, settings: SamplingSettings) -> None:
+        self.state, self.dt, self.settings = state, dt, settings
+        self.last, self.grid, self.held, self.held_at = state.last, state.grid, state.held, state.held_at
+        self.step = 0
+        self.times: list[float] = []
+        self.values: list[tuple[float, ...]] = []
+
+    def skip(self, rows: int, width: int) -> None:
+        """Let rows go that nothing was said of; of a long gap not all of them."""
+        for j in range(1, min(rows, self.settings.longest_gap) + 1):
+            moment = self.grid + j * self.dt
+            self.times.append(moment)
+            self.values.append(_held(self.held, self.held_at, moment, width, self.settings))
+        self.step += rows
+        self.grid += rows * self.dt
+        self.last = self.grid
+
+    def take(self, slot: Slot) -> None:
+        """Let the row of a slot go."""
+        expected = self.grid + self.dt
+        values = slot.values
+        if self.settings.max_age > 0:
+            self.held, self.held_at = _kept(self.held, self.held_at, slot)
+            values = _filled(slot, self.held, self.held_at, self.settings)
+        self.times.append(slot.time)
+        self.values.append(values)
+        self.step += 1
+        self.grid, self.last = expected + FOLLOW * (slot.time - expected), slot.time
+
+    def finished(self, pending: Sequence[tuple[int, Slot]]) -> tuple[SamplingState, list[Rows]]:
+        """Return the state to go on with, and the rows."""
+        if not self.times:
+            return self.state, []
+        moved = tuple((number - self.step, slot) for number, slot in pending)
+        after = replace(self.state, last=self.last, grid=self.grid, pending=moved, held=self.held, held_at=self.held_at)
+        return after, [Rows(np.array(self.times), np.array(self.values, dtype=np.float64))]
+
+
+def _steps(seconds: float, dt: float) -> int:
+    """Return the whole steps in a time, a rounding error short of one counted as one."""
+    return math.floor(seconds / dt + 1e-9)  # of the stated times
+
+
+def _spoken_of(pending: Sequence[tuple[int, Slot]]) -> int:
+    """Return the channels that the slots speak of, as bits: of those no earlier reading is to come."""
+    bits = 0
+    for _, slot in pending:
+        bits |= slot.stated
+    return bits
+
+
+def _held(
+    held: tuple[float, ...], held_at: tuple[float, ...], moment: float, width: int, settings: SamplingSettings
+) -> tuple[float, ...]:
+    """Return the row of a moment that nothing was said of."""
+    if settings.max_age <= 0 or not held:
+        return (math.nan,) * width
+    return tuple(v if moment - t <= settings.max_age else math.nan for v, t in zip(held, held_at, strict=True))
+
+
+def _kept(
+    held: tuple[float, ...], held_at: tuple[float, ...], slot: Slot
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the last values with those of a slot."""
+    if not held:
+        held = held_at = (math.nan,) * len(slot.values)
+    stated = [slot.stated >> c & 1 for c in range(len(held))]
+    values = tuple(new if on else old for on, new, old in zip(stated, slot.values, held, strict=True))
+    return values, tuple(slot.time if on else old for on, old in zip(stated, held_at, strict=True))
+
+
+def _filled(
+    slot: Slot, held: tuple[float, ...], held_at: tuple[float, ...], settings: SamplingSettings
+) -> tuple[float, ...]:
+    """Return the values of a slot, with the last ones of channels that were not stated."""
+    ages = _held(held, held_at, slot.time, len(held), settings)
+    return tuple(v if slot.stated >> c & 1 else ages[c] for c, v in enumerate(slot.values))
+
+
+def _same(a: float, b: float) -> bool:
+    return a == b or (a != a and b != b)
+
+
+def _none(value: float) -> float | None:
+    return None if value != value else value
+
+
+def _out(values: Sequence[float]) -> list[float | None]:
+    return [_none(value) for value in values]
+
+
+def _in(values: Sequence[float | None]) -> tuple[float, ...]:
+    return tuple(math.nan if value is None else value for value in values)
+
+
+__all__ = [
+    "BACK_AFTER",
+    "FOLLOW",
+    "Known",
+    "Remark",
+    "Rows",
+    "SamplingSettings",
+    "SamplingState",
+    "Slot",
+    "due",
+    "sample",
+]

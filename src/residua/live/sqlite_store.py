@@ -1,0 +1,122 @@
+"""A store in one SQLite file, with a write-ahead log: the default."""
+
+from __future__ import annotations
+
+import sqlite3
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from residua.files import check_output
+from residua.live.sql_store import TABLES, SqlStore
+from residua.live.store import StoreAwayError, StoreError
+
+#: Seconds for which a writer waits for another one.
+_BUSY = 30.0
+
+
+class SqliteStore(SqlStore):
+    """A store in one file, and two beside it while it is open.
+
+    A commit is on the disk when it returns (``synchronous=FULL``). One run at a time has the file.
+
+    Parameters
+    ----------
+    path : str or Path
+        Made if absent; its folder must exist.
+
+    Raises
+    ------
+    StoreError
+        When it is opened: if the file is no store, another run has it, or the folder does not exist.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self._local = threading.local()
+        self._all: list[sqlite3.Connection] = []
+        self._guard, self._writing = threading.Lock(), threading.Lock()
+        self._owner: sqlite3.Connection | None = None
+
+    def open(self) -> None:
+        """Open the file, or make it."""
+        try:
+            check_output(self.path)
+        except ValueError as error:
+            raise StoreError(str(error)) from error
+        with self._errors():
+            self._owner = self._own()
+            connection = self._connection()
+            connection.execute("PRAGMA journal_mode = WAL")
+            for text in TABLES:
+                connection.execute(text.format(bytes="BLOB", real="REAL", without_rowid=" WITHOUT ROWID"))
+        self._check_schema()
+
+    def _own(self) -> sqlite3.Connection:
+        """Return a lock that another run would have: on a file of its own, which a killed process leaves open."""
+        lock = sqlite3.connect(f"{self.path}.lock", timeout=0.0, isolation_level=None, check_same_thread=False)
+        try:
+            lock.execute("BEGIN EXCLUSIVE")
+        except sqlite3.OperationalError as error:
+            lock.close()
+            raise StoreError(f"{self.path}: another run has this store: stop it, or name another file") from error
+        return lock
+
+    def close(self) -> None:
+        """Close all connections."""
+        with self._guard:
+            for connection in self._all:
+                connection.close()
+            self._all.clear()
+            self._local = threading.local()
+            if self._owner is not None:
+                self._owner.close()
+                self._owner = None
+
+    def _connection(self) -> sqlite3.Connection:
+        connection = getattr(self._local, "connection", None)
+        if connection is None:
+            connection = sqlite3.connect(self.path, timeout=_BUSY, isolation_level=None, check_same_thread=False)
+            connection.execute("PRAGMA synchronous = FULL")
+            connection.execute("PRAGMA cache_size = -8000")
+            self._local.connection = connection
+            with self._guard:
+                self._all.append(connection)
+        return connection
+
+    @contextmanager
+    def _errors(self) -> Iterator[None]:
+        """Say which errors pass, and which do not."""
+        try:
+            yield
+        except sqlite3.OperationalError as error:
+            text = str(error)
+            if "locked" in text or "busy" in text:
+                raise StoreAwayError(f"{self.path}: {text}") from error
+            if "full" in text:
+                raise StoreError(f"{self.path}: no space is left on the disk: make room, then start again") from error
+            raise StoreError(f"{self.path}: {text}") from error
+        except sqlite3.Error as error:
+            raise StoreError(f"{self.path}: this is no store of residua, or a damaged one: {error}") from error
+
+    @contextmanager
+    def _transaction(self) -> Iterator[sqlite3.Cursor]:
+        with self._errors(), self._writing:
+            connection = self._connection()
+            cursor = connection.execute("BEGIN IMMEDIATE")
+            try:
+                yield cursor
+                connection.execute("COMMIT")
+            except BaseException:
+                if connection.in_transaction:
+                    connection.execute("ROLLBACK")
+                raise
+
+    def _query(self, text: str, values: Sequence[Any] = ()) -> list[Any]:
+        with self._errors():
+            return self._connection().execute(text, values).fetchall()
+
+
+__all__ = ["SqliteStore"]

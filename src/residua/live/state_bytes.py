@@ -1,0 +1,77 @@
+"""The running state of one plant as bytes, and back: what the store keeps of it."""
+
+from __future__ import annotations
+
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import FileFormatError
+from residua.monitor.plant_records import takes_no_memory
+from residua.monitor.running import State, initial_state
+from residua.monitor.specification import Specification
+
+#: The first byte, which changes with the layout.
+VERSION = 1
+
+
+def state_to_bytes(state: State) -> bytes:
+    """Return the state of one plant: its arrays one after the other, little-endian; the monitor says their shapes.
+
+    Before each stands whether it is there: one that takes no memory is zero throughout.
+    """
+    parts = [bytes([VERSION])]
+    for array in _arrays(state):
+        absent = takes_no_memory(array) and not array.any()
+        parts.append(b"\0" if absent else b"\1")
+        if not absent:
+            parts.append(np.ascontiguousarray(array).astype(array.dtype.newbyteorder("<"), copy=False).tobytes())
+    return b"".join(parts)
+
+
+def state_from_bytes(content: bytes, spec: Specification) -> State:
+    """Return the state of one plant of a monitor.
+
+    Raises
+    ------
+    FileFormatError
+        If the bytes are not a state of this monitor.
+    """
+    try:
+        if content[0] != VERSION:
+            raise ValueError("another version")
+        state, stop = _filled(initial_state(spec, 1), content, 1)
+        if stop != len(content) or not np.isfinite(state.filter.x).all():
+            raise ValueError("another length, or no filter")
+    except (ValueError, IndexError) as error:
+        raise FileFormatError(f"the store holds a state that is none of this monitor: {error}") from error
+    return state
+
+
+def _arrays(whole: Any) -> list[NDArray]:
+    if isinstance(whole, np.ndarray):
+        return [whole]
+    if not is_dataclass(whole):
+        return []
+    return [array for one in fields(whole) for array in _arrays(getattr(whole, one.name))]
+
+
+def _filled(like: Any, content: bytes, start: int) -> tuple[Any, int]:
+    """Return a dataclass of arrays with the values of bytes, and where they end."""
+    if isinstance(like, np.ndarray):
+        if content[start] == 0:
+            return like, start + 1
+        kind = like.dtype.newbyteorder("<")
+        array = np.frombuffer(content, dtype=kind, count=like.size, offset=start + 1)
+        return array.astype(like.dtype).reshape(like.shape), start + 1 + like.nbytes
+    if not is_dataclass(like):
+        return like, start
+    values = {}
+    for one in fields(like):
+        values[one.name], start = _filled(getattr(like, one.name), content, start)
+    return type(like)(**values), start  # pyright: ignore[reportCallIssue]
+
+
+__all__ = ["VERSION", "state_from_bytes", "state_to_bytes"]

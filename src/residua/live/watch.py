@@ -1,0 +1,441 @@
+"""The plants of a run: rows in, events and changes of the store out, the same events however rows come in batches."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import DataError, FileFormatError
+from residua.live.alarm_events import News, ToldAlarm, news
+from residua.live.events import Event
+from residua.live.sampling import Rows, SamplingState
+from residua.live.state_bytes import state_from_bytes, state_to_bytes
+from residua.live.store import Changes, PlantUpdate, Store, rows_from_bytes, rows_to_bytes
+from residua.live.watched_model import WatchedModel, clock_of
+from residua.live.watched_plant import WatchedPlant
+from residua.monitor.diagnosis import Diagnosis
+from residua.monitor.fleet_block import FleetBlock
+from residua.monitor.fused import copied
+from residua.monitor.running import State, initial_state, rows_of, written_rows
+from residua.visible import echo
+
+#: What is asked of every row.
+_ASKED = ("alarm", "missing", "statistic")
+#: Rows after which the running state of a plant is stored again: a restart runs so many at most.
+STORED_EVERY = 256
+#: So many times the rows that are kept, an alarm that stands longer loses its beginning.
+LONGEST_ALARM = 10
+#: In the order of events at one row.
+_RANKS = {"clock": 0, "back": 1, "ended": 2, "raised": 3, "renamed": 4, "missing": 5, "standing": 6}
+
+
+@dataclass(slots=True)
+class Work:
+    """What came of one plant in a batch.
+
+    Attributes
+    ----------
+    rows : list of Rows
+        In order.
+    clocks : list of (int, float)
+        That the clock has gone back: after how many of these rows, and to which time.
+    """
+
+    rows: list[Rows] = field(default_factory=list)
+    clocks: list[tuple[int, float]] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class _Batch:
+    """What a batch leaves: changes of the store, events by plant and row, and rows that are not stored yet."""
+
+    changes: Changes
+    events: dict[int, list[tuple[int, int, float, str, dict[str, Any]]]]
+    kept: dict[int, tuple[int, NDArray[np.float64], NDArray[np.float64]]]
+    fresh: dict[int, list[tuple[int, NDArray[np.float64], NDArray[np.float64]]]]
+    moved: set[int]
+
+
+class Watch:
+    """Plants that are watched, of one model or of several.
+
+    Parameters
+    ----------
+    models : mapping of str to WatchedModel
+    store : Store
+        Open. Its plants are taken over, and go on where they were.
+    now : float
+        Seconds since 1970.
+
+    Raises
+    ------
+    DataError
+        If the store has plants of a model that is not there, or of another monitor.
+    """
+
+    def __init__(self, models: Mapping[str, WatchedModel], store: Store, now: float) -> None:
+        self.models, self.store = dict(models), store
+        self.plants: dict[str, WatchedPlant] = {}
+        self._blocks: dict[str, FleetBlock] = {}
+        self._by_place: dict[str, list[WatchedPlant]] = {name: [] for name in models}
+        self.last_place = store.last_place()
+        self._check_models(store.meta())
+        states: dict[str, list[State]] = {name: [] for name in models}
+        for plant, record, running in store.plants():
+            if plant.model not in self.models:
+                raise DataError(
+                    f"the store has the plant {echo(plant.plant)} of the model {echo(plant.model)}, which is not "
+                    "configured: name it again, or begin with a new store"
+                )
+            plant.take_record(record, now)
+            states[plant.model].append(self._recovered(plant, running))
+            self._place(plant)
+        for name, model in self.models.items():
+            ids = [plant.plant for plant in self._by_place[name]]
+            self._blocks[name] = FleetBlock(model.monitor, ids, _stacked(model, states[name]))
+
+    def _check_models(self, meta: Mapping[str, str]) -> None:
+        for name, model in self.models.items():
+            known = meta.get(f"monitor {name}")
+            if known is not None and known != model.fingerprint:
+                raise DataError(
+                    f"the store goes on with another monitor of {echo(name)}, or with other thresholds: begin with a "
+                    "new store, or give the model another name"
+                )
+
+    def _place(self, plant: WatchedPlant) -> None:
+        plant.place = len(self._by_place[plant.model])
+        self._by_place[plant.model].append(plant)
+        self.plants[plant.plant] = plant
+
+    def _recovered(self, plant: WatchedPlant, running: bytes | None) -> State:
+        """Return the running state of a plant: the stored one, gone on with over the rows since."""
+        model = self.models[plant.model]
+        state = model.start() if running is None else state_from_bytes(running, model.spec)
+        if plant.running_at == plant.count:
+            return state
+        parts = self.store.rows(plant.key, plant.running_at)
+        _, values = rows_from_bytes(parts, len(model.layout.channels), plant.running_at)
+        if len(values) != plant.count - plant.running_at:
+            raise FileFormatError(f"the store lacks rows of the plant {echo(plant.plant)}: it is damaged")
+        return model.run(state, values)
+
+    # ------------------------------------------------------------------- plants come
+
+    def add(self, plants: Iterable[str], model: str, now: float) -> Changes:
+        """Add plants before their first row, and return what is to be stored of that."""
+        changes = Changes(meta={f"monitor {name}": one.fingerprint for name, one in self.models.items()})
+        new = [plant for plant in dict.fromkeys(plants) if plant not in self.plants]
+        for plant in new:
+            one = WatchedPlant(len(self.plants) + 1, plant, model, heard=now)
+            self._place(one)
+            changes.plants[one.key] = PlantUpdate(one.key, plant, model, one.to_record())
+        if new:
+            block = self._blocks[model]
+            more = FleetBlock(block.monitor, new)
+            self._blocks[model] = FleetBlock.joined([block, more]) if block.ids else more
+        return changes
+
+    # ------------------------------------------------------------------------ rows
+
+    def take(self, work: Mapping[str, Work]) -> Changes:
+        """Go on with the rows of some plants.
+
+        Parameters
+        ----------
+        work : mapping of str to Work
+            By plant.
+
+        Returns
+        -------
+        Changes
+            What is to be stored, events included.
+        """
+        batch = _empty_batch()
+        waiting: list[tuple[WatchedPlant, NDArray[np.float64], NDArray[np.float64]]] = []
+        for name, one in work.items():
+            plant = self.plants[name]
+            for rows, time in one.clocks:
+                batch.events[plant.key].append((plant.count + rows, _RANKS["clock"], time, "clock", {}))
+            if len(one.rows) == 1:
+                waiting.append((plant, one.rows[0].times, one.rows[0].values))
+            elif one.rows:
+                times, values = (np.concatenate([getattr(r, n) for r in one.rows]) for n in ("times", "values"))
+                waiting.append((plant, times, values))
+        while waiting:
+            now, waiting = self._cut(waiting)
+            self._advance(now, batch)
+        for name in work:
+            self._note(self.plants[name], batch)
+        return batch.changes
+
+    def _cut(self, waiting: list[Any]) -> tuple[list[Any], list[Any]]:
+        """Return the rows of each plant up to the next one at which its anchor may move, and those after it."""
+        now, later = [], []
+        for plant, times, values in waiting:
+            kept = self.models[plant.model].rows_kept
+            room = kept - plant.count % kept
+            now.append((plant, times[:room], values[:room]))
+            if len(times) > room:
+                later.append((plant, times[room:], values[room:]))
+        return now, later
+
+    def _advance(self, work: list[Any], batch: _Batch) -> None:
+        """Run rows of plants, those with as many of them together."""
+        groups: dict[tuple[str, int], list[Any]] = defaultdict(list)
+        for one in work:
+            groups[one[0].model, len(one[1])].append(one)
+        for (name, _), ones in groups.items():
+            block, threshold = self._blocks[name], self.models[name].spec.test.threshold
+            places = np.array([plant.place for plant, _, _ in ones], dtype=np.int64)
+            made = block.advance(places, np.stack([values for _, _, values in ones]), _ASKED)
+            alarm, missing, statistic = (np.asarray(made[asked]) for asked in _ASKED)
+            alarmed, gaps = alarm.any(axis=1).tolist(), missing.any(axis=1).tolist()
+            ratios = (statistic[:, -1] / threshold).tolist()
+            for k, (plant, times, values) in enumerate(ones):
+                first = plant.count
+                plant.count += len(times)
+                plant.ratio = ratios[k]
+                batch.changes.rows.append((plant.key, first, rows_to_bytes(times, values)))
+                batch.fresh[plant.key].append((first, times, values))
+                if alarmed[k] or plant.open_row >= 0:
+                    self._follow_alarms(plant, first, times, alarm[k].tolist(), batch)
+                if gaps[k] or plant.gap or plant.missing is not None:
+                    self._follow_gaps(plant, first, times, values, missing[k].tolist(), batch)
+                if plant.count % self.models[name].rows_kept == 0:
+                    self._move_anchor(plant, batch)
+
+    # ---------------------------------------------------------------------- alarms
+
+    def _follow_alarms(
+        self, plant: WatchedPlant, first: int, times: NDArray[np.float64], alarm: list[bool], batch: _Batch
+    ) -> None:
+        """Look at the alarms of a plant where its rows say so: at the first one, now and then, and when it is over."""
+        model = self.models[plant.model]
+        for k, on in enumerate(alarm):
+            row = first + k
+            if on:
+                plant.last_on = row
+                if plant.open_row < 0:
+                    plant.open_row, plant.open_since = row, float(times[k])
+                    plant.next_look = row
+            if plant.open_row < 0:
+                continue
+            over = not on and row - plant.last_on >= model.apart
+            if over or row == plant.next_look:
+                self._look(plant, row, float(times[k]), over, batch)
+                plant.next_look = row + max(model.between, (row - plant.open_row) // 8)
+            if over:
+                plant.open_row, plant.told = -1, []
+
+    def _look(self, plant: WatchedPlant, row: int, time: float, over: bool, batch: _Batch) -> None:
+        """Tell what is new of the alarms of a plant up to a row."""
+        alarms = self._diagnosis(plant, row + 1, batch).alarms
+        plant.told, told = news(plant.told, alarms, plant.open_since, over)
+        for one in told:
+            content = self._content(plant, one)
+            batch.events[plant.key].append((row, _RANKS[one.kind], time, one.kind, content))
+
+    def _content(self, plant: WatchedPlant, one: News) -> dict[str, Any]:
+        model = self.models[plant.model]
+        content = model.alarm_content(one.alarm, clock_of(plant.sampling.dated, model.layout.dt))
+        if one.part is None:
+            return content
+        return {"plant_name": content["plant_name"], "raised": one.part.raised, "onset": one.part.onset} | {
+            "part_of": content["raised"],
+            "name": content["name"],
+        }
+
+    def _diagnosis(self, plant: WatchedPlant, stop: int, batch: _Batch) -> Diagnosis:
+        """Return the diagnosis of the rows of a plant that are kept, up to one."""
+        model = self.models[plant.model]
+        start, times, values = self._kept_rows(plant, batch)
+        state = model.start() if plant.anchor is None else state_from_bytes(plant.anchor, model.spec)
+        count = stop - start
+        return model.diagnosis(state, times[:count], values[:count], plant.sampling.dated)
+
+    def _kept_rows(self, plant: WatchedPlant, batch: _Batch) -> tuple[int, NDArray[np.float64], NDArray[np.float64]]:
+        """Return the rows from the anchor on, those that are stored and those of the batch."""
+        known = batch.kept.get(plant.key)
+        if known is None or known[0] != plant.anchor_at:
+            fresh = batch.fresh[plant.key]
+            stop = fresh[0][0] if fresh else plant.count
+            parts = [one for one in self.store.rows(plant.key, plant.anchor_at) if one[0] < stop]
+            times, values = rows_from_bytes(parts, len(self.models[plant.model].layout.channels), plant.anchor_at)
+            known = (plant.anchor_at, times, values)
+        start, times, values = known
+        stop = start + len(times)
+        new = [one for one in batch.fresh[plant.key] if one[0] >= stop]
+        if new:
+            times = np.concatenate([times, *(one[1] for one in new)])
+            values = np.concatenate([values, *(one[2] for one in new)])
+        batch.kept[plant.key] = (start, times, values)
+        return batch.kept[plant.key]
+
+    # ------------------------------------------------------------------------ gaps
+
+    def _follow_gaps(
+        self,
+        plant: WatchedPlant,
+        first: int,
+        times: NDArray[np.float64],
+        values: NDArray[np.float64],
+        missing: list[bool],
+        batch: _Batch,
+    ) -> None:
+        """Tell that values are missing once the filter has to start anew for them, and that they are back."""
+        longest = self.models[plant.model].longest_gap
+        for k, gone in enumerate(missing):
+            plant.gap, plant.whole = (plant.gap + 1, 0) if gone else (0, plant.whole + 1)
+            if plant.missing is None and plant.gap == longest:
+                plant.missing = tuple(np.flatnonzero(~np.isfinite(values[k])).tolist())
+                self._tell_missing(plant, first + k, float(times[k]), batch)
+            elif plant.missing is not None and plant.whole == longest:
+                plant.missing = None
+                batch.events[plant.key].append((first + k, _RANKS["back"], float(times[k]), "back", {}))
+
+    def _tell_missing(self, plant: WatchedPlant, row: int, time: float, batch: _Batch) -> None:
+        names = self.models[plant.model].layout.channels
+        channels = [names[c] for c in plant.missing or ()]
+        batch.events[plant.key].append((row, _RANKS["missing"], time, "missing", {"channels": channels}))
+
+    # --------------------------------------------------------------------- anchors
+
+    def _state(self, plant: WatchedPlant) -> bytes:
+        return state_to_bytes(rows_of(self._blocks[plant.model].state, np.array([plant.place])))
+
+    def _move_anchor(self, plant: WatchedPlant, batch: _Batch) -> None:
+        """Let go of old rows, where no alarm that is not over needs them, and mark where the anchor goes next."""
+        kept = self.models[plant.model].rows_kept
+        too_long = plant.open_row >= 0 and plant.count - plant.anchor_at >= LONGEST_ALARM * kept
+        if plant.mark is not None and (plant.open_row < 0 or too_long):
+            if too_long and plant.open_row < plant.mark_at:
+                plant.told = [
+                    ToldAlarm(one.raised, one.onset, one.named, one.began, k == 0) for k, one in enumerate(plant.told)
+                ]
+            plant.anchor, plant.anchor_at = plant.mark, plant.mark_at
+            batch.changes.forgotten[plant.key] = plant.anchor_at
+        plant.mark, plant.mark_at = self._state(plant), plant.count
+        batch.moved.add(plant.key)
+
+    # --------------------------------------------------------------------- storing
+
+    def _note(self, plant: WatchedPlant, batch: _Batch) -> None:
+        """Number the events of a plant, and put what has changed of it down."""
+        for _, _, time, kind, content in sorted(batch.events.pop(plant.key, []), key=lambda one: one[:2]):
+            self._number(plant, time, kind, content, batch.changes)
+        batch.changes.plants[plant.key] = self._update(plant, moved=plant.key in batch.moved)
+
+    def _number(self, plant: WatchedPlant, time: float, kind: str, content: dict[str, Any], changes: Changes) -> None:
+        plant.number += 1
+        self.last_place += 1
+        event = Event(self.last_place, plant.plant, plant.number, kind, time, _clock(plant, time), content)
+        changes.events.append(event)
+
+    def _update(self, plant: WatchedPlant, *, moved: bool = False, whole: bool = False) -> PlantUpdate:
+        """Return what is stored of a plant; its running state now and then, or where ``whole`` says so."""
+        running = None
+        if (whole and plant.running_at != plant.count) or plant.count - plant.running_at >= STORED_EVERY:
+            running, plant.running_at = self._state(plant), plant.count
+        anchor, mark = (plant.anchor, plant.mark) if moved else (None, None)
+        return PlantUpdate(
+            plant.key, plant.plant, plant.model, plant.to_record(), running, plant.running_at, anchor,
+            plant.anchor_at, mark, plant.mark_at,
+        )  # fmt: skip
+
+    def noted(self, plants: Iterable[str]) -> Changes:
+        """Return what is to be stored of plants whose rows did not change: what was pending of their readings."""
+        return Changes(plants={p.key: self._update(p) for p in map(self.plants.__getitem__, plants)})
+
+    def rest(self) -> Changes:
+        """Return the running states that are not stored yet: with them the next run begins at once."""
+        late = [plant for plant in self.plants.values() if plant.running_at != plant.count]
+        return Changes(plants={plant.key: self._update(plant, whole=True) for plant in late})
+
+    # --------------------------------------------------------------- without rows
+
+    def silent(self, now: float, after: float) -> Changes:
+        """Tell of plants of which nothing has come for some seconds, by the clock."""
+        changes = Changes()
+        for plant in self.plants.values():
+            if plant.count and plant.missing is None and now - plant.heard > after:
+                plant.missing = tuple(range(len(self.models[plant.model].layout.channels)))
+                plant.whole = 0
+                channels = list(self.models[plant.model].layout.channels)
+                self._number(plant, plant.sampling.last, "missing", {"channels": channels}, changes)
+                changes.plants[plant.key] = self._update(plant)
+        return changes
+
+    def standing(self) -> Changes:
+        """Tell of the alarms that stand where the data end."""
+        batch = _empty_batch()
+        for plant in self.plants.values():
+            if not plant.told:
+                continue
+            diagnosis = self._diagnosis(plant, plant.count, batch)
+            _, told = news([], diagnosis.alarms, plant.open_since, False)
+            for one in told:
+                if one.alarm.ended is None:
+                    row = (plant.count, _RANKS["standing"], float(diagnosis.time[-1]), "standing")
+                    batch.events[plant.key].append((*row, self._content(plant, one)))
+            self._note(plant, batch)
+        return batch.changes
+
+    def reset(self, plant: str) -> Changes:
+        """Let a plant go on whose clock has gone back: the next reading begins anew."""
+        one = self.plants[plant]
+        one.sampling = SamplingState()
+        return self.noted([plant])
+
+    # --------------------------------------------------------------------- looking
+
+    def diagnosis(self, plant: str) -> Diagnosis | None:
+        """Return the diagnosis of the rows of a plant that are stored; from any thread. ``None`` without any."""
+        one = self.plants[plant]
+        model, anchor, start = self.models[one.model], one.anchor, one.anchor_at
+        parts = self.store.rows(one.key, start)
+        if not parts or parts[0][0] > start:  # let go of in this very moment
+            return None
+        times, values = rows_from_bytes(parts, len(model.layout.channels), start)
+        state = model.start() if anchor is None else state_from_bytes(anchor, model.spec)
+        return model.diagnosis(state, times, values, one.sampling.dated)
+
+    def last_rows(self, plant: WatchedPlant, most: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the last rows of a plant that are stored: times and values."""
+        first = max(plant.anchor_at, plant.count - most)
+        channels = len(self.models[plant.model].layout.channels)
+        return rows_from_bytes(self.store.rows(plant.key, first), channels, first)
+
+
+def _empty_batch() -> _Batch:
+    return _Batch(Changes(), defaultdict(list), {}, defaultdict(list), set())
+
+
+def _clock(plant: WatchedPlant, time: float) -> str:
+    """Return a time as ISO 8601 in UTC, where times are dates."""
+    if not plant.sampling.dated or not math.isfinite(time):
+        return ""
+    try:
+        return datetime.fromtimestamp(time, UTC).isoformat().replace("+00:00", "Z")
+    except (ValueError, OverflowError, OSError):
+        return ""
+
+
+def _stacked(model: WatchedModel, states: Sequence[State]) -> State | None:
+    """Return states of one plant each as one of all."""
+    if not states:
+        return None
+    whole = copied(initial_state(model.spec, len(states)))
+    for k, state in enumerate(states):
+        whole = written_rows(whole, np.array([k]), state)
+    return whole
+
+
+__all__ = ["LONGEST_ALARM", "STORED_EVERY", "Watch", "Work"]

@@ -1,0 +1,144 @@
+"""A monitor as a run uses it: its channels, how alarms of one plant are named from its rows, and in which words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide.alarm import Alarm
+from residua.decide.statement import SURE
+from residua.errors import NotFittedError, SettingError
+from residua.live.readings import Layout
+from residua.monitor.diagnosis import Diagnosis
+from residua.monitor.fleet_block import fingerprint_of
+from residua.monitor.fused import run_block
+from residua.monitor.monitor import Monitor
+from residua.monitor.outcome import Recorded, compared_outputs, diagnosis_from
+from residua.monitor.running import State, initial_state
+from residua.recording.clock import Clock
+from residua.words import listing
+
+#: The moment that dates count from.
+EPOCH = "1970-01-01T00:00:00"
+#: Rows that a plant remembers at least and at most, whatever the time is that is asked for.
+LEAST_ROWS, MOST_ROWS = 500, 20_000
+#: Samples between two looks at a standing alarm at least.
+_LEAST_BETWEEN = 10
+
+
+class WatchedModel:
+    """A fitted monitor that plants are watched with.
+
+    Parameters
+    ----------
+    name : str
+        Of the model, for page and metrics.
+    monitor : Monitor
+    history : float
+        Seconds of rows that are kept of each plant at least.
+
+    Attributes
+    ----------
+    layout : Layout
+    rows_kept : int
+        Rows that are kept of each plant at least.
+    apart : int
+        Rows without an alarm after which an alarm is over: a later one is another.
+    between : int
+        Rows between two looks at a standing alarm at least.
+    fingerprint : str
+        What tells that two monitors run the same.
+
+    Raises
+    ------
+    NotFittedError
+        If the monitor has no threshold.
+    SettingError
+        If the monitor is for recordings alone.
+    """
+
+    def __init__(self, name: str, monitor: Monitor, history: float = 3600.0) -> None:
+        if not isinstance(monitor, Monitor):
+            raise SettingError(f"{name}: only a residua.Monitor runs live, not a {type(monitor).__name__}")
+        if not monitor.is_fitted:
+            raise NotFittedError(f"{name}: this monitor has no threshold: fit it to fault-free data first")
+        self.name, self.monitor = name, monitor
+        self.spec, self.generator = monitor._specification(), monitor.generator
+        plant, isolation, test = self.generator.plant, self.spec.isolation, self.spec.test
+        self.layout = Layout(tuple(plant.inputs), tuple(plant.outputs), float(self.generator.dt))
+        self.rows_kept = int(np.clip(math.ceil(history / self.layout.dt), LEAST_ROWS, MOST_ROWS))
+        self.apart = max(1, isolation.samples, test.samples)
+        self.between = max(_LEAST_BETWEEN, isolation.samples, test.samples)
+        self.fingerprint = fingerprint_of(monitor)
+
+    @property
+    def longest_gap(self) -> int:
+        """Rows after which a filter starts anew: what a gap needs to be at most."""
+        return self.spec.max_hold + 1
+
+    def start(self) -> State:
+        """Return the state of a plant before its first row."""
+        return initial_state(self.spec, 1)
+
+    def run(self, state: State, values: NDArray[np.float64]) -> State:
+        """Return the state after rows of one plant."""
+        return run_block(self.spec, state, values[None])[0]
+
+    def diagnosis(
+        self, state: State, times: NDArray[np.float64], values: NDArray[np.float64], dated: bool
+    ) -> Diagnosis:
+        """Return the diagnosis of rows of one plant that follow a state: with the bits of ``Monitor.run``."""
+        after, decisions = run_block(self.spec, state, values[None])
+        compared = compared_outputs(self.monitor.design)
+        recorded = Recorded(times, values, "", EPOCH if dated else "", compared)
+        return diagnosis_from(
+            decisions.of(0), recorded, self.spec, self.generator, after.filter, 0, (), self.monitor._bounds
+        )
+
+    def alarm_content(self, alarm: Alarm, clock: Clock) -> dict[str, Any]:
+        """Return what an event says of an alarm."""
+        isolation = self.spec.isolation
+        statement = isolation.statement(alarm, clock, isolation.samples_to_be_sure(self.spec.test))
+        out = alarm.to_dict(window=isolation.samples_to_be_sure(self.spec.test))
+        return _finite(
+            {
+                "plant_name": self.generator.plant.name,
+                "name": name_of(alarm),
+                "sure": sure_of(statement.confidence),
+                "text": [statement.headline, *statement.sentences],
+                **out,
+            }
+        )
+
+
+def name_of(alarm: Alarm) -> str:
+    """Return the faults that an alarm is put down to, in words; empty if nobody is named."""
+    return listing(" or ".join(group) for group in alarm.named)
+
+
+def sure_of(confidence: str) -> str:
+    """Return how sure a name is, in words."""
+    return SURE.get(confidence, confidence)
+
+
+def clock_of(dated: bool, dt: float) -> Clock:
+    """Return the clock of a plant: UTC where its times are dates."""
+    return Clock(EPOCH if dated else "", dt)
+
+
+def _finite(value: Any) -> Any:
+    """Return plain values with ``None`` for what JSON does not know: not a number, and infinity."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: _finite(one) for key, one in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [_finite(one) for one in value]
+    return value
+
+
+__all__ = ["EPOCH", "WatchedModel", "clock_of", "name_of", "sure_of"]

@@ -1,0 +1,91 @@
+"""What a run remembers of one plant, and its record in the store."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+from residua.live.alarm_events import ToldAlarm
+from residua.live.sampling import SamplingState
+
+
+@dataclass(slots=True, eq=False)
+class WatchedPlant:
+    """What a run remembers of one plant, beside the running state of its monitor.
+
+    Attributes
+    ----------
+    key : int
+        Of its rows in the store.
+    plant, model : str
+    place : int
+        Its row in the block of its model.
+    count : int
+        Rows so far.
+    sampling : SamplingState
+    number : int
+        Of its last event.
+    told : list of ToldAlarm
+        Alarms that are not over.
+    open_row : int
+        The row that raised the first of them; -1 without any.
+    open_since : float
+        The time of that row.
+    last_on, next_look : int
+        The last row in alarm, and the row at which alarms are looked at next.
+    gap, whole : int
+        Rows in a row with a value missing, and without.
+    missing : tuple of int, or None
+        The channels that were told to be missing; ``None`` while none are.
+    anchor, mark : bytes or None
+        Running states at the rows ``anchor_at``, from which on rows are kept, and ``mark_at``, where the anchor goes
+        next; ``None``: the start.
+    running_at : int
+        The row at which the store has the running state.
+    ratio : float
+        Of the last row, statistic over threshold.
+    heard : float
+        When something came of it last, by the clock.
+    """
+
+    key: int
+    plant: str
+    model: str
+    place: int = -1
+    count: int = 0
+    sampling: SamplingState = field(default_factory=SamplingState)
+    number: int = 0
+    told: list[ToldAlarm] = field(default_factory=list)
+    open_row: int = -1
+    open_since: float = 0.0
+    last_on: int = -1
+    next_look: int = 0
+    gap: int = 0
+    whole: int = 0
+    missing: tuple[int, ...] | None = None
+    anchor: bytes | None = None
+    anchor_at: int = 0
+    mark: bytes | None = None
+    mark_at: int = 0
+    running_at: int = 0
+    ratio: float = math.nan
+    heard: float = 0.0
+
+    def to_record(self) -> str:
+        """Return what changes with every row, as JSON."""
+        content: list[Any] = [self.count, self.number, self.open_row, self.open_since, self.last_on, self.next_look]
+        content += [self.gap, self.whole, None if self.missing is None else list(self.missing)]
+        content += [[one.to_record() for one in self.told], self.sampling.to_record()]
+        return json.dumps(content, allow_nan=False)
+
+    def take_record(self, record: str, now: float) -> None:
+        """Take over what :meth:`to_record` wrote; what was pending counts as having come at ``now``."""
+        content = json.loads(record)
+        self.count, self.number, self.open_row, self.open_since, self.last_on, self.next_look = content[:6]
+        self.gap, self.whole, missing, told, sampling = content[6:]
+        self.missing = None if missing is None else tuple(missing)
+        self.told = [ToldAlarm.from_record(one) for one in told]
+        self.sampling = SamplingState.from_record(sampling, now)
+        self.heard = now
