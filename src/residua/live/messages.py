@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from residua.live.source import Source
 
+#: Bytes of a message at most.
+LARGEST = 4_000_000
+
 
 @dataclass(slots=True)
 class Message:
@@ -29,6 +32,9 @@ class Message:
         In seconds, where the protocol says it.
     token : object
         What the source needs to acknowledge it.
+    refused : str
+        Why the source does not hand on what came, in a word by which it is counted (``"size"``, ``"topic"``,
+        ``"retained"``, ``"null"``): it is dropped, and acknowledged in its turn. Empty: nothing is wrong yet.
     """
 
     source: Source
@@ -38,3 +44,4 @@ class Message:
     channel: str = ""
     time: float | None = None
     token: Any = None
+    refused: str = ""

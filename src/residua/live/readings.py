@@ -13,15 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import missing_extra
-from residua.live.messages import Message
+from residua.live.messages import LARGEST, Message
 
 try:
     import orjson
 except ImportError as error:
     raise missing_extra("orjson", "live") from error
 
-#: Bytes of a message at most.
-LARGEST = 4_000_000
 #: Rows of a packed message at most.
 MOST_ROWS = 100_000
 #: Characters of the id of a plant at most.
@@ -35,7 +33,7 @@ _KEYS = (
     frozenset({"plant", "t0", "dt", "u", "y"}),
 )
 
-#: Why a message is refused: the labels by which they are counted.
+#: Why a message is refused: the labels by which they are counted; sources have some of their own.
 REASONS = ("json", "size", "shape", "number", "time", "channel", "plant")
 
 
@@ -121,6 +119,8 @@ def readings_of(message: Message, layouts: Layouts) -> Readings:
         If it is no JSON, or not of the shape that is read; nothing of it is used then.
     """
     content = message.payload
+    if message.refused:
+        raise MessageError(message.refused, "refused by the source")
     if message.channel:
         return _channel(message, content, layouts)
     if not isinstance(content, bytes):

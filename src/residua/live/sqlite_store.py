@@ -40,14 +40,15 @@ class SqliteStore(SqlStore):
         self._guard, self._writing = threading.Lock(), threading.Lock()
         self._owner: sqlite3.Connection | None = None
 
-    def open(self) -> None:
+    def open(self, *, own: bool = True) -> None:
         """Open the file, or make it."""
         try:
             check_output(self.path)
         except ValueError as error:
             raise StoreError(str(error)) from error
         with self._errors():
-            self._owner = self._own()
+            if own:
+                self._owner = self._own()
             connection = self._connection()
             connection.execute("PRAGMA journal_mode = WAL")
             for text in TABLES:

@@ -84,8 +84,8 @@ class Store(ABC):
     """
 
     @abstractmethod
-    def open(self) -> None:
-        """Open the store, or make it; only one run at a time has it."""
+    def open(self, *, own: bool = True) -> None:
+        """Open the store, or make it; only one run at a time has it as its ``own``."""
 
     @abstractmethod
     def close(self) -> None:

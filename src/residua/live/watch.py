@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from residua.errors import DataError, FileFormatError
 from residua.live.alarm_events import News, ToldAlarm, news
 from residua.live.events import Event
+from residua.live.patience import Patience
 from residua.live.sampling import Rows, SamplingState
 from residua.live.state_bytes import state_from_bytes, state_to_bytes
 from residua.live.store import Changes, PlantUpdate, Store, rows_from_bytes, rows_to_bytes
@@ -71,6 +72,8 @@ class Watch:
     models : mapping of str to WatchedModel
     store : Store
         Open. Its plants are taken over, and go on where they were.
+    patient : Patience
+        By which rows are read while a batch is worked at.
     now : float
         Seconds since 1970.
 
@@ -80,8 +83,8 @@ class Watch:
         If the store has plants of a model that is not there, or of another monitor.
     """
 
-    def __init__(self, models: Mapping[str, WatchedModel], store: Store, now: float) -> None:
-        self.models, self.store = dict(models), store
+    def __init__(self, models: Mapping[str, WatchedModel], store: Store, patient: Patience, now: float) -> None:
+        self.models, self.store, self._patient = dict(models), store, patient
         self.plants: dict[str, WatchedPlant] = {}
         self._blocks: dict[str, FleetBlock] = {}
         self._by_place: dict[str, list[WatchedPlant]] = {name: [] for name in models}
@@ -267,7 +270,7 @@ class Watch:
         if known is None or known[0] != plant.anchor_at:
             fresh = batch.fresh[plant.key]
             stop = fresh[0][0] if fresh else plant.count
-            parts = [one for one in self.store.rows(plant.key, plant.anchor_at) if one[0] < stop]
+            parts = [one for one in self._patient.rows(plant.key, plant.anchor_at) if one[0] < stop]
             times, values = rows_from_bytes(parts, len(self.models[plant.model].layout.channels), plant.anchor_at)
             known = (plant.anchor_at, times, values)
         start, times, values = known
@@ -334,6 +337,8 @@ class Watch:
         batch.changes.plants[plant.key] = self._update(plant, moved=plant.key in batch.moved)
 
     def _number(self, plant: WatchedPlant, time: float, kind: str, content: dict[str, Any], changes: Changes) -> None:
+        if kind in ("raised", "renamed"):
+            plant.said = (content["name"], content["sure"], content["raised"])
         plant.number += 1
         self.last_place += 1
         event = Event(self.last_place, plant.plant, plant.number, kind, time, _clock(plant, time), content)
@@ -411,7 +416,11 @@ class Watch:
         """Return the last rows of a plant that are stored: times and values."""
         first = max(plant.anchor_at, plant.count - most)
         channels = len(self.models[plant.model].layout.channels)
-        return rows_from_bytes(self.store.rows(plant.key, first), channels, first)
+        return rows_from_bytes(self._patient.rows(plant.key, first), channels, first)
+
+    def size(self, model: str) -> int:
+        """Return the number of plants of a model."""
+        return len(self._by_place[model])
 
 
 def _empty_batch() -> _Batch:

@@ -44,6 +44,8 @@ class WatchedPlant:
         next; ``None``: the start.
     running_at : int
         The row at which the store has the running state.
+    said : tuple of (str, str, float), or None
+        Of the alarm that was told of last: the faults it is put down to, how sure that is, and when it was raised.
     ratio : float
         Of the last row, statistic over threshold.
     heard : float
@@ -70,6 +72,7 @@ class WatchedPlant:
     mark: bytes | None = None
     mark_at: int = 0
     running_at: int = 0
+    said: tuple[str, str, float] | None = None
     ratio: float = math.nan
     heard: float = 0.0
 
@@ -78,13 +81,15 @@ class WatchedPlant:
         content: list[Any] = [self.count, self.number, self.open_row, self.open_since, self.last_on, self.next_look]
         content += [self.gap, self.whole, None if self.missing is None else list(self.missing)]
         content += [[one.to_record() for one in self.told], self.sampling.to_record()]
+        content.append(None if self.said is None else list(self.said))
         return json.dumps(content, allow_nan=False)
 
     def take_record(self, record: str, now: float) -> None:
         """Take over what :meth:`to_record` wrote; what was pending counts as having come at ``now``."""
         content = json.loads(record)
         self.count, self.number, self.open_row, self.open_since, self.last_on, self.next_look = content[:6]
-        self.gap, self.whole, missing, told, sampling = content[6:]
+        self.gap, self.whole, missing, told, sampling, said = content[6:]
+        self.said = None if said is None else (str(said[0]), str(said[1]), float(said[2]))
         self.missing = None if missing is None else tuple(missing)
         self.told = [ToldAlarm.from_record(one) for one in told]
         self.sampling = SamplingState.from_record(sampling, now)

@@ -1,0 +1,377 @@
+"""The configuration of a run: one TOML file, checked as a whole before anything is opened."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields
+from difflib import get_close_matches
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from residua.errors import FileFormatError, MissingExtraError, SettingError
+from residua.files import read_bytes
+from residua.visible import echo, listed
+
+#: Sources and sinks by their kind: the module, which has ``Settings``, and the class that they make.
+SOURCES = {
+    "mqtt": ("residua.live.sources.mqtt", "Mqtt"),
+    "opcua": ("residua.live.sources.opcua", "OpcUa"),
+    "kafka": ("residua.live.sources.kafka", "Kafka"),
+    "stdin": ("residua.live.sources.stdin", "JsonLines"),
+    "replay": ("residua.live.sources.replay", "Replay"),
+}
+SINKS = {
+    "webhook": ("residua.live.sinks.webhook", "Webhook"),
+    "mqtt": ("residua.live.sinks.mqtt", "Mqtt"),
+    "jsonl": ("residua.live.sinks.jsonl", "JsonLines"),
+    "command": ("residua.live.sinks.command", "Command"),
+}
+_SERVER = "residua.live.server"
+#: Keys that are paths: taken from the folder of the configuration where they are relative.
+_PATHS = ("file", "path", "files")
+_LARGEST = 10_000_000
+
+
+@dataclass(frozen=True)
+class MonitorSettings:
+    """A monitor, and the plants that it watches.
+
+    Attributes
+    ----------
+    file : str
+        What ``residua fit`` or ``learn`` wrote.
+    name : str
+        Of the model, on the page and in the metrics; empty: the name of the file.
+    plants : list of str
+        The ids of its plants.
+    accept_new : bool
+        Whether plants that are not listed are taken in when they send; of one monitor only.
+    max_plants : int
+        Plants of this monitor at most.
+    """
+
+    file: str
+    name: str = ""
+    plants: tuple[str, ...] = ()
+    accept_new: bool = False
+    max_plants: int = 10_000
+
+    def __post_init__(self) -> None:
+        _check(isinstance(self.file, str) and bool(self.file), "file: the monitor, such as 'tank.json'")
+        _check(isinstance(self.name, str), "name: a text")
+        good = isinstance(self.plants, (list, tuple)) and all(isinstance(p, str) and p for p in self.plants)
+        _check(good, "plants: a list of ids, each a text")
+        _check(len(set(self.plants)) == len(self.plants), "plants: an id is there twice")
+        _check(isinstance(self.accept_new, bool), "accept_new: true or false")
+        _check(type(self.max_plants) is int and self.max_plants > 0, "max_plants: a whole number, 1 or more")
+        _check(len(self.plants) <= self.max_plants, f"max_plants: {len(self.plants)} plants are listed")
+        _check(bool(self.plants) or self.accept_new, "plants: name the plants, or say accept_new = true")
+        object.__setattr__(self, "plants", tuple(self.plants))
+        object.__setattr__(self, "name", self.name or Path(self.file).stem)
+
+
+@dataclass(frozen=True)
+class SamplingOptions:
+    """How readings become rows.
+
+    Attributes
+    ----------
+    wait : float
+        Seconds that a row waits for readings that are missing.
+    max_age : float
+        Seconds for which a channel that is not stated keeps its last value; 0: it is missing at once.
+    silence : float
+        Seconds without anything of a plant after which its data are said to be missing.
+    """
+
+    wait: float = 2.0
+    max_age: float = 0.0
+    silence: float = 60.0
+
+    def __post_init__(self) -> None:
+        for name in ("wait", "max_age", "silence"):
+            value = getattr(self, name)
+            _check(_is_number(value) and 0 <= value <= 1e7, f"{name}: seconds, 0 or more")
+        _check(self.silence > 0, "silence: seconds, more than 0")
+
+
+@dataclass(frozen=True)
+class StoreSettings:
+    """Where a run keeps what it must not lose.
+
+    Attributes
+    ----------
+    kind : {"sqlite", "postgresql"}
+    file : str
+        Of SQLite.
+    dsn_file, dsn_env : str
+        Of PostgreSQL: a file or an environment variable with the connection string.
+    history : float
+        Seconds of rows that are kept of each plant at least.
+    keep_events : int
+        Events that are kept at least, once all sinks have delivered them.
+    """
+
+    kind: str = "sqlite"
+    file: str = ""
+    dsn_file: str = ""
+    dsn_env: str = ""
+    history: float = 3600.0
+    keep_events: int = 100_000
+
+    def __post_init__(self) -> None:
+        _check(self.kind in ("sqlite", "postgresql"), "kind: 'sqlite' or 'postgresql'")
+        for name in ("file", "dsn_file", "dsn_env"):
+            _check(isinstance(getattr(self, name), str), f"{name}: a text")
+        if self.kind == "sqlite":
+            _check(bool(self.file), "file: the file of the store, such as 'live.db'")
+            _check(not (self.dsn_file or self.dsn_env), "dsn_file: it is for PostgreSQL: kind = 'postgresql'")
+        else:
+            _check(not self.file, "file: it is for SQLite; PostgreSQL has dsn_file or dsn_env")
+            _check(bool(self.dsn_file) != bool(self.dsn_env), "dsn_file: either dsn_file or dsn_env")
+        _check(_is_number(self.history) and 0 < self.history <= 1e8, "history: seconds, more than 0")
+        good = type(self.keep_events) is int and self.keep_events >= 1000
+        _check(good, "keep_events: a whole number, 1000 or more")
+
+
+@dataclass(frozen=True)
+class LiveSettings:
+    """Everything that a run needs.
+
+    Attributes
+    ----------
+    monitors : tuple of MonitorSettings
+    sampling : SamplingOptions
+    store : StoreSettings
+    sources, sinks : tuple of (str, settings)
+        Kind, and the settings of the adapter.
+    server : settings or None
+        ``None``: no page.
+    """
+
+    monitors: tuple[MonitorSettings, ...]
+    store: StoreSettings
+    sources: tuple[tuple[str, Any], ...]
+    sampling: SamplingOptions = field(default_factory=SamplingOptions)
+    sinks: tuple[tuple[str, Any], ...] = ()
+    server: Any = None
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) in (int, float) and value == value
+
+
+def _check(good: bool, text: str) -> None:
+    if not good:
+        raise SettingError(text)
+
+
+# ------------------------------------------------------------------------------ reading
+
+
+def load_settings(path: str | Path) -> LiveSettings:
+    """Read a configuration.
+
+    Parameters
+    ----------
+    path : str or Path
+        TOML, read as data alone. Paths in it are taken from its folder.
+
+    Raises
+    ------
+    FileFormatError
+        If it is no TOML, or a key is unknown, missing, or not what it may be: one line with the key and its line.
+    MissingExtraError
+        If what an adapter needs is not installed.
+    """
+    path = Path(path)
+    content = read_bytes(path, "a configuration")
+    if len(content) > _LARGEST:
+        raise FileFormatError(f"{path}: this is too large for a configuration")
+    try:
+        text = content.decode("utf-8")
+        whole = tomllib.loads(text)
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        raise FileFormatError(f"{path}: no TOML: {error}") from error
+    return _Reader(path, text).settings(whole)
+
+
+class _Reader:
+    """Reads the tables of a configuration; what is wrong is said with its line."""
+
+    def __init__(self, path: Path, text: str) -> None:
+        self.path, self.lines, self.folder = path, text.splitlines(), path.parent
+
+    def settings(self, whole: dict[str, Any]) -> LiveSettings:
+        tables = ("monitors", "sampling", "store", "sources", "sinks", "server")
+        for name in whole:
+            if name not in tables:
+                self._fail("", 0, name, f"unknown; there are {listed(list(tables))}{_meant(name, tables)}")
+        monitors = tuple(self._tables(whole, "monitors", MonitorSettings))
+        if not monitors:
+            raise FileFormatError(f"{self.path}: name at least one monitor: [[monitors]] with file and plants")
+        self._check_monitors(monitors)
+        store = self._table(whole.get("store", {}), "store", 0, StoreSettings)
+        sampling = self._table(whole.get("sampling", {}), "sampling", 0, SamplingOptions)
+        sources = self._adapters(whole, "sources", SOURCES)
+        if not sources:
+            raise FileFormatError(f"{self.path}: name at least one source: [[sources]] with its kind")
+        sinks = self._adapters(whole, "sinks", SINKS)
+        server = None
+        if "server" in whole:
+            server = self._table(whole["server"], "server", 0, self._settings_of(_SERVER, "server", 0))
+        return LiveSettings(monitors, store, sources, sampling, sinks, server)
+
+    def _check_monitors(self, monitors: Sequence[MonitorSettings]) -> None:
+        seen: dict[str, int] = {}
+        names: set[str] = set()
+        for k, one in enumerate(monitors):
+            if one.name in names:
+                self._fail("monitors", k, "name", f"there is another monitor {echo(one.name)}: name one of them")
+            names.add(one.name)
+            for plant in one.plants:
+                if seen.setdefault(plant, k) != k:
+                    self._fail("monitors", k, "plants", f"the plant {echo(plant)} has another monitor already")
+            if one.accept_new and any(other.accept_new for other in monitors[:k]):
+                self._fail("monitors", k, "accept_new", "another monitor takes in new plants already")
+
+    def _tables(self, whole: dict[str, Any], name: str, kind: Any) -> list[Any]:
+        content = whole.get(name, [])
+        if not isinstance(content, list) or not all(isinstance(one, dict) for one in content):
+            self._fail("", 0, name, f"must be tables, [[{name}]]")
+        return [self._table(one, name, k, kind) for k, one in enumerate(content)]
+
+    def _adapters(self, whole: dict[str, Any], name: str, kinds: Mapping[str, tuple[str, str]]) -> tuple[Any, ...]:
+        content = whole.get(name, [])
+        if not isinstance(content, list) or not all(isinstance(one, dict) for one in content):
+            self._fail("", 0, name, f"must be tables, [[{name}]]")
+        out = []
+        for k, one in enumerate(content):
+            kind = one.get("kind")
+            if not isinstance(kind, str) or kind not in kinds:
+                said = "missing" if kind is None else f"unknown: {echo(kind)}"
+                self._fail(name, k, "kind", f"{said}; there are {listed(list(kinds))}")
+            rest = {key: value for key, value in one.items() if key != "kind"}
+            out.append((kind, self._table(rest, name, k, self._settings_of(kinds[str(kind)][0], name, k))))
+        return tuple(out)
+
+    def _settings_of(self, module: str, table: str, number: int) -> Any:
+        try:
+            return import_module(module).Settings
+        except MissingExtraError as error:
+            raise MissingExtraError(f"{self.path}, line {self._line(table, number, 'kind')}: {error}") from error
+
+    def _table(self, content: Any, table: str, number: int, kind: Any) -> Any:
+        """Return the settings of a table."""
+        if not isinstance(content, dict):
+            self._fail("", 0, table, f"must be a table, [{table}]")
+        known = {one.name: one for one in fields(kind)}
+        for key in content:
+            if key not in known:
+                bare = f"{key}_file" in known or f"{key}_env" in known
+                hint = f"; secrets come from {key}_file or {key}_env" if bare else _meant(key, known)
+                self._fail(table, number, key, f"unknown{hint}")
+        for key, one in known.items():
+            if key not in content and one.default is MISSING and one.default_factory is MISSING:
+                self._fail(table, number, key, "missing")
+        try:
+            return kind(**{key: self._placed(key, value) for key, value in content.items()})
+        except (SettingError, TypeError, ValueError) as error:
+            text = str(error)
+            key = next((key for key in re.split(r"[^\w]+", text) if key in known), "")
+            self._fail(table, number, key, text.removeprefix(f"{key}: "))
+
+    def _placed(self, key: str, value: Any) -> Any:
+        """Return a value, paths from the folder of the configuration."""
+        if isinstance(value, list) and all(isinstance(one, str) for one in value):
+            return tuple(value)
+        if key not in _PATHS and not key.endswith("_file"):
+            return value
+        if isinstance(value, str) and value:
+            return str(self.folder / value)
+        if isinstance(value, dict):
+            return {name: self._placed(key, one) for name, one in value.items()}
+        return value
+
+    def _fail(self, table: str, number: int, key: str, text: str) -> Any:
+        where = f"{table}.{key}" if table and key else table or key
+        raise FileFormatError(f"{self.path}, line {self._line(table, number, key)}: {where}: {text}")
+
+    def _line(self, table: str, number: int, key: str) -> int:
+        """Return the line of a key, or else that of its table."""
+        here, seen, last = "" if table else None, -1, 1
+        for k, line in enumerate(self.lines, 1):
+            head = re.match(r"\s*\[\[?\s*([\w.\"'-]+)\s*\]\]?", line)
+            if head:
+                name = head.group(1).split(".")[0].strip("\"'")
+                inner = "." in head.group(1)
+                if name == table and not inner:
+                    seen += 1
+                here = name if name == table and seen == number else None
+                if (here is not None and not inner) or (not table and name == key):
+                    last = k
+                    if not table:
+                        return k
+                continue
+            if (here is not None) and re.match(rf"\s*[\"']?{re.escape(key)}[\"']?\s*[.=]", line) and key:
+                return k
+        return last
+
+
+def _meant(name: str, known: Any) -> str:
+    near = get_close_matches(name, list(known), 1)
+    return f"; did you mean {near[0]}?" if near else ""
+
+
+def made(kind: str, settings: Any, kinds: Mapping[str, tuple[str, str]], *more: Any) -> Any:
+    """Return the source or sink of some settings."""
+    module, name = kinds[kind]
+    return getattr(import_module(module), name)(settings, *more)
+
+
+def example() -> str:
+    """Return a configuration to begin with."""
+    return _EXAMPLE
+
+
+_EXAMPLE = """\
+# residua live: what is watched, where data come from, where alarms go. Times are in seconds.
+
+[[monitors]]
+file = "tank.json"                      # what residua fit or residua learn wrote
+plants = ["north", "south"]             # or accept_new = true
+
+[[sources]]
+kind = "mqtt"
+client_id = "residua-tanks"
+topics = ["plants/{plant}/data"]
+
+[sampling]
+wait = 2.0                              # for readings that are late
+
+[store]
+kind = "sqlite"
+file = "live.db"
+
+[[sinks]]
+kind = "jsonl"
+file = "alarms.jsonl"
+
+[server]
+listen = "127.0.0.1:8000"
+"""
+
+__all__ = [
+    "SINKS",
+    "SOURCES",
+    "LiveSettings",
+    "MonitorSettings",
+    "SamplingOptions",
+    "StoreSettings",
+    "example",
+    "load_settings",
+    "made",
+]

@@ -1,0 +1,132 @@
+"""A store in a PostgreSQL database."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from residua.errors import SettingError, missing_extra
+from residua.live.config import StoreSettings
+from residua.live.secrets import secret
+from residua.live.sql_store import TABLES, SqlStore
+from residua.live.store import StoreAwayError, StoreError
+
+try:
+    import psycopg
+except ImportError as error:
+    raise missing_extra("psycopg", "postgresql") from error
+
+#: The number of the lock that the run holds, for as long as its connection lives.
+_LOCK = 7_236_845_112
+#: What a server says that another attempt may not hear again: its classes of SQLSTATE.
+_PASSING = ("08", "40", "57", "53")
+_FULL = "53100"
+
+
+class PostgresqlStore(SqlStore):
+    """A store in tables of a database, which one run at a time has.
+
+    A commit is as safe as the server makes it (``synchronous_commit`` on, as it is by default). While the server is
+    away the run waits; what it was writing is written again, which leaves the same.
+
+    Parameters
+    ----------
+    dsn : str
+        The connection string; it is never shown.
+    """
+
+    def __init__(self, dsn: str) -> None:
+        self._dsn = dsn
+        self._local = threading.local()
+        self._all: list[psycopg.Connection[Any]] = []
+        self._guard = threading.Lock()
+        self._owner: psycopg.Connection[Any] | None = None
+
+    @classmethod
+    def of(cls, settings: StoreSettings) -> PostgresqlStore:
+        """Return the store of some settings.
+
+        Raises
+        ------
+        SettingError
+            If the connection string cannot be read.
+        """
+        dsn = secret(settings, "dsn")
+        if dsn is None:
+            raise SettingError("dsn_file or dsn_env: where the database is")
+        return cls(dsn)
+
+    def open(self, *, own: bool = True) -> None:
+        """Connect, and make the tables where they are absent."""
+        with self._errors():
+            if own:
+                self._take()
+            with self._connection().transaction():
+                for text in TABLES:
+                    self._connection().execute(text.format(bytes="BYTEA", real="DOUBLE PRECISION", without_rowid=""))
+        self._check_schema()
+
+    def _take(self) -> None:
+        """Take the lock that another run would have."""
+        connection = psycopg.connect(self._dsn, autocommit=True)
+        row = connection.execute("SELECT pg_try_advisory_lock(%s)", (_LOCK,)).fetchone()
+        if row is None or not row[0]:
+            connection.close()
+            raise StoreError("another run has this database: stop it, or name another one")
+        self._owner = connection
+
+    def close(self) -> None:
+        """Close all connections."""
+        with self._guard:
+            for connection in (*self._all, *([self._owner] if self._owner else [])):
+                connection.close()
+            self._all, self._owner = [], None
+            self._local = threading.local()
+
+    def _connection(self) -> psycopg.Connection[Any]:
+        connection = getattr(self._local, "connection", None)
+        if connection is None or connection.closed:
+            connection = psycopg.connect(self._dsn, autocommit=True)
+            self._local.connection = connection
+            with self._guard:
+                self._all = [one for one in self._all if not one.closed]
+                self._all.append(connection)
+        return connection
+
+    @contextmanager
+    def _errors(self) -> Iterator[None]:
+        """Say which errors pass, and which do not; never with the connection string."""
+        try:
+            yield
+        except psycopg.Error as error:
+            state = error.sqlstate or ""
+            said = (error.diag.message_primary or "").strip()
+            passes = isinstance(error, (psycopg.OperationalError, psycopg.InterfaceError)) or state[:2] in _PASSING
+            if state == _FULL or not passes:
+                raise StoreError(f"the database refuses: {said or type(error).__name__}") from None
+            connection = getattr(self._local, "connection", None)
+            if connection is not None and not state:
+                connection.close()  # what is left of it is not to be trusted
+            raise StoreAwayError(f"the database cannot be reached: {said or 'no answer'}") from None
+
+    @contextmanager
+    def _transaction(self) -> Iterator[Any]:
+        with self._errors():
+            if self._owner is not None and self._owner.closed:
+                self._take()
+            with self._connection().transaction(), self._connection().cursor() as cursor:
+                yield cursor
+
+    def _query(self, text: str, values: Sequence[Any] = ()) -> list[Any]:
+        with self._errors():
+            return self._connection().execute(self._worded(text).encode(), values).fetchall()
+
+    @staticmethod
+    def _worded(text: str) -> str:
+        """Return a statement with the placeholders of psycopg."""
+        return text.replace("?", "%s")
+
+
+__all__ = ["PostgresqlStore"]

@@ -1,0 +1,384 @@
+"""The run: messages of all sources through sampling and monitors into the store, in one thread."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.errors import DataError
+from residua.live.config import SINKS, SOURCES, LiveSettings, made
+from residua.live.delivery import Delivery
+from residua.live.inbox import Inbox
+from residua.live.messages import Message
+from residua.live.patience import Patience
+from residua.live.readings import Layout, MessageError, Readings, readings_of
+from residua.live.sampling import Remark, Rows, SamplingSettings, due, sample
+from residua.live.source import RunStoppedError, Source
+from residua.live.store import Changes, Store
+from residua.live.stores import store_of
+from residua.live.watch import Watch, Work
+from residua.live.watched_model import WatchedModel
+from residua.live.watched_plant import WatchedPlant
+from residua.monitor.monitor import Monitor
+from residua.visible import echo, visible
+
+#: Messages that are committed together at most.
+AT_ONCE = 4000
+#: Seconds between two looks at rows that wait, and at what else depends on the clock.
+_TICK, _SLOW_TICK = 0.1, 2.0
+#: Rows of a plant that are looked through for a reading that comes again.
+_LOOKED_THROUGH = 4096
+#: Events that are dropped together at least.
+_DROPPED_AT_ONCE = 1000
+#: Seconds that sinks have at the end.
+_LEAVING = 10.0
+_LOG = logging.getLogger("residua.live")
+
+
+@dataclass
+class Numbers:
+    """What a run counts, for page and metrics.
+
+    Attributes
+    ----------
+    messages : by source
+    dropped : by reason: messages that say nothing usable, and readings that come again or too late
+    rows, events : by model, by kind
+    commits : int
+    """
+
+    messages: Counter[str] = field(default_factory=Counter)
+    dropped: Counter[str] = field(default_factory=Counter)
+    rows: Counter[str] = field(default_factory=Counter)
+    events: Counter[str] = field(default_factory=Counter)
+    commits: int = 0
+
+
+class Run:
+    """A monitor, or several, on data as they come.
+
+    Parameters
+    ----------
+    settings : LiveSettings
+
+    Attributes
+    ----------
+    watch : Watch
+    sources : list of Source
+    deliveries : list of Delivery
+    numbers : Numbers
+
+    Raises
+    ------
+    FileFormatError
+        If a monitor cannot be read.
+    DataError
+        If the store belongs to other monitors.
+    StoreError
+        If the store cannot be opened.
+    """
+
+    def __init__(self, settings: LiveSettings) -> None:
+        self.settings = settings
+        self.stopping, self.news = threading.Event(), threading.Condition()
+        self.numbers, self.inbox = Numbers(), Inbox()
+        self.models = {
+            one.name: WatchedModel(one.name, Monitor.load(one.file), settings.store.history)
+            for one in settings.monitors
+        }
+        self.store: Store = store_of(settings.store)
+        self.store.open()
+        try:
+            self._begin()
+        except BaseException:
+            self.store.close()
+            raise
+
+    def _begin(self) -> None:
+        settings, now = self.settings, time.time()
+        self.patient = Patience(self.store, self.stopping)
+        self.watch = Watch(self.models, self.store, self.patient, now)
+        for one in settings.monitors:
+            self._check_plants(one.plants, one.name)
+            self._commit(self.watch.add(one.plants, one.name, now))
+        self._open = {one.name: one.max_plants for one in settings.monitors if one.accept_new}
+        plants = {name: self.models[one.model].generator.plant for name, one in self.watch.plants.items()}
+        self.sources: list[Source] = [
+            made(kind, one, SOURCES, plants) if kind == "replay" else made(kind, one, SOURCES)
+            for kind, one in settings.sources
+        ]
+        sinks = [made(kind, one, SINKS) for kind, one in settings.sinks]
+        self._check_names([one.name for one in self.sources], "source")
+        self._check_names([one.name for one in sinks], "sink")
+        self.committed = self.watch.last_place
+        self.deliveries = [Delivery(one, self.store, self.wait_for_event) for one in sinks]
+        self._pending = {name for name, one in self.watch.plants.items() if one.sampling.pending}
+        self._recent: dict[int, tuple[int, NDArray[np.float64], NDArray[np.float64]]] = {}
+        self._sampling = {
+            name: SamplingSettings(settings.sampling.wait, settings.sampling.max_age, model.longest_gap)
+            for name, model in self.models.items()
+        }
+        self._said: dict[str, tuple[float, int]] = {}
+        self._dropped = 0
+
+    def _check_plants(self, plants: Sequence[str], model: str) -> None:
+        for plant in plants:
+            known = self.watch.plants.get(plant)
+            if known is not None and known.model != model:
+                raise DataError(
+                    f"the store has the plant {echo(plant)} with the model {echo(known.model)}, the configuration with "
+                    f"{echo(model)}: begin with a new store, or let it keep its model"
+                )
+
+    @staticmethod
+    def _check_names(names: Sequence[str], what: str) -> None:
+        twice = [name for name, count in Counter(names).items() if count > 1]
+        if twice:
+            raise DataError(f"two {what}s are called {echo(twice[0])}: give one of them a name of its own: name = ...")
+
+    # ------------------------------------------------------------------------ working
+
+    def work(self, started: Callable[[], None] | None = None) -> None:
+        """Work until all sources have ended, or :meth:`stop`; then leave everything in order.
+
+        Raises
+        ------
+        StoreError
+            If the store is full or damaged: what was not committed was not acknowledged.
+        """
+        ended = False
+        try:
+            times = {one.plant: one.sampling.last for one in self.watch.plants.values() if one.count}
+            for source in self.sources:
+                source.resume(times)
+                source.start(self.inbox.put)
+            for delivery in self.deliveries:
+                delivery.start()
+            if started is not None:
+                started()
+            ended = self._work()
+        except RunStoppedError:
+            pass
+        finally:
+            self._leave(ended)
+
+    def _work(self) -> bool:
+        """Work; return whether all sources have ended."""
+        next_tick = next_slow = 0.0
+        while not self.stopping.is_set():
+            messages = self.inbox.take(AT_ONCE, _TICK)
+            now = time.time()
+            if messages:
+                self.apply(messages, now)
+            if now >= next_tick:
+                next_tick = now + _TICK
+                self._release(now)
+            if now >= next_slow:
+                next_slow = now + _SLOW_TICK
+                self._look_around(now)
+            if not messages and all(one.finite and one.over for one in self.sources) and not len(self.inbox):
+                self._release(float("inf"))
+                self._commit(self.watch.standing())
+                return True
+        return False
+
+    def stop(self) -> None:
+        """End soon; from any thread, or a signal."""
+        self.stopping.set()
+        self.inbox.wake()
+
+    def _leave(self, ended: bool) -> None:
+        """Stop sources and sinks, store what makes the next start quick, and close the store."""
+        self.inbox.close()
+        for source in self.sources:
+            source.stop()
+        try:
+            if self.patient.health.good:
+                self.store.commit(self.watch.rest())
+        finally:
+            for delivery in self.deliveries:
+                if ended:
+                    delivery.finish(self.committed, _LEAVING)
+            self.stopping.set()
+            with self.news:
+                self.news.notify_all()
+            for delivery in self.deliveries:
+                delivery.stop()
+
+    def close(self) -> None:
+        """Close the store, when nobody looks any more."""
+        self.store.close()
+
+    # ------------------------------------------------------------------------ a batch
+
+    def apply(self, messages: Sequence[Message], now: float) -> None:
+        """Take messages, commit what follows from them, and acknowledge them."""
+        readings = self._readings(messages, now)
+        work: dict[str, Work] = {}
+        touched: set[str] = set()
+        for one in readings:
+            self._sample(one, now, work, touched)
+        changes = self.watch.take(work)
+        changes.plants |= self.watch.noted(touched - work.keys()).plants
+        self._commit(changes)
+        by_source: dict[int, list[Message]] = {}
+        for message in messages:
+            by_source.setdefault(id(message.source), []).append(message)
+        for some in by_source.values():
+            some[0].source.acknowledge(some)
+
+    def _readings(self, messages: Sequence[Message], now: float) -> list[Readings]:
+        """Return what messages say, and take in the plants that are new."""
+        out: list[Readings] = []
+        new: dict[str, None] = {}
+        model, most = next(iter(self._open.items()), ("", 0))
+        known, models = self.watch.plants, self.models
+
+        def layout(plant: str) -> Layout | None:
+            one = known.get(plant)
+            if one is not None:
+                return models[one.model].layout
+            if plant not in new:
+                if not model or self.watch.size(model) + len(new) >= most:
+                    return None
+                new[plant] = None
+            return models[model].layout
+
+        for message in messages:
+            self.numbers.messages[message.source.name] += 1
+            before = len(new)
+            try:
+                out.append(readings_of(message, layout))
+            except MessageError as error:
+                if len(new) > before:  # a plant is taken in by what can be used of it
+                    new.popitem()
+                self._drop(error.reason, message.source.name, str(error), now)
+        if new:
+            self._commit(self.watch.add(new, model, now))
+        return out
+
+    def _sample(self, readings: Readings, now: float, work: dict[str, Work], touched: set[str]) -> None:
+        """Put readings on the grid of their plant."""
+        plant = self.watch.plants[readings.plant]
+        model = self.models[plant.model]
+        done = work.get(plant.plant)
+
+        def known(time: float) -> Sequence[float] | None:
+            return self._known(plant, time, work.get(plant.plant), model.layout.dt)
+
+        before = plant.sampling
+        plant.sampling, rows, remarks = sample(
+            before, readings, model.layout.dt, self._sampling[plant.model], now, known
+        )
+        plant.heard = now
+        if remarks:
+            self._remark(plant, remarks, work, rows, now)
+        if rows:
+            if done is None:
+                done = work.setdefault(plant.plant, Work())
+            done.rows += rows
+            self.numbers.rows[plant.model] += sum(len(one.times) for one in rows)
+        elif plant.sampling is not before:
+            touched.add(plant.plant)
+        if plant.sampling.pending:
+            self._pending.add(plant.plant)
+
+    def _remark(
+        self, plant: WatchedPlant, remarks: Sequence[Remark], work: dict[str, Work], rows: Sequence[Rows], now: float
+    ) -> None:
+        for one in remarks:
+            if one.kind == "clock":
+                mine = work.setdefault(plant.plant, Work())
+                mine.clocks.append((sum(len(r.times) for r in [*mine.rows, *rows]), one.time))
+            else:
+                self._drop(one.kind, plant.plant, f"at {one.time:.15g} s", now, one.count)
+
+    def _known(self, plant: WatchedPlant, time: float, work: Work | None, dt: float) -> Sequence[float] | None:
+        """Return the row that is out for a time: of this batch, or of those that are stored."""
+        for rows in reversed(work.rows if work else ()):
+            near = np.flatnonzero(np.abs(rows.times - time) < 0.5 * dt)
+            if near.size:
+                return rows.values[near[-1]].tolist()
+        kept = self._recent.get(plant.key)
+        if kept is None or kept[0] != plant.count:
+            if len(self._recent) > 64:
+                self._recent.clear()
+            kept = (plant.count, *self.watch.last_rows(plant, _LOOKED_THROUGH))
+            self._recent[plant.key] = kept
+        near = np.flatnonzero(np.abs(kept[1] - time) < 0.5 * dt)
+        return kept[2][near[-1]].tolist() if near.size else None
+
+    def _release(self, now: float) -> None:
+        """Let rows go that have waited long enough."""
+        work: dict[str, Work] = {}
+        for name in list(self._pending):
+            plant = self.watch.plants[name]
+            model = self.models[plant.model]
+            plant.sampling, rows, remarks = due(plant.sampling, model.layout.dt, self._sampling[plant.model], now)
+            if rows:
+                work[name] = Work(rows)
+                self.numbers.rows[plant.model] += sum(len(one.times) for one in rows)
+            if remarks:
+                self._remark(plant, remarks, work, (), now)
+            if not plant.sampling.pending:
+                self._pending.discard(name)
+        if work:
+            self._commit(self.watch.take(work))
+
+    def _look_around(self, now: float) -> None:
+        """Tell of silent plants, take requests from the store, and drop old events."""
+        self._commit(self.watch.silent(now, self.settings.sampling.silence))
+        for name, wanted in self.store.meta().items() if self.patient.health.good else ():
+            if name.startswith("reset ") and wanted:
+                plant = name.removeprefix("reset ")
+                changes = self.watch.reset(plant) if plant in self.watch.plants else Changes()
+                changes.meta[name] = ""
+                self._pending.discard(plant)
+                self._commit(changes)
+                _LOG.info("%s begins anew", visible(plant))
+        done = min((one.position for one in self.deliveries), default=self.committed)
+        before = min(done, self.committed - self.settings.store.keep_events)
+        if before - self._dropped >= _DROPPED_AT_ONCE:
+            self._dropped = before
+            self.store.drop_events(before)
+
+    def _commit(self, changes: Changes) -> None:
+        if not changes:
+            return
+        self.patient.commit(changes)
+        self.numbers.commits += 1
+        if changes.events:
+            self.numbers.events.update(one.kind for one in changes.events)
+            with self.news:
+                self.committed = changes.events[-1].place
+                self.news.notify_all()
+
+    # ---------------------------------------------------------------------- telling
+
+    def _drop(self, reason: str, where: str, text: str, now: float, count: int = 1) -> None:
+        """Count what is dropped, and log it once a second at most for each reason."""
+        self.numbers.dropped[reason] += count
+        last, more = self._said.get(reason, (0.0, 0))
+        if now - last < 1.0:
+            self._said[reason] = (last, more + count)
+            return
+        self._said[reason] = (now, 0)
+        beside = f", and {more} more since then" if more else ""
+        _LOG.warning("%s: %s (%s)%s", visible(where)[:100], reason, visible(text)[:200], beside)
+
+    def wait_for_event(self, place: int, timeout: float) -> bool:
+        """Wait until there is an event after a place, or the time is over; return whether there is one."""
+        with self.news:
+            if self.committed <= place and not self.stopping.is_set():
+                self.news.wait(timeout)
+            return self.committed > place
+
+
+__all__ = ["Numbers", "Run"]
