@@ -90,7 +90,7 @@ def news(
     known = {one.raised: one for one in told}
     now: list[ToldAlarm] = []
     events: list[News] = []
-    for alarm in _with_beginnings_kept(told, [one for one in alarms if one.raised >= since or _kept(told, one)]):
+    for alarm in those_since(told, alarms, since):
         before = known.pop(alarm.raised, None)
         if before is None:
             events.append(News("raised", alarm))
@@ -112,17 +112,13 @@ def _owner(part: ToldAlarm, alarms: Sequence[Alarm]) -> Alarm:
     return max(before, key=lambda one: one.raised) if before else alarms[0]
 
 
-def _kept(told: Sequence[ToldAlarm], alarm: Alarm) -> bool:
-    return alarm.start == 0 and any(one.shortened for one in told)
-
-
-def _with_beginnings_kept(told: Sequence[ToldAlarm], alarms: Sequence[Alarm]) -> list[Alarm]:
-    """Return alarms with the times of the one whose beginning is no longer kept, as it was told."""
+def those_since(told: Sequence[ToldAlarm], alarms: Sequence[Alarm], since: float) -> list[Alarm]:
+    """Return the alarms since a time; one whose beginning is no longer kept has that which was told of it."""
     first = next((one for one in told if one.shortened), None)
-    if first is None or not alarms or alarms[0].start:
-        return list(alarms)
-    whole = replace(alarms[0], raised=first.raised, onset=first.onset, began=first.began)
-    return [whole, *alarms[1:]]
+    out = [one for one in alarms if one.raised >= since]
+    if first is None or not out or out[0].start:
+        return out
+    return [replace(out[0], raised=first.raised, onset=first.onset, began=first.began), *out[1:]]
 
 
-__all__ = ["ToldAlarm", "news"]
+__all__ = ["News", "ToldAlarm", "news", "those_since"]

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import DataError, FileFormatError
-from residua.live.alarm_events import News, ToldAlarm, news
+from residua.live.alarm_events import News, ToldAlarm, news, those_since
 from residua.live.events import Event
 from residua.live.patience import Patience
 from residua.live.sampling import Rows, SamplingState
 from residua.live.state_bytes import state_from_bytes, state_to_bytes
 from residua.live.store import Changes, PlantUpdate, Store, rows_from_bytes, rows_to_bytes
-from residua.live.watched_model import WatchedModel, clock_of
+from residua.live.watched_model import Judged, WatchedModel, clock_of
 from residua.live.watched_plant import WatchedPlant
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.fleet_block import FleetBlock
@@ -33,6 +33,8 @@ _ASKED = ("alarm", "missing", "statistic")
 STORED_EVERY = 256
 #: So many times the rows that are kept, an alarm that stands longer loses its beginning.
 LONGEST_ALARM = 10
+#: Plants whose decisions are kept in memory while an alarm stands; those of others are made again for every look.
+_MOST_JUDGED = 64
 #: In the order of events at one row.
 _RANKS = {"clock": 0, "back": 1, "ended": 2, "raised": 3, "renamed": 4, "missing": 5, "standing": 6}
 
@@ -55,11 +57,10 @@ class Work:
 
 @dataclass(slots=True)
 class _Batch:
-    """What a batch leaves: changes of the store, events by plant and row, and rows that are not stored yet."""
+    """What a batch leaves: changes of the store; by plant events and rows that are not stored yet; moved anchors."""
 
     changes: Changes
     events: dict[int, list[tuple[int, int, float, str, dict[str, Any]]]]
-    kept: dict[int, tuple[int, NDArray[np.float64], NDArray[np.float64]]]
     fresh: dict[int, list[tuple[int, NDArray[np.float64], NDArray[np.float64]]]]
     moved: set[int]
 
@@ -88,6 +89,7 @@ class Watch:
         self.plants: dict[str, WatchedPlant] = {}
         self._blocks: dict[str, FleetBlock] = {}
         self._by_place: dict[str, list[WatchedPlant]] = {name: [] for name in models}
+        self._judged: dict[int, Judged] = {}
         self.last_place = store.last_place()
         self._check_models(store.meta())
         states: dict[str, list[State]] = {name: [] for name in models}
@@ -237,6 +239,7 @@ class Watch:
                 plant.next_look = row + max(model.between, (row - plant.open_row) // 8)
             if over:
                 plant.open_row, plant.told = -1, []
+                self._judged.pop(plant.key, None)
 
     def _look(self, plant: WatchedPlant, row: int, time: float, over: bool, batch: _Batch) -> None:
         """Tell what is new of the alarms of a plant up to a row."""
@@ -258,29 +261,30 @@ class Watch:
 
     def _diagnosis(self, plant: WatchedPlant, stop: int, batch: _Batch) -> Diagnosis:
         """Return the diagnosis of the rows of a plant that are kept, up to one."""
+        judged = self._judged.pop(plant.key, None)
         model = self.models[plant.model]
-        start, times, values = self._kept_rows(plant, batch)
-        state = model.start() if plant.anchor is None else state_from_bytes(plant.anchor, model.spec)
-        count = stop - start
-        return model.diagnosis(state, times[:count], values[:count], plant.sampling.dated)
+        if judged is None or judged.start != plant.anchor_at:
+            judged = Judged(model, plant.anchor_at, plant.anchor)
+        times, values = self._rows_from(plant, judged.stop, stop, batch)
+        diagnosis = judged.go_on(times, values, plant.sampling.dated)
+        self._judged[plant.key] = judged  # the last one that was looked at comes last
+        while len(self._judged) > _MOST_JUDGED:
+            self._judged.pop(next(iter(self._judged)))
+        return diagnosis
 
-    def _kept_rows(self, plant: WatchedPlant, batch: _Batch) -> tuple[int, NDArray[np.float64], NDArray[np.float64]]:
-        """Return the rows from the anchor on, those that are stored and those of the batch."""
-        known = batch.kept.get(plant.key)
-        if known is None or known[0] != plant.anchor_at:
-            fresh = batch.fresh[plant.key]
-            stop = fresh[0][0] if fresh else plant.count
-            parts = [one for one in self._patient.rows(plant.key, plant.anchor_at) if one[0] < stop]
-            times, values = rows_from_bytes(parts, len(self.models[plant.model].layout.channels), plant.anchor_at)
-            known = (plant.anchor_at, times, values)
-        start, times, values = known
-        stop = start + len(times)
-        new = [one for one in batch.fresh[plant.key] if one[0] >= stop]
-        if new:
-            times = np.concatenate([times, *(one[1] for one in new)])
-            values = np.concatenate([values, *(one[2] for one in new)])
-        batch.kept[plant.key] = (start, times, values)
-        return batch.kept[plant.key]
+    def _rows_from(
+        self, plant: WatchedPlant, first: int, stop: int, batch: _Batch
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return rows of a plant, those that are stored and those of the batch."""
+        fresh = batch.fresh[plant.key]
+        begin = fresh[0][0] if fresh else plant.count
+        parts = [(number, times, values) for number, times, values in fresh if number + len(times) > first]
+        if first < begin:
+            stored = [one for one in self._patient.rows(plant.key, first) if one[0] < begin]
+            parts.insert(0, (first, *rows_from_bytes(stored, len(self.models[plant.model].layout.channels), first)))
+        begin = parts[0][0]
+        times, values = (np.concatenate([part[k] for part in parts]) for k in (1, 2))
+        return times[first - begin : stop - begin], values[first - begin : stop - begin]
 
     # ------------------------------------------------------------------------ gaps
 
@@ -385,11 +389,10 @@ class Watch:
             if not plant.told:
                 continue
             diagnosis = self._diagnosis(plant, plant.count, batch)
-            _, told = news([], diagnosis.alarms, plant.open_since, False)
-            for one in told:
-                if one.alarm.ended is None:
-                    row = (plant.count, _RANKS["standing"], float(diagnosis.time[-1]), "standing")
-                    batch.events[plant.key].append((*row, self._content(plant, one)))
+            row = (plant.count, _RANKS["standing"], float(diagnosis.time[-1]), "standing")
+            for alarm in those_since(plant.told, diagnosis.alarms, plant.open_since):
+                if alarm.ended is None:
+                    batch.events[plant.key].append((*row, self._content(plant, News("standing", alarm))))
             self._note(plant, batch)
         return batch.changes
 
@@ -409,8 +412,7 @@ class Watch:
         if not parts or parts[0][0] > start:  # let go of in this very moment
             return None
         times, values = rows_from_bytes(parts, len(model.layout.channels), start)
-        state = model.start() if anchor is None else state_from_bytes(anchor, model.spec)
-        return model.diagnosis(state, times, values, one.sampling.dated)
+        return Judged(model, start, anchor).go_on(times, values, one.sampling.dated)
 
     def last_rows(self, plant: WatchedPlant, most: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the last rows of a plant that are stored: times and values."""
@@ -424,7 +426,7 @@ class Watch:
 
 
 def _empty_batch() -> _Batch:
-    return _Batch(Changes(), defaultdict(list), {}, defaultdict(list), set())
+    return _Batch(Changes(), defaultdict(list), defaultdict(list), set())
 
 
 def _clock(plant: WatchedPlant, time: float) -> str:

@@ -13,12 +13,13 @@ from residua.decide.alarm import Alarm
 from residua.decide.statement import SURE
 from residua.errors import NotFittedError, SettingError
 from residua.live.readings import Layout
+from residua.live.state_bytes import state_from_bytes
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.fleet_block import fingerprint_of
 from residua.monitor.fused import run_block
 from residua.monitor.monitor import Monitor
 from residua.monitor.outcome import Recorded, compared_outputs, diagnosis_from
-from residua.monitor.running import State, initial_state
+from residua.monitor.running import Decisions, State, initial_state, joined_decisions
 from residua.recording.clock import Clock
 from residua.words import listing
 
@@ -88,17 +89,6 @@ class WatchedModel:
         """Return the state after rows of one plant."""
         return run_block(self.spec, state, values[None])[0]
 
-    def diagnosis(
-        self, state: State, times: NDArray[np.float64], values: NDArray[np.float64], dated: bool
-    ) -> Diagnosis:
-        """Return the diagnosis of rows of one plant that follow a state: with the bits of ``Monitor.run``."""
-        after, decisions = run_block(self.spec, state, values[None])
-        compared = compared_outputs(self.monitor.design)
-        recorded = Recorded(times, values, "", EPOCH if dated else "", compared)
-        return diagnosis_from(
-            decisions.of(0), recorded, self.spec, self.generator, after.filter, 0, (), self.monitor._bounds
-        )
-
     def alarm_content(self, alarm: Alarm, clock: Clock) -> dict[str, Any]:
         """Return what an event says of an alarm."""
         isolation = self.spec.isolation
@@ -113,6 +103,41 @@ class WatchedModel:
                 **out,
             }
         )
+
+
+class Judged:
+    """Rows of one plant from an anchor on, and what was decided on them: with the bits of ``Monitor.run``.
+
+    Parameters
+    ----------
+    model : WatchedModel
+    start : int
+        The number of the first row.
+    anchor : bytes or None
+        The running state before it; ``None`` for the start.
+    """
+
+    def __init__(self, model: WatchedModel, start: int, anchor: bytes | None) -> None:
+        self.model, self.start, self.stop = model, start, start
+        self._state = model.start() if anchor is None else state_from_bytes(anchor, model.spec)
+        self._parts: list[Decisions] = []
+        self._times: list[NDArray[np.float64]] = []
+        self._values: list[NDArray[np.float64]] = []
+
+    def go_on(self, times: NDArray[np.float64], values: NDArray[np.float64], dated: bool) -> Diagnosis:
+        """Go on with rows, and return the diagnosis of all of them."""
+        model = self.model
+        if len(times):
+            self._state, part = run_block(model.spec, self._state, values[None])
+            self._parts, self._times = [joined_decisions([*self._parts, part])], [*self._times, times]
+            self._values.append(values)
+            self.stop += len(times)
+        self._times, self._values = [np.concatenate(self._times)], [np.concatenate(self._values)]
+        compared = compared_outputs(model.monitor.design)
+        recorded = Recorded(self._times[0], self._values[0], "", EPOCH if dated else "", compared)
+        decisions, filtered = self._parts[0].of(0), self._state.filter
+        bounds = model.monitor._bounds
+        return diagnosis_from(decisions, recorded, model.spec, model.generator, filtered, 0, (), bounds)
 
 
 def name_of(alarm: Alarm) -> str:
@@ -141,4 +166,4 @@ def _finite(value: Any) -> Any:
     return value
 
 
-__all__ = ["EPOCH", "WatchedModel", "clock_of", "name_of", "sure_of"]
+__all__ = ["EPOCH", "Judged", "WatchedModel", "clock_of", "name_of", "sure_of"]
