@@ -90,7 +90,7 @@ def test_every_text_is_escaped():
     ]
     page = render(sections, NASTY, NASTY)
     reader = read(page)
-    assert [t for t, _ in reader.tags].count("script") == 4
+    assert [t for t, _ in reader.tags].count("script") == 5
     assert "img" not in [t for t, _ in reader.tags]
     assert not any(a.startswith("on") for _, attrs in reader.tags for a in attrs)
     labels = [c["label"] for c in json.loads(reader.data)["diagnoses"][0]["charts"] if c["kind"] == "residual"]

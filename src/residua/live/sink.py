@@ -13,6 +13,10 @@ class DeliveryError(Exception):
     """A receiver is away, or refuses an event: it is tried again later. The text is shown, and has no secret in it."""
 
 
+#: Seconds after which a call of ``deliver`` begins no further event, so that the run can end.
+LONGEST_CALL = 30.0
+
+
 class Sink(ABC):
     """What takes events to a receiver. One thread calls it, with events in their order.
 
@@ -23,6 +27,9 @@ class Sink(ABC):
     name : str
         Which sink it is: by it the store knows what was delivered, so it must stay the same from run to run; never with
         a secret in it.
+    dropped : int
+        Events that the receiver refuses for good and that were given up, so that those after them go on; counted as
+        delivered. Only where the settings of a sink say ``drop_refused``.
 
     Notes
     -----
@@ -32,6 +39,7 @@ class Sink(ABC):
 
     kind: ClassVar[str]
     name: str
+    dropped: int = 0
 
     @abstractmethod
     def deliver(self, events: Sequence[Event]) -> int:

@@ -19,15 +19,18 @@ class View(Protocol):
         """What is watched, in words: the names of the plants' models."""
         ...
 
-    def overview(self, first: int = 0, count: int = 100) -> dict[str, Any]:
-        """Return how everything is.
+    def overview(self, first: int = 0, count: int = 100, find: str = "") -> dict[str, Any]:
+        """Return how everything is; of the plants ``count`` from the one numbered ``first`` on.
 
-        ``{"plants": {"all": n, "fault": n, "missing": n, "waiting": n, "quiet": n}, "rows": [...], "sources": [{"name",
-        "kind", "good", "text"}], "sinks": [{"name", "kind", "good", "text", "behind"}], "last_event": place, "dated":
-        bool, "problems": [text, ...]}``. ``rows`` are plants, those with a fault first (the latest alarm first), then
-        those with missing data, then the others by id: ``{"plant", "state": "fault" | "missing" | "waiting" | "quiet",
-        "since": time or null, "time": of the last sample or null, "name": text, "sure": text, "ratio": statistic over
-        threshold or null, "rows": number of samples}``.
+        Where ``find`` is not empty, only of plants whose id has it in it, upper or lower case: ``plants["matching"]``
+        is how many those are (all, where ``find`` is empty), the other counts are of all plants.
+
+        ``{"plants": {"all": n, "fault": n, "missing": n, "waiting": n, "quiet": n, "matching": n}, "rows": [...],
+        "sources": [{"name", "kind", "good", "text"}], "sinks": [{"name", "kind", "good", "text", "behind"}],
+        "last_event": place, "dated": bool, "problems": [text, ...]}``. ``rows`` are plants, those with a fault first
+        (the latest alarm first), then those with missing data, then the others by id: ``{"plant", "state": "fault" |
+        "missing" | "waiting" | "quiet", "since": time or null, "time": of the last sample or null, "name": text,
+        "sure": text, "ratio": statistic over threshold or null, "rows": number of samples}``.
         """
         ...
 
@@ -55,7 +58,8 @@ class View(Protocol):
         """Return the numbers for the metrics: by name and labels, such as ``("messages", (("source", "mqtt"),))``.
 
         Counters: ``messages`` by source, ``dropped`` by reason, ``rows`` by model, ``events`` by kind, ``commits``,
-        ``delivered`` and ``delivery_failures`` by sink. Gauges: ``plants``, ``plants_in_alarm``, ``plants_missing``,
+        ``delivered``, ``delivery_failures`` and ``given_up`` (:attr:`residua.live.sink.Sink.dropped`) by sink. Gauges:
+        ``plants``, ``plants_in_alarm``, ``plants_missing``,
         ``largest_ratio`` (statistic to threshold) and ``oldest_age`` (seconds since the last row) by model and shard,
         ``queue`` (messages that wait), ``behind`` (events that wait) by sink, ``connected`` by source or sink.
         """

@@ -180,11 +180,11 @@ def _version() -> str:
         return "of unknown version"
 
 
-def footer() -> str:
+def footer(complete: str = "This file is complete in itself and loads nothing from elsewhere.") -> str:
     """Return what stands at the end of every page."""
     return (
         f'<footer class="muted">Made by residua {escape(_version())}. Charts: uPlot by Leon Sorokin, MIT licence '
-        "(text in the source of this page). This file is complete in itself and loads nothing from elsewhere.</footer>"
+        f"(text in the source of this page). {complete}</footer>"
     )
 
 
@@ -193,28 +193,55 @@ def _static(name: str) -> str:
     return resources.files("residua.report").joinpath("static", name).read_text(encoding="utf-8")
 
 
-def document(title: str, body: str, data: str) -> str:
+@dataclass(frozen=True)
+class Kit:
+    """The scripts and styles of a kind of page, by their names in the folder ``static``, and whom it may ask.
+
+    Attributes
+    ----------
+    scripts, styles : tuple of str
+    connect : str
+        Where its scripts may ask for data, as a security policy says it; empty: nowhere.
+    icon : bool
+        Whether it says that it has no icon, so that a browser does not ask its server for one.
+    """
+
+    scripts: tuple[str, ...] = ("guard.js", "uplot.min.js", "axes.js", "page.js")
+    styles: tuple[str, ...] = ("uplot.min.css", "page.css")
+    connect: str = ""
+    icon: bool = False
+
+    @property
+    def policy(self) -> str:
+        """The security policy: hashes let exactly these scripts run, even a name that slipped through could not."""
+        allowed = " ".join(_hash(_static(script)) for script in self.scripts)
+        connect = f"connect-src {self.connect}; " if self.connect else ""
+        return (
+            f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data:; {connect}"
+            "base-uri 'none'; form-action 'none'"
+        )
+
+
+REPORT = Kit()
+
+
+def document(title: str, body: str, data: str, kit: Kit = REPORT) -> str:
     """Return a whole page: its text, and what its script draws, as JSON."""
-    # Hashes let exactly these scripts run: even a name that slipped through unescaped could not.
-    scripts = [_static("guard.js"), _static("uplot.min.js"), _static("page.js")]
-    allowed = " ".join(_hash(script) for script in scripts)
-    policy = (
-        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data:; "
-        "base-uri 'none'; form-action 'none'"
-    )
-    guard, library, page = (f"<script>{script}</script>" for script in scripts)
+    guard, library, *own = (f"<script>{_static(script)}</script>" for script in kit.scripts)
     licence = _static("uplot-LICENSE.txt").replace("--", "- -")
+    styles = "\n".join(_static(style) for style in kit.styles)
+    icon = '<link rel="icon" href="data:,">\n' if kit.icon else ""
+    scripts = "\n".join(own)
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
-<meta http-equiv="Content-Security-Policy" content="{policy}">
+<meta http-equiv="Content-Security-Policy" content="{kit.policy}">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta name="generator" content="residua">
 <meta name="color-scheme" content="light dark">
-<title>{escape(title)}</title>
-<style>{_static("uplot.min.css")}
-{_static("page.css")}</style>
+{icon}<title>{escape(title)}</title>
+<style>{styles}</style>
 {guard}
 </head>
 <body>
@@ -226,7 +253,7 @@ def document(title: str, body: str, data: str) -> str:
 <!-- uPlot 1.6.32
 {licence}-->
 {library}
-{page}
+{scripts}
 </body>
 </html>
 """

@@ -1,0 +1,143 @@
+"""Who may look: the token, the name of the machine, and where a request comes from."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+from collections.abc import Iterable
+from http.cookies import CookieError, SimpleCookie
+from ipaddress import ip_address
+from urllib.parse import parse_qs, urlsplit
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import PlainTextResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+#: Names of this machine to itself.
+OWN_NAMES = ("localhost", "127.0.0.1", "[::1]")
+#: With every answer: nothing is kept, guessed at, framed, or handed to other pages.
+HEADERS = {
+    "Cache-Control": "no-store",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Permissions-Policy": "camera=(), geolocation=(), microphone=()",
+}
+#: What a page of another origin may not do, beside sending its user here.
+_FOREIGN = ("cross-site", "same-site")
+
+
+class Gate:
+    """Lets requests through that may be answered; it stands in front of everything, unknown paths included.
+
+    In this order: 405 for other methods than GET and HEAD; 421 where ``Host`` is not a name of this server (a name of
+    another's that leads here is how pages elsewhere would read what is here); 403 for requests that pages of other
+    origins make; 401 without the token. The token is taken from the header ``Authorization: Bearer``, from the address
+    of the page (``/?token=``), which is answered with a cookie, or from that cookie. Its value is not the token itself,
+    scripts cannot read it, and other sites cannot have it sent. Comparisons take the same time whatever is compared.
+
+    Parameters
+    ----------
+    app : ASGI application
+    token : str
+    hosts : iterable of str
+        Values of ``Host``, with the port; a name without a port stands for any port.
+    https : bool
+        Whether browsers come by HTTPS, through a proxy.
+    """
+
+    def __init__(self, app: ASGIApp, token: str, hosts: Iterable[str], *, https: bool = False) -> None:
+        self._app, self._token, self._https = app, token, https
+        self._hosts = frozenset(host.lower() for host in hosts)
+        self._cookie = f"residua-{_derived(token, 'name')[:12]}"  # ports share their cookies, so each run has its own
+        self._value = _derived(token, "cookie")
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request, or hand it on; every answer has :data:`HEADERS`."""
+        if scope["type"] != "http":
+            return
+        headers = Headers(scope=scope)
+        from_address = scope["path"] == "/" and parse_qs(scope["query_string"].decode("latin-1")).get("token", [])
+        refused = self._refused(scope, headers, from_address or [])
+        fresh = bool(from_address) and not refused
+        if scope["path"] == "/":
+            scope = {**scope, "query_string": b""}  # nothing behind the gate sees the token
+
+        async def sent(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                added = MutableHeaders(scope=message)
+                for name, value in HEADERS.items():
+                    added.setdefault(name, value)
+                if fresh:
+                    added.append("Set-Cookie", self._set_cookie())
+            await send(message)
+
+        await (PlainTextResponse(refused[1], refused[0], refused[2]) if refused else self._app)(scope, receive, sent)
+
+    def _refused(
+        self, scope: Scope, headers: Headers, from_address: list[str]
+    ) -> tuple[int, str, dict[str, str]] | None:
+        if scope["method"] not in ("GET", "HEAD"):
+            return 405, "Only GET and HEAD.", {"Allow": "GET, HEAD"}
+        hosts = headers.getlist("host")
+        if len(hosts) != 1 or not self._own(hosts[0].lower(), scope.get("server")):
+            return (
+                421,
+                "This server has another name: open the address that it printed, or name this one in 'hosts'.",
+                {},
+            )
+        origin = headers.get("origin")
+        if origin is not None and origin.lower() != f"{'https' if self._https else 'http'}://{hosts[0].lower()}":
+            return 403, "Pages of other origins may not read this.", {}
+        visit = headers.get("sec-fetch-mode") == "navigate" and headers.get("sec-fetch-dest") == "document"
+        if headers.get("sec-fetch-site") in _FOREIGN and not visit:
+            return 403, "Pages of other origins may not read this.", {}
+        if not self._known(headers, from_address):
+            text = "The token is missing or wrong: open the address that residua live printed when it started."
+            return 401, text, {"WWW-Authenticate": 'Bearer realm="residua"'}
+        return None
+
+    def _own(self, host: str, server: tuple[str, int | None] | None) -> bool:
+        """Whether a host is one of this server's; the number of the interface that the request came to always is."""
+        if host in self._hosts:
+            return True
+        try:
+            parts = urlsplit(f"//{host}")
+            name, port = parts.hostname, parts.port
+        except ValueError:
+            return False
+        if name is None or host != parts.netloc or "@" in host:
+            return False
+        if (f"[{name}]" if ":" in name else name) in self._hosts:
+            return True
+        try:
+            return server is not None and ip_address(name) == ip_address(server[0]) and (port or 80) == server[1]
+        except ValueError:
+            return False
+
+    def _known(self, headers: Headers, from_address: list[str]) -> bool:
+        if from_address:
+            return len(from_address) == 1 and _equal(from_address[0], self._token)
+        scheme, _, given = headers.get("authorization", "").partition(" ")
+        if scheme.lower() == "bearer":
+            return _equal(given.strip(), self._token)
+        try:
+            cookies = SimpleCookie("; ".join(headers.getlist("cookie")))
+        except CookieError:
+            return False
+        cookie = cookies.get(self._cookie)
+        return cookie is not None and _equal(cookie.value, self._value)
+
+    def _set_cookie(self) -> str:
+        secure = "; Secure" if self._https else ""
+        return f"{self._cookie}={self._value}; Path=/; HttpOnly; SameSite=Strict{secure}"
+
+
+def _equal(given: str, right: str) -> bool:
+    return hmac.compare_digest(given.encode("utf-8", "surrogatepass"), right.encode())
+
+
+def _derived(token: str, purpose: str) -> str:
+    return hmac.new(token.encode(), f"residua {purpose}".encode(), hashlib.sha256).hexdigest()

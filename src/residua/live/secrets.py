@@ -1,0 +1,97 @@
+"""Passwords, tokens and keys: out of a file or an environment variable, never out of the configuration itself."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+from typing import Any
+
+from residua.errors import SettingError
+
+#: Bytes of a file that holds a secret, at most.
+LARGEST = 65_536
+
+
+def secret(settings: Any, name: str) -> str | None:
+    """Return a secret that settings point at; ``None`` where they point at none.
+
+    Parameters
+    ----------
+    settings : object
+        With texts ``<name>_file`` and ``<name>_env``, of which at most one is not empty.
+    name : str
+        Such as ``"password"``.
+
+    Returns
+    -------
+    str or None
+        The text of the file without the line end after it, or the value of the environment variable.
+
+    Raises
+    ------
+    SettingError
+        If both are there; the file cannot be read, may be read by every user of the machine (POSIX), or is too large;
+        the variable is not set; or the secret is empty, has more lines than one or is no text. What is said never has
+        the secret in it.
+
+    Examples
+    --------
+    >>> import os
+    >>> from types import SimpleNamespace
+    >>> os.environ["PLANT_PASSWORD"] = "a secret"
+    >>> secret(SimpleNamespace(password_file="", password_env="PLANT_PASSWORD"), "password")
+    'a secret'
+    >>> secret(SimpleNamespace(password_file="", password_env=""), "password") is None
+    True
+    """
+    path, variable = getattr(settings, f"{name}_file"), getattr(settings, f"{name}_env")
+    check_secret(settings, name)
+    if path:
+        return _checked(_of_file(path, f"{name}_file"), f"{name}_file: {path}")
+    if variable:
+        value = os.environ.get(variable)
+        if value is None:
+            raise SettingError(f"{name}_env: the environment variable {variable} is not set")
+        return _checked(value, f"{name}_env: the environment variable {variable}")
+    return None
+
+
+def check_secret(settings: Any, name: str) -> None:
+    """Raise where settings point at a secret twice; neither place is looked at.
+
+    Raises
+    ------
+    SettingError
+    """
+    if getattr(settings, f"{name}_file") and getattr(settings, f"{name}_env"):
+        raise SettingError(f"{name}_file and {name}_env: only one of them, the file or the environment variable")
+
+
+def _of_file(path: str, key: str) -> str:
+    try:
+        with Path(path).open("rb") as file:
+            mode = os.fstat(file.fileno()).st_mode
+            if os.name == "posix" and mode & stat.S_IROTH:
+                raise SettingError(
+                    f"{key}: every user of this machine may read {path} (its mode is {stat.S_IMODE(mode):03o}): "
+                    f"take that away first, chmod 600 {path}"
+                )
+            content = file.read(LARGEST + 1)
+    except OSError as error:
+        raise SettingError(f"{key}: {path} cannot be read: {error.strerror or error}") from error
+    if len(content) > LARGEST:
+        raise SettingError(f"{key}: {path} has more than {LARGEST} bytes: that is no secret")
+    try:
+        text = content.decode("utf-8")
+    except UnicodeDecodeError:
+        raise SettingError(f"{key}: {path} is no text in UTF-8") from None  # the cause repeats what is in it
+    return text.removesuffix("\n").removesuffix("\r")
+
+
+def _checked(value: str, where: str) -> str:
+    if not value:
+        raise SettingError(f"{where} is empty; it was to hold a secret")
+    if not value.isprintable():
+        raise SettingError(f"{where} holds line ends or control characters; a secret is one line of text")
+    return value

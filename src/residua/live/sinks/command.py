@@ -1,0 +1,138 @@
+"""Events to a program, on its standard input."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+from residua.errors import SettingError
+from residua.live.events import Event
+from residua.live.sink import LONGEST_CALL, DeliveryError, Sink
+
+#: The exit status of a program that can make nothing of its input (EX_DATAERR of sysexits.h).
+REFUSED = 65
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Which program is run.
+
+    Attributes
+    ----------
+    command : tuple of str
+        The program and its arguments, as they are: no shell reads them.
+    timeout : float
+        Seconds that the program may take for an event; then it is ended.
+    drop_refused : bool
+        Whether an event that the program refuses with status 65 is given up; otherwise it is tried again, for ever, and
+        those after it wait.
+    name : str
+        Of the sink; empty: ``"command "`` and the file name of the program.
+
+    Raises
+    ------
+    SettingError
+        If there is no program or no time for it.
+    """
+
+    command: tuple[str, ...]
+    timeout: float = 30.0
+    drop_refused: bool = False
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        if isinstance(self.command, str) or not self.command or not all(isinstance(a, str) for a in self.command):
+            raise SettingError("command: a list of texts, the program and its arguments; no shell reads it")
+        object.__setattr__(self, "command", tuple(self.command))
+        if any("\0" in a for a in self.command) or not self.command[0]:
+            raise SettingError("command: the program and its arguments are texts without NUL, the program not empty")
+        if not 0 < self.timeout < float("inf"):
+            raise SettingError(f"timeout: a number of seconds over 0, not {self.timeout}")
+
+
+class Command(Sink):
+    """Runs a program for each event: the event, one line of JSON, is its standard input; status 0 means delivered.
+
+    What the program prints goes to the standard error of the run. Together with what it has started itself it is ended
+    when its time is over (on Windows only the program itself).
+
+    Parameters
+    ----------
+    settings : Settings
+
+    Raises
+    ------
+    SettingError
+        If there is no such program.
+    """
+
+    kind: ClassVar[str] = "command"
+
+    def __init__(self, settings: Settings) -> None:
+        if shutil.which(settings.command[0]) is None:
+            raise SettingError(f"command: there is no program {settings.command[0]!r}, or it must not be run")
+        self._settings = settings
+        self._program = Path(settings.command[0]).name
+        self.name = settings.name or f"command {self._program}"
+
+    def deliver(self, events: Sequence[Event]) -> int:
+        """Run the program for each event, and return how many it took.
+
+        Raises
+        ------
+        DeliveryError
+            If it did not take the first one: another status, no end in time, or it cannot be started.
+        """
+        over = time.monotonic() + LONGEST_CALL
+        for k, event in enumerate(events):
+            if k and time.monotonic() > over:
+                return k
+            try:
+                status = self._run(event)
+                if status == REFUSED and self._settings.drop_refused:
+                    self.dropped += 1
+                elif status:
+                    raise DeliveryError(self._words(status))
+            except DeliveryError:
+                if k:
+                    return k
+                raise
+        return len(events)
+
+    def _run(self, event: Event) -> int:
+        posix = sys.platform != "win32"
+        try:
+            process = subprocess.Popen(
+                self._settings.command,
+                stdin=subprocess.PIPE,
+                stdout=2,  # the standard output is the run's own
+                start_new_session=posix,
+            )
+        except OSError as error:
+            raise DeliveryError(f"{self._program} cannot be started: {error.strerror or error}") from error
+        with process:
+            try:
+                process.communicate(event.to_json().encode() + b"\n", timeout=self._settings.timeout)
+            except subprocess.TimeoutExpired:
+                raise DeliveryError(
+                    f"{self._program} took more than {self._settings.timeout:g} s and was ended"
+                ) from None
+            finally:
+                if process.returncode is None:
+                    os.killpg(process.pid, signal.SIGKILL) if posix else process.kill()
+        return process.wait()
+
+    def _words(self, status: int) -> str:
+        if status < 0:
+            return f"{self._program} was ended by signal {-status}"
+        if status == REFUSED:
+            return f"{self._program} refuses the event (status {REFUSED}); drop_refused = true goes on without it"
+        return f"{self._program} ended with status {status}"

@@ -1,0 +1,272 @@
+"""Events to a web address: each one a signed POST."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import hmac
+import ssl
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from ipaddress import ip_address
+from typing import ClassVar
+
+import httpx
+
+from residua.errors import SettingError
+from residua.live.events import Event
+from residua.live.secrets import check_secret, secret
+from residua.live.sink import LONGEST_CALL, DeliveryError, Sink
+from residua.visible import echo
+
+#: The header with the signature.
+SIGNATURE = "Residua-Signature"
+#: Answers that say that the receiver cannot take anything now; all from 500 on do too.
+AWAY = frozenset({408, 409, 421, 425, 429})
+#: Answers that are about this event, and would be the same for ever; others (401, 404, ...) are about the address.
+REFUSED = frozenset({400, 413, 415, 422})
+#: Characters of a key, at least.
+SHORTEST_KEY = 16
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Where events are sent, and how they are signed.
+
+    Attributes
+    ----------
+    url, url_file, url_env : str
+        The address; out of a file or an environment variable where whoever knows it may send. HTTPS, except on this
+        machine itself.
+    key_file, key_env : str
+        The key that events are signed with.
+    unsigned : bool
+        Whether there is no key, and no signature.
+    token_file, token_env : str
+        Sent as ``Authorization: Bearer``, where the receiver wants that.
+    timeout : float
+        Seconds that a delivery may take, all in all.
+    drop_refused : bool
+        Whether an event that the receiver refuses for good (400, 413, 415, 422) is given up; otherwise it is tried
+        again, for ever, and those after it wait.
+    ca_file : str
+        Certificates of a certification authority of your own; empty: the usual ones.
+    proxy : str
+        The address of a proxy; empty: none, whatever the environment says.
+    name : str
+        Of the sink; empty: ``"webhook "`` and scheme, host and port of the address.
+
+    Raises
+    ------
+    SettingError
+    """
+
+    url: str = ""
+    url_file: str = ""
+    url_env: str = ""
+    key_file: str = ""
+    key_env: str = ""
+    unsigned: bool = False
+    token_file: str = ""
+    token_env: str = ""
+    timeout: float = 10.0
+    drop_refused: bool = False
+    ca_file: str = ""
+    proxy: str = ""
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        for name in ("url", "key", "token"):
+            check_secret(self, name)
+        if sum(map(bool, (self.url, self.url_file, self.url_env))) != 1:
+            raise SettingError("url: just one of url, url_file and url_env says where events are sent")
+        if self.url:
+            checked_address(self.url, "url")
+        if self.unsigned == bool(self.key_file or self.key_env):
+            raise SettingError(
+                "key_file or key_env: the key that events are signed with; or unsigned = true, and no key"
+            )
+        if not 0 < self.timeout < float("inf"):
+            raise SettingError(f"timeout: a number of seconds over 0, not {self.timeout}")
+        if self.proxy:
+            _parsed(self.proxy, "proxy")
+
+
+def checked_address(text: str, key: str) -> httpx.URL:
+    """Return an address that events may be sent to.
+
+    Raises
+    ------
+    SettingError
+        If it is no address, has a user or a password in it, or is neither HTTPS nor on this machine.
+
+    Examples
+    --------
+    >>> checked_address("https://alarms.example.org/residua", "url").host
+    'alarms.example.org'
+    >>> checked_address("http://alarms.example.org/residua", "url")
+    Traceback (most recent call last):
+    ...
+    residua.errors.SettingError: url: https is needed to reach alarms.example.org; http only on this machine itself
+    """
+    url = _parsed(text, key)
+    if url.scheme == "http" and not on_this_machine(url.host):
+        raise SettingError(f"{key}: https is needed to reach {url.host}; http only on this machine itself")
+    return url
+
+
+def _parsed(text: str, key: str) -> httpx.URL:
+    try:
+        url = httpx.URL(text)
+    except (httpx.InvalidURL, TypeError):
+        raise SettingError(f"{key}: it is no address of the web") from None
+    if url.scheme not in ("http", "https") or not url.host:
+        raise SettingError(f"{key}: an address begins with https:// and a host")
+    if url.userinfo:
+        raise SettingError(f"{key}: no user or password in an address; token_file and token_env are for such")
+    return url
+
+
+def on_this_machine(host: str) -> bool:
+    """Whether a host is this machine by its name or number alone.
+
+    Examples
+    --------
+    >>> [on_this_machine(host) for host in ("localhost", "127.0.0.1", "::1", "localhost.example.org", "10.0.0.1")]
+    [True, True, True, False, False]
+    """
+    if host == "localhost":
+        return True
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def signature(key: str, body: bytes, timestamp: int) -> str:
+    r"""Return the value of the header that signs a body.
+
+    ``t=<timestamp>,v1=<signature>``: the signature is HMAC-SHA256, in hexadecimal, with the key as UTF-8, of the
+    timestamp in decimal (seconds since 1970), a full stop, and the body.
+
+    Examples
+    --------
+    >>> signature("a key of the plant", b'{"plant": "north"}', 1_800_000_000)
+    't=1800000000,v1=ee468f01d45180676260bb53101e1d65f4bb4de0cc71ad2eea03a288e10e5cd3'
+    """
+    signed = hmac.new(key.encode(), f"{timestamp}.".encode() + body, hashlib.sha256).hexdigest()
+    return f"t={timestamp},v1={signed}"
+
+
+class Webhook(Sink):
+    """Sends each event as one POST of its JSON; any answer from 200 to 299 means delivered.
+
+    Redirects are not followed, the environment (proxies, passwords in ``.netrc``) is not looked at, and of the answer
+    only the status is read. See :func:`signature` for how a receiver knows that it comes from here.
+
+    Parameters
+    ----------
+    settings : Settings
+
+    Raises
+    ------
+    SettingError
+        If a secret or the certificates cannot be read, or the key is too short.
+    """
+
+    kind: ClassVar[str] = "webhook"
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        key = "url" if settings.url else "url_file" if settings.url_file else "url_env"
+        self._url = checked_address(settings.url or secret(settings, "url") or "", key)
+        self._where = f"{self._url.scheme}://{self._url.netloc.decode('ascii')}"
+        self.name = settings.name or f"webhook {self._where}"
+        self._key = secret(settings, "key")
+        if self._key is not None and len(self._key) < SHORTEST_KEY:
+            raise SettingError(f"key: {len(self._key)} characters can be guessed; at least {SHORTEST_KEY}")
+        self._headers = {"Content-Type": "application/json", "User-Agent": "residua"}
+        token = secret(settings, "token")
+        if token is not None:
+            if not token.isascii() or " " in token:
+                raise SettingError("token: a token for a header has ASCII characters only, and no blanks")
+            self._headers["Authorization"] = f"Bearer {token}"
+        self._runner = asyncio.Runner()
+        self._client = httpx.AsyncClient(
+            verify=_certificates(settings.ca_file),
+            proxy=settings.proxy or None,
+            trust_env=False,
+            follow_redirects=False,
+            timeout=settings.timeout,
+        )
+
+    def deliver(self, events: Sequence[Event]) -> int:
+        """Send events one after another, and return how many were taken.
+
+        Raises
+        ------
+        DeliveryError
+            If the first one was not: no connection, no answer in time, or an answer from 300 on.
+        """
+        return self._runner.run(self._deliver(events))
+
+    async def _deliver(self, events: Sequence[Event]) -> int:
+        over = time.monotonic() + LONGEST_CALL
+        for k, event in enumerate(events):
+            if k and time.monotonic() > over:
+                return k
+            try:
+                await self._send(event.to_json().encode())
+            except DeliveryError:
+                if k:
+                    return k
+                raise
+        return len(events)
+
+    async def _send(self, body: bytes) -> None:
+        headers = dict(self._headers)
+        if self._key is not None:
+            headers[SIGNATURE] = signature(self._key, body, int(time.time()))
+        try:
+            # All in all: a receiver that sends its answer byte by byte is away as well.
+            async with asyncio.timeout(self._settings.timeout):
+                async with self._client.stream("POST", self._url, content=body, headers=headers) as answer:
+                    status = answer.status_code
+        except (TimeoutError, httpx.TimeoutException):
+            raise DeliveryError(f"{self._where} gave no answer within {self._settings.timeout:g} s") from None
+        except httpx.ConnectError as error:
+            raise DeliveryError(f"{self._where} cannot be reached: {echo(str(error))}") from None
+        except httpx.HTTPError as error:  # its text may have headers in it
+            raise DeliveryError(f"{self._where}: the connection failed ({type(error).__name__})") from None
+        if 200 <= status < 300:
+            return
+        if status in REFUSED and self._settings.drop_refused:
+            self.dropped += 1
+            return
+        raise DeliveryError(self._words(status))
+
+    def _words(self, status: int) -> str:
+        if status < 400:
+            return f"{self._where} answers with a redirect ({status}), which is not followed: set its address"
+        if status in REFUSED:
+            return f"{self._where} refuses the event ({status}); drop_refused = true goes on without it"
+        if status in (401, 403):
+            return f"{self._where} does not let this sink in ({status}): look at its key and token"
+        if status in AWAY or status >= 500:
+            return f"{self._where} cannot take the event now ({status})"
+        return f"{self._where} answers with {status}: look at the address"
+
+    def close(self) -> None:
+        """Close the connections."""
+        self._runner.run(self._client.aclose())
+        self._runner.close()
+
+
+def _certificates(ca_file: str) -> ssl.SSLContext | bool:
+    if not ca_file:
+        return True
+    try:
+        return ssl.create_default_context(cafile=ca_file)
+    except (OSError, ssl.SSLError) as error:
+        raise SettingError(f"ca_file: {ca_file} holds no certificates that can be read: {error}") from error
