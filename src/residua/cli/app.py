@@ -13,7 +13,7 @@ import numpy as np
 import typer
 
 from residua import __version__
-from residua.cli import identify_command, learn_command, plant_commands, screen, validate_command
+from residua.cli import identify_command, learn_command, live_command, plant_commands, screen, validate_command
 from residua.cli.checks import check_outputs, check_recordings, checked_rate
 from residua.cli.design_command import Commands, thresholds
 from residua.cli.guard import FAULT, NO_FAULT, GuardedGroup, in_cli_words, warn
@@ -83,6 +83,7 @@ app.command()(plant_commands.codes)
 app.command()(plant_commands.suggest)
 app.command()(validate_command.validate)
 app.command()(validate_command.tune)
+app.command()(live_command.live)
 
 
 @app.command()

@@ -47,7 +47,7 @@ class LiveView:
 
     # -------------------------------------------------------------------- overview
 
-    def overview(self, first: int = 0, count: int = 100) -> dict[str, Any]:
+    def overview(self, first: int = 0, count: int = 100, find: str = "") -> dict[str, Any]:
         """Return how everything is: see :class:`residua.live.view.View`."""
         run = self._run
         plants = list(run.watch.plants.values())
@@ -57,8 +57,10 @@ class LiveView:
         groups["fault"].sort(key=lambda one: -(one.said[2] if one.said else 0.0))
         rest = sorted([*groups["waiting"], *groups["quiet"]], key=lambda one: one.plant)
         order = [*groups["fault"], *groups["missing"], *rest]
+        wanted = find.casefold()
+        order = [one for one in order if wanted in one.plant.casefold()] if wanted else order
         return {
-            "plants": {"all": len(plants)} | {name: len(some) for name, some in groups.items()},
+            "plants": {"all": len(plants), "matching": len(order)} | {name: len(some) for name, some in groups.items()},
             "rows": [self._row(one) for one in order[first : first + count]],
             "sources": [_health(one.name, one.kind, one.health) for one in run.sources],
             "sinks": [
@@ -198,6 +200,7 @@ class LiveView:
         for one in run.deliveries:
             at = (("sink", one.sink.name),)
             out["delivered", at], out["delivery_failures", at] = float(one.delivered), float(one.failures)
+            out["given_up", at] = float(one.sink.dropped)
             out["behind", at] = float(self._behind(one.position))
             out["connected", (("name", one.sink.name), ("part", "sink"))] = float(one.health.good)
         for one in run.sources:
@@ -215,7 +218,7 @@ class LiveView:
 
 
 def _of_model(model: str, plants: Sequence[WatchedPlant], now: float) -> dict[Any, float]:
-    at = (("model", model),)
+    at = (("model", model), ("shard", "0"))
     states = [_state(one) for one in plants]
     ratios = [one.ratio for one in plants if one.ratio == one.ratio]
     heard = [one.heard for one in plants if one.count]

@@ -189,6 +189,11 @@ class Run:
                 return True
         return False
 
+    @property
+    def takes_new(self) -> bool:
+        """Whether plants that are not listed are taken in."""
+        return bool(self._open)
+
     def stop(self) -> None:
         """End soon; from any thread, or a signal."""
         self.stopping.set()

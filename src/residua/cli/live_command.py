@@ -1,0 +1,189 @@
+"""The command that watches data as they come."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from residua.cli import screen
+from residua.cli.guard import FAULT, NO_FAULT
+from residua.cli.streams import complain
+from residua.errors import DataError
+from residua.visible import echo, visible
+
+if TYPE_CHECKING:
+    from residua.live.config import LiveSettings
+    from residua.live.run import Run
+
+
+def live(
+    config: Annotated[
+        Path | None, typer.Argument(metavar="CONFIG.toml", help="Monitors, sources, store, sinks and page.")
+    ] = None,
+    check: Annotated[bool, typer.Option("--check", help="Read the configuration, say what it is, and stop.")] = False,
+    reset: Annotated[
+        str | None,
+        typer.Option("--reset", metavar="PLANT", help="Let a plant begin anew whose clock has gone back, and stop."),
+    ] = None,
+    example: Annotated[bool, typer.Option("--example", help="Print a configuration to begin with, and stop.")] = False,
+    demo: Annotated[bool, typer.Option("--demo", help="Watch three simulated plants: nothing else is needed.")] = False,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="DIR", help="With --demo: folder for what it writes.")
+    ] = None,
+) -> None:
+    """Watch data as they come: alarms are stored, sent on, and shown on a page.
+
+    Ends by Ctrl-C, or when all sources have ended: then status 1 if an alarm was raised, 0 if none.
+    """
+    from residua.live import config as configuration
+
+    if example:
+        screen.say(configuration.example().rstrip())
+        return
+    if demo:
+        _demo(config, output)
+        return
+    if config is None:
+        raise typer.BadParameter("name a configuration; residua live --example prints one", param_hint="CONFIG.toml")
+    settings = configuration.load_settings(config)
+    if reset is not None:
+        _reset(settings, reset)
+    elif check:
+        _say(settings)
+    else:
+        raise typer.Exit(_run(settings, linger=False))
+
+
+def _say(settings: LiveSettings) -> None:
+    """Say what a configuration is."""
+    for one in settings.monitors:
+        more = ", and new ones" if one.accept_new else ""
+        screen.say(f"monitor {visible(one.name)}: {len(one.plants)} plants{more}")
+    for what, some in (("source", settings.sources), ("sink", settings.sinks)):
+        for kind, _ in some:
+            screen.say(f"{what} {kind}")
+    where = settings.store.file if settings.store.kind == "sqlite" else "PostgreSQL"
+    screen.say(f"store {where}", f"page: {settings.server.listen if settings.server else 'none'}")
+
+
+def _reset(settings: LiveSettings, plant: str) -> None:
+    """Ask the run that has the store, or the next one, to let a plant begin anew."""
+    from residua.live.store import Changes
+    from residua.live.stores import store_of
+
+    store = store_of(settings.store)
+    store.open(own=False)
+    try:
+        if all(one.plant != plant for one, _, _ in store.plants()):
+            raise DataError(f"the store has no plant {echo(plant)}")
+        store.commit(Changes(meta={f"reset {plant}": "asked"}))
+    finally:
+        store.close()
+    screen.say(f"{visible(plant)} begins anew with its next reading")
+
+
+def _run(settings: LiveSettings, *, linger: bool) -> int:
+    """Run until the sources have ended, or somebody ends it; return the exit status."""
+    from residua.live.live_view import LiveView
+    from residua.live.run import Run
+
+    with _logged():
+        run = Run(settings)
+        server = None
+        try:
+            if settings.server is not None:
+                from residua.live.server import Server
+
+                server = Server(LiveView(run), settings.server)
+            with _ended_by_signals(run) as stopped:
+                run.work(lambda: _started(run, server))
+                if linger and server is not None and not stopped.is_set():
+                    screen.say("the data have ended; the page stays until Ctrl-C")
+                    stopped.wait()
+        finally:
+            if server is not None:
+                server.stop()
+            run.close()
+        raised = run.numbers.events["raised"]
+        screen.say(f"{sum(run.numbers.rows.values()):,} rows, {raised:,} alarms raised")
+        return FAULT if raised and not stopped.is_set() else NO_FAULT
+
+
+def _started(run: Run, server: Any) -> None:
+    if server is not None:
+        server.start()
+        screen.say(f"page: {server.address}")
+    plants = len(run.watch.plants)
+    screen.say(f"watching {plants:,} plants{', and new ones' if run.takes_new else ''}; Ctrl-C ends it")
+    sys.stdout.flush()
+
+
+@contextmanager
+def _ended_by_signals(run: Run) -> Iterator[threading.Event]:
+    """Let SIGINT and SIGTERM end a run in order; yields what is set by then."""
+    stopped = threading.Event()
+
+    def stop() -> None:
+        stopped.set()
+        run.stop()
+
+    def end(number: int, frame: FrameType | None) -> None:
+        threading.Thread(target=stop).start()  # the thread that is interrupted here may hold what stopping needs
+
+    before = {one: signal.signal(one, end) for one in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield stopped
+    finally:
+        for one, handler in before.items():
+            signal.signal(one, handler)
+
+
+class _Lines(logging.Handler):
+    """Writes what the run logs to standard error, a line each."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        complain(f"{self.formatTime(record)} {record.levelname.lower()}: {visible(record.getMessage())}")
+
+    @staticmethod
+    def formatTime(record: logging.LogRecord) -> str:
+        return logging.Formatter().formatTime(record, "%Y-%m-%d %H:%M:%S")
+
+
+@contextmanager
+def _logged() -> Iterator[None]:
+    logger, lines = logging.getLogger("residua.live"), _Lines()
+    level, above = logger.level, logger.propagate
+    logger.addHandler(lines)
+    logger.setLevel(logging.INFO)
+    logger.propagate = False
+    try:
+        yield
+    finally:
+        logger.removeHandler(lines)
+        logger.setLevel(level)
+        logger.propagate = above
+
+
+def _demo(config: Path | None, output: Path | None) -> None:
+    from residua.demos import live as demo
+    from residua.live.config import load_settings
+
+    if config is not None:
+        raise typer.BadParameter("it needs no configuration, and writes one", param_hint="--demo")
+    folder = Path(tempfile.mkdtemp(prefix="residua-live-")) if output is None else output
+    if folder.exists() and not folder.is_dir():
+        raise DataError(f"{folder} is a file; the demo needs a folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    path = demo.write(folder)
+    screen.say(*demo.INTRODUCTION, f"configuration, recordings and store: {folder}")
+    _run(load_settings(path), linger=True)

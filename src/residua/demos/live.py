@@ -1,0 +1,82 @@
+"""Three plants as they run: one that is well, one with a leak, one whose sensor drifts and then falls silent."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.decide import NormThreshold
+from residua.design import kalman_filter
+from residua.library import simulate_three_tank, three_tank, three_tank_fault
+from residua.monitor import Monitor
+from residua.recording.table_writer import write_table
+
+#: Samples of a second each; the hole begins at its own, the sensor at another, the values of one sensor are gone.
+STEPS, LEAK_AT, SENSOR_AT, GONE = 1800, 300.0, 700, slice(1300, 1420)
+#: Times as fast as it was recorded: the first fault is named within half a minute.
+SPEED = 30
+#: Centimetres that the sensor is off.
+OFF = 2.0
+_NORMAL = 40_000
+INTRODUCTION = (
+    "three tanks three times, thirty times as fast as they were: north is well, south has a leak in tank 3 that grows",
+    "from 300 s on (10 s from now), east a level sensor that is off by 2 cm from 700 s on, and then has no values",
+)
+_CONFIGURATION = f"""\
+[[monitors]]
+file = "tank.json"
+name = "tanks"
+plants = ["north", "south", "east"]
+
+[[sources]]
+kind = "replay"
+files = {{ north = "north.csv", south = "south.csv", east = "east.csv" }}
+speed = {SPEED}
+
+[store]
+kind = "sqlite"
+file = "live.db"
+
+[[sinks]]
+kind = "jsonl"
+file = "events.jsonl"
+
+[server]
+listen = "127.0.0.1:0"
+"""
+
+
+def write(folder: Path) -> Path:
+    """Write monitor, recordings and configuration, and return the path of the configuration.
+
+    Parameters
+    ----------
+    folder : Path
+        Exists. What an earlier demo stored there is removed, so that it begins at the beginning.
+    """
+    plant = three_tank()
+    monitor = Monitor(kalman_filter(plant), test=NormThreshold(persistence=5, window=10, false_alarm_rate=0.005))
+    normal = simulate_three_tank(_NORMAL, seed=1)
+    monitor.fit(normal.u, normal.y, time=normal.time)
+    monitor.save(folder / "tank.json")
+    names = [*plant.inputs, *plant.outputs]
+    leak = three_tank_fault(9, STEPS, onset=LEAK_AT)
+    for k, (name, faults) in enumerate({"north": {}, "south": leak, "east": {}}.items()):
+        run = simulate_three_tank(STEPS, faults=faults, seed=10 + k)
+        rows = np.hstack([run.u, run.y])
+        if name == "east":
+            _spoil(rows)
+        write_table(folder / f"{name}.csv", {"time": run.time} | {n: rows[:, c] for c, n in enumerate(names)})
+    for old in ("live.db", "live.db-wal", "live.db-shm", "live.db.lock", "events.jsonl"):
+        (folder / old).unlink(missing_ok=True)
+    path = folder / "live.toml"
+    path.write_text(_CONFIGURATION, encoding="utf-8")
+    return path
+
+
+def _spoil(rows: NDArray[np.float64]) -> None:
+    """Let the last sensor be off, and then have no values for a while."""
+    rows[SENSOR_AT:, -1] += OFF
+    rows[GONE, -1] = np.nan
