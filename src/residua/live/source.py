@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -46,7 +46,7 @@ class Source(ABC):
     """
 
     kind: ClassVar[str]
-    finite: ClassVar[bool] = False
+    finite: bool = False
     name: str
 
     @abstractmethod
@@ -54,6 +54,12 @@ class Source(ABC):
         """Begin to bring messages; ``put`` takes them, from any thread, and blocks while there is no room.
 
         ``put`` raises :class:`RunStoppedError` where the run is ending: the source then leaves.
+        """
+
+    def resume(self, times: Mapping[str, float]) -> None:  # noqa: B027 (most are told by their broker where they are)
+        """Learn how far the store is, before :meth:`start`: the time of the last row of each plant, in seconds.
+
+        A source that holds the past, as a recording does, goes on after it. Nothing to do for others.
         """
 
     @abstractmethod

@@ -1,0 +1,477 @@
+"""Messages from an MQTT broker, each acknowledged when what follows from it is saved."""
+
+from __future__ import annotations
+
+import selectors
+import ssl
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from residua.errors import SettingError, missing_extra
+from residua.live.messages import LARGEST, Message
+from residua.live.secrets import check_secret, secret
+from residua.live.source import Health, Pauses
+from residua.live.sources.checks import choice, file, flag, number, text, texts, whole
+from residua.live.sources.threaded import HandOver, ThreadedSource
+from residua.live.sources.topics import Topics
+from residua.live.sources.waking import Waker
+
+try:
+    from paho.mqtt import client as paho
+    from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode
+    from paho.mqtt.packettypes import PacketTypes
+    from paho.mqtt.properties import Properties
+    from paho.mqtt.subscribeoptions import SubscribeOptions
+except ImportError as error:
+    raise missing_extra("paho-mqtt", "mqtt") from error
+
+#: Packets that are read before acknowledgements are sent and others get their turn.
+_BURST = 500
+#: Bytes that are read from the system at once.
+_PIECE = 1 << 16
+#: Bytes of messages that may wait for the run.
+_MOST_BYTES = 64_000_000
+#: Bytes of a packet that a broker is told not to exceed: what is larger than a message may be is counted, up to here.
+_LARGEST_PACKET = 8 * LARGEST
+#: Seconds that connecting may take, and that the last acknowledgements may take.
+_CONNECTING, _LEAVING = 5.0, 2.0
+_VERSIONS = {"5": paho.MQTTv5, "3.1.1": paho.MQTTv311}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Where the broker is, and what is wanted of it.
+
+    Attributes
+    ----------
+    client_id : str
+        By it the broker knows this run again, and keeps what comes while it is away: the same from run to run, and no
+        other's.
+    topics : list of str
+        Such as ``"plants/{plant}/data"`` for whole messages (with or without ``{plant}``), and
+        ``"plants/{plant}/{channel}"`` for one channel a topic; ``+`` and ``#`` as in MQTT.
+    plant : str
+        The plant of topics without ``{plant}``, where messages do not say it.
+    host : str
+    port : int
+        0: 1883, with TLS 8883.
+    version : {"5", "3.1.1"}
+        Of the protocol.
+    qos : {1, 0}
+        1: a message comes until it is acknowledged, which it is when saved. 0: nothing is acknowledged, and what comes
+        while this run is away or has no room is lost. (2 would be acknowledged before it is saved, by the protocol; and
+        the run drops what comes twice. What is published with 2 arrives with 1.)
+    username : str
+    password_file, password_env : str
+    tls : bool
+        Whether to connect by TLS; certificates of the broker and its name are checked.
+    ca_file : str
+        Certificates of a certification authority of your own; empty: the system's.
+    cert_file, key_file : str
+        A certificate that this client shows, and its key.
+    keepalive : int
+        Seconds of silence after which either side asks whether the other is there.
+    session_expiry : int
+        Seconds for which the broker keeps what comes while this run is away (version 5).
+    receive_maximum : int
+        Messages that may be on their way without being acknowledged (version 5; before it the broker's settings say).
+    retained : bool
+        Whether messages that the broker has kept from earlier are taken, when the connection is made.
+    name : str
+        Of the source; empty: ``"mqtt "``, host and port.
+
+    Raises
+    ------
+    SettingError
+    """
+
+    client_id: str
+    topics: tuple[str, ...]
+    plant: str = ""
+    host: str = "localhost"
+    port: int = 0
+    version: str = "5"
+    qos: int = 1
+    username: str = ""
+    password_file: str = ""
+    password_env: str = ""
+    tls: bool = False
+    ca_file: str = ""
+    cert_file: str = ""
+    key_file: str = ""
+    keepalive: int = 30
+    session_expiry: int = 7 * 86_400
+    receive_maximum: int = 2000
+    retained: bool = False
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        text(self, "client_id", needed="name this run: under it the broker keeps what comes while it is away")
+        text(self, "host", needed="the broker's name or number")
+        for key in ("plant", "username", "password_file", "password_env", "name"):
+            text(self, key)
+        texts(self, "topics", needed="name at least one topic, such as 'plants/{plant}/data'")
+        Topics(self.topics, self.plant)
+        whole(self, "port", 0, 65_535)
+        choice(self, "version", tuple(_VERSIONS))
+        if self.qos == 2 and type(self.qos) is int:
+            raise SettingError(
+                "qos: 2 takes a message over before it is saved, so that a kill loses it; 1 loses none, and the run "
+                "drops what comes twice. What is published with 2 arrives with 1"
+            )
+        choice(self, "qos", (1, 0))
+        for key in ("tls", "retained"):
+            flag(self, key)
+        for key in ("ca_file", "cert_file", "key_file"):
+            file(self, key)
+            if getattr(self, key) and not self.tls:
+                raise SettingError(f"{key}: it is for TLS: say tls = true")
+        if bool(self.cert_file) != bool(self.key_file):
+            raise SettingError("cert_file: a certificate and its key go together: cert_file and key_file")
+        whole(self, "keepalive", 5, 65_535)
+        whole(self, "session_expiry", 0, 2**32 - 1)
+        whole(self, "receive_maximum", 1, 65_535)
+        number(self, "keepalive", 5)
+        check_secret(self, "password")
+
+
+class Mqtt(ThreadedSource):
+    """Subscribes to topics of a broker.
+
+    One thread reads, acknowledges and keeps the connection alive, whatever the run is doing; another puts. With QoS 1
+    what waits is bounded by ``receive_maximum``: the broker sends no more until some are acknowledged. With QoS 0 the
+    socket is not read while there is no room, and when the connection would end of it, what comes is dropped and said.
+
+    Parameters
+    ----------
+    settings : Settings
+
+    Raises
+    ------
+    SettingError
+        If the password cannot be read, or a certificate.
+
+    Notes
+    -----
+    A message is acknowledged once: not on a connection that was made after it came, for there its number may be
+    another's. It then comes again, and the run drops what it has already.
+    """
+
+    kind: ClassVar[str] = "mqtt"
+
+    def __init__(self, settings: Settings) -> None:
+        self._port = settings.port or (8883 if settings.tls else 1883)
+        super().__init__(settings.name or f"mqtt {settings.host}:{self._port}")
+        self._settings = settings
+        self._topics = Topics(settings.topics, settings.plant)
+        self._password = secret(settings, "password")
+        self._tls = _tls_context(settings) if settings.tls else None
+        self._waker = Waker()
+        self._safe: deque[Sequence[Message]] = deque()
+        self._pauses = Pauses()
+        self._generation = 0
+        self._hand: HandOver | None = None
+        self._burst: list[Message] = []
+        self._now = 0.0
+        self._dropping = False
+        self._dropped = 0
+
+    def acknowledge(self, messages: Sequence[Message]) -> None:
+        """Acknowledge messages, in the thread that has the connection."""
+        if self._settings.qos:
+            self._safe.append(messages)
+            self._waker.wake()
+
+    @property
+    def waiting(self) -> int:
+        """Messages that came, and wait to be put."""
+        return self._hand.count if self._hand else 0
+
+    def wake(self) -> None:
+        """Make the thread look at what is new."""
+        self._waker.wake()
+
+    def stop(self) -> None:
+        """Send what was acknowledged, leave the broker, end the threads; the broker keeps what comes from now on."""
+        super().stop()
+        self._waker.close()
+
+    def work(self) -> None:
+        """Connect, read until the connection is lost, and so on."""
+        most = max(self._settings.receive_maximum, 2 * _BURST)
+        hand = HandOver(self.put, most, _MOST_BYTES, self._waker.wake, f"residua {self.name}, putting")
+        self._hand = hand
+        try:
+            while not (self.stopping.is_set() or hand.ended):
+                self._generation += 1
+                connection = _Connection(self, hand)
+                try:
+                    connection.open()
+                    connection.serve()
+                except Exception as error:  # of the system, of TLS, and what answers that are none make paho raise
+                    connection.abandon()
+                    if not self.stopping.is_set():
+                        self.say(False, f"{self._where}: {_reason(error)}; tries again")
+                hand.forget(self._comes_again)
+                if not hand.ended:
+                    self._pauses.wait(self.stopping)
+        finally:
+            hand.close()
+            self._health = Health(False, "has ended")
+
+    @property
+    def _where(self) -> str:
+        return f"{self._settings.host}:{self._port}"
+
+    def _comes_again(self, message: Message) -> bool:
+        return message.token is not None
+
+    # What a connection calls.
+
+    def connected(self, resumed: bool, granted: str) -> None:
+        """Say that topics are subscribed to."""
+        self._pauses.reset()
+        kept = "" if resumed or self._generation == 1 else "; the broker has not kept the session, messages may be lost"
+        lost = f"; {self._dropped:,} messages of QoS 0 dropped for want of room" if self._dropped else ""
+        self.say(True, f"connected to {self._where}{granted}{kept}{lost}")
+
+    def take(self, message: paho.MQTTMessage) -> None:
+        """Take a message that came into the burst that is being read."""
+        token = (self._generation, message.mid) if message.qos else None
+        if self._dropping and token is None:
+            self._dropped += 1
+            return
+        try:
+            place = self._topics.place(message.topic)
+        except UnicodeDecodeError:
+            place = None
+        payload, refused = bytes(message.payload), ""
+        if place is None:
+            payload, refused, place = b"", "topic", ("", "")
+        elif message.retain and not self._settings.retained:
+            payload, refused = b"", "retained"
+        elif len(payload) > LARGEST:
+            payload, refused = b"", "size"
+        self._burst.append(Message(self, payload, self._now, place[0], place[1], None, token, refused))
+
+    def taken(self, now: float) -> list[Message]:
+        """Return the messages of a burst; those of the next one have come at ``now``."""
+        burst, self._burst, self._now = self._burst, [], now
+        return burst
+
+    def drop(self, whether: bool) -> None:
+        """Say whether messages of QoS 0 are dropped."""
+        if whether != self._dropping:
+            self._dropping = whether
+            if not whether:
+                self.connected(True, "")
+
+    def safe(self) -> list[int]:
+        """Return the numbers of messages that are to be acknowledged on this connection, in order."""
+        out: list[int] = []
+        while self._safe:
+            messages = self._safe.popleft()
+            out += [one.token[1] for one in messages if one.token is not None and one.token[0] == self._generation]
+        return out
+
+
+class _LostError(Exception):
+    """The connection is lost, or was refused; the text says why."""
+
+
+class _Client(paho.Client):
+    """paho's client, reading from the system in large pieces: by itself it asks three times for each message.
+
+    Attributes
+    ----------
+    dry : bool
+        Whether the last attempt to read has found nothing.
+    """
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        self.dry = True
+        self._held, self._used = b"", 0
+        super().__init__(*arguments, **named)
+
+    def _sock_recv(self, bufsize: int) -> bytes:
+        used = self._used
+        if used >= len(self._held):
+            try:
+                self._held = super()._sock_recv(_PIECE)
+            except BlockingIOError:
+                self.dry = True
+                raise
+            self.dry, used = False, 0
+        self._used = used + bufsize
+        return self._held[used : used + bufsize]
+
+
+class _Connection:
+    """One connection: from CONNECT until it is lost, or the run ends."""
+
+    def __init__(self, source: Mqtt, hand: HandOver) -> None:
+        self._source, self._hand = source, hand
+        self._settings, self._stopping, self._waker = source._settings, source.stopping, source._waker
+        self._client = self._made()
+        self._refusal = ""
+        self._resumed = False
+        self._ready = False
+        self._events = 0
+
+    def _made(self) -> _Client:
+        settings, five = self._settings, self._settings.version == "5"
+        more = {} if five else {"clean_session": False}
+        client = _Client(
+            CallbackAPIVersion.VERSION2,
+            client_id=settings.client_id,
+            protocol=_VERSIONS[settings.version],
+            reconnect_on_failure=False,
+            manual_ack=True,
+            **more,
+        )
+        client.connect_timeout = _CONNECTING
+        if settings.username or self._source._password is not None:
+            client.username_pw_set(settings.username, self._source._password)
+        if self._source._tls is not None:
+            client.tls_set_context(self._source._tls)
+        client.on_connect, client.on_subscribe = self._on_connect, self._on_subscribe
+        client.on_disconnect = self._on_disconnect
+        client.on_message = lambda _, __, message: self._source.take(message)
+        client.on_socket_register_write = lambda *_: None  # else acknowledging writes at once, one by one
+        return client
+
+    def open(self) -> None:
+        """Connect; the answer comes while serving."""
+        settings, more = self._settings, {}
+        if settings.version == "5":
+            properties = Properties(PacketTypes.CONNECT)
+            properties.SessionExpiryInterval = settings.session_expiry
+            properties.ReceiveMaximum = settings.receive_maximum
+            properties.MaximumPacketSize = _LARGEST_PACKET
+            more = {"clean_start": False, "properties": properties}
+        self._source.taken(time.time())
+        self._client.connect(settings.host, self._source._port, settings.keepalive, **more)
+
+    def serve(self) -> None:
+        """Read, acknowledge and answer until the connection is lost, or the run ends."""
+        patience, full_since = self._settings.keepalive / 3, 0.0
+        opened, client = time.monotonic(), self._client
+        with selectors.DefaultSelector() as selector:
+            selector.register(self._waker, selectors.EVENT_READ)
+            while not (self._stopping.is_set() or self._hand.ended):
+                full, now = self._hand.full, time.monotonic()
+                full_since = (full_since or now) if full else 0.0
+                self._source.drop(full and now - full_since > patience)
+                reads = not full or now - full_since > patience
+                self._wait(selector, reads)
+                self._waker.clear()
+                for mid in self._source.safe():
+                    client.ack(mid, 1)
+                if reads:
+                    self._read()
+                if client.want_write():
+                    self._check(client.loop_write())
+                self._check(client.loop_misc())
+                if not self._ready and time.monotonic() - opened > 2 * _CONNECTING:
+                    raise _LostError("no answer")
+        self._leave()
+
+    def _wait(self, selector: selectors.BaseSelector, reads: bool) -> None:
+        """Wait until there is something to read, to write or to acknowledge."""
+        client = self._client
+        socket = client.socket()
+        if socket is None:
+            raise _LostError(self._refusal or "the connection was lost")
+        events = selectors.EVENT_READ * reads | selectors.EVENT_WRITE * client.want_write()
+        if events != self._events:
+            if self._events:
+                selector.unregister(socket)
+            if events:
+                selector.register(socket, events)
+            self._events = events
+        selector.select(0 if reads and not client.dry else min(1.0, self._settings.keepalive / 5))
+
+    def _read(self) -> None:
+        """Read a burst of packets."""
+        client, source = self._client, self._source
+        try:
+            for _ in range(_BURST):
+                self._check(client.loop_read())
+                if client.dry:
+                    break
+        finally:
+            burst = source.taken(time.time())
+            if burst:
+                self._hand.give(burst)
+
+    def _check(self, result: MQTTErrorCode) -> None:
+        if result != paho.MQTT_ERR_SUCCESS or self._refusal:
+            raise _LostError(self._refusal or paho.error_string(result).rstrip("."))
+
+    def _leave(self) -> None:
+        """Send what was acknowledged, and say good-bye."""
+        client, until = self._client, time.monotonic() + _LEAVING
+        for mid in self._source.safe():
+            client.ack(mid, 1)
+        client.disconnect()
+        while client.socket() is not None and time.monotonic() < until:
+            if client.loop_write() != paho.MQTT_ERR_SUCCESS:
+                break
+            time.sleep(0.005 if client.want_write() else 0)
+        self.abandon()
+
+    def abandon(self) -> None:
+        """Close the socket without a word."""
+        socket = self._client.socket()
+        if socket is not None:
+            socket.close()
+
+    # What paho calls.
+
+    def _on_connect(self, client: paho.Client, _: Any, flags: Any, reason: Any, __: Any) -> None:
+        if reason.is_failure:
+            self._refusal = f"the broker refuses the connection: {reason}"
+            return
+        self._resumed = flags.session_present
+        settings, source = self._settings, self._source
+        if settings.version == "5":
+            handling = (
+                SubscribeOptions.RETAIN_SEND_ON_SUBSCRIBE if settings.retained else SubscribeOptions.RETAIN_DO_NOT_SEND
+            )
+            options = SubscribeOptions(qos=settings.qos, retainHandling=handling)
+            client.subscribe([(one, options) for one in source._topics.filters])
+        else:
+            client.subscribe([(one, settings.qos) for one in source._topics.filters])
+
+    def _on_subscribe(self, _: paho.Client, __: Any, ___: int, reasons: Any, ____: Any) -> None:
+        refused = [topic for topic, one in zip(self._source._topics.filters, reasons, strict=False) if one.is_failure]
+        if refused:
+            self._refusal = f"the broker refuses the topics {', '.join(refused)}"
+            return
+        self._ready = True
+        less = any(one.value < self._settings.qos for one in reasons)
+        self._source.connected(self._resumed, "; it grants QoS 0 only, messages may be lost" if less else "")
+
+    def _on_disconnect(self, _: paho.Client, __: Any, flags: Any, reason: Any, ___: Any) -> None:
+        if flags.is_disconnect_packet_from_server:
+            self._refusal = f"the broker has ended the connection: {reason}"
+
+
+def _tls_context(settings: Settings) -> ssl.SSLContext:
+    try:
+        context = ssl.create_default_context(cafile=settings.ca_file or None)
+        if settings.cert_file:
+            context.load_cert_chain(settings.cert_file, settings.key_file)
+    except (OSError, ssl.SSLError) as error:
+        raise SettingError(f"ca_file, cert_file: the certificates cannot be read: {error}") from error
+    return context
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "strerror", None) or str(error) or type(error).__name__
+
+
+__all__ = ["Mqtt", "Settings"]

@@ -1,0 +1,179 @@
+"""What sources share: a thread that ends in time, what is said of it, and a bounded hand-over to the run."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from abc import abstractmethod
+from collections import deque
+from collections.abc import Callable
+
+from residua.live.messages import Message
+from residua.live.source import Health, RunStoppedError, Source
+
+logger = logging.getLogger("residua.live")
+
+#: Seconds that ``stop`` waits for a thread.
+PATIENCE = 10.0
+
+
+class ThreadedSource(Source):
+    """A source with one thread of its own, which runs :meth:`work` and leaves when :attr:`stopping` is set.
+
+    Attributes
+    ----------
+    stopping : threading.Event
+    put : callable
+        As :meth:`start` was told.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.stopping = threading.Event()
+        self._health = Health(False, "not started")
+        self._thread: threading.Thread | None = None
+        self._over = False
+
+    def start(self, put: Callable[[Message], None]) -> None:
+        """Begin."""
+        self.put = put
+        self._thread = threading.Thread(target=self._run, name=f"residua {self.name}", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread."""
+        self.stopping.set()
+        self.wake()
+        if self._thread is not None:
+            self._thread.join(PATIENCE)
+
+    @property
+    def over(self) -> bool:
+        """Whether it has ended by itself: all was put, or it cannot go on, as :attr:`health` then says."""
+        return self._over
+
+    @property
+    def health(self) -> Health:
+        """How it is now."""
+        return self._health
+
+    def say(self, good: bool, text: str) -> None:
+        """Keep how it is for the page, and note a change in the log."""
+        if (good, text) != (self._health.good, self._health.text):
+            logger.log(logging.INFO if good else logging.WARNING, "%s: %s", self.name, text)
+        self._health = Health(good, text)
+
+    @abstractmethod
+    def work(self) -> None:
+        """Bring messages until there are no more, or :attr:`stopping` is set; in the thread."""
+
+    def wake(self) -> None:
+        """Make the thread look at :attr:`stopping` now; from any thread."""
+
+    def _run(self) -> None:
+        try:
+            self.work()
+        except RunStoppedError:
+            return
+        except Exception as error:  # a source never raises: what is wrong is said where the others are said
+            logger.exception("%s: it has ended", self.name)
+            self.say(False, f"it has ended: {error}")
+        self._over = not self.stopping.is_set()
+
+
+class HandOver:
+    """Messages on their way from a thread that must not wait (it answers a broker) to a run that may be busy.
+
+    A thread of its own puts them one after another. What waits is bounded: :attr:`full` says when to stop reading.
+
+    Parameters
+    ----------
+    put : callable
+        Of the run.
+    most, most_bytes : int
+        Messages, and bytes of their payloads, from which on it is full.
+    freed : callable
+        Called, from the thread that puts, when it is no longer full.
+    name : str
+        Of the thread.
+    """
+
+    def __init__(
+        self, put: Callable[[Message], None], most: int, most_bytes: int, freed: Callable[[], None], name: str
+    ) -> None:
+        self._put, self._freed, self.most, self.most_bytes = put, freed, most, most_bytes
+        self._waiting: deque[tuple[list[Message], int]] = deque()
+        self._change = threading.Condition()
+        self._count = self._bytes = 0
+        self._ended = False
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    @property
+    def full(self) -> bool:
+        """Whether nothing more should be read."""
+        return self._count >= self.most or self._bytes >= self.most_bytes
+
+    @property
+    def count(self) -> int:
+        """How many messages wait."""
+        return self._count
+
+    @property
+    def ended(self) -> bool:
+        """Whether the run takes nothing any more."""
+        return self._ended
+
+    def give(self, messages: list[Message]) -> None:
+        """Take messages in their order; never waits."""
+        size = sum(len(one.payload) for one in messages if isinstance(one.payload, bytes))
+        with self._change:
+            self._waiting.append((messages, size))
+            self._count += len(messages)
+            self._bytes += size
+            self._change.notify()
+
+    def forget(self, gone: Callable[[Message], bool]) -> None:
+        """Leave out messages that come again, or that are another's now."""
+        with self._change:
+            before, self._waiting = self._waiting, deque()
+            for messages, size in before:
+                kept = [one for one in messages if not gone(one)]
+                kept_size = sum(len(one.payload) for one in kept if isinstance(one.payload, bytes))
+                self._count -= len(messages) - len(kept)
+                self._bytes -= size - kept_size
+                if kept:
+                    self._waiting.append((kept, kept_size))
+
+    def close(self) -> None:
+        """End the thread; what waits is not handed over."""
+        with self._change:
+            self._ended = True
+            self._change.notify()
+        self._thread.join(PATIENCE)
+
+    def _run(self) -> None:
+        try:
+            while True:
+                with self._change:
+                    while not self._waiting and not self._ended:
+                        self._change.wait()
+                    if self._ended:
+                        return
+                    messages, size = self._waiting.popleft()
+                for message in messages:
+                    self._put(message)
+                    if self._ended:
+                        return
+                with self._change:
+                    was_full = self.full
+                    self._count -= len(messages)
+                    self._bytes -= size
+                if was_full and not self.full:
+                    self._freed()
+        except RunStoppedError:
+            self._ended = True
+            self._freed()
+
+
+__all__ = ["PATIENCE", "HandOver", "ThreadedSource", "logger"]

@@ -1,0 +1,281 @@
+"""Messages from a real MQTT broker: each once where all goes well, none lost where it does not."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+paho = pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed")
+
+from live.brokers import Mosquitto, Run, running, wait_for  # noqa: E402
+from residua.errors import SettingError  # noqa: E402
+from residua.live.messages import LARGEST  # noqa: E402
+from residua.live.sources import mqtt  # noqa: E402
+from residua.live.sources.mqtt import Mqtt, Settings  # noqa: E402
+
+VERSIONS = pytest.mark.parametrize("version", ["5", "3.1.1"])
+
+
+def settings(port: int, *topics: str, **more: Any) -> Settings:
+    return Settings("run", topics or ("plants/{plant}/data",), host="127.0.0.1", port=port, **more)
+
+
+@contextmanager
+def publisher(port: int) -> Iterator[Any]:
+    client = paho.Client(paho.CallbackAPIVersion.VERSION2, client_id="publisher", clean_session=False)
+    client.reconnect_delay_set(1, 1)
+    client.max_inflight_messages_set(20)  # as many of QoS 2 as mosquitto takes
+    client.connect("127.0.0.1", port)
+    client.loop_start()
+    try:
+        yield client
+    finally:
+        client.disconnect()
+        client.loop_stop()
+
+
+def send(client: Any, first: int, count: int, qos: int = 1, topic: str = "plants/north/data") -> None:
+    for k in range(first, first + count):
+        info = client.publish(topic, json.dumps({"t": k}), qos=qos)
+    info.wait_for_publish(30)
+
+
+def times(run: Run) -> list[int]:
+    return [json.loads(m.payload)["t"] for m in run.messages]
+
+
+def connected(source: Mqtt) -> None:
+    wait_for(lambda: source.health.good, 20.0, "a connection")
+
+
+@VERSIONS
+@pytest.mark.parametrize("qos", [0, 1, 2])
+def test_every_message_comes_once_in_order(mosquitto: Mosquitto, version: str, qos: int) -> None:
+    source = Mqtt(settings(mosquitto.port, version=version))
+    with Run(source) as run:
+        connected(source)
+        with publisher(mosquitto.port) as client:
+            send(client, 0, 500, qos)
+        run.wait_for(500)
+        time.sleep(0.2)
+    assert times(run) == list(range(500))
+    assert {(m.plant, m.channel, m.refused) for m in run.messages} == {("north", "", "")}
+    assert all(isinstance(m.payload, bytes) and abs(m.arrived - time.time()) < 60 for m in run.messages)
+
+
+@VERSIONS
+def test_what_was_acknowledged_does_not_come_again_and_the_rest_does(mosquitto: Mosquitto, version: str) -> None:
+    with Run(Mqtt(settings(mosquitto.port, version=version))) as run:
+        connected(run.source)  # pyright: ignore
+        with publisher(mosquitto.port) as client:
+            send(client, 0, 10)
+        run.wait_for(10)
+    with publisher(mosquitto.port) as client:
+        send(client, 10, 30)  # while the run is away
+    with Run(Mqtt(settings(mosquitto.port, version=version)), acknowledges=False) as run:
+        run.wait_for(20)
+        first = run.messages[:5]
+        run.source.acknowledge(first)
+        time.sleep(0.3)
+    with Run(Mqtt(settings(mosquitto.port, version=version))) as run:
+        run.wait_for(25)
+        time.sleep(0.3)
+    assert times(run) == list(range(15, 40))
+
+
+@VERSIONS
+def test_no_message_is_lost_when_the_broker_stops_and_starts(tmp_path: Path, version: str) -> None:
+    with running(tmp_path, "max_queued_messages 0") as mosquitto:  # it drops those over a thousand else
+        _interrupted(mosquitto, Mqtt(settings(mosquitto.port, version=version)))
+
+
+def _interrupted(mosquitto: Mosquitto, source: Mqtt) -> None:
+    with Run(source) as run, publisher(mosquitto.port) as client:
+        connected(source)
+        stop = threading.Event()
+        sent: list[int] = []
+
+        def publish() -> None:
+            while not stop.is_set():
+                client.publish("plants/north/data", json.dumps({"t": len(sent)}), qos=1)
+                sent.append(len(sent))
+                time.sleep(0.001)
+
+        thread = threading.Thread(target=publish)
+        thread.start()
+        for k in range(3):
+            run.wait_for(100 * (k + 1))
+            mosquitto.stop()
+            wait_for(lambda: not source.health.good, 20.0, "a word about the connection")
+            time.sleep(0.1)
+            mosquitto.start()
+            connected(source)
+        stop.set()
+        thread.join()
+        wait_for(lambda: len(set(times(run))) == len(sent), 10.0, lambda: f"{set(sent) - set(times(run))}")
+    assert sorted(set(times(run))) == sent  # the publisher does not keep the order over an interruption
+
+
+@pytest.mark.parametrize(("version", "qos"), [("5", 0), ("5", 1), ("3.1.1", 1)])
+def test_a_run_that_takes_nothing_holds_up_the_broker_and_keeps_the_connection(
+    mosquitto: Mosquitto,
+    version: str,
+    qos: int,
+) -> None:
+    source = Mqtt(settings(mosquitto.port, version=version, qos=qos, keepalive=5, receive_maximum=50))
+    with Run(source, most=10) as run:
+        connected(source)
+        run.takes.clear()
+        with publisher(mosquitto.port) as client:
+            send(client, 0, 5000, qos)
+        time.sleep(12.0)  # keepalive ends a connection after 10 s without an answer
+        assert source.health.good
+        assert not (mosquitto.folder / "mosquitto.log").read_text().count("timeout")
+        assert (mosquitto.folder / "mosquitto.log").read_text().count("as run ") == 1  # connected once
+        held = run.waiting + source.waiting
+        assert held <= (61 if qos else 1600), held
+        run.takes.set()
+        with publisher(mosquitto.port) as client:
+            wait_for(lambda: source.waiting == 0 and run.waiting == 0)
+            send(client, 5000, 1, qos)
+        wait_for(lambda: 5000 in times(run))
+    came = times(run)
+    assert came == sorted(set(came))
+    if qos:  # mosquitto itself keeps 1000 and those on their way, and drops what comes then
+        assert len(came) > 1000
+    else:
+        assert "dropped for want of room" in source.health.text or len(came) == 5001 or "ended" in source.health.text
+
+
+def test_one_channel_to_a_topic(mosquitto: Mosquitto) -> None:
+    source = Mqtt(settings(mosquitto.port, "plants/{plant}/data", "plants/{plant}/{channel}"))
+    with Run(source) as run:
+        connected(source)
+        with publisher(mosquitto.port) as client:
+            for topic, text in [("level", "1.5"), ("data", "{}"), ("flow", '{"t": 3, "value": null}')]:
+                client.publish(f"plants/north/{topic}", text, qos=1).wait_for_publish(10)
+        wait_for(lambda: run.messages and run.messages[-1].channel == "flow")
+    came = [(m.plant, m.channel, m.payload) for m in run.messages]
+    assert list(dict.fromkeys(came)) == [  # what fits two patterns may come twice
+        ("north", "level", b"1.5"), ("north", "", b"{}"), ("north", "flow", b'{"t": 3, "value": null}'),
+    ]  # fmt: skip
+
+
+@VERSIONS
+def test_foreign_topics_large_payloads_and_what_was_kept_are_refused_in_their_turn(
+    mosquitto: Mosquitto,
+    version: str,
+) -> None:
+    with publisher(mosquitto.port) as client:
+        client.publish("plants/old/data", "{}", qos=1, retain=True).wait_for_publish(10)
+        client.publish("plants/kept/data", "{}", qos=1, retain=True).wait_for_publish(10)
+    with Run(Mqtt(settings(mosquitto.port, "plants/#", "plants/{plant}/data", version=version, retained=True))) as run:
+        run.wait_for(2)  # the session now has another subscription than the next one
+    source = Mqtt(settings(mosquitto.port, version=version))
+    with Run(source) as run:
+        connected(source)
+        with publisher(mosquitto.port) as client:
+            client.publish("plants/north/other", b"\xff\x00", qos=1)
+            client.publish("plants/north/data", b"\xff\x00", qos=1)
+            client.publish("plants/north/data", b"x" * (LARGEST + 1), qos=1)
+            client.publish("plants/north/data", b"", qos=1)
+            client.publish("plants/north/data", b"last", qos=1).wait_for_publish(10)
+        wait_for(lambda: run.messages and run.messages[-1].payload == b"last")
+    came = [(m.payload, m.refused) for m in run.messages if m.refused != "retained"]
+    assert list(dict.fromkeys(came)) == [(b"", "topic"), (b"\xff\x00", ""), (b"", "size"), (b"", ""), (b"last", "")]
+    assert sum(m.refused == "retained" for m in run.messages) == (0 if version == "5" else 2)
+    with Run(Mqtt(settings(mosquitto.port, version=version))) as run:
+        time.sleep(0.3)
+    assert not [m for m in run.messages if m.refused != "retained"]  # they were acknowledged
+
+
+def test_a_broker_that_is_not_there_is_waited_for(tmp_path: Path) -> None:
+    broker = Mosquitto(tmp_path)
+    source = Mqtt(settings(broker.port))
+    with Run(source):
+        wait_for(lambda: "refused" in source.health.text)
+        assert not source.health.good
+        broker.start()
+        try:
+            connected(source)
+        finally:
+            broker.kill()
+
+
+def test_passwords_come_from_a_file_and_a_wrong_one_is_said_without_it(tmp_path: Path) -> None:
+    users = tmp_path / "users"
+    users.touch()
+    try:
+        subprocess.run(["mosquitto_passwd", "-b", str(users), "plant", "right secret"], check=True, capture_output=True)
+    except FileNotFoundError:
+        pytest.skip("mosquitto_passwd is not installed")
+    users.chmod(0o644)
+    with running(tmp_path, f"allow_anonymous false\npassword_file {users}") as broker:
+        for word, said in (("wrong secret", "Not authorized"), ("right secret", "connected")):
+            file = tmp_path / "word"
+            file.write_text(f"{word}\n")
+            file.chmod(0o600)
+            for version in ("5", "3.1.1"):
+                source = Mqtt(settings(broker.port, username="plant", password_file=str(file), version=version))
+                with Run(source):
+                    wait_for(lambda source=source, said=said: said in source.health.text)
+                    assert "secret" not in source.health.text
+
+
+def test_topics_that_a_broker_refuses_are_said() -> None:
+    """Mosquitto takes every subscription, and leaves out what is forbidden: its answer is put together here."""
+    from paho.mqtt.packettypes import PacketTypes
+    from paho.mqtt.reasoncodes import ReasonCode
+
+    source = Mqtt(settings(1, "allowed/{plant}", "other/{plant}"))
+    connection = mqtt._Connection(source, None)  # pyright: ignore
+    answers = [ReasonCode(PacketTypes.SUBACK, identifier=code) for code in (1, 0x87)]
+    connection._on_subscribe(connection._client, None, 1, answers, None)
+    with pytest.raises(mqtt._LostError, match=r"^the broker refuses the topics other/\+$"):
+        connection._check(paho.MQTT_ERR_SUCCESS)
+    source.stop()
+
+
+def test_a_session_that_the_broker_has_lost_is_said(mosquitto: Mosquitto) -> None:
+    source = Mqtt(settings(mosquitto.port))
+    with Run(source):
+        connected(source)
+        other = paho.Client(paho.CallbackAPIVersion.VERSION2, client_id="run")  # takes it over, and begins anew
+        other.connect("127.0.0.1", mosquitto.port)
+        other.loop_start()
+        wait_for(lambda: "the broker has not kept the session" in source.health.text)
+        other.disconnect()
+        other.loop_stop()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"client_id": ""}, "client_id: name this run"),
+        ({"topics": []}, "topics: name at least one"),
+        ({"topics": "plants/{plant}/data"}, "topics: a list of different texts"),
+        ({"topics": ["$share/a/b"]}, "topics: "),
+        ({"qos": 2}, "qos: 2 takes a message over before it is saved"),
+        ({"qos": True}, "qos: one of 1, 0"),
+        ({"port": 70000}, "port: a whole number"),
+        ({"version": "4"}, "version: one of '5', '3.1.1'"),
+        ({"ca_file": __file__}, "ca_file: it is for TLS"),
+        ({"tls": True, "ca_file": "none.pem"}, "ca_file: none.pem is no file"),
+        ({"tls": True, "cert_file": __file__}, "cert_file: a certificate and its key"),
+        ({"keepalive": 1}, "keepalive: a whole number from 5"),
+        ({"password_file": "a", "password_env": "b"}, "password_file and password_env"),
+        ({"host": ""}, "host: "),
+        ({"host": "a\nb"}, "host: text on one line"),
+    ],
+)
+def test_wrong_settings_are_named(wrong: dict[str, Any], said: str) -> None:
+    with pytest.raises(SettingError, match=said):
+        Settings(**({"client_id": "run", "topics": ["{plant}/data"]} | wrong))
