@@ -41,7 +41,7 @@ file = "live.db"
 
 [[sinks]]
 kind = "jsonl"
-file = "events.jsonl"
+path = "events.jsonl"
 
 [server]
 listen = "127.0.0.1:0"

@@ -358,7 +358,7 @@ file = "live.db"
 
 [[sinks]]
 kind = "jsonl"
-file = "alarms.jsonl"
+path = "alarms.jsonl"
 
 [server]
 listen = "127.0.0.1:8000"
