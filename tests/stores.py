@@ -7,6 +7,7 @@ import os
 import shutil
 import signal
 import subprocess
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -33,19 +34,14 @@ def programs() -> Path:
 class Database:
     """A server of PostgreSQL with a folder of its own, reached by a socket alone."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self) -> None:
         pytest.importorskip("psycopg")
-        self.programs, self.folder = programs(), folder
-        self.data, self.socket = folder / "data", Path("/tmp") / f"residua-{os.getpid()}-{time.monotonic_ns()}"
-        self.socket.mkdir(mode=0o777)
+        self.programs = programs()
+        self.socket = Path(tempfile.mkdtemp(prefix="residua-"))  # short enough for a socket
+        self.data = self.socket / "data"
         self._user: dict[str, Any] = {}
         if os.geteuid() == 0:  # it does not run as root
             self._user = {"user": "nobody"}
-            for one in (folder, *folder.parents):
-                if one.stat().st_uid == 0 and str(one).startswith("/tmp/"):
-                    one.chmod(one.stat().st_mode | 0o055)
-            self.data.mkdir()
-            shutil.chown(self.data, "nobody")
             shutil.chown(self.socket, "nobody")
         self._call("initdb", "-D", self.data, "-A", "trust", "-U", "residua", "--no-sync", "-E", "UTF8")
 
@@ -88,7 +84,7 @@ def made_store(kind: str, folder: Path) -> Iterator[Any]:
         make = partial(SqliteStore, folder / "live.db")
         database = None
     else:
-        database = Database(folder)
+        database = Database()
         from residua.live.postgresql_store import PostgresqlStore
 
         database.start()

@@ -1,0 +1,111 @@
+"""A recording that comes by any source has the alarms of ``residua run``: onsets, names and scores to the last bit."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from live.brokers import Mosquitto
+from live_examples import alarms_of_run, monitor, recording
+from live_runs import alarms_in, command, configuration, line, running, wait_for
+
+SAMPLES = 2200
+TIMES = np.arange(SAMPLES, dtype=float)
+
+
+@pytest.fixture(scope="module")
+def rows() -> np.ndarray:
+    return recording(SAMPLES)
+
+
+@pytest.fixture(scope="module")
+def wanted(rows: np.ndarray, tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
+    """What `residua run` writes of the recording."""
+    folder = tmp_path_factory.mktemp("recorded")
+    monitor().save(folder / "tank.json")
+    csv, out = folder / "run.csv", folder / "alarms.jsonl"
+    table = np.column_stack([TIMES, rows]).tolist()
+    lines = [",".join("" if v != v else repr(v) for v in values) for values in table]
+    csv.write_text("\n".join(["time,Q1,Q2,h1,h2,h3", *lines]))
+    program = [sys.executable, "-m", "residua", "run", folder / "tank.json", csv, "--alarms", out, "-q"]
+    assert subprocess.run(program, check=False).returncode == 1
+    alarms = [json.loads(one) for one in out.read_text().splitlines()]
+    assert len(alarms) >= 2
+    assert alarms == json.loads(json.dumps(alarms_of_run(monitor(), rows, TIMES)))
+    return alarms
+
+
+def messages(rows: np.ndarray) -> list[str]:
+    return [line("north", time, row) for time, row in zip(TIMES.tolist(), rows, strict=True)]
+
+
+def test_lines_of_standard_input(tmp_path: Path, rows: np.ndarray, wanted: list[dict[str, Any]]) -> None:
+    path = configuration(tmp_path, '[[sources]]\nkind = "stdin"', '[[sinks]]\nkind = "jsonl"\npath = "events.jsonl"')
+    made = command(path, input="\n".join(messages(rows)))
+    assert made.returncode == 1, made.stderr
+    assert f"{SAMPLES:,} rows" in made.stdout
+    assert alarms_in(tmp_path / "live.db") == wanted
+    sent = [json.loads(one) for one in (tmp_path / "events.jsonl").read_text().splitlines()]
+    assert [one["number"] for one in sent] == list(range(1, len(sent) + 1))
+    assert sent[-1]["kind"] == "standing"
+
+
+def test_a_replay(tmp_path: Path, rows: np.ndarray, wanted: list[dict[str, Any]]) -> None:
+    np.savez(tmp_path / "run.npz", time=TIMES, **dict(zip(("Q1", "Q2", "h1", "h2", "h3"), rows.T, strict=True)))
+    source = '[[sources]]\nkind = "replay"\nfile = "run.npz"\nspeed = 0\nrows = 37'
+    made = command(configuration(tmp_path, source))
+    assert made.returncode == 1, made.stderr
+    assert alarms_in(tmp_path / "live.db") == wanted
+
+
+def test_mqtt(tmp_path: Path, mosquitto: Mosquitto, rows: np.ndarray, wanted: list[dict[str, Any]]) -> None:
+    paho = pytest.importorskip("paho.mqtt.client")
+    source = f"""[[sources]]
+kind = "mqtt"
+client_id = "residua"
+host = "127.0.0.1"
+port = {mosquitto.port}
+topics = ["plants/{{plant}}/data"]"""
+    client = paho.Client(paho.CallbackAPIVersion.VERSION2)
+    client.connect("127.0.0.1", mosquitto.port)
+    client.loop_start()
+    with running(configuration(tmp_path, source)) as run:
+        wait_for(lambda: run.sources[0].health.good)
+        for one in messages(rows):
+            client.publish("plants/north/data", one, qos=1)
+        wait_for(lambda: run.watch.plants["north"].count == SAMPLES)
+    client.disconnect()
+    client.loop_stop()
+    assert alarms_in(tmp_path / "live.db") == wanted
+
+
+def test_mqtt_by_channels(tmp_path: Path, mosquitto: Mosquitto, rows: np.ndarray, wanted: list[dict[str, Any]]) -> None:
+    paho = pytest.importorskip("paho.mqtt.client")
+    source = f"""[[sources]]
+kind = "mqtt"
+client_id = "residua"
+host = "127.0.0.1"
+port = {mosquitto.port}
+topics = ["plants/{{plant}}/{{channel}}"]
+[sampling]
+wait = 30"""
+    client = paho.Client(paho.CallbackAPIVersion.VERSION2)
+    client.connect("127.0.0.1", mosquitto.port)
+    client.loop_start()
+    with running(configuration(tmp_path, source)) as run:
+        wait_for(lambda: run.sources[0].health.good)
+        for time, row in zip(TIMES.tolist(), rows.tolist(), strict=True):
+            for c in (4, 0, 2, 1, 3):
+                name, value = ("Q1", "Q2", "h1", "h2", "h3")[c], row[c]
+                said = json.dumps({"t": time, "value": None if value != value else value})
+                client.publish(f"plants/north/{name}", said, qos=1)
+        wait_for(lambda: run.watch.plants["north"].count == SAMPLES)
+    client.disconnect()
+    client.loop_stop()
+    assert alarms_in(tmp_path / "live.db") == wanted

@@ -1,0 +1,108 @@
+"""Whole runs of `residua live`, in this process or in one of their own, for tests."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import residua as rs
+from live_examples import alarms_of, monitor
+from residua.live.config import load_settings
+from residua.live.run import Run
+from residua.live.sqlite_store import SqliteStore
+
+
+def configuration(folder: Path, *tables: str, plants: Sequence[str] = ("north",), more: str = "") -> Path:
+    """Write a monitor and a configuration with some tables, and return its path."""
+    if not (folder / "tank.json").exists():
+        monitor().save(folder / "tank.json")
+    ids = ", ".join(f'"{plant}"' for plant in plants)
+    path = folder / "live.toml"
+    head = f'[[monitors]]\nfile = "tank.json"\nplants = [{ids}]\n{more}\n'
+    store = "" if any("[store]" in one for one in tables) else '[store]\nfile = "live.db"\n'
+    path.write_text("\n".join([head, store, *tables]), encoding="utf-8")
+    return path
+
+
+def line(plant: str, time: float, row: NDArray[np.float64], inputs: int = 2) -> str:
+    """Return one row as a message."""
+    values = [None if value != value else value for value in row.tolist()]
+    return json.dumps({"plant": plant, "t": time, "u": values[:inputs], "y": values[inputs:]})
+
+
+@contextmanager
+def running(path: Path) -> Iterator[Run]:
+    """A run that works in a thread, and is stopped in order."""
+    run = Run(load_settings(path))
+    errors: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            run.work()
+        except BaseException as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    try:
+        yield run
+    finally:
+        run.stop()
+        thread.join(30)
+        run.close()
+    assert not thread.is_alive()
+    assert not errors, errors
+
+
+def wait_for(done: Callable[[], object], seconds: float = 60.0) -> None:
+    """Wait until something is so; fail when it does not come to be."""
+    waited = threading.Event()
+    for _ in range(int(seconds / 0.02)):
+        if done():
+            return
+        waited.wait(0.02)
+    raise AssertionError(f"it did not come to be within {seconds} s")
+
+
+def alarms_in(path: Path, plant: str = "north") -> list[dict[str, Any]]:
+    """Return the alarms that a store holds of a plant, those that stand included."""
+    from live_examples import opened
+    from residua.live.watched_model import WatchedModel
+
+    watch = opened(path, WatchedModel("tank", rs.Monitor.load(path.parent / "tank.json")))
+    changes = watch.standing()
+    events = [one.to_dict() for one in watch.store.events(0, 10**6, plant)]
+    if not events or events[-1]["kind"] != "standing":
+        events += [one.to_dict() for one in changes.events]
+    watch.store.close()
+    return alarms_of([one for one in events if one["plant"] == plant])
+
+
+def events_in(path: Path) -> list[dict[str, Any]]:
+    """Return all events of a store."""
+    store = SqliteStore(path)
+    store.open()
+    try:
+        return [one.to_dict() for one in store.events(0, 10**7)]
+    finally:
+        store.close()
+
+
+def command(*arguments: object, **more: Any) -> subprocess.CompletedProcess[str]:
+    """Run `residua live` in a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-m", "residua", "live", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        **more,
+    )
