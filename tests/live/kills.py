@@ -118,7 +118,7 @@ unsigned = true"""
         while self.done < self.kills:
             self._wait(self.random.uniform(0.0, 0.6))
             process.kill()
-            process.wait()
+            process.communicate()
             self.done += 1
             if self.done % every == every // 2:
                 self.broker.stop()
@@ -134,7 +134,7 @@ unsigned = true"""
         finally:
             process.terminate()
             output, errors = process.communicate(timeout=60)
-        assert process.returncode == 0, output + errors
+        assert process.returncode == 0, (process.returncode, output, errors)
         self.receiver.shutdown()
         self.receiver.server_close()
         return wanted
@@ -145,7 +145,8 @@ unsigned = true"""
     def _start(self) -> subprocess.Popen[str]:
         program = [sys.executable, "-m", "residua", "live", str(self.path)]
         process = subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        if self.random.random() < 0.9:  # the others are killed while they begin
+        last = self.done == self.kills
+        if last or self.random.random() < 0.9:  # the others are killed while they begin
             assert process.stdout is not None
             for text in process.stdout:
                 if text.startswith("watching"):
