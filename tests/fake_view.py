@@ -185,7 +185,7 @@ class FakeView:
             "ended": self.start + alarm.ended if over else None,
             "name": alarm.candidates[0].name if alarm.candidates else "",
             "sure": verdict(d).confidence,
-            "lines": list(verdict(d).sentences),
+            "lines": [verdict(d).headline, *verdict(d).sentences],
             "candidates": [{"name": c.name, "weight": f"{c.score:.3f}"} for c in alarm.candidates[:3]],
         }
 

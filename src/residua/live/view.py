@@ -40,9 +40,9 @@ class View(Protocol):
         ``{"plant", "model", "dt", "dated", "row": as in ``overview``, "time": [t, ...], "statistic": [x or null, ...],
         "threshold": x, "residuals": [{"name", "unit", "values": [x or null, ...], "center": x, "band": x}, ...],
         "signals": [{"name", "unit", "values": [...]}, ...], "alarms": [{"raised", "onset", "ended": time or null,
-        "name": text, "sure": text, "lines": [text, ...], "candidates": [{"name", "weight": text}, ...]}, ...],
-        "missing": [[from, to], ...], "events": [as Event.to_dict with "place"], "notes": [text, ...]}``; series are of
-        the last hour or so, thinned to a few hundred points that keep the extremes.
+        "name": text, "sure": text, "lines": [headline, text, ...], "candidates": [{"name", "weight": text}, ...]},
+        ...], "missing": [[from, to], ...], "events": [as Event.to_dict with "place"], "notes": [text, ...]}``; series
+        are of the last hour or so, thinned to a few hundred points that keep the extremes.
         """
         ...
 

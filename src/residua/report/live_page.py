@@ -77,7 +77,6 @@ _BODY = """
   <h3>Sources and sinks</h3>
   <table class="ends"><tbody></tbody></table>
 </section>
-<p id="zone" class="muted"></p>
 """
 
 

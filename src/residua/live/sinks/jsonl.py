@@ -13,6 +13,7 @@ from typing import ClassVar
 
 from residua.errors import SettingError
 from residua.live.events import Event
+from residua.live.setting_types import check_types
 from residua.live.sink import DeliveryError, Sink
 
 if sys.platform != "win32":
@@ -30,28 +31,29 @@ class Settings:
 
     Attributes
     ----------
-    path : str
-        The file; it is made where there is none, and only ever grows.
+    file : str
+        Where they stand; it is made where there is none, and only ever grows.
     name : str
-        Of the sink; empty: ``"jsonl "`` and the path.
+        Of the sink; empty: ``"jsonl "`` and its path.
 
     Raises
     ------
     SettingError
-        If there is no path, its folder does not exist, or it is something else than a file.
+        If no file is named, its folder does not exist, or it is something else than a file.
     """
 
-    path: str
+    file: str
     name: str = ""
 
     def __post_init__(self) -> None:
-        if not self.path:
-            raise SettingError("path: the file that events are written to must be named")
-        path = Path(self.path)
+        check_types(self)
+        if not self.file:
+            raise SettingError("file: the file that events are written to must be named")
+        path = Path(self.file)
         if not path.parent.is_dir():
-            raise SettingError(f"path: the folder {path.parent} does not exist; make it first")
+            raise SettingError(f"file: the folder {path.parent} does not exist; make it first")
         if path.exists() and not path.is_file():
-            raise SettingError(f"path: {path} is no file; to hand events to a program, there is the sink 'command'")
+            raise SettingError(f"file: {path} is no file; to hand events to a program, there is the sink 'command'")
 
 
 class JsonLines(Sink):
@@ -79,8 +81,8 @@ class JsonLines(Sink):
     kind: ClassVar[str] = "jsonl"
 
     def __init__(self, settings: Settings) -> None:
-        self._path = Path(settings.path)
-        self.name = settings.name or f"jsonl {settings.path}"
+        self._path = Path(settings.file)
+        self.name = settings.name or f"jsonl {settings.file}"
 
     def deliver(self, events: Sequence[Event]) -> int:
         """Append events, and return how many: as many as make up about a quarter of a megabyte.

@@ -2,7 +2,6 @@
 (function () {
   "use strict";
   const { day, clockTime, short } = residuaAxes;
-  const { local } = residuaLiveCharts;
   const body = document.body, title = document.title;
   const EVERY = 2000, SILENT = 12000, ROWS = 100, KEPT = 200, PATIENCE = 8000;
   const MARKS = { fault: "⚠", missing: "?", waiting: "?", quiet: "✓" };
@@ -29,12 +28,12 @@
   function at(t, step) {
     if (t == null) return "";
     if (!dated) return Number(t.toPrecision(8)) + " s";
-    return day(new Date(1000 * local(t))) + " " + clockTime(local(t), step || 1);
+    return day(new Date(1000 * t)) + " " + clockTime(t, step || 1);
   }
 
   // A time of today without its day.
   function when(t) {
-    const text = at(t), today = day(new Date(1000 * local(Date.now() / 1000)));
+    const text = at(t), today = day(new Date());
     return dated && text.startsWith(today) ? text.slice(11) : text;
   }
 
@@ -48,7 +47,7 @@
     switch (event.kind) {
       case "raised": return "Alarm: " + name + sure;
       case "renamed": return "Now put down to " + name + sure;
-      case "ended": return "Alarm over" + (event.name ? ": " + name : "");
+      case "ended": return event.part_of != null ? "Part of the alarm of " + when(event.part_of) + ": " + name : "Alarm over: " + name;
       case "standing": return "Alarm lasts to the end of the data: " + name + sure;
       case "missing": return "Not watched: values are missing" + (event.channels && event.channels.length ? " (" + event.channels.join(", ") + ")" : "");
       case "back": return "Watched again: values are back";
@@ -70,7 +69,7 @@
     }[now]);
   }
 
-  const clock = (ms) => (ms ? clockTime(local(Math.floor(ms / 1000)), 1) : "the start");
+  const clock = (ms) => (ms ? clockTime(Math.floor(ms / 1000), 1) + " UTC" : "the start");
 
   function follow() {
     clearTimeout(timer);
@@ -197,7 +196,6 @@
     lines(problems.querySelector("ul"), overview.problems);
     const ends = [...overview.sources.map((one) => ["from", one]), ...overview.sinks.map((one) => ["to", one])];
     rows(find("table.ends tbody"), ends, endRow);
-    put(find("#zone"), dated ? "Times are those of this browser: " + Intl.DateTimeFormat().resolvedOptions().timeZone + "." : "");
     list();
   }
 
@@ -290,12 +288,12 @@
     const open = one.alarms.filter((a) => a.ended == null), now = open[open.length - 1];
     card.className = "verdict " + { fault: "fault", quiet: "none" }[row.state];
     put(card.querySelector(".mark"), MARKS[row.state]);
-    put(card.querySelector(".words"), row.state === "fault" ? "Fault: " + stateOf(row) + ", alarm since " + when(row.since)
+    put(card.querySelector(".words"), now && now.lines.length ? now.lines[0] : row.state === "fault" ? "Fault: " + stateOf(row) + ", alarm since " + when(row.since)
       : row.state === "quiet" ? "No fault" : capital(stateOf(row)) + (row.since == null ? "" : ", since " + when(row.since)));
     const tag = card.querySelector(".tag");
     put(tag, row.state === "fault" ? row.sure || "" : "");
     tag.hidden = !tag.textContent;
-    lines(card.querySelector("ul"), [...(now ? now.lines : []), ...one.notes]);
+    lines(card.querySelector("ul"), [...(now ? now.lines.slice(1) : []), ...one.notes]);
     put(facts, [one.model, "step " + short(one.dt) + " s", number(row.rows) + " samples", row.time == null ? "none yet" : "the last one of " + when(row.time)].join(" · "));
     const alarms = [...one.alarms].reverse();
     find("#alarms").replaceChildren(...(alarms.length ? alarms.map(alarm) : [make("p", "None.", "muted")]));
@@ -308,7 +306,7 @@
     const times = "Raised " + at(one.raised) + (one.onset == null ? "" : ", first over its threshold " + at(one.onset)) +
       (one.ended == null ? "; it lasts" : "; over " + at(one.ended));
     box.append(who, make("p", times, "muted"));
-    if (one.lines.length) { const ul = make("ul"); lines(ul, one.lines); box.append(ul); }
+    if (one.lines.length > 1) { const ul = make("ul"); lines(ul, one.lines.slice(1)); box.append(ul); }
     if (one.candidates.length)
       box.append(make("p", "Candidates: " + one.candidates.map((c) => c.name + " " + c.weight).join(", "), "candidates"));
     return box;
