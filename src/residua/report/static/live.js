@@ -124,8 +124,7 @@
     last = place;
     recent.unshift({ place, event });
     if (recent.length > KEPT) recent.length = KEPT;
-    body.dataset.lastEvent = place;
-    body.dataset.events = ++seen;
+    seen++;
     clearTimeout(drawing);
     drawing = setTimeout(() => { list(); refresh(); }, 50);
   }
@@ -135,6 +134,7 @@
     find("#none").hidden = rows.length > 0;
     const into = find("ol.events"), known = new Map([...into.children].map((li) => [li.dataset.place, li]));
     into.replaceChildren(...rows.map(({ place, event }) => known.get(String(place)) || item(place, event)));
+    Object.assign(body.dataset, { lastEvent: last, events: seen });
   }
 
   function item(place, event) {
@@ -172,7 +172,6 @@
     alone = overview.plants.all === 1 && overview.rows.length ? overview.rows[0].plant : null;
     if (last == null) {
       last = Math.max(0, overview.last_event - KEPT);
-      body.dataset.lastEvent = last;
       follow();
     }
     const plant = shown();
