@@ -223,10 +223,13 @@ def test_what_is_away_is_marked(page, view):
         page.wait(LIVE)
         assert page.ask("document.querySelector('tr[data-plant=north]').dataset.state") == "missing"
         assert page.ask("document.querySelector('tr[data-plant=south]').dataset.state") == "waiting"
+        assert "ago" not in page.ask("document.querySelector('table.plants tbody').textContent")
         ends = page.ask("[...document.querySelectorAll('table.ends tr')].map((tr) => tr.dataset.good).join()")
         assert ends == "true,false"
         assert "the disk is full; 3 events wait" in page.ask("document.querySelector('table.ends').textContent")
         view.problems.append("the store is away")
+        view.age = 600.0
+        page.wait("document.querySelector('tr[data-plant=north] td.old')?.textContent.endsWith(', 10 min ago')", 5.0)
         page.wait("!document.querySelector('#problems').hidden", 5.0)
         assert "the store is away" in page.ask("document.querySelector('#problems').textContent")
 

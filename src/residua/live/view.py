@@ -29,8 +29,9 @@ class View(Protocol):
         "sources": [{"name", "kind", "good", "text"}], "sinks": [{"name", "kind", "good", "text", "behind"}],
         "last_event": place, "dated": bool, "problems": [text, ...]}``. ``rows`` are plants, those with a fault first
         (the latest alarm first), then those with missing data, then the others by id: ``{"plant", "state": "fault" |
-        "missing" | "waiting" | "quiet", "since": time or null, "time": of the last sample or null, "name": text,
-        "sure": text, "ratio": statistic over threshold or null, "rows": number of samples}``.
+        "missing" | "waiting" | "quiet", "since": time or null, "time": of the last sample or null, "age": seconds
+        since it came or null, "name": text, "sure": text, "ratio": statistic over threshold or null, "rows": number of
+        samples}``.
         """
         ...
 

@@ -31,29 +31,29 @@ class Settings:
 
     Attributes
     ----------
-    file : str
-        Where they stand; it is made where there is none, and only ever grows.
+    path : str
+        The file; it is made where there is none, and only ever grows.
     name : str
-        Of the sink; empty: ``"jsonl "`` and its path.
+        Of the sink; empty: ``"jsonl "`` and the path.
 
     Raises
     ------
     SettingError
-        If no file is named, its folder does not exist, or it is something else than a file.
+        If there is no path, its folder does not exist, or it is something else than a file.
     """
 
-    file: str
+    path: str
     name: str = ""
 
     def __post_init__(self) -> None:
         check_types(self)
-        if not self.file:
-            raise SettingError("file: the file that events are written to must be named")
-        path = Path(self.file)
+        if not self.path:
+            raise SettingError("path: the file that events are written to must be named")
+        path = Path(self.path)
         if not path.parent.is_dir():
-            raise SettingError(f"file: the folder {path.parent} does not exist; make it first")
+            raise SettingError(f"path: the folder {path.parent} does not exist; make it first")
         if path.exists() and not path.is_file():
-            raise SettingError(f"file: {path} is no file; to hand events to a program, there is the sink 'command'")
+            raise SettingError(f"path: {path} is no file; to hand events to a program, there is the sink 'command'")
 
 
 class JsonLines(Sink):
@@ -81,8 +81,8 @@ class JsonLines(Sink):
     kind: ClassVar[str] = "jsonl"
 
     def __init__(self, settings: Settings) -> None:
-        self._path = Path(settings.file)
-        self.name = settings.name or f"jsonl {settings.file}"
+        self._path = Path(settings.path)
+        self.name = settings.name or f"jsonl {settings.path}"
 
     def deliver(self, events: Sequence[Event]) -> int:
         """Append events, and return how many: as many as make up about a quarter of a megabyte.

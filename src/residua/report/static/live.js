@@ -3,7 +3,7 @@
   "use strict";
   const { day, clockTime, short } = residuaAxes;
   const body = document.body, title = document.title;
-  const EVERY = 2000, SILENT = 12000, ROWS = 100, KEPT = 200, PATIENCE = 8000;
+  const EVERY = 2000, SILENT = 12000, ROWS = 100, KEPT = 200, PATIENCE = 8000, OLD = 60;
   const MARKS = { fault: "⚠", missing: "?", waiting: "?", quiet: "✓" };
   const STATES = { missing: "data missing", waiting: "waiting for data", quiet: "no fault" };
   const find = (selector) => document.querySelector(selector);
@@ -37,6 +37,7 @@
     return dated && text.startsWith(today) ? text.slice(11) : text;
   }
 
+  const long = (s) => (s < 7200 ? Math.round(s / 60) + " min" : s < 172800 ? Math.round(s / 3600) + " h" : Math.round(s / 86400) + " days");
   const capital = (text) => text.charAt(0).toUpperCase() + text.slice(1);
   const number = (n) => n.toLocaleString("en");
   const plants = (n) => number(n) + (n === 1 ? " plant" : " plants");
@@ -260,7 +261,9 @@
     put(sure, row.sure || "");
     put(ratio, row.ratio == null ? "" : row.ratio.toFixed(2));
     ratio.className = "num" + (row.ratio > 1 ? " beyond" : "");
-    put(lastSample, row.time == null ? "" : when(row.time));
+    const old = row.age != null && row.age > OLD;
+    put(lastSample, row.time == null ? "" : when(row.time) + (old ? ", " + long(row.age) + " ago" : ""));
+    lastSample.className = "last time" + (old ? " old" : "");
   }
 
   // --------------------------------------------------------- one plant
@@ -293,7 +296,7 @@
     put(tag, row.state === "fault" ? row.sure || "" : "");
     tag.hidden = !tag.textContent;
     lines(card.querySelector("ul"), [...(now ? now.lines.slice(1) : []), ...one.notes]);
-    put(facts, [one.model, "step " + short(one.dt) + " s", number(row.rows) + " samples", row.time == null ? "none yet" : "the last one of " + when(row.time)].join(" · "));
+    put(facts, [one.model, "step " + short(one.dt) + " s", number(row.rows) + " samples", row.time == null ? "none yet" : "the last one of " + when(row.time) + (row.age > OLD ? ", which came " + long(row.age) + " ago" : "")].join(" · "));
     const alarms = [...one.alarms].reverse();
     find("#alarms").replaceChildren(...(alarms.length ? alarms.map(alarm) : [make("p", "None.", "muted")]));
   }
