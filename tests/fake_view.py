@@ -60,6 +60,7 @@ class FakeView:
     title: str = "three tanks"
     start: float = START
     dated: bool = True
+    age: float = 0.5
     events: list[Event] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     sources: list[dict[str, Any]] = field(default_factory=list)
@@ -123,7 +124,7 @@ class FakeView:
         played = self.plants[name]
         d, n = played.diagnosis, played.rows
         row: dict[str, Any] = {"plant": name, "state": "waiting", "since": None, "time": None, "name": "", "sure": ""}
-        row |= {"ratio": None, "rows": n}
+        row |= {"ratio": None, "rows": n, "age": self.age if n else None}
         if n:
             statistic = d.statistic[n - 1]
             row |= {"state": "quiet", "time": self.start + float(d.time[n - 1])}
@@ -185,7 +186,7 @@ class FakeView:
             "ended": self.start + alarm.ended if over else None,
             "name": alarm.candidates[0].name if alarm.candidates else "",
             "sure": verdict(d).confidence,
-            "lines": list(verdict(d).sentences),
+            "lines": [verdict(d).headline, *verdict(d).sentences],
             "candidates": [{"name": c.name, "weight": f"{c.score:.3f}"} for c in alarm.candidates[:3]],
         }
 

@@ -16,6 +16,7 @@ from residua.live.source import Health
 from residua.live.watched_model import name_of, sure_of
 from residua.live.watched_plant import WatchedPlant
 from residua.monitor.diagnosis import Diagnosis
+from residua.report.charts import residual_unit
 from residua.report.decimate import Bins, choose_bins, spans
 from residua.words import listing
 
@@ -91,6 +92,7 @@ class LiveView:
             "state": state,
             "since": since,
             "time": _number(plant.sampling.last),
+            "age": max(0.0, time.time() - plant.heard) if plant.count else None,
             "name": name,
             "sure": sure,
             "ratio": _number(plant.ratio),
@@ -137,7 +139,7 @@ class LiveView:
             "residuals": [
                 {
                     "name": name,
-                    "unit": units.get(name, ""),
+                    "unit": residual_unit(diagnosis, name),
                     "values": drawn(diagnosis.residuals[:, i]),
                     "center": _number(float(diagnosis.center[i])),
                     "band": _number(float(diagnosis.band[i])),

@@ -7,7 +7,7 @@ import logging
 import threading
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Any, TypeVar
 from urllib.parse import parse_qs, unquote_to_bytes
@@ -35,6 +35,8 @@ MOST_FOLLOWERS = 32
 BEAT, STUCK = 5.0, 30.0
 #: Seconds in which the run must answer.
 PATIENCE = 5.0
+#: Seconds that the thread that waits for events waits at once: the end of a run waits for it.
+WATCHED = 0.5
 #: The largest place of an event that anybody asks for.
 _LAST = 1 << 62
 
@@ -57,6 +59,7 @@ class Routes:
         self._threads = ThreadPoolExecutor(4, thread_name_prefix="residua-page")
         self._stopping = threading.Event()
         self._followers = 0
+        self._loop: asyncio.AbstractEventLoop | None = None
         self._news: asyncio.Event | None = None
         self.app = Starlette(
             routes=[
@@ -75,31 +78,39 @@ class Routes:
     @contextmanager
     def running(self) -> Iterator[None]:
         """Watch for events while the loop of this thread runs."""
-        loop = asyncio.get_running_loop()
-        self._news = asyncio.Event()
-        thread = threading.Thread(target=self._watch, args=(loop,), name="residua-news", daemon=True)
+        self._loop, self._news = asyncio.get_running_loop(), asyncio.Event()
+        thread = threading.Thread(target=self._watch, name="residua-news", daemon=True)
         thread.start()
         try:
             yield
         finally:
             self.stop()
+            self._loop = None
+            thread.join(2 * WATCHED)
             self._threads.shutdown(wait=False, cancel_futures=True)
 
     def stop(self) -> None:
         """Let those who follow the events go."""
         self._stopping.set()
+        self._tell()
 
-    def _watch(self, loop: asyncio.AbstractEventLoop) -> None:
+    def _tell(self) -> None:
+        """Wake those who follow the events, from any thread."""
+        loop = self._loop
+        if loop is not None:
+            with suppress(RuntimeError):  # it has just ended
+                loop.call_soon_threadsafe(self._wake)
+
+    def _watch(self) -> None:
         """Wake the followers when there is an event; where that fails, they look themselves at every beat."""
         place = -1
         while not self._stopping.is_set():
             try:
                 place = self._last_place() if place < 0 else place
-                if self._view.wait_for_event(place, 1.0):
+                if self._view.wait_for_event(place, WATCHED):
                     events = self._view.events_after(place, PIECE)
                     place = events[-1].place if events else place
-                    if not loop.is_closed():
-                        loop.call_soon_threadsafe(self._wake)
+                    self._tell()
             except Exception:
                 _LOG.exception("The page does not see events at once.")
                 self._stopping.wait(BEAT)

@@ -17,6 +17,7 @@ from residua.errors import SettingError
 from residua.live.gate import OWN_NAMES, Gate
 from residua.live.routes import Routes
 from residua.live.secrets import check_secret, secret
+from residua.live.setting_types import check_types
 from residua.live.view import View
 
 #: Connections at once, at most: beyond, the one that has been idle longest is closed.
@@ -60,11 +61,11 @@ class Settings:
     per_plant: bool = False
 
     def __post_init__(self) -> None:
+        check_types(self)
         address_of(self.listen)
         check_secret(self, "token")
-        if isinstance(self.hosts, str) or not all(isinstance(h, str) and h and "/" not in h for h in self.hosts):
-            raise SettingError("hosts: a list of names such as 'alarms.example.org', without https://")
-        object.__setattr__(self, "hosts", tuple(self.hosts))
+        if not all(host and "/" not in host for host in self.hosts):
+            raise SettingError("hosts: names such as 'alarms.example.org' are expected, without https://")
 
 
 def address_of(listen: str) -> tuple[str, int]:

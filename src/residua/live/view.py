@@ -29,8 +29,9 @@ class View(Protocol):
         "sources": [{"name", "kind", "good", "text"}], "sinks": [{"name", "kind", "good", "text", "behind"}],
         "last_event": place, "dated": bool, "problems": [text, ...]}``. ``rows`` are plants, those with a fault first
         (the latest alarm first), then those with missing data, then the others by id: ``{"plant", "state": "fault" |
-        "missing" | "waiting" | "quiet", "since": time or null, "time": of the last sample or null, "name": text,
-        "sure": text, "ratio": statistic over threshold or null, "rows": number of samples}``.
+        "missing" | "waiting" | "quiet", "since": time or null, "time": of the last sample or null, "age": seconds
+        since it came or null, "name": text, "sure": text, "ratio": statistic over threshold or null, "rows": number of
+        samples}``.
         """
         ...
 
@@ -40,9 +41,9 @@ class View(Protocol):
         ``{"plant", "model", "dt", "dated", "row": as in ``overview``, "time": [t, ...], "statistic": [x or null, ...],
         "threshold": x, "residuals": [{"name", "unit", "values": [x or null, ...], "center": x, "band": x}, ...],
         "signals": [{"name", "unit", "values": [...]}, ...], "alarms": [{"raised", "onset", "ended": time or null,
-        "name": text, "sure": text, "lines": [text, ...], "candidates": [{"name", "weight": text}, ...]}, ...],
-        "missing": [[from, to], ...], "events": [as Event.to_dict with "place"], "notes": [text, ...]}``; series are of
-        the last hour or so, thinned to a few hundred points that keep the extremes.
+        "name": text, "sure": text, "lines": [headline, text, ...], "candidates": [{"name", "weight": text}, ...]},
+        ...], "missing": [[from, to], ...], "events": [as Event.to_dict with "place"], "notes": [text, ...]}``; series
+        are of the last hour or so, thinned to a few hundred points that keep the extremes.
         """
         ...
 

@@ -53,7 +53,8 @@ _BODY = """
       <li><span class="swatch onset"></span>first over its threshold</li>
       <li><span class="swatch missing"></span>data missing</li>
     </ul>
-    <p class="muted screen">Drag over a chart to zoom, double-click to see all; the cursors of all charts move together.
+    <p class="muted screen hover">Drag over a chart to zoom, double-click to see all; the cursors of all charts move as
+      one.
       <button id="whole" type="button">Show all</button>
       <span id="held" hidden>Zoomed: the charts stand still.</span></p>
     <div id="statistic"></div>
@@ -63,7 +64,7 @@ _BODY = """
     <h3>Measured</h3>
     <div id="signals"></div>
   </div>
-  <h3>Alarms of this time</h3>
+  <h3>Alarms</h3>
   <div id="alarms"></div>
 </section>
 
@@ -77,7 +78,6 @@ _BODY = """
   <h3>Sources and sinks</h3>
   <table class="ends"><tbody></tbody></table>
 </section>
-<p id="zone" class="muted"></p>
 """
 
 

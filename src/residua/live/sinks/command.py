@@ -15,6 +15,7 @@ from typing import ClassVar
 
 from residua.errors import SettingError
 from residua.live.events import Event
+from residua.live.setting_types import check_seconds, check_types
 from residua.live.sink import LONGEST_CALL, DeliveryError, Sink
 
 #: The exit status of a program that can make nothing of its input (EX_DATAERR of sysexits.h).
@@ -49,13 +50,10 @@ class Settings:
     name: str = ""
 
     def __post_init__(self) -> None:
-        if isinstance(self.command, str) or not self.command or not all(isinstance(a, str) for a in self.command):
-            raise SettingError("command: a list of texts, the program and its arguments; no shell reads it")
-        object.__setattr__(self, "command", tuple(self.command))
-        if any("\0" in a for a in self.command) or not self.command[0]:
-            raise SettingError("command: the program and its arguments are texts without NUL, the program not empty")
-        if not 0 < self.timeout < float("inf"):
-            raise SettingError(f"timeout: a number of seconds over 0, not {self.timeout}")
+        check_types(self)
+        check_seconds(self, "timeout")
+        if not self.command or not self.command[0]:
+            raise SettingError("command: the program and its arguments are expected, each one text; no shell reads it")
 
 
 class Command(Sink):

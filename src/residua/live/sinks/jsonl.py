@@ -13,6 +13,7 @@ from typing import ClassVar
 
 from residua.errors import SettingError
 from residua.live.events import Event
+from residua.live.setting_types import check_types
 from residua.live.sink import DeliveryError, Sink
 
 if sys.platform != "win32":
@@ -45,6 +46,7 @@ class Settings:
     name: str = ""
 
     def __post_init__(self) -> None:
+        check_types(self)
         if not self.path:
             raise SettingError("path: the file that events are written to must be named")
         path = Path(self.path)

@@ -17,6 +17,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 from residua.errors import SettingError
 from residua.live.events import Event
 from residua.live.secrets import check_secret, secret
+from residua.live.setting_types import check_seconds, check_types
 from residua.live.sink import LONGEST_CALL, DeliveryError, Sink
 
 #: Events that are on their way at once.
@@ -70,6 +71,8 @@ class Settings:
     name: str = ""
 
     def __post_init__(self) -> None:
+        check_types(self)
+        check_seconds(self, "timeout")
         if not self.host:
             raise SettingError("host: the broker must be named")
         if not 0 <= self.port < 65536:
@@ -80,8 +83,6 @@ class Settings:
             raise SettingError("ca_file: without tls = true nothing is encrypted")
         if self.version not in _VERSIONS:
             raise SettingError(f"version: one of {', '.join(_VERSIONS)}, not {self.version!r}")
-        if not 0 < self.timeout < float("inf"):
-            raise SettingError(f"timeout: a number of seconds over 0, not {self.timeout}")
         check_secret(self, "password")
         if (self.password_file or self.password_env) and not self.username:
             raise SettingError("username: a password is sent with the name of a user")
@@ -116,7 +117,7 @@ class _Connection:
     def on_connect(self, client: Any, data: Any, flags: Any, reason: ReasonCode, more: Properties | None) -> None:
         with self.changed:
             self.open = not reason.is_failure
-            self.trouble = f"lets this sink not in ({reason})" if reason.is_failure else ""
+            self.trouble = f"does not let this sink in ({reason})" if reason.is_failure else ""
             self.changed.notify_all()
 
     def on_disconnect(self, client: Any, data: Any, flags: Any, reason: ReasonCode, more: Properties | None) -> None:

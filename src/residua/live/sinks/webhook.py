@@ -17,6 +17,7 @@ import httpx
 from residua.errors import SettingError
 from residua.live.events import Event
 from residua.live.secrets import check_secret, secret
+from residua.live.setting_types import check_seconds, check_types
 from residua.live.sink import LONGEST_CALL, DeliveryError, Sink
 from residua.visible import echo
 
@@ -77,6 +78,8 @@ class Settings:
     name: str = ""
 
     def __post_init__(self) -> None:
+        check_types(self)
+        check_seconds(self, "timeout")
         for name in ("url", "key", "token"):
             check_secret(self, name)
         if sum(map(bool, (self.url, self.url_file, self.url_env))) != 1:
@@ -87,8 +90,6 @@ class Settings:
             raise SettingError(
                 "key_file or key_env: the key that events are signed with; or unsigned = true, and no key"
             )
-        if not 0 < self.timeout < float("inf"):
-            raise SettingError(f"timeout: a number of seconds over 0, not {self.timeout}")
         if self.proxy:
             _parsed(self.proxy, "proxy")
 

@@ -2,9 +2,8 @@
 (function () {
   "use strict";
   const { day, clockTime, short } = residuaAxes;
-  const { local } = residuaLiveCharts;
   const body = document.body, title = document.title;
-  const EVERY = 2000, SILENT = 12000, ROWS = 100, KEPT = 200, PATIENCE = 8000;
+  const EVERY = 2000, SILENT = 12000, ROWS = 100, KEPT = 200, PATIENCE = 8000, OLD = 60;
   const MARKS = { fault: "⚠", missing: "?", waiting: "?", quiet: "✓" };
   const STATES = { missing: "data missing", waiting: "waiting for data", quiet: "no fault" };
   const find = (selector) => document.querySelector(selector);
@@ -29,15 +28,16 @@
   function at(t, step) {
     if (t == null) return "";
     if (!dated) return Number(t.toPrecision(8)) + " s";
-    return day(new Date(1000 * local(t))) + " " + clockTime(local(t), step || 1);
+    return day(new Date(1000 * t)) + " " + clockTime(t, step || 1);
   }
 
   // A time of today without its day.
   function when(t) {
-    const text = at(t), today = day(new Date(1000 * local(Date.now() / 1000)));
+    const text = at(t), today = day(new Date());
     return dated && text.startsWith(today) ? text.slice(11) : text;
   }
 
+  const long = (s) => (s < 7200 ? Math.round(s / 60) + " min" : s < 172800 ? Math.round(s / 3600) + " h" : Math.round(s / 86400) + " days");
   const capital = (text) => text.charAt(0).toUpperCase() + text.slice(1);
   const number = (n) => n.toLocaleString("en");
   const plants = (n) => number(n) + (n === 1 ? " plant" : " plants");
@@ -48,7 +48,7 @@
     switch (event.kind) {
       case "raised": return "Alarm: " + name + sure;
       case "renamed": return "Now put down to " + name + sure;
-      case "ended": return "Alarm over" + (event.name ? ": " + name : "");
+      case "ended": return event.part_of != null ? "Part of the alarm of " + when(event.part_of) + ": " + name : "Alarm over: " + name;
       case "standing": return "Alarm lasts to the end of the data: " + name + sure;
       case "missing": return "Not watched: values are missing" + (event.channels && event.channels.length ? " (" + event.channels.join(", ") + ")" : "");
       case "back": return "Watched again: values are back";
@@ -70,7 +70,7 @@
     }[now]);
   }
 
-  const clock = (ms) => (ms ? clockTime(local(Math.floor(ms / 1000)), 1) : "the start");
+  const clock = (ms) => (ms ? clockTime(Math.floor(ms / 1000), 1) + " UTC" : "the start");
 
   function follow() {
     clearTimeout(timer);
@@ -125,8 +125,7 @@
     last = place;
     recent.unshift({ place, event });
     if (recent.length > KEPT) recent.length = KEPT;
-    body.dataset.lastEvent = place;
-    body.dataset.events = ++seen;
+    seen++;
     clearTimeout(drawing);
     drawing = setTimeout(() => { list(); refresh(); }, 50);
   }
@@ -136,6 +135,7 @@
     find("#none").hidden = rows.length > 0;
     const into = find("ol.events"), known = new Map([...into.children].map((li) => [li.dataset.place, li]));
     into.replaceChildren(...rows.map(({ place, event }) => known.get(String(place)) || item(place, event)));
+    Object.assign(body.dataset, { lastEvent: last, events: seen });
   }
 
   function item(place, event) {
@@ -173,7 +173,6 @@
     alone = overview.plants.all === 1 && overview.rows.length ? overview.rows[0].plant : null;
     if (last == null) {
       last = Math.max(0, overview.last_event - KEPT);
-      body.dataset.lastEvent = last;
       follow();
     }
     const plant = shown();
@@ -197,7 +196,6 @@
     lines(problems.querySelector("ul"), overview.problems);
     const ends = [...overview.sources.map((one) => ["from", one]), ...overview.sinks.map((one) => ["to", one])];
     rows(find("table.ends tbody"), ends, endRow);
-    put(find("#zone"), dated ? "Times are those of this browser: " + Intl.DateTimeFormat().resolvedOptions().timeZone + "." : "");
     list();
   }
 
@@ -263,7 +261,9 @@
     put(sure, row.sure || "");
     put(ratio, row.ratio == null ? "" : row.ratio.toFixed(2));
     ratio.className = "num" + (row.ratio > 1 ? " beyond" : "");
-    put(lastSample, row.time == null ? "" : when(row.time));
+    const old = row.age != null && row.age > OLD;
+    put(lastSample, row.time == null ? "" : when(row.time) + (old ? ", " + long(row.age) + " ago" : ""));
+    lastSample.className = "last time" + (old ? " old" : "");
   }
 
   // --------------------------------------------------------- one plant
@@ -290,13 +290,13 @@
     const open = one.alarms.filter((a) => a.ended == null), now = open[open.length - 1];
     card.className = "verdict " + { fault: "fault", quiet: "none" }[row.state];
     put(card.querySelector(".mark"), MARKS[row.state]);
-    put(card.querySelector(".words"), row.state === "fault" ? "Fault: " + stateOf(row) + ", alarm since " + when(row.since)
+    put(card.querySelector(".words"), now && now.lines.length ? now.lines[0] : row.state === "fault" ? "Fault: " + stateOf(row) + ", alarm since " + when(row.since)
       : row.state === "quiet" ? "No fault" : capital(stateOf(row)) + (row.since == null ? "" : ", since " + when(row.since)));
     const tag = card.querySelector(".tag");
     put(tag, row.state === "fault" ? row.sure || "" : "");
     tag.hidden = !tag.textContent;
-    lines(card.querySelector("ul"), [...(now ? now.lines : []), ...one.notes]);
-    put(facts, [one.model, "step " + short(one.dt) + " s", number(row.rows) + " samples", row.time == null ? "none yet" : "the last one of " + when(row.time)].join(" · "));
+    lines(card.querySelector("ul"), [...(now ? now.lines.slice(1) : []), ...one.notes]);
+    put(facts, [one.model, "step " + short(one.dt) + " s", number(row.rows) + " samples", row.time == null ? "none yet" : "the last one of " + when(row.time) + (row.age > OLD ? ", which came " + long(row.age) + " ago" : "")].join(" · "));
     const alarms = [...one.alarms].reverse();
     find("#alarms").replaceChildren(...(alarms.length ? alarms.map(alarm) : [make("p", "None.", "muted")]));
   }
@@ -308,7 +308,7 @@
     const times = "Raised " + at(one.raised) + (one.onset == null ? "" : ", first over its threshold " + at(one.onset)) +
       (one.ended == null ? "; it lasts" : "; over " + at(one.ended));
     box.append(who, make("p", times, "muted"));
-    if (one.lines.length) { const ul = make("ul"); lines(ul, one.lines); box.append(ul); }
+    if (one.lines.length > 1) { const ul = make("ul"); lines(ul, one.lines.slice(1)); box.append(ul); }
     if (one.candidates.length)
       box.append(make("p", "Candidates: " + one.candidates.map((c) => c.name + " " + c.weight).join(", "), "candidates"));
     return box;

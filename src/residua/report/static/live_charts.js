@@ -5,10 +5,7 @@ const residuaLiveCharts = (function () {
   const HEIGHT = { statistic: 220, residual: 160, signal: 150 };
   const SHOWN = 6;
   const find = (selector) => document.querySelector(selector);
-  let colours = {}, entries = [], made = "", data = null, view = null, shift = (t) => t;
-
-  // A clock without zones for uPlot, which takes it for UTC: the local time of whoever looks.
-  const local = (t) => t - 60 * new Date(1000 * t).getTimezoneOffset();
+  let colours = {}, entries = [], made = "", data = null, view = null;
 
   function told(v) {
     if (v == null) return "";
@@ -18,9 +15,9 @@ const residuaLiveCharts = (function () {
   function spansOf(plant) {
     const last = plant.time.length ? plant.time[plant.time.length - 1] : 0;
     return {
-      alarm: plant.alarms.map((a) => [shift(a.raised), shift(a.ended == null ? last : a.ended)]),
-      missing: plant.missing.map(([a, b]) => [shift(a), shift(b == null ? last : b)]),
-      onsets: plant.alarms.filter((a) => a.onset != null).map((a) => shift(a.onset)),
+      alarm: plant.alarms.map((a) => [a.raised, a.ended == null ? last : a.ended]),
+      missing: plant.missing.map(([a, b]) => [a, b == null ? last : b]),
+      onsets: plant.alarms.filter((a) => a.onset != null).map((a) => a.onset),
     };
   }
 
@@ -213,8 +210,7 @@ const residuaLiveCharts = (function () {
     if (!plant.time.length) { clear(); find("#charts").hidden = true; return; }
     find("#charts").hidden = false;
     if (!Object.keys(colours).length) colours = readColours();
-    shift = plant.dated ? local : (t) => t;
-    const times = plant.time.map(shift);
+    const times = plant.time;
     data = { dated: plant.dated, dt: plant.dt, times, ends: [times[0], times[times.length - 1]] };
     if (data.ends[0] === data.ends[1]) data.ends[1] += plant.dt;
     data.spans = spansOf(plant);
@@ -240,5 +236,5 @@ const residuaLiveCharts = (function () {
   });
   find("#whole").addEventListener("click", whole);
   find("#more").addEventListener("toggle", () => { if (data) entries.forEach(draw); });
-  return { show, clear, local };
+  return { show, clear };
 })();

@@ -1,0 +1,209 @@
+"""Events to a real broker: acknowledged before they count as delivered, whatever becomes of the connection."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import socket
+import subprocess
+import threading
+import time
+
+import pytest
+
+from receiver import events
+from residua.errors import SettingError
+from residua.live.events import Event
+from residua.live.sink import DeliveryError
+
+paho = pytest.importorskip("paho.mqtt.client", reason="paho-mqtt, of the extra 'mqtt', is not installed")
+sink = pytest.importorskip("residua.live.sinks.mqtt", reason="the extra 'mqtt' is not installed")
+BROKER = shutil.which("mosquitto", path=os.environ.get("PATH", "") + ":/usr/sbin:/usr/local/sbin")
+needs_broker = pytest.mark.skipif(BROKER is None, reason="no mosquitto on this machine")
+
+
+class Broker:
+    """A broker on a port of this machine, which can be stopped and started."""
+
+    def __init__(self, folder, *lines: str) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            self.port = free.getsockname()[1]
+        self._file = folder / "mosquitto.conf"
+        own = [
+            f"listener {self.port} 127.0.0.1",
+            "persistence true",
+            f"persistence_location {folder}/",
+            f"user {_me()}",
+        ]
+        self._file.write_text("\n".join([*own, *(lines or ("allow_anonymous true",))]) + "\n")
+        self.start()
+
+    def start(self) -> None:
+        assert BROKER is not None
+        quiet = subprocess.DEVNULL
+        self._process = subprocess.Popen([BROKER, "-c", str(self._file)], stdout=quiet, stderr=quiet)
+        for _ in range(200):
+            try:
+                socket.create_connection(("127.0.0.1", self.port), 1).close()
+                return
+            except OSError:
+                time.sleep(0.02)
+        raise AssertionError("the broker does not answer")
+
+    def stop(self) -> None:
+        self._process.terminate()
+        self._process.wait(10)
+
+
+def _me() -> str:
+    import getpass
+
+    return getpass.getuser()
+
+
+class Subscriber:
+    """Keeps what it gets of a broker."""
+
+    def __init__(self, port: int, topic: str = "#", user: str = "", password: str = "") -> None:
+        self.got: list[tuple[str, bytes]] = []
+        self._ready = threading.Event()
+        self._client = paho.Client(paho.CallbackAPIVersion.VERSION2, client_id="a subscriber", clean_session=False)
+        if user:
+            self._client.username_pw_set(user, password)
+        self._client.on_connect = lambda client, *_: client.subscribe(topic, qos=1)
+        self._client.on_subscribe = lambda *_: self._ready.set()
+        self._client.on_message = lambda client, data, message: self.got.append((message.topic, message.payload))
+        self._client.connect("127.0.0.1", port)
+        self._client.loop_start()
+        assert self._ready.wait(10)
+
+    def numbers(self, count: int) -> list[int]:
+        """Return the numbers of the first events, once so many are there."""
+        for _ in range(500):
+            if len(self.got) >= count:
+                break
+            time.sleep(0.02)
+        return [json.loads(payload)["number"] for _, payload in self.got]
+
+    def close(self) -> None:
+        self._client.disconnect()
+        self._client.loop_stop()
+
+
+@pytest.fixture
+def broker(tmp_path):
+    made = Broker(tmp_path)
+    yield made
+    made.stop()
+
+
+@needs_broker
+@pytest.mark.parametrize("version", ["5", "3.1.1"])
+def test_events_arrive_in_order_under_the_topic_of_their_plant(broker, version):
+    subscriber = Subscriber(broker.port)
+    made = sink.Mqtt(sink.Settings("127.0.0.1", broker.port, version=version))
+    assert made.name == f"mqtt 127.0.0.1:{broker.port}"
+    assert made.deliver(events(3)) == 3
+    assert made.deliver([Event(4, "hall 3/pump+#%", 1, "ended", 50.0)]) == 1
+    assert subscriber.numbers(4) == [1, 2, 3, 1]
+    assert [topic for topic, _ in subscriber.got] == ["residua/north/events"] * 3 + [
+        "residua/hall 3%2Fpump%2B%23%25/events"
+    ]
+    assert subscriber.got[0][1].decode() == events(1)[0].to_json()
+    made.close()
+    subscriber.close()
+
+
+@needs_broker
+def test_a_broker_that_goes_and_comes_loses_nothing(broker):
+    subscriber = Subscriber(broker.port)
+    made = sink.Mqtt(sink.Settings("127.0.0.1", broker.port, timeout=2.0))
+    assert made.deliver(events(2)) == 2
+    assert subscriber.numbers(2) == [1, 2]
+    broker.stop()
+    for _ in range(2):
+        with pytest.raises(DeliveryError, match=f"the broker at 127.0.0.1:{broker.port}"):
+            made.deliver(events(4)[2:])
+    broker.start()
+    assert made.deliver(events(4)[2:]) == 2
+    numbers = subscriber.numbers(4)
+    assert sorted(set(numbers)) == [1, 2, 3, 4]
+    made.close()
+    subscriber.close()
+
+
+@needs_broker
+def test_a_long_backlog_goes_in_pieces(broker):
+    many, done = events(350), 0
+    made = sink.Mqtt(sink.Settings("127.0.0.1", broker.port))
+    while done < len(many):
+        count = made.deliver(many[done:])
+        assert 0 < count <= sink.WINDOW
+        done += count
+    made.close()
+
+
+@needs_broker
+def test_passwords_and_what_a_broker_does_not_allow(tmp_path, monkeypatch):
+    passwords, allowed = tmp_path / "passwords", tmp_path / "allowed"
+    tool = shutil.which("mosquitto_passwd")
+    if tool is None:
+        pytest.skip("no mosquitto_passwd on this machine")
+    subprocess.run([tool, "-c", "-b", str(passwords), "residua", "right and secret"], check=True, capture_output=True)
+    allowed.write_text("user residua\ntopic write residua/north/events\n")
+    broker = Broker(tmp_path, "allow_anonymous false", f"password_file {passwords}", f"acl_file {allowed}")
+    try:
+        monkeypatch.setenv("RIGHT", "right and secret")
+        monkeypatch.setenv("WRONG", "wrong and secret")
+        here = {"host": "127.0.0.1", "port": broker.port, "timeout": 3.0}
+        made = sink.Mqtt(sink.Settings(**here, username="residua", password_env="RIGHT"))
+        assert made.deliver(events(1)) == 1
+        with pytest.raises(DeliveryError, match=r"refuses the event \(Not authorized\)"):
+            made.deliver(events(1, "south"))
+        assert made.deliver([*events(1), *events(1, "south")]) == 1
+        made.close()
+        for wrong in ({}, {"username": "residua", "password_env": "WRONG"}):
+            made = sink.Mqtt(sink.Settings(**here, **wrong))
+            with pytest.raises(DeliveryError, match=r"does not let this sink in \((Not authorized|Bad)") as caught:
+                made.deliver(events(1))
+            assert "secret" not in str(caught.value)
+    finally:
+        broker.stop()
+
+
+def test_a_broker_that_never_answers_is_left_in_time():
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        made = sink.Mqtt(sink.Settings("127.0.0.1", listening.getsockname()[1], timeout=0.5))
+        begun = time.monotonic()
+        with pytest.raises(DeliveryError, match="did not answer in time"):
+            made.deliver(events(1))
+        assert time.monotonic() - begun < 5.0
+        made.close()
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"host": ""}, "host"),
+        ({"host": "b", "port": 70000}, "port"),
+        ({"host": "b", "port": "1883"}, "port: a whole number"),
+        ({"host": "b", "topic": "a/+/b"}, "topic"),
+        ({"host": "b", "topic": ""}, "topic"),
+        ({"host": "b", "ca_file": "x"}, "tls = true"),
+        ({"host": "b", "version": "3.1"}, "version"),
+        ({"host": "b", "timeout": 0.0}, "timeout"),
+        ({"host": "b", "password_env": "P"}, "username"),
+        ({"host": "b", "username": "u", "password_env": "P", "password_file": "f"}, "only one of them"),
+    ],
+)
+def test_settings_that_make_no_sense(settings, said):
+    with pytest.raises(SettingError, match=said):
+        sink.Settings(**settings)
+
+
+def test_what_cannot_be_read_is_said_before_anything_is_opened(tmp_path):
+    with pytest.raises(SettingError, match="NO_SUCH"):
+        sink.Mqtt(sink.Settings("b", username="u", password_env="NO_SUCH"))
+    with pytest.raises(SettingError, match="ca_file"):
+        sink.Mqtt(sink.Settings("b", tls=True, ca_file=str(tmp_path / "none")))
