@@ -1,0 +1,431 @@
+"""Values from the nodes of an OPC UA server, by subscription; a status that is not good is a missing value."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any, ClassVar
+from urllib.parse import urlsplit
+
+from residua.errors import SettingError, missing_extra
+from residua.live.messages import Message
+from residua.live.secrets import check_secret, secret
+from residua.live.source import Health, Pauses
+from residua.live.sources.checks import choice, file, number, table_of_texts, text, texts, whole
+from residua.live.sources.threaded import HandOver, ThreadedSource
+from residua.visible import echo
+
+try:
+    from asyncua import Client, ua
+    from asyncua.common.subscription import DataChangeEvent, StatusChangeEvent, Subscription
+    from asyncua.crypto import security_policies
+except ImportError as error:
+    raise missing_extra("asyncua", "opcua") from error
+
+#: Values that may wait for the run, beside those of one message of the server.
+_MOST = 20_000
+#: Nodes that are subscribed to in one request.
+_AT_ONCE = 1000
+#: Seconds that a request may take, and that leaving may take.
+_PATIENCE, _LEAVING = 10.0, 3.0
+_POLICIES = ("", "Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Where the server is, and which node is which channel of which plant.
+
+    Attributes
+    ----------
+    url : str
+        ``opc.tcp://host:port/...``, without user and password.
+    nodes : table
+        For each plant a table from channel to node, such as ``{"north": {"level": "ns=2;s=north.level"}}``. Nodes are
+        written ``ns=2;s=name``, ``ns=2;i=number``, or with the namespace by its address, ``nsu=http://...;s=name``.
+    plants : list of str
+        Plants whose nodes are called alike.
+    channels : table
+        Of these, from channel to node, with ``{plant}`` in it: ``{"level": "ns=2;s={plant}.level"}``.
+    interval : float
+        Seconds between what the server sends.
+    sampling : float
+        Seconds between the server's looks at a node; 0: as fast as it can.
+    queue : int
+        Values of one node that the server keeps until it sends them: at least what comes in an interval.
+    username : str
+    password_file, password_env : str
+    policy : {"", "Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss"}
+        How what is sent is protected; empty: not at all, and a password neither.
+    mode : {"SignAndEncrypt", "Sign"}
+    cert_file, key_file : str
+        The certificate of this client, and its key; with a policy.
+    server_cert_file : str
+        The certificate of the server: no other one is talked to; with a policy.
+    application_uri : str
+        As it stands in the certificate of this client.
+    name : str
+        Of the source; empty: ``"opcua "``, host and port.
+
+    Raises
+    ------
+    SettingError
+    """
+
+    url: str
+    nodes: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    plants: tuple[str, ...] = ()
+    channels: Mapping[str, str] = field(default_factory=dict)
+    interval: float = 0.2
+    sampling: float = 0.0
+    queue: int = 1000
+    username: str = ""
+    password_file: str = ""
+    password_env: str = ""
+    policy: str = ""
+    mode: str = "SignAndEncrypt"
+    cert_file: str = ""
+    key_file: str = ""
+    server_cert_file: str = ""
+    application_uri: str = "urn:residua:live"
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        for key in ("url", "username", "password_file", "password_env", "application_uri", "name"):
+            text(self, key)
+        try:
+            address = urlsplit(self.url)
+            fits = address.scheme == "opc.tcp" and bool(address.hostname) and address.port is not None
+        except ValueError:
+            fits = False
+        if not fits or "@" in self.url:
+            raise SettingError("url: opc.tcp://host:port is expected, without user and password")
+        texts(self, "plants")
+        object.__setattr__(self, "channels", table_of_texts(self.channels, "channels"))
+        if not isinstance(self.nodes, Mapping):
+            raise SettingError("nodes: a table with a table for each plant is expected")
+        tables = {str(plant): table_of_texts(one, f"nodes: {echo(plant)}") for plant, one in self.nodes.items()}
+        object.__setattr__(self, "nodes", tables)
+        if bool(self.plants) != bool(self.channels):
+            raise SettingError("channels: plants whose nodes are called alike need both, plants and channels")
+        if not self.table():
+            raise SettingError("nodes: name at least one node")
+        number(self, "interval", 0.01, 3600.0)
+        number(self, "sampling", 0.0, 3600.0)
+        whole(self, "queue", 1, 1_000_000)
+        check_secret(self, "password")
+        choice(self, "policy", _POLICIES)
+        choice(self, "mode", ("SignAndEncrypt", "Sign"))
+        for key in ("cert_file", "key_file", "server_cert_file"):
+            file(self, key)
+            if bool(getattr(self, key)) != bool(self.policy):
+                raise SettingError(f"{key}: a policy needs cert_file, key_file and server_cert_file, and they a policy")
+
+    def table(self) -> dict[str, list[tuple[str, str]]]:
+        """Return the plants and channels of every node.
+
+        Raises
+        ------
+        SettingError
+            If a channel has two nodes, or a node is written as none.
+        """
+        out: dict[str, list[tuple[str, str]]] = {}
+        alike = {plant: {c: one.replace("{plant}", plant) for c, one in self.channels.items()} for plant in self.plants}
+        for plant in dict.fromkeys((*self.nodes, *alike)):
+            for channel, node in (*self.nodes.get(plant, {}).items(), *alike.get(plant, {}).items()):
+                _parsed(node)
+                places = out.setdefault(node, [])
+                if any((plant, channel) in one for one in out.values()):
+                    raise SettingError(f"nodes: {channel} of {plant} has two nodes")
+                places.append((plant, channel))
+        return out
+
+
+class OpcUa(ThreadedSource):
+    """Subscribes to nodes of a server, and to every change of value, status or source time of them.
+
+    The time of a value is its source time, or else the server's; values without both have that of their arrival.
+    While the run has no room the server is told not to send; it keeps ``queue`` values of each node.
+
+    Parameters
+    ----------
+    settings : Settings
+
+    Raises
+    ------
+    SettingError
+        If the password cannot be read.
+
+    Notes
+    -----
+    OPC UA knows no acknowledgement: what the server sends while the connection is away, or a run is killed, is gone.
+    """
+
+    kind: ClassVar[str] = "opcua"
+
+    def __init__(self, settings: Settings) -> None:
+        super().__init__(settings.name or f"opcua {urlsplit(settings.url).netloc}")
+        self._settings = settings
+        self._password = secret(settings, "password")
+        self._places = settings.table()
+        self._pauses = Pauses()
+        self._hand: HandOver | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._awake: asyncio.Event | None = None
+
+    @property
+    def waiting(self) -> int:
+        """Values that came, and wait to be put."""
+        return self._hand.count if self._hand else 0
+
+    def wake(self) -> None:
+        """Make the thread look at what is new."""
+        loop, awake = self._loop, self._awake
+        if loop is not None and awake is not None and not loop.is_closed():
+            loop.call_soon_threadsafe(awake.set)
+
+    def work(self) -> None:
+        """Connect, listen until the connection is lost, and so on."""
+        self._hand = HandOver(self.put, _MOST, 2**62, self.wake, f"residua {self.name}, putting")
+        try:
+            asyncio.run(self._work(self._hand))
+        finally:
+            self._loop = None
+            self._hand.close()
+            self._health = Health(False, "has ended")
+
+    async def _work(self, hand: HandOver) -> None:
+        self._awake, self._loop = asyncio.Event(), asyncio.get_running_loop()
+        while not (self.stopping.is_set() or hand.ended):
+            try:
+                await self._serve(hand)
+            except Exception as error:  # whatever a server's answer makes asyncua raise
+                if not self.stopping.is_set():
+                    self.say(False, f"{self._settings.url}: {_reason(error)}; tries again")
+            if not hand.ended:
+                await self._pause(self._pauses.next())
+
+    async def _pause(self, seconds: float) -> None:
+        assert self._awake is not None
+        until = time.monotonic() + seconds
+        while not self.stopping.is_set() and (left := until - time.monotonic()) > 0:
+            await _within(self._awake, left)
+
+    # ------------------------------------------------------------------ one connection
+
+    async def _serve(self, hand: HandOver) -> None:
+        assert self._awake is not None
+        lost: list[str] = []
+        client = await self._connected(lost)
+        try:
+            subscription, places, said = await self._subscribed(client)
+            self._pauses.reset()
+            self.say(True, f"connected to {self._settings.url}, {len(places):,} nodes{said}")
+            reader = asyncio.create_task(_read(subscription, self._taker(places, hand), lost, self._awake))
+            sends = True
+            try:
+                while not (self.stopping.is_set() or hand.ended or lost):
+                    if hand.full == sends:
+                        sends = not sends
+                        await subscription.set_publishing_mode(sends)
+                    await _within(self._awake, 0.5)
+                    if reader.done():
+                        raise ConnectionError(
+                            _reason(reader.exception() or ConnectionError("the subscription has ended"))
+                        )
+            finally:
+                reader.cancel()
+            if lost:
+                raise ConnectionError(lost[0])
+        finally:
+            try:
+                await asyncio.wait_for(client.disconnect(), _LEAVING)
+            except Exception as error:  # it is left in any case
+                logging.getLogger(__name__).debug("leaving: %s", error)
+
+    async def _connected(self, lost: list[str]) -> Client:
+        settings = self._settings
+        client = Client(settings.url, timeout=_PATIENCE, watchdog_intervall=2.0)
+        client.name = client.description = "residua live"
+        client.application_uri = settings.application_uri
+        if settings.policy:
+            await client.set_security(
+                getattr(security_policies, f"SecurityPolicy{settings.policy}"),
+                settings.cert_file,
+                settings.key_file,
+                server_certificate=settings.server_cert_file,
+                mode=getattr(ua.MessageSecurityMode, settings.mode),
+            )
+        if settings.username:
+            client.set_user(settings.username)
+        if self._password is not None:
+            client.set_password(self._password)
+
+        async def note(error: Exception) -> None:
+            lost.append(_reason(error))
+            self.wake()
+
+        client.connection_lost_callback = note
+        await asyncio.wait_for(client.connect(), 2 * _PATIENCE)
+        return client
+
+    async def _subscribed(self, client: Client) -> tuple[Subscription, dict[int, list[tuple[str, str]]], str]:
+        """Subscribe to all nodes; return who each handle is, and what the server could not do."""
+        settings = self._settings
+        subscription = await client.create_subscription(
+            1000.0 * settings.interval,
+            queue_maxsize=0,  # it is emptied after every message of the server
+        )
+        namespaces = await client.get_namespace_array()
+        places: dict[int, list[tuple[str, str]]] = {}
+        refused: list[str] = []
+        plain, nodes = False, list(self._places)
+        for first in range(0, len(nodes), _AT_ONCE):
+            part = list(enumerate(nodes[first : first + _AT_ONCE], first + 1))
+            ids = {handle: _resolved(node, namespaces) for handle, node in part}
+            known = [(handle, node) for handle, node in part if ids[handle] is not None]
+            refused += [f"{node}: its namespace is not there" for handle, node in part if ids[handle] is None]
+            requests = [self._request(handle, ids[handle], not plain) for handle, _ in known]
+            answers = await subscription.create_monitored_items(requests)
+            if not plain and any(_is_about_filters(one) for one in answers):
+                plain = True
+                again = [k for k, one in enumerate(answers) if _is_about_filters(one)]
+                more = await subscription.create_monitored_items(
+                    [self._request(known[k][0], ids[known[k][0]], False) for k in again]
+                )
+                for k, one in zip(again, more, strict=True):
+                    answers[k] = one
+            for (handle, node), answer in zip(known, answers, strict=True):
+                if isinstance(answer, ua.StatusCode):
+                    refused.append(f"{node}: {answer.name}")
+                else:
+                    places[handle] = self._places[node]
+        if not places:
+            raise ConnectionError(f"the server has none of the nodes: {'; '.join(refused[:3])}")
+        said = f"; {len(refused):,} are not there: {'; '.join(refused[:3])}" if refused else ""
+        return subscription, places, said + ("; values that do not change are not sent" if plain else "")
+
+    def _request(self, handle: int, node: Any, by_time: bool) -> ua.MonitoredItemCreateRequest:
+        """Return the request for a node; ``by_time``: also for a value that is the same at a later time."""
+        parameters = ua.MonitoringParameters()
+        parameters.ClientHandle = ua.UInt32(handle)
+        parameters.SamplingInterval = 1000.0 * self._settings.sampling
+        parameters.QueueSize = ua.UInt32(self._settings.queue)
+        parameters.DiscardOldest = True
+        if by_time:
+            parameters.Filter = ua.DataChangeFilter(Trigger=ua.DataChangeTrigger.StatusValueTimestamp)
+        request = ua.MonitoredItemCreateRequest()
+        request.ItemToMonitor = ua.ReadValueId(NodeId=node, AttributeId=ua.AttributeIds.Value)
+        request.MonitoringMode = ua.MonitoringMode.Reporting
+        request.RequestedParameters = parameters
+        return request
+
+    def _taker(self, places: Mapping[int, list[tuple[str, str]]], hand: HandOver) -> Callable[[Any, int], None]:
+        """Return what takes values: those that come together are handed over together, in the order of their times."""
+        burst: list[Message] = []
+
+        def flush() -> None:
+            together = burst[:]
+            burst.clear()
+            together.sort(key=lambda one: one.arrived if one.time is None else one.time)
+            hand.give(together)
+
+        def take(value: ua.DataValue, handle: int) -> None:
+            if not burst:
+                asyncio.get_running_loop().call_soon(flush)
+            moment, arrived = _time_of(value), time.time()
+            content, refused = _number_of(value)
+            for plant, channel in places.get(handle, ()):
+                burst.append(Message(self, content, arrived, plant, channel, moment, None, refused))
+
+        return take
+
+
+async def _read(
+    subscription: Subscription, take: Callable[[Any, int], None], lost: list[str], awake: asyncio.Event
+) -> None:
+    async for event in subscription:
+        if isinstance(event, DataChangeEvent):
+            item = event.data.monitored_item
+            take(item.Value, item.ClientHandle)
+        elif isinstance(event, StatusChangeEvent):
+            lost.append(f"the server has ended the subscription: {event.notification.Status}")
+            awake.set()
+
+
+async def _within(event: asyncio.Event, seconds: float) -> None:
+    """Wait for an event, some seconds at most; it is then as if it had not been."""
+    try:
+        await asyncio.wait_for(event.wait(), seconds)
+    except TimeoutError:
+        return
+    event.clear()
+
+
+# ------------------------------------------------------------------ values
+
+
+def _number_of(value: ua.DataValue) -> tuple[float, str]:
+    """Return the number of a value, NaN where its status is not good, and why it is refused."""
+    if value.StatusCode is not None and not value.StatusCode.is_good():
+        return math.nan, ""
+    content = None if value.Value is None else value.Value.Value
+    if content is None:
+        return math.nan, ""
+    if isinstance(content, bool | int | float):
+        try:
+            return float(content), ""
+        except OverflowError:
+            pass
+    return math.nan, "number"
+
+
+def _time_of(value: ua.DataValue) -> float | None:
+    moment: datetime | None = value.SourceTimestamp or value.ServerTimestamp
+    if moment is None:
+        return None
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+
+
+# ------------------------------------------------------------------ nodes
+
+
+def _parsed(node: str) -> tuple[str, ua.NodeId]:
+    """Return the address of the namespace of a node, if it is written by that, and its id."""
+    address, rest = "", node
+    if node.startswith("nsu="):
+        address, _, rest = node.removeprefix("nsu=").rpartition(";")
+    try:
+        made = ua.NodeId.from_string(rest)
+    except Exception as error:  # asyncua raises several kinds
+        raise SettingError(f"nodes: {echo(node)} is no node; 'ns=2;s=name' and 'ns=2;i=number' are") from error
+    return address, made
+
+
+def _resolved(node: str, namespaces: list[str]) -> ua.NodeId | None:
+    address, made = _parsed(node)
+    if not address:
+        return made
+    if address not in namespaces:
+        return None
+    return ua.NodeId(made.Identifier, namespaces.index(address), made.NodeIdType)
+
+
+def _is_about_filters(answer: Any) -> bool:
+    codes = ua.StatusCodes
+    return isinstance(answer, ua.StatusCode) and answer.value in (
+        codes.BadFilterNotAllowed,
+        codes.BadMonitoredItemFilterUnsupported,
+        codes.BadMonitoredItemFilterInvalid,
+    )
+
+
+def _reason(error: BaseException) -> str:
+    return getattr(error, "strerror", None) or str(error) or type(error).__name__
+
+
+__all__ = ["OpcUa", "Settings"]
