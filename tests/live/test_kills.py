@@ -15,22 +15,22 @@ pytest.importorskip("paho.mqtt.client")
 SQLITE = '[store]\nkind = "sqlite"\nfile = "live.db"\nhistory = 500\n'
 
 
-@pytest.mark.parametrize(
-    ("kills", "samples"), [(5, 2000), pytest.param(1000, 20_000, marks=pytest.mark.campaign)], ids=str
-)
-def test_kills_lose_no_event(tmp_path: Path, kills: int, samples: int) -> None:
+#: Kills, samples and seed: a few every day, a thousand in the campaign.
+DAILY, LONG = (3, 2000, 0), [pytest.param(50, 4000, seed, marks=pytest.mark.campaign) for seed in range(1, 21)]
+
+
+@pytest.mark.parametrize(("kills", "samples", "seed"), [DAILY, *LONG])
+def test_kills_lose_no_event(tmp_path: Path, kills: int, samples: int, seed: int) -> None:
     with running(tmp_path, BROKER) as broker:
-        campaign = Campaign(tmp_path, broker, SQLITE, kills, samples)
+        campaign = Campaign(tmp_path, broker, SQLITE, kills, samples, seed)
         campaign.check(campaign.run())
     assert campaign.done == kills
     assert campaign.restarts
 
 
-@pytest.mark.parametrize(
-    ("kills", "samples"), [(3, 2000), pytest.param(100, 6000, marks=pytest.mark.campaign)], ids=str
-)
+@pytest.mark.parametrize(("kills", "samples", "seed"), [DAILY, *LONG[:2]])
 def test_kills_lose_no_event_in_postgresql(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kills: int, samples: int
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kills: int, samples: int, seed: int
 ) -> None:
     database = Database()
     database.start()
@@ -38,7 +38,7 @@ def test_kills_lose_no_event_in_postgresql(
     store = '[store]\nkind = "postgresql"\ndsn_env = "RESIDUA_TEST_DSN"\nhistory = 500\n'
     try:
         with running(tmp_path, BROKER) as broker:
-            campaign = Campaign(tmp_path, broker, store, kills, samples)
+            campaign = Campaign(tmp_path, broker, store, kills, samples, seed)
             campaign.check(campaign.run())
     finally:
         database.stop()

@@ -1,4 +1,4 @@
-"""Three plants as they run: one that is well, one with a leak, one whose sensor drifts and then falls silent."""
+"""Three plants as they run: one is well, one has a leak, one a sensor that is silent and another that is off."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from residua.library import simulate_three_tank, three_tank, three_tank_fault
 from residua.monitor import Monitor
 from residua.recording.table_writer import write_table
 
-#: Samples of a second each; the hole begins at its own, the sensor at another, the values of one sensor are gone.
-STEPS, LEAK_AT, SENSOR_AT, GONE = 1800, 300.0, 700, slice(1300, 1420)
+#: Samples of a second each; when the hole begins, values of one sensor are gone, and another is off.
+STEPS, LEAK_AT, GONE, SENSOR_AT = 1800, 300.0, slice(500, 620), 900
 #: Times as fast as it was recorded: the first fault is named within half a minute.
 SPEED = 30
 #: Centimetres that the sensor is off.
@@ -22,7 +22,7 @@ OFF = 2.0
 _NORMAL = 40_000
 INTRODUCTION = (
     "three tanks three times, thirty times as fast as they were: north is well, south has a leak in tank 3 that grows",
-    "from 300 s on (10 s from now), east a level sensor that is off by 2 cm from 700 s on, and then has no values",
+    "from 300 s on (10 s from now), in east the values of h2 are missing for two minutes, and h1 is off by 2 cm later",
 )
 _CONFIGURATION = f"""\
 [[monitors]]
@@ -77,6 +77,6 @@ def write(folder: Path) -> Path:
 
 
 def _spoil(rows: NDArray[np.float64]) -> None:
-    """Let the last sensor be off, and then have no values for a while."""
-    rows[SENSOR_AT:, -1] += OFF
-    rows[GONE, -1] = np.nan
+    """Let the second sensor have no values for a while, and the first one be off from then on."""
+    rows[GONE, -2] = np.nan
+    rows[SENSOR_AT:, -3] += OFF

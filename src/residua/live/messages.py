@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from residua.live.source import Source
+from typing import Any
 
 #: Bytes of a message at most.
 LARGEST = 4_000_000
@@ -37,7 +34,7 @@ class Message:
         ``"retained"``, ``"null"``): it is dropped, and acknowledged in its turn. Empty: nothing is wrong yet.
     """
 
-    source: Source
+    source: Any
     payload: bytes | float
     arrived: float
     plant: str = ""

@@ -223,7 +223,7 @@ def _packed(plant: str, whole: dict[str, Any], layout: Layout) -> Readings:
     if "t0" in whole:
         start, dated = time_of(whole["t0"])
         step: Any = whole.get("dt")
-        if type(step) not in (int, float) or not abs(step - layout.dt) <= 1e-3 * layout.dt:
+        if type(step) not in (int, float) or not 1000 * abs(step - layout.dt) <= layout.dt:
             raise MessageError("time", f"dt must be that of the monitor, {layout.dt:g} s")
         return Readings(plant, [start + k * step for k in range(len(rows))], values, None, dated)
     moments = [time_of(one) for one in whole["t"]]

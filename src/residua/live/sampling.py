@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.live.readings import Readings
+from residua.tolerances import DATA_ROUNDING
 
 #: The part of a reading's distance from the grid by which the grid moves.
 FOLLOW = 1 / 32
@@ -361,7 +362,7 @@ class _Releasing:
 
 def _steps(seconds: float, dt: float) -> int:
     """Return the whole steps in a time, a rounding error short of one counted as one."""
-    return math.floor(seconds / dt + 1e-9)  # of the stated times
+    return math.floor(seconds / dt + DATA_ROUNDING)
 
 
 def _spoken_of(pending: Sequence[tuple[int, Slot]]) -> int:

@@ -147,7 +147,7 @@ def name_of(alarm: Alarm) -> str:
 
 def sure_of(confidence: str) -> str:
     """Return how sure a name is, in words."""
-    return SURE.get(confidence, confidence)
+    return "too early to be sure" if confidence == "short alarm" else SURE.get(confidence, confidence)
 
 
 def clock_of(dated: bool, dt: float) -> Clock:
