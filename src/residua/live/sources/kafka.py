@@ -282,8 +282,7 @@ class Kafka(ThreadedSource):
                 kind, milliseconds = one.timestamp()
                 moment = milliseconds / 1000 if kind == TIMESTAMP_CREATE_TIME else None
             token = (part, one.offset(), self._ours.get(part))
-            payload = b"" if refused else payload
-            burst.append(Message(self, payload, now, plant, channel, moment, token, refused))
+            burst.append(Message(self, b"" if refused else payload or b"", now, plant, channel, moment, token, refused))
         if burst:
             self._here()
             hand.give(burst)
