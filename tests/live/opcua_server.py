@@ -79,11 +79,12 @@ class OpcUaServer:
         self._do(self._set(name, value, seconds, status))
 
     def set_all(self, rows: list[tuple[str, float, float]]) -> None:
-        """Set variables one after another: name, value, seconds."""
+        """Set variables one after another: name, value, seconds; a missing value has a status that is not good."""
 
         async def go() -> None:
             for name, value, seconds in rows:
-                await self._set(name, value, seconds, ua.StatusCodes.Good)
+                status = ua.StatusCodes.Good if value == value else ua.StatusCodes.BadSensorFailure
+                await self._set(name, value if value == value else 0.0, seconds, status)
 
         self._do(go())
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from live.brokers import Mosquitto
+from live.brokers import Mosquitto, free_port
 from live_examples import alarms_of_run, monitor, recording
 from live_runs import alarms_in, command, configuration, line, running, wait_for
 
@@ -108,4 +108,39 @@ wait = 30"""
         wait_for(lambda: run.watch.plants["north"].count == SAMPLES)
     client.disconnect()
     client.loop_stop()
+    assert alarms_in(tmp_path / "live.db") == wanted
+
+
+def test_kafka(tmp_path: Path, rows: np.ndarray, wanted: list[dict[str, Any]]) -> None:
+    kafka = pytest.importorskip("confluent_kafka")
+    cluster = kafka.Producer({"test.mock.num.brokers": 1, "bootstrap.servers": "none", "log_level": 0})
+    address = str(next(iter(cluster.list_topics(timeout=20).brokers.values()))).split("/")[0]
+    source = f'[[sources]]\nkind = "kafka"\nservers = ["{address}"]\ngroup = "residua"\ntopics = ["plants"]'
+    producer = kafka.Producer({"bootstrap.servers": address, "log_level": 0})
+    for one in messages(rows):
+        producer.produce("plants", one, key="north")
+    assert producer.flush(30) == 0
+    with running(configuration(tmp_path, source)) as run:
+        wait_for(lambda: run.watch.plants["north"].count == SAMPLES)
+    assert alarms_in(tmp_path / "live.db") == wanted
+
+
+def test_opc_ua(tmp_path: Path, rows: np.ndarray, wanted: list[dict[str, Any]]) -> None:
+    pytest.importorskip("asyncua")
+    from live.opcua_server import OpcUaServer
+
+    names = ("Q1", "Q2", "h1", "h2", "h3")
+    readings = [
+        [(name, value, time) for name, value in zip(names, row, strict=True)]
+        for time, row in zip(TIMES.tolist(), rows.tolist(), strict=True)
+    ]
+    with OpcUaServer(free_port(), dict.fromkeys(names, 0.0)) as server:
+        server.set_all(readings[0])  # what is there when the run connects
+        nodes = "\n".join(f'{name} = "ns=2;s={name}"' for name in names)
+        source = f'[[sources]]\nkind = "opcua"\nurl = "{server.url}"\nqueue = 10000\n[sources.nodes.north]\n{nodes}'
+        with running(configuration(tmp_path, source, "[sampling]\nwait = 60")) as run:
+            wait_for(lambda: run.sources[0].health.good)
+            for k in range(1, SAMPLES, 100):
+                server.set_all([one for row in readings[k : k + 100] for one in row])
+            wait_for(lambda: run.watch.plants["north"].count == SAMPLES)
     assert alarms_in(tmp_path / "live.db") == wanted

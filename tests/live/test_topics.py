@@ -47,3 +47,19 @@ def test_the_first_pattern_that_fits_counts() -> None:
     assert topics.place("a/b/data") == ("b", "")
     assert topics.place("a/b/c") == ("b", "c")
     assert topics.place("a/b") == ("one", "b")
+
+
+@pytest.mark.parametrize("pattern", ["a b", "a/b", "", "{plant}{channel}", "{tag}", "a" * 250, "^a.*"])
+def test_topics_that_kafka_does_not_have(pattern: str) -> None:
+    with pytest.raises(SettingError, match=r"^topics: "):
+        Topics([pattern], dotted=True)
+
+
+def test_topics_with_dots() -> None:
+    topics = Topics(["plants.{plant}.data", "tags-{channel}", "rest"], dotted=True)
+    assert topics.filters == ("^plants[.][^.]+[.]data$", "^tags-[^.]+$", "rest")
+    assert topics.place("plants.north.data") == ("north", "")
+    assert topics.place("plants.north.east.data") is None
+    assert topics.place("plantsxnorthxdata") is None
+    assert topics.place("tags-level") == ("", "level")
+    assert topics.place("rest") == ("", "")

@@ -21,9 +21,12 @@ from residua.live.sources.threaded import HandOver, ThreadedSource
 from residua.visible import echo
 
 try:
-    from asyncua import Client, ua
+    from asyncua import ua
+    from asyncua.client.client import Client
     from asyncua.common.subscription import DataChangeEvent, StatusChangeEvent, Subscription
     from asyncua.crypto import security_policies
+    from asyncua.ua.attribute_ids import AttributeIds
+    from asyncua.ua.status_codes import StatusCodes
 except ImportError as error:
     raise missing_extra("asyncua", "opcua") from error
 
@@ -319,7 +322,7 @@ class OpcUa(ThreadedSource):
         if by_time:
             parameters.Filter = ua.DataChangeFilter(Trigger=ua.DataChangeTrigger.StatusValueTimestamp)
         request = ua.MonitoredItemCreateRequest()
-        request.ItemToMonitor = ua.ReadValueId(NodeId=node, AttributeId=ua.AttributeIds.Value)
+        request.ItemToMonitor = ua.ReadValueId(NodeId=node, AttributeId=AttributeIds.Value)
         request.MonitoringMode = ua.MonitoringMode.Reporting
         request.RequestedParameters = parameters
         return request
@@ -412,15 +415,14 @@ def _resolved(node: str, namespaces: list[str]) -> ua.NodeId | None:
         return made
     if address not in namespaces:
         return None
-    return ua.NodeId(made.Identifier, namespaces.index(address), made.NodeIdType)
+    return ua.NodeId(made.Identifier, ua.Int16(namespaces.index(address)), made.NodeIdType)
 
 
 def _is_about_filters(answer: Any) -> bool:
-    codes = ua.StatusCodes
     return isinstance(answer, ua.StatusCode) and answer.value in (
-        codes.BadFilterNotAllowed,
-        codes.BadMonitoredItemFilterUnsupported,
-        codes.BadMonitoredItemFilterInvalid,
+        StatusCodes.BadFilterNotAllowed,
+        StatusCodes.BadMonitoredItemFilterUnsupported,
+        StatusCodes.BadMonitoredItemFilterInvalid,
     )
 
 

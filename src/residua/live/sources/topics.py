@@ -1,4 +1,4 @@
-"""Topics with named parts: what a broker is asked for, and which plant and channel a message is of."""
+"""Topics with named parts, of MQTT and Kafka: what a broker is asked for, and whose a message is."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from residua.visible import echo
 #: Topics that are remembered; when there are more, they are looked at anew.
 _REMEMBERED = 100_000
 _PART = re.compile(r"\{(\w*)\}")
+_KAFKA = re.compile(r"[A-Za-z0-9._-]{1,249}")
 
 
 class Topics:
@@ -24,6 +25,9 @@ class Topics:
     patterns : sequence of str
     plant : str
         The plant of topics without ``{plant}``; empty: the message says it.
+    dotted : bool
+        Whether levels are parted by dots, as Kafka's usually are: what is asked for is then a regular expression where
+        a part is named.
 
     Raises
     ------
@@ -37,16 +41,19 @@ class Topics:
     ('plants/+/data', 'plants/+/+')
     >>> topics.place("plants/north/data"), topics.place("plants/north/level"), topics.place("other")
     (('north', ''), ('north', 'level'), None)
+    >>> Topics(["plants.{plant}.data", "one"], dotted=True).filters
+    ('^plants[.][^.]+[.]data$', 'one')
     """
 
-    def __init__(self, patterns: Sequence[str], plant: str = "") -> None:
-        made = [_pattern(pattern) for pattern in patterns]
+    def __init__(self, patterns: Sequence[str], plant: str = "", dotted: bool = False) -> None:
+        made = [_dotted(pattern) if dotted else _pattern(pattern) for pattern in patterns]
         self.filters = tuple(dict.fromkeys(one for one, _ in made))
         self._expressions = [one for _, one in made]
         self._plant = plant
         self._known: dict[str, tuple[str, str] | None] = {}
         for pattern, expression in zip(patterns, self._expressions, strict=True):
-            if "channel" in expression.groupindex and not plant and "plant" not in expression.groupindex:
+            named = expression.groupindex
+            if "channel" in named and not plant and "plant" not in named and not dotted:
                 raise SettingError(
                     f"topics: of {echo(pattern)} nothing says the plant: have {{plant}} in it, or set plant"
                 )
@@ -73,9 +80,7 @@ def _pattern(pattern: str) -> tuple[str, re.Pattern[str]]:
             f"topics: {echo(pattern)}: topics that begin with $ are the broker's; those that receivers share "
             "would bring this one a part of each plant's samples only"
         )
-    names = _PART.findall(pattern)
-    if not set(names) <= {"plant", "channel"} or len(set(names)) < len(names):
-        raise SettingError(f"topics: {echo(pattern)}: the named parts are {{plant}} and {{channel}}, once each")
+    _check_names(pattern, levels)
     filters, expressions = [], []
     for k, level in enumerate(levels):
         rest = _PART.sub("", level)
@@ -85,11 +90,27 @@ def _pattern(pattern: str) -> tuple[str, re.Pattern[str]]:
             continue
         if any(sign in rest for sign in "{}#") or ("+" in rest and level != "+"):
             raise SettingError(f"topics: {echo(pattern)}: + stands for a whole level, # for all levels at the end")
-        if len(_PART.findall(level)) > 1:
-            raise SettingError(f"topics: {echo(pattern)}: one named part to a level")
         filters.append("+" if level == "+" or _PART.search(level) else level)
         expressions.append("[^/]*" if level == "+" else _expression(level))
     return "/".join(filters), re.compile("/".join(expressions), re.DOTALL)
+
+
+def _check_names(pattern: str, levels: Sequence[str]) -> None:
+    names = _PART.findall(pattern)
+    if not set(names) <= {"plant", "channel"} or len(set(names)) < len(names):
+        raise SettingError(f"topics: {echo(pattern)}: the named parts are {{plant}} and {{channel}}, once each")
+    if any(len(_PART.findall(level)) > 1 for level in levels):
+        raise SettingError(f"topics: {echo(pattern)}: one named part to a level")
+
+
+def _dotted(pattern: str) -> tuple[str, re.Pattern[str]]:
+    """Return what Kafka is asked for, and the expression that finds the named parts."""
+    _check_names(pattern, pattern.split("."))
+    if not _KAFKA.fullmatch(_PART.sub("x", pattern)):
+        raise SettingError(f"topics: {echo(pattern)}: topics of Kafka have letters, digits, dots, - and _, up to 249")
+    expression = re.compile(_PART.sub(r"(?P<\1>[^.]+)", pattern.replace(".", "[.]")))
+    named = _PART.search(pattern)
+    return (f"^{_PART.sub('[^.]+', pattern.replace('.', '[.]'))}$" if named else pattern), expression
 
 
 def _expression(level: str) -> str:

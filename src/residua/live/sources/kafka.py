@@ -1,0 +1,363 @@
+"""Messages from Kafka, whose offsets are committed when what follows from them is saved."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from residua.errors import SettingError, missing_extra
+from residua.live.messages import LARGEST, Message
+from residua.live.secrets import check_secret, secret
+from residua.live.source import Health, Pauses
+from residua.live.sources.checks import choice, file, flag, text, texts, whole
+from residua.live.sources.threaded import HandOver, ThreadedSource
+from residua.live.sources.topics import Topics
+
+try:
+    from confluent_kafka import TIMESTAMP_CREATE_TIME, Consumer, KafkaError, KafkaException, TopicPartition
+except ImportError as error:
+    raise missing_extra("confluent-kafka", "kafka") from error
+
+#: Messages that are read at once, and that may wait for the run, with the bytes of them.
+_BURST, _MOST, _MOST_BYTES = 1000, 10_000, 64_000_000
+#: Kilobytes that librdkafka fetches ahead of what is read.
+_AHEAD = 16_384
+#: Seconds between looks whether there is something to commit, and between commits.
+_LOOK, _COMMIT_EVERY = 0.1, 0.2
+#: Seconds between looks whether a cluster that was away is back.
+_ASK_EVERY = 2.0
+#: Seconds that the last commit may take.
+_LEAVING = 3.0
+
+#: A topic and a partition of it.
+_Part = tuple[str, int]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Where the cluster is, and what is wanted of it.
+
+    Attributes
+    ----------
+    servers : list of str
+        ``"host:port"`` of some of its brokers.
+    group : str
+        The consumer group: under it the cluster keeps how far this run is. No other run may have it: each would get
+        some of the partitions only.
+    topics : list of str
+        Such as ``"plants"`` or ``"plants.{plant}.data"`` for whole messages, and ``"plants.{plant}.{channel}"`` for one
+        channel a topic.
+    plant : str
+        The plant of topics without ``{plant}``, where messages do not say it.
+    key_is_plant : bool
+        Whether the key of a message is its plant, where its topic does not say it.
+    start : {"earliest", "latest"}
+        Where to begin when the group is new, or its offset is gone.
+    instance : str
+        The name of this process in its group, if it shall have its partitions back at once after a kill; without one
+        the cluster waits for ``session_timeout``.
+    session_timeout : int
+        Seconds after which the cluster takes this run for dead.
+    tls : bool
+    ca_file, cert_file, key_file : str
+        As of MQTT.
+    mechanism : {"", "PLAIN", "SCRAM-SHA-256", "SCRAM-SHA-512"}
+        How to say who this is; empty: not at all.
+    username : str
+    password_file, password_env : str
+    name : str
+        Of the source; empty: ``"kafka "`` and the first of ``servers``.
+
+    Raises
+    ------
+    SettingError
+    """
+
+    servers: tuple[str, ...]
+    group: str
+    topics: tuple[str, ...]
+    plant: str = ""
+    key_is_plant: bool = False
+    start: str = "earliest"
+    instance: str = ""
+    session_timeout: int = 10
+    tls: bool = False
+    ca_file: str = ""
+    cert_file: str = ""
+    key_file: str = ""
+    mechanism: str = ""
+    username: str = ""
+    password_file: str = ""
+    password_env: str = ""
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        texts(self, "servers", needed="name at least one broker, host:port")
+        if any("," in one or "@" in one or not one.rpartition(":")[2].isdigit() for one in self.servers):
+            raise SettingError("servers: a list of host:port is expected")
+        text(self, "group", needed="under it the cluster keeps how far this run is")
+        texts(self, "topics", needed="name at least one topic")
+        for key in ("plant", "instance", "username", "password_file", "password_env", "name"):
+            text(self, key)
+        Topics(self.topics, self.plant, dotted=True)
+        flag(self, "key_is_plant")
+        bare = [one for one in self.topics if "{channel}" in one and "{plant}" not in one]
+        if bare and not self.plant and not self.key_is_plant:
+            raise SettingError(
+                f"topics: of {bare[0]} nothing says the plant: have {{plant}} in it, or set plant or key_is_plant"
+            )
+        choice(self, "start", ("earliest", "latest"))
+        whole(self, "session_timeout", 6, 300)
+        flag(self, "tls")
+        for key in ("ca_file", "cert_file", "key_file"):
+            file(self, key)
+            if getattr(self, key) and not self.tls:
+                raise SettingError(f"{key}: it is for TLS: say tls = true")
+        choice(self, "mechanism", ("", "PLAIN", "SCRAM-SHA-256", "SCRAM-SHA-512"))
+        check_secret(self, "password")
+        if bool(self.mechanism) != bool(self.username) or bool(self.mechanism) != bool(
+            self.password_file or self.password_env
+        ):
+            raise SettingError("mechanism: with username and password_file or password_env, or none of them")
+
+    def consumer(self, password: str | None) -> dict[str, Any]:
+        """Return the same as librdkafka has it."""
+        out: dict[str, Any] = {
+            "bootstrap.servers": ",".join(self.servers),
+            "group.id": self.group,
+            "auto.offset.reset": self.start,
+            "enable.auto.commit": False,
+            "enable.auto.offset.store": False,
+            "session.timeout.ms": 1000 * self.session_timeout,
+            "heartbeat.interval.ms": min(3000, 300 * self.session_timeout),
+            "queued.max.messages.kbytes": _AHEAD,
+            "topic.metadata.refresh.interval.ms": 30_000,
+            "client.id": "residua-live",
+            "log_level": 3,
+        }
+        if self.instance:
+            out["group.instance.id"] = self.instance
+        protocol = ("sasl_" if self.mechanism else "") + ("ssl" if self.tls else "plaintext")
+        out["security.protocol"] = protocol
+        if self.mechanism:
+            out |= {"sasl.mechanism": self.mechanism, "sasl.username": self.username, "sasl.password": password}
+        for key, theirs in (("ca_file", "ca"), ("cert_file", "certificate"), ("key_file", "key")):
+            if getattr(self, key):
+                out[f"ssl.{theirs}.location"] = getattr(self, key)
+        return out
+
+
+class Kafka(ThreadedSource):
+    """Reads topics as the only member of a consumer group.
+
+    An offset is committed when the message before it is safe, for each partition by itself. Of a partition that was
+    taken away nothing is committed any more: its messages that are not safe come again, here or elsewhere, and the run
+    drops what it has. While the run has no room the partitions are paused, and the group is kept.
+
+    Parameters
+    ----------
+    settings : Settings
+
+    Raises
+    ------
+    SettingError
+        If the password cannot be read, or librdkafka refuses the settings.
+    """
+
+    kind: ClassVar[str] = "kafka"
+
+    def __init__(self, settings: Settings) -> None:
+        super().__init__(settings.name or f"kafka {settings.servers[0]}")
+        self._settings = settings
+        self._password = secret(settings, "password")
+        self._topics = Topics(settings.topics, settings.plant, dotted=True)
+        self._pauses = Pauses()
+        self._lock = threading.Lock()
+        #: By partition: since which assignment it is ours, and the offset that is to be committed.
+        self._ours: dict[_Part, int] = {}
+        self._safe: dict[_Part, int] = {}
+        self._assignments = 0
+        self._paused = False
+        self._hand: HandOver | None = None
+        self._away = ""
+        self._asked = 0.0
+
+    def acknowledge(self, messages: Sequence[Message]) -> None:
+        """Take note of how far each partition is safe; the thread that reads commits it soon."""
+        with self._lock:
+            for message in messages:
+                part, offset, assignment = message.token
+                if assignment is not None and self._ours.get(part) == assignment:
+                    self._safe[part] = offset + 1
+
+    @property
+    def waiting(self) -> int:
+        """Messages that came, and wait to be put."""
+        return self._hand.count if self._hand else 0
+
+    def work(self) -> None:
+        """Read until the run ends; where librdkafka gives up, begin anew."""
+        hand = HandOver(self.put, _MOST, _MOST_BYTES, lambda: None, f"residua {self.name}, putting")
+        self._hand = hand
+        try:
+            while not (self.stopping.is_set() or hand.ended):
+                try:
+                    self._serve(hand)
+                except (KafkaException, RuntimeError, ValueError) as error:
+                    self.say(False, f"{self._where}: {_words(error)}; tries again")
+                if not hand.ended:
+                    self._pauses.wait(self.stopping)
+        finally:
+            hand.close()
+            self._health = Health(False, "has ended")
+
+    @property
+    def _where(self) -> str:
+        return self._settings.servers[0]
+
+    # ------------------------------------------------------------------ one consumer
+
+    def _serve(self, hand: HandOver) -> None:
+        self._away, self._paused = "no answer yet", False
+        configuration = self._settings.consumer(self._password) | {"error_cb": self._noted}
+        consumer = Consumer(configuration, logger=logging.getLogger("residua.live.kafka"))
+        try:
+            consumer.subscribe(
+                list(self._topics.filters), on_assign=self._assigned, on_revoke=self._revoked, on_lost=self._lost
+            )
+            committed = 0.0
+            while not (self.stopping.is_set() or hand.ended):
+                self._hold(consumer, hand.full)
+                came = consumer.consume(_BURST, _LOOK)
+                if came:
+                    self._take(came, hand)
+                if self._safe and time.monotonic() - committed > _COMMIT_EVERY:
+                    committed = time.monotonic()
+                    self._commit(consumer, asynchronous=True)
+                if self._away:
+                    self._ask(consumer)
+            self._commit(consumer, asynchronous=False)
+        finally:
+            with self._lock:
+                self._ours.clear()
+                self._safe.clear()
+            hand.forget(lambda _: True)
+            consumer.close()
+
+    def _hold(self, consumer: Consumer, full: bool) -> None:
+        """Pause all partitions while there is no room, and go on when there is."""
+        if full != self._paused:
+            parts = consumer.assignment()
+            if full:
+                consumer.pause(parts)
+            else:
+                consumer.resume(parts)
+            self._paused = full
+
+    def _take(self, came: list[Any], hand: HandOver) -> None:
+        burst, now, key_is_plant = [], time.time(), self._settings.key_is_plant
+        for one in came:
+            if one.error() is not None:
+                self._noted(one.error())
+                continue
+            part = (one.topic(), one.partition())
+            place = self._topics.place(part[0])
+            payload, refused = one.value(), ""
+            plant, channel = place or ("", "")
+            if not plant and key_is_plant:
+                plant = _key(one.key())
+                refused = "" if plant else "plant"
+            if place is None:
+                refused = "topic"
+            elif payload is None:
+                refused = "null"
+            elif len(payload) > LARGEST:
+                refused = "size"
+            moment = None
+            if channel:
+                kind, milliseconds = one.timestamp()
+                moment = milliseconds / 1000 if kind == TIMESTAMP_CREATE_TIME else None
+            token = (part, one.offset(), self._ours.get(part))
+            burst.append(Message(self, b"" if refused else payload or b"", now, plant, channel, moment, token, refused))
+        if burst:
+            self._here()
+            hand.give(burst)
+
+    def _commit(self, consumer: Consumer, asynchronous: bool, only: set[_Part] | None = None) -> None:
+        with self._lock:
+            parts = [part for part in self._safe if only is None or part in only]
+            offsets = [TopicPartition(*part, self._safe.pop(part)) for part in parts]
+        if not offsets:
+            return
+        try:
+            consumer.commit(offsets=offsets, asynchronous=asynchronous)
+        except KafkaException as error:  # they come again, and the run drops what it has
+            self.say(False, f"{self._where}: offsets could not be committed: {_words(error)}")
+
+    # ------------------------------------------------------------------ what librdkafka calls, while reading
+
+    def _assigned(self, consumer: Consumer, parts: list[TopicPartition]) -> None:
+        self._assignments += 1
+        with self._lock:
+            self._ours |= {(one.topic, one.partition): self._assignments for one in parts}
+        self._paused = False  # those that are new are not: all are paused again if there is no room
+        self._pauses.reset()
+        self._here()
+
+    def _revoked(self, consumer: Consumer, parts: list[TopicPartition]) -> None:
+        self._commit(consumer, False, {(one.topic, one.partition) for one in parts})
+        self._lost(consumer, parts)
+
+    def _lost(self, _: Consumer, parts: list[TopicPartition]) -> None:
+        gone = {(one.topic, one.partition) for one in parts}
+        with self._lock:
+            for part in gone:
+                self._ours.pop(part, None)
+                self._safe.pop(part, None)
+        if self._hand is not None:
+            self._hand.forget(lambda message: message.token[0] in gone)
+
+    def _noted(self, error: KafkaError) -> None:
+        if error.code() == KafkaError._PARTITION_EOF:
+            return
+        self._away = error.str()
+        self.say(False, f"{self._where}: {error.str()}; tries again")
+
+    def _here(self) -> None:
+        self._away = ""
+        self.say(True, f"connected to {self._where}, {len(self._ours):,} partitions")
+
+    def _ask(self, consumer: Consumer) -> None:
+        """Ask whether a cluster that was away is back: without messages nothing else would say so."""
+        if time.monotonic() - self._asked > _ASK_EVERY:
+            self._asked = time.monotonic()
+            try:
+                known = consumer.list_topics(timeout=0.5).topics
+            except KafkaException:
+                return
+            plain = [topic for topic in self._topics.filters if not topic.startswith("^")]
+            absent = [topic for topic in plain if topic not in known or known[topic].error is not None]
+            if absent:
+                self.say(False, f"{self._where}: there is no topic {', '.join(absent)}; waits for it")
+            elif self._ours:
+                self._here()
+
+
+def _key(key: bytes | str | None) -> str:
+    """Return the plant that a key is; empty where it is none."""
+    try:
+        return key.decode() if isinstance(key, bytes) else key or ""
+    except UnicodeDecodeError:
+        return ""
+
+
+def _words(error: Exception) -> str:
+    inner = error.args[0] if error.args else None
+    return inner.str() if isinstance(inner, KafkaError) else str(error) or type(error).__name__
+
+
+__all__ = ["Kafka", "Settings"]
