@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import socket
 import subprocess
@@ -12,6 +11,7 @@ import time
 
 import pytest
 
+from live.brokers import running
 from receiver import events
 from residua.errors import SettingError
 from residua.live.events import Event
@@ -19,59 +19,16 @@ from residua.live.sink import DeliveryError
 
 paho = pytest.importorskip("paho.mqtt.client", reason="paho-mqtt, of the extra 'mqtt', is not installed")
 sink = pytest.importorskip("residua.live.sinks.mqtt", reason="the extra 'mqtt' is not installed")
-BROKER = shutil.which("mosquitto", path=os.environ.get("PATH", "") + ":/usr/sbin:/usr/local/sbin")
-needs_broker = pytest.mark.skipif(BROKER is None, reason="no mosquitto on this machine")
-
-
-class Broker:
-    """A broker on a port of this machine, which can be stopped and started."""
-
-    def __init__(self, folder, *lines: str) -> None:
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            self.port = free.getsockname()[1]
-        self._file = folder / "mosquitto.conf"
-        own = [
-            f"listener {self.port} 127.0.0.1",
-            "persistence true",
-            f"persistence_location {folder}/",
-            f"user {_me()}",
-        ]
-        self._file.write_text("\n".join([*own, *(lines or ("allow_anonymous true",))]) + "\n")
-        self.start()
-
-    def start(self) -> None:
-        assert BROKER is not None
-        quiet = subprocess.DEVNULL
-        self._process = subprocess.Popen([BROKER, "-c", str(self._file)], stdout=quiet, stderr=quiet)
-        for _ in range(200):
-            try:
-                socket.create_connection(("127.0.0.1", self.port), 1).close()
-                return
-            except OSError:
-                time.sleep(0.02)
-        raise AssertionError("the broker does not answer")
-
-    def stop(self) -> None:
-        self._process.terminate()
-        self._process.wait(10)
-
-
-def _me() -> str:
-    import getpass
-
-    return getpass.getuser()
 
 
 class Subscriber:
     """Keeps what it gets of a broker."""
 
-    def __init__(self, port: int, topic: str = "#", user: str = "", password: str = "") -> None:
+    def __init__(self, port: int) -> None:
         self.got: list[tuple[str, bytes]] = []
         self._ready = threading.Event()
         self._client = paho.Client(paho.CallbackAPIVersion.VERSION2, client_id="a subscriber", clean_session=False)
-        if user:
-            self._client.username_pw_set(user, password)
-        self._client.on_connect = lambda client, *_: client.subscribe(topic, qos=1)
+        self._client.on_connect = lambda client, *_: client.subscribe("#", qos=1)
         self._client.on_subscribe = lambda *_: self._ready.set()
         self._client.on_message = lambda client, data, message: self.got.append((message.topic, message.payload))
         self._client.connect("127.0.0.1", port)
@@ -93,12 +50,10 @@ class Subscriber:
 
 @pytest.fixture
 def broker(tmp_path):
-    made = Broker(tmp_path)
-    yield made
-    made.stop()
+    with running(tmp_path) as made:
+        yield made
 
 
-@needs_broker
 @pytest.mark.parametrize("version", ["5", "3.1.1"])
 def test_events_arrive_in_order_under_the_topic_of_their_plant(broker, version):
     subscriber = Subscriber(broker.port)
@@ -115,7 +70,6 @@ def test_events_arrive_in_order_under_the_topic_of_their_plant(broker, version):
     subscriber.close()
 
 
-@needs_broker
 def test_a_broker_that_goes_and_comes_loses_nothing(broker):
     subscriber = Subscriber(broker.port)
     made = sink.Mqtt(sink.Settings("127.0.0.1", broker.port, timeout=2.0))
@@ -133,7 +87,6 @@ def test_a_broker_that_goes_and_comes_loses_nothing(broker):
     subscriber.close()
 
 
-@needs_broker
 def test_a_long_backlog_goes_in_pieces(broker):
     many, done = events(350), 0
     made = sink.Mqtt(sink.Settings("127.0.0.1", broker.port))
@@ -144,7 +97,6 @@ def test_a_long_backlog_goes_in_pieces(broker):
     made.close()
 
 
-@needs_broker
 def test_passwords_and_what_a_broker_does_not_allow(tmp_path, monkeypatch):
     passwords, allowed = tmp_path / "passwords", tmp_path / "allowed"
     tool = shutil.which("mosquitto_passwd")
@@ -152,10 +104,10 @@ def test_passwords_and_what_a_broker_does_not_allow(tmp_path, monkeypatch):
         pytest.skip("no mosquitto_passwd on this machine")
     subprocess.run([tool, "-c", "-b", str(passwords), "residua", "right and secret"], check=True, capture_output=True)
     allowed.write_text("user residua\ntopic write residua/north/events\n")
-    broker = Broker(tmp_path, "allow_anonymous false", f"password_file {passwords}", f"acl_file {allowed}")
-    try:
-        monkeypatch.setenv("RIGHT", "right and secret")
-        monkeypatch.setenv("WRONG", "wrong and secret")
+    lines = f"allow_anonymous false\npassword_file {passwords}\nacl_file {allowed}"
+    monkeypatch.setenv("RIGHT", "right and secret")
+    monkeypatch.setenv("WRONG", "wrong and secret")
+    with running(tmp_path, lines) as broker:
         here = {"host": "127.0.0.1", "port": broker.port, "timeout": 3.0}
         made = sink.Mqtt(sink.Settings(**here, username="residua", password_env="RIGHT"))
         assert made.deliver(events(1)) == 1
@@ -168,8 +120,6 @@ def test_passwords_and_what_a_broker_does_not_allow(tmp_path, monkeypatch):
             with pytest.raises(DeliveryError, match=r"does not let this sink in \((Not authorized|Bad)") as caught:
                 made.deliver(events(1))
             assert "secret" not in str(caught.value)
-    finally:
-        broker.stop()
 
 
 def test_a_broker_that_never_answers_is_left_in_time():

@@ -148,6 +148,30 @@ def test_a_receiver_that_does_not_answer_is_left_in_time(drips):
         thread.join()
 
 
+def test_it_is_left_at_once_while_it_delivers():
+    answers = threading.Event()
+    with Receiver(lambda n: 200 if answers.wait(20) else 500) as receiver:
+        made = webhook.Webhook(webhook.Settings(url=receiver.url, key_env="THE_KEY", timeout=20.0))
+        failed: list[DeliveryError] = []
+
+        def deliver() -> None:
+            try:
+                made.deliver(events(1))
+            except DeliveryError as error:
+                failed.append(error)
+
+        thread = threading.Thread(target=deliver)
+        thread.start()
+        while not receiver.received:
+            time.sleep(0.01)
+        begun = time.monotonic()
+        made.close()
+        assert time.monotonic() - begun < 5.0
+        thread.join(5.0)
+        answers.set()
+    assert [str(one) for one in failed] == ["the run is ending"]
+
+
 def test_the_environment_sends_nothing_elsewhere(monkeypatch, tmp_path):
     """No proxy and no password of the environment is used."""
     netrc = tmp_path / "netrc"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import secrets
 import socket
 import threading
@@ -105,6 +106,8 @@ class Server:
     ----------
     address : str
         Of the page, with the token in it: for whoever started the run, and for no log.
+    place : str
+        The same without the token: for logs.
     port : int
 
     Raises
@@ -121,7 +124,7 @@ class Server:
         self._socket = _listening(settings.listen)
         host, self.port = self._socket.getsockname()[:2]
         shown = f"[{host}]" if ":" in host else host
-        self._base = f"http://{shown}:{self.port}"
+        self.place = f"http://{shown}:{self.port}"
         names = [f"{name}:{self.port}" for name in (*OWN_NAMES, shown)]
         self._routes = Routes(view, per_plant=settings.per_plant)
         self._uvicorn = uvicorn.Server(
@@ -148,7 +151,7 @@ class Server:
     @property
     def address(self) -> str:
         """The address of the page, with the token."""
-        return f"{self._base}/?token={self._token}"
+        return f"{self.place}/?token={self._token}"
 
     def start(self) -> None:
         """Begin to answer.
@@ -197,7 +200,8 @@ def _listening(listen: str) -> socket.socket:
     try:
         if socket.has_ipv6 and ":" in host:
             made.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if os.name == "posix":  # elsewhere it would let others listen at the same port
+            made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         made.bind((host, port))
     except OSError as error:
         made.close()

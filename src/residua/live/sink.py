@@ -14,7 +14,7 @@ class DeliveryError(Exception):
 
 
 #: Seconds after which a call of ``deliver`` begins no further event, so that the run can end.
-LONGEST_CALL = 30.0
+LONGEST_CALL = 10.0
 
 
 class Sink(ABC):
@@ -49,4 +49,4 @@ class Sink(ABC):
         """
 
     def close(self) -> None:  # noqa: B027 (most have nothing to leave)
-        """Leave the receiver."""
+        """Leave the receiver; from any thread, while events are being delivered too: that then fails."""

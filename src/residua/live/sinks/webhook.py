@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import hashlib
 import hmac
 import ssl
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -193,7 +195,8 @@ class Webhook(Sink):
             if not token.isascii() or " " in token:
                 raise SettingError("token: a token for a header has ASCII characters only, and no blanks")
             self._headers["Authorization"] = f"Bearer {token}"
-        self._runner = asyncio.Runner()
+        self._runner, self._delivering = asyncio.Runner(), threading.Lock()
+        self._task: asyncio.Task[int] | None = None
         self._client = httpx.AsyncClient(
             verify=_certificates(settings.ca_file),
             proxy=settings.proxy or None,
@@ -210,9 +213,16 @@ class Webhook(Sink):
         DeliveryError
             If the first one was not: no connection, no answer in time, or an answer from 300 on.
         """
-        return self._runner.run(self._deliver(events))
+        with self._delivering:
+            try:
+                return self._runner.run(self._deliver(events))
+            except asyncio.CancelledError:
+                raise DeliveryError("the run is ending") from None
+            finally:
+                self._task = None
 
     async def _deliver(self, events: Sequence[Event]) -> int:
+        self._task = asyncio.current_task()
         over = time.monotonic() + LONGEST_CALL
         for k, event in enumerate(events):
             if k and time.monotonic() > over:
@@ -259,9 +269,14 @@ class Webhook(Sink):
         return f"{self._where} answers with {status}: look at the address"
 
     def close(self) -> None:
-        """Close the connections."""
-        self._runner.run(self._client.aclose())
-        self._runner.close()
+        """Close the connections, and leave what is being delivered."""
+        task = self._task
+        if task is not None:
+            with contextlib.suppress(RuntimeError):  # it has just ended
+                task.get_loop().call_soon_threadsafe(task.cancel)
+        with self._delivering:
+            self._runner.run(self._client.aclose())
+            self._runner.close()
 
 
 def _certificates(ca_file: str) -> ssl.SSLContext | bool:
