@@ -215,3 +215,45 @@ def test_relations_are_the_same_to_the_last_bit_whatever_the_units_of_what_they_
 def test_relations_of_a_structure_do_not_exist_by_units() -> None:
     plants = in_all_units("oscillators", 204)
     assert len({reaction(lambda p=p: rs.design.structured_parity(p, ["11111"]).generator) for p in plants}) == 1
+
+
+def test_a_control_that_enters_nothing_is_not_read() -> None:
+    """A column of rounding leaked by all that there is of it, while the evidence said 5.6e-16."""
+    for p in in_all_units("singular E", 319):
+        made = rs.design.descriptor_observer(p).residual_generator()
+        assert not np.any(made.system.D[:, 1])
+        assert np.all(made.system.D[:, 0] != 0)
+
+
+def test_outputs_that_only_a_disturbance_connects_have_a_common_unit() -> None:
+    """Beside an output in another unit a fault of the size of one was taken for rounding, and was not marked."""
+    case = case_of("no states", 324)
+    for by in (None, units(case, 324, powers_of_two=False), units(case, 324, powers_of_two=True)):
+        made = rs.design.reduced_order_observer(plant_of(case, by)).residual_generator()
+        assert made.structure.tolist() == [[True] * 4, [False, True, False, False], [True] * 4]
+
+
+@pytest.mark.parametrize(("kind", "seed", "faults"), [("no states", 315, 3), ("no states", 318, 1)])
+def test_the_reading_of_a_fault_reads_no_output_by_rounding(kind: str, seed: int, faults: int) -> None:
+    for p in in_all_units(kind, seed):
+        made = rs.design.fault_estimator(p, faults=p.faults[:faults]).generator
+        wanted = np.eye(faults, len(p.faults), dtype=bool)
+        assert np.array_equal(made.structure, wanted)
+        form = made.internal_form()
+        assert np.array_equal(form.D[:, : len(p.faults)] != 0, wanted)
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("alike directions", 139), ("singular E", 313)])
+def test_a_state_that_nothing_moves_is_estimated_all_the_same(kind: str, seed: int) -> None:
+    """Rounding was all that there was of it, and the estimate was off by one of that."""
+    for p in in_all_units(kind, seed):
+        assert rs.design.perfect_observer(p, least_order=True).evidence.conditions["estimate off the state"] < 1e-9
+
+
+def test_the_inverse_form_has_no_pole_at_zero() -> None:
+    """The unknown input observer has one there by default, whose inverse was that of rounding."""
+    for p in in_all_units("feedthrough", 131):
+        made = rs.design.inverse_form_observer(p)
+        assert np.abs(made.poles).min() > 5e-3
+        assert np.allclose(np.linalg.inv(made.N_BF), made.observer.F)
+        assert np.allclose(made.N_BF, made.N_BO - made.K @ p.C)

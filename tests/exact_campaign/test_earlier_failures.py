@@ -49,6 +49,20 @@ _EARLIER = [
     ("used-up measurements", 16, designs._filters),
     # polynomials of relations had sizes in the units of the caller
     ("dead sensors", 136, designs._parity),
+    # outputs that no fault connects, but a disturbance does, had no common unit
+    ("no states", 324, designs._observers),
+    ("stiff", 324, designs._observers),
+    # a control that enters nothing did so by what rounding left of a pseudo-inverse, and leaked by all of it
+    ("singular E", 319, designs._observers),
+    # the reading of a fault kept outputs by what rounding left of singular vectors
+    ("no states", 315, designs._estimators),
+    ("no states", 318, designs._estimators),
+    # what rounding left of a fault in the internal form was a coupling by which units were chosen
+    ("more outputs than states", 317, designs._estimators),
+    # a state that no chain of equations couples with an input was reached by the rounding of pivoting
+    ("singular E", 313, designs._perfect),
+    # the inverse form was computed in units of the caller, for a pole whose inverse was the inverse of rounding
+    ("feedthrough", 131, designs._estimators),
 ]
 
 

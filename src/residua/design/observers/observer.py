@@ -16,7 +16,7 @@ from residua.design.core.signals import sampled_filter, signal_names, stack_sign
 from residua.errors import DesignError
 from residua.linear import StateSpace
 from residua.linear.poles.matrix_poles import explicit_poles
-from residua.linear.systems.balancing import power_of_two, without_rounding
+from residua.linear.systems.balancing import power_of_two, sum_without_rounding, without_rounding
 from residua.linear.systems.response_terms import response_terms
 from residua.plant import Plant
 from residua.plant.comparable_units import EvenPlant, even_plant
@@ -100,9 +100,7 @@ class Observer:
     def _entrance(self) -> NDArray[np.float64]:
         """How controls and measurements enter, ``[T B - K D, K]``: of a control that is decoupled nothing is left."""
         p = self.plant
-        terms = np.abs(self.T) @ np.abs(p.Bu) + np.abs(self.K) @ np.abs(p.Du)
-        controls = above_rounding(self.G - self.K @ p.Du, terms)
-        return np.hstack([controls, self.K])
+        return np.hstack([sum_without_rounding((self.T, p.Bu), (-self.K, p.Du)), self.K])
 
     @property
     def A1(self) -> NDArray[np.float64]:
@@ -130,7 +128,8 @@ class Observer:
     def system(self) -> StateSpace:
         """The observer as a system from control inputs and outputs to the state estimate."""
         p = self.plant
-        direct = -self.H @ p.Du - (0.0 if self.J is None else self.J @ p.Bu)
+        J = np.zeros((p.n_states, p.n_states)) if self.J is None else self.J
+        direct = sum_without_rounding((-self.H, p.Du), (-J, p.Bu))
         return StateSpace(
             self.F,
             self._entrance,
@@ -181,12 +180,15 @@ class Observer:
         if not alive.any():
             raise DesignError(self._why_blind())
         keep = alive if self.V is not None else alive | self._copies(states, through)
+        # of a control that enters nothing rounding would be all that there is
+        sizes = terms @ np.abs(p.Du) + (np.abs(V) + np.abs(read) @ np.abs(J)) @ np.abs(p.Bu)
+        direct = above_rounding(-through @ p.Du - static @ p.Bu, sizes)[keep]
         through, states, static = through[keep], states[keep], static[keep]
         system = StateSpace(
             self.F,
             self._entrance,
             states,
-            np.hstack([-through @ p.Du - static @ p.Bu, through]),
+            np.hstack([direct, through]),
             dt=p.dt,
             inputs=signal_names(p),
             outputs=[name for name, kept in zip(self._residual_names(), keep, strict=True) if kept],

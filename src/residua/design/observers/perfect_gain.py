@@ -11,7 +11,7 @@ from residua.errors import AccuracyError, DesignError
 from residua.linear.subspaces.observability import staircase
 from residua.linear.subspaces.rank import decide_rank, null_basis, range_basis
 from residua.linear.systems.descriptor import scaled_pencil
-from residua.tolerances import IDENTITY, ROUNDING
+from residua.tolerances import IDENTITY, RESIDUE, ROUNDING, above_rounding
 
 Matrix = NDArray[np.float64]
 #: Largest relative variation of det(sN - I), which has to be constant, over the tried s.
@@ -174,6 +174,8 @@ def _finished(p: _Problem, Z: Matrix, X: Matrix, levels: list[int]) -> PerfectGa
     """Return the gain of a choice of ``Z``, checked and in the units of the plant."""
     G = p.inverse + Z @ p.left
     G = G + (np.eye(len(G)) - G @ p.R) @ G
+    # an output that rounding reads would be all that there is of a state that nothing moves
+    G = above_rounding(G, np.abs(G).max(axis=1, keepdims=True, initial=0.0), RESIDUE)
     actual = G @ p.S
     # In these units states and equations are of the size of one, so that is what errors count against.
     kept, dropped = _triangular(actual, X, levels, max(1.0, float(np.linalg.norm(actual))))

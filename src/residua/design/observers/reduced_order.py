@@ -81,7 +81,7 @@ def _reduced(
     U, s, Vh = np.linalg.svd(Cs) if Cs.size else (np.eye(len(Cs)), np.zeros(0), np.eye(n))
     U, Vh = without_noise(U), without_noise(Vh)
     k = decide_rank(Cs, rtol=rtol).rank
-    inverse, Q = Vh[:k].T / s[:k] @ U[:, :k].T, Vh[k:].T
+    inverse, Q = without_rounding(Vh[:k].T / s[:k], U[:, :k].T), Vh[k:].T
     unknown = _full_rank_columns(Ds, R * (np.abs(plant.Bd) + np.abs(G) @ np.abs(plant.Dd)), rtol)
     X0, N = _particular(without_rounding(Es, Q), unknown, n - k, plant, rtol)
     placed = _placed(without_rounding(N, As, Q), without_rounding(X0, As, Q), poles, margin, plant, rtol)
