@@ -15,7 +15,9 @@ from exact import questions
 from exact.matrices import rank
 from exact.plants import at, exact_plant
 from exact.responses import frequencies, paths
-from exact_campaign.cases import plant_of, units
+from exact_campaign import designs
+from exact_campaign.answers import Subject
+from exact_campaign.cases import base_units, plant_of, units
 from exact_campaign.kinds import case_of
 from guards import trips
 from residua.design.detection_filters import detection_filter
@@ -257,3 +259,21 @@ def test_the_inverse_form_has_no_pole_at_zero() -> None:
         assert np.abs(made.poles).min() > 5e-3
         assert np.allclose(np.linalg.inv(made.N_BF), made.observer.F)
         assert np.allclose(made.N_BF, made.N_BO - made.K @ p.C)
+
+
+def test_a_perfect_observer_reads_no_dead_sensor() -> None:
+    for p in in_all_units("dead sensors", 419):
+        dead = ~np.any(p.C, axis=1)
+        assert dead.any()
+        assert not np.any(rs.design.perfect_observer(p).L[:, dead])
+
+
+def test_a_relation_reads_no_output_by_rounding() -> None:
+    """Of relations that are combined 5e-13 was left of an output that cancels, and its fault was marked."""
+    case = case_of("more outputs than states", 8)
+    for by in (base_units(case), units(case, 8, powers_of_two=True)):
+        subject = Subject(case, by)
+        made = rs.design.optimal_parity(subject.plant, order=1, sizes=designs._sizes(subject)).generator
+        read = np.abs(made.system.frequency_response([0.3, 2.0])).max(axis=(0, 1))[len(subject.plant.inputs) :] / by.y
+        assert np.all((read == 0) | (read > 1e-6 * read.max()))
+        assert np.any(read == 0)

@@ -280,7 +280,9 @@ def _attempt(p: _Problem, Q: Matrix, k: int, t: int, rng: np.random.Generator, a
     Z2 = strength * rng.standard_normal((c - k, count))
     if attempt % 2 and Ho.size:
         Z2 = Z2 - Qu.T @ p.M @ Qo @ np.linalg.pinv(Ho, rcond=p.rtol)
-    Z = Qo @ Z1 + Qu @ Z2
+    # what of the equations sees nothing, such as a dead sensor, changes nothing of N, and is not read
+    seen = range_basis(p.H, rtol=p.rtol)[0]
+    Z = (Qo @ Z1 + Qu @ Z2) @ seen @ seen.T
     # N = [N11 0; N21 N22] in the staircase coordinates: the observable group comes first.
     X = np.hstack([Qo @ first[1], Qu @ second[1]])
     return _finished(p, Z, X, [*first[2], *second[2]])

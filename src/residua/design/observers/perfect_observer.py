@@ -24,7 +24,7 @@ from residua.linear.poles.spectrum import describe_modes
 from residua.linear.subspaces.rank import DEFAULT_RTOL, left_null_basis
 from residua.linear.systems.balancing import descriptor_units
 from residua.linear.systems.descriptor import scaled_pencil
-from residua.linear.systems.response_terms import response_terms
+from residua.linear.systems.response_terms import in_even_units, response_terms
 from residua.plant import Plant
 from residua.tolerances import RESPONSE_ROUNDING, SAME, above_rounding
 from residua.words import counted, used_up
@@ -639,9 +639,11 @@ def _estimate_off(o: PerfectObserver, system: StateSpace, limit: float = 1e-6) -
         return 0.0
     units = descriptor_units(driven.A, driven.E, driven.B, driven.C, driven.D).inputs
     points = np.exp(1j * np.array([0.2, 0.9, 2.3])) if p.dt else 1j * o.bandwidth * np.array([0.043, 0.21, 0.93])
-    states = driven.replaced(C=np.eye(n), D=np.zeros((n, m)), outputs=None)
-    reached = [response_terms(one, points) for one in (states, driven)]
-    X, P = (above_rounding(one.values, one.terms, RESPONSE_ROUNDING) for one in reached)
+    both = driven.replaced(C=np.vstack([np.eye(n), driven.C]), D=np.vstack([np.zeros((n, m)), driven.D]), outputs=None)
+    even = in_even_units(both)
+    found = response_terms(even.system, points)
+    reached = above_rounding(found.values, found.terms, RESPONSE_ROUNDING) / even.outputs[:, None] / even.inputs
+    X, P = reached[:, :n], reached[:, n:]
     Q = system.evaluate(points)
     product = Q[..., n_u:] @ P
     product[..., :n_u] += Q[..., :n_u]
