@@ -41,7 +41,7 @@ from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank
 from residua.linear.systems.balancing import balance_system, without_rounding
 from residua.plant import Plant
 from residua.plant.comparable_units import EvenPlant, even_plant
-from residua.tolerances import above_rounding
+from residua.tolerances import RESIDUE, above_rounding
 
 #: What a fault does to the error, relative to the terms that it is the sum of, is rounding below this.
 _NO_EVENT = 1e-11
@@ -257,7 +257,7 @@ class _Frame:
     def observer(self, design: DirectionalGain, notes: tuple[str, ...]) -> Observer:
         """Return the observer of a directional gain."""
         plant = self.even.plant
-        K1 = design.gain @ self.W + self.offset
+        K1 = self._read(design.gain @ self.W + self.offset)
         F = without_rounding(np.hstack([self.T, -K1]), np.vstack([plant.A, plant.C]))
         evidence = self.base.extended(
             poles=explicit_poles(F),
@@ -269,6 +269,12 @@ class _Frame:
         K, M = above_rounding(K1 + F @ self.H, np.abs(K1) + np.abs(F) @ np.abs(self.H)), np.eye(len(F))
         made = Observer(plant, F, self.T, K, M, self.H, self.W, self.base.method, self.decouples, evidence)
         return in_units_of_the_plant(made, self.plant, self.even)
+
+    def _read(self, K1: NDArray) -> NDArray[np.float64]:
+        """Return a gain without what changes the error equation by its rounding only, which would couple its states."""
+        A, C = self.even.plant.A, np.abs(self.even.plant.C)
+        rows = (np.abs(self.T) @ np.abs(A) + np.abs(K1) @ C).max(axis=1, keepdims=True, initial=0.0)
+        return np.where(np.abs(K1) * C.max(axis=1, initial=0.0) > RESIDUE * rows, K1, 0.0)
 
     def _pole_error(self, design: DirectionalGain, F: NDArray) -> float:
         """Return by how much the poles of the whole filter miss those that were asked for, or raise where it counts."""

@@ -17,7 +17,7 @@ from residua.errors import DesignError
 from residua.linear import StateSpace
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.systems.balancing import power_of_two, sum_without_rounding, without_rounding
-from residua.linear.systems.response_terms import response_terms
+from residua.linear.systems.response_terms import in_even_units, response_terms
 from residua.plant import Plant
 from residua.plant.comparable_units import EvenPlant, even_plant
 from residua.tolerances import DESIGN_ROUNDING, TINY, above_rounding
@@ -203,7 +203,7 @@ class Observer:
 
     def _copies(self, states: NDArray, through: NDArray) -> NDArray[np.bool_]:
         """Tell which rows of a residual hear the measurements by way of the state, as filtered copies of other rows."""
-        system = StateSpace(self.F, self.K, states, through, dt=self.plant.dt)
+        system = in_even_units(StateSpace(self.F, self.K, states, through, dt=self.plant.dt)).system
         w = frequency_grid(system, points=12)
         points = np.asarray(np.exp(1j * w * system.dt) if system.is_discrete else 1j * w, dtype=np.complex128)
         response = response_terms(system, points)
