@@ -277,3 +277,20 @@ def test_a_relation_reads_no_output_by_rounding() -> None:
         read = np.abs(made.system.frequency_response([0.3, 2.0])).max(axis=(0, 1))[len(subject.plant.inputs) :] / by.y
         assert np.all((read == 0) | (read > 1e-6 * read.max()))
         assert np.any(read == 0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "seed", "design"),
+    [("delays", 504, rs.design.luenberger_observer), ("repeated poles", 503, rs.design.reduced_order_observer)],
+)
+def test_a_state_that_no_control_moves_is_no_reason_to_refuse(kind: str, seed: int, design: Any) -> None:
+    """Rounding was all that there was of its estimate, which was off by that."""
+    for p in in_all_units(kind, seed):
+        assert design(p).evidence.conditions["estimate off the state"] < 1e-9
+
+
+def test_a_residual_of_nothing_is_refused_by_its_reason() -> None:
+    """What rounding left of it missed the identities by all that there was."""
+    for p in in_all_units("singular E", 415):
+        with pytest.raises(DesignError, match="zero whatever fails"):
+            rs.design.descriptor_observer(p).residual_generator()

@@ -169,12 +169,12 @@ class Observer:
         J = np.zeros((p.n_states, p.n_states)) if self.J is None else self.J
         V = np.zeros((len(self.W), p.n_states)) if self.V is None else self.V
         read = self.W @ p.C + V @ p.A
-        static = V - read @ J
         even = even_plant(p)  # what is rounding does not depend on the units of the plant
         R, S, Y = even.equations, even.states, even.outputs
         z = S if self.order == p.n_states else np.ones(self.order)
         through = _without_rounding(self.W / Y, -read * S, self.H / S[:, None] / Y) * Y
         states = _without_rounding(np.zeros((len(self.W), self.order)), -read * S, self.M / S[:, None] * z) / z
+        static = _without_rounding(V / R, -read * S, J / S[:, None] / R) * R
         terms = np.abs(self.W) + np.abs(read) @ np.abs(self.H)
         alive = _more_than(through / Y, terms / Y) | _path(static / R, read * S, J / S[:, None] / R)
         if not alive.any():
