@@ -245,6 +245,13 @@ def test_the_reading_of_a_fault_reads_no_output_by_rounding(kind: str, seed: int
         assert np.array_equal(form.D[:, : len(p.faults)] != 0, wanted)
 
 
+@pytest.mark.parametrize(("kind", "seed"), [("sparse", 402), ("more outputs than states", 419)])
+def test_perfect_observers_are_designed_in_units_that_do_not_run_away(kind: str, seed: int) -> None:
+    """Sweeps that even out norms went on to 2^20 where parts of a plant lead one way only: N had entries of 1e-8."""
+    for p in in_all_units(kind, seed):
+        assert rs.design.perfect_observer(p, least_order=True).evidence.conditions["estimate off the state"] < 1e-7
+
+
 @pytest.mark.parametrize(("kind", "seed"), [("alike directions", 139), ("singular E", 313)])
 def test_a_state_that_nothing_moves_is_estimated_all_the_same(kind: str, seed: int) -> None:
     """Rounding was all that there was of it, and the estimate was off by one of that."""

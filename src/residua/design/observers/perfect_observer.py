@@ -21,8 +21,8 @@ from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import StateSpace, WeierstrassForm, decide_rank, default_margin, invariant_zeros, weierstrass_form
 from residua.linear.norms.system_norms import h2_norm, hinf_norm
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.subspaces.rank import DEFAULT_RTOL, left_null_basis
-from residua.linear.systems.balancing import descriptor_units
+from residua.linear.subspaces.rank import DEFAULT_RTOL, left_null_basis, without_noise
+from residua.linear.systems.balancing import descriptor_units, without_rounding
 from residua.linear.systems.descriptor import scaled_pencil
 from residua.linear.systems.response_terms import in_even_units, response_terms
 from residua.plant import Plant
@@ -574,15 +574,15 @@ def reduced_rows(o: PerfectObserver) -> NDArray[np.float64]:
     # Orthonormal rows first: rows of the caller's choice may be nearly parallel, or far apart in size.
     U, s, _ = np.linalg.svd(np.hstack(list(P)), full_matrices=False)
     kept = s > SAME * s.max(initial=0.0)  # a combination of rows that reads nothing, as of equal sensors, is none
-    U = U[:, kept] / s[kept]
-    left, P = U.T @ o.left, U.T @ P
+    U = without_noise(U[:, kept]) / s[kept]
+    left, P = without_rounding(U.T, o.left), U.T @ P
     rows = np.zeros((0, len(left)))
     for degree in range(len(P)):
         higher = np.hstack([np.zeros((len(left), 0)), *P[degree + 1 :]])
         free = left_null_basis(np.hstack([higher, rows.T]), rtol=1e-9, scale=1.0)[0]
         rows = np.vstack([rows, free.T])
     size = np.abs(rows @ P * units).max(axis=(0, 2), initial=0.0)
-    return rows @ left / size[:, None]
+    return without_rounding(rows, left) / size[:, None]
 
 
 def perfect_evidence(o: PerfectObserver, R: NDArray, rtol: float) -> Evidence:
