@@ -301,3 +301,27 @@ def test_a_residual_of_nothing_is_refused_by_its_reason() -> None:
     for p in in_all_units("singular E", 415):
         with pytest.raises(DesignError, match="zero whatever fails"):
             rs.design.descriptor_observer(p).residual_generator()
+
+
+@pytest.mark.parametrize(
+    ("kind", "seed"),
+    [
+        # events of a plain filter were those of a plant whose disturbances had been removed from its outputs
+        ("dense", 415),
+        # what of a sensor fault no state explains passed the gain, which weighs outputs otherwise
+        ("hidden modes", 401),
+        ("alike directions", 411),
+        ("companion", 428),
+    ],
+)
+def test_directions_are_kept_whatever_else_enters_the_outputs(kind: str, seed: int) -> None:
+    """The filters were refused, because faults left the directions that events of another plant promised."""
+    structures = [rs.design.detection_filter(p).structure.tolist() for p in in_all_units(kind, seed)]
+    assert all(structure == structures[0] for structure in structures)
+    plant = plant_of(case_of(kind, seed))
+    made = rs.design.detection_filter(plant)
+    for j, name in enumerate(plant.faults):
+        response = made.internal_form().frequency_response(frequencies(plant.dt))[:, :, j]
+        basis = made.subspaces[name]
+        off = response.T - basis @ (basis.T @ response.T)
+        assert np.abs(off).max() <= 1e-6 * max(np.abs(response).max(), 1e-9)

@@ -185,7 +185,7 @@ def directional_filters(
         bad = ", ".join(f"{z:.4g}" for z in np.atleast_1d(answer.unstable_modes))
         raise DesignError(f"no stable filter exists: no measurement sees the mode {bad}; add a sensor")
     weights = even.output_weights(A, np.zeros((len(A), 0)), C)
-    units = _Units.of(A, C, event_matrices(plant, T, chosen, form), weights)
+    units = _Units.of(A, C, event_matrices(plant, T, chosen, form, weights), weights)
     events, unseen = fault_events(units.A, units.C, units.events, rtol=rtol)
     directly = [name for name in chosen if _seen_directly(plant, H, W, name)]
     notes = [note for event in events for note in _shared(event.faults, directly)]
@@ -326,17 +326,24 @@ def _unit_columns(L: NDArray) -> NDArray:
 
 
 def event_matrices(
-    plant: Plant, T: NDArray, faults: tuple[str, ...], form: OutputFreeForm | None = None
+    plant: Plant,
+    T: NDArray,
+    faults: tuple[str, ...],
+    form: OutputFreeForm | None = None,
+    weights: NDArray | None = None,
 ) -> dict[str, NDArray]:
     r"""Return what each fault does to the error equation: ``T f``, or two columns for one in the outputs.
 
     A fault with output part ``d`` acts, after the shift :math:`e + T g \eta` with :math:`C g = d`, as the
     events :math:`T g` (with its derivative) and :math:`T (f - A g)`; ``A``, ``C`` and ``d`` here after
-    disturbances have been removed from the outputs, which is done here where no ``form`` comes with the plant.
+    disturbances have been removed from the outputs, where a ``form`` says how: a plain filter leaves them there.
+    Where no ``g`` gives all of ``d``, the rest must not pass the gain: ``g`` is that of least squares with the weights
+    that the outputs have for it.
     """
     out = {}
-    form = output_free_form(plant) if form is None else form
-    inverse = inverse_without_rounding(form.C)
+    form = output_free_form(plant.without_disturbances()) if form is None else form
+    weights = np.ones(len(form.C)) if weights is None else weights
+    inverse = inverse_without_rounding(weights[:, None] * form.C) * weights
     for name in faults:
         i = plant.faults.index(name)
         f, d = plant.Bf[:, [i]], plant.Df[:, [i]]
