@@ -305,7 +305,7 @@ def test_outputs_that_do_not_drive_it_do_not_matter() -> None:
 def test_the_bandwidth_is_in_the_evidence_and_buys_noise() -> None:
     plant = rs.library.ladder_circuit()
     gains = []
-    for bandwidth in (100.0, 1000.0, 10000.0):
+    for bandwidth in (100.0, 1000.0, 1000000.0):
         observer = perfect_observer(plant, bandwidth=bandwidth)
         assert observer.evidence.conditions["bandwidth, rad/s"] == bandwidth
         np.testing.assert_allclose(observer.residual_generator().system.poles(), -bandwidth)

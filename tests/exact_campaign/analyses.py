@@ -81,10 +81,11 @@ def _ranks_at_points(subject: Subject) -> None:
     P = X.pencil(X.Bd, X.Dd)
     p = questions.fixed_polynomial(X)
     places = [rational(z.real) for z, _ in roots(p) if z.imag == 0 and p(rational(z.real)) == 0][:2]
-    for s in (fmpq(0), fmpq(3, 8), *places):
+    points = [(str(s), s) for s in (fmpq(0), fmpq(3, 8))] + [(f"{i}: a zero", s) for i, s in enumerate(places)]
+    for name, s in points:  # each under a name of its own, by which its answer is kept
         value = float(s.p) / float(s.q)
         record = subject.ask(
-            f"pencil_rank_at ({'a zero' if s in places else s})",
+            f"pencil_rank_at ({name})",
             lambda value=value: rs.linear.pencil_rank_at(plant.A, plant.Bd, plant.C, plant.Dd, plant.E, value),
         )
         if record.answer.made is not None:

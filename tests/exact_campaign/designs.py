@@ -251,7 +251,8 @@ def _parity(subject: Subject) -> None:
             different = {k: v for k, v in different.items() if v[0] != v[1]}
             record.problem("wrong", "parity", f"parity_orders (said, exact): {different}")
     least, sizes = max(questions.residual_indices(X), default=0), _sizes(subject)
-    record = subject.ask("optimal_parity", lambda: rs.design.optimal_parity(plant, order=least, sizes=sizes))
+    # by its order, which is another where the floats of the plant are another plant
+    record = subject.ask(f"optimal_parity ({least})", lambda: rs.design.optimal_parity(plant, order=least, sizes=sizes))
     sees = X.plain and not X.Bd.ncols() and any(questions.visible(X))
     if judged(record, True if sees else None, "parity"):
         examine_generator(subject, record, record.answer.made.generator, plant)

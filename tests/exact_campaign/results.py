@@ -48,7 +48,7 @@ def counted(record: Path) -> dict:
 
 def without_request(function: str) -> str:
     """Return the name of a function without what it was asked for in particular: faults to ignore, a code, a point."""
-    return re.sub(r"( \[[\d, ]*\]| [01]+$| \(\d.*\)| \(a zero\))", "", function)
+    return re.sub(r"( \[[\d, ]*\]| [01]+$| \(\d.*\))", "", function)
 
 
 def smallest_failures(record: Path) -> list[dict]:

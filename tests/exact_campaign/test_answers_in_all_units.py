@@ -15,7 +15,9 @@ from exact import questions
 from exact.matrices import rank
 from exact.plants import at, exact_plant
 from exact.responses import frequencies, paths
-from exact_campaign.cases import plant_of, units
+from exact_campaign import designs
+from exact_campaign.answers import Subject
+from exact_campaign.cases import base_units, plant_of, units
 from exact_campaign.kinds import case_of
 from guards import trips
 from residua.design.detection_filters import detection_filter
@@ -215,3 +217,111 @@ def test_relations_are_the_same_to_the_last_bit_whatever_the_units_of_what_they_
 def test_relations_of_a_structure_do_not_exist_by_units() -> None:
     plants = in_all_units("oscillators", 204)
     assert len({reaction(lambda p=p: rs.design.structured_parity(p, ["11111"]).generator) for p in plants}) == 1
+
+
+def test_a_control_that_enters_nothing_is_not_read() -> None:
+    """A column of rounding leaked by all that there is of it, while the evidence said 5.6e-16."""
+    for p in in_all_units("singular E", 319):
+        made = rs.design.descriptor_observer(p).residual_generator()
+        assert not np.any(made.system.D[:, 1])
+        assert np.all(made.system.D[:, 0] != 0)
+
+
+def test_outputs_that_only_a_disturbance_connects_have_a_common_unit() -> None:
+    """Beside an output in another unit a fault of the size of one was taken for rounding, and was not marked."""
+    case = case_of("no states", 324)
+    for by in (None, units(case, 324, powers_of_two=False), units(case, 324, powers_of_two=True)):
+        made = rs.design.reduced_order_observer(plant_of(case, by)).residual_generator()
+        assert made.structure.tolist() == [[True] * 4, [False, True, False, False], [True] * 4]
+
+
+@pytest.mark.parametrize(("kind", "seed", "faults"), [("no states", 315, 3), ("no states", 318, 1)])
+def test_the_reading_of_a_fault_reads_no_output_by_rounding(kind: str, seed: int, faults: int) -> None:
+    for p in in_all_units(kind, seed):
+        made = rs.design.fault_estimator(p, faults=p.faults[:faults]).generator
+        wanted = np.eye(faults, len(p.faults), dtype=bool)
+        assert np.array_equal(made.structure, wanted)
+        form = made.internal_form()
+        assert np.array_equal(form.D[:, : len(p.faults)] != 0, wanted)
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("sparse", 402), ("more outputs than states", 419)])
+def test_perfect_observers_are_designed_in_units_that_do_not_run_away(kind: str, seed: int) -> None:
+    """Sweeps that even out norms went on to 2^20 where parts of a plant lead one way only: N had entries of 1e-8."""
+    for p in in_all_units(kind, seed):
+        assert rs.design.perfect_observer(p, least_order=True).evidence.conditions["estimate off the state"] < 1e-7
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("alike directions", 139), ("singular E", 313)])
+def test_a_state_that_nothing_moves_is_estimated_all_the_same(kind: str, seed: int) -> None:
+    """Rounding was all that there was of it, and the estimate was off by one of that."""
+    for p in in_all_units(kind, seed):
+        assert rs.design.perfect_observer(p, least_order=True).evidence.conditions["estimate off the state"] < 1e-9
+
+
+def test_the_inverse_form_has_no_pole_at_zero() -> None:
+    """The unknown input observer has one there by default, whose inverse was that of rounding."""
+    for p in in_all_units("feedthrough", 131):
+        made = rs.design.inverse_form_observer(p)
+        assert np.abs(made.poles).min() > 5e-3
+        assert np.allclose(np.linalg.inv(made.N_BF), made.observer.F)
+        assert np.allclose(made.N_BF, made.N_BO - made.K @ p.C)
+
+
+def test_a_perfect_observer_reads_no_dead_sensor() -> None:
+    for p in in_all_units("dead sensors", 419):
+        dead = ~np.any(p.C, axis=1)
+        assert dead.any()
+        assert not np.any(rs.design.perfect_observer(p).L[:, dead])
+
+
+def test_a_relation_reads_no_output_by_rounding() -> None:
+    """Of relations that are combined 5e-13 was left of an output that cancels, and its fault was marked."""
+    case = case_of("more outputs than states", 8)
+    for by in (base_units(case), units(case, 8, powers_of_two=True)):
+        subject = Subject(case, by)
+        made = rs.design.optimal_parity(subject.plant, order=1, sizes=designs._sizes(subject)).generator
+        read = np.abs(made.system.frequency_response([0.3, 2.0])).max(axis=(0, 1))[len(subject.plant.inputs) :] / by.y
+        assert np.all((read == 0) | (read > 1e-6 * read.max()))
+        assert np.any(read == 0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "seed", "design"),
+    [("delays", 504, rs.design.luenberger_observer), ("repeated poles", 503, rs.design.reduced_order_observer)],
+)
+def test_a_state_that_no_control_moves_is_no_reason_to_refuse(kind: str, seed: int, design: Any) -> None:
+    """Rounding was all that there was of its estimate, which was off by that."""
+    for p in in_all_units(kind, seed):
+        assert design(p).evidence.conditions["estimate off the state"] < 1e-9
+
+
+def test_a_residual_of_nothing_is_refused_by_its_reason() -> None:
+    """What rounding left of it missed the identities by all that there was."""
+    for p in in_all_units("singular E", 415):
+        with pytest.raises(DesignError, match="zero whatever fails"):
+            rs.design.descriptor_observer(p).residual_generator()
+
+
+@pytest.mark.parametrize(
+    ("kind", "seed"),
+    [
+        # events of a plain filter were those of a plant whose disturbances had been removed from its outputs
+        ("dense", 415),
+        # what of a sensor fault no state explains passed the gain, which weighs outputs otherwise
+        ("hidden modes", 401),
+        ("alike directions", 411),
+        ("companion", 428),
+    ],
+)
+def test_directions_are_kept_whatever_else_enters_the_outputs(kind: str, seed: int) -> None:
+    """The filters were refused, because faults left the directions that events of another plant promised."""
+    structures = [rs.design.detection_filter(p).structure.tolist() for p in in_all_units(kind, seed)]
+    assert all(structure == structures[0] for structure in structures)
+    plant = plant_of(case_of(kind, seed))
+    made = rs.design.detection_filter(plant)
+    for j, name in enumerate(plant.faults):
+        response = made.internal_form().frequency_response(frequencies(plant.dt))[:, :, j]
+        basis = made.subspaces[name]
+        off = response.T - basis @ (basis.T @ response.T)
+        assert np.abs(off).max() <= 1e-6 * max(np.abs(response).max(), 1e-9)

@@ -11,7 +11,7 @@ from residua.linear.subspaces.reachability import without_unobservable
 from residua.linear.systems.balancing import descriptor_units, state_units
 from residua.linear.systems.response_terms import accurate_response, in_even_units, paths, response_terms
 from residua.plant import Plant
-from residua.tolerances import IDENTITY, ROUNDING, TINY
+from residua.tolerances import IDENTITY, ROUNDING, TINY, above_rounding
 
 #: Rounding in a response, relative to its terms; measured: below 2e-16 for up to 30 states.
 _MEASURED = 1e-15
@@ -62,12 +62,18 @@ def internal_form(
     p = plant.system(("fault", "disturbance", "noise", *(("control",) if with_controls else ())))
     Gy, Hy = generator.B[:, n_u:], generator.D[:, n_u:]
     B, D = state_map @ p.B - Gy @ p.D, Hy @ p.D
+    B_terms = np.abs(state_map) @ np.abs(p.B) + np.abs(Gy) @ np.abs(p.D)
+    D_terms = np.abs(Hy) @ np.abs(p.D)
     if static_map is not None:
-        D = D + static_map @ p.B
+        D, D_terms = D + static_map @ p.B, D_terms + np.abs(static_map) @ np.abs(p.B)
     if with_controls:
         first = p.n_inputs - n_u
         B[:, first:] -= generator.B[:, :n_u]
         D[:, first:] += generator.D[:, :n_u]
+        B_terms[:, first:] += np.abs(generator.B[:, :n_u])
+        D_terms[:, first:] += np.abs(generator.D[:, :n_u])
+    # what rounding leaves of nothing would be a coupling, by which units are chosen
+    B, D = above_rounding(B, B_terms), above_rounding(D, D_terms)
     return StateSpace(generator.A, B, -generator.C, D, dt=plant.dt, inputs=p.inputs, outputs=generator.outputs)
 
 

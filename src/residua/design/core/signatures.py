@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from residua.design.core.internal_form import frequency_grid
 from residua.linear import StateSpace
-from residua.linear.systems.response_terms import in_even_units, response_terms
+from residua.linear.systems.response_terms import EvenUnits, in_even_units, response_terms
 from residua.plant import Plant
 from residua.tolerances import DESIGN_ROUNDING, TINY
 
@@ -80,7 +80,9 @@ def fault_responses(
     """
     n_u, n_f = len(plant.inputs), len(plant.faults)
     points = np.exp(1j * w * form.dt) if form.is_discrete else 1j * w
-    p = in_even_units(plant.system("fault"))
+    # disturbances and controls take part in the units: they connect outputs that no fault connects
+    every = in_even_units(plant.system(("fault", "disturbance", "control")))
+    p = EvenUnits(every.system.select(inputs=range(n_f)), every.inputs[:n_f], every.outputs, every.equations)
     own = form.select(inputs=range(n_f))
     own = in_even_units(own.replaced(B=own.B * p.inputs, D=own.D * p.inputs))
     scaled = own.system.replaced(B=own.system.B / own.inputs, D=own.system.D / own.inputs)

@@ -41,7 +41,7 @@ from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank
 from residua.linear.systems.balancing import balance_system, without_rounding
 from residua.plant import Plant
 from residua.plant.comparable_units import EvenPlant, even_plant
-from residua.tolerances import above_rounding
+from residua.tolerances import RESIDUE, above_rounding
 
 #: What a fault does to the error, relative to the terms that it is the sum of, is rounding below this.
 _NO_EVENT = 1e-11
@@ -185,7 +185,7 @@ def directional_filters(
         bad = ", ".join(f"{z:.4g}" for z in np.atleast_1d(answer.unstable_modes))
         raise DesignError(f"no stable filter exists: no measurement sees the mode {bad}; add a sensor")
     weights = even.output_weights(A, np.zeros((len(A), 0)), C)
-    units = _Units.of(A, C, event_matrices(plant, T, chosen, form), weights)
+    units = _Units.of(A, C, event_matrices(plant, T, chosen, form, weights), weights)
     events, unseen = fault_events(units.A, units.C, units.events, rtol=rtol)
     directly = [name for name in chosen if _seen_directly(plant, H, W, name)]
     notes = [note for event in events for note in _shared(event.faults, directly)]
@@ -257,7 +257,7 @@ class _Frame:
     def observer(self, design: DirectionalGain, notes: tuple[str, ...]) -> Observer:
         """Return the observer of a directional gain."""
         plant = self.even.plant
-        K1 = design.gain @ self.W + self.offset
+        K1 = self._read(design.gain @ self.W + self.offset)
         F = without_rounding(np.hstack([self.T, -K1]), np.vstack([plant.A, plant.C]))
         evidence = self.base.extended(
             poles=explicit_poles(F),
@@ -269,6 +269,12 @@ class _Frame:
         K, M = above_rounding(K1 + F @ self.H, np.abs(K1) + np.abs(F) @ np.abs(self.H)), np.eye(len(F))
         made = Observer(plant, F, self.T, K, M, self.H, self.W, self.base.method, self.decouples, evidence)
         return in_units_of_the_plant(made, self.plant, self.even)
+
+    def _read(self, K1: NDArray) -> NDArray[np.float64]:
+        """Return a gain without what changes the error equation by its rounding only, which would couple its states."""
+        A, C = self.even.plant.A, np.abs(self.even.plant.C)
+        rows = (np.abs(self.T) @ np.abs(A) + np.abs(K1) @ C).max(axis=1, keepdims=True, initial=0.0)
+        return np.where(np.abs(K1) * C.max(axis=1, initial=0.0) > RESIDUE * rows, K1, 0.0)
 
     def _pole_error(self, design: DirectionalGain, F: NDArray) -> float:
         """Return by how much the poles of the whole filter miss those that were asked for, or raise where it counts."""
@@ -320,17 +326,24 @@ def _unit_columns(L: NDArray) -> NDArray:
 
 
 def event_matrices(
-    plant: Plant, T: NDArray, faults: tuple[str, ...], form: OutputFreeForm | None = None
+    plant: Plant,
+    T: NDArray,
+    faults: tuple[str, ...],
+    form: OutputFreeForm | None = None,
+    weights: NDArray | None = None,
 ) -> dict[str, NDArray]:
     r"""Return what each fault does to the error equation: ``T f``, or two columns for one in the outputs.
 
     A fault with output part ``d`` acts, after the shift :math:`e + T g \eta` with :math:`C g = d`, as the
     events :math:`T g` (with its derivative) and :math:`T (f - A g)`; ``A``, ``C`` and ``d`` here after
-    disturbances have been removed from the outputs, which is done here where no ``form`` comes with the plant.
+    disturbances have been removed from the outputs, where a ``form`` says how: a plain filter leaves them there.
+    Where no ``g`` gives all of ``d``, the rest must not pass the gain: ``g`` is that of least squares with the weights
+    that the outputs have for it.
     """
     out = {}
-    form = output_free_form(plant) if form is None else form
-    inverse = inverse_without_rounding(form.C)
+    form = output_free_form(plant.without_disturbances()) if form is None else form
+    weights = np.ones(len(form.C)) if weights is None else weights
+    inverse = inverse_without_rounding(weights[:, None] * form.C) * weights
     for name in faults:
         i = plant.faults.index(name)
         f, d = plant.Bf[:, [i]], plant.Df[:, [i]]

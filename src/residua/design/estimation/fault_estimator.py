@@ -26,6 +26,7 @@ from residua.linear import StateSpace
 from residua.linear.norms.system_norms import h2_norm, hinf_norm
 from residua.linear.poles.placement import default_margin
 from residua.linear.subspaces.rank import DEFAULT_RTOL
+from residua.linear.systems.balancing import sum_without_rounding
 from residua.plant import Plant
 
 REFERENCES = (
@@ -328,12 +329,15 @@ def _realised(
     :math:`\hat f_k = a \hat f_{k-1} + (1 - a) (r_{k-1} + L_d y_{0,k})`, and
     :math:`q_k = \hat f_k - (1 - a) L_d y_{0,k}`.
     """
-    n, m, n_f = observer.order, len(plant.inputs), len(names)
-    J = reading.static @ plant.C + reading.dynamics @ plant.A
-    dynamics = reading.dynamics if observer.J is None else reading.dynamics - J @ observer.J
+    n, n_f = observer.order, len(names)
+    J = sum_without_rounding((reading.static, plant.C), (reading.dynamics, plant.A))
+    dynamics = reading.dynamics
+    if observer.J is not None:
+        dynamics = sum_without_rounding((dynamics, np.eye(plant.n_states)), (-J, observer.J))
     # r and L_d y_0 as functions of (z, [u, y])
-    r_z, r_v = -J, _on_signals(plant, reading.static - J @ observer.H, -dynamics @ plant.Bu)
-    d_v = _on_signals(plant, reading.derivative, np.zeros((n_f, m)))
+    on_y0 = sum_without_rounding((reading.static, np.eye(plant.n_outputs)), (-J, observer.H))
+    r_z, r_v = -J, _on_signals(plant, on_y0, dynamics)
+    d_v = _on_signals(plant, reading.derivative, np.zeros((n_f, plant.n_states)))
     own = np.flatnonzero(smoothing.filtered)
     k = len(own)
     pick = np.eye(n_f)[own]
@@ -369,9 +373,9 @@ def _realised(
     return system, internal_form(system, plant, np.vstack([observer.T, map_q]), static)
 
 
-def _on_signals(plant: Plant, on_y0: NDArray, on_u: NDArray) -> NDArray:
-    """Return a gain on ``y - D u`` and one on ``u`` as one on ``[u, y]``."""
-    return np.hstack([on_u - on_y0 @ plant.Du, on_y0])
+def _on_signals(plant: Plant, on_y0: NDArray, dynamics: NDArray) -> NDArray:
+    """Return a gain on ``y - D u`` and one on ``-B u`` as one on ``[u, y]``."""
+    return np.hstack([sum_without_rounding((-dynamics, plant.Bu), (-on_y0, plant.Du)), on_y0])
 
 
 def _with_numbers(generator: ResidualGenerator, reading: FaultReading, smoothing: _Smoothing) -> ResidualGenerator:

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, DesignError
 from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis, null_basis
-from residua.linear.systems.balancing import descriptor_units
+from residua.linear.systems.balancing import descriptor_units, without_rounding
 from residua.plant import Plant
-from residua.tolerances import RESPONSE_ROUNDING, ROUNDING
+from residua.tolerances import RESIDUE, RESPONSE_ROUNDING, above_rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,36 +93,43 @@ def read_faults(plant: Plant, faults: tuple[str, ...], *, rtol: float) -> FaultR
     rest[np.abs(rest).max(axis=1, initial=0.0) <= RESPONSE_ROUNDING] = 0.0
     L_d = rest @ _inverse(late @ Vh[r:].T, rtol * max(1.0, float(np.linalg.norm(R))))
     left = whole - L_d @ late
-    L_s = _reading_what_it_needs(left @ Vh[:r].T / sizes[:r], U[:, :r].T, at_once, left, rtol)
+    L_s = _reading_what_it_needs(left @ (Vh[:r].T / sizes[:r]) @ U[:, :r].T, at_once, left, rtol)
     missed = float(np.abs(L_s @ at_once + L_d @ late - whole).max(initial=0.0))
     if not missed < 1e-7:
         raise AccuracyError(
             f"the faults are read off with a relative error of {missed:.2g}: the outputs see them too weakly for "
             "this scaling; rescale the channels"
         )
+    L_W = _without_residue(L_d @ W)
+    L_R = _without_residue(L_d @ R)
+    P = _without_residue(without_rounding(L_s[:, p:], N) + L_R)
     f = s.units[-n_f:, None]
     return FaultReading(
         f * L_s[:, :p] * s.outputs,
-        f * L_d @ W * s.outputs,
-        f * (L_s[:, p:] @ N + L_d @ R) * s.equations,
+        f * L_W * s.outputs,
+        f * P * s.equations,
         np.any(L_d, axis=1),
         f[:, 0],
         ranks,
     )
 
 
-def _reading_what_it_needs(first: NDArray, second: NDArray, M: NDArray, wanted: NDArray, rtol: float) -> NDArray:
-    """Return ``X = first second`` with ``X M = wanted``, solved again without the columns that are rounding in a row.
+def _without_residue(M: NDArray) -> NDArray[np.float64]:
+    """Return a matrix without the entries that are what rounding leaves beside the largest of their row."""
+    return above_rounding(M, np.abs(M).max(axis=1, keepdims=True, initial=0.0), RESIDUE)
+
+
+def _reading_what_it_needs(X: NDArray, M: NDArray, wanted: NDArray, rtol: float) -> NDArray:
+    """Return ``X`` with ``X M = wanted``, solved again without the columns that are rounding in a row.
 
     What rounding leaves there would read outputs that the row leaves out, in the units of those however small.
     """
-    X, terms = first @ second, np.abs(first) @ np.abs(second)
     for i, row in enumerate(X):
-        kept = np.abs(row) > ROUNDING * terms[i]
+        kept = np.abs(row) > RESIDUE * np.abs(row).max(initial=0.0)
         if not kept.all():
             fewer = np.zeros(len(row))
             fewer[kept] = wanted[i] @ _inverse(M[kept], rtol)
-            if np.abs(fewer @ M - wanted[i]).max() <= max(2 * np.abs(row @ M - wanted[i]).max(), np.finfo(float).eps):
+            if np.abs(fewer @ M - wanted[i]).max() <= max(2 * np.abs(row @ M - wanted[i]).max(), RESIDUE):
                 X[i] = fewer
     return X
 

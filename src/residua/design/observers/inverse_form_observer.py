@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from math import comb
 
@@ -14,12 +14,16 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching, shortest_path
 
 from residua import arrays
-from residua.analysis.unknown_input import UnknownInputExistence, unknown_input_observer_existence
+from residua.analysis.unknown_input import (
+    OrdinaryDecoupling,
+    UnknownInputExistence,
+    unknown_input_observer_existence,
+)
 from residua.arrays import matrix
 from residua.design.core.evidence import Evidence, format_pole
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS
-from residua.design.observers.observer import Observer
+from residua.design.observers.observer import Observer, in_units_of_the_plant
 from residua.design.observers.unknown_input_observer import observer_of
 from residua.errors import AccuracyError, DesignError
 from residua.linear import is_stable_mode
@@ -29,6 +33,8 @@ from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank, equilibrate
 from residua.plant import Plant
 from residua.tolerances import IDENTITY, TINY
 
+#: No pole of a sampled observer is chosen nearer to zero: its inverse would be far from all others.
+_LEAST = 0.01
 _INSTEAD = "fault_estimator and unknown_input_observer do not need it"
 
 
@@ -156,20 +162,57 @@ def inverse_form_observer(
     chosen = [plant.faults[i] for i in arrays.positions(faults, plant.faults, "fault")]
     plant = (plant.faults_as_disturbances(chosen) if chosen else plant).explicit()
     existence = _existence(plant, rtol)
+    assert isinstance(existence.decomposition, OrdinaryDecoupling)
+    even = existence.decomposition.even
+    S, Y = even.states[:, None], even.outputs
+    if K is not None:
+        K = matrix(K, "K", (plant.n_states, plant.n_outputs), what="states x outputs") / S / Y
+    if K is None and poles is None:
+        chosen_poles = _off_zero(observer_of(plant, existence, None, None, None, rtol).poles, plant.dt)
+    else:
+        chosen_poles = None if poles is None else np.asarray(np.atleast_1d(poles), dtype=complex)
+    made = _designed(even.plant, chosen_poles, K, first, rtol, asked=poles is not None)
+    return replace(
+        made,
+        observer=in_units_of_the_plant(made.observer, plant, even),
+        N_BO=S * made.N_BO / even.states,
+        N_BF=S * made.N_BF / even.states,
+        K=S * made.K * Y,
+    )
+
+
+def _designed(
+    plant: Plant,
+    poles: NDArray[np.complex128] | None,
+    K: NDArray | None,
+    first: Iterable[str | int] | str | None,
+    rtol: float,
+    *,
+    asked: bool,
+) -> InverseFormObserver:
+    """Return the observer of a plant in even units, whose unknown inputs are its disturbances."""
     A, C, F = plant.A, plant.C, plant.Bd
     AF = np.linalg.solve(A, F)
     rows = _first_rows(C @ F, C @ AF, plant, first, rtol)
     Pi, N_BO = _without_inputs(_inverse(A), AF, C[rows])
-    asked = np.zeros(0, dtype=complex)
-    if K is not None:
-        gain = matrix(K, "K", (plant.n_states, plant.n_outputs), what="states x outputs")
-    else:
-        wanted = observer_of(plant, existence, None, None, None, rtol).poles if poles is None else np.atleast_1d(poles)
-        gain, asked = _placed(N_BO, plant, np.asarray(wanted, dtype=complex), rtol)
-        asked = asked if poles is not None else np.zeros(0, dtype=complex)
+    gain, free = K, np.zeros(0, dtype=complex)
+    if gain is None:
+        assert poles is not None
+        gain, free = _placed(N_BO, plant, poles, rtol)
     N_BF = N_BO - gain @ C
-    observer = _observer(plant, N_BF, gain, Pi, rows, asked)
+    observer = _observer(plant, N_BF, gain, Pi, rows, free if asked else free[:0])
     return InverseFormObserver(observer, N_BO, N_BF, gain, tuple(plant.outputs[i] for i in rows))
+
+
+def _off_zero(poles: NDArray[np.complex128], dt: float) -> NDArray[np.complex128]:
+    """Return the poles of a sampled observer, those at zero, which have no inverse, a little apart from it instead."""
+    size = np.abs(poles)
+    near = size < _LEAST
+    if not dt or not near.any():
+        return poles
+    moved = poles.copy()
+    moved[near] = _LEAST * np.linspace(1.0, 2.0, int(near.sum()))
+    return moved
 
 
 def _existence(plant: Plant, rtol: float) -> UnknownInputExistence:

@@ -16,8 +16,8 @@ from residua.design.core.signals import sampled_filter, signal_names, stack_sign
 from residua.errors import DesignError
 from residua.linear import StateSpace
 from residua.linear.poles.matrix_poles import explicit_poles
-from residua.linear.systems.balancing import power_of_two, without_rounding
-from residua.linear.systems.response_terms import response_terms
+from residua.linear.systems.balancing import power_of_two, sum_without_rounding, without_rounding
+from residua.linear.systems.response_terms import in_even_units, response_terms
 from residua.plant import Plant
 from residua.plant.comparable_units import EvenPlant, even_plant
 from residua.tolerances import DESIGN_ROUNDING, TINY, above_rounding
@@ -100,9 +100,7 @@ class Observer:
     def _entrance(self) -> NDArray[np.float64]:
         """How controls and measurements enter, ``[T B - K D, K]``: of a control that is decoupled nothing is left."""
         p = self.plant
-        terms = np.abs(self.T) @ np.abs(p.Bu) + np.abs(self.K) @ np.abs(p.Du)
-        controls = above_rounding(self.G - self.K @ p.Du, terms)
-        return np.hstack([controls, self.K])
+        return np.hstack([sum_without_rounding((self.T, p.Bu), (-self.K, p.Du)), self.K])
 
     @property
     def A1(self) -> NDArray[np.float64]:
@@ -130,7 +128,8 @@ class Observer:
     def system(self) -> StateSpace:
         """The observer as a system from control inputs and outputs to the state estimate."""
         p = self.plant
-        direct = -self.H @ p.Du - (0.0 if self.J is None else self.J @ p.Bu)
+        J = np.zeros((p.n_states, p.n_states)) if self.J is None else self.J
+        direct = sum_without_rounding((-self.H, p.Du), (-J, p.Bu))
         return StateSpace(
             self.F,
             self._entrance,
@@ -170,23 +169,26 @@ class Observer:
         J = np.zeros((p.n_states, p.n_states)) if self.J is None else self.J
         V = np.zeros((len(self.W), p.n_states)) if self.V is None else self.V
         read = self.W @ p.C + V @ p.A
-        static = V - read @ J
         even = even_plant(p)  # what is rounding does not depend on the units of the plant
         R, S, Y = even.equations, even.states, even.outputs
         z = S if self.order == p.n_states else np.ones(self.order)
         through = _without_rounding(self.W / Y, -read * S, self.H / S[:, None] / Y) * Y
         states = _without_rounding(np.zeros((len(self.W), self.order)), -read * S, self.M / S[:, None] * z) / z
+        static = _without_rounding(V / R, -read * S, J / S[:, None] / R) * R
         terms = np.abs(self.W) + np.abs(read) @ np.abs(self.H)
         alive = _more_than(through / Y, terms / Y) | _path(static / R, read * S, J / S[:, None] / R)
         if not alive.any():
             raise DesignError(self._why_blind())
         keep = alive if self.V is not None else alive | self._copies(states, through)
+        # of a control that enters nothing rounding would be all that there is
+        sizes = terms @ np.abs(p.Du) + (np.abs(V) + np.abs(read) @ np.abs(J)) @ np.abs(p.Bu)
+        direct = above_rounding(-through @ p.Du - static @ p.Bu, sizes)[keep]
         through, states, static = through[keep], states[keep], static[keep]
         system = StateSpace(
             self.F,
             self._entrance,
             states,
-            np.hstack([-through @ p.Du - static @ p.Bu, through]),
+            np.hstack([direct, through]),
             dt=p.dt,
             inputs=signal_names(p),
             outputs=[name for name, kept in zip(self._residual_names(), keep, strict=True) if kept],
@@ -201,7 +203,7 @@ class Observer:
 
     def _copies(self, states: NDArray, through: NDArray) -> NDArray[np.bool_]:
         """Tell which rows of a residual hear the measurements by way of the state, as filtered copies of other rows."""
-        system = StateSpace(self.F, self.K, states, through, dt=self.plant.dt)
+        system = in_even_units(StateSpace(self.F, self.K, states, through, dt=self.plant.dt)).system
         w = frequency_grid(system, points=12)
         points = np.asarray(np.exp(1j * w * system.dt) if system.is_discrete else 1j * w, dtype=np.complex128)
         response = response_terms(system, points)

@@ -9,8 +9,14 @@ from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, DesignError
 from residua.linear.subspaces.observability import staircase
-from residua.linear.subspaces.rank import decide_rank, null_basis, range_basis
-from residua.linear.systems.descriptor import scaled_pencil
+from residua.linear.subspaces.rank import (
+    decide_rank,
+    null_basis,
+    range_basis,
+    without_noise,
+    without_rounded_gains,
+)
+from residua.linear.systems.units import pencil_units
 from residua.tolerances import IDENTITY, ROUNDING
 
 Matrix = NDArray[np.float64]
@@ -98,13 +104,14 @@ class _Problem:
 
 
 def _problem(R0: Matrix, S0: Matrix, n: int, rtol: float, bandwidth: float | None) -> _Problem:
-    p = scaled_pencil(R0, S0)
-    width = R0.shape[1]
-    Q, upper = np.linalg.qr(p.A, mode="complete")
+    u = pencil_units(R0, S0)  # of the entries alone: sweeps that even norms run away where parts lead one way only
+    R, S = u.rows[:, None] * R0 * u.columns, u.unit * u.rows[:, None] * S0 * u.columns
+    width = R.shape[1]
+    Q, upper = np.linalg.qr(R, mode="complete")
     inverse = np.linalg.solve(upper[:width], Q[:, :width].T)
-    inverse = inverse + (np.eye(width) - inverse @ p.A) @ inverse
-    beta = 1.0 if bandwidth is None else bandwidth / p.unit
-    return _Problem(p.A, p.E, inverse, Q[:, width:].T, p.rows, p.columns, p.unit, n, rtol, beta)
+    inverse = inverse + (np.eye(width) - inverse @ R) @ inverse
+    beta = 1.0 if bandwidth is None else bandwidth / u.unit
+    return _Problem(R, S, inverse, without_noise(Q[:, width:]).T, u.rows, u.columns, u.unit, n, rtol, beta)
 
 
 def _deadbeat(M: Matrix, H: Matrix, rtol: float, scale: float) -> tuple[Matrix, Matrix, list[int]] | None:
@@ -174,6 +181,8 @@ def _finished(p: _Problem, Z: Matrix, X: Matrix, levels: list[int]) -> PerfectGa
     """Return the gain of a choice of ``Z``, checked and in the units of the plant."""
     G = p.inverse + Z @ p.left
     G = G + (np.eye(len(G)) - G @ p.R) @ G
+    # an output that rounding reads would be all that there is of a state that nothing moves
+    G = without_rounded_gains(G)
     actual = G @ p.S
     # In these units states and equations are of the size of one, so that is what errors count against.
     kept, dropped = _triangular(actual, X, levels, max(1.0, float(np.linalg.norm(actual))))
@@ -278,7 +287,9 @@ def _attempt(p: _Problem, Q: Matrix, k: int, t: int, rng: np.random.Generator, a
     Z2 = strength * rng.standard_normal((c - k, count))
     if attempt % 2 and Ho.size:
         Z2 = Z2 - Qu.T @ p.M @ Qo @ np.linalg.pinv(Ho, rcond=p.rtol)
-    Z = Qo @ Z1 + Qu @ Z2
+    # what of the equations sees nothing, such as a dead sensor, changes nothing of N, and is not read
+    seen = range_basis(p.H, rtol=p.rtol)[0]
+    Z = (Qo @ Z1 + Qu @ Z2) @ seen @ seen.T
     # N = [N11 0; N21 N22] in the staircase coordinates: the observable group comes first.
     X = np.hstack([Qo @ first[1], Qu @ second[1]])
     return _finished(p, Z, X, [*first[2], *second[2]])

@@ -21,10 +21,10 @@ from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import StateSpace, WeierstrassForm, decide_rank, default_margin, invariant_zeros, weierstrass_form
 from residua.linear.norms.system_norms import h2_norm, hinf_norm
 from residua.linear.poles.spectrum import describe_modes
-from residua.linear.subspaces.rank import DEFAULT_RTOL, left_null_basis
-from residua.linear.systems.balancing import descriptor_units
+from residua.linear.subspaces.rank import DEFAULT_RTOL, left_null_basis, without_noise
+from residua.linear.systems.balancing import descriptor_units, without_rounding
 from residua.linear.systems.descriptor import scaled_pencil
-from residua.linear.systems.response_terms import response_terms
+from residua.linear.systems.response_terms import in_even_units, response_terms
 from residua.plant import Plant
 from residua.tolerances import RESPONSE_ROUNDING, SAME, above_rounding
 from residua.words import counted, used_up
@@ -574,15 +574,15 @@ def reduced_rows(o: PerfectObserver) -> NDArray[np.float64]:
     # Orthonormal rows first: rows of the caller's choice may be nearly parallel, or far apart in size.
     U, s, _ = np.linalg.svd(np.hstack(list(P)), full_matrices=False)
     kept = s > SAME * s.max(initial=0.0)  # a combination of rows that reads nothing, as of equal sensors, is none
-    U = U[:, kept] / s[kept]
-    left, P = U.T @ o.left, U.T @ P
+    U = without_noise(U[:, kept]) / s[kept]
+    left, P = without_rounding(U.T, o.left), U.T @ P
     rows = np.zeros((0, len(left)))
     for degree in range(len(P)):
         higher = np.hstack([np.zeros((len(left), 0)), *P[degree + 1 :]])
         free = left_null_basis(np.hstack([higher, rows.T]), rtol=1e-9, scale=1.0)[0]
         rows = np.vstack([rows, free.T])
     size = np.abs(rows @ P * units).max(axis=(0, 2), initial=0.0)
-    return rows @ left / size[:, None]
+    return without_rounding(rows, left) / size[:, None]
 
 
 def perfect_evidence(o: PerfectObserver, R: NDArray, rtol: float) -> Evidence:
@@ -639,9 +639,11 @@ def _estimate_off(o: PerfectObserver, system: StateSpace, limit: float = 1e-6) -
         return 0.0
     units = descriptor_units(driven.A, driven.E, driven.B, driven.C, driven.D).inputs
     points = np.exp(1j * np.array([0.2, 0.9, 2.3])) if p.dt else 1j * o.bandwidth * np.array([0.043, 0.21, 0.93])
-    states = driven.replaced(C=np.eye(n), D=np.zeros((n, m)), outputs=None)
-    reached = [response_terms(one, points) for one in (states, driven)]
-    X, P = (above_rounding(one.values, one.terms, RESPONSE_ROUNDING) for one in reached)
+    both = driven.replaced(C=np.vstack([np.eye(n), driven.C]), D=np.vstack([np.zeros((n, m)), driven.D]), outputs=None)
+    even = in_even_units(both)
+    found = response_terms(even.system, points)
+    reached = above_rounding(found.values, found.terms, RESPONSE_ROUNDING) / even.outputs[:, None] / even.inputs
+    X, P = reached[:, :n], reached[:, n:]
     Q = system.evaluate(points)
     product = Q[..., n_u:] @ P
     product[..., :n_u] += Q[..., :n_u]

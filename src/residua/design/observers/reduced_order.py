@@ -22,7 +22,7 @@ from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.far_gain import refuse_far_gain
 from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis, without_noise
-from residua.linear.systems.balancing import descriptor_units, without_rounding
+from residua.linear.systems.balancing import descriptor_units, sum_without_rounding, without_rounding
 from residua.plant import Plant
 from residua.plant.comparable_units import even_plant
 from residua.tolerances import IDENTITY, RESIDUE, ROUNDING, TINY, above_rounding
@@ -81,19 +81,20 @@ def _reduced(
     U, s, Vh = np.linalg.svd(Cs) if Cs.size else (np.eye(len(Cs)), np.zeros(0), np.eye(n))
     U, Vh = without_noise(U), without_noise(Vh)
     k = decide_rank(Cs, rtol=rtol).rank
-    inverse, Q = Vh[:k].T / s[:k] @ U[:, :k].T, Vh[k:].T
+    inverse, Q = without_rounding(Vh[:k].T / s[:k], U[:, :k].T), Vh[k:].T
     unknown = _full_rank_columns(Ds, R * (np.abs(plant.Bd) + np.abs(G) @ np.abs(plant.Dd)), rtol)
     X0, N = _particular(without_rounding(Es, Q), unknown, n - k, plant, rtol)
     placed = _placed(without_rounding(N, As, Q), without_rounding(X0, As, Q), poles, margin, plant, rtol)
     Xs = _without_noise(X0 - placed.gain @ N)
-    F = Xs @ As @ Q
+    F = without_rounding(Xs, As, Q)
     # back to the units of the plant: x = S xs, equations R
     T = Xs * u.equations
-    lift = (u.outputs * inverse) * S[:, None] @ free.T  # x = lift y + S Q w
-    L = Xs @ Es @ (u.outputs * inverse) @ free.T  # w = z - L y
+    reading = u.outputs * inverse
+    lift = S[:, None] * without_rounding(reading, free.T)  # x = lift y + S Q w
+    L = without_rounding(Xs, Es, reading, free.T)  # w = z - L y
     M = S[:, None] * Q
-    H = lift - M @ L
-    K = T @ A @ lift - F @ L + T @ G
+    H = sum_without_rounding((np.eye(n), lift), (-M, L))
+    K = sum_without_rounding((without_rounding(T, A), lift), (-F, L), (T, G))
     _check(plant, T, F, K, M, H, u.states, rtol)
     evidence = Evidence(
         method=method,

@@ -13,11 +13,11 @@ from residua.design.core.internal_form import frequency_grid
 from residua.design.observers.observer_gain import own_rate
 from residua.design.parity.relation_model import state_pencil
 from residua.errors import ModelError
-from residua.linear.polynomials.pencil_null_space import pencil, refined
+from residua.linear.polynomials.pencil_null_space import Pencil, pencil, refined
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.rank import left_null_basis
 from residua.plant import Plant
-from residua.tolerances import RESPONSE_ROUNDING, TINY
+from residua.tolerances import DESIGN_ROUNDING, RESIDUE, RESPONSE_ROUNDING, TINY
 
 #: Terms below this fraction of the largest, in balanced units, may be nothing but rounding.
 _TAKES_PART = 1e-6
@@ -59,8 +59,7 @@ class Relation:
         size = np.abs(np.hstack([self.p, self.q])).max(axis=0, initial=0.0)
         used = size > 0
         equations = state_pencil(plant, self.ignored, basis, canonical=True)
-        part = pencil(equations.P0[used], equations.P1[used], basis, canonical=True)
-        x[:, used] = refined(part, x[:, used])
+        x = _exact(equations, x, used)
         x[-1, :n] = _algebraic(x, plant)
         return replace(self, p=x[:, :n], q=x[:, n:], basis=basis)
 
@@ -68,13 +67,41 @@ class Relation:
         """Return how far the states are from dropping out, relative to the terms that have to cancel."""
         none = np.zeros((plant.n_states + plant.n_outputs, 0))
         equations = state_pencil(plant, none, self.basis, canonical=True)
-        x = np.hstack([self.p, self.q])
-        left = equations.products(x)
-        terms = replace(equations, P0=np.abs(equations.P0), P1=np.abs(equations.P1)).products(np.abs(x))
-        size = np.abs(terms).max(axis=0, initial=0.0) * equations.columns
-        # a state of which the terms are rounding of those of others does not take part
-        size = np.maximum(size, _TAKES_PART * size.max(initial=0.0))
-        return float(np.max(np.abs(left) * equations.columns / np.where(size > 0, size, 1.0), initial=0.0))
+        return _left(equations, np.hstack([self.p, self.q]))
+
+
+def _exact(equations: Pencil, x: NDArray[np.float64], used: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the null vector of the equations nearest to one, which reads nothing by what rounding leaves of nothing.
+
+    Of equations that hardly take part it is tried whether the others will do.
+    """
+
+    def nearest(used: NDArray[np.bool_]) -> NDArray[np.float64]:
+        out = np.zeros_like(x)
+        out[:, used] = refined(
+            pencil(equations.P0[used], equations.P1[used], equations.basis, canonical=True), x[:, used]
+        )
+        return out
+
+    found = nearest(used)
+    height = np.abs(found).max(axis=0, initial=0.0)
+    fewer = used & (height > DESIGN_ROUNDING * height.max(initial=0.0))
+    if np.array_equal(fewer, used):
+        return found
+    simpler = nearest(fewer)
+    near = np.abs(simpler - found).max(initial=0.0) <= 10 * DESIGN_ROUNDING * height.max(initial=0.0)
+    holds = _left(equations, simpler) <= max(2 * _left(equations, found), RESIDUE)
+    return simpler if near and holds else found
+
+
+def _left(equations: Pencil, x: NDArray[np.float64]) -> float:
+    """Return how far a null vector misses its equations, relative to the terms that have to cancel in each."""
+    left = np.abs(equations.products(x)).max(axis=0, initial=0.0) * equations.columns
+    sizes = replace(equations, P0=np.abs(equations.P0), P1=np.abs(equations.P1)).products(np.abs(x))
+    terms = np.abs(sizes).max(axis=0, initial=0.0) * equations.columns
+    # an equation of which the terms are rounding of those of others does not take part
+    terms = np.maximum(terms, _TAKES_PART * terms.max(initial=0.0))
+    return float(np.max(left / np.where(terms > 0, terms, 1.0), initial=0.0))
 
 
 def _algebraic(x: NDArray[np.float64], plant: Plant) -> NDArray[np.float64]:

@@ -85,6 +85,16 @@ def without_rounding(*factors: NDArray[np.float64]) -> NDArray[np.float64]:
     return above_rounding(product, terms.shape[1] * terms)
 
 
+def sum_without_rounding(*products: tuple[NDArray[np.float64], NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Return the sum of products of two matrices, exactly zero where it is nothing but the rounding of its terms."""
+    total = np.zeros((len(products[0][0]), products[0][1].shape[1]))
+    terms = total.copy()
+    for first, second in products:
+        total += first @ second
+        terms += np.abs(first) @ np.abs(second)
+    return above_rounding(total, terms)
+
+
 def evened(
     W: NDArray[np.float64],
     rows: NDArray[np.float64] | None = None,

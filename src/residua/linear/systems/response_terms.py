@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from residua.linear.systems.array_cache import Latest, entries
 from residua.linear.systems.resolvent import independent_parts, solutions, solver
@@ -209,11 +211,19 @@ def _split(x: NDArray) -> tuple[NDArray, NDArray]:
 
 
 def paths(system: StateSpace, B: Real, D: Real) -> NDArray[np.bool_]:
-    """Tell from which inputs a chain of couplings leads to which outputs; from all to all of a descriptor system."""
-    if system.E is not None:
-        return np.ones(D.shape, dtype=bool)
+    """Tell from which inputs a chain of couplings leads to which outputs.
+
+    Each state of a descriptor system follows from an equation of its own, matched to it: what the inverse of the pencil
+    may couple is what chains of these do. From all to all where there are too few equations for that.
+    """
     # Of truth values, which no BLAS multiplies: its kernel for small floats now and then raises a flag of its own.
     coupled, reached = system.A != 0, B != 0
+    if system.E is not None:
+        coupled |= system.E != 0
+        of_state = maximum_bipartite_matching(csr_array(coupled), perm_type="row")
+        if np.any(of_state < 0):
+            return np.ones(D.shape, dtype=bool)
+        coupled, reached = coupled[of_state], reached[of_state]
     for _ in range(system.n_states):
         more = reached | (coupled @ reached)
         if np.array_equal(more, reached):
