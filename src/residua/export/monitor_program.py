@@ -82,6 +82,8 @@ class MonitorProgram:
         Where the program differs from the monitor.
     specification : Specification
         What it does, missing values included.
+    residuals : tuple of str
+        The names of the residuals.
     """
 
     program: Program
@@ -95,6 +97,7 @@ class MonitorProgram:
     test: str
     notes: tuple[str, ...]
     specification: Specification
+    residuals: tuple[str, ...] = ()
 
 
 def monitor_program(
@@ -137,6 +140,7 @@ def monitor_program(
         type(monitor.test).__name__,
         notes,
         replace(spec, partial=None),
+        generator.residuals,
     )
 
 
