@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 import residua as rs
 from cli_examples import Residua
 
@@ -52,3 +54,17 @@ def test_units_are_written_with_what_is_inside_and_what_was_renamed(tmp_path: Pa
     assert status == 2
     assert "computes in double precision" in err
     assert not (tmp_path / "no").exists()
+
+
+def test_onnx_models_are_written_with_their_bound(tmp_path: Path, residua: Residua) -> None:
+    pytest.importorskip("onnx")
+    watch().save(tmp_path / "m.json")
+    command = ("export", tmp_path / "m.json", "--to", "onnx", "--hold", "-o")
+    status, out, err = residua(*command, tmp_path / "d" / "w.onnx", "--precision", "float")
+    assert status == 0, err
+    assert "w.onnx, residuals off by rounding: " in " ".join(out.split())
+    other = rs.export.to_onnx(watch(), tmp_path / "w.onnx", precision="float", missing="hold")
+    assert (tmp_path / "d" / "w.onnx").read_bytes() == other.path.read_bytes()
+    status, out, err = residua(*command, tmp_path / "d", "--name", "w")
+    assert status == 2
+    assert "--overwrite" in err

@@ -35,7 +35,7 @@ from residua.cli.recording_options import (
 from residua.decide.false_alarms import ENOUGH, within_tolerance
 from residua.demos import Outcome
 from residua.errors import AccuracyError, DataError, SettingError
-from residua.export import to_c, to_fmu, to_structured_text
+from residua.export import to_c, to_fmu, to_onnx, to_structured_text
 from residua.files import check_input
 from residua.monitor import Diagnosis, Monitor
 from residua.monitor.inputs import settling_reason
@@ -305,6 +305,7 @@ class Target(StrEnum):
     st = "st"
     fmu2 = "fmu2"
     fmu3 = "fmu3"
+    onnx = "onnx"
 
 
 class Precision(StrEnum):
@@ -319,11 +320,14 @@ def export(
     monitor: Annotated[Path, typer.Argument(metavar="MONITOR.json", help="What design or fit wrote.")],
     output: Annotated[
         Path,
-        typer.Option("--output", "-o", metavar="PATH", help="Folder, made if absent; or a file NAME.fmu."),
+        typer.Option("--output", "-o", metavar="PATH", help="Folder, made if absent; or NAME.fmu, NAME.onnx."),
     ],
     to: Annotated[
         Target,
-        typer.Option("--to", help="C99, Structured Text (IEC 61131-3), or a Functional Mock-up Unit (FMI 2.0 or 3.0)."),
+        typer.Option(
+            "--to",
+            help="C99, Structured Text (IEC 61131-3), a Functional Mock-up Unit (FMI 2 or 3), or ONNX.",
+        ),
     ] = Target.c,
     name: Annotated[
         str | None, typer.Option("--name", metavar="NAME", help="Of the files and of what is in them.")
@@ -347,6 +351,11 @@ def export(
         binary = f"with a binary for {unit.platform}" if unit.platform else f"without a binary: {unit.why}"
         renamed = [f"signal {old!r} is {new!r} in the unit" for old, new in unit.renamed.items()]
         screen.say(f"written: {unit.path}, {binary}", *renamed)
+        return
+    if to is Target.onnx:
+        model = to_onnx(watch, output, name=name, precision=precision.value, missing=missing, overwrite=overwrite)
+        most = "no bound can be said" if model.bound is None else f"{max(model.bound, default=0.0):.2g} at most"
+        screen.say(f"written: {model.path}, residuals off by rounding: {most}")
         return
     write = {Target.c: to_c, Target.st: to_structured_text}[to]
     made = write(watch, output, name=name, precision=precision.value, missing=missing, overwrite=overwrite)

@@ -14,6 +14,7 @@ from residua.export import step_texts as texts
 from residua.export.program import Kind, Program, Variable, program
 from residua.monitor import Monitor
 from residua.monitor.specification import Specification
+from residua.visible import echo
 
 #: Samples up to which counters count.
 _MOST = 2_000_000_000
@@ -56,6 +57,19 @@ class Precision:
 
 DOUBLE = Precision("double", float(np.finfo(float).max), 2.0**-500, 1e150, 1e120)
 FLOAT = Precision("float", float(np.finfo(np.float32).max), 2.0**-100, 1e18, 1e15)
+
+
+def precision_named(name: object) -> Precision:
+    """Return the numbers of a precision by its name.
+
+    Raises
+    ------
+    SettingError
+    """
+    for one in (DOUBLE, FLOAT):
+        if name == one.name:
+            return one
+    raise SettingError(f"precision must be 'double' or 'float', got {echo(name)}")
 
 
 @dataclass(frozen=True)
@@ -374,4 +388,12 @@ def _locals(size: dict[str, int]) -> list[Variable]:
     ]
 
 
-__all__ = ["DOUBLE", "FLOAT", "MonitorProgram", "Precision", "monitor_program"]
+__all__ = [
+    "DOUBLE",
+    "FLOAT",
+    "MonitorProgram",
+    "Precision",
+    "monitor_program",
+    "precision_named",
+    "specification_program",
+]
