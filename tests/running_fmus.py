@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib
+import re
 import shutil
 import tempfile
 from pathlib import Path
@@ -97,9 +98,11 @@ class RunningFMU:
     def columns(self) -> list[str]:
         """What :func:`export_examples.expected` leaves of a decision, by its name here."""
         outputs = [name for name, one in self.variables.items() if one.causality == "output"]
-        residuals = [name for name in outputs if name.startswith("residual_")]
-        scores = [name for name in outputs if name.startswith("score_")]
-        return [*residuals, "statistic", "known", "decided", "alarm", *(["best", *scores] if scores else [])]
+        order = ("residual_", "statistic", "known", "decided", "alarm", "best", "score_", "code_", "answer")
+        order = (*order, "part_statistic_", "fired_")
+        return [
+            name for kind in order for name in outputs if re.fullmatch(rf"{kind}\d+" if kind[-1] == "_" else kind, name)
+        ]
 
     def run(self, data: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return what the unit says after each sample."""

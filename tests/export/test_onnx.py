@@ -23,40 +23,10 @@ from residua.export.monitor_program import DOUBLE, FLOAT
 from residua.export.onnx import pack
 from residua.export.selftest import comparison
 from residua.monitor.running import initial_state, run_reference
+from running_models import RunningModel
 
 onnx = pytest.importorskip("onnx", reason="there is no onnx")
-runtime = pytest.importorskip("onnxruntime", reason="there is no ONNX Runtime")
-
-
-class RunningModel:
-    """A model in ONNX Runtime, with the state after the last block."""
-
-    def __init__(self, path: Path) -> None:
-        options = runtime.SessionOptions()
-        options.intra_op_num_threads = 1
-        self.session = runtime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-        self.types = {one.name: np.float64 if "double" in one.type else np.float32 for one in self.session.get_inputs()}
-        self.shapes = {one.name: one.shape for one in self.session.get_inputs()}
-        self.outputs = [one.name for one in self.session.get_outputs()]
-        self.reset()
-
-    def reset(self) -> None:
-        real = self.types["state"]
-        self.state = {
-            "state": np.zeros(self.shapes["state"], real), "counts": np.zeros(self.shapes["counts"], np.int64)
-        }  # fmt: skip
-
-    def run(self, data: np.ndarray) -> np.ndarray:
-        """Return what the model says of a block: as :func:`export_examples.expected` has it."""
-        inputs = self.shapes["u"][1] if "u" in self.shapes else 0
-        feed: dict[str, Any] = self.state | {"y": data[:, inputs:].astype(self.types["y"])}
-        if inputs:
-            feed["u"] = data[:, :inputs].astype(self.types["u"])
-        out = dict(zip(self.outputs, self.session.run(None, feed), strict=True))
-        self.state = {"state": out["next_state"], "counts": out["next_counts"]}
-        columns = [out["residual"], *(out[name][:, None] for name in ("statistic", "known", "decided", "alarm"))]
-        columns += [out["best"][:, None], out["score"]] if "best" in out else []
-        return np.hstack([one.astype(float) for one in columns])
+pytest.importorskip("onnxruntime", reason="there is no ONNX Runtime")
 
 
 def specified(seed: int) -> tuple[Any, np.random.Generator]:

@@ -219,6 +219,8 @@ def _model_header(made: MonitorProgram, variables: list[FMUVariable], prefix: st
         "CHANNELS": f"{len(made.inputs) + len(made.outputs)}U",
         "RESIDUALS": f"{made.program.names['residual'].size}U",
         "SCORES": f"{sum(one.name.startswith('score_') for one in variables)}U",
+        "PARTS": f"{len(made.parts)}U",
+        "CODED_PARTS": f"{len(made.parts) if 'code' in made.program.names else 0}U",
         "DT": repr(made.dt),
         "DT_TEXT": f'"{made.dt:g}"',
         "THRESHOLD": repr(threshold),

@@ -49,24 +49,7 @@ def fmu_variables(made: MonitorProgram) -> list[FMUVariable]:
     with control characters, an empty one.
     """
     named, cut = (*made.inputs, *made.outputs), len(made.inputs)
-    size = made.program.names["residual"].size or 0
-    groups = made.groups if "score" in made.program.names else ()
-    flags = _flags(bool(groups))
-    own = [
-        FMUVariable(
-            "statistic", "real", "output", "what is compared with the threshold; zero where nothing is decided"
-        ),
-        FMUVariable("threshold", "real", "local", "over which the statistic raises an alarm", start=_threshold(made)),
-        *(_residual(k, made.residuals) for k in range(size)),
-        *(
-            FMUVariable(f"score_{g + 1}", "real", "output", f"how well {' or '.join(group)} explains the residual")
-            for g, group in enumerate(groups)
-        ),
-        *flags,
-    ]
-    if groups:
-        words = "the score that explains the residual best, from 1 on; 0 for none"
-        own.append(FMUVariable("best", "count", "output", words))
+    own = [*_numbers(made), *_flags(made), *_counts(made)]
     names = names_in_unit(named, {"time", *(one.name for one in own)})
     signals = [
         FMUVariable(
@@ -79,28 +62,53 @@ def fmu_variables(made: MonitorProgram) -> list[FMUVariable]:
     return [FMUVariable("time", "real", "independent", "simulation time", "s"), *signals, *own]
 
 
-def _flags(named: bool) -> list[FMUVariable]:
-    hold = "take samples inside of a communication step with the inputs of its beginning, instead of refusing the step"
-    made = [
-        FMUVariable("known", "flag", "output", "whether there is a residual: no value is missing"),
-        FMUVariable("decided", "flag", "output", "not while the filter settles, and where the residual is not known"),
-        FMUVariable("alarm", "flag", "output", "whether an alarm stands"),
-        FMUVariable("hold_inputs", "flag", "parameter", hold, start=0.0),
+def _numbers(made: MonitorProgram) -> list[FMUVariable]:
+    """Return what is a number."""
+
+    def output(name: str, words: str) -> FMUVariable:
+        return FMUVariable(name, "real", "output", _printable(words))
+
+    groups = made.groups if "score" in made.program.names else ()
+    size = made.program.names["residual"].size or 0
+    residuals = [made.residuals[k] if k < len(made.residuals) else "" for k in range(size)]
+    threshold = float(made.judging.test.threshold)
+    return [
+        output("statistic", "what is compared with the threshold; zero where nothing is decided"),
+        FMUVariable("threshold", "real", "local", "over which the statistic raises an alarm", start=threshold),
+        *(output(f"residual_{k}", f"residual {one}; zero where it is not known") for k, one in enumerate(residuals, 1)),
+        *(output(f"score_{k}", f"how well {' or '.join(one)} fits") for k, one in enumerate(groups, 1)),
+        *(output(f"part_statistic_{k}", f"statistic of {one}") for k, one in enumerate(made.parts, 1)),
     ]
-    if named:
-        made.append(FMUVariable("scored", "flag", "output", "whether the scores say something: only in an alarm"))
-    return made
 
 
-def _residual(k: int, names: tuple[str, ...]) -> FMUVariable:
-    words = f"residual {names[k]}" if k < len(names) else "residual"
-    return FMUVariable(f"residual_{k + 1}", "real", "output", f"{words}; zero where it is not known")
+def _flags(made: MonitorProgram) -> list[FMUVariable]:
+    """Return what holds or does not."""
+
+    def output(name: str, words: str) -> FMUVariable:
+        return FMUVariable(name, "flag", "output", _printable(words))
+
+    hold = "take samples inside of a communication step with the inputs of its beginning, instead of refusing the step"
+    names, parts = made.program.names, list(enumerate(made.parts, 1))
+    return [
+        output("known", "whether there is a residual: no value is missing"),
+        output("decided", "not while the filter settles, and where the residual is not known"),
+        output("alarm", "whether an alarm stands"),
+        FMUVariable("hold_inputs", "flag", "parameter", hold, start=0.0),
+        *(output(f"fired_{k}", f"whether {one} is in alarm") for k, one in parts),
+        *(output(f"code_{k}", f"whether {one} counts as fired") for k, one in parts if "code" in names),
+        *([output("scored", "whether the scores say something: only in an alarm")] if "score" in names else []),
+    ]
 
 
-def _threshold(made: MonitorProgram) -> float:
-    test = made.specification.test.compiled
-    assert test is not None  # what has no such form is no program
-    return float(test.threshold)
+def _counts(made: MonitorProgram) -> list[FMUVariable]:
+    """Return what is a whole number."""
+    best = FMUVariable("best", "count", "output", "the score of the fault that is named, from 1 on; 0 for none")
+    answer = FMUVariable(
+        "answer", "count", "output",
+        "what the code says: 0 none, 1 exact, 2 several, 3 degraded, 4 nearest, 5 unknown",
+    )  # fmt: skip
+    names = made.program.names
+    return [*([best] if "score" in names else []), *([answer] if "answer" in names else [])]
 
 
 def names_in_unit(names: Iterable[str], taken: set[str]) -> list[str]:

@@ -25,7 +25,10 @@ from residua.monitor import Monitor
 #: What is written: versions that runtimes have had since 2022.
 _OPSET, _IR = 17, 8
 #: Values of a sample, by what they are in the model.
-_OUTPUTS = ("residual", "statistic", "known", "decided", "alarm", "scored", "score", "best")
+_OUTPUTS = (
+    "residual", "statistic", "known", "decided", "alarm", "scored", "score", "best", "part_statistic", "fired", "code",
+    "answer",
+)  # fmt: skip
 _SUFFIX = ".onnx"
 #: Samples of the comparison that the model is checked with.
 _CHECKED = 100
@@ -240,8 +243,6 @@ def _model(
 
 def _properties(made: MonitorProgram, bound: NDArray[np.float64] | None, within: NDArray[np.float64]) -> dict[str, str]:
     """Return what the model says of itself."""
-    test = made.specification.test.compiled
-    assert test is not None
     words = [*made.notes, "It comes without a certificate."]
     return {
         "inputs": json.dumps(made.inputs),
@@ -249,8 +250,9 @@ def _properties(made: MonitorProgram, bound: NDArray[np.float64] | None, within:
         "units": json.dumps(made.units),
         "residuals": json.dumps(made.residuals),
         "groups": json.dumps(made.groups),
+        "parts": json.dumps(made.parts),
         "dt": repr(made.dt),
-        "threshold": repr(float(test.threshold)),
+        "threshold": repr(float(made.judging.test.threshold)),
         "bound": json.dumps(None if bound is None else bound.tolist()),
         "within": json.dumps(within.tolist()),
         "notes": " ".join(words),

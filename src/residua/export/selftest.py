@@ -88,12 +88,9 @@ def comparison(made: MonitorProgram) -> Comparison:
 def _size_of_signals(made: MonitorProgram) -> NDArray[np.float64]:
     """Return deviations of the channels that move the residual to its threshold, about."""
     spec = made.specification
-    test = spec.test.compiled
-    assert test is not None
     moved = np.abs(spec.D) + np.abs(spec.C @ spec.start)
-    white = np.abs(test.whitening.T) @ moved
-    size = np.linalg.norm(white, axis=0)
-    return _SIZES * test.threshold / np.where(size > 0, size, 1.0) / np.sqrt(max(1, spec.B.shape[1]))
+    size = np.linalg.norm(np.abs(made.judging.per_threshold.T) @ moved, axis=0)
+    return _SIZES / np.where(size > 0, size, 1.0) / np.sqrt(max(1, spec.B.shape[1]))
 
 
 def rounding_bound(spec: Specification, sizes: NDArray[np.float64], rounding: float = _UNIT) -> NDArray[np.float64]:

@@ -82,8 +82,12 @@ bool PREFIX_fmu_get_real(const PREFIX_memory *memory, uint32_t reference, double
     } else if (reference < PREFIX_FIRST_SCORE) {
         *value = memory->decision.residual[reference - PREFIX_FIRST_RESIDUAL];
 #if PREFIX_SCORES > 0
-    } else if (reference < PREFIX_FIRST_FLAG) {
+    } else if (reference < PREFIX_FIRST_PART) {
         *value = memory->decision.score[reference - PREFIX_FIRST_SCORE];
+#endif
+#if PREFIX_PARTS > 0
+    } else if (reference < PREFIX_FIRST_FLAG) {
+        *value = memory->decision.part_statistic[reference - PREFIX_FIRST_PART];
 #endif
     } else {
         there = false;
@@ -102,6 +106,14 @@ bool PREFIX_fmu_get_flag(const PREFIX_memory *memory, uint32_t reference, bool *
         *value = memory->decision.alarm;
     } else if (reference == PREFIX_HOLD_INPUTS) {
         *value = memory->hold_inputs;
+#if PREFIX_PARTS > 0
+    } else if ((reference >= PREFIX_FIRST_FIRED) && (reference < PREFIX_FIRST_CODE)) {
+        *value = memory->decision.fired[reference - PREFIX_FIRST_FIRED];
+#endif
+#if PREFIX_CODED_PARTS > 0
+    } else if ((reference >= PREFIX_FIRST_CODE) && (reference < PREFIX_SCORED)) {
+        *value = memory->decision.code[reference - PREFIX_FIRST_CODE];
+#endif
 #if PREFIX_SCORES > 0
     } else if (reference == PREFIX_SCORED) {
         *value = memory->decision.scored;
@@ -120,6 +132,12 @@ bool PREFIX_fmu_get_count(const PREFIX_memory *memory, uint32_t reference, int32
         *value = memory->decision.best;
         there = true;
     }
+#if PREFIX_CODED_PARTS > 0
+    if (reference == PREFIX_ANSWER) {
+        *value = memory->decision.answer;
+        there = true;
+    }
+#endif
 #else
     (void)memory;
     (void)reference;
