@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import doctest
 import os
 import re
 import shutil
@@ -354,13 +355,14 @@ def test_a_monitor_from_a_file_gives_the_same_bytes(version: str, tmp_path: Path
 
 @needs_compiler
 @pytest.mark.skipif(shutil.which("make") is None, reason="there is no make")
-def test_the_sources_alone_build_the_same_unit(tmp_path: Path) -> None:
+@both
+def test_the_sources_alone_build_the_same_unit(version: str, tmp_path: Path) -> None:
     """As an importer does it: by FMPy, with its own headers."""
     from fmpy import extract
     from fmpy.build import build_platform_binary
 
     data = samples(60)
-    made = rs.export.to_fmu(watch(), tmp_path / "w.fmu", missing="hold", binary=False)
+    made = rs.export.to_fmu(watch(), tmp_path / "w.fmu", version=version, missing="hold", binary=False)
     assert made.platform is None
     assert problems(made.path) == []
     extract(str(made.path), str(tmp_path / "out"))
@@ -546,3 +548,27 @@ def test_files_that_are_there_are_not_overwritten_unless_asked(tmp_path: Path) -
     (tmp_path / "folder.fmu").mkdir()
     with pytest.raises(DataError, match="is a folder: name a file"):
         rs.export.to_fmu(watch(), tmp_path / "folder.fmu", missing="hold", binary=False)
+
+
+@needs_compiler
+def test_the_commands_of_the_page_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """``docs/fmu.rst``: its Python leaves what its commands read, and both come to the same answers."""
+    page = Path(__file__).parent.parent.parent / "docs" / "fmu.rst"
+    monkeypatch.chdir(tmp_path)
+    failed, tried = doctest.testfile(str(page), module_relative=False, optionflags=doctest.ELLIPSIS)
+    assert tried
+    assert not failed
+    commands = re.findall(r"^   \$ (.+)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    assert [one.split()[:2] for one in commands] == [["residua", "export"], ["fmpy", "validate"], ["fmpy", "simulate"]]
+    for one in commands:
+        program, *arguments = one.split()
+        module = {"residua": "residua", "fmpy": "fmpy"}[program]
+        done = subprocess.run([sys.executable, "-m", module, *arguments], capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
+    answers = np.genfromtxt(tmp_path / "answers.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    data = np.genfromtxt(tmp_path / "day.csv", delimiter=",", skip_header=1)[:, 1:]
+    monitor = rs.Monitor.load(tmp_path / "monitor.json")
+    decisions = [monitor.step(one[:2], one[2:]) for one in data]
+    assert len(answers) == len(decisions) + 1
+    assert np.array_equal(answers["alarm"][1:].astype(bool), [one.alarm for one in decisions])
+    assert np.allclose(answers["statistic"][1:], [one.statistic if one.decided else 0.0 for one in decisions])
