@@ -39,8 +39,9 @@ def to_c(
     Parameters
     ----------
     monitor : Monitor
-        With a threshold. Tests: :class:`residua.decide.NormThreshold` of the residual as a whole, ``CUSUM``, ``EWMA``,
-        ``ChiSquared``, ``GLR``. Isolation: :class:`residua.decide.Directional` or none.
+        With a threshold. Tests: :class:`residua.decide.NormThreshold` of the residual as a whole, of the members of a
+        bank, or of groups, ``PeakThreshold``, ``CUSUM``, ``EWMA``, ``ChiSquared``, ``GLR``. Isolation:
+        :class:`residua.decide.Directional`, :class:`residua.decide.Structured` for banks, or none.
     folder : path
         Where the files are to be.
     name : str, optional

@@ -31,7 +31,7 @@ _OUTPUTS = (
 )  # fmt: skip
 _SUFFIX = ".onnx"
 #: Samples of the comparison that the model is checked with.
-_CHECKED = 100
+_CHECKED = 50
 
 
 class ONNXModel(NamedTuple):
@@ -79,7 +79,7 @@ def to_onnx(
 
     with u = 2^-53 in double and 2^-24 in single precision (a runtime may add in any order, so that bits are not
     promised). Both stand in the model's properties. Before it is written the model is checked by ``onnx.checker``, and
-    by the evaluator of the ``onnx`` package on 100 samples.
+    by the evaluator of the ``onnx`` package on 50 samples.
 
     Parameters
     ----------
@@ -191,13 +191,16 @@ def _check(onnx: Any, model: Any, made: MonitorProgram, one: Comparison, bound: 
         given = dict(zip(evaluator.output_names, evaluator.run(None, feed), strict=True))
     decided = one.decided[:_CHECKED]
     off = np.abs(given["residual"].astype(float) - one.residuals[:_CHECKED])[decided]
-    wrong = int(np.count_nonzero(given["known"] != one.known[:_CHECKED]))
+    exact = {"known": one.known, "decided": one.decided}
+    if made.precision.name == "double":  # in single precision a statistic near its threshold may fall to the other side
+        exact["alarm"] = one.alarm
+    wrong = sum(int(np.count_nonzero(given[name] != right[:_CHECKED])) for name, right in exact.items())
     if wrong or (bound is not None and bool((off > bound).any())):
         promised = np.nan if bound is None else np.max(bound, initial=0.0)
         raise AccuracyError(
             f"the ONNX model does not answer as the monitor: residuals are off by up to {off.max(initial=0.0):.2g} "
-            f"where {promised:.2g} is promised, and {wrong} of {_CHECKED} samples are known to one of them only; "
-            "please report this, with the monitor"
+            f"where {promised:.2g} is promised, and {wrong} answers of {_CHECKED} samples are others; please report "
+            "this, with the monitor"
         )
 
 
