@@ -75,7 +75,10 @@ def test_every_target_has_the_answers_of_a_demo(name: str, tmp_path: Path) -> No
     model = rs.export.to_onnx(monitor, tmp_path / "w.onnx", missing="hold")
     got, residuals = RunningModel(model.path).run(data), len(made.residuals)
     assert np.array_equal(got[:, residuals + 1 : residuals + 4], right[:, residuals + 1 : residuals + 4])
-    assert np.allclose(got, right, rtol=1e-9, atol=1e-12)
+    assert model.bound is not None
+    larger = np.max(np.abs(data - spec.offset).max(axis=0) / model.within, initial=1.0)  # than what the bound is for
+    decided = right[:, residuals + 2] > 0
+    assert (np.abs(got - right)[decided, :residuals] <= larger * model.bound).all()
     block = FunctionBlock(function_block(made, "watch"))
     for one, row in zip(data[:120], right, strict=False):
         out = block.step(one[:n_u], one[n_u:])
