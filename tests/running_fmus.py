@@ -54,6 +54,8 @@ class RunningFMU:
             modelIdentifier=about.coSimulation.modelIdentifier,
         )  # fmt: skip
         self.fmu = made
+        self._input_references = [self.reference(name) for name in self.inputs]
+        self._places: dict[tuple[str, ...], list[Any]] = {}
         made.instantiate()
         self.setup(start, hold)
 
@@ -74,7 +76,7 @@ class RunningFMU:
 
     def set(self, values: NDArray[np.float64]) -> None:
         """Set all inputs."""
-        references = [self.reference(name) for name in self.inputs]
+        references = self._input_references
         (self.fmu.setReal if self.version == "2.0" else self.fmu.setFloat64)(references, list(map(float, values)))
 
     def go(self, size: float | None = None) -> None:
@@ -85,14 +87,23 @@ class RunningFMU:
 
     def get(self, *names: str) -> list[float]:
         """Return outputs as numbers."""
-        out = []
-        for name in names:
-            function, kind = _KINDS[self.version][_OF_TYPE[self.variables[name].type]]
-            references, values = (ctypes.c_uint32 * 1)(self.reference(name)), (kind * 1)()
-            more = () if self.version == "2.0" else (1,)
-            getattr(self.fmu, function)(self.fmu.component, references, 1, values, *more)
-            out.append(float(values[0]))
+        if names not in self._places:
+            self._places[names] = [self._block(names, kind) for kind in ("real", "flag", "count")]
+        out = [0.0] * len(names)
+        for function, places, references, values, more in self._places[names]:
+            if places:
+                function(self.fmu.component, references, len(places), values, *more)
+                for place, value in zip(places, values, strict=True):
+                    out[place] = float(value)
         return out
+
+    def _block(self, names: tuple[str, ...], wanted: str) -> tuple[Any, ...]:
+        """Return how the variables of a kind are asked for, all at once."""
+        function, kind = _KINDS[self.version][wanted]
+        places = [k for k, name in enumerate(names) if _OF_TYPE[self.variables[name].type] == wanted]
+        references = (ctypes.c_uint32 * len(places))(*(self.reference(names[k]) for k in places))
+        more = () if self.version == "2.0" else (len(places),)
+        return getattr(self.fmu, function), places, references, (kind * len(places))(), more
 
     @property
     def columns(self) -> list[str]:
