@@ -24,24 +24,27 @@ void run(long samples, const REAL *u, const REAL *y, int inputs, int outputs, do
     static mon_state state;
     static mon_decision d;
     long k;
-    int j;
     mon_init(&state);
     for (k = 0; k < samples; k++) {
         mon_step(&state, u + k * inputs, y + k * outputs, &d);
-        for (j = 0; j < RESIDUALS; j++)
-            out[k * width + j] = (double)d.residual[j];
-        out[k * width + RESIDUALS] = (double)d.statistic;
-        out[k * width + RESIDUALS + 1] = d.known;
-        out[k * width + RESIDUALS + 2] = d.decided;
-        out[k * width + RESIDUALS + 3] = d.alarm;
-        SCORES
+        COLUMNS
     }
 }
 """
-_SCORES = """out[k * width + RESIDUALS + 4] = d.best;
-        for (j = 0; j < MON_GROUPS; j++)
-            out[k * width + RESIDUALS + 5 + j] = (double)d.score[j];
-"""
+#: What a decision leaves, in this order.
+_ORDER = (
+    "residual",
+    "statistic",
+    "known",
+    "decided",
+    "alarm",
+    "best",
+    "score",
+    "code",
+    "answer",
+    "part_statistic",
+    "fired",
+)
 
 
 class CompiledExport:
@@ -49,18 +52,22 @@ class CompiledExport:
 
     def __init__(self, made: MonitorProgram, folder: Path, *flags: str) -> None:
         real = made.precision.name
-        outputs = made.program.names
-        residuals = outputs["residual"].size or 0
-        named = "score" in outputs
+        names = made.program.names
+        kept = [names[name] for name in _ORDER if name in names]
+        lines, self._width = [], 0
+        for one in kept:
+            for j in range(1 if one.size is None else one.size):
+                place = "" if one.size is None else f"[{j}]"
+                lines.append(f"out[k * width + {self._width}] = (double)d.{one.name}{place};")
+                self._width += 1
         (folder / "mon.h").write_text(header(made, "mon"), encoding="utf-8")
         (folder / "mon.c").write_text(code(made, "mon"), encoding="utf-8")
-        text = _RUN.replace("SCORES", _SCORES if named else "").replace("REAL", real)
-        (folder / "run.c").write_text(text.replace("RESIDUALS", str(residuals)), encoding="utf-8")
+        text = _RUN.replace("COLUMNS", "\n        ".join(lines)).replace("REAL", real)
+        (folder / "run.c").write_text(text, encoding="utf-8")
         command = ["gcc", *STRICT, *flags, "mon.c", "run.c", "-o", "mon.so", "-lm"]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
         self._kind = np.float64 if real == "double" else np.float32
-        self._width = residuals + 4 + (1 + len(made.groups) if named else 0)
         self._library = ctypes.CDLL(str(folder / "mon.so"))
 
     def run(self, u: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -7,8 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from effort import cases
+from export_banks import bank_monitor
 from export_examples import expected, exported
 from fused_examples import ISOLATIONS, TESTS, recording, specification
+from residua.export.monitor_program import FLOAT, monitor_program
 from residua.export.structured_text import function_block
 from residua.monitor.running import initial_state, run_reference
 from structured_text import FunctionBlock
@@ -29,3 +32,31 @@ def test_it_has_the_bits_of_the_monitor(test: str) -> None:
         named = [out["best"], *out["score"]] if "score" in out else []
         rows.append([*out["residual"], out["statistic"], out["known"], out["decided"], out["alarm"], *named])
     assert np.array_equal(np.array(rows, dtype=float), expected(spec, decisions))
+
+
+def parsed(text: str) -> str:
+    """Return what a parser of the standard's third edition says against a text; nothing if it parses."""
+    blark = pytest.importorskip("blark.parse", reason="there is no blark")
+    result = blark.parse_source_code(text)
+    if result.exception is None:
+        result.transform()
+    return "" if result.exception is None else str(result.exception)
+
+
+@pytest.mark.parametrize(
+    "kind", cases(["small", *TESTS, *(f"bank: {kind}" for kind in ("bank", "dedicated", "groups, by direction"))], 1)
+)
+def test_another_parser_takes_it(kind: str) -> None:
+    if kind == "small":
+        made = exported(specification("norm", "none", 0, 1, "kalman"), 0)
+    elif kind.startswith("bank"):
+        made = monitor_program(bank_monitor(kind.removeprefix("bank: "), 3, 5, 1), missing="hold")
+    else:
+        made = exported(replace(specification(kind, "short", 2, 2, "kalman"), partial=None), 2, FLOAT)
+    assert parsed(function_block(made, "watch")) == ""
+
+
+def test_the_other_parser_notices_what_is_wrong() -> None:
+    text = "FUNCTION_BLOCK x\nVAR\n    a : LREAL;\nEND_VAR\na := := 3;\nEND_FUNCTION_BLOCK\n"
+    assert parsed(text.replace(":= :=", ":=")) == ""
+    assert "No terminal matches" in parsed(text)

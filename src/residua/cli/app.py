@@ -34,8 +34,8 @@ from residua.cli.recording_options import (
 )
 from residua.decide.false_alarms import ENOUGH, within_tolerance
 from residua.demos import Outcome
-from residua.errors import AccuracyError, DataError
-from residua.export import to_c, to_structured_text
+from residua.errors import AccuracyError, DataError, SettingError
+from residua.export import to_c, to_fmu, to_onnx, to_structured_text
 from residua.files import check_input
 from residua.monitor import Diagnosis, Monitor
 from residua.monitor.inputs import settling_reason
@@ -303,6 +303,9 @@ class Target(StrEnum):
 
     c = "c"
     st = "st"
+    fmu2 = "fmu2"
+    fmu3 = "fmu3"
+    onnx = "onnx"
 
 
 class Precision(StrEnum):
@@ -315,10 +318,17 @@ class Precision(StrEnum):
 @app.command()
 def export(
     monitor: Annotated[Path, typer.Argument(metavar="MONITOR.json", help="What design or fit wrote.")],
-    folder: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the files; made if absent.")
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", metavar="PATH", help="Folder, made if absent; or NAME.fmu, NAME.onnx."),
     ],
-    to: Annotated[Target, typer.Option("--to", help="C99, or Structured Text (IEC 61131-3).")] = Target.c,
+    to: Annotated[
+        Target,
+        typer.Option(
+            "--to",
+            help="C99, Structured Text (IEC 61131-3), a Functional Mock-up Unit (FMI 2 or 3), or ONNX.",
+        ),
+    ] = Target.c,
     name: Annotated[
         str | None, typer.Option("--name", metavar="NAME", help="Of the files and of what is in them.")
     ] = None,
@@ -331,15 +341,24 @@ def export(
 ) -> None:
     """Write a monitor as code: for a controller, an embedded computer, a simulation."""
     check_input(monitor, "a monitor")
+    missing = "hold" if hold else "as monitored"
+    watch = Monitor.load(monitor)
+    if to in (Target.fmu2, Target.fmu3):
+        if precision is not Precision.double:
+            raise SettingError("a Functional Mock-up Unit computes in double precision: leave --precision out")
+        version = "2.0" if to is Target.fmu2 else "3.0"
+        unit = to_fmu(watch, output, version=version, name=name, missing=missing, overwrite=overwrite)
+        binary = f"with a binary for {unit.platform}" if unit.platform else f"without a binary: {unit.why}"
+        renamed = [f"signal {old!r} is {new!r} in the unit" for old, new in unit.renamed.items()]
+        screen.say(f"written: {unit.path}, {binary}", *renamed)
+        return
+    if to is Target.onnx:
+        model = to_onnx(watch, output, name=name, precision=precision.value, missing=missing, overwrite=overwrite)
+        most = "no bound can be said" if model.bound is None else f"{max(model.bound, default=0.0):.2g} at most"
+        screen.say(f"written: {model.path}, residuals off by rounding: {most}")
+        return
     write = {Target.c: to_c, Target.st: to_structured_text}[to]
-    made = write(
-        Monitor.load(monitor),
-        folder,
-        name=name,
-        precision=precision.value,
-        missing="hold" if hold else "as monitored",
-        overwrite=overwrite,
-    )
+    made = write(watch, output, name=name, precision=precision.value, missing=missing, overwrite=overwrite)
     screen.say(*(f"written: {path}" for path in sorted(made.iterdir())))
 
 

@@ -1,5 +1,7 @@
-"""Monitors as code for other machines: C99, Functional Mock-up Units, IEC 61131-3 Structured Text."""
+"""Monitors as code for other machines: C99, Functional Mock-up Units, ONNX, IEC 61131-3 Structured Text."""
 
 from residua.export.code_folder import to_c, to_structured_text
+from residua.export.fmu import FMU, to_fmu
+from residua.export.onnx import ONNXModel, to_onnx
 
-__all__ = ["to_c", "to_structured_text"]
+__all__ = ["FMU", "ONNXModel", "to_c", "to_fmu", "to_onnx", "to_structured_text"]

@@ -149,6 +149,7 @@ def _signals(made: MonitorProgram) -> list[str]:
         *(f"u[{k}]  {row}" for k, row in enumerate(rows[:cut])),
         *(f"y[{k}]  {row}" for k, row in enumerate(rows[cut:])),
         *(f"score[{g}]  {comment_text(' or '.join(group))}" for g, group in enumerate(made.groups)),
+        *(f"fired[{m}]  {comment_text(name)}" for m, name in enumerate(made.parts)),
     ]
     return ["/*", *(f" * {line}" for line in lines), " */"]
 

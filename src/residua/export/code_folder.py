@@ -7,17 +7,14 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from residua.errors import DataError, SettingError
+from residua.errors import DataError
 from residua.export.c99 import code, header
 from residua.export.identifiers import checked_identifier, identifier
-from residua.export.monitor_program import DOUBLE, FLOAT, MonitorProgram, Precision, monitor_program
+from residua.export.monitor_program import MonitorProgram, monitor_program, precision_named
 from residua.export.selftest import comparison, of_rounding, selftest
 from residua.export.structured_text import function_block
 from residua.files import replacing
 from residua.monitor import Monitor
-from residua.visible import echo
-
-_PRECISIONS = {"double": DOUBLE, "float": FLOAT}
 
 
 def to_c(
@@ -42,8 +39,9 @@ def to_c(
     Parameters
     ----------
     monitor : Monitor
-        With a threshold. Tests: :class:`residua.decide.NormThreshold` of the residual as a whole, ``CUSUM``, ``EWMA``,
-        ``ChiSquared``, ``GLR``. Isolation: :class:`residua.decide.Directional` or none.
+        With a threshold. Tests: :class:`residua.decide.NormThreshold` of the residual as a whole, of the members of a
+        bank, or of groups, ``PeakThreshold``, ``CUSUM``, ``EWMA``, ``ChiSquared``, ``GLR``. Isolation:
+        :class:`residua.decide.Directional`, :class:`residua.decide.Structured` for banks, or none.
     folder : path
         Where the files are to be.
     name : str, optional
@@ -88,7 +86,7 @@ def to_c(
     >>> sorted(path.name for path in folder.iterdir())
     ['Makefile', 'selftest.c', 'tank.c', 'tank.h']
     """
-    made = monitor_program(monitor, precision=_precision(precision), missing=missing)
+    made = monitor_program(monitor, precision=precision_named(precision), missing=missing)
     prefix, one = _name(made, name), comparison(made)
     made = replace(made, notes=(*made.notes, *of_rounding(made, one)))
     return _written(
@@ -152,7 +150,7 @@ def to_structured_text(
     >>> (folder / "tank.st").read_text().splitlines()[-1]
     'END_FUNCTION_BLOCK'
     """
-    made = monitor_program(monitor, precision=_precision(precision), missing=missing)
+    made = monitor_program(monitor, precision=precision_named(precision), missing=missing)
     prefix = _name(made, name)
     return _written(folder, {f"{prefix}.st": function_block(made, prefix)}, overwrite=overwrite)
 
@@ -176,13 +174,6 @@ clean:
 
 .PHONY: test clean
 """
-
-
-def _precision(precision: object) -> Precision:
-    """Return the numbers of a precision by its name."""
-    if not isinstance(precision, str) or precision not in _PRECISIONS:
-        raise SettingError(f"precision must be {' or '.join(map(repr, _PRECISIONS))}, got {echo(precision)}")
-    return _PRECISIONS[precision]
 
 
 def _name(made: MonitorProgram, name: str | None) -> str:

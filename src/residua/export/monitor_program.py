@@ -11,9 +11,12 @@ from numpy.typing import NDArray
 from residua.decide.compiled import CompiledIsolation, CompiledTest
 from residua.errors import ModelError, SettingError
 from residua.export import step_texts as texts
+from residua.export.judging import OF_PARTS, Judging, judging_of
+from residua.export.part_program import part_sections, part_sizes, part_variables
 from residua.export.program import Kind, Program, Variable, program
 from residua.monitor import Monitor
 from residua.monitor.specification import Specification
+from residua.visible import echo
 
 #: Samples up to which counters count.
 _MOST = 2_000_000_000
@@ -58,6 +61,19 @@ DOUBLE = Precision("double", float(np.finfo(float).max), 2.0**-500, 1e150, 1e120
 FLOAT = Precision("float", float(np.finfo(np.float32).max), 2.0**-100, 1e18, 1e15)
 
 
+def precision_named(name: object) -> Precision:
+    """Return the numbers of a precision by its name.
+
+    Raises
+    ------
+    SettingError
+    """
+    for one in (DOUBLE, FLOAT):
+        if name == one.name:
+            return one
+    raise SettingError(f"precision must be 'double' or 'float', got {echo(name)}")
+
+
 @dataclass(frozen=True)
 class MonitorProgram:
     """A monitor that can be written for another machine.
@@ -82,6 +98,10 @@ class MonitorProgram:
         Where the program differs from the monitor.
     specification : Specification
         What it does, missing values included.
+    residuals : tuple of str
+        The names of the residuals.
+    parts : tuple of str
+        The names of what is tested by itself.
     """
 
     program: Program
@@ -95,6 +115,13 @@ class MonitorProgram:
     test: str
     notes: tuple[str, ...]
     specification: Specification
+    residuals: tuple[str, ...] = ()
+    parts: tuple[str, ...] = ()
+
+    @property
+    def judging(self) -> Judging:
+        """Test and isolation."""
+        return judging_of(self.specification)
 
 
 def monitor_program(
@@ -123,7 +150,8 @@ def monitor_program(
         raise SettingError(f"missing must be 'as monitored' or 'hold', got {missing!r}")
     spec, generator = monitor._specification(), monitor.generator
     notes = _check_filter(spec, missing)
-    plant = generator.plant
+    plant, judging = generator.plant, judging_of(spec)
+    parts = judging.parts
     made = specification_program(spec, len(plant.inputs), precision)
     return MonitorProgram(
         made,
@@ -132,19 +160,21 @@ def monitor_program(
         plant.inputs,
         plant.outputs,
         tuple(plant.units.get(name, "") for name in (*plant.inputs, *plant.outputs)),
-        spec.isolation.groups,
+        spec.isolation.groups if judging.codes is None else tuple((label,) for label in judging.codes.labels),
         float(generator.dt),
         type(monitor.test).__name__,
         notes,
         replace(spec, partial=None),
+        generator.residuals,
+        () if parts is None else parts.names,
     )
 
 
 def specification_program(spec: Specification, inputs: int, precision: Precision) -> Program:
     """Return what runs as a program; so many of its channels are inputs."""
-    test, naming = _compiled(spec)
-    sizes = _sizes(spec, test, naming, inputs)
-    return program(_sections(test, naming), sizes, _variables(spec, test, naming, sizes, precision))
+    judging = judging_of(spec)
+    sizes = _sizes(spec, judging, inputs)
+    return program(_sections(judging), sizes, _variables(spec, judging, sizes, precision))
 
 
 def _check_filter(spec: Specification, missing: str) -> tuple[str, ...]:
@@ -160,26 +190,9 @@ def _check_filter(spec: Specification, missing: str) -> tuple[str, ...]:
     return ("Where an output is missing its last value is held; the monitor it was made from predicts through it.",)
 
 
-def _compiled(spec: Specification) -> tuple[CompiledTest, CompiledIsolation]:
-    """Return test and isolation as they are exported, or say which of them cannot be."""
-    test, naming = spec.test.compiled, spec.isolation.compiled
-    if test is None or spec.test.responses is not None or spec.test.reads_signals:
-        raise SettingError(
-            f"the test of this monitor ({type(spec.test).__name__}) cannot be exported: NormThreshold of the residual "
-            "as a whole, CUSUM, EWMA, ChiSquared and GLR can"
-        )
-    if naming is None:
-        raise SettingError(
-            f"the isolation of this monitor ({type(spec.isolation).__name__}) cannot be exported: Directional can, "
-            "or isolate=None, which only raises the alarm"
-        )
-    if not np.isfinite(test.threshold):
-        raise SettingError("the threshold of this monitor is infinite: it never raises an alarm")
-    return test, naming
-
-
-def _sizes(spec: Specification, test: CompiledTest, naming: CompiledIsolation, inputs: int) -> dict[str, int]:
+def _sizes(spec: Specification, judging: Judging, inputs: int) -> dict[str, int]:
     """Return what the texts have in capitals."""
+    test, naming = judging.test, judging.naming
     white = test.whitening.shape[1]
     along = 0 if test.along is None else test.along.shape[1]
     return {
@@ -196,18 +209,20 @@ def _sizes(spec: Specification, test: CompiledTest, naming: CompiledIsolation, i
         "NAMING_WINDOW": naming.window,
         "PERSISTENCE": test.persistence,
         "RELEASE": test.release,
-        "REMEMBERS": int(test.statistic != "norm"),
+        "REMEMBERS": int(test.statistic not in ("norm", OF_PARTS)),
         "ORDER": 0 if test.coefficients is None else len(test.coefficients),
         "KNOTS": 0 if test.scores is None else len(test.scores),
         "SUMS": test.sums - 1 if test.statistic in _CUMULATED else test.sums,
         "WIDTH": {"chi-squared": 1, "directed glr": along}.get(test.statistic, white),
-        "GROUPS": len(naming.bases),
+        "GROUPS": len(naming.bases if judging.codes is None else judging.codes.groups),
         "COLUMNS": sum(basis.shape[1] for basis in naming.bases),
+        **part_sizes(judging),
     }
 
 
-def _sections(test: CompiledTest, naming: CompiledIsolation) -> list[tuple[str, str]]:
+def _sections(judging: Judging) -> list[tuple[str, str]]:
     """Return the texts with their titles, in order."""
+    test, naming = judging.test, judging.naming
     parts = [
         ("deviations from the operating point; values that are missing or not plausible are held", texts.TAKE),
         ("the filter; it starts with the first complete sample, and anew after a gap that is too long", texts.RUN),
@@ -215,6 +230,8 @@ def _sections(test: CompiledTest, naming: CompiledIsolation) -> list[tuple[str, 
         ("whether anything can be decided", texts.CHECK),
         ("the residual in units in which it is white", texts.WHITEN),
     ]
+    if judging.parts is not None:
+        return [*parts, *part_sections(judging)]
     if test.statistic == "norm":
         parts.append(("the statistic", texts.NORM))
     else:
@@ -232,17 +249,17 @@ def _sections(test: CompiledTest, naming: CompiledIsolation) -> list[tuple[str, 
     return parts
 
 
-def _variables(
-    spec: Specification, test: CompiledTest, naming: CompiledIsolation, size: dict[str, int], precision: Precision
-) -> list[Variable]:
+def _variables(spec: Specification, judging: Judging, size: dict[str, int], precision: Precision) -> list[Variable]:
     """Return all variables that the texts may have."""
+    test = judging.test
     return [
-        *_constants(spec, test, naming, precision),
+        *_constants(spec, test, judging.naming, precision),
         Variable("u", "real", "input", size["INPUTS"], words="inputs, in the units of the plant"),
         Variable("y", "real", "input", size["OUTPUTS"], words="outputs, in the units of the plant"),
         *_states(test, size),
         *_decision(size),
         *_locals(size),
+        *part_variables(judging, size),
     ]
 
 
@@ -370,4 +387,12 @@ def _locals(size: dict[str, int]) -> list[Variable]:
     ]
 
 
-__all__ = ["DOUBLE", "FLOAT", "MonitorProgram", "Precision", "monitor_program"]
+__all__ = [
+    "DOUBLE",
+    "FLOAT",
+    "MonitorProgram",
+    "Precision",
+    "monitor_program",
+    "precision_named",
+    "specification_program",
+]

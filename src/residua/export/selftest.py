@@ -23,8 +23,8 @@ _SIZES = 3.0
 
 #: Samples over which a filter forgets its start, at most, and what is left of it then.
 _LONGEST, _LEFT = 100_000, 2.0**-10
-#: Rounding of a number in single precision.
-_UNIT = 2.0**-24
+#: Rounding of a number in single precision, and in double precision.
+_UNIT, DOUBLE_UNIT = 2.0**-24, 2.0**-53
 
 
 @dataclass(frozen=True)
@@ -88,16 +88,13 @@ def comparison(made: MonitorProgram) -> Comparison:
 def _size_of_signals(made: MonitorProgram) -> NDArray[np.float64]:
     """Return deviations of the channels that move the residual to its threshold, about."""
     spec = made.specification
-    test = spec.test.compiled
-    assert test is not None
     moved = np.abs(spec.D) + np.abs(spec.C @ spec.start)
-    white = np.abs(test.whitening.T) @ moved
-    size = np.linalg.norm(white, axis=0)
-    return _SIZES * test.threshold / np.where(size > 0, size, 1.0) / np.sqrt(max(1, spec.B.shape[1]))
+    size = np.linalg.norm(np.abs(made.judging.per_threshold.T) @ moved, axis=0)
+    return _SIZES / np.where(size > 0, size, 1.0) / np.sqrt(max(1, spec.B.shape[1]))
 
 
-def rounding_bound(spec: Specification, sizes: NDArray[np.float64]) -> NDArray[np.float64]:
-    r"""Return by how much each residual may be off in single precision, where the filter has settled.
+def rounding_bound(spec: Specification, sizes: NDArray[np.float64], rounding: float = _UNIT) -> NDArray[np.float64]:
+    r"""Return by how much each residual may be off by rounding, where the filter has settled.
 
     .. math::
 
@@ -105,15 +102,18 @@ def rounding_bound(spec: Specification, sizes: NDArray[np.float64]) -> NDArray[n
        \delta = \gamma (|A| X + |B| V)
 
     with :math:`H = \sum_{k \ge 0} |C A^k|`, :math:`G_r = \sum_{k \ge 0} |C A^k B|`, :math:`\gamma = (n + m + 3) u` for
-    sums of n + m products of rounded matrices and signals, u = 2^-24, states of :math:`X = \sum |A^k B| V` enlarged by
-    what rounding adds to them, :math:`v = u (V + |\text{offset}|)` for the difference from the operating point, and
-    what the start of the filter is off by, :math:`e_0`, of which :math:`A^s` is left when it has settled.
+    sums of n + m products of rounded matrices and signals, u the rounding of a number, states of
+    :math:`X = \sum |A^k B| V` enlarged by what rounding adds to them, :math:`v = u (V + |\text{offset}|)` for the
+    difference from the operating point, and what the start of the filter is off by, :math:`e_0`, of which :math:`A^s`
+    is left when it has settled.
 
     Parameters
     ----------
     spec : Specification
     sizes : ndarray, shape (channels,)
         V, the largest deviation of each channel from the operating point.
+    rounding : float
+        u: 2^-24 for single precision, 2^-53 for double precision.
 
     Raises
     ------
@@ -122,8 +122,8 @@ def rounding_bound(spec: Specification, sizes: NDArray[np.float64]) -> NDArray[n
     """
     A, B, C, D = (np.abs(M) for M in (spec.A, spec.B, spec.C, spec.D))
     n, m = spec.B.shape
-    unit = (n + m + 3) * _UNIT
-    taken = _UNIT * (sizes + np.abs(spec.offset))
+    unit = (n + m + 3) * rounding
+    taken = rounding * (sizes + np.abs(spec.offset))
     if not n:
         return unit * (D @ sizes) + D @ taken
     (states, gains), (H, on_residual) = (_sums_of_powers(spec.A, spec.B, M) for M in (np.eye(n), spec.C))
@@ -139,9 +139,9 @@ def rounding_bound(spec: Specification, sizes: NDArray[np.float64]) -> NDArray[n
     begun, first = 0, spec.first
     if first is not None:  # its residuals correct the start, with what they are off by themselves
         begun, rows = first.samples, np.abs(first.rows).reshape(-1, len(spec.C), n).sum(axis=0)
-        off = steady + H @ start + (first.samples + len(spec.C)) * _UNIT * residuals
+        off = steady + H @ start + (first.samples + len(spec.C)) * rounding * residuals
         start = states @ start + np.abs(first.correction) @ (np.sum(off[:, None] * rows, axis=0))
-        start += n * _UNIT * (np.abs(first.correction) @ (residuals @ rows))
+        start += n * rounding * (np.abs(first.correction) @ (residuals @ rows))
     left = np.abs(np.linalg.matrix_power(spec.A, max(spec.settle - begun, 0)))
     return steady + H @ (left @ start)
 
@@ -246,4 +246,4 @@ def _array(name: str, values: NDArray[np.float64], kind: str) -> list[str]:
     return [f"static const {kind} {name}[{max(1, len(flat))}] = {{", *lines, "};"]
 
 
-__all__ = ["Comparison", "comparison", "of_rounding", "rounding_bound", "selftest"]
+__all__ = ["DOUBLE_UNIT", "Comparison", "comparison", "of_rounding", "rounding_bound", "selftest"]

@@ -197,7 +197,7 @@ if decided:
 """
 
 
-_MOVING_SUM = """
+MOVING_SUM = """
 if WINDOW > 1:
     for j in range(WHITE):
         if window_filled == 0:
@@ -226,7 +226,7 @@ else:
 """
 
 NORM = f"""
-{_MOVING_SUM.replace("WINDOW", "TEST_WINDOW").replace("window_", "test_")}
+{MOVING_SUM.replace("WINDOW", "TEST_WINDOW").replace("window_", "test_")}
 total = 0.0
 for j in range(WHITE):
     total = total + sums[j] * sums[j]
@@ -453,7 +453,7 @@ alarm = standing
 #: How well each group's signature explains the residual, averaged over a window, and the group that does it best:
 #: of scores that agree to three digits the narrower signature, of equally narrow ones the larger score.
 NAME = f"""
-{_MOVING_SUM.replace("WINDOW", "NAMING_WINDOW").replace("window_", "naming_").replace("sums[", "averaged[")}
+{MOVING_SUM.replace("WINDOW", "NAMING_WINDOW").replace("window_", "naming_").replace("sums[", "averaged[")}
 total = 0.0
 for j in range(WHITE):
     total = total + averaged[j] * averaged[j]

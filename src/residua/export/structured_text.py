@@ -116,6 +116,7 @@ def _about(made: MonitorProgram) -> list[str]:
         *(f"u[{k}]  {name}{unit}" for k, (name, unit) in enumerate(zip(named[:cut], units[:cut], strict=True))),
         *(f"y[{k}]  {name}{unit}" for k, (name, unit) in enumerate(zip(named[cut:], units[cut:], strict=True))),
         *(f"score[{g}]  {comment_text(' or '.join(group))}" for g, group in enumerate(made.groups)),
+        *(f"fired[{m}]  {comment_text(name)}" for m, name in enumerate(made.parts)),
     ]
     return ["(*", *(f"   {part}" for line in lines for part in wrap(line, 110)), "*)"]
 
