@@ -200,6 +200,17 @@ def test_a_plant_without_its_beginning_is_put_aside_where_that_is_asked_for() ->
     assert shard.ids == [103]
 
 
+def test_whole_numbers_with_an_empty_entry_are_whole_numbers() -> None:
+    """Data frames hold them as floats."""
+    pytest.importorskip("pandas")
+    frame = packed_table(monitor(), recordings(), samples=25).to_pandas()
+    frame.loc[len(frame)] = [None, 0, 1, np.zeros(3)]
+    frame = frame.astype({"plant": "float64", "start": "float64"})
+    taken = Shard(monitor()).take(PackedRows.of_columns(frame))
+    assert in_order(map(key, taken.events)) == expected()
+    assert [one.cause for one in taken.aside] == ["incomplete"]
+
+
 def test_a_frame_without_its_columns_is_refused() -> None:
     with pytest.raises(DataError, match="missing here: samples"):
         PackedRows.of_columns({"plant": [1], "start": [0], "values": [np.zeros(3)]})

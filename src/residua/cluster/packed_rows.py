@@ -16,6 +16,8 @@ from residua.errors import DataError, SettingError, missing_extra
 from residua.monitor import Monitor
 from residua.visible import echo, listed
 
+#: Whole numbers below it are exact as floats.
+EXACT = 1 << 53
 #: The columns of a packed row.
 COLUMNS = ("plant", "start", "samples", "values")
 
@@ -117,6 +119,8 @@ def _plain(plant: Any) -> Any:
     """Return an id as a number or text of Python, ``None`` where it is missing."""
     if isinstance(plant, (int, np.integer)) and not isinstance(plant, bool):
         return int(plant)
+    if isinstance(plant, (float, np.floating)) and plant == np.floor(plant) and abs(plant) < EXACT:
+        return int(plant)  # a column of whole numbers in which some are missing
     return str(plant) if isinstance(plant, str) else None
 
 
@@ -225,4 +229,4 @@ def packed_table(
     return pa.table({name: pa.array(columns[name], kind) for name, kind in zip(COLUMNS, types, strict=True)})
 
 
-__all__ = ["COLUMNS", "PackedRows", "checked_shards", "packed_table", "shard_of"]
+__all__ = ["COLUMNS", "EXACT", "PackedRows", "checked_shards", "packed_table", "shard_of"]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.cluster.packed_rows import PackedRows, checked_shards, shard_of
+from residua.cluster.packed_rows import EXACT, PackedRows, checked_shards, shard_of
 from residua.decide.checks import check_samples
 from residua.errors import DataError, FileFormatError
 from residua.monitor.fleet_block import AlarmEvent, FleetBlock
@@ -25,8 +25,6 @@ MARK, VERSION = b"RESIDUAS", 1
 _HEAD, _CHECK = struct.Struct("<8sIIQ"), struct.Struct("<Q")
 #: The longest gap in samples that is filled with missing ones, when nothing else is asked for.
 LONGEST_GAP = 100_000
-#: Numbers of samples are kept exact in seconds: below this a float holds each.
-_LARGEST = 1 << 53
 #: Numbers that are run at once.
 _AT_ONCE = 1 << 22
 
@@ -140,7 +138,7 @@ class Shard:
     def _usable(self, rows: PackedRows, aside: list[Aside]) -> NDArray[np.int64]:
         """Return which rows are records of a plant; what is wrong with the others is put aside."""
         width, sizes = len(self._channels), np.diff(rows.offsets)
-        number = (rows.start >= 0) & (rows.samples >= 1) & (rows.start < _LARGEST) & (rows.samples < _LARGEST)
+        number = (rows.start >= 0) & (rows.samples >= 1) & (rows.start < EXACT) & (rows.samples < EXACT)
         fits = sizes == np.where(number, rows.samples, 0) * width
         plants = self.plants
         known = np.array([True if plants is None else plant in plants for plant in rows.plants], dtype=bool)
@@ -165,7 +163,7 @@ class Shard:
         for row in good.tolist():
             plant = rows.plants[row]
             if plant not in known:
-                begins[plant] = min(int(rows.start[row]), begins.get(plant, _LARGEST))
+                begins[plant] = min(int(rows.start[row]), begins.get(plant, EXACT))
         if self.from_zero and any(begins.values()):
             late = {plant for plant, begin in begins.items() if begin}
             for row in good.tolist():

@@ -16,9 +16,11 @@ from residua.visible import echo, listed
 _Base: Any = object
 try:
     import pandas as pd  # pyright: ignore[reportMissingImports]
+    from pyspark.errors import AnalysisException  # pyright: ignore[reportMissingImports]
     from pyspark.sql.streaming.stateful_processor import StatefulProcessor  # pyright: ignore[reportMissingImports]
 except ImportError:
     pd: Any = None
+    AnalysisException: Any = None
 else:
     _Base = StatefulProcessor
 
@@ -38,6 +40,7 @@ def diagnose_stream(
     plants: Collection[Any] | None = None,
     longest_gap: int = LONGEST_GAP,
     states: Any = None,
+    checkpoint: str | None = None,
 ) -> Any:
     """Return the events of alarms of a stream of packed rows, as a stream.
 
@@ -56,6 +59,8 @@ def diagnose_stream(
         Samples that did not come count as missing, as far as this; a record that is further ahead is put aside.
     states : pyspark.sql.DataFrame, optional
         With which a new checkpoint begins: :func:`shard_states` of another one, by :func:`resharded`.
+    checkpoint : str, optional
+        The folder that will be the ``checkpointLocation``: a state of another monitor in it is refused here and now.
 
     Returns
     -------
@@ -69,6 +74,8 @@ def diagnose_stream(
         If the frame has other columns.
     NotFittedError
         If the monitor has no threshold.
+    FileFormatError
+        If the checkpoint is of another monitor, or of another number of shards.
     MissingExtraError
         If PySpark is not installed.
 
@@ -77,8 +84,8 @@ def diagnose_stream(
     Within a micro-batch rows may come in any order; across micro-batches a row that comes after later ones of its plant
     is put aside as ``late``. The session is set to the state store that this needs, RocksDB.
 
-    A checkpoint of another monitor, or of another number of shards, stops the query with the first micro-batch that
-    reads it.
+    Without ``checkpoint=``, one of another monitor or number of shards stops the query with the first micro-batch that
+    has a row for a state in it; that micro-batch is not applied, in no part.
     """
     _check_installed()
     text, whole = text_of_monitor(monitor), _check_columns(frame)
@@ -86,8 +93,12 @@ def diagnose_stream(
     frame.sparkSession.conf.set(_STORE_SETTING, STATE_STORE)
     # A record without a plant, which is put aside there, goes to the first shard.
     shard = f"CAST(coalesce(pmod(crc32(CAST(plant AS STRING)), {shards}), 0) AS INT) AS shard"
-    keyed = frame.selectExpr(shard, *(f"`{name}`" for name in COLUMNS))
-    processor = ShardProcessor(text, shards, None if plants is None else frozenset(plants), longest_gap)
+    # As text, for in pandas a column of whole numbers with an empty entry becomes floats, which are not exact.
+    keyed = frame.selectExpr(shard, "CAST(plant AS STRING) AS plant", *(f"`{name}`" for name in COLUMNS[1:]))
+    if checkpoint is not None:
+        _check_checkpoint(frame.sparkSession, checkpoint, Shard(monitor, shards=shards))
+    settings = {"shards": shards, "plants": None if plants is None else frozenset(plants), "longest_gap": longest_gap}
+    processor = ShardProcessor(text, whole, settings)
     return keyed.groupBy("shard").transformWithStateInPandas(
         processor,
         outputStructType=_event_type(whole),
@@ -100,8 +111,8 @@ def diagnose_stream(
 class ShardProcessor(_Base):
     """What Spark runs for each shard that has rows in a micro-batch: state in, rows through, state out."""
 
-    def __init__(self, text: str, shards: int, plants: frozenset[Any] | None, longest_gap: int) -> None:
-        self._text, self._shards, self._plants, self._longest_gap = text, shards, plants, longest_gap
+    def __init__(self, text: str, whole: bool, settings: dict[str, Any]) -> None:
+        self._text, self._whole, self._settings = text, whole, settings
         self._state: Any = None
 
     def init(self, handle: Any) -> None:
@@ -109,18 +120,23 @@ class ShardProcessor(_Base):
         self._state = handle.getValueState(_STATE, _STATE_TYPE)
 
     def _blank(self) -> Shard:
-        monitor = monitor_of_text(self._text)
-        return Shard(monitor, shards=self._shards, plants=self._plants, longest_gap=self._longest_gap)
+        return Shard(monitor_of_text(self._text), **self._settings)
 
     def handleInputRows(self, key: Any, rows: Iterator[Any], timerValues: Any) -> Iterator[Any]:
         """Go on with the rows of a shard, all of the micro-batch at once."""
         shard, kept = self._blank(), self._state.get() if self._state.exists() else None
         if kept is not None:
             shard = shard.restored(kept[0])
-        taken = shard.take(PackedRows.joined([PackedRows.of_columns(part) for part in rows]))
+        taken = shard.take(PackedRows.joined([self._rows(part) for part in rows]))
         self._state.update((shard.to_bytes(),))
         if taken.events or taken.aside:
             yield pd.DataFrame(columns_of(taken), dtype=object)
+
+    def _rows(self, part: Any) -> PackedRows:
+        columns = {name: part[name] for name in COLUMNS}
+        if self._whole:
+            columns["plant"] = [None if plant is None else int(plant) for plant in part["plant"]]
+        return PackedRows.of_columns(columns)
 
     def handleInitialState(self, key: Any, initialState: Any, timerValues: Any) -> None:
         """Begin with the states that another checkpoint left, in one part or in several."""
@@ -237,6 +253,19 @@ def resharded(states: Any, monitor: Monitor, before: int, shards: int) -> Any:
                 yield pd.DataFrame({"shard": list(made), "content": [one.to_bytes() for one in made.values()]})
 
     return states.mapInPandas(run, _STATES_TYPE)
+
+
+def _check_checkpoint(spark: Any, checkpoint: str, blank: Shard) -> None:
+    """Raise where a checkpoint that something was committed to holds the state of other shards."""
+    try:
+        committed = not spark.read.text(f"{checkpoint}/commits").isEmpty()
+    except AnalysisException as error:
+        if error.getCondition() != "PATH_NOT_FOUND":
+            raise
+        return
+    if committed:
+        for row in shard_states(spark, checkpoint).limit(1).collect():
+            blank.restored(row["content"])
 
 
 def _event_type(whole: bool) -> str:

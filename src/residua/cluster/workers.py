@@ -232,7 +232,7 @@ class BatchEvents:
         if hasattr(batch, "schema"):
             whole = str(batch.schema.field("plant").type).startswith("int")
             return arrow_of(shard.take(PackedRows.of_arrow(batch)), whole)
-        whole = batch["plant"].dtype.kind == "i"
+        whole = batch["plant"].dtype.kind in "if"
         return arrow_of(shard.take(PackedRows.of_columns(batch)), whole).to_pandas()
 
 
