@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from concurrent.futures import BrokenExecutor
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,10 @@ pytestmark = pytest.mark.filterwarnings("default")
 def dask() -> Iterator[Any]:
     """A cluster of two worker processes."""
     distributed = pytest.importorskip("distributed", reason="Dask is not installed (make test-cluster)")
+    import dask as settings
+
     with (
+        settings.config.set({"dataframe.convert-string": False}),
         distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
         distributed.Client(cluster) as client,
     ):
@@ -59,27 +63,26 @@ def events_of(frame: Any) -> list[tuple[Any, ...]]:
     return in_order(made)
 
 
-class Deadly:
-    """Ends the process that runs it, once, and is a function of batches otherwise."""
+def deadly(function: Any, end: Any) -> Any:
+    """Return a function of batches that ends the process that runs it, once; workers get it by value."""
 
-    def __init__(self, function: Any, end: Any) -> None:
-        self.function, self.end = function, end
-
-    def __call__(self, batch: Any) -> Any:
-        made = self.function(batch)
-        self.end()
+    def run(batch: Any) -> Any:
+        made = function(batch)
+        end()
         return made
 
+    return run
 
-class DeadlyPath:
-    """The path of a recording: whoever reads it ends, once."""
 
-    def __init__(self, path: Path, end: Any) -> None:
-        self.path, self.end = path, end
+def deadly_array(values: np.ndarray, end: Any) -> Any:
+    """Return an array: whoever reads it ends, once; workers get it by value."""
 
-    def __fspath__(self) -> str:
-        self.end()
-        return str(self.path)
+    class Deadly:
+        def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+            end()
+            return values
+
+    return Deadly()
 
 
 # ---------------------------------------------------------------------------- recordings
@@ -126,33 +129,36 @@ def test_ray_gives_the_alarms_of_one_process(ray: Any, tmp_path: Path) -> None:
     check_many("ray", tmp_path)
 
 
-def check_killed(backend: str, folder: Path, end: Any, ended: Any) -> None:
+def check_killed(backend: str, end: Any, ended: Any) -> None:
     """A worker ends while it reads a recording in the middle."""
-    paths: list[Any] = as_files(folder)
-    deadly = DeadlyPath(paths[11], end)
-    made = diagnose_many([*paths[:11], deadly, *paths[12:]], monitor(), backend, workers=2)
+    deadly_one: Any = {name: (u, deadly_array(y, end)) if k == 11 else (u, y) for k, (name, (u, y)) in _numbered()}
+    made = diagnose_many(deadly_one, monitor(), backend, workers=2)
     assert ended()
-    assert [one.alarms for one in made] == [one.alarms for one in alone()]
-    assert not any(one.reason for one in made)
+    assert made == alone()
 
 
-def test_a_killed_worker_of_joblib_loses_nothing(tmp_path: Path, ends_worker: Any, ended: Any) -> None:
-    check_killed("loky", tmp_path, ends_worker(0), ended)
+def _numbered() -> Any:
+    return enumerate(recordings().items())
 
 
-def test_a_killed_worker_of_dask_loses_nothing(dask: Any, tmp_path: Path, ends_worker: Any, ended: Any) -> None:
-    check_killed("dask", tmp_path, ends_worker(0), ended)
+def test_a_killed_worker_of_joblib_loses_nothing(ends_worker: Any, ended: Any) -> None:
+    check_killed("loky", ends_worker(0), ended)
 
 
-def test_a_killed_worker_of_ray_loses_nothing(ray: Any, tmp_path: Path, ends_worker: Any, ended: Any) -> None:
-    check_killed("ray", tmp_path, ends_worker(0), ended)
+def test_a_killed_worker_of_dask_loses_nothing(dask: Any, ends_worker: Any, ended: Any) -> None:
+    check_killed("dask", ends_worker(0), ended)
 
 
-def test_a_worker_that_always_ends_is_an_error(tmp_path: Path) -> None:
+def test_a_killed_worker_of_ray_loses_nothing(ray: Any, ends_worker: Any, ended: Any) -> None:
+    check_killed("ray", ends_worker(0), ended)
+
+
+def test_a_worker_that_always_ends_is_an_error() -> None:
     """Work that ends whoever does it is not tried for ever."""
-    path = DeadlyPath(as_files(tmp_path)[0], lambda: __import__("os").kill(__import__("os").getpid(), 9))
-    with pytest.raises(Exception, match="worker"):
-        diagnose_many([path], monitor(), "loky", workers=2, retries=1)
+    u, y = recordings()[100]
+    end = lambda: __import__("os").kill(__import__("os").getpid(), 9)  # noqa: E731
+    with pytest.raises(BrokenExecutor):
+        diagnose_many([(u, deadly_array(y, end))], monitor(), "loky", workers=2, retries=1)
 
 
 # --------------------------------------------------------------------------- packed rows
@@ -173,10 +179,17 @@ def test_partitions_of_dask_give_the_events_of_one_process(dask: Any) -> None:
         assert events_of(made) == expected()
 
 
+def test_texts_in_place_of_arrays_are_refused() -> None:
+    frame = packed_table(monitor(), recordings()).to_pandas()
+    frame["values"] = frame["values"].astype(str)
+    with pytest.raises(DataError, match=r"dataframe\.convert-string"):
+        BatchEvents(monitor())(frame)
+
+
 def test_a_killed_worker_of_dask_doubles_nothing(dask: Any, ends_worker: Any, ended: Any) -> None:
     events = BatchEvents(monitor())
     frame = dask_frame(4).shuffle("plant", npartitions=5)
-    made = frame.map_partitions(Deadly(events, ends_worker(0)), meta=events(frame._meta)).compute()
+    made = frame.map_partitions(deadly(events, ends_worker(0)), meta=events(frame._meta)).compute()
     assert ended()
     assert events_of(made) == expected()
 
@@ -196,8 +209,8 @@ def test_batches_of_ray_give_the_events_of_one_process(ray: Any) -> None:
 
 
 def test_a_killed_worker_of_ray_doubles_nothing(ray: Any, ends_worker: Any, ended: Any) -> None:
-    deadly = Deadly(BatchEvents(monitor()), ends_worker(0))
-    made = ray_shards(ray, 4).map_groups(lambda batch: deadly(batch), batch_format="pyarrow")
+    function = deadly(BatchEvents(monitor()), ends_worker(0))
+    made = ray_shards(ray, 4).map_groups(function, batch_format="pyarrow")
     assert events_of(made.to_pandas()) == expected()
     assert ended()
 

@@ -76,8 +76,18 @@ class PackedRows:
         """Return the rows of a data frame of pandas, or of a mapping from names of columns to arrays.
 
         ``values`` is a column of arrays, or an array of (rows, numbers).
+
+        Raises
+        ------
+        DataError
+            If a column is missing, or ``values`` came as texts, which Dask makes of arrays.
         """
         _check_columns(list(columns))
+        if any(isinstance(one, str) for one in columns["values"]):
+            raise DataError(
+                "the column values holds texts in place of arrays of numbers; Dask makes them unless told not to: "
+                'dask.config.set({"dataframe.convert-string": False})'
+            )
         plants = [_plain(one) for one in columns["plant"]]
         start, has_start = _whole(columns["start"])
         samples, has_samples = _whole(columns["samples"])

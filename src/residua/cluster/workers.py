@@ -217,6 +217,7 @@ class BatchEvents:
         longest_gap: int = LONGEST_GAP,
         from_zero: bool = True,
     ) -> None:
+        self.__name__ = type(self).__name__  # Ray asks a function for it
         self._text = text_of_monitor(monitor)
         self._settings: dict[str, Any] = {
             "plants": None if plants is None else frozenset(plants),
