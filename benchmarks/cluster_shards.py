@@ -1,9 +1,10 @@
 """What a Spark stream costs, keyed by shard and keyed by plant, and by sizes of shards and of micro-batches.
 
-``python benchmarks/cluster_shards.py --out docs/data`` writes ``cluster_keys.csv`` and ``cluster_sizes.csv``. The stream is on
-one machine, ``local-cluster`` with two workers of one core; its source are Parquet files of packed rows, made here, a
-file for each micro-batch. Times are of whole micro-batches (``triggerExecution`` of Spark's progress), the first of each
-run, in which processes start, left out.
+``python benchmarks/cluster_shards.py --out docs/data`` writes ``cluster_keys.csv``, ``cluster_sizes.csv`` and what
+follows from these, ``cluster_hundred_million.csv``. The stream is on one machine, ``local-cluster`` with two workers of one
+core; its source are Parquet files of packed rows, made here, a file for each micro-batch. Times are medians over whole
+micro-batches (``triggerExecution`` of Spark's progress), the first of each run, in which processes start, left out;
+those of one process are the least of three, in time of the processor.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ from residua.cluster import PackedRows, Shard, packed_table
 SCHEMA = "plant BIGINT, start BIGINT, samples BIGINT, `values` ARRAY<DOUBLE>"
 #: As many shards as this put nearly every plant in a shard of its own.
 BY_PLANT = (1 << 31) - 1
+#: Cores of the stream, and channels of its monitor.
+CORES, CHANNELS = 2, 3
 
 
 def monitor() -> rs.Monitor:
@@ -70,7 +73,7 @@ def session(memory: str = "2g") -> Any:
 
 
 def stream(spark: Any, folder: Path, watched: rs.Monitor, shards: int) -> tuple[list[float], list[float], int]:
-    """Run a stream over the files, one in a micro-batch; return the seconds of each, those of the state, and the events."""
+    """Run a stream over the files, one in a micro-batch; return the seconds of each, of its commit, and the events."""
     from residua.cluster.spark import diagnose_stream
 
     with tempfile.TemporaryDirectory() as kept:
@@ -117,25 +120,24 @@ def keys(spark: Any, plants: int, samples: int, files: int, shards: int) -> list
 def alone(watched: rs.Monitor, plants: int, samples: int) -> dict[str, float]:
     """Return seconds of one process for a shard of so many plants: restored, run, and as bytes; and these bytes."""
     rng = np.random.default_rng(0)
-    table = packed_table(
-        watched, {p: (np.zeros((samples, 1)), rng.standard_normal((samples, 2)) * 0.1) for p in range(plants)}
-    )
+    u, y = np.zeros((samples, 1)), rng.standard_normal((plants, samples, 2)) * 0.1
+    table = packed_table(watched, {p: (u, y[p]) for p in range(plants)})
     shard = Shard(watched)
     rows = PackedRows.of_arrow(table)
     shard.take(rows)
     best = {"restore": np.inf, "run": np.inf, "snapshot": np.inf}
     content = shard.to_bytes()
     for _ in range(3):
-        start = time.perf_counter()
+        start = time.process_time()
         again = Shard(watched).restored(content)
-        best["restore"] = min(best["restore"], time.perf_counter() - start)
+        best["restore"] = min(best["restore"], time.process_time() - start)
         later = PackedRows(rows.plants, rows.start + samples, rows.samples, rows.values, rows.offsets, rows.complete)
-        start = time.perf_counter()
+        start = time.process_time()
         again.take(later)
-        best["run"] = min(best["run"], time.perf_counter() - start)
-        start = time.perf_counter()
+        best["run"] = min(best["run"], time.process_time() - start)
+        start = time.process_time()
         again.to_bytes()
-        best["snapshot"] = min(best["snapshot"], time.perf_counter() - start)
+        best["snapshot"] = min(best["snapshot"], time.process_time() - start)
     return best | {"bytes": len(content) / plants}
 
 
@@ -168,6 +170,36 @@ def sizes(spark: Any, cases: list[tuple[int, int, int]], files: int) -> list[dic
     return rows
 
 
+def hundred_million(rows: list[dict[str, Any]], plants: int = 10**8, seconds: int = 60) -> list[dict[str, Any]]:
+    """Return what many plants would need, a sample a second each, from the measured sizes.
+
+    The cost of a plant is the slope between the smallest and the largest stream with the same shards and samples: what
+    a micro-batch costs whatever its size does not count. Samples beyond those that were measured cost what they cost in
+    one process.
+    """
+    same = [row for row in rows if int(row["plants in a shard"]) == 1000 and int(row["samples of each"]) == 10]
+    small, large = (pick(same, key=lambda row: int(row["plants"])) for pick in (min, max))
+    time_of = "seconds of a micro-batch"
+    slope = (float(large[time_of]) - float(small[time_of])) / (int(large["plants"]) - int(small["plants"])) * CORES
+    runs = {int(row["samples of each"]): float(row["run"]) for row in rows if int(row["plants in a shard"]) == 1000}
+    a_sample = (runs[100] - runs[10]) / 90 * 1e-6
+    a_plant = slope + a_sample * (seconds - 10)
+    size = float(large["bytes of a plant"])
+    shard = 10_000
+    return [
+        {"of": "plants", "value": f"{plants:,}"},
+        {"of": "seconds between micro-batches", "value": f"{seconds}"},
+        {"of": "microseconds of a core for a plant in a micro-batch", "value": f"{a_plant * 1e6:.0f}"},
+        {"of": "cores, all of them busy", "value": f"{np.ceil(plants * a_plant / seconds):.0f}"},
+        {"of": f"shards of {shard:,} plants", "value": f"{plants // shard:,}"},
+        {"of": "bytes of a plant", "value": f"{size:.0f}"},
+        {"of": "megabytes of a shard", "value": f"{size * shard / 1e6:.1f}"},
+        {"of": "gigabytes of state", "value": f"{size * plants / 1e9:.0f}"},
+        {"of": "megabytes of state written in a second", "value": f"{size * plants / seconds / 1e6:.0f}"},
+        {"of": "megabytes of samples that come in a second", "value": f"{plants * CHANNELS * 8 / 1e6:.0f}"},
+    ]
+
+
 def write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         table = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
@@ -178,8 +210,8 @@ def write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("docs/data"))
-    parser.add_argument("--plants", type=int, default=4000, help="of the comparison of keys")
-    parser.add_argument("--most", type=int, default=200_000, help="plants of the largest stream")
+    parser.add_argument("--plants", type=int, default=20_000, help="of the larger comparison of keys")
+    parser.add_argument("--most", type=int, default=100_000, help="plants of the largest stream")
     parser.add_argument("--files", type=int, default=5, help="micro-batches of a stream")
     parser.add_argument("--only", choices=["keys", "sizes"])
     given = parser.parse_args()
@@ -188,11 +220,14 @@ def main() -> None:
     spark = session()
     most, few = given.most, given.most // 10
     if given.only != "sizes":
-        write_csv(given.out / "cluster_keys.csv", keys(spark, given.plants, 10, given.files, 8))
+        made = [row for plants in (given.plants // 10, given.plants) for row in keys(spark, plants, 10, given.files, 8)]
+        write_csv(given.out / "cluster_keys.csv", made)
     if given.only != "keys":
-        cases = [(few, size, 10) for size in (100, 1000, few // 2)] + [(few, 1000, n) for n in (1, 100)]
+        cases = [(few, size, 10) for size in (10, 100, 1000, few // 2)] + [(few, 1000, n) for n in (1, 100)]
         cases += [(most, size, 10) for size in (1000, 10_000, most // 2)]
-        write_csv(given.out / "cluster_sizes.csv", sizes(spark, cases, given.files))
+        made = sizes(spark, cases, given.files)
+        write_csv(given.out / "cluster_sizes.csv", made)
+        write_csv(given.out / "cluster_hundred_million.csv", hundred_million(made))
     spark.stop()
 
 

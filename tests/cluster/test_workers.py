@@ -57,7 +57,7 @@ def events_of(frame: Any) -> list[tuple[Any, ...]]:
     """Return the rows of a data frame of events as they are compared."""
     made = []
     for row in frame.to_dict("records"):
-        ended = None if np.isnan(row["ended"]) else row["ended"]
+        ended = None if row["ended"] is None or np.isnan(row["ended"]) else row["ended"]
         names, scores = tuple(row["names"]), tuple(row["scores"])
         made.append((row["plant"], row["sample"], row["kind"], row["onset"], row["raised"], ended, names, scores))
     return in_order(made)
