@@ -1,10 +1,10 @@
 """What a Spark stream costs, keyed by shard and keyed by plant, and by sizes of shards and of micro-batches.
 
 ``python benchmarks/cluster_shards.py --out docs/data`` writes ``cluster_keys.csv``, ``cluster_sizes.csv`` and what
-follows from these, ``cluster_hundred_million.csv``. The stream is on one machine, ``local-cluster`` with two workers of one
-core; its source are Parquet files of packed rows, made here, a file for each micro-batch. Times are medians over whole
-micro-batches (``triggerExecution`` of Spark's progress), the first of each run, in which processes start, left out;
-those of one process are the least of three, in time of the processor.
+follows from these, ``cluster_hundred_million.csv``. The stream is on one machine, ``local-cluster`` with two workers of
+one core; its source are Parquet files of packed rows, made here, a file for each micro-batch. Times are medians over
+whole micro-batches (``triggerExecution`` of Spark's progress), the first of each run, in which processes start, left
+out; those of one process are the least of three, in time of the processor.
 """
 
 from __future__ import annotations
