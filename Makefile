@@ -13,12 +13,13 @@ PLANTS ?= 100000
 WORKERS ?= $(shell nproc)
 RECORD ?= campaign
 
-.PHONY: help demo quick test docs bench campaign exact-campaign mutants dist clean
+.PHONY: help demo quick test test-cluster test-cluster-here docs bench campaign exact-campaign mutants dist clean
 
 help:
 	@echo "make demo      diagnose a simulated jet engine and leave a report page"
 	@echo "make quick     style, types, and the tests of what changed, in a minute and a half"
 	@echo "make test      style, types, and all tests with coverage; without it, in two thirds of the time: make test COVERAGE=0"
+	@echo "make test-cluster  monitors on Spark, Ray and Dask, real processes in an environment of their own; needs Java 17"
 	@echo "make docs      the documentation, into docs/_build/html"
 	@echo "make bench     measured speed, against other packages"
 	@echo "make campaign  the long runs that make test leaves out"
@@ -38,6 +39,7 @@ $(BIN)/python:
 
 $(VENV)/.made-demo: EXTRAS := cli,plot
 $(VENV)/.made-test: EXTRAS := test
+$(VENV)/.made-test-cluster: EXTRAS := test,test-cluster
 $(VENV)/.made-docs: EXTRAS := docs
 $(VENV)/.made-mutants: EXTRAS := test,mutants
 $(VENV)/.made-dist: EXTRAS := dist
@@ -56,6 +58,13 @@ test: $(VENV)/.made-test
 	$(BIN)/ruff format --check $(CODE)
 	$(BIN)/pyright --pythonpath $(BIN)/python
 	$(BIN)/pytest -n auto $(if $(filter 0,$(COVERAGE)),,--cov --cov-report=term)
+
+# In an environment of its own: the engines are large, and take an older pandas than the other tests.
+test-cluster:
+	$(MAKE) VENV=$(VENV)-cluster test-cluster-here
+
+test-cluster-here: $(VENV)/.made-test-cluster
+	$(BIN)/pytest -n 0 tests/cluster
 
 docs: $(VENV)/.made-docs
 	rm -rf docs/api/generated  # pages of names that are gone would fail the build

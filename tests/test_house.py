@@ -43,7 +43,7 @@ ROOMS = (
         "records",
     ),
     *("linear", "plant", "recording", "analysis", "design", "decide", "robust", "library", "identify"),
-    *("monitor", "validate", "export"),
+    *("monitor", "validate", "export", "cluster"),
     *("report", "live", "testing", "demos", "cli", "residua", "__main__"),
 )
 LOOSE = ROOMS[: ROOMS.index("linear")]

@@ -22,6 +22,11 @@ HEAVY = (
     "control",
     "clarabel",
     "cvxpy",
+    "pyspark",
+    "ray",
+    "dask",
+    "distributed",
+    "joblib",
 )
 
 

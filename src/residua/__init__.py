@@ -15,7 +15,7 @@ from residua.linear import StateSpace
 from residua.monitor import Diagnosis, Fleet, Monitor, RegimeMonitor, read_recording
 from residua.plant import InputOutputModel, Plant, UncertainPlant, load_plant
 
-_LAZY = ("export", "report", "testing")  # they are not needed to run a monitor, and slower to import
+_LAZY = ("cluster", "export", "report", "testing")  # they are not needed to run a monitor, and slower to import
 
 __version__ = "0.1.0"
 

@@ -298,3 +298,50 @@ def test_a_snapshot_that_somebody_made_up_runs_or_is_refused() -> None:
         except FileFormatError:
             refused += 1
     assert 0 < refused < 300
+
+
+def ticked_events(kind: str, u: np.ndarray, y: np.ndarray) -> list[tuple[Any, ...]]:
+    """Return what alarms did, plant by plant, read off the alarms that stand after every single sample."""
+    out = []
+    for p in range(len(u)):
+        fleet, before = rs.Fleet(monitor(kind), plants=[p]), None
+        for k in range(u.shape[1]):
+            fleet.tick([p], u[[p], k], y[[p], k])
+            now = fleet.alarms[0] if fleet.alarms else None
+            if before is not None and (now is None or now.raised != before.raised):
+                out.append((p, "ended", before.onset, before.raised, k * 2.0, before.candidates))
+            if now is not None and (before is None or now.raised != before.raised):
+                out.append((p, "raised", now.onset, now.raised, None, now.candidates))
+            before = now
+    return out
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_events_of_alarms_are_the_same_however_time_is_cut(kind: str) -> None:
+    u, y = data(6, 90, 4)
+    y[::2, 30:60, 1] += 8.0
+    expected, rng = ticked_events(kind, u, y), np.random.default_rng(1)
+    assert {one[1] for one in expected} == {"raised", "ended"}
+    fleet, events, done = rs.Fleet(monitor(kind), plants=range(6)), [], np.zeros(6, dtype=int)
+    while (done < 90).any():
+        size = int(rng.integers(1, 30))
+        who = [p for p in rng.permutation(6).tolist() if done[p] + size <= 90] or [int(done.argmin())]
+        size = min(size, 90 - int(done[who].max()))
+        parts = [np.array([one[p, done[p] : done[p] + size] for p in who]) for one in (u, y)]
+        events += fleet.follow(who, *parts)
+        done[who] += size
+        fleet = rs.Fleet.restore(fleet.snapshot(), monitor(kind))
+    events.sort(key=lambda one: (one.plant, one.sample, one.kind))
+    assert [(e.plant, e.kind, e.onset, e.raised, e.ended, e.candidates) for e in events] == expected
+
+
+def test_following_refuses_what_does_not_fit() -> None:
+    fleet = rs.Fleet(monitor("norm"), plants=[1, 2])
+    with pytest.raises(DataError, match="no plant 3"):
+        fleet.follow([3], np.zeros((1, 2, 1)), np.zeros((1, 2, 2)))
+    with pytest.raises(DataError, match="plant 1 is there twice"):
+        fleet.follow([1, 1], np.zeros((2, 2, 1)), np.zeros((2, 2, 2)))
+    with pytest.raises(DataError, match=r"2 plants, time, 2"):
+        fleet.follow([1, 2], np.zeros((1, 2, 1)), np.zeros((1, 2, 2)))
+    assert fleet.follow([], None, np.zeros((0, 2, 2))) == []
+    assert fleet.follow([1], np.zeros((1, 0, 1)), np.zeros((1, 0, 2))) == []

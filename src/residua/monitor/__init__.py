@@ -5,7 +5,7 @@ from residua.monitor.decision import Decision
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.fault_learning import LearntFaults, LearntRow
 from residua.monitor.fleet import Fleet
-from residua.monitor.fleet_block import FleetAlarm, Tick
+from residua.monitor.fleet_block import AlarmEvent, FleetAlarm, Tick
 from residua.monitor.monitor import Monitor
 from residua.monitor.regime_diagnosis import RegimeAlarm, RegimeDiagnosis
 from residua.monitor.regime_monitor import RegimeMonitor
@@ -15,6 +15,7 @@ from residua.recording.table_writer import write_table
 
 __all__ = [
     "Alarm",
+    "AlarmEvent",
     "Beginning",
     "Candidate",
     "Decision",

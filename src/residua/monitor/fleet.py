@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua.decide.checks import check_samples
 from residua.errors import DataError, NotFittedError, SettingError
 from residua.monitor.decision import Decision
-from residua.monitor.fleet_block import FleetAlarm, FleetBlock, Tick
+from residua.monitor.fleet_block import AlarmEvent, FleetAlarm, FleetBlock, Tick
 from residua.monitor.monitor import Monitor
 from residua.monitor.running import Decisions
 from residua.monitor.snapshot import restored_blocks, snapshot_of
@@ -222,6 +222,58 @@ class Fleet:
                 raise DataError(f"the fleet has no model {echo(name)}; it has {listed(list(self._blocks))}")
         data = {name: _stacked_block(self._blocks[name], (u or {}).get(name), one) for name, one in y.items()}
         return {name: self._blocks[name].run(one, self.threads) for name, one in data.items()}
+
+    def follow(self, plants: Sequence[Hashable], u: Any, y: Any) -> list[AlarmEvent]:
+        """Go on with a block of samples of some plants of one model, and return what their alarms did.
+
+        Parameters
+        ----------
+        plants : sequence of ids
+            Each once.
+        u : array_like, shape (plants, time, inputs), or None
+        y : array_like, shape (plants, time, outputs)
+            In plant units; NaN where a value is missing.
+
+        Returns
+        -------
+        list of AlarmEvent
+            Alarms that were raised and that have ended, plant by plant in their order, each as it would be in
+            :attr:`alarms` after a :meth:`tick` with that very sample: the same however time is cut into blocks.
+
+        Raises
+        ------
+        DataError
+            If a plant is not known, is there twice, or is of another model than the first; or the shapes do not fit:
+            nothing is applied then.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import residua as rs
+        >>> plant = rs.Plant([[0.9]], [[0.1]], [[1.0]], dt=1, inputs=["valve"], outputs=["level"])
+        >>> plant = plant.with_sensor_faults().with_noise(process=1e-4, measurement=1e-2)
+        >>> fleet = rs.Fleet(rs.Monitor(rs.design.kalman_filter(plant)), plants=["north", "south"])
+        >>> level = np.where(np.abs(np.arange(80) - 60) < 10, 2.0, 1.0)
+        >>> for event in fleet.follow(["south"], np.ones((1, 80, 1)), level[None, :, None]):
+        ...     print(event.plant, event.kind, event.onset, event.raised, event.ended, event.candidates[0].name)
+        south raised 51.0 53.0 None level sensor
+        south ended 51.0 53.0 72.0 level sensor
+        """
+        keys = list(plants)
+        if not keys:
+            return []
+        block = self._block_with(keys[0])
+        rows = block.places(tuple(keys))
+        if rows is None:
+            rows = np.arange(len(keys))
+        if len(np.unique(rows)) < len(rows):
+            twice = next(plant for k, plant in enumerate(keys) if plant in keys[:k])
+            raise DataError(f"the plant {echo(twice)} is there twice")
+        shape = np.shape(y)
+        if len(shape) != 3 or shape[0] != len(keys):
+            outputs = block.generator.plant.n_outputs
+            raise DataError(f"y must be ({len(keys)} plants, time, {outputs}), got shape {shape}")
+        return block.follow(rows, *_samples(block, u, y, shape[:2]), self.threads)
 
     # --------------------------------------------------------------- plants come and go
 

@@ -6,7 +6,6 @@ import hashlib
 import json
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -49,6 +48,56 @@ class FleetAlarm:
     def __str__(self) -> str:
         named = self.candidates[0].name if self.candidates else "unknown fault"
         return f"{self.plant}: {named}, alarm since {self.raised:g} s, onset {self.onset:g} s"
+
+
+@dataclass(frozen=True)
+class AlarmEvent:
+    """An alarm that was raised at one plant of a fleet, or that has ended.
+
+    Attributes
+    ----------
+    plant : object
+        Its id.
+    kind : {"raised", "ended"}
+    onset_sample, raised_sample : int
+        Numbers, among the samples of this plant, of the one at which the statistic went over its threshold and stayed,
+        and of the one at which the alarm was raised. The onset is counted back from the raise by the samples over the
+        threshold: of those that were missing in between it knows nothing.
+    ended_sample : int or None
+        Of the first one after the alarm; ``None`` in an event of an alarm that was raised.
+    step : float
+        Seconds between samples.
+    candidates : tuple of Candidate
+        Best first: by the sample at which the alarm was raised, or by the last one in alarm.
+    """
+
+    plant: Hashable
+    kind: str
+    onset_sample: int
+    raised_sample: int
+    ended_sample: int | None
+    step: float
+    candidates: tuple[Candidate, ...]
+
+    @property
+    def onset(self) -> float:
+        """In seconds since the sample with number 0."""
+        return self.onset_sample * self.step
+
+    @property
+    def raised(self) -> float:
+        """In seconds since the sample with number 0."""
+        return self.raised_sample * self.step
+
+    @property
+    def ended(self) -> float | None:
+        """In seconds since the sample with number 0; ``None`` in an event of an alarm that was raised."""
+        return None if self.ended_sample is None else self.ended_sample * self.step
+
+    @property
+    def sample(self) -> int:
+        """The number of the sample at which this happened."""
+        return self.raised_sample if self.ended_sample is None else self.ended_sample
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,10 +159,17 @@ class FleetBlock:
         self._made, self._place_in_made = np.empty(plants, dtype=object), np.zeros(plants, dtype=np.int64)
         self._looked_up: tuple[Any, NDArray[np.int64] | None] = (None, None)
 
-    @cached_property
+    @property
     def fingerprint(self) -> str:
-        """What tells that two monitors run the same: the SHA-256 of all that they are made of."""
-        return fingerprint_of(self.monitor)
+        """What tells that two monitors run the same: the SHA-256 of all that they are made of.
+
+        It is made once for a specification: to write a monitor takes longer than to restore a few plants.
+        """
+        known = self.spec.__dict__.get("_fingerprint")
+        if known is None:
+            known = fingerprint_of(self.monitor)
+            object.__setattr__(self.spec, "_fingerprint", known)
+        return known
 
     @property
     def state(self) -> State:
@@ -154,17 +210,7 @@ class FleetBlock:
 
     def _pass(self, rows: NDArray[np.int64] | None, u: NDArray, y: NDArray, threads: int) -> Tick:
         """Go on with one sample of plants, each once."""
-        run = self._run
-        if run is not None:
-            out: dict[str, Any] = run.outputs(len(y), 1, _TOLD)
-            run.run(u, y, out, rows, threads=threads)
-        else:
-            places = np.arange(len(self.ids)) if rows is None else rows
-            data = np.ascontiguousarray(np.concatenate([u, y], axis=2))
-            after, made = run_reference(self.spec, rows_of(self.state, places), data)
-            self._state = written_rows(self.state, places, after)
-            self._remember(places, made)
-            out = {name: getattr(made, name) for name in _TOLD}
+        out = self._go_on(rows, u, y, _TOLD, threads)
         missing, decided, statistic, alarm = (out[name][:, 0] for name in _TOLD)
         self._follow_alarms(rows, alarm)
         return Tick(alarm, decided, missing, statistic)
@@ -173,17 +219,48 @@ class FleetBlock:
         self, rows: NDArray[np.int64], data: NDArray[np.float64], names: Sequence[str], threads: int = 1
     ) -> dict[str, NDArray]:
         """Go on with a block of some plants, each once, (plants, time, channels); return of the decisions some."""
+        inputs = len(self.generator.plant.inputs)
+        out = self._go_on(rows, data[..., :inputs], data[..., inputs:], names, threads)
+        return {name: out[name] for name in names}
+
+    def _go_on(
+        self, rows: NDArray[np.int64] | None, u: NDArray, y: NDArray, keep: Sequence[str], threads: int
+    ) -> dict[str, Any]:
+        """Go on with a block of plants, each once, and return what is to be kept of the decisions."""
         run = self._run
         if run is not None:
-            inputs = len(self.generator.plant.inputs)
-            out: dict[str, Any] = run.outputs(data.shape[0], data.shape[1], names)
-            run.run(data[..., :inputs], data[..., inputs:], out, rows, threads=threads)
-            return {name: out[name] for name in names}
-        after, made = run_reference(self.spec, rows_of(self.state, rows), data)
-        self._state = written_rows(self.state, rows, after)
-        if data.shape[1]:
-            self._remember(rows, made)
-        return {name: getattr(made, name) for name in names}
+            out: dict[str, Any] = run.outputs(len(y), y.shape[1], keep)
+            run.run(u, y, out, rows, threads=threads)
+            return out
+        places = np.arange(len(self.ids)) if rows is None else rows
+        data = np.ascontiguousarray(np.concatenate([u, y], axis=2))
+        after, made = run_reference(self.spec, rows_of(self.state, places), data)
+        self._state = written_rows(self.state, places, after)
+        self._remember(places, made)
+        return {name: getattr(made, name) for name in keep}
+
+    def follow(self, rows: NDArray[np.int64], u: NDArray, y: NDArray, threads: int) -> list[AlarmEvent]:
+        """Go on with a block, (plants, time, channels), of some plants, each once; return what their alarms did."""
+        if not y.shape[1]:
+            return []
+        before, last = self.state.count[rows], self.last.scores[rows]
+        stood = np.fromiter((row in self.standing for row in rows.tolist()), dtype=bool, count=len(rows))
+        out = self._go_on(rows, u, y, ("alarm", "up", "scores"), threads)
+        alarm = out["alarm"]
+        events = []
+        for k, t in np.argwhere(alarm != np.concatenate([stood[:, None], alarm[:, :-1]], axis=1)).tolist():
+            row, number = int(rows[k]), int(before[k]) + t
+            if alarm[k, t]:
+                self.standing[row] = (number + 1 - int(out["up"][k, t]), number)
+                events.append(self._event(row, self.standing[row], None, out["scores"][k, t]))
+            else:
+                scores = out["scores"][k, t - 1] if t else last[k]
+                events.append(self._event(row, self.standing.pop(row), number, scores))
+        return events
+
+    def _event(self, row: int, when: tuple[int, int], ended: int | None, scores: NDArray[np.float64]) -> AlarmEvent:
+        kind, named = "raised" if ended is None else "ended", self.spec.isolation.candidates(scores)
+        return AlarmEvent(self.ids[row], kind, *when, ended, self.generator.dt, named)
 
     def _remember(self, places: NDArray[np.int64], made: Decisions) -> None:
         """Keep what was decided on the last sample of plants, in NumPy."""
@@ -336,4 +413,4 @@ def _stacked(parts: Sequence[Any]) -> Any:
     return type(first)(**{one.name: _stacked([getattr(part, one.name) for part in parts]) for one in fields(first)})
 
 
-__all__ = ["FleetAlarm", "FleetBlock", "Tick", "fingerprint_of"]
+__all__ = ["AlarmEvent", "FleetAlarm", "FleetBlock", "Tick", "fingerprint_of"]

@@ -1,0 +1,21 @@
+"""Monitors on other people's clusters: Spark, Ray and Dask distribute, the plants of a shard are one fleet.
+
+``residua.cluster.spark`` needs the extra ``spark``, ``residua.cluster.workers`` one of ``ray``, ``dask``, ``workers``.
+"""
+
+from residua.cluster.event_table import EVENT_COLUMNS
+from residua.cluster.packed_rows import PackedRows, packed_table, shard_of
+from residua.cluster.shard import Aside, Shard, Taken
+from residua.cluster.travelling import monitor_of_text, text_of_monitor
+
+__all__ = [
+    "EVENT_COLUMNS",
+    "Aside",
+    "PackedRows",
+    "Shard",
+    "Taken",
+    "monitor_of_text",
+    "packed_table",
+    "shard_of",
+    "text_of_monitor",
+]

@@ -1,0 +1,359 @@
+"""The plants of one shard: packed rows in, events of alarms and what was put aside out, a blob of bytes in between."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residua.cluster.packed_rows import EXACT, PackedRows, checked_shards, shard_of
+from residua.decide.checks import check_samples
+from residua.errors import DataError, FileFormatError
+from residua.monitor.fleet_block import AlarmEvent, FleetBlock
+from residua.monitor.monitor import Monitor
+from residua.monitor.snapshot import restored_blocks, snapshot_of
+from residua.visible import echo
+from residua.words import counted
+
+#: The mark and the version of a blob.
+MARK, VERSION = b"RESIDUAS", 1
+_HEAD, _CHECK = struct.Struct("<8sIIQ"), struct.Struct("<Q")
+#: The longest gap in samples that is filled with missing ones, when nothing else is asked for.
+LONGEST_GAP = 100_000
+#: Numbers that are run at once.
+_AT_ONCE = 1 << 22
+
+
+@dataclass(frozen=True)
+class Aside:
+    """A record that was put aside.
+
+    Attributes
+    ----------
+    plant : int, str or None
+    start : int
+        The number of its first sample.
+    cause : {"incomplete", "number", "width", "unknown plant", "late", "gap", "begin"}
+    reason : str
+        In words, with the numbers.
+    """
+
+    plant: Any
+    start: int
+    cause: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Taken:
+    """What came of some records.
+
+    Attributes
+    ----------
+    events : list of AlarmEvent
+    aside : list of Aside
+    """
+
+    events: list[AlarmEvent]
+    aside: list[Aside]
+
+
+class Shard:
+    """Plants that share a monitor, each at a sample of its own.
+
+    Parameters
+    ----------
+    monitor : Monitor
+        Fitted.
+    shards : int
+        How many shards there are in all; it goes into the bytes.
+    plants : collection of ids, optional
+        Those that are known; any other is put aside. When omitted, every plant begins with its first record.
+    longest_gap : int
+        Samples that did not come are missing ones, as far as this; a record that is further ahead is put aside.
+    from_zero : bool
+        Whether a plant whose first record does not begin at its sample 0 is put aside.
+    """
+
+    def __init__(
+        self,
+        monitor: Monitor,
+        *,
+        shards: int = 1,
+        plants: Collection[Any] | None = None,
+        longest_gap: int = LONGEST_GAP,
+        from_zero: bool = False,
+    ) -> None:
+        check_samples(longest_gap, "longest_gap", least=0)
+        self.shards, self.plants = checked_shards(shards), None if plants is None else frozenset(plants)
+        self.longest_gap, self.from_zero = int(longest_gap), bool(from_zero)
+        self.monitor = monitor
+        self._block = FleetBlock(monitor, [])
+        self._origins = np.zeros(0, dtype=np.int64)
+        plant = monitor.generator.plant
+        self._inputs, self._channels = len(plant.inputs), (*plant.inputs, *plant.outputs)
+
+    def __len__(self) -> int:
+        return len(self._block.ids)
+
+    @property
+    def ids(self) -> list[Any]:
+        """The plants."""
+        return list(self._block.ids)
+
+    # ----------------------------------------------------------------------- records
+
+    def take(self, rows: PackedRows) -> Taken:
+        """Go on with records: in any order within these, and after those of earlier calls.
+
+        Rows of one plant are applied in the order of their numbers. Samples that are missing between them are missing
+        values; samples that came already are not applied again, and the row is put aside as ``late``. Of two rows with
+        the same numbers and other values the first in the order of their bytes counts, so that the outcome does not
+        depend on the order in which they come.
+        """
+        aside: list[Aside] = []
+        good = self._sorted(rows, self._usable(rows, aside), aside)
+        if not good.size:
+            return Taken([], aside)
+        places = self._places(rows, good)
+        start, samples = rows.start[good], rows.samples[good]
+        ends = start + samples
+        first = np.concatenate([[True], places[1:] != places[:-1]])
+        due = np.where(first, self._due()[places], np.concatenate([[0], ends[:-1]]))
+        odd = np.isin(places, places[start != due])
+        events = self._regular(rows, good[~odd], places[~odd])
+        for place in np.unique(places[odd]).tolist():
+            events += self._with_gaps(rows, good[places == place], place, aside)
+        return Taken(events, aside)
+
+    def _due(self) -> NDArray[np.int64]:
+        """Return the number of the sample that comes next, of each plant."""
+        return self._origins + self._block.state.count
+
+    def _usable(self, rows: PackedRows, aside: list[Aside]) -> NDArray[np.int64]:
+        """Return which rows are records of a plant; what is wrong with the others is put aside."""
+        width, sizes = len(self._channels), np.diff(rows.offsets)
+        number = (rows.start >= 0) & (rows.samples >= 1) & (rows.start < EXACT) & (rows.samples < EXACT)
+        fits = sizes == np.where(number, rows.samples, 0) * width
+        plants = self.plants
+        known = np.array([True if plants is None else plant in plants for plant in rows.plants], dtype=bool)
+        for row in np.flatnonzero(~(rows.complete & number & fits & known)).tolist():
+            plant, start, samples = rows.plants[row], int(rows.start[row]), int(rows.samples[row])
+            if not rows.complete[row]:
+                cause, reason = "incomplete", "a column of this record is empty"
+            elif not number[row]:
+                cause, reason = "number", f"numbers that cannot be: start {start}, {samples} samples"
+            elif not fits[row]:
+                said = f"{counted(int(sizes[row]), 'number')} for {counted(samples, 'sample')} of {width} channels"
+                cause, reason = "width", f"{said}: {echo(', '.join(self._channels))}"
+            else:
+                cause, reason = "unknown plant", f"the plant {echo(plant)} is none of those that are watched"
+            aside.append(Aside(plant, start, cause, reason))
+        return np.flatnonzero(rows.complete & number & fits & known)
+
+    def _sorted(self, rows: PackedRows, good: NDArray[np.int64], aside: list[Aside]) -> NDArray[np.int64]:
+        """Return rows by plant and number, the longer one first; plants that are new are taken up."""
+        begins: dict[Any, int] = {}
+        known = self._block.rows
+        for row in good.tolist():
+            plant = rows.plants[row]
+            if plant not in known:
+                begins[plant] = min(int(rows.start[row]), begins.get(plant, EXACT))
+        if self.from_zero and any(begins.values()):
+            late = {plant for plant, begin in begins.items() if begin}
+            for row in good.tolist():
+                if rows.plants[row] in late:
+                    reason = "the samples before it are not here: all rows of a plant belong in one batch"
+                    aside.append(Aside(rows.plants[row], int(rows.start[row]), "begin", reason))
+            good = np.array([row for row in good.tolist() if rows.plants[row] not in late], dtype=np.int64)
+            begins = {plant: begin for plant, begin in begins.items() if not begin}
+        if begins:
+            self._add(begins)
+        places = self._places(rows, good)
+        start, samples = rows.start[good], rows.samples[good]
+        order = np.lexsort((-samples, start, places))
+        same = (np.diff(places[order]) == 0) & (np.diff(start[order]) == 0) & (np.diff(samples[order]) == 0)
+        if same.any():
+            keys = zip(places.tolist(), start.tolist(), (-samples).tolist(), map(rows.of, good), strict=True)
+            by_bytes = [(*key, numbers.tobytes()) for *key, numbers in keys]
+            order = np.array(sorted(range(len(good)), key=by_bytes.__getitem__), dtype=np.int64)
+        return good[order]
+
+    def _add(self, begins: dict[Any, int]) -> None:
+        """Take up plants, from the numbers of their first samples on."""
+        self._block = FleetBlock.joined([self._block, FleetBlock(self.monitor, list(begins))])
+        self._origins = np.concatenate([self._origins, np.array(list(begins.values()), dtype=np.int64)])
+
+    def _places(self, rows: PackedRows, which: NDArray[np.int64]) -> NDArray[np.int64]:
+        at = self._block.rows
+        return np.fromiter((at[rows.plants[row]] for row in which.tolist()), dtype=np.int64, count=len(which))
+
+    def _regular(self, rows: PackedRows, which: NDArray[np.int64], places: NDArray[np.int64]) -> list[AlarmEvent]:
+        """Go on with rows, sorted, that follow each other without a gap; plants of as many samples together."""
+        if not which.size:
+            return []
+        sizes = (rows.offsets[which + 1] - rows.offsets[which]).astype(np.int64)
+        if (sizes == sizes[0]).all() and len(rows.values) == len(rows) * sizes[0]:
+            values = rows.values.reshape(len(rows), -1)[which].ravel()
+        else:
+            values = np.concatenate([rows.of(row) for row in which.tolist()])
+        heads = np.flatnonzero(np.concatenate([[True], places[1:] != places[:-1]]))
+        lengths = np.add.reduceat(sizes, heads)
+        ends, who = np.cumsum(lengths), places[heads]
+        events = []
+        for length in np.unique(lengths).tolist():
+            some = np.flatnonzero(lengths == length)
+            if len(some) == len(heads):
+                data = values
+            else:
+                data = np.concatenate([values[ends[k] - length : ends[k]] for k in some.tolist()])
+            events += self._go_on(who[some], data.reshape(len(some), -1, len(self._channels)))
+        return events
+
+    def _with_gaps(
+        self, rows: PackedRows, which: NDArray[np.int64], place: int, aside: list[Aside]
+    ) -> list[AlarmEvent]:
+        """Go on with rows of one plant, sorted, some of which came late or follow a gap."""
+        width, due = len(self._channels), int(self._due()[place])
+        parts: list[NDArray[np.float64]] = []
+        for row in which.tolist():
+            plant, start, samples = rows.plants[row], int(rows.start[row]), int(rows.samples[row])
+            data = rows.of(row).reshape(samples, width)
+            if start > due + self.longest_gap:
+                reason = (
+                    f"it is {start - due} samples ahead of what came before, more than longest_gap={self.longest_gap}"
+                )
+                aside.append(Aside(plant, start, "gap", reason))
+                continue
+            if start < due:
+                came = min(due - start, samples)
+                aside.append(Aside(plant, start, "late", f"{came} of its {samples} samples came before: not applied"))
+                data = data[came:]
+            elif start > due:
+                parts.append(np.full((start - due, width), np.nan))
+            parts.append(data)
+            due = max(due, start + samples)
+        if not any(len(part) for part in parts):
+            return []
+        return self._go_on(np.array([place]), np.concatenate(parts)[None])
+
+    def _go_on(self, places: NDArray[np.int64], data: NDArray[np.float64]) -> list[AlarmEvent]:
+        """Go on with a block, (plants, time, channels), in pieces that do not take much memory."""
+        events: list[AlarmEvent] = []
+        piece = max(1, _AT_ONCE // max(1, len(places) * len(self._channels)))
+        for start in range(0, data.shape[1], piece):
+            part = data[:, start : start + piece]
+            events += self._block.follow(places, part[..., : self._inputs], part[..., self._inputs :], 1)
+        return [self._numbered(event) for event in events]
+
+    def _numbered(self, event: AlarmEvent) -> AlarmEvent:
+        """Return an event by the numbers that the records of the plant have."""
+        origin = int(self._origins[self._block.rows[event.plant]])
+        if not origin:
+            return event
+        ended = None if event.ended_sample is None else event.ended_sample + origin
+        numbers = {"onset_sample": event.onset_sample + origin, "raised_sample": event.raised_sample + origin}
+        return replace(event, **numbers, ended_sample=ended)
+
+    # -------------------------------------------------------------------- other plants
+
+    def keep(self, plants: Collection[Any]) -> None:
+        """Forget all plants but some."""
+        self._take(np.array([row for row, plant in enumerate(self._block.ids) if plant in plants], dtype=np.int64))
+
+    def _take(self, rows: NDArray[np.int64]) -> None:
+        if len(rows) < len(self._block.ids):
+            self._block, self._origins = self._block.of(rows), self._origins[rows]
+
+    def split(self, shards: int) -> dict[int, Shard]:
+        """Return the plants by the shard that each is in where there are so many shards."""
+        numbers = np.array([shard_of(plant, shards) for plant in self._block.ids], dtype=np.int64)
+        parts = {}
+        for number in np.unique(numbers).tolist():
+            part = self._blank(checked_shards(shards))
+            rows = np.flatnonzero(numbers == number)
+            part._block, part._origins = self._block.of(rows), self._origins[rows]
+            parts[number] = part
+        return parts
+
+    def _blank(self, shards: int) -> Shard:
+        return Shard(
+            self.monitor,
+            shards=shards,
+            plants=self.plants,
+            longest_gap=self.longest_gap,
+            from_zero=self.from_zero,
+        )
+
+    @staticmethod
+    def joined(parts: Sequence[Shard]) -> Shard:
+        """Return shards of the same monitor as one.
+
+        Raises
+        ------
+        DataError
+            If a plant is in two of them, or their numbers of shards differ.
+        """
+        first = parts[0]
+        if any(part.shards != first.shards for part in parts):
+            raise DataError(f"the parts are of different numbers of shards: {sorted({part.shards for part in parts})}")
+        whole = first._blank(first.shards)
+        whole._block = FleetBlock.joined([part._block for part in parts])
+        whole._origins = np.concatenate([part._origins for part in parts])
+        return whole
+
+    # --------------------------------------------------------------------------- bytes
+
+    def to_bytes(self) -> bytes:
+        """Return what is remembered: the mark ``RESIDUAS``, version, number of shards, number of plants, the numbers of
+        their first samples (64 bits each, little-endian), a CRC-32 of all that, and :meth:`residua.Fleet.snapshot`.
+        """
+        head = _HEAD.pack(MARK, VERSION, self.shards, len(self)) + self._origins.astype("<i8").tobytes()
+        return head + _CHECK.pack(zlib.crc32(head)) + snapshot_of({"": self._block})
+
+    def restored(self, content: bytes) -> Shard:
+        """Return the shard of some bytes, with the settings of this one.
+
+        Raises
+        ------
+        FileFormatError
+            If the bytes are cut short or changed, or of another monitor or number of shards: it says which.
+        """
+        shards, origins, snapshot = _parts(bytes(content))
+        if shards != self.shards:
+            raise FileFormatError(
+                f"this state is that of one of {shards} shards, the job has {self.shards}: "
+                f"go on with shards={shards}, or bring the state over (resharded)"
+            )
+        made = self._blank(self.shards)
+        made._block = restored_blocks(snapshot, {"": self.monitor})[""]
+        made._origins = origins
+        if len(origins) != len(made):
+            raise FileFormatError("this state has other numbers of plants in its head and in its snapshot")
+        return made
+
+
+def _parts(content: bytes) -> tuple[int, NDArray[np.int64], bytes]:
+    """Return the number of shards, the numbers of the first samples, and the snapshot."""
+    if content[: len(MARK)] != MARK:
+        raise FileFormatError("these bytes are no state of a shard")
+    if len(content) < _HEAD.size:
+        raise FileFormatError("this state of a shard is cut short")
+    _, version, shards, plants = _HEAD.unpack_from(content)
+    if version != VERSION:
+        raise FileFormatError(f"this state of a shard has version {version}, this residua reads version {VERSION}")
+    end = _HEAD.size + 8 * plants
+    if len(content) < end + _CHECK.size:
+        raise FileFormatError("this state of a shard is cut short")
+    if _CHECK.unpack_from(content, end)[0] != zlib.crc32(content[:end]):
+        raise FileFormatError("this state of a shard was changed: its checksum is that of other bytes")
+    origins = np.frombuffer(content, dtype="<i8", count=plants, offset=_HEAD.size).astype(np.int64)
+    return shards, origins, content[end + _CHECK.size :]
+
+
+__all__ = ["LONGEST_GAP", "MARK", "VERSION", "Aside", "Shard", "Taken"]

@@ -1,0 +1,60 @@
+"""A monitor on its way to a worker: its record in JSON, of which the worker makes the same monitor."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from residua.errors import NotFittedError, SettingError
+from residua.json_files import check_checksum, dumps, loads
+from residua.monitor.fleet_block import FleetBlock
+from residua.monitor.monitor import Monitor
+from residua.monitor.saving import monitor_from, monitor_out
+from residua.visible import echo
+
+
+def text_of_monitor(monitor: Monitor) -> str:
+    """Return a monitor as the text that travels: its file, without what it has seen.
+
+    Parameters
+    ----------
+    monitor : Monitor
+        With a threshold. A test or an isolation of a user's own must be imported on the workers too.
+
+    Raises
+    ------
+    NotFittedError
+        If it has no threshold.
+
+    Examples
+    --------
+    >>> import residua as rs
+    >>> from residua.cluster import monitor_of_text, text_of_monitor
+    >>> plant = rs.Plant([[0.9]], [[0.1]], [[1.0]], dt=1).with_noise(process=1e-4, measurement=1e-2)
+    >>> monitor = rs.Monitor(rs.design.kalman_filter(plant))
+    >>> monitor_of_text(text_of_monitor(monitor)).threshold == monitor.threshold
+    True
+    """
+    if not isinstance(monitor, Monitor):
+        raise SettingError(f"a cluster runs a monitor, got {echo(monitor)}")
+    if not monitor.is_fitted:
+        raise NotFittedError(f"the monitor of a cluster needs a threshold: {monitor.test.remedy}")
+    return dumps(monitor_out(monitor) | {"state": None})
+
+
+@lru_cache(maxsize=16)
+def monitor_of_text(text: str) -> Monitor:
+    """Return the monitor of a text, made once in a process; its own state is not to be used."""
+    content = loads(text.encode(), "the monitor that came")
+    check_checksum(content, "the monitor that came")
+    monitor = monitor_from(content, "the monitor that came")
+    if not monitor.is_fitted:
+        raise NotFittedError("the monitor that came has no threshold")
+    return monitor
+
+
+def mark_of(monitor: Monitor) -> str:
+    """Return the SHA-256 of all that a monitor runs, by which the states of its plants know it."""
+    return FleetBlock(monitor, []).fingerprint
+
+
+__all__ = ["mark_of", "monitor_of_text", "text_of_monitor"]
