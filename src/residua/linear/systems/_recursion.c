@@ -49,7 +49,7 @@ run_on_buffers(Py_buffer *b, int path)
 {
     job q = {.n = b[1].shape[0], .m = b[1].shape[1], .nr = b[2].shape[0], .plants = b[5].shape[0],
              .time = b[5].shape[1], .A = b[0].buf, .B = b[1].buf, .C = b[2].buf, .D = b[3].buf, .x = b[4].buf,
-             .v = b[5].buf, .x_next = b[6].buf, .r = b[7].buf};
+             .v = one_array(b[5].buf, b[1].shape[1]), .x_next = b[6].buf, .r = b[7].buf};
     if (!shapes_fit(b, &q))
         return -1;
     const Py_ssize_t padded = q.n + q.nr + 2 * BLOCK;
