@@ -38,7 +38,7 @@ row_of_isolation(const Runner *self, Py_ssize_t row)
 {
     const isolation_plan *p = &self->naming;
     window_row out = {NULL, NULL, NULL};
-    if (p->groups) {
+    if (p->groups && p->window > 1) {
         out.values = F8(self, VALUES, row);
         out.begun = F8(self, BEGUN, row);
         out.filled = I8(self, FILLED, row);
@@ -265,7 +265,7 @@ is_complete(const Runner *self)
         const int needed = (j <= COUNT && (j != START_SUMS || self->first)) || (j >= UP && j <= ALARM)
                            || (norm && self->test.window > 1 && j >= TEST_VALUES && j <= TEST_FILLED)
                            || (!norm && j >= PAST && j <= SUMS)
-                           || (named && j >= VALUES && j <= FILLED)
+                           || (named && self->naming.window > 1 && j >= VALUES && j <= FILLED)
                            || (self->has_state[LAST_FLAGS] && j > LAST_FLAGS && (j != LAST_SCORES || named));
         complete &= self->has_state[j] || !needed;
     }
@@ -278,7 +278,7 @@ is_complete(const Runner *self)
 static int
 points_inside(const Runner *self)
 {
-    const int norm = self->test.kind == NORM && self->test.window > 1, named = self->naming.groups > 0;
+    const int norm = self->test.kind == NORM && self->test.window > 1, named = self->naming.groups > 0 && self->naming.window > 1;
     for (Py_ssize_t p = 0; p < self->plants; p++) {
         const whole test = norm ? *I8(self, TEST_FILLED, p) : 0, naming = named ? *I8(self, FILLED, p) : 0;
         const whole age = *B1(self, STARTING, p) ? *I8(self, AGE, p) : 0;

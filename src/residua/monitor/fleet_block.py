@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
@@ -51,6 +51,59 @@ class FleetAlarm:
         return f"{self.plant}: {named}, alarm since {self.raised:g} s, onset {self.onset:g} s"
 
 
+class StandingAlarms:
+    """Which plants are in alarm, and since when.
+
+    Parameters
+    ----------
+    plants : int
+    alarms : iterable of (int, int, int)
+        Rows in alarm, with the samples of its onset and of its raise.
+
+    Attributes
+    ----------
+    stands : ndarray of bool, shape (plants,)
+    onset, raised : ndarray of int, shape (plants,)
+        Where an alarm stands.
+    """
+
+    def __init__(self, plants: int, alarms: Iterable[tuple[int, int, int]] = ()) -> None:
+        self.stands = np.zeros(plants, dtype=bool)
+        self.onset, self.raised = (np.zeros(plants, dtype=np.int64) for _ in range(2))
+        for row, onset, raised in alarms:
+            self.stands[row], self.onset[row], self.raised[row] = True, onset, raised
+
+    def __len__(self) -> int:
+        return int(np.count_nonzero(self.stands))
+
+    def table(self) -> NDArray[np.int64]:
+        """Return row, onset and raise of each, in the order of the rows."""
+        rows = np.flatnonzero(self.stands)
+        return np.stack([rows, self.onset[rows], self.raised[rows]], axis=1)
+
+    def of(self, rows: NDArray[np.int64]) -> StandingAlarms:
+        """Return those of some plants."""
+        part = StandingAlarms(0)
+        part.stands, part.onset, part.raised = self.stands[rows], self.onset[rows], self.raised[rows]
+        return part
+
+    @staticmethod
+    def joined(parts: Sequence[StandingAlarms]) -> StandingAlarms:
+        """Return those of several blocks as one."""
+        whole = StandingAlarms(0)
+        whole.stands, whole.onset, whole.raised = (
+            np.concatenate([getattr(part, name) for part in parts]) for name in ("stands", "onset", "raised")
+        )
+        return whole
+
+    def changed(self, rows: NDArray[np.int64] | None, alarm: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Note which plants are in alarm, and return the rows of those that were not before."""
+        which = np.flatnonzero(alarm != (self.stands if rows is None else self.stands[rows]))
+        who = which if rows is None else rows[which]
+        self.stands[who] = alarm[which]
+        return who[alarm[which]]
+
+
 @dataclass(frozen=True, eq=False)
 class Tick:
     """What was decided on the records of a tick, in their order.
@@ -78,8 +131,7 @@ class FleetBlock:
     ids : sequence of hashable
     state : State, optional
         A row for each; the start when omitted.
-    standing : mapping of int to (int, int), optional
-        Rows in alarm, with the samples of its onset and of its raise.
+    standing : StandingAlarms, optional
     """
 
     def __init__(
@@ -87,7 +139,7 @@ class FleetBlock:
         monitor: Monitor,
         ids: Sequence[Hashable],
         state: State | None = None,
-        standing: Mapping[int, tuple[int, int]] | None = None,
+        standing: StandingAlarms | None = None,
     ) -> None:
         self.monitor, self.ids = monitor, list(ids)
         self.spec, self.generator = monitor._specification(), monitor.generator
@@ -95,7 +147,7 @@ class FleetBlock:
         if len(self.rows) < len(self.ids):
             twice = next(plant for row, plant in enumerate(self.ids) if self.rows[plant] != row)
             raise DataError(f"the plant {echo(twice)} is there twice")
-        self.standing: dict[int, tuple[int, int]] = dict(standing or {})
+        self.standing = StandingAlarms(len(self.ids)) if standing is None else standing
         self._place(initial_state(self.spec, len(self.ids)) if state is None else state)
 
     def _place(self, state: State) -> None:
@@ -177,14 +229,11 @@ class FleetBlock:
         self._made[places], self._place_in_made[places] = made, np.arange(len(places))
 
     def _follow_alarms(self, rows: NDArray[np.int64] | None, alarm: NDArray[np.bool_]) -> None:
-        """Note which alarms were raised, and forget those that have ended."""
-        for row in [row for row in self.standing if not self.last.flags[row] & 1]:
-            del self.standing[row]
-        on = np.flatnonzero(alarm)
-        for row in (on if rows is None else rows[on]).tolist():
-            if row not in self.standing:
-                count = int(self.state.count[row])
-                self.standing[row] = (count - int(self.last.up[row]), count - 1)
+        """Note which alarms were raised, and which have ended."""
+        new = self.standing.changed(rows, alarm)
+        if new.size:
+            count = self.state.count[new]
+            self.standing.onset[new], self.standing.raised[new] = count - self.last.up[new], count - 1
 
     def run(self, data: NDArray[np.float64], threads: int) -> Decisions:
         """Go on with a block of all plants, (plants, time, channels)."""
@@ -205,16 +254,13 @@ class FleetBlock:
 
     def _follow_block(self, decisions: Decisions, before: NDArray[np.int64]) -> None:
         """Note the alarms that stand after a block."""
-        standing = {}
-        for row in np.flatnonzero(decisions.alarm[:, -1]).tolist():
-            off = np.flatnonzero(~decisions.alarm[row])
-            if not off.size and row in self.standing:
-                standing[row] = self.standing[row]
-                continue
-            raised = int(off[-1]) + 1 if off.size else 0
-            number = int(before[row]) + raised
-            standing[row] = (number + 1 - int(decisions.up[row, raised]), number)
-        self.standing = standing
+        alarm, standing = decisions.alarm, self.standing
+        standing.stands &= np.asarray(alarm.all(axis=1))  # what has stood all the time goes on standing
+        new = standing.changed(None, alarm[:, -1])
+        off = ~alarm[new, ::-1]
+        raised = np.where(off.any(axis=1), alarm.shape[1] - off.argmax(axis=1), 0)
+        number = before[new] + raised
+        standing.onset[new], standing.raised[new] = number + 1 - decisions.up[new, raised], number
 
     # ----------------------------------------------------------------------- looking
 
@@ -245,19 +291,18 @@ class FleetBlock:
 
     def alarms(self) -> list[FleetAlarm]:
         """Return the alarms that stand, the oldest first."""
-        dt, isolation, scores = self.generator.dt, self.spec.isolation, self.last.scores
+        dt, isolation, scores, table = self.generator.dt, self.spec.isolation, self.last.scores, self.standing.table()
         return [
             FleetAlarm(self.ids[row], onset * dt, raised * dt, isolation.candidates(scores[row]))
-            for row, (onset, raised) in sorted(self.standing.items(), key=lambda item: item[1][1])
+            for row, onset, raised in table[np.argsort(table[:, 2], kind="stable")].tolist()
         ]
 
     # ------------------------------------------------------------------- other plants
 
     def of(self, rows: NDArray[np.int64]) -> FleetBlock:
         """Return a block of some of the plants, with a state of its own."""
-        places = {int(row): k for k, row in enumerate(rows)}
-        standing = {places[row]: when for row, when in self.standing.items() if row in places}
-        part = FleetBlock(self.monitor, [self.ids[row] for row in rows], rows_of(self.state, rows), standing)
+        ids = [self.ids[row] for row in rows]
+        part = FleetBlock(self.monitor, ids, rows_of(self.state, rows), self.standing.of(rows))
         part.take_over(rows_of(self.last, rows), self._made[rows], self._place_in_made[rows])
         return part
 
@@ -270,10 +315,7 @@ class FleetBlock:
     @staticmethod
     def joined(parts: Sequence[FleetBlock]) -> FleetBlock:
         """Return blocks as one."""
-        first, standing, start = parts[0], {}, 0
-        for part in parts:
-            standing |= {start + row: when for row, when in part.standing.items()}
-            start += len(part.ids)
+        first, standing = parts[0], StandingAlarms.joined([part.standing for part in parts])
         ids = [plant for part in parts for plant in part.ids]
         whole = FleetBlock(first.monitor, ids, _stacked([part.state for part in parts]), standing)
         made = np.concatenate([part._made for part in parts])
@@ -310,9 +352,9 @@ def _stacked(parts: Sequence[Any]) -> Any:
         return None
     if isinstance(first, np.ndarray):
         if all(takes_no_memory(one) for one in parts):
-            return np.broadcast_to(0.0, (sum(map(len, parts)), *first.shape[1:]))
+            return np.broadcast_to(first.dtype.type(0), (sum(map(len, parts)), *first.shape[1:]))
         return np.concatenate(parts)
     return type(first)(**{one.name: _stacked([getattr(part, one.name) for part in parts]) for one in fields(first)})
 
 
-__all__ = ["FleetAlarm", "FleetBlock", "Tick"]
+__all__ = ["FleetAlarm", "FleetBlock", "StandingAlarms", "Tick"]

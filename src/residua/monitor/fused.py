@@ -124,10 +124,11 @@ def state_arrays(spec: Specification, state: State) -> tuple[NDArray | None, ...
     f = state.filter
     named = spec.isolation.compiled
     naming = state.isolation.arrays() if named is not None and named.bases else (None, None, None)
+    remembered = (one if one is None or one.flags.writeable else None for one in (*state.test.arrays(), *naming))
     return (
         f.x, f.held, f.gap, f.running, f.age, f.resets, f.broken, f.starting,
         None if spec.first is None else f.start_sums, f.moved, f.apart,
-        state.count, *state.test.arrays(), *naming,
+        state.count, *remembered,
     )  # fmt: skip
 
 

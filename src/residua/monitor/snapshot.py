@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import FileFormatError, ResiduaError
-from residua.monitor.fleet_block import FleetBlock
+from residua.monitor.fleet_block import FleetBlock, StandingAlarms
 from residua.monitor.monitor import Monitor
 from residua.monitor.plant_records import takes_no_memory
 from residua.monitor.running import State, initial_state
@@ -120,8 +120,7 @@ def _padding(size: int) -> bytes:
 
 def _columns(block: FleetBlock) -> dict[str, NDArray]:
     """Return what a block remembers, by name."""
-    standing = np.array([(row, *when) for row, when in block.standing.items()], dtype=np.int64).reshape(-1, 3)
-    out = {"ids": _ids_out(block.ids), "standing": standing}
+    out = {"ids": _ids_out(block.ids), "standing": block.standing.table()}
     return out | dict(_arrays(block.state, "state")) | dict(_arrays(block.last, "last"))
 
 
@@ -166,7 +165,7 @@ def _block(name: str, model: Any, kept: dict[str, NDArray], monitors: Mapping[st
     standing = kept.pop("standing")
     if standing.ndim != 2 or standing.shape[1] != 3 or not ((standing >= 0) & (standing[:, :1] < len(ids))).all():
         raise FileFormatError("the alarms of this snapshot are none of its plants")
-    block = FleetBlock(monitors[name], ids, state, {int(row): (int(a), int(b)) for row, a, b in standing})
+    block = FleetBlock(monitors[name], ids, state, StandingAlarms(len(ids), standing.tolist()))
     block.take_over(_state_from(block.last, kept, "last"))
     if kept:
         raise FileFormatError(f"this snapshot has columns that are not known: {listed(list(kept))}")
