@@ -298,8 +298,7 @@ find_records(Runner *self)
     const int touched[] = {X,  HELD, GAP,   RUNNING,    AGE,            STARTING,       COUNT,
                            UP, DOWN, ALARM, LAST_FLAGS, LAST_STATISTIC, LAST_RESIDUALS, LAST_UP};
     const char *low = self->base[COUNT], *high = low + 8;
-    self->near = 0;
-    self->lowest = self->base[COUNT];
+    self->record_size = 0;
     for (size_t j = 0; j < sizeof touched / sizeof *touched; j++) {
         const int which = touched[j];
         if (!self->has_state[which] || self->state[which].len == 0)
@@ -312,8 +311,10 @@ find_records(Runner *self)
     }
     if (high - low > self->stride[COUNT])
         return;
-    self->lowest = self->base[COUNT] - (self->base[COUNT] - low);
-    self->near = high - low;
+    self->records = self->base[COUNT] - (self->base[COUNT] - low);
+    self->record_size = high - low;
+    for (int which = 0; which < STATE_ARRAYS; which++)
+        self->offset[which] = self->has_state[which] ? self->base[which] - self->records : 0;
 }
 
 static int
@@ -460,10 +461,11 @@ runner_new(PyTypeObject *type, PyObject *args, PyObject *keywords)
     if (status == 0) {
         const Py_ssize_t packed = packed_size(self->n, self->m, self->nr) + 1;
         const Py_ssize_t padded = 24 * self->m + self->test.k * self->naming.room;
-        self->filter.packed = PyMem_Malloc((size_t)(packed + padded) * sizeof(double));
-        if (self->filter.packed == NULL)
+        self->room = PyMem_Malloc((size_t)(packed + padded + 7) * sizeof(double));
+        if (self->room == NULL)
             status = -1, PyErr_NoMemory();
         else {
+            self->filter.packed = line_of(self->room);
             self->tile = self->filter.packed + packed;
             point_at_plan(self);
             find_records(self);
@@ -493,7 +495,7 @@ runner_dealloc(PyObject *object)
     while (self->one_views.held > 0)
         PyBuffer_Release(&self->one_views.views[--self->one_views.held]);
     free(self->one_room);
-    PyMem_Free(self->filter.packed);
+    PyMem_Free(self->room);
     freefunc release = (freefunc)PyType_GetSlot(type, Py_tp_free);
     release(object);
     Py_DECREF(type);

@@ -72,14 +72,15 @@ typedef struct {
     isolation_plan naming;
     job filter;
     const double *judge; /* centre and whitening of at most four residuals, padded; NULL of more */
+    double *room; /* of the packed matrices, and: */
     double *tile; /* of four samples: offsets, lowest values, highest values; of u and y, of u, of y */
     int has_offset;
     Py_ssize_t plants;
     Py_buffer plan[PLAN_ARRAYS], state[STATE_ARRAYS];
     char *base[STATE_ARRAYS]; /* of the state: where the first row lies, and how far apart rows are */
     Py_ssize_t stride[STATE_ARRAYS];
-    char *lowest; /* of a row: where what every sample touches begins, and how many bytes */
-    Py_ssize_t near;
+    char *records; /* where what every sample touches lies side by side: the first record, and how many bytes; else 0 */
+    Py_ssize_t record_size, offset[STATE_ARRAYS]; /* from the beginning of a record */
     char has_plan[PLAN_ARRAYS], has_state[STATE_ARRAYS];
     block one; /* of a step: its outputs */
     views one_views;

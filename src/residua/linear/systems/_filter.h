@@ -14,6 +14,7 @@
 #define RESIDUA_FILTER_H
 
 #include <float.h>
+#include <stdint.h>
 #include <string.h>
 
 #if !defined(FLT_EVAL_METHOD) || FLT_EVAL_METHOD != 0
@@ -231,7 +232,11 @@ typedef void (*runner)(const job *);
         for (Py_ssize_t p = 0; p < q->plants; p++) {                                                                  \
             lanes##L x[WIDTH / L];                                                                                    \
             memset(x, 0, sizeof x);                                                                                   \
-            _Pragma("GCC unroll 8") for (int j = 0; j < N; j++) x[j / L][j % L] = q->x[p * N + j];                    \
+            if (N % L == 0) {                                                                                         \
+                EACH_VECTOR(N, L) x[i] = ((const lanes##L *)(q->x + p * N))[i];                                       \
+            } else {                                                                                                  \
+                _Pragma("GCC unroll 8") for (int j = 0; j < N; j++) x[j / L][j % L] = q->x[p * N + j];                \
+            }                                                                                                         \
             for (Py_ssize_t k = 0; k < q->time; k++, r += nr, left -= nr) {                                           \
                 lanes##L sum[WIDTH / L] = {{0.0}}, out[OUT / L] = {{0.0}};                                            \
                 for (Py_ssize_t j = 0; j < columns; j++) {                                                            \
@@ -251,10 +256,10 @@ typedef void (*runner)(const job *);
                 EACH_VECTOR(WIDTH, L) x[i] = sum[i];                                                                  \
                 if (__builtin_expect(is_silent(first, columns, second, others), 0)) {                                 \
                     double rest[WIDTH];                                                                               \
-                    memcpy(rest, x, sizeof rest);                                                                     \
+                    EACH_VECTOR(WIDTH, L)((lanes##L *)rest)[i] = x[i];                                                \
                     flush(rest, WIDTH);                                                                               \
                     __asm__ volatile("" ::: "memory"); /* a branch: as a selection every state would wait for it */   \
-                    memcpy(x, rest, sizeof rest);                                                                     \
+                    EACH_VECTOR(WIDTH, L) x[i] = ((lanes##L *)rest)[i];                                               \
                 }                                                                                                     \
                 first += first_step;                                                                                  \
                 second += second_step;                                                                                \
@@ -276,7 +281,11 @@ typedef void (*runner)(const job *);
                     _Pragma("GCC unroll 8") for (int i = 0; i < OUT; i++) if (i < nr) r[i] = out[i / L][i % L];       \
                 }                                                                                                     \
             }                                                                                                         \
-            _Pragma("GCC unroll 8") for (int j = 0; j < N; j++) q->x_next[p * N + j] = x[j / L][j % L];               \
+            if (N % L == 0) {                                                                                         \
+                EACH_VECTOR(N, L)((lanes##L *)(q->x_next + p * N))[i] = x[i];                                         \
+            } else {                                                                                                  \
+                _Pragma("GCC unroll 8") for (int j = 0; j < N; j++) q->x_next[p * N + j] = x[j / L][j % L];           \
+            }                                                                                                         \
         }                                                                                                             \
     }
 
@@ -322,6 +331,7 @@ DEFINE_SMALL(judged_8, AVX2, 4, 8, 8, 4, 1)
 static const runner judged_table[MAX_SMALL] = {judged_1, judged_2, judged_3, judged_4,
                                                judged_5, judged_6, judged_7, judged_8};
 #endif
+
 #endif
 #endif
 
@@ -334,6 +344,13 @@ INLINE Py_ssize_t
 packed_size(Py_ssize_t n, Py_ssize_t m, Py_ssize_t nr)
 {
     return (n + nr + 2 * BLOCK) * (n + m);
+}
+
+/* Where numbers that begin with a line of the cache can be put, in room for seven more. */
+INLINE double *
+line_of(double *room)
+{
+    return (double *)(((uintptr_t)room + 63) & ~(uintptr_t)63);
 }
 
 static int

@@ -57,16 +57,17 @@ run_on_buffers(Py_buffer *b, int path)
         PyErr_NoMemory();
         return -1;
     }
-    q.packed = PyMem_Malloc((size_t)(padded * (q.n + q.m) + 2 * q.n + 1) * sizeof(double));
-    if (q.packed == NULL) {
+    double *room = PyMem_Malloc((size_t)(padded * (q.n + q.m) + 2 * q.n + 8) * sizeof(double));
+    if (room == NULL) {
         PyErr_NoMemory();
         return -1;
     }
+    q.packed = line_of(room);
     q.state = q.packed + padded * (q.n + q.m);
     Py_BEGIN_ALLOW_THREADS
     execute(&q, path);
     Py_END_ALLOW_THREADS
-    PyMem_Free(q.packed);
+    PyMem_Free(room);
     return 0;
 }
 
