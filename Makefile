@@ -20,7 +20,7 @@ help:
 	@echo "make quick     style, types, and the tests of what changed, in a minute and a half"
 	@echo "make test      style, types, and all tests with coverage; without it, in two thirds of the time: make test COVERAGE=0"
 	@echo "make docs      the documentation, into docs/_build/html"
-	@echo "make bench     measured speed, against other packages"
+	@echo "make bench     measured speed, against other packages: the tables of the page on speed"
 	@echo "make campaign  the long runs that make test leaves out"
 	@echo "make mutants   guards of the evidence made wrong on purpose: what no test notices is listed, in half an hour"
 	@echo "make dist      wheel and source distribution, tried out where there is no compiler"
@@ -39,6 +39,7 @@ $(BIN)/python:
 $(VENV)/.made-demo: EXTRAS := cli,plot
 $(VENV)/.made-test: EXTRAS := test
 $(VENV)/.made-docs: EXTRAS := docs
+$(VENV)/.made-bench: EXTRAS := test,bench
 $(VENV)/.made-mutants: EXTRAS := test,mutants
 $(VENV)/.made-dist: EXTRAS := dist
 $(VENV)/.made-%: $(BIN)/python $(DEFINITION)
@@ -62,7 +63,9 @@ docs: $(VENV)/.made-docs
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
 	@echo "docs/_build/html/index.html"
 
-bench: $(VENV)/.made-test
+bench: $(VENV)/.made-bench
+	$(BIN)/python benchmarks/other_packages.py --out docs/data
+	$(BIN)/python benchmarks/fused_speed.py --out docs/data/speed.csv
 	$(BIN)/pytest benchmarks -s --benchmark-columns=min,median,ops --benchmark-sort=min
 
 campaign: $(VENV)/.made-test

@@ -121,6 +121,13 @@ class Tick:
     statistic: NDArray[np.float64]
 
 
+def fingerprint_of(monitor: Monitor) -> str:
+    """Return what tells that two monitors run the same: the SHA-256 of all that they are made of."""
+    content = monitor_out(monitor)
+    ran = {name: content[name] for name in sorted(content) if name not in ("state", "notes", "fit_check")}
+    return hashlib.sha256(json.dumps(ran, sort_keys=True).encode()).hexdigest()
+
+
 class FleetBlock:
     """Plants that share a monitor.
 
@@ -164,10 +171,8 @@ class FleetBlock:
 
     @cached_property
     def fingerprint(self) -> str:
-        """What tells that two monitors run the same: the SHA-256 of all that they are made of."""
-        content = monitor_out(self.monitor)
-        ran = {name: content[name] for name in sorted(content) if name not in ("state", "notes", "fit_check")}
-        return hashlib.sha256(json.dumps(ran, sort_keys=True).encode()).hexdigest()
+        """What tells that two monitors run the same."""
+        return fingerprint_of(self.monitor)
 
     @property
     def state(self) -> State:
@@ -357,4 +362,4 @@ def _stacked(parts: Sequence[Any]) -> Any:
     return type(first)(**{one.name: _stacked([getattr(part, one.name) for part in parts]) for one in fields(first)})
 
 
-__all__ = ["FleetAlarm", "FleetBlock", "StandingAlarms", "Tick"]
+__all__ = ["FleetAlarm", "FleetBlock", "StandingAlarms", "Tick", "fingerprint_of"]
