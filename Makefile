@@ -21,7 +21,7 @@ help:
 	@echo "make test      style, types, and all tests with coverage; without it, in two thirds of the time: make test COVERAGE=0"
 	@echo "make test-cluster  monitors on Spark, Ray and Dask, real processes in an environment of their own; needs Java 17"
 	@echo "make docs      the documentation, into docs/_build/html"
-	@echo "make bench     measured speed, against other packages"
+	@echo "make bench     measured speed, against other packages: the tables of the page on speed"
 	@echo "make campaign  the long runs that make test leaves out"
 	@echo "make mutants   guards of the evidence made wrong on purpose: what no test notices is listed, in half an hour"
 	@echo "make dist      wheel and source distribution, tried out where there is no compiler"
@@ -41,6 +41,7 @@ $(VENV)/.made-demo: EXTRAS := cli,plot
 $(VENV)/.made-test: EXTRAS := test
 $(VENV)/.made-test-cluster: EXTRAS := test,test-cluster
 $(VENV)/.made-docs: EXTRAS := docs
+$(VENV)/.made-bench: EXTRAS := test,bench
 $(VENV)/.made-mutants: EXTRAS := test,mutants
 $(VENV)/.made-dist: EXTRAS := dist
 $(VENV)/.made-%: $(BIN)/python $(DEFINITION)
@@ -71,7 +72,9 @@ docs: $(VENV)/.made-docs
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
 	@echo "docs/_build/html/index.html"
 
-bench: $(VENV)/.made-test
+bench: $(VENV)/.made-bench
+	$(BIN)/python benchmarks/other_packages.py --out docs/data
+	$(BIN)/python benchmarks/fused_speed.py --out docs/data/speed.csv
 	$(BIN)/pytest benchmarks -s --benchmark-columns=min,median,ops --benchmark-sort=min
 
 campaign: $(VENV)/.made-test

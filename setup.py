@@ -6,8 +6,10 @@ import sysconfig
 
 from setuptools import Extension, setup
 
-# The kernels promise the same bits as NumPy: no fused multiply-add, no reordering of sums.
-flags = ["/O2", "/fp:precise"] if sys.platform == "win32" else ["-O3", "-ffp-contract=off", "-std=c11", "-g0"]
+# The kernels promise the same bits as NumPy: no fused multiply-add, no reordering of sums. Nobody reads what a root or
+# a comparison leaves in errno or among the flags of the processor, so that loops over them may become vectors.
+unread = ["-fno-math-errno", "-fno-trapping-math"]
+flags = ["/O2", "/fp:precise"] if sys.platform == "win32" else ["-O3", "-ffp-contract=off", *unread, "-std=c11", "-g0"]
 # Builds of Python without the global lock do not have the stable ABI.
 stable_abi = not sysconfig.get_config_var("Py_GIL_DISABLED")
 
@@ -26,10 +28,10 @@ def kernel(name: str, depends: list[str]) -> Extension:
 
 
 filter_header, judging_header = "src/residua/linear/systems/_filter.h", "src/residua/decide/_judging.h"
-plant_header = "src/residua/monitor/_plant_filter.h"
+plant_header, tick_header = "src/residua/monitor/_plant_filter.h", "src/residua/monitor/_tick.h"
 kernels = [
     kernel("residua.linear.systems._recursion", [filter_header]),
-    kernel("residua.monitor._fused", [filter_header, judging_header, plant_header]),
+    kernel("residua.monitor._fused", [filter_header, judging_header, plant_header, tick_header]),
 ]
 
 setup(

@@ -19,6 +19,7 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import argparse
 import csv
+import hashlib
 import io
 import json
 import random
@@ -51,7 +52,7 @@ from residua.errors import ResiduaError
 from residua.monitor.saving import EDITED
 from residua.plant import dumps_plant, load_plant
 from residua.plant.plant_writer import differences
-from residua.recording import array_child, mat_files, recording
+from residua.recording import array_child, csv_arrow, mat_files, recording
 from residua.recording.unpacked import MAX_UNPACKED
 
 TABLE = Path(__file__).resolve().parent.parent / "docs" / "data" / "damaged_files.csv"
@@ -354,6 +355,62 @@ def read_mat_files() -> None:
         sys.stdout.buffer.flush()
 
 
+def read_both_ways(path: Path, whole: bytes) -> str:
+    """Read text by the reader of large files and by the package's own: the same numbers, or the same refusal."""
+    outcomes, usual = [], csv_arrow.LARGE
+    for least in (0, sys.maxsize):
+        csv_arrow.LARGE = least
+        try:
+            found = rs.read_recording(path, MODEL)
+            outcomes.append((found.u.tobytes(), found.y.tobytes(), found.time.tobytes()))
+        except ResiduaError as error:
+            outcomes.append(str(error))
+        finally:
+            csv_arrow.LARGE = usual
+    assert outcomes[0] == outcomes[1], f"the two readers differ: {outcomes}"[:400]
+    return read_recording(path, whole)
+
+
+# ------------------------------------------------------------------- snapshots of fleets
+
+_FLEETS: dict[bytes, rs.Monitor] = {}
+
+
+def snapshots() -> tuple[bytes, ...]:
+    """Return snapshots of fleets in the middle of their work, one for each way to test and to name."""
+    for monitor in monitors():
+        fleet = rs.Fleet(monitor, plants=["north", "south", "east"])
+        u, y = FAULTY
+        fleet.run(np.stack([u] * 3), np.stack([y, y[::-1], y[:, ::-1]]))
+        _FLEETS[fleet.snapshot()] = monitor
+    return tuple(_FLEETS)
+
+
+def restored_whole(path: Path, whole: bytes) -> str:
+    """Restore a snapshot: nothing but what was taken."""
+    found = rs.Fleet.restore(path.read_bytes(), _FLEETS[whole])
+    assert found.snapshot() == whole, "blind: another content was taken for the snapshot"
+    return SAME
+
+
+def resealed(rng: random.Random, content: bytes) -> bytes:
+    """Return a damaged snapshot with a checksum that fits, as somebody who makes one up would."""
+    body = damaged_bytes(rng, content[:-32])
+    return body + hashlib.sha256(body).digest()
+
+
+def restored_unchecked(path: Path, whole: bytes) -> str:
+    """Restore a snapshot that somebody made up: what is taken runs, and can be taken and restored again."""
+    content = path.read_bytes()
+    monitor, (u, y) = _FLEETS[whole], FAULTY
+    found = rs.Fleet.restore(content, monitor)
+    with np.errstate(all="ignore"):  # any number may stand for what a plant remembers
+        found.tick(None, np.tile(u[0], (len(found), 1)), np.tile(y[0], (len(found), 1)))
+        again = rs.Fleet.restore(found.snapshot(), monitor)
+    assert again.plants == found.plants
+    return SAME if content == whole else OTHER
+
+
 # ------------------------------------------------------------------------ checkpoints
 
 SEARCH = GeneticSearch(population=6, generations=2, polish=False)
@@ -410,8 +467,11 @@ def kinds() -> dict[str, Callable[[], Kind]]:
         ("checkpoint (JSON)", ".json", lambda: (checkpoint(),), tables, read_checkpoint),
         ("CSV", ".csv", csv_files, text, read_recording),
         ("Parquet", ".parquet", parquet_files, (damaged_bytes,), read_recording),
+        ("CSV, by both readers", ".csv", csv_files, text, read_both_ways),
         (".npz", ".npz", npz_files, (damaged_bytes,), read_recording),
         (".mat", ".mat", mat_versions, (damaged_bytes,), read_mat),
+        ("snapshot of a fleet", ".snapshot", snapshots, (damaged_bytes,), restored_whole),
+        ("snapshot with a checksum that fits", ".snapshot", snapshots, (resealed,), restored_unchecked),
     )
     return {
         name: lambda n=name, e=ending, s=samples, d=damages, r=read: Kind(n, e, s(), d, r)

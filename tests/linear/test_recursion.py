@@ -295,3 +295,21 @@ def test_environment_forces_numpy() -> None:
     environment = {**os.environ, "RESIDUA_NO_COMPILED": "1"}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
+
+
+@pytest.mark.parametrize("columns", [0, 1, 3])
+@pytest.mark.parametrize("order", [0, 2, 4, 11])
+def test_inputs_side_by_side_give_the_bits_of_one_array(columns: int, order: int) -> None:
+    rng = np.random.default_rng(order)
+    A, B, C, D = (rng.standard_normal(shape) * 0.3 for shape in ((order, order), (order, 3), (5, order), (5, 3)))
+    x, data = rng.standard_normal((2, order)), rng.standard_normal((2, 50, 3))
+    data[1, 20:30] = 0.0
+    v, w = np.ascontiguousarray(data[..., :columns]), np.ascontiguousarray(data[..., columns:])
+    expected = run_filter(A, B, C, D, x, data)
+    for first, second in ((v, w), (data[..., :columns], data[..., columns:])):
+        actual = recursion.run_side_by_side((A, B, C, D), x, first, second)
+        for one, other in zip(actual, expected, strict=True):
+            assert np.array_equal(one, other)
+    if columns == 1 and recursion.compiled():
+        with pytest.raises(ValueError, match="shape"):
+            recursion.run_side_by_side((A, B, C, D), x, v, v)

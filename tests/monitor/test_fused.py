@@ -21,7 +21,14 @@ from residua.decide import (
 from residua.decide.whitened_norm import NormTest
 from residua.monitor import fused
 from residua.monitor.fused import FusedRun, copied, plan_of, run_block
-from residua.monitor.running import State, initial_state, joined_decisions, run_reference
+from residua.monitor.running import (
+    State,
+    initial_state,
+    joined_decisions,
+    rows_of,
+    run_reference,
+    written_rows,
+)
 
 needs_kernel = pytest.mark.skipif(fused._kernel is None, reason="there is no compiled kernel")
 
@@ -68,6 +75,56 @@ def test_it_has_the_bits_of_numpy(
             parts.append(decisions)
     same(joined_decisions(parts), expected, "decisions")
     same(now, state, "state")
+
+
+@needs_kernel
+@settings(max_examples=60, deadline=None)
+@given(
+    test=st.sampled_from(list(TESTS)),
+    isolation=st.sampled_from(list(ISOLATIONS)),
+    order=st.sampled_from(ORDERS),
+    outputs=st.sampled_from((1, 2, 3, 5)),
+    path=st.sampled_from((0, 1, 2)),
+    marks=st.lists(st.sampled_from(MARKS), max_size=3),
+    plants=st.sampled_from((1, 2, 33, 70)),
+    few=st.booleans(),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_single_samples_of_many_plants_have_the_bits_of_numpy(
+    test: str,
+    isolation: str,
+    order: int,
+    outputs: int,
+    path: int,
+    marks: list[float],
+    plants: int,
+    few: bool,
+    seed: int,
+) -> None:
+    assume(order > 0 or test != "glr along faults")
+    assume(path <= fused.best_path())
+    spec, rng = specification(test, isolation, order, outputs, "observer"), np.random.default_rng(seed)
+    plan = plan_of(spec)
+    assert plan is not None
+    data = np.concatenate([recording(spec, rng, 30, marks) for _ in range(-(-plants // 3))])[:plants]
+    keep = ("missing", "usable", "statistic", "alarm") if few else fused.OUTPUTS
+    inputs, state = int(rng.integers(0, data.shape[2] + 1)), initial_state(spec, plants)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fused, "best_path", lambda: path)
+        run = FusedRun(spec, plan, copied(state), inputs)
+    for k in range(data.shape[1]):
+        rows = rng.permutation(plants)[: int(rng.integers(1, plants + 1))]
+        who, outs = np.sort(rows), run.outputs(len(rows), 1, keep)
+        sample = data[rows, k : k + 1]
+        run.run(sample[..., :inputs], sample[..., inputs:], outs, rows)
+        with np.errstate(all="ignore"):
+            after, expected = run_reference(spec, rows_of(state, rows), sample)
+        state = written_rows(copied(state), rows, after)
+        for name, values in outs.items():
+            if values is not None and name in ("missing", "usable", "statistic", "alarm", "residuals", "scores", "up"):
+                assert np.array_equal(values, getattr(expected, name), equal_nan=values.dtype == float), name
+        same(rows_of(run.state, who), rows_of(state, who), "state")
+    same(run.state, state, "state")
 
 
 def _rows(monitor: rs.Monitor, samples: int = 600) -> np.ndarray:

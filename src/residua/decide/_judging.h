@@ -1,6 +1,7 @@
 /* Tests and isolations of the fused loop: the same sums in the same order as their NumPy code.
  *
- * Each takes a piece of one plant, and its own row of the state. To bring a test of another kind here, write its statistic, a line in `statistic_of`, and `compiled` in its Python file.
+ * Each takes a piece of one plant, and its own row of the state. To bring a test of another kind here, write its
+ * statistic, a line in `judge_stream`, and `compiled` in its Python file.
  */
 #ifndef RESIDUA_JUDGING_H
 #define RESIDUA_JUDGING_H
@@ -8,6 +9,7 @@
 #include <math.h>
 
 #define LARGEST_WHITENED 1e120 /* as in residua.decide.whitened_norm */
+#define LARGEST_SQUARES 9e239  /* sums of squares up to here are of numbers up to there */
 #define FULL 2.0               /* as in residua.decide.cusum */
 
 enum { NORM = 1, PAGE, CROSIER, PIGNATIELLO_RUNGER, EWMA, CHI_SQUARED, GLR, DIRECTED_GLR };
@@ -22,15 +24,15 @@ typedef struct {
     whole persistence, release;
     double root; /* of the window */
     double threshold, release_level, allowance, old_weight, new_weight, deviation;
-    double padded[16]; /* of at most four residuals: rows of the whitening, and zeros */
+    double padded[20]; /* of at most four residuals: centres, then rows of the whitening, and zeros */
     const double *center, *whitening, *coefficients, *rewhitening, *knots, *scores, *along;
 } test_plan;
 
 typedef struct {
     Py_ssize_t k, window, groups;
     const whole *dimensions;
-    const double *bases; /* k x all columns of all groups */
-    Py_ssize_t columns;
+    const double *padded; /* k rows of all columns of all groups, and zeros */
+    Py_ssize_t columns, room; /* of a row: a multiple of four numbers */
     int are_lines; /* every signature has one column */
 } isolation_plan;
 
@@ -52,18 +54,26 @@ typedef struct {
     Py_ssize_t time;
     const double *r;
     double *q, *sums, *statistic, *scores;
+    double *e, *history; /* room: of a piece, what the past does not foretell; and of sums over the last samples */
     flag *usable, *over, *alarm;
     whole *up;
-    int is_quiet; /* nothing is over, and nothing was: `over`, `alarm` and `up` are not written then */
+    int is_judged; /* q is there already, and the squares of its rows in `statistic` */
+    int is_quiet;  /* nothing is over, and nothing was: `over`, `alarm` and `up` are not written then */
 } piece;
 
 INLINE double
-length_of(const double *v, Py_ssize_t k)
+square_of(const double *v, Py_ssize_t k)
 {
     double total = 0.0;
     for (Py_ssize_t j = 0; j < k; j++)
         total += v[j] * v[j];
-    return sqrt(total);
+    return total;
+}
+
+INLINE double
+length_of(const double *v, Py_ssize_t k)
+{
+    return sqrt(square_of(v, k));
 }
 
 /* out = v @ M, every sum from zero and in order. */
@@ -106,9 +116,9 @@ whitened_of(const test_plan *t, const double *r, double *q, Py_ssize_t nr, Py_ss
     if (nr <= 4 && k <= 4) { /* constants: in registers, of rows that are padded with zeros */
         double sum[4] = {0.0, 0.0, 0.0, 0.0};
         for (Py_ssize_t i = 0; i < nr; i++) {
-            const double centred = r[i] - t->center[i];
+            const double centred = r[i] - t->padded[i];
             for (int j = 0; j < 4; j++)
-                sum[j] += centred * t->padded[4 * i + j];
+                sum[j] += centred * t->padded[4 + 4 * i + j];
         }
         for (Py_ssize_t j = 0; j < k; j++)
             q[j] = sum[j];
@@ -121,15 +131,40 @@ whitened_of(const test_plan *t, const double *r, double *q, Py_ssize_t nr, Py_ss
             q[j] += (r[i] - t->center[i]) * t->whitening[i * k + j];
 }
 
-/* Whitened residuals; 0 and not usable where one would overflow a sum. */
+/* Square roots of sums of squares. */
 INLINE void
+roots(double *values, Py_ssize_t count)
+{
+    for (Py_ssize_t i = 0; i < count; i++)
+        values[i] = sqrt(values[i]);
+}
+
+INLINE double
+largest_of(const double *values, Py_ssize_t count)
+{
+    double largest[8] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0}; /* lanes of vectors */
+    Py_ssize_t i = 0;
+    for (; i + 8 <= count; i += 8)
+        for (int l = 0; l < 8; l++)
+            largest[l] = values[i + l] > largest[l] ? values[i + l] : largest[l];
+    for (; i < count; i++)
+        largest[0] = values[i] > largest[0] ? values[i] : largest[0];
+    for (int l = 1; l < 8; l++)
+        largest[0] = largest[l] > largest[0] ? largest[l] : largest[0];
+    return largest[0];
+}
+
+/* Whitened residuals; 0 and not usable where one would overflow a sum. Whether their squares are in `statistic`. */
+INLINE int
 whiten(const test_plan *t, const piece *p, Py_ssize_t nr, Py_ssize_t k)
 {
     if (all_set(p->usable, p->time)) {
+        if (p->is_judged && all_within(p->statistic, p->time, LARGEST_SQUARES))
+            return 1;
         for (Py_ssize_t i = 0; i < p->time; i++)
             whitened_of(t, p->r + i * nr, p->q + i * k, nr, k);
         if (all_within(p->q, p->time * k, LARGEST_WHITENED))
-            return;
+            return 0;
     }
     for (Py_ssize_t i = 0; i < p->time; i++) {
         double *q = p->q + i * k;
@@ -141,37 +176,49 @@ whiten(const test_plan *t, const piece *p, Py_ssize_t nr, Py_ssize_t k)
         for (Py_ssize_t j = 0; j < k; j++)
             q[j] = 0.0;
     }
+    return 0;
 }
 
-/* The sum over the last samples, as residua.decide.window has it. */
+/* Cut the time where a block of the window is full: what is kept becomes sums of the samples after each place. */
 INLINE void
-moving_sum(window_row row, Py_ssize_t window, const double *v, double *sums, Py_ssize_t k)
+turn_window(window_row row, Py_ssize_t window, Py_ssize_t k)
+{
+    *row.filled = 0;
+    for (Py_ssize_t j = 0; j < k; j++)
+        row.begun[j] = 0.0;
+    double *after = row.begun; /* adds up, and is zero again in the end */
+    for (Py_ssize_t i = window - 1; i >= 0; i--)
+        for (Py_ssize_t j = 0; j < k; j++) {
+            const double value = row.values[i * k + j];
+            row.values[i * k + j] = after[j];
+            after[j] = i == window - 1 ? value : after[j] + value;
+        }
+    for (Py_ssize_t j = 0; j < k; j++)
+        row.begun[j] = 0.0;
+}
+
+/* The sums over the last samples, as residua.decide.window has them. */
+INLINE void
+moving_sums(window_row row, Py_ssize_t window, const double *v, double *sums, Py_ssize_t time, Py_ssize_t k)
 {
     if (window == 1) {
-        for (Py_ssize_t j = 0; j < k; j++)
-            sums[j] = v[j];
+        memcpy(sums, v, (size_t)(time * k) * sizeof(double));
         return;
     }
-    const Py_ssize_t at = (Py_ssize_t)*row.filled;
-    double *place = row.values + at * k;
-    for (Py_ssize_t j = 0; j < k; j++) {
-        row.begun[j] = at ? row.begun[j] + v[j] : v[j];
-        sums[j] = place[j] + row.begun[j];
-        place[j] = v[j];
-    }
-    if (at + 1 < window) {
-        *row.filled = at + 1;
-        return;
-    }
-    *row.filled = 0;
-    for (Py_ssize_t j = 0; j < k; j++) {
-        double after = 0.0;
-        for (Py_ssize_t i = window - 1; i >= 0; i--) {
-            const double value = row.values[i * k + j];
-            row.values[i * k + j] = after;
-            after = i == window - 1 ? value : after + value;
-        }
-        row.begun[j] = 0.0;
+    while (time > 0) {
+        const Py_ssize_t at = (Py_ssize_t)*row.filled, room = window - at, some = time < room ? time : room;
+        double *place = row.values + at * k;
+        for (Py_ssize_t i = 0; i < some; i++, place += k, v += k, sums += k)
+            for (Py_ssize_t j = 0; j < k; j++) {
+                const double begun = at + i ? row.begun[j] + v[j] : v[j];
+                row.begun[j] = begun;
+                sums[j] = place[j] + begun;
+                place[j] = v[j];
+            }
+        *row.filled = at + some;
+        if (some == room)
+            turn_window(row, window, k);
+        time -= some;
     }
 }
 
@@ -179,9 +226,7 @@ moving_sum(window_row row, Py_ssize_t window, const double *v, double *sums, Py_
 INLINE void
 raise_alarms(const test_plan *t, const test_row *row, piece *p)
 {
-    double largest = 0.0;
-    for (Py_ssize_t i = 0; i < p->time; i++)
-        largest = p->statistic[i] > largest ? p->statistic[i] : largest;
+    const double largest = largest_of(p->statistic, p->time);
     whole up = *row->up, down = *row->down;
     flag alarm = *row->alarm;
     p->is_quiet = !(largest > t->threshold) && !up && !alarm;
@@ -210,19 +255,21 @@ raise_alarms(const test_plan *t, const test_row *row, piece *p)
 }
 
 INLINE void
-judge_norm(const test_plan *t, const test_row *row, piece *p, Py_ssize_t k)
+judge_norm(const test_plan *t, const test_row *row, piece *p, Py_ssize_t k, int has_squares)
 {
-    const double *sums = p->q;
     if (t->window > 1) {
+        moving_sums(row->window, t->window, p->q, p->sums, p->time, k);
         for (Py_ssize_t i = 0; i < p->time; i++)
-            moving_sum(row->window, t->window, p->q + i * k, p->sums + i * k, k);
-        sums = p->sums;
-    }
-    for (Py_ssize_t i = 0; i < p->time; i++)
-        p->statistic[i] = length_of(sums + i * k, k);
-    if (t->window > 1)
+            p->statistic[i] = square_of(p->sums + i * k, k);
+        roots(p->statistic, p->time);
         for (Py_ssize_t i = 0; i < p->time; i++)
             p->statistic[i] /= t->root;
+    } else {
+        if (!has_squares)
+            for (Py_ssize_t i = 0; i < p->time; i++)
+                p->statistic[i] = square_of(p->q + i * k, k);
+        roots(p->statistic, p->time);
+    }
     if (!all_set(p->usable, p->time))
         for (Py_ssize_t i = 0; i < p->time; i++)
             p->statistic[i] = p->usable[i] ? p->statistic[i] : NAN;
@@ -231,14 +278,13 @@ judge_norm(const test_plan *t, const test_row *row, piece *p, Py_ssize_t k)
 /* ---- tests that remember --------------------------------------------------------------------------------------- */
 
 /* What the past does not foretell of q; whether all of the past that it takes is known. */
-static int
-unforetold(const test_plan *t, const test_row *row, const double *q, int usable, double *e, double *part)
+INLINE int
+unforetold(const test_plan *t, const test_row *row, const double *q, int usable, double *e, double *part, Py_ssize_t k)
 {
-    const Py_ssize_t k = t->k, order = t->order;
+    const Py_ssize_t order = t->order;
     int seen = usable;
-    memcpy(e, q, (size_t)k * sizeof(double));
-    if (!order)
-        return seen;
+    for (Py_ssize_t j = 0; j < k; j++)
+        e[j] = q[j];
     for (Py_ssize_t lag = 1; lag <= order; lag++) {
         row_product(row->past + (order - lag) * k, t->coefficients + (lag - 1) * k * k, k, k, part);
         for (Py_ssize_t j = 0; j < k; j++)
@@ -246,18 +292,17 @@ unforetold(const test_plan *t, const test_row *row, const double *q, int usable,
         seen &= row->past_usable[order - lag];
     }
     memmove(row->past, row->past + k, (size_t)((order - 1) * k) * sizeof(double));
-    memcpy(row->past + (order - 1) * k, q, (size_t)k * sizeof(double));
+    for (Py_ssize_t j = 0; j < k; j++)
+        row->past[(order - 1) * k + j] = q[j];
     memmove(row->past_usable, row->past_usable + 1, (size_t)(order - 1));
     row->past_usable[order - 1] = (flag)usable;
-    if (!seen)
-        for (Py_ssize_t j = 0; j < k; j++)
-            e[j] = 0.0;
-    memcpy(part, e, (size_t)k * sizeof(double));
+    for (Py_ssize_t j = 0; j < k; j++)
+        part[j] = seen ? e[j] : 0.0;
     row_product(part, t->rewhitening, k, k, e);
     return seen;
 }
 
-static double
+INLINE double
 score_of(const double *knots, const double *scores, Py_ssize_t count, double value)
 {
     Py_ssize_t low = 0, high = count; /* the first knot that is not below the value */
@@ -273,37 +318,38 @@ score_of(const double *knots, const double *scores, Py_ssize_t count, double val
     return scores[place - 1] + slope * (value - knots[place - 1]);
 }
 
-static double
-page(const test_plan *t, const double *now, const double *e, double *then)
+INLINE double
+page(const test_plan *t, const double *now, const double *e, double *then, Py_ssize_t k)
 {
+    const double full = FULL * t->threshold;
     double largest = 0.0;
-    for (Py_ssize_t j = 0; j < 2 * t->k; j++) {
-        double sum = now[j] + ((j < t->k ? e[j] : -e[j - t->k]) - t->allowance);
+    for (Py_ssize_t j = 0; j < 2 * k; j++) {
+        double sum = now[j] + ((j < k ? e[j] : -e[j - k]) - t->allowance);
         sum = sum > 0.0 ? sum : 0.0;
-        then[j] = sum < FULL * t->threshold ? sum : FULL * t->threshold;
+        then[j] = sum < full ? sum : full;
         largest = then[j] > largest ? then[j] : largest;
     }
     return largest;
 }
 
-static double
-crosier(const test_plan *t, const double *now, const double *e, double *then)
+INLINE double
+crosier(const test_plan *t, const double *now, const double *e, double *then, Py_ssize_t k)
 {
-    for (Py_ssize_t j = 0; j < t->k; j++)
+    const double full = FULL * t->threshold;
+    for (Py_ssize_t j = 0; j < k; j++)
         then[j] = now[j] + e[j];
-    const double length = length_of(then, t->k), above = length - t->allowance;
+    const double length = length_of(then, k), above = length - t->allowance;
     double left = above > 0.0 ? above : 0.0;
-    left = left < FULL * t->threshold ? left : FULL * t->threshold;
+    left = left < full ? left : full;
     const double part = length > 0 ? left / length : 0.0;
-    for (Py_ssize_t j = 0; j < t->k; j++)
+    for (Py_ssize_t j = 0; j < k; j++)
         then[j] *= part;
     return left;
 }
 
-static double
-pignatiello_runger(const test_plan *t, const double *now, const double *e, double *then)
+INLINE double
+pignatiello_runger(const test_plan *t, const double *now, const double *e, double *then, Py_ssize_t k)
 {
-    const Py_ssize_t k = t->k;
     const double count = now[k] + 1, full = FULL * t->threshold;
     for (Py_ssize_t j = 0; j < k; j++)
         then[j] = now[j] + e[j];
@@ -323,103 +369,207 @@ pignatiello_runger(const test_plan *t, const double *now, const double *e, doubl
     return left;
 }
 
-static double
-cumulative(const test_plan *t, const test_row *row, const double *e, int seen, double *then)
+/* Cumulative sums of a piece; `sums` of one plant, and whether it is in alarm behind them. */
+INLINE void
+cumulative_sums(const test_plan *t, double *sums, piece *p, double *then, Py_ssize_t k)
 {
     const Py_ssize_t count = t->sums - 1;
-    const double value = t->kind == PAGE      ? page(t, row->sums, e, then)
-                         : t->kind == CROSIER ? crosier(t, row->sums, e, then)
-                                              : pignatiello_runger(t, row->sums, e, then);
-    if (!seen)
-        return value;
-    int alarmed = row->sums[count] > 0 || value > t->threshold;
-    if (alarmed && value <= t->release_level) {
-        for (Py_ssize_t j = 0; j < count; j++)
-            then[j] = 0.0;
-        alarmed = 0;
-    }
-    memcpy(row->sums, then, (size_t)count * sizeof(double));
-    row->sums[count] = alarmed ? 1.0 : 0.0;
-    return value;
-}
-
-static double
-average(const test_plan *t, const test_row *row, const double *e, int seen)
-{
-    for (Py_ssize_t j = 0; j < t->k; j++)
-        if (seen)
-            row->sums[j] = t->old_weight * row->sums[j] + t->new_weight * e[j];
-    return length_of(row->sums, t->k) / t->deviation;
-}
-
-/* Statistics of sums over the last samples that were seen: `sums` of them are kept, of `width` numbers. */
-static double
-of_recent(const test_plan *t, const test_row *row, const double *now, Py_ssize_t width, double *total)
-{
-    const Py_ssize_t kept = t->window - 1;
-    double best = 0.0;
-    for (Py_ssize_t j = 0; j < width; j++)
-        total[j] = 0.0;
-    for (Py_ssize_t back = 0; back <= kept; back++) {
-        const double *sample = back ? row->sums + (kept - back) * width : now;
-        double size = 0.0;
-        for (Py_ssize_t j = 0; j < width; j++)
-            total[j] += sample[j];
-        if (t->kind == CHI_SQUARED)
+    int alarmed = sums[count] > 0;
+    for (Py_ssize_t i = 0; i < p->time; i++) {
+        const double *e = p->e + i * k;
+        const double value = t->kind == PAGE      ? page(t, sums, e, then, k)
+                             : t->kind == CROSIER ? crosier(t, sums, e, then, k)
+                                                  : pignatiello_runger(t, sums, e, then, k);
+        p->statistic[i] = value;
+        if (!p->usable[i])
             continue;
-        if (t->kind == GLR)
-            size = length_of(total, width);
-        else
-            for (Py_ssize_t j = 0; j < width; j++)
-                size = fabs(total[j]) > size ? fabs(total[j]) : size;
-        size /= sqrt((double)(back + 1));
-        best = back == 0 || size > best ? size : best;
+        alarmed |= value > t->threshold;
+        if (alarmed && value <= t->release_level) {
+            for (Py_ssize_t j = 0; j < count; j++)
+                then[j] = 0.0;
+            alarmed = 0;
+        }
+        for (Py_ssize_t j = 0; j < count; j++)
+            sums[j] = then[j];
     }
-    if (kept) {
-        memmove(row->sums, row->sums + width, (size_t)((kept - 1) * width) * sizeof(double));
-        memcpy(row->sums + (kept - 1) * width, now, (size_t)width * sizeof(double));
-    }
-    return t->kind == CHI_SQUARED ? sqrt(total[0]) : best;
+    sums[count] = alarmed ? 1.0 : 0.0;
 }
 
-static double
-statistic_of(const test_plan *t, const test_row *row, const double *e, int seen, double *part, double *spare)
-{
-    if (t->kind <= PIGNATIELLO_RUNGER)
-        return cumulative(t, row, e, seen, part);
-    if (t->kind == EWMA)
-        return average(t, row, e, seen);
-    if (!seen)
-        return 0.0;
-    if (t->kind == CHI_SQUARED) {
-        double square = 0.0;
-        for (Py_ssize_t j = 0; j < t->k; j++)
-            square += e[j] * e[j];
-        return of_recent(t, row, &square, 1, part);
-    }
-    if (t->kind == GLR)
-        return of_recent(t, row, e, t->k, part);
-    row_product(e, t->along, t->k, t->directions, spare);
-    return of_recent(t, row, spare, t->directions, part);
-}
-
-static void
-judge_stream(const test_plan *t, const test_row *row, piece *p, double *e, double *part, double *spare)
+/* Weighted averages of a piece. */
+INLINE void
+averages(const test_plan *t, double *sums, piece *p, Py_ssize_t k)
 {
     for (Py_ssize_t i = 0; i < p->time; i++) {
-        const int seen = unforetold(t, row, p->q + i * t->k, p->usable[i], e, part);
-        if (t->knots_of_each)
-            for (Py_ssize_t j = 0; j < t->k; j++)
-                e[j] = score_of(t->knots + j * t->knots_of_each, t->scores, t->knots_of_each, e[j]);
-        const double statistic = statistic_of(t, row, e, seen, part, spare);
-        p->statistic[i] = seen ? statistic : NAN;
-        p->usable[i] = (flag)seen;
+        const double *e = p->e + i * k;
+        for (Py_ssize_t j = 0; j < k; j++)
+            sums[j] = p->usable[i] ? t->old_weight * sums[j] + t->new_weight * e[j] : sums[j];
+        p->statistic[i] = square_of(sums, k);
     }
+    roots(p->statistic, p->time);
+    for (Py_ssize_t i = 0; i < p->time; i++)
+        p->statistic[i] /= t->deviation;
+}
+
+/* ---- sums over the last samples that were seen, of a piece; so many are remembered ------------------------------- */
+
+#define TOGETHER 8 /* samples whose sums are formed side by side */
+
+/* The largest size of the sums that end at some samples, each by the root of its number of samples. The columns are so
+ * far apart; `total` has room for as many numbers of each column. */
+INLINE void
+best_of_sums(const test_plan *t, const double *columns, Py_ssize_t apart, Py_ssize_t width, double *restrict total,
+             double *restrict best)
+{
+    for (Py_ssize_t j = 0; j < width * TOGETHER; j++)
+        total[j] = 0.0;
+    for (int l = 0; l < TOGETHER; l++)
+        best[l] = 0.0;
+    for (Py_ssize_t back = 0; back < t->window; back++) {
+        double size[TOGETHER] = {0.0};
+        for (Py_ssize_t j = 0; j < width; j++) {
+            const double *sample = columns + j * apart - back;
+            double *sum = total + j * TOGETHER;
+            for (int l = 0; l < TOGETHER; l++)
+                sum[l] += sample[l];
+            if (t->kind == GLR)
+                for (int l = 0; l < TOGETHER; l++)
+                    size[l] += sum[l] * sum[l];
+            else
+                for (int l = 0; l < TOGETHER; l++)
+                    size[l] = fabs(sum[l]) > size[l] ? fabs(sum[l]) : size[l];
+        }
+        const double root = sqrt((double)(back + 1));
+        if (t->kind == GLR)
+            for (int l = 0; l < TOGETHER; l++)
+                size[l] = sqrt(size[l]);
+        for (int l = 0; l < TOGETHER; l++) {
+            size[l] /= root;
+            best[l] = back == 0 || size[l] > best[l] ? size[l] : best[l];
+        }
+    }
+}
+
+INLINE void
+length_of_sums(const test_plan *t, const double *sample, double *restrict best)
+{
+    double total[TOGETHER] = {0.0};
+    for (Py_ssize_t back = 0; back < t->window; back++)
+        for (int l = 0; l < TOGETHER; l++)
+            total[l] += sample[l - back];
+    for (int l = 0; l < TOGETHER; l++)
+        best[l] = sqrt(total[l]);
+}
+
+/* What is summed of a sample: its square, itself, or its parts along directions. */
+INLINE void
+summed_part(const test_plan *t, const double *e, double *part, Py_ssize_t k)
+{
+    if (t->kind == CHI_SQUARED)
+        part[0] = square_of(e, k);
+    else if (t->kind == DIRECTED_GLR)
+        row_product(e, t->along, k, t->directions, part);
+    else
+        for (Py_ssize_t j = 0; j < k; j++)
+            part[j] = e[j];
+}
+
+/* Statistics of sums over the last samples that were seen, of a piece; `sums` are these samples, the oldest first. */
+INLINE void
+of_recent(const test_plan *t, double *sums, piece *p, double *part, Py_ssize_t k)
+{
+    const Py_ssize_t width = t->kind == CHI_SQUARED ? 1 : t->kind == GLR ? k : t->directions, kept = t->window - 1;
+    const Py_ssize_t apart = kept + p->time + TOGETHER;
+    double *const columns = p->history, *const total = columns + width * apart;
+    Py_ssize_t seen = kept;
+    for (Py_ssize_t i = 0; i < kept; i++)
+        for (Py_ssize_t j = 0; j < width; j++)
+            columns[j * apart + i] = sums[i * width + j];
+    for (Py_ssize_t i = 0; i < p->time; i++)
+        if (p->usable[i]) {
+            summed_part(t, p->e + i * k, part, k);
+            for (Py_ssize_t j = 0; j < width; j++)
+                columns[j * apart + seen] = part[j];
+            seen++;
+        }
+    for (Py_ssize_t j = 0; j < width; j++)
+        for (Py_ssize_t i = seen; i < seen + TOGETHER && i < apart; i++)
+            columns[j * apart + i] = 0.0;
+    for (Py_ssize_t i = kept; i < seen; i += TOGETHER) {
+        double best[TOGETHER];
+        if (t->kind == CHI_SQUARED)
+            length_of_sums(t, columns + i, best);
+        else
+            best_of_sums(t, columns + i, apart, width, total, best);
+        for (Py_ssize_t l = 0; l < TOGETHER && i + l < seen; l++)
+            p->statistic[i + l - kept] = best[l];
+    }
+    for (Py_ssize_t i = 0; i < kept; i++)
+        for (Py_ssize_t j = 0; j < width; j++)
+            sums[i * width + j] = columns[j * apart + seen - kept + i];
+    Py_ssize_t from = seen - kept; /* from the last one on, each to its own place */
+    for (Py_ssize_t i = p->time - 1; i >= 0 && from <= i; i--)
+        if (p->usable[i])
+            p->statistic[i] = p->statistic[--from];
+}
+
+INLINE void
+judge_stream(const test_plan *t, const test_row *row, piece *p, double *part, double *spare, Py_ssize_t k)
+{
+    double *const e = p->e;
+    if (t->order)
+        for (Py_ssize_t i = 0; i < p->time; i++)
+            p->usable[i] = (flag)unforetold(t, row, p->q + i * k, p->usable[i], e + i * k, part, k);
+    else
+        memcpy(e, p->q, (size_t)(p->time * k) * sizeof(double));
+    if (t->knots_of_each)
+        for (Py_ssize_t i = 0; i < p->time; i++)
+            for (Py_ssize_t j = 0; j < k; j++)
+                e[i * k + j] = score_of(t->knots + j * t->knots_of_each, t->scores, t->knots_of_each, e[i * k + j]);
+    if (t->kind <= PIGNATIELLO_RUNGER)
+        cumulative_sums(t, row->sums, p, part, k);
+    else if (t->kind == EWMA)
+        averages(t, row->sums, p, k);
+    else
+        of_recent(t, row->sums, p, spare, k);
+    if (!all_set(p->usable, p->time))
+        for (Py_ssize_t i = 0; i < p->time; i++)
+            p->statistic[i] = p->usable[i] ? p->statistic[i] : NAN;
 }
 
 /* ---- isolation by direction ------------------------------------------------------------------------------------ */
 
-/* How well each signature explains one sum of residuals; NaN where nothing can be said. */
+/* The parts of a sum of residuals along all bases. */
+INLINE void
+parts_along(const isolation_plan *n, const double *sums, double *along, Py_ssize_t k, Py_ssize_t columns)
+{
+    for (Py_ssize_t c = 0; c < columns; c++)
+        along[c] = 0.0;
+    for (Py_ssize_t j = 0; j < k; j++)
+        for (Py_ssize_t c = 0; c < columns; c++)
+            along[c] += sums[j] * n->padded[j * n->room + c];
+}
+
+/* Of each number the root of its square, which is its size where the square does not become too small. */
+INLINE void
+each_length(double *values, Py_ssize_t count)
+{
+    double far = 1.0;
+    for (Py_ssize_t c = 0; c < count; c++)
+        far = (fabs(values[c]) >= 1e-150) | (values[c] == 0.0) ? far : 0.0;
+    for (Py_ssize_t c = 0; c < count; c++)
+        values[c] = far == 1.0 ? fabs(values[c]) : sqrt(values[c] * values[c]);
+}
+
+INLINE void
+shares_of(double *values, double size, Py_ssize_t count)
+{
+    for (Py_ssize_t c = 0; c < count; c++) {
+        const double score = values[c] / size;
+        values[c] = score < 1.0 ? score : 1.0;
+    }
+}
+
+/* How well each signature explains one sum; NaN where nothing can be said. `part` has room for all columns. */
 INLINE void
 score_sample(const isolation_plan *n, const double *sums, int usable, double *part, double *scores, Py_ssize_t k)
 {
@@ -429,30 +579,29 @@ score_sample(const isolation_plan *n, const double *sums, int usable, double *pa
             scores[g] = NAN;
         return;
     }
-    double *along = n->are_lines ? scores : part; /* of lines the part is all there is */
-    for (Py_ssize_t c = 0; c < n->columns; c++)
-        along[c] = 0.0;
-    for (Py_ssize_t j = 0; j < k; j++)
-        for (Py_ssize_t c = 0; c < n->columns; c++)
-            along[c] += sums[j] * n->bases[j * n->columns + c];
-    if (along == scores) {
-        for (Py_ssize_t g = 0; g < n->groups; g++) {
-            const double score = sqrt(scores[g] * scores[g]) / size;
-            scores[g] = score < 1.0 ? score : 1.0;
-        }
+    if (n->are_lines && n->room == 8) { /* constants: in registers */
+        double along[8];
+        parts_along(n, sums, along, k, 8);
+        each_length(along, 8);
+        shares_of(along, size, 8);
+        for (Py_ssize_t g = 0; g < n->groups; g++)
+            scores[g] = along[g];
         return;
     }
-    for (Py_ssize_t g = 0; g < n->groups; along += n->dimensions[g++]) {
-        const double score = length_of(along, (Py_ssize_t)n->dimensions[g]) / size;
-        scores[g] = score < 1.0 ? score : 1.0;
-    }
+    parts_along(n, sums, part, k, n->columns);
+    if (n->are_lines) {
+        for (Py_ssize_t g = 0; g < n->groups; g++)
+            scores[g] = sqrt(part[g] * part[g]);
+    } else
+        for (Py_ssize_t g = 0; g < n->groups; part += n->dimensions[g++])
+            scores[g] = length_of(part, (Py_ssize_t)n->dimensions[g]);
+    shares_of(scores, size, n->groups);
 }
 
 INLINE void
 name_by_direction(const isolation_plan *n, window_row row, const piece *p, double *part, Py_ssize_t k)
 {
-    for (Py_ssize_t i = 0; i < p->time; i++)
-        moving_sum(row, n->window, p->q + i * k, p->sums + i * k, k);
+    moving_sums(row, n->window, p->q, p->sums, p->time, k);
     if (p->scores != NULL)
         for (Py_ssize_t i = 0; i < p->time; i++)
             score_sample(n, p->sums + i * k, p->usable[i], part, p->scores + i * n->groups, k);

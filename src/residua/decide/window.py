@@ -44,7 +44,10 @@ class WindowState:
 
 
 def empty_window(plants: int, window: int, k: int) -> WindowState:
-    """Return the state before the first sample."""
+    """Return the state before the first sample; a window of one sample remembers nothing, and takes no memory."""
+    if window == 1:
+        zeros = (np.broadcast_to(0.0, (plants, 1, k)), np.broadcast_to(0.0, (plants, k)))
+        return WindowState(*zeros, np.broadcast_to(np.int64(0), plants))
     return WindowState(np.zeros((plants, window, k)), np.zeros((plants, k)), np.zeros(plants, dtype=np.int64))
 
 

@@ -1,8 +1,9 @@
 /* The fused loop of residua.monitor.fused: filter, test and isolation in one pass over the data of many plants.
  *
  * A plant is run over pieces of the recording that stay in the cache: its filter first (_plant_filter.h), then test
- * and isolation (_judging.h). A Kalman filter with missing values is left to NumPy: `done` says from which sample on. The
- * same bits as NumPy, in place: nothing can fail once the arrays are checked.
+ * and isolation (_judging.h). Of one sample, several plants are run at once (_tick.h). A Kalman filter with missing
+ * values is left to NumPy, from some sample on. The same bits as NumPy, in place: nothing can fail once the arrays are
+ * checked.
  */
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
@@ -18,6 +19,8 @@ row_of_test(const Runner *self, Py_ssize_t row)
 {
     const test_plan *t = &self->test;
     test_row out = {.up = I8(self, UP, row), .down = I8(self, DOWN, row), .alarm = B1(self, ALARM, row)};
+    if (t->kind == NORM && t->window == 1) /* such a window remembers nothing */
+        return out;
     if (t->kind == NORM) {
         out.window.values = F8(self, TEST_VALUES, row);
         out.window.begun = F8(self, TEST_BEGUN, row);
@@ -35,7 +38,7 @@ row_of_isolation(const Runner *self, Py_ssize_t row)
 {
     const isolation_plan *p = &self->naming;
     window_row out = {NULL, NULL, NULL};
-    if (p->groups) {
+    if (p->groups && p->window > 1) {
         out.values = F8(self, VALUES, row);
         out.begun = F8(self, BEGUN, row);
         out.filled = I8(self, FILLED, row);
@@ -84,18 +87,16 @@ judge_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
 {
     const test_plan *t = &self->test;
     const test_row test = row_of_test(self, row);
-    double *e = s->small, *part = e + k + t->sums + 1, *spare = part + k + t->sums + t->directions + 1;
-    piece p = {time, s->r, s->q, s->sums, s->statistic, out_f8(b, OUT_SCORES, plant, first), s->usable, s->over,
-               s->alarm, s->up, 0};
-    if (b->out[OUT_RESIDUALS].base != NULL)
-        copy_doubles(out_f8(b, OUT_RESIDUALS, plant, first), s->r, time * nr);
+    double *part = s->small, *spare = part + k + t->sums + t->directions + 2;
+    piece p = {time, s->r, s->q, s->sums, s->statistic, out_f8(b, OUT_SCORES, plant, first), s->e, s->history,
+               s->usable, s->over, s->alarm, s->up, s->is_judged, 0};
     if (b->out[OUT_READY].base != NULL)
         copy_flags(out_b1(b, OUT_READY, plant, first), s->usable, time);
-    whiten(t, &p, nr, k);
+    const int has_squares = whiten(t, &p, nr, k);
     if (t->kind == NORM)
-        judge_norm(t, &test, &p, k);
+        judge_norm(t, &test, &p, k, has_squares);
     else
-        judge_stream(t, &test, &p, e, part, spare);
+        judge_stream(t, &test, &p, part, spare, k);
     raise_alarms(t, &test, &p);
     write_piece(self, b, plant, first, &p);
     if (self->naming.groups)
@@ -104,20 +105,37 @@ judge_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
         write_last(self, row, &p, s, spare, k);
 }
 
+#define DEFINE_JUDGE(NAME, TARGET)                                                                                    \
+    TARGET static void NAME(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, Py_ssize_t k,       \
+                            Py_ssize_t time, scratch *s)                                                              \
+    {                                                                                                                 \
+        const int square = self->nr == self->test.k;                                                                  \
+        if (square && self->nr == 1)                                                                                  \
+            judge_piece(self, b, plant, row, k, time, s, 1, 1);                                                       \
+        else if (square && self->nr == 2)                                                                             \
+            judge_piece(self, b, plant, row, k, time, s, 2, 2);                                                       \
+        else if (square && self->nr == 3)                                                                             \
+            judge_piece(self, b, plant, row, k, time, s, 3, 3);                                                       \
+        else if (square && self->nr == 4)                                                                             \
+            judge_piece(self, b, plant, row, k, time, s, 4, 4);                                                       \
+        else                                                                                                          \
+            judge_piece(self, b, plant, row, k, time, s, self->nr, self->test.k);                                     \
+    }
+DEFINE_JUDGE(judge_plain, )
+#if defined(HAVE_AVX2)
+DEFINE_JUDGE(judge_avx2, AVX2)
+#endif
+
 static void
 judge(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, Py_ssize_t k, Py_ssize_t time, scratch *s)
 {
-    const int square = self->nr == self->test.k;
-    if (square && self->nr == 1)
-        judge_piece(self, b, plant, row, k, time, s, 1, 1);
-    else if (square && self->nr == 2)
-        judge_piece(self, b, plant, row, k, time, s, 2, 2);
-    else if (square && self->nr == 3)
-        judge_piece(self, b, plant, row, k, time, s, 3, 3);
-    else if (square && self->nr == 4)
-        judge_piece(self, b, plant, row, k, time, s, 4, 4);
-    else
-        judge_piece(self, b, plant, row, k, time, s, self->nr, self->test.k);
+#if defined(HAVE_AVX2)
+    if (self->path == PATH_AVX2) {
+        judge_avx2(self, b, plant, row, k, time, s);
+        return;
+    }
+#endif
+    judge_plain(self, b, plant, row, k, time, s);
 }
 
 /* Run one plant from a sample on; return up to which it has come. */
@@ -155,6 +173,8 @@ run_plant(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, 
     *I8(self, COUNT, row) += k - begin;
     return k;
 }
+
+#include "_tick.h"
 
 /* ---- Python: arrays ---------------------------------------------------------------------------------------------- */
 
@@ -243,8 +263,9 @@ is_complete(const Runner *self)
     }
     for (int j = 0; j < STATE_ARRAYS; j++) {
         const int needed = (j <= COUNT && (j != START_SUMS || self->first)) || (j >= UP && j <= ALARM)
-                           || (norm && j >= TEST_VALUES && j <= TEST_FILLED) || (!norm && j >= PAST && j <= SUMS)
-                           || (named && j >= VALUES && j <= FILLED)
+                           || (norm && self->test.window > 1 && j >= TEST_VALUES && j <= TEST_FILLED)
+                           || (!norm && j >= PAST && j <= SUMS)
+                           || (named && self->naming.window > 1 && j >= VALUES && j <= FILLED)
                            || (self->has_state[LAST_FLAGS] && j > LAST_FLAGS && (j != LAST_SCORES || named));
         complete &= self->has_state[j] || !needed;
     }
@@ -257,17 +278,43 @@ is_complete(const Runner *self)
 static int
 points_inside(const Runner *self)
 {
-    const int norm = self->test.kind == NORM, named = self->naming.groups > 0;
+    const int norm = self->test.kind == NORM && self->test.window > 1, named = self->naming.groups > 0 && self->naming.window > 1;
     for (Py_ssize_t p = 0; p < self->plants; p++) {
         const whole test = norm ? *I8(self, TEST_FILLED, p) : 0, naming = named ? *I8(self, FILLED, p) : 0;
         const whole age = *B1(self, STARTING, p) ? *I8(self, AGE, p) : 0;
-        if (test < 0 || test >= self->test.window || naming < 0 || naming >= (named ? self->naming.window : 1) || age < 0
-            || (*B1(self, STARTING, p) && age >= self->first)) {
+        if (test < 0 || test >= self->test.window || naming < 0 || naming >= (named ? self->naming.window : 1)
+            || age < 0 || (*B1(self, STARTING, p) && age >= self->first)) {
             PyErr_SetString(PyExc_ValueError, "a state that cannot be");
             return 0;
         }
     }
     return 1;
+}
+
+/* Where the part of a record begins that every sample touches, if what is remembered of a plant lies side by side. */
+static void
+find_records(Runner *self)
+{
+    const int touched[] = {X,  HELD, GAP,   RUNNING,    AGE,            STARTING,       COUNT,
+                           UP, DOWN, ALARM, LAST_FLAGS, LAST_STATISTIC, LAST_RESIDUALS, LAST_UP};
+    const char *low = self->base[COUNT], *high = low + 8;
+    self->record_size = 0;
+    for (size_t j = 0; j < sizeof touched / sizeof *touched; j++) {
+        const int which = touched[j];
+        if (!self->has_state[which] || self->state[which].len == 0)
+            continue;
+        const char *begin = self->base[which], *end = begin + self->state[which].len / self->plants;
+        if (self->stride[which] != self->stride[COUNT])
+            return;
+        low = begin < low ? begin : low;
+        high = end > high ? end : high;
+    }
+    if (high - low > self->stride[COUNT])
+        return;
+    self->records = self->base[COUNT] - (self->base[COUNT] - low);
+    self->record_size = high - low;
+    for (int which = 0; which < STATE_ARRAYS; which++)
+        self->offset[which] = self->has_state[which] ? self->base[which] - self->records : 0;
 }
 
 static int
@@ -305,6 +352,7 @@ read_plan(Runner *self, const whole *i, const double *d)
     self->naming.groups = (Py_ssize_t)i[GROUPS];
     self->naming.window = (Py_ssize_t)i[ISOLATION_WINDOW];
     self->naming.columns = (Py_ssize_t)i[COLUMNS];
+    self->naming.room = (self->naming.columns + 7) / 8 * 8;
     for (int j = 0; j < INTEGERS; j++)
         if (i[j] < 0 || i[j] > (whole)1 << 40)
             return -1;
@@ -344,16 +392,29 @@ point_at_plan(Runner *self)
     t->knots = PLAN(self, KNOTS);
     t->scores = PLAN(self, SCORES);
     t->along = PLAN(self, ALONG);
-    self->naming.bases = PLAN(self, BASES);
     self->naming.dimensions = self->plan[DIMENSIONS].buf;
-    for (Py_ssize_t i = 0; i < self->nr && self->nr <= 4 && t->k <= 4; i++)
+    for (Py_ssize_t i = 0; i < self->nr && self->nr <= 4 && t->k <= 4; i++) {
+        t->padded[i] = t->center[i];
         for (Py_ssize_t j = 0; j < t->k; j++)
-            t->padded[4 * i + j] = t->whitening[i * t->k + j];
-    for (Py_ssize_t i = 0; i < 4 * self->m; i++) {
-        self->tile[i] = PLAN(self, OFFSET)[i % self->m];
-        self->tile[4 * self->m + i] = PLAN(self, LOW)[i % self->m];
-        self->tile[8 * self->m + i] = PLAN(self, HIGH)[i % self->m];
+            t->padded[4 + 4 * i + j] = t->whitening[i * t->k + j];
     }
+    self->judge = self->nr <= 4 && t->k <= 4 ? t->padded : NULL;
+    const int limits[3] = {OFFSET, LOW, HIGH};
+    const Py_ssize_t begins[3] = {0, 0, self->n_u}, ends[3] = {self->m, self->n_u, self->m};
+    double *tile = self->tile;
+    for (int part = 0; part < 3; part++)
+        for (int j = 0; j < 3; j++)
+            for (Py_ssize_t sample = 0; sample < 4; sample++)
+                for (Py_ssize_t i = begins[part]; i < ends[part]; i++)
+                    *tile++ = PLAN(self, limits[j])[i];
+    double *padded = tile;
+    for (Py_ssize_t j = 0; j < t->k; j++)
+        for (Py_ssize_t c = 0; c < self->naming.room; c++)
+            *tile++ = c < self->naming.columns ? PLAN(self, BASES)[j * self->naming.columns + c] : 0.0;
+    self->naming.padded = padded;
+    self->has_offset = 0; /* a negative zero counts as one: 0 less that is 0, whatever the sign */
+    for (Py_ssize_t i = 0; i < self->m; i++)
+        self->has_offset |= PLAN(self, OFFSET)[i] != 0.0 || signbit(PLAN(self, OFFSET)[i]);
     job *q = &self->filter;
     q->n = self->n;
     q->m = self->m;
@@ -399,12 +460,15 @@ runner_new(PyTypeObject *type, PyObject *args, PyObject *keywords)
         status = -1, PyErr_SetString(PyExc_ValueError, "the dimensions of the signatures do not add up");
     if (status == 0) {
         const Py_ssize_t packed = packed_size(self->n, self->m, self->nr) + 1;
-        self->filter.packed = PyMem_Malloc((size_t)(packed + 12 * self->m) * sizeof(double));
-        if (self->filter.packed == NULL)
+        const Py_ssize_t padded = 24 * self->m + self->test.k * self->naming.room;
+        self->room = PyMem_Malloc((size_t)(packed + padded + 7) * sizeof(double));
+        if (self->room == NULL)
             status = -1, PyErr_NoMemory();
         else {
+            self->filter.packed = line_of(self->room);
             self->tile = self->filter.packed + packed;
             point_at_plan(self);
+            find_records(self);
         }
     }
     if (status < 0) {
@@ -431,7 +495,7 @@ runner_dealloc(PyObject *object)
     while (self->one_views.held > 0)
         PyBuffer_Release(&self->one_views.views[--self->one_views.held]);
     free(self->one_room);
-    PyMem_Free(self->filter.packed);
+    PyMem_Free(self->room);
     freefunc release = (freefunc)PyType_GetSlot(type, Py_tp_free);
     release(object);
     Py_DECREF(type);
@@ -449,25 +513,34 @@ small_size(const Runner *self)
 static void *
 make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
 {
-    const Py_ssize_t samples = time < PIECE ? time : PIECE, k = self->test.k;
-    const Py_ssize_t doubles = samples * (self->m + self->nr + 2 * k + 2) + 2 * self->n + 16 + small_size(self);
+    const Py_ssize_t samples = time < CHUNK ? CHUNK : time < PIECE ? time : PIECE, k = self->test.k;
+    const test_plan *t = &self->test;
+    const Py_ssize_t widest = t->directions > k ? t->directions : k;
+    const Py_ssize_t room_e = t->kind == NORM ? 0 : samples * k, states = (2 * CHUNK + 2) * self->n + 16;
+    const Py_ssize_t history = t->kind < CHI_SQUARED ? 0 : widest * (t->window - 1 + samples + 16);
+    const Py_ssize_t doubles = samples * (self->m + self->nr + 2 * k + 2) + states + small_size(self) + room_e + history
+                               + 8;
     double *room = malloc((size_t)doubles * sizeof(double) + 3 * (size_t)samples + 1);
     if (room == NULL)
         return NULL;
     s->v = room;
-    s->r = s->v + samples * self->m;
-    s->q = s->r + samples * self->nr;
-    s->sums = s->q + samples * k;
+    s->r = s->own_r = s->v + samples * self->m;
+    s->q = s->own_r + samples * self->nr;
+    s->sums = s->q + samples * k + 4;
     s->statistic = s->sums + samples * k;
     s->up = (whole *)(s->statistic + samples);
     s->x = (double *)(s->up + samples);
-    s->small = s->x + 2 * self->n + 16;
+    s->small = s->x + states;
+    s->e = s->small + small_size(self);
+    s->history = s->e + room_e;
     s->usable = (flag *)(room + doubles);
     s->over = s->usable + samples;
     s->alarm = s->over + samples;
     s->filter = self->filter;
-    s->filter.plants = 1;
-    s->filter.state = s->x;
+    s->filter.state = s->x + 2 * CHUNK * self->n;
+    s->filter.q = s->q;
+    s->filter.squares = s->statistic;
+    s->filter.k = k;
     return room;
 }
 
@@ -530,10 +603,10 @@ get_outputs(const Runner *self, PyObject *outputs, Py_ssize_t plants, block *b, 
 }
 
 static int
-check_rows(const Runner *self, const whole *rows, const whole *done, Py_ssize_t plants, Py_ssize_t time)
+check_rows(const Runner *self, const whole *rows, const whole *left, int fresh, Py_ssize_t plants, Py_ssize_t time)
 {
-    for (Py_ssize_t p = 0; p < plants; p++)
-        if ((rows != NULL && (rows[p] < 0 || rows[p] >= self->plants)) || done[p] < 0 || done[p] > time) {
+    for (Py_ssize_t p = 0; p < plants && (rows != NULL || !fresh); p++)
+        if ((rows != NULL && (rows[p] < 0 || rows[p] >= self->plants)) || (!fresh && (left[p] < 0 || left[p] > time))) {
             PyErr_SetString(PyExc_ValueError, "a row or a sample that is not there");
             return -1;
         }
@@ -544,35 +617,48 @@ check_rows(const Runner *self, const whole *rows, const whole *done, Py_ssize_t 
     return 0;
 }
 
-static int
-run_all(const Runner *self, const block *b, const whole *rows, whole *done, Py_ssize_t first, Py_ssize_t stop)
+/* How many plants are left to NumPy, or -1 without memory. */
+static Py_ssize_t
+run_all(const Runner *self, const block *b, const whole *rows, whole *left, int fresh, Py_ssize_t first,
+        Py_ssize_t stop)
 {
     scratch s;
+    Py_ssize_t open = 0;
     void *room = make_scratch(self, &s, b->time);
     if (room == NULL)
         return -1;
-    for (Py_ssize_t p = first; p < stop; p++)
-        done[p] = run_plant(self, b, p, rows == NULL ? p : (Py_ssize_t)rows[p], (Py_ssize_t)done[p], &s);
+    if (fresh && b->time == 1)
+        open = run_tick(self, b, rows, left, first, stop, &s);
+    else
+        for (Py_ssize_t p = first; p < stop; p++) {
+            const Py_ssize_t begin = fresh ? 0 : b->time - (Py_ssize_t)left[p];
+            const Py_ssize_t end = run_plant(self, b, p, rows == NULL ? p : (Py_ssize_t)rows[p], begin, &s);
+            if (end < b->time || !fresh)
+                left[p] = b->time - end;
+            open += end < b->time;
+        }
     free(room);
-    return 0;
+    return open;
 }
 
-PyDoc_STRVAR(run_doc, "run(u, y, outputs, rows, done, first, stop)\n--\n\n"
-                      "Run plants first to stop of a block, each from sample done on; done is up to which they came.");
+PyDoc_STRVAR(run_doc, "run(u, y, outputs, rows, left, fresh, first, stop)\n--\n\n"
+                      "Run the last `left` samples of plants first to stop of a block, all of them if it is fresh, and "
+                      "return how many plants stopped on the way. `left` is then what is left of each; it must be "
+                      "zeros if the block is fresh.");
 
 static PyObject *
 runner_run(PyObject *object, PyObject *args)
 {
     const Runner *self = (Runner *)object;
-    PyObject *u, *y, *outputs, *rows, *done;
-    Py_ssize_t first, stop;
-    if (!PyArg_ParseTuple(args, "OOO!OOnn:run", &u, &y, &PyTuple_Type, &outputs, &rows, &done, &first, &stop))
+    PyObject *u, *y, *outputs, *rows, *left;
+    Py_ssize_t first, stop, status = -1;
+    int fresh;
+    if (!PyArg_ParseTuple(args, "OOO!OOpnn:run", &u, &y, &PyTuple_Type, &outputs, &rows, &left, &fresh, &first, &stop))
         return NULL;
     views all = {.held = 0};
     block b = {.time = -1};
-    int status = -1;
     Py_buffer *const view = all.views;
-    if (PyObject_GetBuffer(done, &view[0], PyBUF_C_CONTIGUOUS | PyBUF_WRITABLE | PyBUF_FORMAT) < 0)
+    if (PyObject_GetBuffer(left, &view[0], PyBUF_C_CONTIGUOUS | PyBUF_WRITABLE | PyBUF_FORMAT) < 0)
         return NULL;
     all.held = 1;
     const Py_ssize_t plants = view[0].len / 8;
@@ -594,9 +680,9 @@ runner_run(PyObject *object, PyObject *args)
                 memcpy(b.u_strides, view[2].strides, sizeof b.u_strides);
                 b.is_dense = b.u_strides[2] == sizeof(double) && b.y_strides[2] == sizeof(double);
                 if (get_outputs(self, outputs, plants, &b, &all) == 0
-                    && check_rows(self, places, view[0].buf, plants, b.time) == 0) {
+                    && check_rows(self, places, view[0].buf, fresh, plants, b.time) == 0) {
                     Py_BEGIN_ALLOW_THREADS
-                    status = run_all(self, &b, places, view[0].buf, first, stop);
+                    status = run_all(self, &b, places, view[0].buf, fresh, first, stop);
                     Py_END_ALLOW_THREADS
                     if (status < 0)
                         PyErr_NoMemory();
@@ -606,9 +692,7 @@ runner_run(PyObject *object, PyObject *args)
     }
     while (all.held > 0)
         PyBuffer_Release(&all.views[--all.held]);
-    if (status < 0)
-        return NULL;
-    Py_RETURN_NONE;
+    return status < 0 ? NULL : PyLong_FromSsize_t(status);
 }
 
 PyDoc_STRVAR(bind_doc, "bind(outputs)\n--\n\nName the arrays that steps write, of one plant and one sample.");
@@ -626,7 +710,8 @@ runner_bind(PyObject *object, PyObject *outputs)
     if (get_outputs(self, outputs, 1, &self->one, &self->one_views) < 0)
         return NULL;
     for (int j = 0; j < OUTPUTS; j++)
-        if (self->one.out[j].base == NULL && (j == OUT_STATISTIC || j == OUT_USABLE || j == OUT_ALARM || j == OUT_MISSING)) {
+        if (self->one.out[j].base == NULL
+            && (j == OUT_STATISTIC || j == OUT_USABLE || j == OUT_ALARM || j == OUT_MISSING)) {
             PyErr_SetString(PyExc_ValueError, "an output that a step needs is None");
             return NULL;
         }
@@ -656,7 +741,8 @@ get_sample(PyObject *object, Py_buffer *view, Py_ssize_t channels, const char **
     return -1;
 }
 
-PyDoc_STRVAR(step_doc, "step(u, y)\n--\n\nRun one sample; 1 alarm, 2 usable, 4 missing, 8 left to NumPy; the statistic.");
+PyDoc_STRVAR(step_doc, "step(u, y)\n--\n\n"
+                       "Run one sample; 1 alarm, 2 usable, 4 missing, 8 left to NumPy; the statistic.");
 
 static PyObject *
 runner_step(PyObject *object, PyObject *args)

@@ -5,6 +5,7 @@
 #ifndef RESIDUA_PLANT_FILTER_H
 #define RESIDUA_PLANT_FILTER_H
 
+#define RESIDUA_JUDGES
 #include "../linear/systems/_filter.h"
 #include "../decide/_judging.h"
 
@@ -19,7 +20,8 @@ enum {
 };
 enum {
     X, HELD, GAP, RUNNING, AGE, RESETS, BROKEN, STARTING, START_SUMS, MOVED, APART, COUNT, TEST_VALUES, TEST_BEGUN,
-    TEST_FILLED, PAST, PAST_USABLE, SUMS, UP, DOWN, ALARM, VALUES, BEGUN, FILLED, LAST_FLAGS, LAST_STATISTIC, LAST_RESIDUALS, LAST_UP, LAST_SCORES,
+    TEST_FILLED, PAST, PAST_USABLE, SUMS, UP, DOWN, ALARM, VALUES, BEGUN, FILLED, LAST_FLAGS, LAST_STATISTIC,
+    LAST_RESIDUALS, LAST_UP, LAST_SCORES,
     STATE_ARRAYS
 };
 enum {
@@ -33,12 +35,14 @@ enum {
 enum { THRESHOLD, RELEASE_LEVEL, ALLOWANCE, OLD_WEIGHT, NEW_WEIGHT, DEVIATION, NUMBERS };
 
 typedef struct {
-    double *v, *r, *q, *sums, *statistic; /* of a piece */
+    source in;                                            /* deviations of a piece: where they lie, or in v */
+    double *v, *r, *own_r, *q, *sums, *statistic, *e, *history; /* of a piece; r may be an output */
     whole *up;
-    double *x, *small; /* of one state and its spare; of one sample */
+    double *x, *small; /* of states and a spare one; of one sample */
     flag *usable, *over, *alarm;
     job filter;
     int is_missing; /* the last sample of the piece */
+    int is_judged;  /* whether q and the squares of a piece are there already, in `statistic` */
 } scratch;
 
 typedef struct {
@@ -67,11 +71,16 @@ typedef struct {
     test_plan test;
     isolation_plan naming;
     job filter;
-    double *tile; /* of four samples: offsets, lowest values, highest values */
+    const double *judge; /* centre and whitening of at most four residuals, padded; NULL of more */
+    double *room; /* of the packed matrices, and: */
+    double *tile; /* of four samples: offsets, lowest values, highest values; of u and y, of u, of y */
+    int has_offset;
     Py_ssize_t plants;
     Py_buffer plan[PLAN_ARRAYS], state[STATE_ARRAYS];
     char *base[STATE_ARRAYS]; /* of the state: where the first row lies, and how far apart rows are */
     Py_ssize_t stride[STATE_ARRAYS];
+    char *records; /* where what every sample touches lies side by side: the first record, and how many bytes; else 0 */
+    Py_ssize_t record_size, offset[STATE_ARRAYS]; /* from the beginning of a record */
     char has_plan[PLAN_ARRAYS], has_state[STATE_ARRAYS];
     block one; /* of a step: its outputs */
     views one_views;
@@ -100,56 +109,67 @@ out_b1(const block *b, int which, Py_ssize_t plant, Py_ssize_t k)
 
 /* ---- the filter -------------------------------------------------------------------------------------------------- */
 
-/* Take the offset from samples in a row; whether all are between the limits. The tile has four samples of each. */
+/* Take the offset from samples in a row, where `to` is not NULL; whether all are between the limits. The tile has four
+ * samples of each. */
 INLINE int
-deviations_plain(double *v, Py_ssize_t total, const double *tile, Py_ssize_t period)
+deviations_plain(const double *from, double *to, Py_ssize_t total, const double *tile, Py_ssize_t period)
 {
     int all = 1;
-    for (Py_ssize_t left = total; left > 0; left -= period, v += period)
+    for (Py_ssize_t left = total; left > 0; left -= period, from += period)
         for (Py_ssize_t i = 0; i < (left < period ? left : period); i++) {
-            v[i] -= tile[i];
-            all &= (v[i] >= tile[period + i]) & (v[i] <= tile[2 * period + i]);
+            const double value = to == NULL ? from[i] : from[i] - tile[i];
+            if (to != NULL)
+                *to++ = value;
+            all &= (value >= tile[period + i]) & (value <= tile[2 * period + i]);
         }
     return all;
 }
 
 #if defined(HAVE_VECTORS)
-#define DEFINE_DEVIATIONS(FAMILY, TARGET, L)                                                                          \
-    TARGET static int deviations_##FAMILY(double *v, Py_ssize_t total, const double *tile, Py_ssize_t period)         \
+#define DEFINE_DEVIATIONS(NAME, TARGET, L, CENTRED)                                                                   \
+    TARGET static int NAME(const double *from, double *to, Py_ssize_t total, const double *tile, Py_ssize_t period)   \
     {                                                                                                                 \
         flags##L within = ((flags##L){0} == (flags##L){0});                                                           \
         const double *low = tile + period, *high = low + period;                                                      \
         Py_ssize_t left = total;                                                                                      \
-        for (; left >= period; left -= period, v += period)                                                           \
+        for (; left >= period; left -= period, from += period) {                                                      \
             for (Py_ssize_t i = 0; i < period; i += L) {                                                              \
-                const lanes##L value = *(const lanes##L *)(v + i) - *(const lanes##L *)(tile + i);                    \
-                *(lanes##L *)(v + i) = value;                                                                         \
+                lanes##L value = *(const lanes##L *)(from + i);                                                       \
+                if (CENTRED) {                                                                                        \
+                    value -= *(const lanes##L *)(tile + i);                                                           \
+                    *(lanes##L *)(to + i) = value;                                                                    \
+                }                                                                                                     \
                 within &= (flags##L)(value >= *(const lanes##L *)(low + i))                                           \
                           & (flags##L)(value <= *(const lanes##L *)(high + i));                                       \
             }                                                                                                         \
-        int all = deviations_plain(v, left, tile, period);                                                            \
+            if (CENTRED)                                                                                              \
+                to += period;                                                                                         \
+        }                                                                                                             \
+        int all = deviations_plain(from, CENTRED ? to : NULL, left, tile, period);                                    \
         for (int l = 0; l < L; l++)                                                                                   \
             all &= within[l] != 0;                                                                                    \
         return all;                                                                                                   \
     }
-DEFINE_DEVIATIONS(baseline, , 2)
+DEFINE_DEVIATIONS(deviations_baseline, , 2, 1)
+DEFINE_DEVIATIONS(within_baseline, , 2, 0)
 #if defined(HAVE_AVX2)
-DEFINE_DEVIATIONS(avx2, __attribute__((target("avx2"))), 4)
+DEFINE_DEVIATIONS(deviations_avx2, AVX2, 4, 1)
+DEFINE_DEVIATIONS(within_avx2, AVX2, 4, 0)
 #endif
 #endif
 
 static int
-deviations(const Runner *self, double *v, Py_ssize_t time)
+deviations(const Runner *self, const double *from, double *to, Py_ssize_t rows, const double *tile, Py_ssize_t columns)
 {
 #if defined(HAVE_AVX2)
     if (self->path == PATH_AVX2)
-        return deviations_avx2(v, time * self->m, self->tile, 4 * self->m);
+        return (to == NULL ? within_avx2 : deviations_avx2)(from, to, rows * columns, tile, 4 * columns);
 #endif
 #if defined(HAVE_VECTORS)
     if (self->path == PATH_BASELINE)
-        return deviations_baseline(v, time * self->m, self->tile, 4 * self->m);
+        return (to == NULL ? within_baseline : deviations_baseline)(from, to, rows * columns, tile, 4 * columns);
 #endif
-    return deviations_plain(v, time * self->m, self->tile, 4 * self->m);
+    return deviations_plain(from, to, rows * columns, tile, 4 * columns);
 }
 
 /* A few numbers, without a call. */
@@ -193,35 +213,79 @@ clear_doubles(void *to, Py_ssize_t count)
         ((double *)to)[j] = 0.0;
 }
 
-/* Deviations of a piece; whether all are values. */
-static int
-gather(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t k, Py_ssize_t time, scratch *s)
+INLINE int
+is_double(const char *at, Py_ssize_t step)
 {
-    const Py_ssize_t n_u = self->n_u, n_y = self->n_y;
-    const char *u = b->u + plant * b->u_strides[0] + k * b->u_strides[1];
-    const char *y = b->y + plant * b->y_strides[0] + k * b->y_strides[1];
+    return ((uintptr_t)at | (uintptr_t)step) % sizeof(double) == 0;
+}
+
+/* Deviations of rows one stride after the other; whether all are values. They stay where they lie if they can. */
+static int
+gather(const Runner *self, const block *b, const char *u, const char *y, Py_ssize_t u_step, Py_ssize_t y_step,
+       Py_ssize_t rows, scratch *s)
+{
+    const Py_ssize_t n_u = self->n_u, n_y = self->n_y, m = self->m, size = sizeof(double);
+    const double *const u_tile = self->tile + 12 * m, *const y_tile = u_tile + 12 * n_u;
+    const int is_there = b->is_dense && is_double(u, u_step) && is_double(y, y_step);
+    const int u_packed = rows == 1 || u_step == n_u * size, y_packed = rows == 1 || y_step == n_y * size;
     double *v = s->v;
+    if (is_there && n_u && n_y && u_packed && y_packed) {
+        double *const w = v + rows * n_u;
+        int all = deviations(self, (const double *)u, self->has_offset ? v : NULL, rows, u_tile, n_u);
+        all &= deviations(self, (const double *)y, self->has_offset ? w : NULL, rows, y_tile, n_y);
+        if (self->has_offset)
+            s->in = (source){v, w, n_u, n_u, n_y};
+        else
+            s->in = (source){(const double *)u, (const double *)y, n_u, n_u, n_y};
+        return all;
+    }
+    const char *const from = n_u ? u : y;
+    const Py_ssize_t step = n_u ? u_step : y_step;
+    const int is_joint = !n_u || !n_y || (y == u + n_u * size && (rows == 1 || u_step == y_step));
+    if (is_there && is_joint && (rows == 1 || step == m * size)) {
+        s->in = one_array(self->has_offset ? v : (const double *)from, m);
+        return deviations(self, (const double *)from, self->has_offset ? v : NULL, rows, self->tile, m);
+    }
     if (b->is_dense)
-        for (Py_ssize_t i = 0; i < time; i++, u += b->u_strides[1], y += b->y_strides[1])
+        for (Py_ssize_t i = 0; i < rows; i++, u += u_step, y += y_step)
             v = copy_few(copy_few(v, u, n_u), y, n_y);
     else
-        for (Py_ssize_t i = 0; i < time; i++, u += b->u_strides[1], y += b->y_strides[1]) {
+        for (Py_ssize_t i = 0; i < rows; i++, u += u_step, y += y_step) {
             for (Py_ssize_t j = 0; j < n_u; j++)
                 *v++ = *(const double *)(u + j * b->u_strides[2]);
             for (Py_ssize_t j = 0; j < n_y; j++)
                 *v++ = *(const double *)(y + j * b->y_strides[2]);
         }
-    return deviations(self, s->v, time);
+    s->in = one_array(s->v, m);
+    return deviations(self, s->v, s->v, rows, self->tile, m);
 }
 
-static void
-filter_some(const Runner *self, scratch *s, double *x, const double *v, double *r, Py_ssize_t time)
+/* One of the deviations. */
+INLINE double
+deviation(const source *in, Py_ssize_t row, Py_ssize_t column)
+{
+    return column < in->columns ? in->first[row * in->first_step + column]
+                                : in->second[row * in->second_step + column - in->columns];
+}
+
+INLINE void
+copy_sample(double *to, const source *in, Py_ssize_t row, Py_ssize_t m)
+{
+    copy_doubles(to, in->first + row * in->first_step, in->columns);
+    if (m > in->columns)
+        copy_doubles(to + in->columns, in->second + row * in->second_step, m - in->columns);
+}
+
+static int
+filter_some(const Runner *self, scratch *s, double *x, source v, double *r, Py_ssize_t time, const double *judge)
 {
     s->filter.time = time;
+    s->filter.plants = 1;
     s->filter.x = s->filter.x_next = x;
     s->filter.v = v;
     s->filter.r = r;
-    execute(&s->filter, self->path);
+    s->filter.judge = judge;
+    return execute(&s->filter, self->path);
 }
 
 static int
@@ -334,7 +398,7 @@ filter_sample(const Runner *self, Py_ssize_t row, const double *held, int comple
             continue;
         }
         copy_doubles(before, x, self->n);
-        filter_some(self, s, x, held, r, 1);
+        filter_some(self, s, x, one_array(held, self->m), r, 1, NULL);
         if (all_within(r, self->nr, LARGEST)) {
             *gap = complete ? 0 : *gap + 1;
             break;
@@ -360,14 +424,14 @@ filter_with_gaps(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_
     const double *low = PLAN(self, LOW), *high = PLAN(self, HIGH);
     double *held = F8(self, HELD, row);
     for (Py_ssize_t i = 0; i < time; i++) {
-        const double *v = s->v + i * m;
         double *r = s->r + i * nr;
         int complete = 1;
         for (Py_ssize_t j = 0; j < m; j++) {
-            const int there = (v[j] >= low[j]) & (v[j] <= high[j]);
+            const double v = deviation(&s->in, i, j);
+            const int there = (v >= low[j]) & (v <= high[j]);
             complete &= there;
             if (there)
-                held[j] = v[j];
+                held[j] = v;
             else if (b->out[OUT_ASIDE].base != NULL) {
                 const char *at = j < self->n_u ? b->u + plant * b->u_strides[0] + (k + i) * b->u_strides[1]
                                                      + j * b->u_strides[2]
@@ -394,13 +458,17 @@ filter_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t ro
              scratch *s)
 {
     const Py_ssize_t n = self->n;
-    const int all = gather(self, b, plant, k, time, s);
+    const char *u = b->u + plant * b->u_strides[0] + k * b->u_strides[1];
+    const char *y = b->y + plant * b->y_strides[0] + k * b->y_strides[1];
+    const int all = gather(self, b, u, y, b->u_strides[1], b->y_strides[1], time, s);
+    s->r = b->out[OUT_RESIDUALS].base == NULL ? s->own_r : out_f8(b, OUT_RESIDUALS, plant, k);
+    s->is_judged = 0;
     if (self->partial && (!all || *B1(self, APART, row)))
         return 0;
     if (all && *B1(self, RUNNING, row) && !*B1(self, STARTING, row)) {
         double *x = F8(self, X, row), *before = s->small;
         copy_doubles(before, x, n);
-        filter_some(self, s, x, s->v, s->r, time);
+        s->is_judged = filter_some(self, s, x, s->in, s->r, time, self->judge);
         if (all_within(s->r, time * self->nr, LARGEST) && is_finite(x, n)) {
             const whole age = *I8(self, AGE, row);
             s->is_missing = 0;
@@ -411,10 +479,11 @@ filter_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t ro
                     s->usable[i] = age + 1 + i > self->settle;
             *I8(self, AGE, row) = age + time;
             *I8(self, GAP, row) = 0;
-            copy_doubles(F8(self, HELD, row), s->v + (time - 1) * self->m, self->m);
+            copy_sample(F8(self, HELD, row), &s->in, time - 1, self->m);
             return 1;
         }
         copy_doubles(x, before, n);
+        s->is_judged = 0;
     }
     filter_with_gaps(self, b, plant, row, k, time, s);
     if (k + time == b->time && *B1(self, RUNNING, row) && !is_finite(F8(self, X, row), n))

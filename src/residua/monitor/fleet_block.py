@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -100,6 +100,59 @@ class AlarmEvent:
         return self.raised_sample if self.ended_sample is None else self.ended_sample
 
 
+class StandingAlarms:
+    """Which plants are in alarm, and since when.
+
+    Parameters
+    ----------
+    plants : int
+    alarms : iterable of (int, int, int)
+        Rows in alarm, with the samples of its onset and of its raise.
+
+    Attributes
+    ----------
+    stands : ndarray of bool, shape (plants,)
+    onset, raised : ndarray of int, shape (plants,)
+        Where an alarm stands.
+    """
+
+    def __init__(self, plants: int, alarms: Iterable[tuple[int, int, int]] = ()) -> None:
+        self.stands = np.zeros(plants, dtype=bool)
+        self.onset, self.raised = (np.zeros(plants, dtype=np.int64) for _ in range(2))
+        for row, onset, raised in alarms:
+            self.stands[row], self.onset[row], self.raised[row] = True, onset, raised
+
+    def __len__(self) -> int:
+        return int(np.count_nonzero(self.stands))
+
+    def table(self) -> NDArray[np.int64]:
+        """Return row, onset and raise of each, in the order of the rows."""
+        rows = np.flatnonzero(self.stands)
+        return np.stack([rows, self.onset[rows], self.raised[rows]], axis=1)
+
+    def of(self, rows: NDArray[np.int64]) -> StandingAlarms:
+        """Return those of some plants."""
+        part = StandingAlarms(0)
+        part.stands, part.onset, part.raised = self.stands[rows], self.onset[rows], self.raised[rows]
+        return part
+
+    @staticmethod
+    def joined(parts: Sequence[StandingAlarms]) -> StandingAlarms:
+        """Return those of several blocks as one."""
+        whole = StandingAlarms(0)
+        whole.stands, whole.onset, whole.raised = (
+            np.concatenate([getattr(part, name) for part in parts]) for name in ("stands", "onset", "raised")
+        )
+        return whole
+
+    def changed(self, rows: NDArray[np.int64] | None, alarm: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Note which plants are in alarm, and return the rows of those that were not before."""
+        which = np.flatnonzero(alarm != (self.stands if rows is None else self.stands[rows]))
+        who = which if rows is None else rows[which]
+        self.stands[who] = alarm[which]
+        return who[alarm[which]]
+
+
 @dataclass(frozen=True, eq=False)
 class Tick:
     """What was decided on the records of a tick, in their order.
@@ -117,6 +170,21 @@ class Tick:
     statistic: NDArray[np.float64]
 
 
+def fingerprint_of(monitor: Monitor) -> str:
+    """Return what tells that two monitors run the same: the SHA-256 of all that they are made of.
+
+    It is made once for a specification: to write a monitor takes longer than to restore a few plants.
+    """
+    spec = monitor._specification()
+    known = spec.__dict__.get("_fingerprint")
+    if known is None:
+        content = monitor_out(monitor)
+        ran = {name: content[name] for name in sorted(content) if name not in ("state", "notes", "fit_check")}
+        known = hashlib.sha256(json.dumps(ran, sort_keys=True).encode()).hexdigest()
+        object.__setattr__(spec, "_fingerprint", known)
+    return known
+
+
 class FleetBlock:
     """Plants that share a monitor.
 
@@ -127,8 +195,7 @@ class FleetBlock:
     ids : sequence of hashable
     state : State, optional
         A row for each; the start when omitted.
-    standing : mapping of int to (int, int), optional
-        Rows in alarm, with the samples of its onset and of its raise.
+    standing : StandingAlarms, optional
     """
 
     def __init__(
@@ -136,7 +203,7 @@ class FleetBlock:
         monitor: Monitor,
         ids: Sequence[Hashable],
         state: State | None = None,
-        standing: Mapping[int, tuple[int, int]] | None = None,
+        standing: StandingAlarms | None = None,
     ) -> None:
         self.monitor, self.ids = monitor, list(ids)
         self.spec, self.generator = monitor._specification(), monitor.generator
@@ -144,7 +211,7 @@ class FleetBlock:
         if len(self.rows) < len(self.ids):
             twice = next(plant for row, plant in enumerate(self.ids) if self.rows[plant] != row)
             raise DataError(f"the plant {echo(twice)} is there twice")
-        self.standing: dict[int, tuple[int, int]] = dict(standing or {})
+        self.standing = StandingAlarms(len(self.ids)) if standing is None else standing
         self._place(initial_state(self.spec, len(self.ids)) if state is None else state)
 
     def _place(self, state: State) -> None:
@@ -161,15 +228,8 @@ class FleetBlock:
 
     @property
     def fingerprint(self) -> str:
-        """What tells that two monitors run the same: the SHA-256 of all that they are made of.
-
-        It is made once for a specification: to write a monitor takes longer than to restore a few plants.
-        """
-        known = self.spec.__dict__.get("_fingerprint")
-        if known is None:
-            known = fingerprint_of(self.monitor)
-            object.__setattr__(self.spec, "_fingerprint", known)
-        return known
+        """What tells that two monitors run the same."""
+        return fingerprint_of(self.monitor)
 
     @property
     def state(self) -> State:
@@ -244,18 +304,22 @@ class FleetBlock:
         if not y.shape[1]:
             return []
         before, last = self.state.count[rows], self.last.scores[rows]
-        stood = np.fromiter((row in self.standing for row in rows.tolist()), dtype=bool, count=len(rows))
+        standing = self.standing
+        stood = standing.stands[rows]
         out = self._go_on(rows, u, y, ("alarm", "up", "scores"), threads)
         alarm = out["alarm"]
         events = []
         for k, t in np.argwhere(alarm != np.concatenate([stood[:, None], alarm[:, :-1]], axis=1)).tolist():
             row, number = int(rows[k]), int(before[k]) + t
             if alarm[k, t]:
-                self.standing[row] = (number + 1 - int(out["up"][k, t]), number)
-                events.append(self._event(row, self.standing[row], None, out["scores"][k, t]))
+                since = (number + 1 - int(out["up"][k, t]), number)
+                standing.stands[row], standing.onset[row], standing.raised[row] = True, *since
+                events.append(self._event(row, since, None, out["scores"][k, t]))
             else:
                 scores = out["scores"][k, t - 1] if t else last[k]
-                events.append(self._event(row, self.standing.pop(row), number, scores))
+                standing.stands[row] = False
+                since = (int(standing.onset[row]), int(standing.raised[row]))
+                events.append(self._event(row, since, number, scores))
         return events
 
     def _event(self, row: int, when: tuple[int, int], ended: int | None, scores: NDArray[np.float64]) -> AlarmEvent:
@@ -268,14 +332,11 @@ class FleetBlock:
         self._made[places], self._place_in_made[places] = made, np.arange(len(places))
 
     def _follow_alarms(self, rows: NDArray[np.int64] | None, alarm: NDArray[np.bool_]) -> None:
-        """Note which alarms were raised, and forget those that have ended."""
-        for row in [row for row in self.standing if not self.last.flags[row] & 1]:
-            del self.standing[row]
-        on = np.flatnonzero(alarm)
-        for row in (on if rows is None else rows[on]).tolist():
-            if row not in self.standing:
-                count = int(self.state.count[row])
-                self.standing[row] = (count - int(self.last.up[row]), count - 1)
+        """Note which alarms were raised, and which have ended."""
+        new = self.standing.changed(rows, alarm)
+        if new.size:
+            count = self.state.count[new]
+            self.standing.onset[new], self.standing.raised[new] = count - self.last.up[new], count - 1
 
     def run(self, data: NDArray[np.float64], threads: int) -> Decisions:
         """Go on with a block of all plants, (plants, time, channels)."""
@@ -296,16 +357,13 @@ class FleetBlock:
 
     def _follow_block(self, decisions: Decisions, before: NDArray[np.int64]) -> None:
         """Note the alarms that stand after a block."""
-        standing = {}
-        for row in np.flatnonzero(decisions.alarm[:, -1]).tolist():
-            off = np.flatnonzero(~decisions.alarm[row])
-            if not off.size and row in self.standing:
-                standing[row] = self.standing[row]
-                continue
-            raised = int(off[-1]) + 1 if off.size else 0
-            number = int(before[row]) + raised
-            standing[row] = (number + 1 - int(decisions.up[row, raised]), number)
-        self.standing = standing
+        alarm, standing = decisions.alarm, self.standing
+        standing.stands &= np.asarray(alarm.all(axis=1))  # what has stood all the time goes on standing
+        new = standing.changed(None, alarm[:, -1])
+        off = ~alarm[new, ::-1]
+        raised = np.where(off.any(axis=1), alarm.shape[1] - off.argmax(axis=1), 0)
+        number = before[new] + raised
+        standing.onset[new], standing.raised[new] = number + 1 - decisions.up[new, raised], number
 
     # ----------------------------------------------------------------------- looking
 
@@ -336,19 +394,18 @@ class FleetBlock:
 
     def alarms(self) -> list[FleetAlarm]:
         """Return the alarms that stand, the oldest first."""
-        dt, isolation, scores = self.generator.dt, self.spec.isolation, self.last.scores
+        dt, isolation, scores, table = self.generator.dt, self.spec.isolation, self.last.scores, self.standing.table()
         return [
             FleetAlarm(self.ids[row], onset * dt, raised * dt, isolation.candidates(scores[row]))
-            for row, (onset, raised) in sorted(self.standing.items(), key=lambda item: item[1][1])
+            for row, onset, raised in table[np.argsort(table[:, 2], kind="stable")].tolist()
         ]
 
     # ------------------------------------------------------------------- other plants
 
     def of(self, rows: NDArray[np.int64]) -> FleetBlock:
         """Return a block of some of the plants, with a state of its own."""
-        places = {int(row): k for k, row in enumerate(rows)}
-        standing = {places[row]: when for row, when in self.standing.items() if row in places}
-        part = FleetBlock(self.monitor, [self.ids[row] for row in rows], rows_of(self.state, rows), standing)
+        ids = [self.ids[row] for row in rows]
+        part = FleetBlock(self.monitor, ids, rows_of(self.state, rows), self.standing.of(rows))
         part.take_over(rows_of(self.last, rows), self._made[rows], self._place_in_made[rows])
         return part
 
@@ -361,23 +418,13 @@ class FleetBlock:
     @staticmethod
     def joined(parts: Sequence[FleetBlock]) -> FleetBlock:
         """Return blocks as one."""
-        first, standing, start = parts[0], {}, 0
-        for part in parts:
-            standing |= {start + row: when for row, when in part.standing.items()}
-            start += len(part.ids)
+        first, standing = parts[0], StandingAlarms.joined([part.standing for part in parts])
         ids = [plant for part in parts for plant in part.ids]
         whole = FleetBlock(first.monitor, ids, _stacked([part.state for part in parts]), standing)
         made = np.concatenate([part._made for part in parts])
         places = np.concatenate([part._place_in_made for part in parts])
         whole.take_over(_stacked([part.last for part in parts]), made, places)
         return whole
-
-
-def fingerprint_of(monitor: Monitor) -> str:
-    """Return what tells that two monitors run the same: the SHA-256 of all that they are made of."""
-    content = monitor_out(monitor)
-    ran = {name: content[name] for name in sorted(content) if name not in ("state", "notes", "fit_check")}
-    return hashlib.sha256(json.dumps(ran, sort_keys=True).encode()).hexdigest()
 
 
 def _last_sample(whole: Any) -> Any:
@@ -408,9 +455,9 @@ def _stacked(parts: Sequence[Any]) -> Any:
         return None
     if isinstance(first, np.ndarray):
         if all(takes_no_memory(one) for one in parts):
-            return np.broadcast_to(0.0, (sum(map(len, parts)), *first.shape[1:]))
+            return np.broadcast_to(first.dtype.type(0), (sum(map(len, parts)), *first.shape[1:]))
         return np.concatenate(parts)
     return type(first)(**{one.name: _stacked([getattr(part, one.name) for part in parts]) for one in fields(first)})
 
 
-__all__ = ["AlarmEvent", "FleetAlarm", "FleetBlock", "Tick", "fingerprint_of"]
+__all__ = ["AlarmEvent", "FleetAlarm", "FleetBlock", "StandingAlarms", "Tick", "fingerprint_of"]

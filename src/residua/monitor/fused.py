@@ -124,10 +124,11 @@ def state_arrays(spec: Specification, state: State) -> tuple[NDArray | None, ...
     f = state.filter
     named = spec.isolation.compiled
     naming = state.isolation.arrays() if named is not None and named.bases else (None, None, None)
+    remembered = (one if one is None or one.flags.writeable else None for one in (*state.test.arrays(), *naming))
     return (
         f.x, f.held, f.gap, f.running, f.age, f.resets, f.broken, f.starting,
         None if spec.first is None else f.start_sums, f.moved, f.apart,
-        state.count, *state.test.arrays(), *naming,
+        state.count, *remembered,
     )  # fmt: skip
 
 
@@ -255,29 +256,25 @@ class FusedRun:
         threads : int
             The plants are shared among so many.
         """
-        done, time = np.zeros(len(y), dtype=np.int64), y.shape[1]
-        call = (u, y, tuple(outputs[name] for name in OUTPUTS), rows, done)
-        self._shared(call, threads)
-        while True:
-            left = np.flatnonzero(done < time)
-            if not left.size:
-                return
-            for begin in np.unique(done[left]).tolist():
-                who = left[done[left] == begin]
+        left = np.zeros(len(y), dtype=np.int64)  # samples; written, and read, only where it has to be
+        call = (u, y, tuple(outputs[name] for name in OUTPUTS), rows, left)
+        stopped = self._shared((*call, True), len(y), threads)
+        while stopped:
+            which = np.flatnonzero(left)
+            for samples in np.unique(left[which]).tolist():
+                who = which[left[which] == samples]
                 places = who if rows is None else rows[who]
-                self._leave(places, who, u, y, outputs, done)
-            self._shared(call, threads)
+                self._leave(places, who, u, y, outputs, left)
+            stopped = self._shared((*call, False), len(y), threads)
 
-    def _shared(self, call: tuple[Any, ...], threads: int) -> None:
-        plants = len(call[-1])
+    def _shared(self, call: tuple[Any, ...], plants: int, threads: int) -> int:
+        """Run all plants, and return how many of them are left to NumPy."""
         if threads == 1 or plants < 2 * threads:
-            self._kernel.run(*call, 0, plants)
-            return
+            return self._kernel.run(*call, 0, plants)
         bounds = np.linspace(0, plants, threads + 1).astype(int).tolist()
         with ThreadPoolExecutor(threads) as pool:
             parts = [pool.submit(self._kernel.run, *call, *ends) for ends in pairwise(bounds)]
-            for part in parts:
-                part.result()
+            return sum(part.result() for part in parts)
 
     def block(self, data: NDArray[np.float64], outputs: dict[str, NDArray | None]) -> Decisions:
         """Go on with a block of (plants, time, channels), and return what was decided, isolation included."""
@@ -306,7 +303,7 @@ class FusedRun:
         flags, statistic = self._kernel.step(u, y)
         if flags & _IS_LEFT:
             one = np.zeros(1, dtype=np.int64)
-            self._leave(one, one, _row(u), _row(y), out, one.copy())
+            self._leave(one, one, _row(u), _row(y), out, one + 1)
             flags = sum(bit for bit, name in _FLAGS.items() if _there(out[name])[0, 0])
             statistic = float(_there(out["statistic"])[0, 0])
         return bool(flags & 1), bool(flags & 2), bool(flags & 4), statistic
@@ -330,10 +327,11 @@ class FusedRun:
         u: NDArray,
         y: NDArray,
         outputs: dict[str, NDArray | None],
-        done: NDArray[np.int64],
+        left: NDArray[np.int64],
     ) -> None:
         """Run some samples of plants in NumPy, all from the same one on."""
-        part = slice(int(done[who[0]]), min(int(done[who[0]]) + _LEFT, y.shape[1]))
+        begin = y.shape[1] - int(left[who[0]])
+        part = slice(begin, min(begin + _LEFT, y.shape[1]))
         data = np.ascontiguousarray(np.concatenate([u[who, part], y[who, part]], axis=2))
         before = rows_of(self.state, rows)
         filter_state, filtered = filter_block(self.spec, before.filter, data)
@@ -345,7 +343,7 @@ class FusedRun:
                 values[who, part] = beside[name] if name in beside else getattr(made, name)
         if self.last is not None:
             self.last.remember(rows, made)
-        done[who] = part.stop
+        left[who] = y.shape[1] - part.stop
 
 
 def decisions_of(outputs: dict[str, Any]) -> Decisions:

@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-#: Records begin at multiples of so many bytes.
-_ALIGNED = 8
+#: Numbers begin at multiples of so many bytes; records of more than a line begin with a line of the cache.
+_ALIGNED, _LINE = 8, 64
+#: What an ordinary sample does not touch lies in records of its own.
+SELDOM = frozenset({"start_sums", "moved", "resets", "broken"})
 
 
 def takes_no_memory(array: NDArray) -> bool:
@@ -19,48 +21,54 @@ def takes_no_memory(array: NDArray) -> bool:
 
 
 def as_records(wholes: list[Any]) -> list[Any]:
-    """Return dataclasses, or mappings, of arrays with a row per plant as views of one block, filled with their values.
+    """Return dataclasses of arrays with a row per plant as views of two blocks, filled with their values.
 
-    Arrays that are broadcast from one number stay so.
+    What every sample touches is in one block, the rest in the other. Arrays that are broadcast from one number stay so.
     """
-    arrays = [array for whole in wholes for array in _arrays(whole)]
-    offsets, size = _offsets(arrays)
-    plants = len(arrays[0])
-    block = np.zeros((plants, size), dtype=np.uint8)
-    views = iter(
-        np.ndarray(one.shape, one.dtype, block.data, offset, (size, *_inner_strides(one))) if one.size else one.copy()
-        for one, offset in zip(arrays, offsets, strict=True)
-    )
-    made = []
-    for whole in wholes:
-        made.append(_rebuilt(whole, views))
-    for one, other in zip(arrays, (array for whole in made for array in _arrays(whole)), strict=True):
-        other[...] = one
-    return made
+    named = [pair for whole in wholes for pair in _arrays(whole)]
+    views: list[NDArray] = [one for _, one in named]
+    for seldom in (False, True):
+        which = [k for k, (name, one) in enumerate(named) if (name in SELDOM) == seldom and one.size]
+        arrays = [named[k][1] for k in which]
+        if not arrays:
+            continue
+        offsets, size = _offsets(arrays)
+        block, stride = _block(len(arrays[0]), size)
+        for k, one, offset in zip(which, arrays, offsets, strict=True):
+            views[k] = np.ndarray(one.shape, one.dtype, block.data, offset, (stride, *_inner_strides(one)))
+            views[k][...] = one
+    rebuilt = iter(one if one.size else one.copy() for one in views)
+    return [_rebuilt(whole, rebuilt) for whole in wholes]
+
+
+def _block(plants: int, size: int) -> tuple[NDArray[np.uint8], int]:
+    """Return zeros for so many records, which begin with a line of the cache, and how far apart they are."""
+    stride = -(-size // _LINE) * _LINE if size > _LINE else size
+    room = np.zeros(plants * stride + _LINE, dtype=np.uint8)
+    begin = -room.ctypes.data % _LINE
+    return room[begin : begin + plants * stride], stride
 
 
 def bytes_of_record(wholes: list[Any]) -> int:
-    """Return the bytes of a record: of what is remembered of one plant."""
-    return _offsets([array for whole in wholes for array in _arrays(whole)])[1]
+    """Return the bytes of what is remembered of one plant."""
+    named = [pair for whole in wholes for pair in _arrays(whole)]
+    parts = ([one for name, one in named if (name in SELDOM) == seldom] for seldom in (False, True))
+    return sum(_offsets(part)[1] for part in parts if part)
 
 
-def _arrays(whole: Any) -> Iterator[NDArray]:
+def _arrays(whole: Any, name: str = "") -> Iterator[tuple[str, NDArray]]:
+    """Yield the arrays with the names of their fields."""
     if isinstance(whole, np.ndarray):
         if not takes_no_memory(whole):
-            yield whole
-    elif isinstance(whole, dict):
-        for value in whole.values():
-            yield from _arrays(value)
+            yield name, whole
     elif is_dataclass(whole):
         for field in fields(whole):
-            yield from _arrays(getattr(whole, field.name))
+            yield from _arrays(getattr(whole, field.name), field.name)
 
 
 def _rebuilt(whole: Any, views: Iterator[NDArray]) -> Any:
     if isinstance(whole, np.ndarray):
         return whole if takes_no_memory(whole) else next(views)
-    if isinstance(whole, dict):
-        return {name: _rebuilt(value, views) for name, value in whole.items()}
     if is_dataclass(whole) and not isinstance(whole, type):
         return type(whole)(**{field.name: _rebuilt(getattr(whole, field.name), views) for field in fields(whole)})
     return whole

@@ -19,10 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import FileFormatError, ResiduaError
-from residua.monitor.fleet_block import FleetBlock
+from residua.monitor.fleet_block import FleetBlock, StandingAlarms, fingerprint_of
 from residua.monitor.monitor import Monitor
 from residua.monitor.plant_records import takes_no_memory
 from residua.monitor.running import State, initial_state
+from residua.monitor.specification import Specification
 from residua.visible import echo, listed
 
 #: The mark and the version.
@@ -107,7 +108,9 @@ def _column(view: memoryview, start: int, kind: str, shape: list[int], label: st
     size = count * np.dtype(kind).itemsize
     if start + size > len(view) - _SUM:
         raise FileFormatError("this snapshot is shorter than its header says")
-    array = np.frombuffer(view, dtype=kind, count=count, offset=start).reshape(shape).astype(_TYPES[kind])
+    array = np.frombuffer(view, dtype=kind, count=count, offset=start).reshape(shape)
+    if array.dtype != _TYPES[kind] or not count:  # of another byte order, or nothing that could be copied later
+        array = array.astype(_TYPES[kind])
     return array, start + size + len(_padding(size))
 
 
@@ -120,8 +123,7 @@ def _padding(size: int) -> bytes:
 
 def _columns(block: FleetBlock) -> dict[str, NDArray]:
     """Return what a block remembers, by name."""
-    standing = np.array([(row, *when) for row, when in block.standing.items()], dtype=np.int64).reshape(-1, 3)
-    out = {"ids": _ids_out(block.ids), "standing": standing}
+    out = {"ids": _ids_out(block.ids), "standing": block.standing.table()}
     return out | dict(_arrays(block.state, "state")) | dict(_arrays(block.last, "last"))
 
 
@@ -157,33 +159,34 @@ def _block(name: str, model: Any, kept: dict[str, NDArray], monitors: Mapping[st
         raise FileFormatError(
             f"this snapshot has a model{label} that no monitor is given for: monitors={{name: monitor}}"
         )
+    monitor = monitors[name]
     ids = _ids_in(kept.pop("ids"), str(model["ids"]))
-    block = FleetBlock(monitors[name], ids)
-    if model["monitor"] != block.fingerprint:
+    if model["monitor"] != fingerprint_of(monitor):
         raise FileFormatError(f"this snapshot is of another monitor{label}, or of other thresholds")
-    state: State = _state_from(initial_state(block.spec, len(ids)), kept, "state")
-    _check_state(block, state)
+    spec = monitor._specification()
+    state: State = _state_from(initial_state(spec, len(ids)), kept, "state")
+    _check_state(spec, state)
     standing = kept.pop("standing")
     if standing.ndim != 2 or standing.shape[1] != 3 or not ((standing >= 0) & (standing[:, :1] < len(ids))).all():
         raise FileFormatError("the alarms of this snapshot are none of its plants")
-    block = FleetBlock(monitors[name], ids, state, {int(row): (int(a), int(b)) for row, a, b in standing})
+    block = FleetBlock(monitor, ids, state, StandingAlarms(len(ids), standing.tolist()))
     block.take_over(_state_from(block.last, kept, "last"))
     if kept:
         raise FileFormatError(f"this snapshot has columns that are not known: {listed(list(kept))}")
     return block
 
 
-def _check_state(block: FleetBlock, state: State) -> None:
+def _check_state(spec: Specification, state: State) -> None:
     """Raise where a state cannot be one; the checksum keeps out damage, and this what somebody made up."""
     counters = (state.count, state.filter.age, state.filter.gap, state.filter.resets, state.filter.broken)
     if any((one < 0).any() for one in counters) or not np.isfinite(state.filter.x).all():
         raise FileFormatError("this snapshot holds a filter that cannot be")
-    first = block.spec.first
+    first = spec.first
     if first is not None and (state.filter.age[state.filter.starting] >= first.samples).any():
         raise FileFormatError("this snapshot holds a start that should be over")
     try:
-        block.spec.test.check_state(state.test)
-        block.spec.isolation.check_state(state.isolation, int(state.count.max(initial=0)))
+        spec.test.check_state(state.test)
+        spec.isolation.check_state(state.isolation, int(state.count.max(initial=0)))
     except ResiduaError as error:
         raise FileFormatError(f"this snapshot holds a state that cannot be: {error}") from error
 

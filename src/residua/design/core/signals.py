@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import DataError, ModelError
 from residua.linear import StateSpace
-from residua.linear.systems.recursion import run_filter
+from residua.linear.systems.recursion import run_side_by_side
 from residua.plant import Plant
 from residua.tolerances import SAME
 
@@ -50,23 +50,24 @@ def stack_signals(plant: Plant, u: ArrayLike | None, y: ArrayLike) -> NDArray[np
 
 
 def run_signals(system: StateSpace, plant: Plant, u: ArrayLike | None, y: ArrayLike, x0: Any) -> NDArray[np.float64]:
-    """Run a sampled filter over signals of a plant; long ones are stacked piece by piece, which stays in the cache."""
+    """Run a sampled filter over signals of a plant, which are read where they lie if they lie in order."""
     u_, y_ = checked_signals(plant, u, y)
-    time = y_.shape[-2]
-    if u_ is None or time <= _PIECE:
+    if u_ is None or y_.shape[-2] <= _PIECE:
         return system.simulate(stack_signals(plant, u_, y_), x0)
     system = system.explicit()
     system.simulate(np.zeros((*y_.shape[:-2], 0, system.n_inputs)), x0)  # checks x0
-    residuals = np.empty((*y_.shape[:-1], system.n_outputs))
-    into = residuals if y_.ndim == 3 else residuals[None]
-    u_, y_ = (one if one.ndim == 3 else one[None] for one in (u_, y_))
+    v, w = (one if one.ndim == 3 else one[None] for one in (u_, y_))
     start = np.zeros(system.n_states) if x0 is None else np.asarray(x0, dtype=float)
-    state = np.array(np.broadcast_to(start, (len(y_), system.n_states)))
-    step = max(1, _PIECE // max(1, len(y_)))
-    for k in range(0, time, step):
-        piece = np.concatenate([u_[:, k : k + step], y_[:, k : k + step]], axis=-1)
-        state, into[:, k : k + step] = run_filter(system.A, system.B, system.C, system.D, state, piece)
-    return residuals
+    state = np.array(np.broadcast_to(start, (len(w), system.n_states)))
+    A, B, C, D = (np.ascontiguousarray(M) for M in (system.A, system.B, system.C, system.D))
+    if v.flags.c_contiguous and w.flags.c_contiguous:
+        return run_side_by_side((A, B, C, D), state, v, w)[1].reshape(*y_.shape[:-1], system.n_outputs)
+    residuals = np.empty((*w.shape[:-1], system.n_outputs))
+    step = max(1, _PIECE // max(1, len(w)))
+    for k in range(0, w.shape[1], step):  # pieces stay in the cache
+        parts = (np.ascontiguousarray(one[:, k : k + step]) for one in (v, w))
+        state, residuals[:, k : k + step] = run_side_by_side((A, B, C, D), state, *parts)
+    return residuals.reshape(*y_.shape[:-1], system.n_outputs)
 
 
 def checked_signals(

@@ -6,14 +6,15 @@
  * that neither contracts to fused multiply-add nor keeps excess precision: see setup.py for the flags, and the
  * check below.
  *
- * After a sample of nothing but zeros, states below 2^-500 in size become zero, here and in NumPy: a filter at rest would
- * otherwise end among the denormal numbers, which cost processors many times a product. While anything comes in, that
- * costs no more than a look at the first input.
+ * After a sample of nothing but zeros, states below 2^-500 in size become zero, here and in NumPy: a filter at rest
+ * would otherwise end among the denormal numbers, which cost processors many times a product. While anything
+ * comes in, that costs no more than a look at the first input.
  */
 #ifndef RESIDUA_FILTER_H
 #define RESIDUA_FILTER_H
 
 #include <float.h>
+#include <stdint.h>
 #include <string.h>
 
 #if !defined(FLT_EVAL_METHOD) || FLT_EVAL_METHOD != 0
@@ -36,13 +37,25 @@
 #define INLINE static __forceinline
 #endif
 
+/* Samples, one row after the other: the first columns in one array and the others in a second one. */
+typedef struct {
+    const double *first, *second;
+    Py_ssize_t columns, first_step, second_step; /* of the first; numbers from row to row */
+} source;
+
 typedef struct {
     Py_ssize_t n, m, nr, plants, time;
-    const double *A, *B, *C, *D, *x, *v;
+    const double *A, *B, *C, *D, *x;
+    source v;
     double *x_next, *r;
     double *packed; /* columns of the matrices, padded with zero rows */
     int is_packed;  /* whether they are there already */
     double *state;  /* blocks: two padded states */
+    /* Of at most four residuals: four centres and four rows of a whitening, padded with zeros; NULL for none. What
+     * comes of it: whitened residuals (room for three more behind them), and sums of their squares. */
+    const double *judge;
+    double *q, *squares;
+    Py_ssize_t k;
 } job;
 
 /* Every column of M (rows x columns, C order): rows top .. top + width, zero where M has no such row. */
@@ -57,17 +70,20 @@ pack(double *to, const double *M, Py_ssize_t rows, Py_ssize_t columns, Py_ssize_
 
 /* ---- blocks of rows: any sizes, plain C ------------------------------------------------------------------------ */
 
-typedef void (*block_product)(const double *columns, const double *v, Py_ssize_t m, const double *x, Py_ssize_t n,
+typedef void (*block_product)(const double *columns, const source *v, Py_ssize_t m, const double *x, Py_ssize_t n,
                               double *out, Py_ssize_t rows);
 
 INLINE void
-block_product_plain(const double *columns, const double *v, Py_ssize_t m, const double *x, Py_ssize_t n, double *out,
+block_product_plain(const double *columns, const source *v, Py_ssize_t m, const double *x, Py_ssize_t n, double *out,
                     Py_ssize_t rows)
 {
     double sum[BLOCK] = {0.0};
-    for (Py_ssize_t j = 0; j < m; j++, columns += BLOCK)
+    for (Py_ssize_t j = 0; j < v->columns; j++, columns += BLOCK)
         for (int i = 0; i < BLOCK; i++)
-            sum[i] += columns[i] * v[j];
+            sum[i] += columns[i] * v->first[j];
+    for (Py_ssize_t j = 0; j < m - v->columns; j++, columns += BLOCK)
+        for (int i = 0; i < BLOCK; i++)
+            sum[i] += columns[i] * v->second[j];
     for (Py_ssize_t j = 0; j < n; j++, columns += BLOCK)
         for (int i = 0; i < BLOCK; i++)
             sum[i] += columns[i] * x[j];
@@ -86,7 +102,7 @@ pack_blocks(double *to, const double *on_v, Py_ssize_t m, const double *on_x, Py
 }
 
 INLINE void
-all_blocks(block_product product, const double *columns, const double *v, Py_ssize_t m, const double *x, Py_ssize_t n,
+all_blocks(block_product product, const double *columns, const source *v, Py_ssize_t m, const double *x, Py_ssize_t n,
            double *out, Py_ssize_t rows)
 {
     for (Py_ssize_t top = 0; top < rows; top += BLOCK, columns += BLOCK * (m + n))
@@ -95,12 +111,22 @@ all_blocks(block_product product, const double *columns, const double *v, Py_ssi
 
 /* Whether a sample is nothing but zeros; as a rule its first value tells. */
 INLINE int
-is_silent(const double *v, Py_ssize_t m)
+is_silent(const double *first, Py_ssize_t columns, const double *second, Py_ssize_t others)
 {
-    for (Py_ssize_t j = 0; j < m; j++)
-        if (v[j] != 0.0)
+    for (Py_ssize_t j = 0; j < columns; j++)
+        if (first[j] != 0.0)
+            return 0;
+    for (Py_ssize_t j = 0; j < others; j++)
+        if (second[j] != 0.0)
             return 0;
     return 1;
+}
+
+/* Samples that lie in one array, one row of so many numbers after the other. */
+INLINE source
+one_array(const double *v, Py_ssize_t m)
+{
+    return (source){v, v, m, m, 0};
 }
 
 INLINE void
@@ -120,18 +146,20 @@ run_blocks(const job *q, block_product product)
         pack_blocks(on_state, q->B, m, q->A, n, n);
         pack_blocks(on_output, q->D, m, q->C, n, nr);
     }
-    const double *v = q->v;
+    source v = q->v;
     double *r = q->r, *now = q->state, *next = q->state + n;
     for (Py_ssize_t p = 0; p < q->plants; p++) {
         memcpy(now, q->x + p * n, (size_t)n * sizeof(double));
-        for (Py_ssize_t k = 0; k < q->time; k++, v += m, r += nr) {
-            all_blocks(product, on_output, v, m, now, n, r, nr);
-            all_blocks(product, on_state, v, m, now, n, next, n);
-            if (is_silent(v, m))
+        for (Py_ssize_t k = 0; k < q->time; k++, r += nr) {
+            all_blocks(product, on_output, &v, m, now, n, r, nr);
+            all_blocks(product, on_state, &v, m, now, n, next, n);
+            if (is_silent(v.first, v.columns, v.second, m - v.columns))
                 flush(next, n);
             double *swap = now;
             now = next;
             next = swap;
+            v.first += v.first_step;
+            v.second += v.second_step;
         }
         memcpy(q->x_next + p * n, now, (size_t)n * sizeof(double));
     }
@@ -160,12 +188,14 @@ typedef void (*runner)(const job *);
     EACH_VECTOR(width, L) sum[i] += ((const lanes##L *)(column))[i] * (value);
 
 #define DEFINE_BLOCK_PRODUCT(FAMILY, TARGET, L)                                                                       \
-    TARGET INLINE void block_product_##FAMILY(const double *columns, const double *v, Py_ssize_t m, const double *x,  \
+    TARGET INLINE void block_product_##FAMILY(const double *columns, const source *v, Py_ssize_t m, const double *x,  \
                                               Py_ssize_t n, double *out, Py_ssize_t rows)                             \
     {                                                                                                                 \
         lanes##L sum[BLOCK / L] = {{0.0}};                                                                            \
-        for (Py_ssize_t j = 0; j < m; j++, columns += BLOCK)                                                          \
-            ADD_COLUMN(sum, columns, BLOCK, L, v[j])                                                                  \
+        for (Py_ssize_t j = 0; j < v->columns; j++, columns += BLOCK)                                                 \
+            ADD_COLUMN(sum, columns, BLOCK, L, v->first[j])                                                           \
+        for (Py_ssize_t j = 0; j < m - v->columns; j++, columns += BLOCK)                                             \
+            ADD_COLUMN(sum, columns, BLOCK, L, v->second[j])                                                          \
         for (Py_ssize_t j = 0; j < n; j++, columns += BLOCK)                                                          \
             ADD_COLUMN(sum, columns, BLOCK, L, x[j])                                                                  \
         for (int i = 0; i < BLOCK; i++)                                                                               \
@@ -174,10 +204,13 @@ typedef void (*runner)(const job *);
     }                                                                                                                 \
     TARGET static void FAMILY##_blocks(const job *q) { run_blocks(q, block_product_##FAMILY); }
 
-#define DEFINE_SMALL(FAMILY, TARGET, L, N, WIDTH, OUT)                                                                \
-    TARGET static void FAMILY##_##N##_##OUT(const job *q)                                                             \
+/* JUDGE: whether residuals are also centred and whitened, and their squares added up. A row of residuals is stored with
+ * what stands in the lanes behind it, where the next rows come to lie. */
+#define DEFINE_SMALL(NAME, TARGET, L, N, WIDTH, OUT, JUDGE)                                                           \
+    TARGET static void NAME(const job *q)                                                                             \
     {                                                                                                                 \
-        const Py_ssize_t m = q->m, nr = q->nr;                                                                        \
+        const Py_ssize_t m = q->m, nr = q->nr, columns = q->v.columns, others = m - columns;                          \
+        const Py_ssize_t first_step = q->v.first_step, second_step = q->v.second_step;                                \
         double *const a = q->packed;                                                                                  \
         double *const b = a + N * WIDTH, *const c = b + m * WIDTH, *const d = c + N * OUT;                            \
         if (!q->is_packed) {                                                                                          \
@@ -186,17 +219,33 @@ typedef void (*runner)(const job *);
             pack(c, q->C, nr, N, 0, OUT);                                                                             \
             pack(d, q->D, nr, m, 0, OUT);                                                                             \
         }                                                                                                             \
-        const double *v = q->v;                                                                                       \
-        double *restrict r = q->r;                                                                                    \
+        const double *first = q->v.first, *second = q->v.second;                                                      \
+        double *restrict r = q->r, *restrict white = q->q, *restrict squares = q->squares;                            \
+        Py_ssize_t left = q->plants * q->time * nr;                                                                   \
+        const Py_ssize_t k_white = q->k;                                                                              \
+        lanes##L center = {0.0}, whitening[OUT];                                                                      \
+        if (JUDGE) {                                                                                                  \
+            memcpy(&center, q->judge, sizeof center);                                                                 \
+            _Pragma("GCC unroll 8") for (int j = 0; j < OUT; j++)                                                     \
+                memcpy(&whitening[j], q->judge + (1 + j) * L, sizeof center);                                         \
+        }                                                                                                             \
         for (Py_ssize_t p = 0; p < q->plants; p++) {                                                                  \
             lanes##L x[WIDTH / L];                                                                                    \
             memset(x, 0, sizeof x);                                                                                   \
-            _Pragma("GCC unroll 8") for (int j = 0; j < N; j++) x[j / L][j % L] = q->x[p * N + j];                    \
-            for (Py_ssize_t k = 0; k < q->time; k++, v += m, r += nr) {                                               \
+            if (N % L == 0) {                                                                                         \
+                EACH_VECTOR(N, L) x[i] = ((const lanes##L *)(q->x + p * N))[i];                                       \
+            } else {                                                                                                  \
+                _Pragma("GCC unroll 8") for (int j = 0; j < N; j++) x[j / L][j % L] = q->x[p * N + j];                \
+            }                                                                                                         \
+            for (Py_ssize_t k = 0; k < q->time; k++, r += nr, left -= nr) {                                           \
                 lanes##L sum[WIDTH / L] = {{0.0}}, out[OUT / L] = {{0.0}};                                            \
-                for (Py_ssize_t j = 0; j < m; j++) {                                                                  \
-                    ADD_COLUMN(sum, b + j * WIDTH, WIDTH, L, v[j])                                                    \
-                    ADD_COLUMN(out, d + j * OUT, OUT, L, v[j])                                                        \
+                for (Py_ssize_t j = 0; j < columns; j++) {                                                            \
+                    ADD_COLUMN(sum, b + j * WIDTH, WIDTH, L, first[j])                                                \
+                    ADD_COLUMN(out, d + j * OUT, OUT, L, first[j])                                                    \
+                }                                                                                                     \
+                for (Py_ssize_t j = 0; j < others; j++) {                                                             \
+                    ADD_COLUMN(sum, b + (columns + j) * WIDTH, WIDTH, L, second[j])                                   \
+                    ADD_COLUMN(out, d + (columns + j) * OUT, OUT, L, second[j])                                       \
                 }                                                                                                     \
                 _Pragma("GCC unroll 8") for (int j = 0; j < N; j++)                                                   \
                 {                                                                                                     \
@@ -205,26 +254,44 @@ typedef void (*runner)(const job *);
                     ADD_COLUMN(out, c + j * OUT, OUT, L, value)                                                       \
                 }                                                                                                     \
                 EACH_VECTOR(WIDTH, L) x[i] = sum[i];                                                                  \
-                if (__builtin_expect(is_silent(v, m), 0)) {                                                           \
+                if (__builtin_expect(is_silent(first, columns, second, others), 0)) {                                 \
                     double rest[WIDTH];                                                                               \
-                    memcpy(rest, x, sizeof rest);                                                                     \
+                    EACH_VECTOR(WIDTH, L)((lanes##L *)rest)[i] = x[i];                                                \
                     flush(rest, WIDTH);                                                                               \
                     __asm__ volatile("" ::: "memory"); /* a branch: as a selection every state would wait for it */   \
-                    memcpy(x, rest, sizeof rest);                                                                     \
+                    EACH_VECTOR(WIDTH, L) x[i] = ((lanes##L *)rest)[i];                                               \
                 }                                                                                                     \
-                if (nr == OUT) {                                                                                      \
+                first += first_step;                                                                                  \
+                second += second_step;                                                                                \
+                if (JUDGE) {                                                                                          \
+                    const lanes##L centred = out[0] - center;                                                         \
+                    lanes##L whitened = {0.0};                                                                        \
+                    _Pragma("GCC unroll 8") for (int j = 0; j < OUT; j++)                                             \
+                        whitened += whitening[j] * centred[j];                                                        \
+                    *(lanes##L *)white = whitened;                                                                    \
+                    white += k_white;                                                                                 \
+                    whitened *= whitened;                                                                             \
+                    double total = whitened[0];                                                                       \
+                    _Pragma("GCC unroll 8") for (int j = 1; j < OUT; j++) total += whitened[j];                       \
+                    *squares++ = total;                                                                               \
+                }                                                                                                     \
+                if (left >= OUT) {                                                                                    \
                     EACH_VECTOR(OUT, L)((lanes##L *)r)[i] = out[i];                                                   \
                 } else {                                                                                              \
                     _Pragma("GCC unroll 8") for (int i = 0; i < OUT; i++) if (i < nr) r[i] = out[i / L][i % L];       \
                 }                                                                                                     \
             }                                                                                                         \
-            _Pragma("GCC unroll 8") for (int j = 0; j < N; j++) q->x_next[p * N + j] = x[j / L][j % L];               \
+            if (N % L == 0) {                                                                                         \
+                EACH_VECTOR(N, L)((lanes##L *)(q->x_next + p * N))[i] = x[i];                                         \
+            } else {                                                                                                  \
+                _Pragma("GCC unroll 8") for (int j = 0; j < N; j++) q->x_next[p * N + j] = x[j / L][j % L];           \
+            }                                                                                                         \
         }                                                                                                             \
     }
 
 #define DEFINE_ORDER(FAMILY, TARGET, L, N, WIDTH)                                                                     \
-    DEFINE_SMALL(FAMILY, TARGET, L, N, WIDTH, L)                                                                      \
-    DEFINE_SMALL(FAMILY, TARGET, L, N, WIDTH, 8)
+    DEFINE_SMALL(FAMILY##_##N##_##L, TARGET, L, N, WIDTH, L, 0)                                                       \
+    DEFINE_SMALL(FAMILY##_##N##_8, TARGET, L, N, WIDTH, 8, 0)
 #define ROW(FAMILY, L, N) {FAMILY##_##N##_##L, FAMILY##_##N##_8}
 #define DEFINE_FAMILY(FAMILY, TARGET, L)                                                                              \
     DEFINE_BLOCK_PRODUCT(FAMILY, TARGET, L)                                                                           \
@@ -239,7 +306,7 @@ typedef void (*runner)(const job *);
     static const runner FAMILY##_table[MAX_SMALL][2] = {ROW(FAMILY, L, 1), ROW(FAMILY, L, 2), ROW(FAMILY, L, 3),      \
                                                         ROW(FAMILY, L, 4), ROW(FAMILY, L, 5), ROW(FAMILY, L, 6),      \
                                                         ROW(FAMILY, L, 7), ROW(FAMILY, L, 8)};                        \
-    static void FAMILY##_run(const job *q)                                                                            \
+    static void FAMILY##_filter(const job *q)                                                                         \
     {                                                                                                                 \
         if (q->n >= 1 && q->n <= MAX_SMALL && q->nr <= MAX_SMALL)                                                     \
             FAMILY##_table[q->n - 1][q->nr > L](q);                                                                   \
@@ -250,7 +317,21 @@ typedef void (*runner)(const job *);
 DEFINE_FAMILY(baseline, , 2)
 #if defined(__x86_64__)
 #define HAVE_AVX2 1
-DEFINE_FAMILY(avx2, __attribute__((target("avx2"))), 4) /* this target does not bring FMA with it */
+#define AVX2 __attribute__((target("avx2"))) /* this target does not bring FMA with it */
+DEFINE_FAMILY(avx2, AVX2, 4)
+#if defined(RESIDUA_JUDGES)
+DEFINE_SMALL(judged_1, AVX2, 4, 1, 4, 4, 1)
+DEFINE_SMALL(judged_2, AVX2, 4, 2, 4, 4, 1)
+DEFINE_SMALL(judged_3, AVX2, 4, 3, 4, 4, 1)
+DEFINE_SMALL(judged_4, AVX2, 4, 4, 4, 4, 1)
+DEFINE_SMALL(judged_5, AVX2, 4, 5, 8, 4, 1)
+DEFINE_SMALL(judged_6, AVX2, 4, 6, 8, 4, 1)
+DEFINE_SMALL(judged_7, AVX2, 4, 7, 8, 4, 1)
+DEFINE_SMALL(judged_8, AVX2, 4, 8, 8, 4, 1)
+static const runner judged_table[MAX_SMALL] = {judged_1, judged_2, judged_3, judged_4,
+                                               judged_5, judged_6, judged_7, judged_8};
+#endif
+
 #endif
 #endif
 
@@ -263,6 +344,13 @@ INLINE Py_ssize_t
 packed_size(Py_ssize_t n, Py_ssize_t m, Py_ssize_t nr)
 {
     return (n + nr + 2 * BLOCK) * (n + m);
+}
+
+/* Where numbers that begin with a line of the cache can be put, in room for seven more. */
+INLINE double *
+line_of(double *room)
+{
+    return (double *)(((uintptr_t)room + 63) & ~(uintptr_t)63);
 }
 
 static int
@@ -280,23 +368,31 @@ best_path(void)
 #endif
 }
 
-static void
+/* Run a filter; whether residuals were judged too. */
+static int
 execute(const job *q, int path)
 {
 #if defined(HAVE_AVX2)
     if (path == PATH_AVX2) {
-        avx2_run(q);
-        return;
+#if defined(RESIDUA_JUDGES)
+        if (q->judge != NULL && q->n >= 1 && q->n <= MAX_SMALL) {
+            judged_table[q->n - 1](q);
+            return 1;
+        }
+#endif
+        avx2_filter(q);
+        return 0;
     }
 #endif
 #if defined(HAVE_VECTORS)
     if (path == PATH_BASELINE) {
-        baseline_run(q);
-        return;
+        baseline_filter(q);
+        return 0;
     }
 #endif
     (void)path;
     run_plain(q);
+    return 0;
 }
 
 #endif

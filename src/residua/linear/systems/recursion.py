@@ -113,6 +113,18 @@ def run_checked(matrices: Matrices, x: NDArray, v: NDArray) -> tuple[NDArray[np.
     return _run_numpy(matrices, x, v) if _kernel is None else _run_compiled(matrices, x, v, _BEST_PATH)
 
 
+def run_side_by_side(
+    matrices: Matrices, x: NDArray, v: NDArray, w: NDArray
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Run a filter whose inputs are the columns of ``v`` and then those of ``w``, both (plants, time, columns).
+
+    The bits are those of :func:`run_filter` on ``[v, w]``, which is not made where both lie in order.
+    """
+    if _kernel is None or not (v.flags.c_contiguous and w.flags.c_contiguous):
+        return run_checked(matrices, x, np.ascontiguousarray(np.concatenate([v, w], axis=2)))
+    return _run_compiled(matrices, x, v, _BEST_PATH, w)
+
+
 def ordered_product(X: ArrayLike, M: ArrayLike) -> NDArray[np.float64]:
     """Multiply as ``X @ M``, every sum in the same order.
 
@@ -184,12 +196,12 @@ def _check_shapes(matrices: Matrices, x: NDArray, v: NDArray) -> None:
 
 
 def _run_compiled(
-    matrices: Matrices, x: NDArray, v: NDArray, path: int
+    matrices: Matrices, x: NDArray, v: NDArray, path: int, w: NDArray | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     assert _kernel is not None
     x_next = np.empty(x.shape)
     r = np.empty((v.shape[0], v.shape[1], matrices[2].shape[0]))
-    _kernel.run(*matrices, x, v, x_next, r, path)
+    _kernel.run(*matrices, x, v, x_next, r, path, *(() if w is None else (w,)))
     return x_next, r
 
 
