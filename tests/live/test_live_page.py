@@ -227,6 +227,10 @@ def test_what_is_away_is_marked(page, view):
         ends = page.ask("[...document.querySelectorAll('table.ends tr')].map((tr) => tr.dataset.good).join()")
         assert ends == "true,false"
         assert "the disk is full; 3 events wait" in page.ask("document.querySelector('table.ends').textContent")
+        away = "document.querySelector('#away').textContent"
+        assert page.ask(away) == "⚠ to jsonl x: the disk is full; 3 events wait"
+        view.sinks[0]["good"] = True
+        page.wait("document.querySelector('#away').hidden", 5.0)
         view.problems.append("the store is away")
         view.age = 600.0
         page.wait("document.querySelector('tr[data-plant=north] td.old')?.textContent.endsWith(', 10 min ago')", 5.0)

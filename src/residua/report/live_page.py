@@ -21,6 +21,7 @@ _BODY = """
 </header>
 <div id="problems" class="verdict fault" hidden><p class="headline"><span class="mark" aria-hidden="true">⚠</span>
   The run itself has a problem</p><ul></ul></div>
+<ul id="away" hidden></ul>
 
 <section id="overview" hidden>
   <div id="summary" class="verdict"><p class="headline"><span class="mark" aria-hidden="true"></span>

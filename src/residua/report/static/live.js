@@ -196,6 +196,9 @@
     lines(problems.querySelector("ul"), overview.problems);
     const ends = [...overview.sources.map((one) => ["from", one]), ...overview.sinks.map((one) => ["to", one])];
     rows(find("table.ends tbody"), ends, endRow);
+    const away = ends.filter(([, one]) => !one.good);
+    find("#away").hidden = !away.length;
+    lines(find("#away"), away.map(([way, one]) => "⚠ " + way + " " + one.name + ": " + endText(one)));
     list();
   }
 
@@ -206,8 +209,12 @@
     if (!tr.children[0].children.length) tr.children[0].append(make("span", null, "dot"), make("span"));
     tr.children[0].children[0].className = "dot " + (one.good ? "good" : "bad");
     put(tr.children[0].children[1], way + " " + one.name);
+    put(tr.children[1], endText(one));
+  }
+
+  function endText(one) {
     const waits = one.behind ? number(one.behind) + (one.behind === 1 ? " event waits" : " events wait") : "";
-    put(tr.children[1], [one.text, waits].filter(Boolean).join("; "));
+    return [one.text, waits].filter(Boolean).join("; ");
   }
 
   function rows(table, values, fill) {
