@@ -13,5 +13,5 @@ from live.brokers import Mosquitto, running
 @pytest.fixture
 def mosquitto(tmp_path: Path) -> Iterator[Mosquitto]:
     """An MQTT broker that is running."""
-    with running(tmp_path) as broker:
+    with running(tmp_path, "max_queued_messages 0") as broker:
         yield broker

@@ -55,9 +55,8 @@ def test_every_message_is_read() -> None:
 
 
 def test_what_the_page_says_of_limits() -> None:
-    from residua.live.inbox import MOST_MESSAGES
-
     from residua.live.messages import LARGEST
+    from residua.live.run import MOST_MESSAGES
 
     assert f"{LARGEST:,} bytes" in PAGE
     assert f"some {MOST_MESSAGES:,} messages wait" in PAGE
