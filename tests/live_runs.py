@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import resource
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import residua as rs
-from live_examples import alarms_of, monitor
+from live_examples import alarms_of, monitor, recording
 from residua.live.config import load_settings
+from residua.live.messages import Message
 from residua.live.run import Run
 from residua.live.sqlite_store import SqliteStore
 
@@ -106,3 +109,39 @@ def command(*arguments: object, **more: Any) -> subprocess.CompletedProcess[str]
         timeout=120,
         **more,
     )
+
+
+class Nobody:
+    """Stands for the source of messages that are handed over directly."""
+
+    name = "nobody"
+
+    def __init__(self) -> None:
+        self.acknowledged = 0
+
+    def acknowledge(self, messages: list[Message]) -> None:
+        self.acknowledged += len(messages)
+
+
+def resident() -> float:
+    """Return the megabytes of memory that this process has now."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 1e6
+
+
+def memory_by_hour(run: Run, plants: int, hours: int) -> tuple[list[float], int, float]:
+    """Replay hours of plants at one sample a second; return the memory after each, the rows, and the seconds."""
+    rows, source = recording(6000, seed=5), Nobody()
+    rows = np.concatenate([rows[:590], rows[2200:5400]])
+    memory: list[float] = []
+    begin = time.monotonic()
+    for hour in range(hours):
+        for k in range(36):
+            first = (hour * 36 + k) * 100
+            part = rows[(first + np.arange(100)) % len(rows)].tolist()
+            columns: dict[str, Any] = {"u": [one[:2] for one in part], "y": [one[2:] for one in part]}
+            body = json.dumps({"t0": float(first), "dt": 1.0} | columns).encode()[1:]
+            some = [Message(source, b'{"plant": "p%d", ' % p + body, 0.0) for p in range(plants)]
+            run.apply(some, time.time())
+        memory.append(resident())
+    return memory, hours * 3600 * plants, time.monotonic() - begin

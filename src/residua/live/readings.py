@@ -142,8 +142,8 @@ def readings_of(message: Message, layouts: Layouts) -> Readings:
         if type(whole.get("t")) is list:
             return _packed(plant, whole, layout)
         time, dated = time_of(whole.get("t"))
-        values = _numbers([_list(whole.get("u", []), len(layout.inputs)) + _list(whole["y"], len(layout.outputs))])
-        return Readings(plant, [time], values, None, dated)
+        values = _numbers(_list(whole.get("u", []), len(layout.inputs)) + _list(whole["y"], len(layout.outputs)))
+        return Readings(plant, [time], values[None], None, dated)
     raise MessageError("shape", "keys must be plant, t, u, y; or plant, t, values; or plant, t0, dt, u, y")
 
 
@@ -205,7 +205,7 @@ def _named(plant: str, time: float, dated: bool, values: Any, layout: Layout) ->
     except KeyError:
         raise MessageError("channel", "a channel that the plant does not have") from None
     row = np.full((1, len(layout.channels)), np.nan)
-    row[0, list(stated)] = _numbers([list(values.values())])[0]
+    row[0, list(stated)] = _numbers(list(values.values()))
     return Readings(plant, [time], row, None if len(stated) == row.shape[1] else stated, dated)
 
 
@@ -213,26 +213,35 @@ def _packed(plant: str, whole: dict[str, Any], layout: Layout) -> Readings:
     y = whole.get("y")
     if type(y) is not list or not 0 < len(y) <= MOST_ROWS:
         raise MessageError("shape", f"y must be a list of 1 to {MOST_ROWS:,} rows")
-    u = whole.get("u", [[]] * len(y) if not layout.inputs else None)
-    if type(u) is not list or len(u) != len(y):
-        raise MessageError("shape", "u and y must have as many rows")
-    if not layout.inputs and not u[0]:
-        u = [[]] * len(y)
-    rows = [_list(a, len(layout.inputs)) + _list(b, len(layout.outputs)) for a, b in zip(u, y, strict=True)]
-    values = _numbers(rows)
+    count = len(y)
+    u = whole.get("u", [[]] * count if not layout.inputs else None)
+    if u == [] and not layout.inputs:
+        u = [[]] * count
+    values = np.empty((count, len(layout.channels)))
+    values[:, : len(layout.inputs)] = _matrix(u, count, len(layout.inputs))
+    values[:, len(layout.inputs) :] = _matrix(y, count, len(layout.outputs))
     if "t0" in whole:
         start, dated = time_of(whole["t0"])
         step: Any = whole.get("dt")
         if type(step) not in (int, float) or not 1000 * abs(step - layout.dt) <= layout.dt:
             raise MessageError("time", f"dt must be that of the monitor, {layout.dt:g} s")
-        return Readings(plant, [start + k * step for k in range(len(rows))], values, None, dated)
+        return Readings(plant, (start + np.arange(count) * float(step)).tolist(), values, None, dated)
     moments = [time_of(one) for one in whole["t"]]
-    if len(moments) != len(rows):
+    if len(moments) != count:
         raise MessageError("shape", "t and y must have as many rows")
     times = [time for time, _ in moments]
     if any(later <= earlier for earlier, later in pairwise(times)):
         raise MessageError("time", "times must grow")
     return Readings(plant, times, values, None, moments[0][1])
+
+
+def _matrix(rows: Any, count: int, width: int) -> NDArray[np.float64]:
+    """Return so many rows of so many JSON numbers."""
+    if type(rows) is not list or len(rows) != count:
+        raise MessageError("shape", "u and y must have as many rows")
+    if set(map(type, rows)) != {list} or set(map(len, rows)) != {width}:
+        raise MessageError("shape", f"a row has not the {width} values of the plant")
+    return _numbers(list(chain.from_iterable(rows))).reshape(count, width)
 
 
 def _list(values: Any, width: int) -> list[Any]:
@@ -241,12 +250,12 @@ def _list(values: Any, width: int) -> list[Any]:
     return values
 
 
-def _numbers(rows: list[list[Any]]) -> NDArray[np.float64]:
-    """Return rows of JSON numbers; no text, no truth value."""
-    if not _NUMBERS.issuperset(map(type, chain.from_iterable(rows))):
+def _numbers(values: list[Any]) -> NDArray[np.float64]:
+    """Return JSON numbers, NaN for null; no text, no truth value."""
+    if not _NUMBERS.issuperset(map(type, values)):
         raise MessageError("number", "values must be numbers or null")
     try:
-        return np.array(rows, dtype=np.float64)
+        return np.array(values, dtype=np.float64)
     except OverflowError as error:
         raise MessageError("number", "a number that is too large") from error
 
@@ -269,7 +278,7 @@ def _channel(message: Message, content: bytes | float, layouts: Layouts) -> Read
     if time is None:
         time, dated = message.arrived, True
     row = np.full((1, len(layout.channels)), np.nan)
-    row[0, place] = _numbers([[value]])[0, 0]
+    row[0, place] = _numbers([value])[0]
     return Readings(message.plant, [time], row, (place,), dated)
 
 

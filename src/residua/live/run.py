@@ -193,7 +193,7 @@ class Run:
             for name, model in self.models.items()
         }
         self._said: dict[str, tuple[float, int]] = {}
-        self._dropped = 0
+        self._dropped, self._worked = 0, False
 
     def _check_plants(self, plants: Sequence[str], model: str) -> None:
         for plant in plants:
@@ -220,7 +220,7 @@ class Run:
         StoreError
             If the store is full or damaged: what was not committed was not acknowledged.
         """
-        ended = False
+        ended, self._worked = False, True
         try:
             times = {one.plant: one.sampling.last for one in self.watch.plants.values() if one.count}
             for source in self.sources:
@@ -285,7 +285,12 @@ class Run:
                 delivery.stop()
 
     def close(self) -> None:
-        """Close the store, when nobody looks any more."""
+        """Close the store, when nobody looks any more; and what was opened, where the run never worked."""
+        if not self._worked:
+            for source in self.sources:
+                source.stop()
+            for delivery in self.deliveries:
+                delivery.sink.close()
         self.store.close()
 
     # ------------------------------------------------------------------------ a batch

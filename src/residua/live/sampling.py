@@ -206,15 +206,14 @@ def _next_rows(
     """Return whole rows, each a step after the one before and the first a step after the last one; else ``None``."""
     if state.pending or readings.stated is not None or settings.max_age > 0:
         return None
-    grid, times = state.grid, readings.times
+    grid, times, half = state.grid, readings.times, 0.5 * dt
+    if grid != grid:
+        grid = times[0] - dt
     for time in times:
-        if grid == grid:
-            off = time - grid - dt
-            if not abs(off) < 0.5 * dt:
-                return None
-            grid = grid + dt + FOLLOW * off
-        else:
-            grid = time
+        off = time - grid - dt
+        if off >= half or off <= -half:
+            return None
+        grid = grid + dt + FOLLOW * off
     after = SamplingState(times[-1], grid, readings.dated)
     return after, [Rows(np.array(times), readings.values)], []
 

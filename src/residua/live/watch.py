@@ -33,8 +33,8 @@ _ASKED = ("alarm", "missing", "statistic")
 STORED_EVERY = 256
 #: So many times the rows that are kept, an alarm that stands longer loses its beginning.
 LONGEST_ALARM = 10
-#: Plants whose decisions are kept in memory while an alarm stands; those of others are made again for every look.
-_MOST_JUDGED = 64
+#: Rows whose decisions are kept in memory while an alarm stands; those of more plants are made again for every look.
+_MOST_JUDGED = 50_000
 #: In the order of events at one row.
 _RANKS = {"clock": 0, "back": 1, "ended": 2, "raised": 3, "renamed": 4, "missing": 5, "standing": 6}
 
@@ -270,8 +270,10 @@ class Watch:
         times, values = self._rows_from(plant, judged.stop, stop, batch)
         diagnosis = judged.go_on(times, values, plant.sampling.dated)
         self._judged[plant.key] = judged  # the last one that was looked at comes last
-        while len(self._judged) > _MOST_JUDGED:
-            self._judged.pop(next(iter(self._judged)))
+        kept = sum(one.stop - one.start for one in self._judged.values())
+        while kept > _MOST_JUDGED:
+            oldest = self._judged.pop(next(iter(self._judged)))
+            kept -= oldest.stop - oldest.start
         return diagnosis
 
     def _rows_from(
