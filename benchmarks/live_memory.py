@@ -27,9 +27,8 @@ def main() -> None:
         run = Run(load_settings(configuration(folder, SOURCE, plants=[f"p{k}" for k in range(PLANTS)])))
         memory, rows, seconds = memory_by_hour(run, PLANTS, HOURS)
         run.close()
-    print(
-        f"{rows:,} rows in {seconds:.0f} s; {memory[0]:.0f} MB after the first hour, {max(memory[1:]):.0f} MB at most after"
-    )
+    later = max(memory[1:])
+    print(f"{rows:,} rows in {seconds:.0f} s; {memory[0]:.0f} MB after the first hour, {later:.0f} MB at most after it")
     with TABLE.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["hour", "MB"])
