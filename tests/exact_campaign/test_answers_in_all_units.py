@@ -325,3 +325,13 @@ def test_directions_are_kept_whatever_else_enters_the_outputs(kind: str, seed: i
         basis = made.subspaces[name]
         off = response.T - basis @ (basis.T @ response.T)
         assert np.abs(off).max() <= 1e-6 * max(np.abs(response).max(), 1e-9)
+
+
+def test_a_zero_at_the_boundary_is_not_stable_by_rounding() -> None:
+    """It came out as -7e-20, for a small entry of a pseudo-inverse had the rounding of large ones."""
+    for p in in_all_units("stiff", 603):
+        answer = rs.analysis.unknown_input_observer_existence(p)
+        assert not answer
+        assert answer.fixed_poles.tolist() == [0.0]
+        with pytest.raises(DesignError, match="invariant zero 0 "):
+            rs.design.unknown_input_observer(p)

@@ -74,6 +74,8 @@ _EARLIER = [
     ("sparse", 506, None),
     # a gain that rounding left in a row coupled its state with others, which a residual then heard
     ("alike directions", 504, designs._filters),
+    # a zero at 0 was what rounding left of it, on the stable side: an observer that does not exist was designed
+    ("stiff", 603, designs._observers),
 ]
 
 

@@ -238,16 +238,18 @@ class OrdinaryDecoupling:
 
 def _ordinary_decoupling(even: EvenPlant, form: OutputFreeForm, Q: NDArray) -> OrdinaryDecoupling:
     """Cut a plant along its disturbances; the rank condition must hold."""
-    n, p, q = len(form.A), len(form.C), Q.shape[1]
+    p, q = len(form.C), Q.shape[1]
     weights = even.output_weights(form.A, form.E, form.C)
     CQ = weights[:, None] * without_rounding(form.C, Q)
     U, s, Vh = np.linalg.svd(CQ) if CQ.size else (np.eye(p), np.zeros(0), np.eye(q))
     U, Vh = without_noise(U), without_noise(Vh)  # of an output that a combination leaves out, rounding is no reading
     P, W2 = without_rounding(Vh.T / s, U[:, :q].T) * weights, U[:, q:].T * weights
+    # P C Q = I entry by entry: weights far apart leave small entries with the rounding of large ones
+    P = without_rounding(np.hstack([2 * np.eye(q), -P]), np.vstack([np.eye(q), without_rounding(form.C, Q)]), P)
     L = left_null_basis(Q)[0].T
-    inner = without_rounding(P, form.C)  # P C Q = I
-    N = without_rounding(np.hstack([np.eye(n), -Q]), np.vstack([np.eye(n), inner]), L.T)
     H = without_rounding(Q, P)
+    T = decoupling_map(H, form.C)
+    N = without_rounding(T, L.T)
     return OrdinaryDecoupling(
         even,
         form,
@@ -257,7 +259,7 @@ def _ordinary_decoupling(even: EvenPlant, form: OutputFreeForm, Q: NDArray) -> O
         without_rounding(L, form.A, Q),
         without_rounding(L, form.A, N),
         without_rounding(W2, form.C, L.T),
-        decoupling_map(H, form.C),
+        T,
         without_rounding(H, form.W),
     )
 

@@ -82,7 +82,7 @@ def _off(X: NDArray, Y: NDArray, Q: NDArray, n_u: int) -> float:
     return float(np.max(off / np.maximum(terms, TINY)))
 
 
-def _without_rounding(system: StateSpace, w: NDArray) -> NDArray[np.complex128]:
+def _without_rounding(system: StateSpace, w: NDArray) -> NDArray:
     """Return a frequency response, exactly zero where it is rounding of its terms or no chain of couplings leads.
 
     Of a state that nothing moves rounding is all that there is.
