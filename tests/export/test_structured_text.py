@@ -10,7 +10,7 @@ import pytest
 from effort import cases
 from export_banks import bank_monitor
 from export_examples import expected, exported
-from fused_examples import ISOLATIONS, TESTS, recording, specification
+from fused_examples import ISOLATIONS, MARKS, ORDERS, TESTS, recording, specification
 from residua.export.monitor_program import FLOAT, monitor_program
 from residua.export.structured_text import function_block
 from residua.monitor.running import initial_state, run_reference
@@ -32,6 +32,24 @@ def test_it_has_the_bits_of_the_monitor(test: str) -> None:
         named = [out["best"], *out["score"]] if "score" in out else []
         rows.append([*out["residual"], out["statistic"], out["known"], out["decided"], out["alarm"], *named])
     assert np.array_equal(np.array(rows, dtype=float), expected(spec, decisions))
+
+
+@pytest.mark.parametrize("seed", cases(range(200), 1))
+def test_generated_monitors(seed: int) -> None:
+    """Of every kind and of orders up to 40."""
+    rng = np.random.default_rng(seed)
+    order = int(rng.choice([*ORDERS, 40]))
+    test = list(TESTS)[seed % len(TESTS) if order or seed % len(TESTS) != len(TESTS) - 1 else 0]
+    isolation, method = str(rng.choice(list(ISOLATIONS))), ("kalman", "observer")[seed // len(TESTS) % 2]
+    spec = replace(specification(test, isolation, order, int(rng.choice([1, 2, 3, 5])), method), partial=None)
+    data, inputs = recording(spec, rng, 150, [*MARKS])[1], spec.B.shape[1] // 2
+    _, decisions = run_reference(spec, initial_state(spec, 1), data[None])
+    block = FunctionBlock(function_block(exported(spec, inputs), "watch"))
+    for sample, right in zip(data, expected(spec, decisions), strict=True):
+        out = block.step(sample[:inputs], sample[inputs:])
+        named = [out["best"], *out["score"]] if "score" in out else []
+        row = [*out["residual"], out["statistic"], out["known"], out["decided"], out["alarm"], *named]
+        assert np.array_equal(np.array(row, dtype=float), right)
 
 
 def parsed(text: str) -> str:
