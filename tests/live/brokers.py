@@ -128,7 +128,8 @@ class Run:
         self._thread.join(10)
         self.source.stop()
         assert time.monotonic() - begin < 8.0
-        assert set(threading.enumerate()) <= self._before, "a thread is left"
+        left = [one.name for one in set(threading.enumerate()) - self._before if "server's helper" not in one.name]
+        assert left == [], "threads are left"
 
     def put(self, message: Message) -> None:
         while not self._ended.is_set():

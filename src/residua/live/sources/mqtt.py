@@ -38,6 +38,8 @@ _MOST_BYTES = 64_000_000
 _LARGEST_PACKET = 8 * LARGEST
 #: Seconds that connecting may take, and that the last acknowledgements may take.
 _CONNECTING, _LEAVING = 5.0, 2.0
+#: How a packet that acknowledges begins.
+_PUBACK = 4
 _VERSIONS = {"5": paho.MQTTv5, "3.1.1": paho.MQTTv311}
 
 
@@ -283,7 +285,10 @@ class _LostError(Exception):
 
 
 class _Client(paho.Client):
-    """paho's client, reading from the system in large pieces: by itself it asks three times for each message.
+    """paho's client, reading and acknowledging many messages by one call of the system.
+
+    By itself it makes three calls to read a message, and one to acknowledge it; at each of them another thread that
+    computes may keep it waiting for five milliseconds.
 
     Attributes
     ----------
@@ -294,6 +299,7 @@ class _Client(paho.Client):
     def __init__(self, *arguments: Any, **named: Any) -> None:
         self.dry = True
         self._held, self._used = b"", 0
+        self._acknowledgements = bytearray()
         super().__init__(*arguments, **named)
 
     def _sock_recv(self, bufsize: int) -> bytes:
@@ -307,6 +313,33 @@ class _Client(paho.Client):
             self.dry, used = False, 0
         self._used = used + bufsize
         return self._held[used : used + bufsize]
+
+    def _sock_send(self, buf: bytes | bytearray) -> int:
+        if buf[0] >> 4 == _PUBACK:
+            self._acknowledgements += buf
+            return len(buf)
+        if not self.flush():  # what is begun must be ended first
+            raise BlockingIOError
+        return super()._sock_send(buf)
+
+    def want_write(self) -> bool:
+        """Whether something waits to be sent."""
+        return bool(self._acknowledgements) or super().want_write()
+
+    def flush(self) -> bool:
+        """Send acknowledgements; return whether all of them are.
+
+        Raises
+        ------
+        OSError
+            If the connection is lost.
+        """
+        if self._acknowledgements:
+            try:
+                del self._acknowledgements[: super()._sock_send(self._acknowledgements)]
+            except BlockingIOError:
+                return False
+        return not self._acknowledgements
 
 
 class _Connection:
@@ -374,6 +407,7 @@ class _Connection:
                     self._read()
                 if client.want_write():
                     self._check(client.loop_write())
+                    client.flush()
                 self._check(client.loop_misc())
                 if not self._ready and time.monotonic() - opened > 2 * _CONNECTING:
                     raise _LostError("no answer")
@@ -420,6 +454,8 @@ class _Connection:
         while client.socket() is not None and time.monotonic() < until:
             if client.loop_write() != paho.MQTT_ERR_SUCCESS:
                 break
+            if client.socket() is not None:
+                client.flush()
             time.sleep(0.005 if client.want_write() else 0)
         self.abandon()
 
