@@ -85,9 +85,9 @@ class Mosquitto:
 
 
 @contextmanager
-def running(folder: Path, settings: str = "") -> Iterator[Mosquitto]:
+def running(folder: Path, settings: str = "", port: int | None = None) -> Iterator[Mosquitto]:
     """A broker that is running, with lines of its configuration."""
-    broker = Mosquitto(folder, settings)
+    broker = Mosquitto(folder, settings, port)
     broker.start()
     try:
         yield broker

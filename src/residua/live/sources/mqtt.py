@@ -30,6 +30,8 @@ except ImportError as error:
 
 #: Packets that are read before acknowledgements are sent and others get their turn.
 _BURST = 500
+#: Bytes of messages of which the same is true.
+_BURST_BYTES = 4_000_000
 #: Bytes that are read from the system at once.
 _PIECE = 1 << 16
 #: Bytes of messages that may wait for the run.
@@ -146,6 +148,7 @@ class Mqtt(ThreadedSource):
     One thread reads, acknowledges and keeps the connection alive, whatever the run is doing; another puts. With QoS 1
     what waits is bounded by ``receive_maximum``: the broker sends no more until some are acknowledged. With QoS 0 the
     socket is not read while there is no room, and when the connection would end of it, what comes is dropped and said.
+    Of messages so large that 64 MB of them wait no more are read; if the connection ends of it, they come again.
 
     Parameters
     ----------
@@ -177,6 +180,7 @@ class Mqtt(ThreadedSource):
         self._generation = 0
         self._hand: HandOver | None = None
         self._burst: list[Message] = []
+        self.burst_bytes = 0
         self._now = 0.0
         self._dropping = False
         self._dropped = 0
@@ -258,10 +262,11 @@ class Mqtt(ThreadedSource):
         elif len(payload) > LARGEST:
             payload, refused = b"", "size"
         self._burst.append(Message(self, payload, self._now, place[0], place[1], None, token, refused))
+        self.burst_bytes += len(payload)
 
     def taken(self, now: float) -> list[Message]:
         """Return the messages of a burst; those of the next one have come at ``now``."""
-        burst, self._burst, self._now = self._burst, [], now
+        burst, self._burst, self._now, self.burst_bytes = self._burst, [], now, 0
         return burst
 
     def drop(self, whether: bool) -> None:
@@ -397,8 +402,9 @@ class _Connection:
             while not (self._stopping.is_set() or self._hand.ended):
                 full, now = self._hand.full, time.monotonic()
                 full_since = (full_since or now) if full else 0.0
-                self._source.drop(full and now - full_since > patience)
-                reads = not full or now - full_since > patience
+                late = full and now - full_since > patience
+                self._source.drop(late)
+                reads = not full or (late and not (self._settings.qos and self._hand.heavy))
                 self._wait(selector, reads)
                 self._waker.clear()
                 for mid in self._source.safe():
@@ -434,7 +440,7 @@ class _Connection:
         try:
             for _ in range(_BURST):
                 self._check(client.loop_read())
-                if client.dry:
+                if client.dry or source.burst_bytes > _BURST_BYTES:
                     break
         finally:
             burst = source.taken(time.time())

@@ -113,7 +113,12 @@ class HandOver:
     @property
     def full(self) -> bool:
         """Whether nothing more should be read."""
-        return self.count >= self._most or self._came_bytes - self._gone_bytes >= self._most_bytes
+        return self.count >= self._most or self.heavy
+
+    @property
+    def heavy(self) -> bool:
+        """Whether it is full of bytes, not of messages."""
+        return self._came_bytes - self._gone_bytes >= self._most_bytes
 
     @property
     def count(self) -> int:
