@@ -143,8 +143,9 @@ def test_a_run_that_takes_nothing_holds_up_the_broker_and_keeps_the_connection(
         assert not (mosquitto.folder / "mosquitto.log").read_text().count("timeout")
         assert (mosquitto.folder / "mosquitto.log").read_text().count("as run ") == 1  # connected once
         held = run.waiting + source.waiting
-        # QoS 1: what may be in flight, which mosquitto holds to before version 5 only roughly (20).
-        assert held <= ((61 if version == "5" else 500) if qos else 1600), held
+        # QoS 1: 50 (before version 5: 20) may be in flight; mosquitto 2.0.11 sends up to some hundred more when
+        # acknowledgements reach it while it is published to.
+        assert held <= (500 if qos else 1600), held
         run.takes.set()
         with publisher(mosquitto.port) as client:
             wait_for(lambda: source.waiting == 0 and run.waiting == 0)
