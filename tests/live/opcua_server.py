@@ -5,11 +5,14 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Coroutine, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from typing import Any
 
 from asyncua import Server, ua
 
+#: How threads are called that asyncua's server may begin at any time.
+HELPER = "server's helper"
 URI = "urn:residua:test"
 VARIABLES = {"north.level": 0.0, "north.flow": 0.0, "text": "no", "whole": 1, "flag": False}
 
@@ -31,6 +34,7 @@ class OpcUaServer:
         self._variables, self._prepare = variables, prepare
         self._nodes: dict[str, Any] = {}
         self._loop = asyncio.new_event_loop()
+        self._loop.set_default_executor(ThreadPoolExecutor(thread_name_prefix=HELPER))
         self._thread = threading.Thread(target=self._loop.run_forever)
         self._server: Server | None = None
 

@@ -8,6 +8,8 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,7 @@ import pytest
 
 paho = pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed")
 
-from live.brokers import Mosquitto, Run, running, wait_for  # noqa: E402
+from live.brokers import Mosquitto, Run, free_port, running, wait_for  # noqa: E402
 from residua.errors import SettingError  # noqa: E402
 from residua.live.messages import LARGEST  # noqa: E402
 from residua.live.sources import mqtt  # noqa: E402
@@ -141,18 +143,81 @@ def test_a_run_that_takes_nothing_holds_up_the_broker_and_keeps_the_connection(
         assert not (mosquitto.folder / "mosquitto.log").read_text().count("timeout")
         assert (mosquitto.folder / "mosquitto.log").read_text().count("as run ") == 1  # connected once
         held = run.waiting + source.waiting
-        assert held <= (61 if qos else 1600), held
+        # QoS 1: 50 (before version 5: 20) may be in flight; mosquitto 2.0.11 sends up to some hundred more when
+        # acknowledgements reach it while it is published to.
+        assert held <= (500 if qos else 1600), held
         run.takes.set()
         with publisher(mosquitto.port) as client:
             wait_for(lambda: source.waiting == 0 and run.waiting == 0)
             send(client, 5000, 1, qos)
         wait_for(lambda: 5000 in times(run))
+        assert ("messages of QoS 0 dropped for want of room" in source.health.text) == (not qos)
     came = times(run)
     assert came == sorted(set(came))
     if qos:  # mosquitto itself keeps 1000 and those on their way, and drops what comes then
         assert len(came) > 1000
-    else:
-        assert "dropped for want of room" in source.health.text or len(came) == 5001 or "ended" in source.health.text
+
+
+def test_large_messages_that_wait_are_bounded_and_come_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mqtt, "_MOST_BYTES", 5_000_000)
+    monkeypatch.setattr(mqtt, "_BURST_BYTES", 1_000_000)
+    with running(tmp_path, "max_queued_messages 0") as mosquitto:
+        source = Mqtt(settings(mosquitto.port, keepalive=5))
+        with Run(source, most=1) as run:
+            connected(source)
+            run.takes.clear()
+            with publisher(mosquitto.port) as client:
+                for k in range(40):
+                    client.publish("plants/north/data", str(k).encode() + b" " * 1_000_000, qos=1)
+                wait_for(lambda: source.waiting >= 5)
+                for _ in range(120):  # in which the connection ends, for want of an answer that is not read
+                    assert source.waiting < 10
+                    time.sleep(0.1)
+                run.takes.set()
+                wait_for(lambda: len({int(m.payload) for m in run.messages}) == 40, 60.0)  # pyright: ignore
+
+
+def certificates(folder: Path) -> tuple[Path, Path]:
+    """Write a certificate of 127.0.0.1 that signs itself, and its key."""
+    pytest.importorskip("cryptography")
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "broker")])
+    now = datetime.now(UTC)
+    names = x509.SubjectAlternativeName([x509.IPAddress(ip_address("127.0.0.1"))])
+    made = x509.CertificateBuilder(name, name, key.public_key(), x509.random_serial_number())
+    made = made.not_valid_before(now - timedelta(days=1)).not_valid_after(now + timedelta(days=1))
+    made = made.add_extension(names, False).add_extension(x509.BasicConstraints(True, None), True)
+    (folder / "cert.pem").write_bytes(made.sign(key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM))
+    plain = serialization.NoEncryption()
+    form = serialization.PrivateFormat.PKCS8
+    (folder / "key.pem").write_bytes(key.private_bytes(serialization.Encoding.PEM, form, plain))
+    return folder / "cert.pem", folder / "key.pem"
+
+
+# paho leaves the socket of a handshake that failed to the garbage collector, which closes it.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_tls_with_a_certificate_that_is_checked(tmp_path: Path) -> None:
+    certificate, key = certificates(tmp_path)
+    secured, plain = free_port(), free_port()
+    lines = f"listener {plain} 127.0.0.1\nlistener {secured} 127.0.0.1\ncertfile {certificate}\nkeyfile {key}"
+    with running(tmp_path, lines, plain):
+        source = Mqtt(settings(secured, tls=True, ca_file=str(certificate)))
+        with Run(source) as run:
+            connected(source)
+            with publisher(plain) as client:
+                send(client, 0, 500)
+                client.publish("plants/north/data", json.dumps({"t": 500}) + " " * 200_000, qos=1)
+                send(client, 501, 500)
+            run.wait_for(1001)
+        assert times(run) == list(range(1001))
+        for wrong in (settings(secured, tls=True), settings(secured)):  # another authority; no TLS
+            source = Mqtt(wrong)
+            with Run(source):
+                wait_for(lambda source=source: "tries again" in source.health.text)
 
 
 def test_one_channel_to_a_topic(mosquitto: Mosquitto) -> None:

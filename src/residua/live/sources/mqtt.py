@@ -30,6 +30,8 @@ except ImportError as error:
 
 #: Packets that are read before acknowledgements are sent and others get their turn.
 _BURST = 500
+#: Bytes of messages of which the same is true.
+_BURST_BYTES = 4_000_000
 #: Bytes that are read from the system at once.
 _PIECE = 1 << 16
 #: Bytes of messages that may wait for the run.
@@ -38,6 +40,8 @@ _MOST_BYTES = 64_000_000
 _LARGEST_PACKET = 8 * LARGEST
 #: Seconds that connecting may take, and that the last acknowledgements may take.
 _CONNECTING, _LEAVING = 5.0, 2.0
+#: How a packet that acknowledges begins.
+_PUBACK = 4
 _VERSIONS = {"5": paho.MQTTv5, "3.1.1": paho.MQTTv311}
 
 
@@ -144,6 +148,7 @@ class Mqtt(ThreadedSource):
     One thread reads, acknowledges and keeps the connection alive, whatever the run is doing; another puts. With QoS 1
     what waits is bounded by ``receive_maximum``: the broker sends no more until some are acknowledged. With QoS 0 the
     socket is not read while there is no room, and when the connection would end of it, what comes is dropped and said.
+    Of messages so large that 64 MB of them wait no more are read; if the connection ends of it, they come again.
 
     Parameters
     ----------
@@ -175,6 +180,7 @@ class Mqtt(ThreadedSource):
         self._generation = 0
         self._hand: HandOver | None = None
         self._burst: list[Message] = []
+        self.burst_bytes = 0
         self._now = 0.0
         self._dropping = False
         self._dropped = 0
@@ -256,10 +262,11 @@ class Mqtt(ThreadedSource):
         elif len(payload) > LARGEST:
             payload, refused = b"", "size"
         self._burst.append(Message(self, payload, self._now, place[0], place[1], None, token, refused))
+        self.burst_bytes += len(payload)
 
     def taken(self, now: float) -> list[Message]:
         """Return the messages of a burst; those of the next one have come at ``now``."""
-        burst, self._burst, self._now = self._burst, [], now
+        burst, self._burst, self._now, self.burst_bytes = self._burst, [], now, 0
         return burst
 
     def drop(self, whether: bool) -> None:
@@ -283,7 +290,10 @@ class _LostError(Exception):
 
 
 class _Client(paho.Client):
-    """paho's client, reading from the system in large pieces: by itself it asks three times for each message.
+    """paho's client, reading and acknowledging many messages by one call of the system.
+
+    By itself it makes three calls to read a message, and one to acknowledge it; at each of them another thread that
+    computes may keep it waiting for five milliseconds.
 
     Attributes
     ----------
@@ -294,6 +304,7 @@ class _Client(paho.Client):
     def __init__(self, *arguments: Any, **named: Any) -> None:
         self.dry = True
         self._held, self._used = b"", 0
+        self._acknowledgements = bytearray()
         super().__init__(*arguments, **named)
 
     def _sock_recv(self, bufsize: int) -> bytes:
@@ -307,6 +318,33 @@ class _Client(paho.Client):
             self.dry, used = False, 0
         self._used = used + bufsize
         return self._held[used : used + bufsize]
+
+    def _sock_send(self, buf: bytes | bytearray) -> int:
+        if buf[0] >> 4 == _PUBACK:
+            self._acknowledgements += buf
+            return len(buf)
+        if not self.flush():  # what is begun must be ended first
+            raise BlockingIOError
+        return super()._sock_send(buf)
+
+    def want_write(self) -> bool:
+        """Whether something waits to be sent."""
+        return bool(self._acknowledgements) or super().want_write()
+
+    def flush(self) -> bool:
+        """Send acknowledgements; return whether all of them are.
+
+        Raises
+        ------
+        OSError
+            If the connection is lost.
+        """
+        if self._acknowledgements:
+            try:
+                del self._acknowledgements[: super()._sock_send(self._acknowledgements)]
+            except BlockingIOError:
+                return False
+        return not self._acknowledgements
 
 
 class _Connection:
@@ -364,8 +402,9 @@ class _Connection:
             while not (self._stopping.is_set() or self._hand.ended):
                 full, now = self._hand.full, time.monotonic()
                 full_since = (full_since or now) if full else 0.0
-                self._source.drop(full and now - full_since > patience)
-                reads = not full or now - full_since > patience
+                late = full and now - full_since > patience
+                self._source.drop(late)
+                reads = not full or (late and not (self._settings.qos and self._hand.heavy))
                 self._wait(selector, reads)
                 self._waker.clear()
                 for mid in self._source.safe():
@@ -374,6 +413,7 @@ class _Connection:
                     self._read()
                 if client.want_write():
                     self._check(client.loop_write())
+                    client.flush()
                 self._check(client.loop_misc())
                 if not self._ready and time.monotonic() - opened > 2 * _CONNECTING:
                     raise _LostError("no answer")
@@ -400,7 +440,7 @@ class _Connection:
         try:
             for _ in range(_BURST):
                 self._check(client.loop_read())
-                if client.dry:
+                if client.dry or source.burst_bytes > _BURST_BYTES:
                     break
         finally:
             burst = source.taken(time.time())
@@ -420,6 +460,8 @@ class _Connection:
         while client.socket() is not None and time.monotonic() < until:
             if client.loop_write() != paho.MQTT_ERR_SUCCESS:
                 break
+            if client.socket() is not None:
+                client.flush()
             time.sleep(0.005 if client.want_write() else 0)
         self.abandon()
 

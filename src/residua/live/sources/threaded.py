@@ -101,10 +101,11 @@ class HandOver:
     def __init__(
         self, put: Callable[[Message], None], most: int, most_bytes: int, freed: Callable[[], None], name: str
     ) -> None:
-        self._put, self._freed, self.most, self.most_bytes = put, freed, most, most_bytes
-        self._waiting: deque[tuple[list[Message], int]] = deque()
+        self._put, self._freed, self._most, self._most_bytes = put, freed, most, most_bytes
+        self._waiting: deque[list[Message]] = deque()
         self._change = threading.Condition()
-        self._count = self._bytes = 0
+        #: Messages and bytes that came, which the one who gives counts, and that were put, which the thread counts.
+        self._came = self._came_bytes = self._gone = self._gone_bytes = 0
         self._ended = False
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
@@ -112,12 +113,17 @@ class HandOver:
     @property
     def full(self) -> bool:
         """Whether nothing more should be read."""
-        return self._count >= self.most or self._bytes >= self.most_bytes
+        return self.count >= self._most or self.heavy
+
+    @property
+    def heavy(self) -> bool:
+        """Whether it is full of bytes, not of messages."""
+        return self._came_bytes - self._gone_bytes >= self._most_bytes
 
     @property
     def count(self) -> int:
         """How many messages wait."""
-        return self._count
+        return self._came - self._gone
 
     @property
     def ended(self) -> bool:
@@ -125,25 +131,23 @@ class HandOver:
         return self._ended
 
     def give(self, messages: list[Message]) -> None:
-        """Take messages in their order; never waits."""
-        size = sum(len(one.payload) for one in messages if isinstance(one.payload, bytes))
+        """Take messages in their order; never waits. From one thread, as :meth:`forget`."""
+        self._came += len(messages)
+        self._came_bytes += sum(map(_size, messages))
         with self._change:
-            self._waiting.append((messages, size))
-            self._count += len(messages)
-            self._bytes += size
+            self._waiting.append(messages)
             self._change.notify()
 
     def forget(self, gone: Callable[[Message], bool]) -> None:
         """Leave out messages that come again, or that are another's now."""
         with self._change:
             before, self._waiting = self._waiting, deque()
-            for messages, size in before:
+            for messages in before:
                 kept = [one for one in messages if not gone(one)]
-                kept_size = sum(len(one.payload) for one in kept if isinstance(one.payload, bytes))
-                self._count -= len(messages) - len(kept)
-                self._bytes -= size - kept_size
+                self._came -= len(messages) - len(kept)
+                self._came_bytes -= sum(map(_size, messages)) - sum(map(_size, kept))
                 if kept:
-                    self._waiting.append((kept, kept_size))
+                    self._waiting.append(kept)
 
     def close(self) -> None:
         """End the thread; what waits is not handed over."""
@@ -160,20 +164,23 @@ class HandOver:
                         self._change.wait()
                     if self._ended:
                         return
-                    messages, size = self._waiting.popleft()
+                    messages = self._waiting.popleft()
+                was_full = self.full
                 for message in messages:
                     self._put(message)
+                    self._gone += 1
+                    self._gone_bytes += _size(message)
                     if self._ended:
                         return
-                with self._change:
-                    was_full = self.full
-                    self._count -= len(messages)
-                    self._bytes -= size
                 if was_full and not self.full:
                     self._freed()
         except RunStoppedError:
             self._ended = True
             self._freed()
+
+
+def _size(message: Message) -> int:
+    return len(message.payload) if isinstance(message.payload, bytes) else 8
 
 
 __all__ = ["PATIENCE", "HandOver", "ThreadedSource", "logger"]
