@@ -44,7 +44,7 @@ gather_states(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t co
 }
 
 /* The same of records, which are listed, while those of the next chunk are on their way. */
-static int
+INLINE int
 gather_records(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t count, double *x, char **records)
 {
     const Py_ssize_t n = self->n, stride = self->stride[COUNT], size = self->record_size;
@@ -85,7 +85,7 @@ keep_filter(const Runner *self, Py_ssize_t row, const source *in, Py_ssize_t i, 
 #define OF_RECORD(type, which) (*(type *)(record + at_##which))
 
 /* A norm without a window of records: decided, and what a tick tells written. */
-static void
+INLINE void
 finish_records(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t count, char *const *records,
                const double *x, const scratch *s)
 {
@@ -160,9 +160,8 @@ finish_each(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t coun
     s->statistic = squares;
 }
 
-/* Some plants that are an ordinary case; 0, and nothing done, if they are not. */
-static int
-run_together(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t count, scratch *s)
+INLINE int
+together(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t count, scratch *s)
 {
     const block *b = t->b;
     const Py_ssize_t n = self->n;
@@ -190,6 +189,31 @@ run_together(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t cou
     } else
         finish_each(self, t, first, count, x_next, s);
     return 1;
+}
+
+static int
+together_plain(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t count, scratch *s)
+{
+    return together(self, t, first, count, s);
+}
+
+#if defined(HAVE_AVX2)
+AVX2 static int
+together_avx2(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t count, scratch *s)
+{
+    return together(self, t, first, count, s);
+}
+#endif
+
+/* Some plants that are an ordinary case; 0, and nothing done, if they are not. */
+static int
+run_together(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t count, scratch *s)
+{
+#if defined(HAVE_AVX2)
+    if (self->path == PATH_AVX2)
+        return together_avx2(self, t, first, count, s);
+#endif
+    return together_plain(self, t, first, count, s);
 }
 
 static void
