@@ -297,6 +297,25 @@ is_finite(const double *values, Py_ssize_t count)
     return finite;
 }
 
+#if defined(HAVE_AVX2)
+AVX2 static int
+all_within_avx2(const double *values, Py_ssize_t count, double largest)
+{
+    return all_within(values, count, largest);
+}
+#endif
+
+/* Whether the residuals of a piece have not overflowed. */
+static int
+are_sound(const Runner *self, const double *r, Py_ssize_t count)
+{
+#if defined(HAVE_AVX2)
+    if (self->path == PATH_AVX2)
+        return all_within_avx2(r, count, LARGEST);
+#endif
+    return all_within(r, count, LARGEST);
+}
+
 static void
 stop_filter(const Runner *self, Py_ssize_t row)
 {
@@ -469,7 +488,7 @@ filter_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t ro
         double *x = F8(self, X, row), *before = s->small;
         copy_doubles(before, x, n);
         s->is_judged = filter_some(self, s, x, s->in, s->r, time, self->judge);
-        if (all_within(s->r, time * self->nr, LARGEST) && is_finite(x, n)) {
+        if (are_sound(self, s->r, time * self->nr) && is_finite(x, n)) {
             const whole age = *I8(self, AGE, row);
             s->is_missing = 0;
             if (age >= self->settle && time > 1)

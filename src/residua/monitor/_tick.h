@@ -28,30 +28,28 @@ row_in_tick(const tick *t, Py_ssize_t plant)
     return t->rows == NULL ? plant : (Py_ssize_t)t->rows[plant];
 }
 
-/* The states of plants, one after the other; whether all are an ordinary case. */
-static int
+/* The states of plants, one after the other; how many of them are an ordinary case. */
+static Py_ssize_t
 gather_states(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t count, double *x)
 {
-    int plain = 1;
+    Py_ssize_t plain = 0;
     for (Py_ssize_t i = first; i < first + count; i++) {
         const Py_ssize_t row = row_in_tick(t, i);
-        plain &= *B1(self, RUNNING, row) & !*B1(self, STARTING, row);
-        if (self->partial)
-            plain &= !*B1(self, APART, row);
+        plain += *B1(self, RUNNING, row) & !*B1(self, STARTING, row) & !(self->partial && *B1(self, APART, row));
         x = copy_few(x, PLACE(self, X, row), self->n);
     }
     return plain;
 }
 
 /* The same of records, which are listed, while those of the next chunk are on their way. */
-static int
+INLINE Py_ssize_t
 gather_records(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t count, double *x, char **records)
 {
     const Py_ssize_t n = self->n, stride = self->stride[COUNT], size = self->record_size;
     const Py_ssize_t begin = self->offset[X], running = self->offset[RUNNING], starting = self->offset[STARTING];
     const Py_ssize_t apart = self->offset[APART];
     const flag partial = self->partial != 0;
-    int plain = 1;
+    Py_ssize_t plain = 0;
     for (Py_ssize_t i = 0; i < count; i++) {
         char *const record = self->records + row_in_tick(t, first + i) * stride;
         if (first + i + CHUNK < t->stop) {
@@ -60,9 +58,8 @@ gather_records(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t c
                 PREFETCH(next + k);
         }
         records[i] = record;
-        plain &= *(flag *)(record + running) & !*(flag *)(record + starting);
-        if (partial)
-            plain &= !*(flag *)(record + apart);
+        plain += *(flag *)(record + running) & !*(flag *)(record + starting)
+                 & !(partial && *(flag *)(record + apart));
         x = copy_few(x, record + begin, n);
     }
     return plain;
@@ -85,7 +82,7 @@ keep_filter(const Runner *self, Py_ssize_t row, const source *in, Py_ssize_t i, 
 #define OF_RECORD(type, which) (*(type *)(record + at_##which))
 
 /* A norm without a window of records: decided, and what a tick tells written. */
-static void
+INLINE void
 finish_records(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t count, char *const *records,
                const double *x, const scratch *s)
 {
@@ -160,18 +157,19 @@ finish_each(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t coun
     s->statistic = squares;
 }
 
-/* Some plants that are an ordinary case; 0, and nothing done, if they are not. */
-static int
-run_together(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t count, scratch *s)
+INLINE int
+together(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t count, scratch *s)
 {
     const block *b = t->b;
     const Py_ssize_t n = self->n;
     const char *u = b->u + first * b->u_strides[0], *y = b->y + first * b->y_strides[0];
     double *const x = s->x, *const x_next = x + CHUNK * n;
     char *records[CHUNK];
-    const int plain = self->record_size ? gather_records(self, t, first, count, x, records)
+    const Py_ssize_t plain = self->record_size ? gather_records(self, t, first, count, x, records)
                                         : gather_states(self, t, first, count, x);
-    if (!plain || !gather(self, b, u, y, b->u_strides[0], b->y_strides[0], count, s))
+    if (plain == 0) /* such as at the first sample */
+        return -1;
+    if (plain < count || !gather(self, b, u, y, b->u_strides[0], b->y_strides[0], count, s))
         return 0;
     job *q = &s->filter;
     q->plants = count;
@@ -192,20 +190,47 @@ run_together(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t cou
     return 1;
 }
 
+static int
+together_plain(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t count, scratch *s)
+{
+    return together(self, t, first, count, s);
+}
+
+#if defined(HAVE_AVX2)
+AVX2 static int
+together_avx2(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t count, scratch *s)
+{
+    return together(self, t, first, count, s);
+}
+#endif
+
+/* Some plants that are an ordinary case; 0, and nothing done, if they are not, and -1 if no one is. */
+static int
+run_together(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t count, scratch *s)
+{
+#if defined(HAVE_AVX2)
+    if (self->path == PATH_AVX2)
+        return together_avx2(self, t, first, count, s);
+#endif
+    return together_plain(self, t, first, count, s);
+}
+
 static void
 run_in_tick(const Runner *self, tick *t, Py_ssize_t first, Py_ssize_t count, scratch *s)
 {
-    if (run_together(self, t, first, count, s))
+    const int outcome = run_together(self, t, first, count, s);
+    if (outcome == 1)
         return;
-    if (count > 1) {
+    if (outcome == 0 && count > 1) {
         run_in_tick(self, t, first, count / 2, s);
         run_in_tick(self, t, first + count / 2, count - count / 2, s);
         return;
     }
-    if (run_plant(self, t->b, first, row_in_tick(t, first), 0, s) == 0) {
-        t->left[first] = 1;
-        t->open++;
-    }
+    for (Py_ssize_t i = first; i < first + count; i++)
+        if (run_plant(self, t->b, i, row_in_tick(t, i), 0, s) == 0) {
+            t->left[i] = 1;
+            t->open++;
+        }
 }
 
 /* Run one sample of plants first to stop; how many are left to NumPy. */
