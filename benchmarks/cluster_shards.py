@@ -72,6 +72,23 @@ def session(memory: str = "2g") -> Any:
     return builder.getOrCreate()
 
 
+def to_its_end(writer: Any, tries: int = 5) -> list[Any]:
+    """Run a query until it has done all, and return its progress.
+
+    Spark gives a Python process ten seconds to start, too few on a busy machine: the query is started again then.
+    """
+    for left in reversed(range(tries)):
+        query = writer.start()
+        try:
+            query.awaitTermination()
+        except Exception as error:
+            if not left or "failed to connect back" not in str(error):
+                raise
+        else:
+            return [one for one in query.recentProgress if one["numInputRows"]]
+    raise AssertionError
+
+
 def stream(spark: Any, folder: Path, watched: rs.Monitor, shards: int) -> tuple[list[float], list[float], int]:
     """Run a stream over the files, one in a micro-batch; return the seconds of each, of its commit, and the events."""
     from residua.cluster.spark import diagnose_stream
@@ -79,9 +96,7 @@ def stream(spark: Any, folder: Path, watched: rs.Monitor, shards: int) -> tuple[
     with tempfile.TemporaryDirectory() as kept:
         frame = spark.readStream.schema(SCHEMA).option("maxFilesPerTrigger", 1).parquet(str(folder))
         writer = diagnose_stream(frame, watched, shards).writeStream.format("parquet").option("path", f"{kept}/out")
-        query = writer.option("checkpointLocation", f"{kept}/state").trigger(availableNow=True).start()
-        query.awaitTermination()
-        done = [one for one in query.recentProgress if one["numInputRows"]]
+        done = to_its_end(writer.option("checkpointLocation", f"{kept}/state").trigger(availableNow=True))
         events = spark.read.parquet(f"{kept}/out").where("kind != 'aside'").count()
     seconds = [one["durationMs"]["triggerExecution"] / 1e3 for one in done]
     commits = [one["stateOperators"][0]["commitTimeMs"] / 1e3 for one in done]

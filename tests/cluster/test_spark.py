@@ -55,6 +55,22 @@ def causes(rows: list[Any]) -> list[str]:
     return sorted(row.cause for row in rows if row.kind == "aside")
 
 
+def to_its_end(writer: Any, tries: int = 5) -> None:
+    """Run a query until it has done all.
+
+    Spark gives a Python process ten seconds to start, before the first micro-batch, which are too few on a busy machine:
+    the query is started again then.
+    """
+    for left in reversed(range(tries)):
+        try:
+            writer.start().awaitTermination()
+        except Exception as error:
+            if not left or "failed to connect back" not in str(error):
+                raise
+        else:
+            return
+
+
 def run_stream(
     spark: Any,
     source: Path,
@@ -70,7 +86,7 @@ def run_stream(
     if after is not None:
         made = made.mapInPandas(after, made.schema)
     writer = made.writeStream.format("parquet").option("path", str(out)).option("checkpointLocation", f"{out}.state")
-    writer.trigger(availableNow=True).start().awaitTermination()
+    to_its_end(writer.trigger(availableNow=True))
 
 
 def test_a_batch_gives_the_events_of_one_process(spark: Any, tmp_path: Path) -> None:

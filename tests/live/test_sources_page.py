@@ -56,6 +56,7 @@ def test_every_message_is_read() -> None:
 
 def test_what_the_page_says_of_limits() -> None:
     from residua.live.inbox import MOST_MESSAGES
+
     from residua.live.messages import LARGEST
 
     assert f"{LARGEST:,} bytes" in PAGE
