@@ -58,7 +58,7 @@ def causes(rows: list[Any]) -> list[str]:
 def to_its_end(writer: Any, tries: int = 5) -> None:
     """Run a query until it has done all.
 
-    Spark gives a Python process ten seconds to start, before the first micro-batch, which are too few on a busy machine:
+    Spark gives a Python process ten seconds to start before the first micro-batch, too few on a busy machine:
     the query is started again then.
     """
     for left in reversed(range(tries)):
