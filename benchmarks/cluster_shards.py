@@ -2,9 +2,10 @@
 
 ``python benchmarks/cluster_shards.py --out docs/data`` writes ``cluster_keys.csv``, ``cluster_sizes.csv`` and what
 follows from these, ``cluster_hundred_million.csv``. The stream is on one machine, ``local-cluster`` with two workers of
-one core; its source are Parquet files of packed rows, made here, a file for each micro-batch. Times are medians over
+one core; its source are Parquet files of packed rows, made here, a file for each micro-batch. Seconds are medians over
 whole micro-batches (``triggerExecution`` of Spark's progress), the first of each run, in which processes start, left
-out; those of one process are the least of three, in time of the processor.
+out. Core-seconds are those that all processes of Spark and Python took meanwhile, which other work on the machine
+changes little; those of one process are the least of three.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,8 +28,18 @@ from residua.cluster import PackedRows, Shard, packed_table
 SCHEMA = "plant BIGINT, start BIGINT, samples BIGINT, `values` ARRAY<DOUBLE>"
 #: As many shards as this put nearly every plant in a shard of its own.
 BY_PLANT = (1 << 31) - 1
-#: Cores of the stream, and channels of its monitor.
-CORES, CHANNELS = 2, 3
+#: Channels of the monitor.
+CHANNELS = 3
+#: Seconds between two looks at a running query.
+LOOK = 0.05
+
+
+class Run(NamedTuple):
+    """What the micro-batches of a stream took, the first one left out, and how many events there were."""
+
+    seconds: list[float]
+    core_seconds: list[float]
+    events: int
 
 
 def monitor() -> rs.Monitor:
@@ -72,20 +83,66 @@ def session(memory: str = "2g") -> Any:
     return builder.getOrCreate()
 
 
-def stream(spark: Any, folder: Path, watched: rs.Monitor, shards: int) -> tuple[list[float], list[float], int]:
-    """Run a stream over the files, one in a micro-batch; return the seconds of each, of its commit, and the events."""
+def core_seconds() -> float:
+    """Return the seconds of a core that all processes took that this one has started, ended ones included."""
+    parents, spent = {}, {}
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                fields = (entry / "stat").read_text().rpartition(")")[2].split()
+            except OSError:  # it has ended
+                continue
+            parents[int(entry.name)], spent[int(entry.name)] = int(fields[1]), sum(map(int, fields[11:15]))
+    own, more = set(), {os.getpid()}
+    while more:
+        more = {process for process, parent in parents.items() if parent in more}
+        own |= more
+    return sum(spent[process] for process in own) / os.sysconf("SC_CLK_TCK")
+
+
+def watched_to_its_end(query: Any) -> dict[int, float]:
+    """Wait for the end of a query, and return the core-seconds spent at the end of each micro-batch."""
+    spent: dict[int, float] = {}
+    while query.isActive:
+        last = query.lastProgress
+        if last is not None and last["numInputRows"]:
+            spent.setdefault(last["batchId"], core_seconds())
+        time.sleep(LOOK)
+    query.awaitTermination()
+    return spent
+
+
+def to_its_end(writer: Any, tries: int = 5) -> tuple[list[Any], dict[int, float]]:
+    """Run a query until it has done all, and return its progress, and core-seconds by micro-batch.
+
+    Spark gives a Python process ten seconds to start, too few on a busy machine: the query is started again then.
+    """
+    for left in reversed(range(tries)):
+        query = writer.start()
+        try:
+            spent = watched_to_its_end(query)
+        except Exception as error:
+            if not left or "failed to connect back" not in str(error):
+                raise
+        else:
+            return [one for one in query.recentProgress if one["numInputRows"]], spent
+    raise AssertionError
+
+
+def stream(spark: Any, folder: Path, watched: rs.Monitor, shards: int) -> Run:
+    """Run a stream over the files, one in a micro-batch."""
     from residua.cluster.spark import diagnose_stream
 
     with tempfile.TemporaryDirectory() as kept:
         frame = spark.readStream.schema(SCHEMA).option("maxFilesPerTrigger", 1).parquet(str(folder))
         writer = diagnose_stream(frame, watched, shards).writeStream.format("parquet").option("path", f"{kept}/out")
-        query = writer.option("checkpointLocation", f"{kept}/state").trigger(availableNow=True).start()
-        query.awaitTermination()
-        done = [one for one in query.recentProgress if one["numInputRows"]]
+        done, spent = to_its_end(writer.option("checkpointLocation", f"{kept}/state").trigger(availableNow=True))
         events = spark.read.parquet(f"{kept}/out").where("kind != 'aside'").count()
     seconds = [one["durationMs"]["triggerExecution"] / 1e3 for one in done]
-    commits = [one["stateOperators"][0]["commitTimeMs"] / 1e3 for one in done]
-    return seconds, commits, events
+    pairs = [(spent[one["batchId"] - 1], spent[one["batchId"]]) for one in done[1:-1]]  # after the last one all ends
+    made = Run(seconds[1:], [after - before for before, after in pairs], events)
+    print(shards, *made, flush=True)
+    return made
 
 
 def keys(spark: Any, plants: int, samples: int, files: int, shards: int) -> list[dict[str, Any]]:
@@ -93,14 +150,12 @@ def keys(spark: Any, plants: int, samples: int, files: int, shards: int) -> list
     watched, rows = monitor(), []
     with tempfile.TemporaryDirectory() as folder:
         write_files(Path(folder) / "in", watched, plants, samples, files)
-        times: dict[str, list[float]] = {"shard": [], "plant": []}
-        events: dict[str, int] = {}
+        runs: dict[str, list[Run]] = {"shard": [], "plant": []}
         for _ in range(2):
             for key, number in (("shard", shards), ("plant", BY_PLANT)):
-                seconds, _, events[key] = stream(spark, Path(folder) / "in", watched, number)
-                times[key] += seconds[1:]
-                print(key, [round(one, 2) for one in seconds], events[key], flush=True)
-    assert events["shard"] == events["plant"] > 0
+                runs[key].append(stream(spark, Path(folder) / "in", watched, number))
+    assert len({run.events for both in runs.values() for run in both}) == 1
+    times = {key: [one for run in both for one in run.seconds] for key, both in runs.items()}
     for key, number in (("shard", shards), ("plant", plants)):
         middle = float(np.median(times[key]))
         rows.append(
@@ -110,6 +165,7 @@ def keys(spark: Any, plants: int, samples: int, files: int, shards: int) -> list
                 "plants": plants,
                 "samples of each in a micro-batch": samples,
                 "seconds": f"{middle:.2f}",
+                "core-seconds": f"{float(np.median([one for run in runs[key] for one in run.core_seconds])):.2f}",
                 "plants in a second": f"{plants / middle:.0f}",
                 "times as fast": f"{float(np.median(times['plant'])) / middle:.1f}",
             }
@@ -150,16 +206,15 @@ def sizes(spark: Any, cases: list[tuple[int, int, int]], files: int) -> list[dic
             source = made.setdefault((plants, samples), Path(folder) / f"{plants} {samples}")
             if not source.exists():
                 write_files(source, watched, plants, samples, files)
-            seconds, commits, _ = stream(spark, source, watched, max(1, plants // in_shard))
-            middle, one = float(np.median(seconds[1:])), alone(watched, in_shard, samples)
-            print(plants, in_shard, samples, [round(s, 2) for s in seconds], one, flush=True)
+            run, one = stream(spark, source, watched, max(1, plants // in_shard)), alone(watched, in_shard, samples)
+            middle = float(np.median(run.seconds))
             rows.append(
                 {
                     "plants": plants,
                     "plants in a shard": in_shard,
                     "samples of each": samples,
                     "seconds of a micro-batch": f"{middle:.2f}",
-                    "of it commit": f"{float(np.median(commits[1:])):.2f}",
+                    "core-seconds of it": f"{float(np.median(run.core_seconds)):.2f}",
                     "plant-samples in a second": f"{plants * samples / middle:.0f}",
                     "bytes of a plant": f"{one['bytes']:.0f}",
                     "microseconds of a plant: restore": f"{one['restore'] / in_shard * 1e6:.2f}",
@@ -179,8 +234,8 @@ def hundred_million(rows: list[dict[str, Any]], plants: int = 10**8, seconds: in
     """
     same = [row for row in rows if int(row["plants in a shard"]) == 1000 and int(row["samples of each"]) == 10]
     small, large = (pick(same, key=lambda row: int(row["plants"])) for pick in (min, max))
-    time_of = "seconds of a micro-batch"
-    slope = (float(large[time_of]) - float(small[time_of])) / (int(large["plants"]) - int(small["plants"])) * CORES
+    spent = "core-seconds of it"
+    slope = (float(large[spent]) - float(small[spent])) / (int(large["plants"]) - int(small["plants"]))
     runs = {int(row["samples of each"]): float(row["run"]) for row in rows if int(row["plants in a shard"]) == 1000}
     a_sample = (runs[100] - runs[10]) / 90 * 1e-6
     a_plant = slope + a_sample * (seconds - 10)
@@ -212,7 +267,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("docs/data"))
     parser.add_argument("--plants", type=int, default=20_000, help="of the larger comparison of keys")
     parser.add_argument("--most", type=int, default=100_000, help="plants of the largest stream")
-    parser.add_argument("--files", type=int, default=5, help="micro-batches of a stream")
+    parser.add_argument("--files", type=int, default=6, help="micro-batches of a stream, three or more")
     parser.add_argument("--only", choices=["keys", "sizes"])
     given = parser.parse_args()
     if shutil.which("java") is None:

@@ -14,7 +14,6 @@ import pytest
 pytest.importorskip("pyspark", reason="PySpark is not installed (make test-cluster)")
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "clusters.rst"
-DATA = PAGE.parent / "data"
 ENVIRONMENT = {"SPARK_LOCAL_IP": "127.0.0.1", "SPARK_LOCAL_HOSTNAME": "localhost", "PYSPARK_PYTHON": sys.executable}
 
 
@@ -73,20 +72,3 @@ def test_recordings_of_the_page_are_diagnosed(folder: Path) -> None:
     assert [line.split()[0] for line in printed] == ["monday.npz", "tuesday.npz", "friday.npz"]
     assert "['level sensor']" in printed[1]
     assert printed[2].startswith("friday.npz [] friday.npz: missing column")
-
-
-def test_the_table_of_a_hundred_million_follows_from_the_measurements() -> None:
-    import csv
-    import importlib.util
-
-    path = PAGE.parents[1] / "benchmarks" / "cluster_shards.py"
-    spec = importlib.util.spec_from_file_location("cluster_shards", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    rows, told = (
-        list(csv.DictReader((DATA / name).open(encoding="utf-8")))
-        for name in ("cluster_sizes.csv", "cluster_hundred_million.csv")
-    )
-    assert module.hundred_million(rows) == told
