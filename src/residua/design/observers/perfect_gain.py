@@ -249,12 +249,16 @@ def full_rank_gain(R: Matrix, S: Matrix, n: int, *, rtol: float, bandwidth: floa
     c = len(p.M)
     ends = c - int(np.count_nonzero(np.linalg.svd(p.S, compute_uv=False) > rtol))
     candidates: list[PerfectGain] = []
-    for t in range(min(ends, form.n_seen), 0, -1) if form.n_seen else [0]:
-        for attempt in range(_ATTEMPTS):
-            gain = _attempt(p, form.Q, form.n_observable, t, rng, attempt)
-            if gain is not None:
-                candidates.append(gain)
-    good = [g for g in candidates if g.passes and g.condition <= CONDITION]
+    good: list[PerfectGain] = []
+    for seeing in (True, False):  # an algebraic equation sees nothing of N, and T may be singular without it
+        for t in range(min(ends, form.n_seen), 0, -1) if form.n_seen else [0]:
+            for attempt in range(_ATTEMPTS):
+                gain = _attempt(p, form.Q, form.n_observable, t, rng, attempt, seeing)
+                if gain is not None:
+                    candidates.append(gain)
+        good = [g for g in candidates if g.passes and g.condition <= CONDITION]
+        if good:
+            break
     if not good:
         if not candidates:
             raise AccuracyError(_no_steps(rtol))
@@ -265,8 +269,13 @@ def full_rank_gain(R: Matrix, S: Matrix, n: int, *, rtol: float, bandwidth: floa
     return min((g for g in good if g.size <= 100 * quietest), key=lambda g: (g.index, g.size))
 
 
-def _attempt(p: _Problem, Q: Matrix, k: int, t: int, rng: np.random.Generator, attempt: int) -> PerfectGain | None:
-    """Return one gain of `full_rank_gain`, or None if the deadbeat steps break down."""
+def _attempt(
+    p: _Problem, Q: Matrix, k: int, t: int, rng: np.random.Generator, attempt: int, seeing: bool
+) -> PerfectGain | None:
+    """Return one gain of `full_rank_gain`, or None if the deadbeat steps break down.
+
+    ``seeing``: only what sees something of the equations is read, not a dead sensor, which changes nothing of N.
+    """
     c, count = len(p.M), len(p.H)
     Qo, Qu = Q[:, :k], Q[:, k:]
     Ho = p.H @ Qo
@@ -287,9 +296,10 @@ def _attempt(p: _Problem, Q: Matrix, k: int, t: int, rng: np.random.Generator, a
     Z2 = strength * rng.standard_normal((c - k, count))
     if attempt % 2 and Ho.size:
         Z2 = Z2 - Qu.T @ p.M @ Qo @ np.linalg.pinv(Ho, rcond=p.rtol)
-    # what of the equations sees nothing, such as a dead sensor, changes nothing of N, and is not read
-    seen = range_basis(p.H, rtol=p.rtol)[0]
-    Z = (Qo @ Z1 + Qu @ Z2) @ seen @ seen.T
+    Z = Qo @ Z1 + Qu @ Z2
+    if seeing:
+        seen_by = range_basis(p.H, rtol=p.rtol)[0]
+        Z = Z @ seen_by @ seen_by.T
     # N = [N11 0; N21 N22] in the staircase coordinates: the observable group comes first.
     X = np.hstack([Qo @ first[1], Qu @ second[1]])
     return _finished(p, Z, X, [*first[2], *second[2]])
