@@ -245,8 +245,12 @@ class Watch:
 
     def _look(self, plant: WatchedPlant, row: int, time: float, over: bool, batch: _Batch) -> None:
         """Tell what is new of the alarms of a plant up to a row."""
-        alarms = self._diagnosis(plant, row + 1, batch).alarms
-        plant.told, told = news(plant.told, alarms, plant.open_since, over)
+        judged = self._judged_to(plant, row + 1, batch)
+        alarms = judged.alarms()
+        after, told = news(plant.told, alarms, plant.open_since, over)
+        if told:  # only then it matters when they began
+            after, told = news(plant.told, judged.dated(alarms, plant.open_since), plant.open_since, over)
+        plant.told = after
         for one in told:
             content = self._content(plant, one)
             batch.events[plant.key].append((row, _RANKS[one.kind], time, one.kind, content))
@@ -261,20 +265,20 @@ class Watch:
             "name": content["name"],
         }
 
-    def _diagnosis(self, plant: WatchedPlant, stop: int, batch: _Batch) -> Diagnosis:
-        """Return the diagnosis of the rows of a plant that are kept, up to one."""
+    def _judged_to(self, plant: WatchedPlant, stop: int, batch: _Batch) -> Judged:
+        """Return the rows of a plant that are kept, up to one, and what was decided on them."""
         judged = self._judged.pop(plant.key, None)
         model = self.models[plant.model]
         if judged is None or judged.start != plant.anchor_at:
             judged = Judged(model, plant.anchor_at, plant.anchor)
-        times, values = self._rows_from(plant, judged.stop, stop, batch)
-        diagnosis = judged.go_on(times, values, plant.sampling.dated)
+        if judged.stop < stop:
+            judged.take(*self._rows_from(plant, judged.stop, stop, batch))
         self._judged[plant.key] = judged  # the last one that was looked at comes last
         kept = sum(one.stop - one.start for one in self._judged.values())
         while kept > _MOST_JUDGED:
             oldest = self._judged.pop(next(iter(self._judged)))
             kept -= oldest.stop - oldest.start
-        return diagnosis
+        return judged
 
     def _rows_from(
         self, plant: WatchedPlant, first: int, stop: int, batch: _Batch
@@ -392,9 +396,10 @@ class Watch:
         for plant in self.plants.values():
             if not plant.told:
                 continue
-            diagnosis = self._diagnosis(plant, plant.count, batch)
-            row = (plant.count, _RANKS["standing"], float(diagnosis.time[-1]), "standing")
-            for alarm in those_since(plant.told, diagnosis.alarms, plant.open_since):
+            judged = self._judged_to(plant, plant.count, batch)
+            row = (plant.count, _RANKS["standing"], judged.last_time, "standing")
+            alarms = judged.dated(judged.alarms(), plant.open_since)
+            for alarm in those_since(plant.told, alarms, plant.open_since):
                 if alarm.ended is None:
                     batch.events[plant.key].append((*row, self._content(plant, News("standing", alarm))))
             self._note(plant, batch)
@@ -416,7 +421,9 @@ class Watch:
         if not parts or parts[0][0] > start:  # let go of in this very moment
             return None
         times, values = rows_from_bytes(parts, len(model.layout.channels), start)
-        return Judged(model, start, anchor).go_on(times, values, one.sampling.dated)
+        judged = Judged(model, start, anchor)
+        judged.take(times, values)
+        return judged.diagnosis(one.sampling.dated)
 
     def last_rows(self, plant: WatchedPlant, most: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the last rows of a plant that are stored: times and values."""

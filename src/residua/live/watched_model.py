@@ -10,15 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.alarm import Alarm
+from residua.decide.isolation import Seen
 from residua.decide.statement import SURE
 from residua.errors import NotFittedError, SettingError
 from residua.live.readings import Layout
 from residua.live.state_bytes import state_from_bytes
+from residua.monitor.beginning import with_beginnings
 from residua.monitor.diagnosis import Diagnosis
 from residua.monitor.fleet_block import fingerprint_of
 from residua.monitor.fused import run_block
 from residua.monitor.monitor import Monitor
-from residua.monitor.outcome import Recorded, compared_outputs, diagnosis_from
+from residua.monitor.outcome import Recorded, alarms_of, compared_outputs, diagnosis_from
 from residua.monitor.running import Decisions, State, initial_state, joined_decisions
 from residua.recording.clock import Clock
 from residua.words import listing
@@ -124,15 +126,36 @@ class Judged:
         self._times: list[NDArray[np.float64]] = []
         self._values: list[NDArray[np.float64]] = []
 
-    def go_on(self, times: NDArray[np.float64], values: NDArray[np.float64], dated: bool) -> Diagnosis:
-        """Go on with rows, and return the diagnosis of all of them."""
+    def take(self, times: NDArray[np.float64], values: NDArray[np.float64]) -> None:
+        """Go on with rows."""
+        if not len(times):
+            return
+        self._state, part = run_block(self.model.spec, self._state, values[None])
+        self._parts = [joined_decisions([*self._parts, part])]
+        self._times, self._values = [np.concatenate([*self._times, times])], [np.concatenate([*self._values, values])]
+        self.stop += len(times)
+
+    @property
+    def last_time(self) -> float:
+        """The time of the last row."""
+        return float(self._times[0][-1])
+
+    def alarms(self) -> tuple[Alarm, ...]:
+        """Return the alarms, but for when they began, which takes the time of all the rest and more."""
+        spec, decisions = self.model.spec, self._parts[0].of(0)
+        seen = Seen(
+            self._times[0], decisions.residuals, decisions.tested, decisions.named, self.model.generator, spec.test
+        )
+        return alarms_of(seen, spec.isolation)
+
+    def dated(self, alarms: Sequence[Alarm], since: float) -> tuple[Alarm, ...]:
+        """Return alarms with when they began, those that were raised since a time."""
+        decisions = self._parts[0].of(0)
+        return with_beginnings(alarms, decisions.residuals, decisions.tested.usable, self._times[0], since)
+
+    def diagnosis(self, dated: bool) -> Diagnosis:
+        """Return the diagnosis of all rows."""
         model = self.model
-        if len(times):
-            self._state, part = run_block(model.spec, self._state, values[None])
-            self._parts, self._times = [joined_decisions([*self._parts, part])], [*self._times, times]
-            self._values.append(values)
-            self.stop += len(times)
-        self._times, self._values = [np.concatenate(self._times)], [np.concatenate(self._values)]
         compared = compared_outputs(model.monitor.design)
         recorded = Recorded(self._times[0], self._values[0], "", EPOCH if dated else "", compared)
         decisions, filtered = self._parts[0].of(0), self._state.filter

@@ -27,7 +27,11 @@ CLEAR_DIRECTION = 10.0
 
 
 def with_beginnings(
-    alarms: Sequence[Alarm], residuals: NDArray[np.float64], usable: NDArray[np.bool_], time: NDArray[np.float64]
+    alarms: Sequence[Alarm],
+    residuals: NDArray[np.float64],
+    usable: NDArray[np.bool_],
+    time: NDArray[np.float64],
+    since: float = -np.inf,
 ) -> tuple[Alarm, ...]:
     """Return the alarms, the longest of them with the interval in which they began, if the data show it.
 
@@ -38,10 +42,14 @@ def with_beginnings(
     residuals : ndarray, shape (time, residuals)
     usable : ndarray of bool, shape (time,)
     time : ndarray, shape (time,)
+    since : float
+        Only those that were raised from then on.
     """
     longest = sorted(range(len(alarms)), key=lambda k: -alarms[k].samples)[:MOST_DATED]
     out = list(alarms)
     for k in longest:
+        if alarms[k].raised < since:
+            continue
         first = k
         while first and alarms[first].start - alarms[first - 1].stop < APART:
             first -= 1

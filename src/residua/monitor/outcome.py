@@ -74,7 +74,7 @@ def diagnosis_from(
     """Return the diagnosis of one plant from the decisions on its recording; ``state`` is that after it, of all."""
     tested, named, test, isolation = decisions.tested, decisions.named, spec.test, spec.isolation
     seen = Seen(recorded.time, decisions.residuals, tested, named, generator, test)
-    alarms = with_beginnings(_alarms_of(seen, isolation), decisions.residuals, tested.usable, recorded.time)
+    alarms = with_beginnings(alarms_of(seen, isolation), decisions.residuals, tested.usable, recorded.time)
     band, share = test.bands()
     return Diagnosis(
         time=recorded.time,
@@ -277,8 +277,8 @@ def unlike_the_fit(
     return units_of((*plant.inputs, *plant.outputs), seen, *was, "the recordings that the monitor was fitted on")
 
 
-def _alarms_of(seen: Seen, isolation: Isolation) -> tuple[Alarm, ...]:
-    """Return the alarms of a recording, those that are one event as one."""
+def alarms_of(seen: Seen, isolation: Isolation) -> tuple[Alarm, ...]:
+    """Return the alarms of a recording, those that are one event as one; when they began is not looked for."""
 
     def name(start: int, stop: int, last: int) -> Named:
         return isolation.name(seen, start, stop, last)
