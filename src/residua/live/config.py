@@ -13,6 +13,7 @@ from typing import Any
 
 from residua.errors import FileFormatError, MissingExtraError, SettingError
 from residua.files import read_bytes
+from residua.live.setting_checks import check_seconds, choice, flag, number, text, texts, whole
 from residua.visible import echo, listed
 
 #: Sources and sinks by their kind: the module, which has ``Settings``, and the class that they make.
@@ -33,6 +34,8 @@ _SERVER = "residua.live.server"
 #: Keys that are paths: taken from the folder of the configuration where they are relative.
 _PATHS = ("file", "path", "files")
 _LARGEST = 10_000_000
+#: Plants of a monitor, and seconds of any time, at most.
+_MOST_PLANTS, _LONGEST = 10_000_000, 1e8
 
 
 @dataclass(frozen=True)
@@ -60,16 +63,13 @@ class MonitorSettings:
     max_plants: int = 10_000
 
     def __post_init__(self) -> None:
-        _check(isinstance(self.file, str) and bool(self.file), "file: the monitor, such as 'tank.json'")
-        _check(isinstance(self.name, str), "name: a text")
-        good = isinstance(self.plants, (list, tuple)) and all(isinstance(p, str) and p for p in self.plants)
-        _check(good, "plants: a list of ids, each a text")
-        _check(len(set(self.plants)) == len(self.plants), "plants: an id is there twice")
-        _check(isinstance(self.accept_new, bool), "accept_new: true or false")
-        _check(type(self.max_plants) is int and self.max_plants > 0, "max_plants: a whole number, 1 or more")
+        text(self, "file", needed="the monitor, such as 'tank.json'")
+        text(self, "name")
+        texts(self, "plants")
+        flag(self, "accept_new")
+        whole(self, "max_plants", 1, _MOST_PLANTS)
         _check(len(self.plants) <= self.max_plants, f"max_plants: {len(self.plants)} plants are listed")
         _check(bool(self.plants) or self.accept_new, "plants: name the plants, or say accept_new = true")
-        object.__setattr__(self, "plants", tuple(self.plants))
         object.__setattr__(self, "name", self.name or Path(self.file).stem)
 
 
@@ -93,9 +93,8 @@ class SamplingOptions:
 
     def __post_init__(self) -> None:
         for name in ("wait", "max_age", "silence"):
-            value = getattr(self, name)
-            _check(_is_number(value) and 0 <= value <= 1e7, f"{name}: seconds, 0 or more")
-        _check(self.silence > 0, "silence: seconds, more than 0")
+            number(self, name, 0.0, _LONGEST)
+        check_seconds(self, "silence")
 
 
 @dataclass(frozen=True)
@@ -123,18 +122,18 @@ class StoreSettings:
     keep_events: int = 100_000
 
     def __post_init__(self) -> None:
-        _check(self.kind in ("sqlite", "postgresql"), "kind: 'sqlite' or 'postgresql'")
+        choice(self, "kind", ("sqlite", "postgresql"))
         for name in ("file", "dsn_file", "dsn_env"):
-            _check(isinstance(getattr(self, name), str), f"{name}: a text")
+            text(self, name)
         if self.kind == "sqlite":
             _check(bool(self.file), "file: the file of the store, such as 'live.db'")
             _check(not (self.dsn_file or self.dsn_env), "dsn_file: it is for PostgreSQL: kind = 'postgresql'")
         else:
             _check(not self.file, "file: it is for SQLite; PostgreSQL has dsn_file or dsn_env")
             _check(bool(self.dsn_file) != bool(self.dsn_env), "dsn_file: either dsn_file or dsn_env")
-        _check(_is_number(self.history) and 0 < self.history <= 1e8, "history: seconds, more than 0")
-        good = type(self.keep_events) is int and self.keep_events >= 1000
-        _check(good, "keep_events: a whole number, 1000 or more")
+        number(self, "history", 0.0, _LONGEST)
+        check_seconds(self, "history")
+        whole(self, "keep_events", 1000, 10**12)
 
 
 @dataclass(frozen=True)
@@ -158,10 +157,6 @@ class LiveSettings:
     sampling: SamplingOptions = field(default_factory=SamplingOptions)
     sinks: tuple[tuple[str, Any], ...] = ()
     server: Any = None
-
-
-def _is_number(value: Any) -> bool:
-    return type(value) in (int, float) and value == value
 
 
 def _check(good: bool, text: str) -> None:
@@ -192,11 +187,11 @@ def load_settings(path: str | Path) -> LiveSettings:
     if len(content) > _LARGEST:
         raise FileFormatError(f"{path}: this is too large for a configuration")
     try:
-        text = content.decode("utf-8")
-        whole = tomllib.loads(text)
+        words = content.decode("utf-8")
+        tables = tomllib.loads(words)
     except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise FileFormatError(f"{path}: no TOML: {error}") from error
-    return _Reader(path, text).settings(whole)
+    return _Reader(path, words).settings(tables)
 
 
 class _Reader:

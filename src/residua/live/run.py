@@ -161,11 +161,14 @@ class Run:
             for one in settings.monitors
         }
         self.store: Store = store_of(settings.store)
+        self.sources: list[Source] = []
+        self.deliveries: list[Delivery] = []
+        self._worked = False
         self.store.open()
         try:
             self._begin()
         except BaseException:
-            self.store.close()
+            self.close()
             raise
 
     def _begin(self) -> None:
@@ -177,7 +180,7 @@ class Run:
             self._commit(self.watch.add(one.plants, one.name, now))
         self._open = {one.name: one.max_plants for one in settings.monitors if one.accept_new}
         plants = {name: self.models[one.model].generator.plant for name, one in self.watch.plants.items()}
-        self.sources: list[Source] = [
+        self.sources = [
             made(kind, one, SOURCES, plants) if kind == "replay" else made(kind, one, SOURCES)
             for kind, one in settings.sources
         ]
@@ -193,7 +196,7 @@ class Run:
             for name, model in self.models.items()
         }
         self._said: dict[str, tuple[float, int]] = {}
-        self._dropped, self._worked = 0, False
+        self._dropped = 0
 
     def _check_plants(self, plants: Sequence[str], model: str) -> None:
         for plant in plants:

@@ -18,7 +18,7 @@ from residua.errors import SettingError
 from residua.live.gate import OWN_NAMES, Gate
 from residua.live.routes import Routes
 from residua.live.secrets import check_secret, secret
-from residua.live.setting_types import check_types
+from residua.live.setting_checks import check_types
 from residua.live.view import View
 
 #: Connections at once, at most: beyond, the one that has been idle longest is closed.

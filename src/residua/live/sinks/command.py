@@ -15,7 +15,7 @@ from typing import ClassVar
 
 from residua.errors import SettingError
 from residua.live.events import Event
-from residua.live.setting_types import check_seconds, check_types
+from residua.live.setting_checks import check_seconds, check_types
 from residua.live.sink import LONGEST_CALL, DeliveryError, Sink
 
 #: The exit status of a program that can make nothing of its input (EX_DATAERR of sysexits.h).

@@ -13,7 +13,7 @@ from typing import ClassVar
 
 from residua.errors import SettingError
 from residua.live.events import Event
-from residua.live.setting_types import check_types
+from residua.live.setting_checks import check_types
 from residua.live.sink import DeliveryError, Sink
 
 if sys.platform != "win32":

@@ -17,7 +17,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 from residua.errors import SettingError
 from residua.live.events import Event
 from residua.live.secrets import check_secret, secret
-from residua.live.setting_types import check_seconds, check_types
+from residua.live.setting_checks import check_seconds, check_types
 from residua.live.sink import LONGEST_CALL, DeliveryError, Sink
 
 #: Events that are on their way at once.

@@ -13,8 +13,8 @@ from typing import Any, ClassVar
 from residua.errors import SettingError, missing_extra
 from residua.live.messages import LARGEST, Message
 from residua.live.secrets import check_secret, secret
+from residua.live.setting_checks import choice, file, flag, number, text, texts, whole
 from residua.live.source import Health, Pauses
-from residua.live.sources.checks import choice, file, flag, number, text, texts, whole
 from residua.live.sources.threaded import HandOver, ThreadedSource
 from residua.live.sources.topics import Topics
 from residua.live.sources.waking import Waker

@@ -15,8 +15,8 @@ from urllib.parse import urlsplit
 from residua.errors import SettingError, missing_extra
 from residua.live.messages import Message
 from residua.live.secrets import check_secret, secret
+from residua.live.setting_checks import choice, file, number, table_of_texts, text, texts, whole
 from residua.live.source import Health, Pauses
-from residua.live.sources.checks import choice, file, number, table_of_texts, text, texts, whole
 from residua.live.sources.threaded import HandOver, ThreadedSource
 from residua.visible import echo
 

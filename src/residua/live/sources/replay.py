@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from residua.errors import ResiduaError, SettingError
 from residua.live.messages import Message
-from residua.live.sources.checks import choice, file, flag, number, table_of_texts, text, texts, whole
+from residua.live.setting_checks import choice, file, flag, number, table_of_texts, text, texts, whole
 from residua.live.sources.threaded import ThreadedSource
 from residua.plant import Plant
 from residua.recording.columns import ReadOptions

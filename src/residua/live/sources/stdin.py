@@ -15,7 +15,7 @@ from typing import ClassVar
 
 from residua.errors import SettingError
 from residua.live.messages import LARGEST, Message
-from residua.live.sources.checks import flag, text
+from residua.live.setting_checks import flag, text
 from residua.live.sources.threaded import ThreadedSource
 from residua.live.sources.waking import Waker
 
