@@ -229,7 +229,7 @@ def hundred_million(rows: list[dict[str, Any]], plants: int = 10**8, seconds: in
     """Return what many plants would need, a sample a second each, from the measured sizes.
 
     The cost of a plant is the slope between the smallest and the largest stream with the same shards and samples: what
-    a micro-batch costs whatever its size does not count. Each sample beyond ten costs what it costs from ten to a hundred.
+    a micro-batch costs whatever its size does not count. A sample beyond ten costs what it costs from ten to a hundred.
     """
     same = [row for row in rows if int(row["plants in a shard"]) == 1000 and int(row["samples of each"]) == 10]
     small, large = (pick(same, key=lambda row: int(row["plants"])) for pick in (min, max))
