@@ -229,16 +229,15 @@ def hundred_million(rows: list[dict[str, Any]], plants: int = 10**8, seconds: in
     """Return what many plants would need, a sample a second each, from the measured sizes.
 
     The cost of a plant is the slope between the smallest and the largest stream with the same shards and samples: what
-    a micro-batch costs whatever its size does not count. Samples beyond those that were measured cost what they cost in
-    one process.
+    a micro-batch costs whatever its size does not count. A sample beyond ten costs what it costs from ten to a hundred.
     """
     same = [row for row in rows if int(row["plants in a shard"]) == 1000 and int(row["samples of each"]) == 10]
     small, large = (pick(same, key=lambda row: int(row["plants"])) for pick in (min, max))
     spent = "core-seconds of it"
     slope = (float(large[spent]) - float(small[spent])) / (int(large["plants"]) - int(small["plants"]))
-    runs = {int(row["samples of each"]): float(row["run"]) for row in rows if int(row["plants in a shard"]) == 1000}
-    a_sample = (runs[100] - runs[10]) / 90 * 1e-6
-    a_plant = slope + a_sample * (seconds - 10)
+    few = [row for row in rows if row["plants"] == small["plants"] and int(row["plants in a shard"]) == 1000]
+    costs = {int(row["samples of each"]): float(row[spent]) / int(row["plants"]) for row in few}
+    a_plant = slope + (costs[100] - costs[10]) / 90 * (seconds - 10)
     size = float(large["bytes of a plant"])
     shard = 10_000
     return [
