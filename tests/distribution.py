@@ -36,6 +36,7 @@ def complaints(distribution: Path) -> list[str]:
     built = [name for name in names if name.endswith((".so", ".pyd", ".pyc", ".o"))]
     if distribution.suffix == ".whl":
         wanted = [r"residua/__init__\.py", r"residua/py\.typed", r".*/licenses/LICENSE"]
+        wanted += [r"residua/export/fmi/fmu\.c", r"residua/export/fmi/headers/.+\.h", r".*/licenses/.*fmi/LICENSE\.txt"]
         wanted += [r"residua/report/static/.+\.js", r"residua/linear/systems/_recursion\.(abi3\.so|pyd)"]
         unwanted = [name for name in names if not name.startswith(("residua/", "residua-"))]
         unwanted += [name for name in built if "_recursion." not in name]

@@ -23,6 +23,9 @@ WHEEL = (
     "residua/__init__.py",
     "residua/py.typed",
     "residua/report/static/page.js",
+    "residua/export/fmi/fmu.c",
+    "residua/export/fmi/headers/fmi3Functions.h",
+    "residua-1.0.dist-info/licenses/src/residua/export/fmi/LICENSE.txt",
     "residua/linear/systems/_recursion.abi3.so",
     "residua-1.0.dist-info/licenses/LICENSE",
 )

@@ -41,6 +41,8 @@ class Comparison:
     known, decided, alarm : ndarray of bool
     bound : ndarray, shape (residuals,)
         By how much residuals may differ where something is decided: zeros in double precision, and everywhere.
+    fired : ndarray of bool, shape (samples, parts)
+        Which parts are in alarm, where some are tested by themselves.
     """
 
     u: NDArray[np.float64]
@@ -51,6 +53,7 @@ class Comparison:
     decided: NDArray[np.bool_]
     alarm: NDArray[np.bool_]
     bound: NDArray[np.float64]
+    fired: NDArray[np.bool_]
 
 
 def comparison(made: MonitorProgram) -> Comparison:
@@ -82,6 +85,7 @@ def comparison(made: MonitorProgram) -> Comparison:
         tested.usable[0],
         tested.alarm[0],
         rounding_bound(spec, sizes) if single else np.zeros(len(spec.C)),
+        tested.fired[0],
     )
 
 
@@ -190,16 +194,10 @@ def selftest(made: MonitorProgram, prefix: str, one: Comparison) -> str:
         *_array("bound", one.bound, "double"),
         *_array("flags", one.known + 2.0 * one.decided + 4.0 * one.alarm, "int"),
     ]
-    exact = real == "double"
-    same = [
-        "if (decision.statistic != statistic[k]) {",
-        "    wrong++;",
-        "}",
-        "if ((decision.known ? 1 : 0) + (decision.decided ? 2 : 0) + (decision.alarm ? 4 : 0) != flags[k]) {",
-        "    wrong++;",
-        "}",
-    ]
-    known = ["if ((decision.known ? 1 : 0) != flags[k] % 2) {", "    wrong++;", "}", "(void)statistic;"]
+    exact, parts = real == "double", one.fired.shape[1]
+    if exact and parts:
+        arrays += _array("fired", one.fired.astype(float), "int")
+    compared = _compared(parts) if exact else _known()
     width, residuals = (one.u.shape[1], one.y.shape[1]), one.residuals.shape[1]
     lines = [
         f"/* Runs {prefix}.c on {len(one.y)} samples, and compares it with the answers of the monitor in Python. */",
@@ -225,13 +223,39 @@ def selftest(made: MonitorProgram, prefix: str, one: Comparison) -> str:
         "                wrong++;",
         "            }",
         "        }",
-        *indented(indented(same if exact else known)),
+        *indented(indented(compared)),
         "    }",
         f'    printf("%s: {len(one.y)} samples, %d differences\\n", wrong ? "FAILED" : "passed", wrong);',
         "    return wrong ? 1 : 0;",
         "}",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _compared(parts: int) -> list[str]:
+    """Return the lines that compare a decision with that of the monitor."""
+    lines = [
+        "if (decision.statistic != statistic[k]) {",
+        "    wrong++;",
+        "}",
+        "if ((decision.known ? 1 : 0) + (decision.decided ? 2 : 0) + (decision.alarm ? 4 : 0) != flags[k]) {",
+        "    wrong++;",
+        "}",
+    ]
+    if parts:
+        lines += [
+            f"for (j = 0; j < {parts}; j++) {{",
+            f"    if ((decision.fired[j] ? 1 : 0) != fired[k * {parts} + j]) {{",
+            "        wrong++;",
+            "    }",
+            "}",
+        ]
+    return lines
+
+
+def _known() -> list[str]:
+    """Return the lines that compare what does not depend on rounding."""
+    return ["if ((decision.known ? 1 : 0) != flags[k] % 2) {", "    wrong++;", "}", "(void)statistic;"]
 
 
 def _array(name: str, values: NDArray[np.float64], kind: str) -> list[str]:

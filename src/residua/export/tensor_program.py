@@ -384,10 +384,31 @@ class TensorProgram:
 
     def _check(self, loop: _Loop) -> None:
         """Raise if a round of a loop may use what another one writes."""
-        for k, one in enumerate(loop.accesses):
-            for later in loop.accesses[k:]:
-                if one.array == later.array and (one.write or later.write) and self._clash(loop, one, later):
-                    raise _CarriedError
+        for array in {one.array for one in loop.accesses if one.write}:
+            accesses = [one for one in loop.accesses if one.array == array]
+            if self._apart(loop, accesses):
+                continue
+            for k, one in enumerate(accesses):
+                for later in accesses[k:]:
+                    if (one.write or later.write) and self._clash(loop, one, later):
+                        raise _CarriedError
+
+    def _apart(self, loop: _Loop, accesses: Sequence[_Access]) -> bool:
+        """Whether each element is of one round of a loop alone, which is quickly seen."""
+        outside = [one.axis for one in self._loops if one is not loop]
+        seen = {tuple(axis for axis in outside if axis in one.place.axes) for one in accesses if one.place is not None}
+        if len(seen) != 1 or len({one.moved_by for one in accesses}) != 1:
+            return False
+        rounds: dict[tuple[int, ...], int] = {}
+        for one in accesses:
+            if one.place is None or loop.axis not in one.place.axes:
+                return False
+            for index, element in np.ndenumerate(_known(one.place)):
+                at = dict(zip(one.place.axes, index, strict=True))
+                key = (*(at[axis] for axis in outside if axis in at), int(element))
+                if rounds.setdefault(key, at[loop.axis]) != at[loop.axis]:
+                    return False
+        return True
 
     def _clash(self, loop: _Loop, first: _Access, second: _Access) -> bool:
         """Whether two accesses, in the order of the text, may meet in different rounds, in the wrong order."""
