@@ -345,3 +345,15 @@ def test_following_refuses_what_does_not_fit() -> None:
         fleet.follow([1, 2], np.zeros((1, 2, 1)), np.zeros((1, 2, 2)))
     assert fleet.follow([], None, np.zeros((0, 2, 2))) == []
     assert fleet.follow([1], np.zeros((1, 0, 1)), np.zeros((1, 0, 2))) == []
+
+
+def test_a_tuple_of_ids_that_comes_again_gives_the_bits_of_a_list() -> None:
+    ids, other = (2, 1, 2, 3), (3, 3, 1, 2)
+    u, y = data(4, 12, 11)
+    once, again = (rs.Fleet(monitor("norm"), plants=[1, 2, 3]) for _ in range(2))
+    for k in range(12):
+        records = other if k == 5 else ids
+        one, same = once.tick(list(records), u[:, k], y[:, k]), again.tick(records, u[:, k], y[:, k])
+        assert np.array_equal(one.statistic, same.statistic, equal_nan=True)
+        assert np.array_equal(one.alarm, same.alarm)
+    assert once.snapshot() == again.snapshot()

@@ -225,6 +225,7 @@ class FleetBlock:
         #: In NumPy: the decisions that hold the last sample of each plant, and where in them.
         self._made, self._place_in_made = np.empty(plants, dtype=object), np.zeros(plants, dtype=np.int64)
         self._looked_up: tuple[Any, NDArray[np.int64] | None] = (None, None)
+        self._divided: tuple[NDArray[np.int64], list[NDArray[np.int64]]] | None = None
 
     @property
     def fingerprint(self) -> str:
@@ -258,7 +259,7 @@ class FleetBlock:
 
     def tick(self, rows: NDArray[np.int64] | None, u: NDArray, y: NDArray, threads: int) -> Tick:
         """Go on with one sample of some plants; (records, channels). Records of one plant are applied in order."""
-        passes = [] if rows is None else _passes(rows, len(self.ids))
+        passes = self._passes_over(rows)
         if not passes:
             return self._pass(rows, u[:, None], y[:, None], threads)
         parts = []
@@ -267,6 +268,17 @@ class FleetBlock:
             parts.append(self._pass(places, u[which, None], y[which, None], threads))
         order = np.argsort(np.concatenate(passes), kind="stable")
         return Tick(*(np.concatenate([getattr(part, one.name) for part in parts])[order] for one in fields(Tick)))
+
+    def _passes_over(self, rows: NDArray[np.int64] | None) -> list[NDArray[np.int64]]:
+        """Return which records to apply together, as :func:`_passes`; of ids that come again not looked for again."""
+        if rows is None:
+            return []
+        known = self._divided
+        if known is not None and known[0] is rows:
+            return known[1]
+        passes = _passes(rows, len(self.ids))
+        self._divided = (rows, passes) if rows is self._looked_up[1] else None
+        return passes
 
     def _pass(self, rows: NDArray[np.int64] | None, u: NDArray, y: NDArray, threads: int) -> Tick:
         """Go on with one sample of plants, each once."""
