@@ -6,11 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
 from scipy.special import digamma, polygamma
 
 from residua.errors import DataError
 from residua.words import counted
+
+#: Steps of Newton's method, of which six are enough.
+_MOST_STEPS = 50
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,9 +112,20 @@ def _checked(variances: ArrayLike, freedom: ArrayLike) -> tuple[NDArray[np.float
 
 
 def _inverse_trigamma(value: float) -> float:
-    """Return where the trigamma function, which falls from infinity to zero, has this value."""
-    low, high = 0.5 * min(value**-0.5, 1 / value), 2 * max(value**-0.5, 1 / value) + 1
-    return float(brentq(lambda x: polygamma(1, x) - value, low, high))
+    """Return where the trigamma function, which falls from infinity to zero, has this value: by Newton's method.
+
+    It begins below the place. The reciprocal of the function is convex, so that every step goes up and none too far.
+    """
+    x, eps = 0.5 + 1 / value, float(np.finfo(float).eps)
+    if value < eps:  # it is one over its argument there, to the last digit
+        return 1 / value
+    for _ in range(_MOST_STEPS):
+        now = float(polygamma(1, x))
+        step = now * (1 - now / value) / float(polygamma(2, x))
+        x += step
+        if abs(step) <= eps * x:
+            break
+    return x
 
 
 __all__ = ["ModeratedVariances", "moderated_variances"]
