@@ -58,7 +58,7 @@ test: $(VENV)/.made-test
 	$(BIN)/ruff check $(CODE)
 	$(BIN)/ruff format --check $(CODE)
 	$(BIN)/pyright --pythonpath $(BIN)/python
-	$(BIN)/pytest -n auto $(if $(filter 0,$(COVERAGE)),,--cov --cov-report=term)
+	$(BIN)/pytest -n auto --dist worksteal $(if $(filter 0,$(COVERAGE)),,--cov --cov-report=term)
 
 # In an environment of its own: the engines are large, and take an older pandas than the other tests.
 test-cluster:

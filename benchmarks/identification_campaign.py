@@ -85,8 +85,32 @@ def relative(measured: np.ndarray, predicted: np.ndarray) -> float:
     return float(np.exp(np.mean(np.log(error))))
 
 
-def case(number: int) -> list[object]:
-    """Return the row of one plant."""
+@dataclass(frozen=True)
+class Case:
+    """A generated plant, what is known of it, and recordings of it."""
+
+    number: int
+    plant: rs.Plant
+    closed: bool
+    ratio: float
+    noise: np.ndarray
+    short: tuple[np.ndarray, np.ndarray]
+    long: tuple[np.ndarray, np.ndarray]
+
+    @property
+    def order(self) -> int:
+        """The number of states."""
+        return self.plant.n_states
+
+    @property
+    def few(self) -> tuple[np.ndarray, np.ndarray]:
+        """The first rows of the short recording, without those that no model has seen."""
+        u, y = self.short
+        return u[:ROWS], y[:ROWS]
+
+
+def generated_case(number: int) -> Case:
+    """Return one plant with its recordings."""
     rng = np.random.default_rng(7000 + number)
     order, closed = number % 20 + 1, bool(number // 20 % 2)
     ratio = RATIOS[number // 40 % len(RATIOS)]
@@ -99,13 +123,20 @@ def case(number: int) -> list[object]:
     if not closed:
         noise = plant.system("control").simulate(np.random.default_rng(number).standard_normal((MORE * ROWS, m)))
         noise = noise.std(axis=0) / ratio
-    kept = [(signal[:ROWS] for signal in short), long]
-    models = [rs.identify.subspace(*recording, order=order, dt=1.0) for recording in kept]
-    few, many = (errors(model, plant, np.diag(noise**2)) for model in models)
-    chosen = rs.identify.subspace(*long, dt=1.0, max_order=25).report.order
-    other = "" if closed else f"{ours(models[0], *short) / theirs(*short, order):.4f}"
+    return Case(number, plant, closed, ratio, noise, short, long)
+
+
+def case(number: int) -> list[object]:
+    """Return the row of one plant."""
+    made = generated_case(number)
+    plant, order = made.plant, made.order
+    models = [rs.identify.subspace(*recording, order=order, dt=1.0) for recording in (made.few, made.long)]
+    few, many = (errors(model, plant, np.diag(made.noise**2)) for model in models)
+    chosen = rs.identify.subspace(*made.long, dt=1.0, max_order=25).report.order
+    other = "" if made.closed else f"{ours(models[0], *made.short) / theirs(*made.short, order):.4f}"
     shrunk = [getattr(few, name) / getattr(many, name) for name in ("markov", "poles", "innovations")]
-    return [order, "closed" if closed else "open", f"{ratio:g}", *(f"{x:.2f}" for x in shrunk), chosen, other]
+    loop = "closed" if made.closed else "open"
+    return [order, loop, f"{made.ratio:g}", *(f"{x:.2f}" for x in shrunk), chosen, other]
 
 
 def rows(plants: int) -> Iterator[list[object]]:

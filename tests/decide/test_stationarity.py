@@ -52,7 +52,7 @@ def test_a_step_is_found_by_name_and_place(exponent: int) -> None:
     assert [one.residuals for one in means] == [("r3",)]
     assert means[0].sample == pytest.approx(600, abs=20)
     assert means[0].size == pytest.approx(2.0, rel=0.2)
-    assert "r3 changes its mean by up to" in means[0].told(False)
+    assert "r3 changes its mean by up to" in means[0].sentence(False)
 
 
 def test_a_drift_is_found() -> None:
@@ -67,7 +67,7 @@ def test_a_transient_at_the_start_is_found_and_counted() -> None:
     residuals[:80] += 8 * np.random.default_rng(5).standard_normal(10)
     found = changes(run_of(residuals), names(10))
     assert transient_samples(found, 1) == pytest.approx(80, abs=15)
-    assert "transient='auto'" in next(one for one in found if one.is_transient).told(False)
+    assert "transient='auto'" in next(one for one in found if one.is_transient).sentence(False)
 
 
 def test_recordings_are_looked_at_one_by_one() -> None:

@@ -256,7 +256,7 @@ def test_stable_invariant_zeros_are_fixed_poles_and_others_need_more_eigenvector
     np.testing.assert_allclose(found.evidence.fixed_poles, [0.6], atol=1e-9)
     with pytest.raises(DesignError, match=r"invariant zero 1\.5 .* not stable"):
         eigenstructure_assignment(plant_with_zero(1.5), insensitive_to="f", combine=False)
-    with pytest.raises(DesignError, match="is not among those given"):
+    with pytest.raises(DesignError, match="is not among the requested poles"):
         eigenstructure_assignment(plant_with_zero(0.6), insensitive_to="f", combine=False, poles=[0.1, 0.2, 0.3])
     for zero, poles in ((1.5, None), (0.6, [0.1, 0.2, 0.3])):
         plant = plant_with_zero(zero)

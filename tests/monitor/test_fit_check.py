@@ -161,7 +161,7 @@ def test_settings_that_make_no_sense_are_refused(options: dict) -> None:
 
 
 def test_a_change_of_several_residuals_names_the_largest_first() -> None:
-    text = Change(("a", "b"), 2, 40, -3.0, 100).told(True)
+    text = Change(("a", "b"), 2, 40, -3.0, 100).sentence(True)
     assert text.startswith("a and b change their means by up to 3 standard deviations about sample 40 of recording 2")
 
 

@@ -42,7 +42,7 @@ class GuardedGroup(TyperGroup):
             return super().make_context(*args, **kwargs)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find the command that was asked for."""
+        """Find the command."""
         resolved = super().resolve_command(ctx, args)
         if resolved[1] is not None:
             _OPTIONS.set(frozenset(name for parameter in resolved[1].params for name in parameter.opts))

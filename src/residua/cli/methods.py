@@ -132,7 +132,7 @@ def in_plain_words(text: str) -> str:
 
 @dataclass(frozen=True)
 class Call:
-    """A design: a method with what is asked of it.
+    """A design: a method with its options.
 
     Attributes
     ----------
@@ -231,7 +231,7 @@ def choose(plant: Plant) -> tuple[str, str]:
 
 
 def call_of(name: str, asked: Mapping[str, Any], settings: Mapping[str, Any], sample_time: float | None) -> Call:
-    """Return a method with what was asked of it.
+    """Return a method with its options.
 
     Parameters
     ----------

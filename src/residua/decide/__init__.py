@@ -20,6 +20,7 @@ from residua.decide.matched_level import LikelihoodTest
 from residua.decide.matched_responses import MatchedTest
 from residua.decide.member_thresholds import BankTest, GroupTest
 from residua.decide.model_errors import OutputError
+from residua.decide.moderated_variances import ModeratedVariances, moderated_variances
 from residua.decide.norm_threshold import NormTest, NormThreshold
 from residua.decide.page_hinkley import PageHinkley, PageHinkleyTest
 from residua.decide.peak_threshold import PeakThreshold, peak_over_window
@@ -74,6 +75,7 @@ __all__ = [
     "Match",
     "Matched",
     "MatchedTest",
+    "ModeratedVariances",
     "Named",
     "NormTest",
     "NormThreshold",
@@ -99,6 +101,7 @@ __all__ = [
     "detectability",
     "empty_window",
     "minimal_hitting_sets",
+    "moderated_variances",
     "moving_sum",
     "peak_over_window",
     "projection_distance",

@@ -259,7 +259,7 @@ class Adaptive(NormSettings):
       looked at, and the largest counts; of more each alone, at its far end, and all of them are added;
     * with neither, those of the responses and of their timing, by as much as a fit finds that they are:
       :math:`a + \sum_j b_j |\varphi_j|` is the line of quantiles of :math:`J` with the least error
-      (:math:`b_j \ge 0`), moved until false alarms are as rare as asked, and never below what the noise alone needs.
+      (:math:`b_j \ge 0`), moved until false alarms have the requested rate, and never below what the noise alone needs.
 
     Guaranteed: with ``relative``, and noise as the model says, single samples over the threshold are at most as
     frequent as asked for, for any inputs and any errors of that size, by the inequality of the triangle
@@ -381,7 +381,7 @@ class Adaptive(NormSettings):
         check_enough(count, k, self.window)
         if data.spread <= SIGNAL_ROUNDING * run.signal_size() or not data.full.any():
             raise DataError(
-                "these residuals hold no noise, from which errors of the model could be told: take NormThreshold, "
+                "these residuals hold no noise, from which errors of the model differ: take NormThreshold, "
                 "whose threshold is then the level of rounding"
             )
         names, systems, weights = self._errors_of(generator)

@@ -65,7 +65,7 @@ def alarm_levels(statistic: NDArray[np.float64], persistence: int, release: int)
 
 
 def within_tolerance(promised: float, asked: float) -> bool:
-    """Tell whether a rate that is promised is what was asked for, within a factor of 1.5."""
+    """Tell whether the promised rate is the requested one, within a factor of 1.5."""
     return promised <= TOLERATED * asked * (1 + 1e-6)
 
 
@@ -95,7 +95,7 @@ class Promise:
 
     @property
     def holds(self) -> bool:
-        """Whether the data promise what was asked for, within a factor of 1.5."""
+        """Whether the data promise the requested rate, within a factor of 1.5."""
         return within_tolerance(self.promised, self.asked)
 
     def __str__(self) -> str:
@@ -205,8 +205,8 @@ def promise_of(seen: Observed, asked: float) -> Promise:
     fraction of samples over the threshold is extended by its tail (:class:`residua.decide.exceedance_tail.Tail`), and
     where an alarm needs several in a row, that of samples in alarm follows by a model of runs
     (:class:`residua.decide.exceedance_runs.RunModel`). How well the rate is known is seen by leaving out stretches of
-    time in turn. Where that allows for more than 1.5 times what was asked, the threshold is set for less, down to 0.6
-    of it; if that does not suffice, the promise says so.
+    time in turn. Where that allows for more than 1.5 times the requested rate, the threshold is set for less, down to
+    0.6 of it; if that does not suffice, the promise says so.
     """
     direct = tail_of(seen.levels[seen.counted], lasting_blocks(seen, asked), seen.scale, asked, highest=asked)
     if direct.worth >= ENOUGH:

@@ -126,7 +126,7 @@ def learnt_direction(
     Raises
     ------
     DataError
-        If a recording is not to be told from fault-free data, or the cone is wider than 60 degrees.
+        If a recording cannot be distinguished from fault-free data, or the cone is wider than 60 degrees.
 
     References
     ----------

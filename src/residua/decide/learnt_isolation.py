@@ -229,7 +229,7 @@ class LearntDirections(Isolation):
         return tuple(sorted(out, key=lambda pair: pair[1]))
 
     def notes(self) -> tuple[str, ...]:
-        """Return which learnt faults are not to be told from another fault, by angle."""
+        """Return which learnt faults cannot be distinguished from another fault, by angle."""
         place = {label: k for k, label in enumerate(self.labels)}
         out = list(self.base.notes())
         if len(self.space) == 1 and len(self.groups) == 1:
@@ -269,7 +269,7 @@ class LearntDirections(Isolation):
         lines = tuple(f"learnt from {basis[m.fault].basis}; {m.text}" for m in about)
         best = max(alarm.candidates, key=lambda c: c.score if c.score == c.score else -1.0)
         if about and round(best.score, 3) > round(alarm.candidates[0].score, 3):
-            why = f"goes before {best.name}, of a higher score, from which it cannot be told here"
+            why = f"goes before {best.name}, of a higher score, from which it cannot be distinguished here"
             lines, more = (*lines, why), (*more, f"{about[0].fault} {why}.")
         if not any(m.agrees for m in alarm.learnt):
             lines = (f"{_none_of(alarm)}: nearest is {_nearest(alarm).fault}, {_nearest(alarm).text}",)

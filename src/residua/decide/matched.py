@@ -67,7 +67,7 @@ MATCH_RULES = (
     f"{CLOSE_LEAD:g} (20 to 1) a close call. Where scores less than {CLOSE_MARGIN:.2f} apart leave more unexplained "
     "than sets them apart, the match is inexact: a model error may decide, however large the lead is. A best score "
     f"below {POOR_SCORE:.2f} means that no listed fault, as a step, explains the innovations well. Sizes are those of "
-    "a step with the arrival given, with one standard deviation."
+    "a step whose arrival is known, with one standard deviation."
 )
 
 _SURE = SURE | {
@@ -199,7 +199,7 @@ class MatchedNames(Isolation):
             return ()
         return (
             f"the window of {test.window} samples is shorter than the responses to {', '.join(late)} take to settle: "
-            "arrivals and sizes are those found while the arrival lay within the window; a longer window is better",
+            "arrivals and sizes are the estimates while the arrival lay within the window; a longer window is better",
         )
 
     # --------------------------------------------------------------------------- files

@@ -236,7 +236,7 @@ def findings_of(
         *_copies(names, moves, independent, notes),
     ]
     level = max(1 - SURE_OF_CHANGE, LEVEL)
-    found += [Finding("drift", one.residuals, one.told(len(whole.parts) > 1), level) for one in places]
+    found += [Finding("drift", one.residuals, one.sentence(len(whole.parts) > 1), level) for one in places]
     worth = count / max(float(correlation_times(_squares(data), data.parts)[0]), 1.0)
     return ResidualReport(
         count,
@@ -490,7 +490,7 @@ _REMEDIES = {
 
 
 def _advice(found: Sequence[Finding], order: int, samples: int) -> tuple[str, ...]:
-    """Return which test goes with what was found."""
+    """Return the test that suits the findings."""
     kinds, out = {one.kind for one in found}, []
     for kind, text in _REMEDIES.items():
         if kind in kinds:

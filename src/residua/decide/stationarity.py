@@ -67,7 +67,7 @@ class Change(Record):
         """Whether all residuals together become smaller in the first half of the recording."""
         return not self.residuals and self.size < 1 and 2 * self.sample <= self.samples
 
-    def told(self, several: bool) -> str:
+    def sentence(self, several: bool) -> str:
         """Return it as a sentence; ``several``: whether there are several recordings."""
         where = f" of recording {self.recording}" if several else ""
         if self.is_transient:

@@ -415,7 +415,7 @@ def _notes(plant: Plant, known: Diagnosability | None, entries: list[Entry]) -> 
         for name, why in known.reasons().items():
             yield f"{name}: {why}"
     elif plant.faults:
-        yield f"what can be told about the faults was not examined: {plant.n_states} states"
+        yield f"whether the faults can be isolated was not examined: {plant.n_states} states"
     if plant.disturbances:
         yield from _about_disturbances(plant, entries)
     if plant.identification is not None:

@@ -32,7 +32,7 @@ def ladder_circuit(dt: float = 0) -> Plant:
     - ``i sensor``, ``va sensor``, ``vb sensor``: offset of the reading, A and V;
     - ``leak a``, ``leak b``: current that leaves the node to ground, A.
 
-    The voltage of the source is uncertain: the disturbance ``ripple``, V, adds to what it is told to give.
+    The voltage of the source is uncertain: the disturbance ``ripple``, V, adds to its set value.
 
     Parameters
     ----------

@@ -230,7 +230,7 @@ def _notes() -> dict[str, dict[str, str]]:
     """Return what each fault is, what to check first, and its unit."""
     notes = {
         f"{pump} actuator": {
-            "description": f"Pump {pump} delivers another flow than it is told to.",
+            "description": f"Pump {pump} delivers another flow than its command.",
             "check": "the pump's voltage and speed, its inlet filter, and the calibration of its flow",
         }
         for pump in ("Q1", "Q2")

@@ -46,7 +46,7 @@ class FitCheck(Record):
     @property
     def notes(self) -> tuple[str, ...]:
         """What speaks against the fit, and what to do; empty if nothing does."""
-        found = [one.told(self.recordings > 1) for one in self.changes]
+        found = [one.sentence(self.recordings > 1) for one in self.changes]
         held = self.held_out
         if held is not None and held.is_over:
             found.insert(0, f"{_over(held)}: {_CAUSES if not found else _CHANGES}")

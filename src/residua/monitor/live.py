@@ -99,7 +99,7 @@ class Live:
 def run_whole(
     spec: Specification, data: NDArray[np.float64], progress: Callable[[int, int], None] | None = None
 ) -> tuple[State, Decisions]:
-    """Run over whole recordings, (plants, time, channels), from a fresh start; progress is told by pieces."""
+    """Run over whole recordings, (plants, time, channels), from a fresh start; progress is reported by pieces."""
     state, time = initial_state(spec, len(data)), data.shape[1]
     plan = plan_of(spec)
     run = None if plan is None else FusedRun(spec, plan, copied(state))

@@ -35,7 +35,7 @@ class ReadOptions:
     transpose: bool = False
 
     def __post_init__(self) -> None:
-        """Check what was asked for."""
+        """Check the requested columns."""
         if self.decimal not in (".", ","):
             raise SettingError(f"decimal must be '.' or ',', got {echo(self.decimal)}")
         if self.dt is not None and not (np.isfinite(self.dt) and self.dt > 0):

@@ -47,7 +47,7 @@ _CONTRADICTION = 4.0
 
 @dataclass(frozen=True)
 class SmallestFault:
-    """The smallest size of a fault that is detected in time, as often as was asked.
+    """The smallest size of a fault that is detected in time with the requested probability.
 
     Attributes
     ----------

@@ -129,7 +129,7 @@ def _why_not(a: NDArray[np.float64], n: NDArray[np.int64], k: NDArray[np.int64])
     if silent == seen:
         return (
             f"only size {seen:.3g} was detected in some runs and missed in others: add sizes near to it, by which a "
-            "slope can be told"
+            "slope can be estimated"
         )
     return ""
 

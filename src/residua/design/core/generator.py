@@ -315,7 +315,7 @@ class ResidualGenerator:
         r"""Return the parity relations behind the residuals: the same equations without poles.
 
         Each residual is :math:`r = r^* c(z) / d(z)` with a relation :math:`r^*` that is polynomial in inputs and
-        outputs; a factor ``c`` that all signals share is divided out, and told in ``divided``.
+        outputs; a factor ``c`` that all signals share is divided out, and reported in ``divided``.
 
         Returns
         -------

@@ -284,7 +284,7 @@ class _Frame:
         error = max(design.error, spectrum_error(F, wanted, self.plant.dt, POLE_ERROR)[0])
         if error > POLE_ERROR:
             raise AccuracyError(
-                f"a pole is off by {error:.2g} > {POLE_ERROR:.0e} of what was asked for: so ill-conditioned that "
+                f"a pole is off by {error:.2g} > {POLE_ERROR:.0e} of the requested pole: so ill-conditioned that "
                 "rounding moves it; ask for poles nearer to those of the plant or further apart, for a margin, or add "
                 "a sensor"
             )

@@ -234,7 +234,7 @@ def share_poles(
     if len(reals) < sum(size % 2 for size in counts):
         raise DesignError(
             f"the faults need blocks of {', '.join(map(str, counts))} poles; each odd block needs a real pole, "
-            f"and only {len(reals)} of the poles given are real"
+            f"and only {len(reals)} of the requested poles are real"
         )
     odd_left = sum(size % 2 for size in counts)
     for size in counts:
@@ -278,7 +278,7 @@ def _without(wanted: NDArray, fixed: NDArray) -> NDArray:
         nearest = int(np.argmin(np.abs(np.asarray(left) - z)))
         if abs(left[nearest] - z) > 1e-6 * max(1.0, abs(z)):
             raise DesignError(
-                f"the pole {z:.6g} cannot be moved and is not among those given; "
+                f"the pole {z:.6g} cannot be moved and is not among the requested poles; "
                 f"give the other {counted(len(wanted) - len(fixed), 'pole')}"
             )
         left.pop(nearest)

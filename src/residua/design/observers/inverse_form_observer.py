@@ -341,7 +341,7 @@ def _observer(plant: Plant, N_BF: NDArray, K: NDArray, Pi: NDArray, rows: list[i
         error, _, reached = spectrum_error(F, asked, plant.dt, 1e-5)
         if not reached:
             raise AccuracyError(
-                f"the poles came out as {', '.join(map(format_pole, poles))}, not as asked for: the inverse form is "
+                f"the poles came out as {', '.join(map(format_pole, poles))}, not as requested: the inverse form is "
                 "too badly conditioned here; use fault_estimator"
             )
     parts = {

@@ -36,7 +36,7 @@ def place(
     placed = place_observer_poles(A, C, poles, dt=dt, rtol=rtol)
     if placed.error > POLE_ERROR:  # within what rounding does to it, which the placement itself allows
         raise AccuracyError(
-            f"a pole is off by {placed.error:.2g} > {POLE_ERROR:.0e} of what was asked for: so ill-conditioned that "
+            f"a pole is off by {placed.error:.2g} > {POLE_ERROR:.0e} of the requested pole: so ill-conditioned that "
             "rounding moves it; ask for poles nearer to those of the plant or further apart, for a margin, or add a "
             "sensor"
         )

@@ -87,7 +87,7 @@ def directional_parity(
     Returns
     -------
     ResidualGenerator
-        With ``directions`` as asked for, of unit length and up to sign.
+        With the requested ``directions``, of unit length and up to sign.
 
     Raises
     ------

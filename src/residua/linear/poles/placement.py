@@ -35,7 +35,7 @@ class Placement:
     gain : ndarray, shape (n, p)
         ``K``; the poles are those of ``A - K C``. It ignores the left null directions of ``C``: ``K = K C C^+``.
     requested : ndarray of complex
-        Poles asked for on the observable part, in that order; empty when a margin was asked for.
+        Requested poles of the observable part, in that order; empty when a margin was asked for.
     achieved : ndarray of complex
         Poles reached on the observable part, in the order of ``requested``.
     fixed : ndarray of complex
@@ -102,7 +102,7 @@ def _movable(poles: Poles, problem: ObservablePart, tolerance: float) -> Poles:
     if missed.any() or not np.allclose(np.sort_complex(rest), np.sort_complex(rest.conj())):
         raise DesignError(
             f"the modes {describe_modes(fixed)} are not observable and stay where they are, but "
-            f"{describe_modes(fixed[missed] if missed.any() else fixed)} are not among the poles given{hint}"
+            f"{describe_modes(fixed[missed] if missed.any() else fixed)} are not among the requested poles{hint}"
         )
     return rest
 

@@ -1,4 +1,4 @@
-"""Comparing a spectrum with the one that was asked for, multiple poles included."""
+"""Comparing a spectrum with the requested one, multiple poles included."""
 
 from __future__ import annotations
 

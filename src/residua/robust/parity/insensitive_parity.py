@@ -322,7 +322,9 @@ def _members(drifts: list[str], isolated: list[str], m: int) -> tuple[tuple[str,
     """Return the names of the residuals and what each ignores."""
     both = [name for name in isolated if name in drifts]
     if both:
-        raise DesignError(f"parameter {both[0]!r} is to be ignored always and to be told: leave it out of one")
+        raise DesignError(
+            f"parameter {both[0]!r} stands among those to ignore always and among those to isolate: leave it out of one"
+        )
     ignored = [tuple(drifts), *((*drifts, name) for name in isolated)]
     longest = max(ignored, key=len)
     if len(longest) > m - 1:

@@ -170,7 +170,7 @@ def optimal_parity(
     Raises
     ------
     DesignError
-        If there is no relation of this order, none sees a fault, or there are fewer than asked for.
+        If there is no relation of this order, none sees a fault, or there are fewer than the requested number.
     ModelError
         If variants have other signals or other states.
 
