@@ -201,10 +201,9 @@ class Watch:
             block, threshold = self._blocks[name], self.models[name].spec.test.threshold
             places = np.array([plant.place for plant, _, _ in ones], dtype=np.int64)
             made = block.advance(places, np.stack([values for _, _, values in ones]), _ASKED)
-            alarm: NDArray[Any] = made["alarm"]
-            missing: NDArray[Any] = made["missing"]
-            statistic: NDArray[Any] = made["statistic"]
-            alarmed, gaps = alarm.any(axis=1).tolist(), missing.any(axis=1).tolist()
+            alarm, missing, statistic = (made[asked] for asked in _ASKED)
+            some: Any = (alarm.any(axis=1), missing.any(axis=1))
+            alarmed, gaps = (one.tolist() for one in some)
             ratios = (statistic[:, -1] / threshold).tolist()
             for k, (plant, times, values) in enumerate(ones):
                 first = plant.count
