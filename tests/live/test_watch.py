@@ -148,3 +148,22 @@ def test_states_as_bytes_are_the_same_to_the_last_bit(kind: str) -> None:
     for damaged in (b"", content[:-1], content + b"\0", b"\2" + content[1:]):
         with pytest.raises(FileFormatError, match="none of this monitor"):
             state_from_bytes(damaged, model.spec)
+
+
+def test_a_plant_that_is_reset_begins_anew(tmp_path: Path) -> None:
+    rows, path = recording(2200), tmp_path / "live.db"
+    model = WatchedModel("tanks", monitor(), history=500.0)
+    watch = opened(path, model, ["a"])
+    fed(watch, ["a"], 5000.0 + np.arange(1000.0), rows[:1000])
+    watch.store.commit(watch.reset("a"))
+    assert [one["kind"] for one in told(watch, "a")] == ["raised", "ended"]
+    for first in range(0, 2200, 300):
+        part = slice(first, first + 300)
+        fed(watch, ["a"], np.arange(2200.0)[part], rows[part])
+        if first == 900:
+            watch.store.close()
+            watch = opened(path, model)
+    watch.store.commit(watch.standing())
+    later = [one for one in told(watch, "a")[3:] if one["kind"] in ("ended", "standing")]
+    wanted = alarms_of_run(monitor(), rows, np.arange(2200.0))
+    assert [(one["raised"], one["onset"]) for one in later] == [(one["raised"], one["onset"]) for one in wanted]

@@ -122,7 +122,9 @@ def _run(settings: LiveSettings, *, linger: bool) -> int:
 def _started(run: Run, server: Any) -> None:
     if server is not None:
         server.start()
-        screen.say(f"page: {server.address}")
+        given = run.settings.server.token_file or run.settings.server.token_env
+        # A token of the user's own has no business in a log, which is where it goes unless somebody looks on.
+        screen.say(f"page: {server.place if given and not sys.stdout.isatty() else server.address}")
     plants = len(run.watch.plants)
     screen.say(f"watching {plants:,} plants{', and new ones' if run.takes_new else ''}; Ctrl-C ends it")
     sys.stdout.flush()

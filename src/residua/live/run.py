@@ -225,6 +225,7 @@ class Run:
         """
         ended, self._worked = False, True
         try:
+            self._take_requests()
             times = {one.plant: one.sampling.last for one in self.watch.plants.values() if one.count}
             for source in self.sources:
                 source.resume(times)
@@ -415,19 +416,25 @@ class Run:
     def _look_around(self, now: float) -> None:
         """Tell of silent plants, take requests from the store, and drop old events."""
         self._commit(self.watch.silent(now, self.settings.sampling.silence))
-        for name, wanted in self.store.meta().items() if self.patient.health.good else ():
-            if name.startswith("reset ") and wanted:
-                plant = name.removeprefix("reset ")
-                changes = self.watch.reset(plant) if plant in self.watch.plants else Changes()
-                changes.meta[name] = ""
-                self._pending.discard(plant)
-                self._commit(changes)
-                _LOG.info("%s begins anew", visible(plant))
+        if self.patient.health.good:
+            self._take_requests()
         done = min((one.position for one in self.deliveries), default=self.committed)
         before = min(done, self.committed - self.settings.store.keep_events)
         if before - self._dropped >= _DROPPED_AT_ONCE:
             self._dropped = before
             self.store.drop_events(before)
+
+    def _take_requests(self) -> None:
+        """Let plants begin anew for which somebody has asked it."""
+        for name, wanted in self.store.meta().items():
+            if name.startswith("reset ") and wanted:
+                plant = name.removeprefix("reset ")
+                changes = self.watch.reset(plant) if plant in self.watch.plants else Changes()
+                changes.meta[name] = ""
+                self._pending.discard(plant)
+                self._recent.clear()
+                self._commit(changes)
+                _LOG.info("%s begins anew", visible(plant))
 
     def _commit(self, changes: Changes) -> None:
         if not changes:

@@ -341,11 +341,11 @@ class Watch:
 
     # --------------------------------------------------------------------- storing
 
-    def _note(self, plant: WatchedPlant, batch: _Batch) -> None:
+    def _note(self, plant: WatchedPlant, batch: _Batch, *, whole: bool = False) -> None:
         """Number the events of a plant, and put what has changed of it down."""
         for _, _, time, kind, content in sorted(batch.events.pop(plant.key, []), key=lambda one: one[:2]):
             self._number(plant, time, kind, content, batch.changes)
-        batch.changes.plants[plant.key] = self._update(plant, moved=plant.key in batch.moved)
+        batch.changes.plants[plant.key] = self._update(plant, moved=plant.key in batch.moved, whole=whole)
 
     def _number(self, plant: WatchedPlant, time: float, kind: str, content: dict[str, Any], changes: Changes) -> None:
         if kind in ("raised", "renamed"):
@@ -405,10 +405,23 @@ class Watch:
         return batch.changes
 
     def reset(self, plant: str) -> Changes:
-        """Let a plant go on whose clock has gone back: the next reading begins anew."""
-        one = self.plants[plant]
-        one.sampling = SamplingState()
-        return self.noted([plant])
+        """Let a plant begin anew whose clock has gone back: its filter, its rows, and what is known of its times.
+
+        An alarm that stands has ended with what is known of it.
+        """
+        one, batch = self.plants[plant], _empty_batch()
+        model, block = self.models[one.model], self._blocks[one.model]
+        if one.told:
+            self._look(one, one.count - 1, one.sampling.last, True, batch)
+        block.replace_state(np.array([one.place]), model.start())
+        self._judged.pop(one.key, None)
+        one.sampling, one.told, one.open_row, one.ratio = SamplingState(), [], -1, math.nan
+        one.anchor, one.anchor_at, one.mark, one.mark_at = state_to_bytes(model.start()), one.count, None, one.count
+        batch.changes.forgotten[one.key] = one.count
+        one.running_at = -1  # is stored anew
+        batch.moved.add(one.key)
+        self._note(one, batch, whole=True)
+        return batch.changes
 
     # --------------------------------------------------------------------- looking
 

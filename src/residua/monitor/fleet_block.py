@@ -287,6 +287,13 @@ class FleetBlock:
         self._follow_alarms(rows, alarm)
         return Tick(alarm, decided, missing, statistic)
 
+    def replace_state(self, rows: NDArray[np.int64], state: State) -> None:
+        """Let some plants go on from other states."""
+        if self._run is not None:
+            self._run.state = written_rows(self._run.state, rows, state)
+        else:
+            self._state = written_rows(self._state, rows, state)
+
     def advance(
         self, rows: NDArray[np.int64], data: NDArray[np.float64], names: Sequence[str], threads: int = 1
     ) -> dict[str, NDArray]:
