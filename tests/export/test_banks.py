@@ -58,6 +58,7 @@ def with_codes(monitor: rs.Monitor, rng: np.random.Generator) -> MonitorProgram:
     made = monitor_program(monitor, missing="hold")
     members, faults = len(made.parts), int(rng.integers(1, 7))
     table = rng.random((members, faults)) < rng.choice([0.3, 0.5, 0.8])
+    table[0, 0] |= not table.any()  # a bank no fault of which fires anything has no codes
     if rng.random() < 0.4:  # as many ones in each: strongly isolating
         ones = int(rng.integers(1, members))
         table = np.array([np.isin(np.arange(members), rng.permutation(members)[:ones]) for _ in range(faults)]).T
