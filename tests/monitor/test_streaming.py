@@ -15,7 +15,7 @@ import residua as rs
 from residua.cli import app as commands
 from residua.decide import CUSUM, NormThreshold, PeakThreshold
 from residua.errors import DataError, FileFormatError, ResiduaError
-from residua.monitor import beginning, streaming
+from residua.monitor import beginning, outcome, streaming
 from residua.monitor.streaming import AT_ONCE, judged_file
 from residua.recording import streams
 from residua.recording.columns import ReadOptions
@@ -422,3 +422,12 @@ def test_read_recording_agrees_with_the_stream(tmp_path: Path) -> None:
     assert len(pieces) > 5
     assert_same(np.hstack([recording.u, recording.y]), np.vstack([piece.values for piece in pieces]))
     assert_same(recording.time, np.concatenate([piece.time for piece in pieces if piece.time is not None]))
+
+
+def test_runs_of_alarms_are_those_of_the_whole_series(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(outcome, "_PIECE", 7)
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        flags = rng.random(int(rng.integers(0, 40))) < rng.random()
+        edges = np.flatnonzero(np.diff(flags, prepend=False, append=False)).reshape(-1, 2)
+        assert outcome._runs(flags) == list(map(tuple, edges.tolist()))

@@ -196,6 +196,8 @@ def _gap_notes(
     spec: Specification, generator: ResidualGenerator, decisions: Decisions, recorded: Recorded
 ) -> tuple[str, ...]:
     """Return what part was not judged for want of values, of which channel most were missing, and what helps."""
+    if not np.any(decisions.missing):  # as a rule; what follows needs memory for every sample
+        return ()
     own = np.ones(len(decisions.missing), dtype=bool) if recorded.own is None else recorded.own
     missing, usable = decisions.missing & own, decisions.tested.usable
     if not missing.any() or missing[own].all():
@@ -291,17 +293,26 @@ def alarms_of(seen: Seen, isolation: Isolation) -> tuple[Alarm, ...]:
 def _alarms(seen: Seen, name: Naming) -> tuple[Alarm, ...]:
     """Return the alarms one by one, each with its attribution."""
     tested, time = seen.tested, seen.time
-    padded = np.zeros(len(tested.alarm) + 2, dtype=bool)
-    padded[1:-1] = tested.alarm
-    edges = np.flatnonzero(padded[1:] != padded[:-1])
     out = []
-    for start, stop in edges.reshape(-1, 2).tolist():
+    for start, stop in _runs(tested.alarm):
         first = _usable_before(tested.usable, start, int(tested.up[start]))
         fields = name(start, stop, last_over(tested.exceeded, start, stop)).of_alarm()
         ended = float(time[stop]) if stop < len(time) else None
         values: dict[str, Any] = {"onset": float(time[first])} | fields
         out.append(Alarm(raised=float(time[start]), ended=ended, start=start, stop=stop, **values))
     return tuple(out)
+
+
+def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return where flags are set in a row: the first sample of each run, and that after its last."""
+    edges, before = [], False
+    for begin in range(0, len(flags), _PIECE):  # the recording may be larger than memory
+        part = np.asarray(flags[begin : begin + _PIECE])
+        edges += (begin + np.flatnonzero(np.diff(part, prepend=before))).tolist()
+        before = bool(part[-1])
+    if before:
+        edges.append(len(flags))
+    return list(zip(edges[::2], edges[1::2], strict=True))
 
 
 def _usable_before(usable: NDArray[np.bool_], last: int, count: int) -> int:
