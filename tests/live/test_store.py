@@ -15,7 +15,7 @@ from residua.live.sqlite_store import SqliteStore
 from residua.live.store import Changes, PlantUpdate, Store, StoreError, rows_from_bytes
 from residua.live.watched_plant import WatchedPlant
 from store_writer import changes
-from stores import STORES, made_store
+from stores import STORES, Database, made_store
 
 
 @pytest.fixture(params=STORES)
@@ -170,3 +170,36 @@ def _places(path: Path) -> int:
         return 0
     finally:
         connection.close()
+
+
+def test_a_database_that_comes_back_goes_on_and_is_still_owned() -> None:
+    database = Database()
+    from residua.live.postgresql_store import PostgresqlStore
+    from residua.live.store import StoreAwayError
+
+    database.start()
+    try:
+        store = PostgresqlStore(database.dsn)
+        store.open()
+        store.commit(changes())
+        database.kill()
+        with pytest.raises(StoreAwayError, match="cannot be reached"):
+            store.commit(changes(first=3, place=2))
+        database.start()
+        for _ in range(100):
+            try:
+                store.commit(changes(first=3, place=2))
+                break
+            except StoreAwayError:
+                time.sleep(0.1)
+        assert store.last_place() == 2
+        other = PostgresqlStore(database.dsn)
+        with pytest.raises(StoreError, match="another run has"):
+            other.open()
+        other.close()
+        store.close()
+        with pytest.raises(StoreAwayError) as error:
+            PostgresqlStore("host=/nowhere user=residua password=hidden dbname=x").open()
+        assert "hidden" not in str(error.value)
+    finally:
+        database.stop()

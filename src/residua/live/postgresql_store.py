@@ -11,7 +11,7 @@ from residua.errors import SettingError, missing_extra
 from residua.live.config import StoreSettings
 from residua.live.secrets import secret
 from residua.live.sql_store import TABLES, SqlStore
-from residua.live.store import StoreAwayError, StoreError
+from residua.live.store import Changes, StoreAwayError, StoreError
 
 try:
     import psycopg
@@ -41,7 +41,7 @@ class PostgresqlStore(SqlStore):
         self._dsn = dsn
         self._local = threading.local()
         self._all: list[psycopg.Connection[Any]] = []
-        self._guard = threading.Lock()
+        self._guard, self._guard_of_owner = threading.Lock(), threading.Lock()
         self._owner: psycopg.Connection[Any] | None = None
 
     @classmethod
@@ -68,14 +68,27 @@ class PostgresqlStore(SqlStore):
                     self._connection().execute(text.format(bytes="BYTEA", real="DOUBLE PRECISION", without_rowid=""))
         self._check_schema()
 
-    def _take(self) -> None:
-        """Take the lock that another run would have."""
+    def _take(self, *, again: bool = False) -> None:
+        """Take the lock that another run would have; ``again``: what the server still has of a lost connection goes."""
         connection = psycopg.connect(self._dsn, autocommit=True)
         row = connection.execute("SELECT pg_try_advisory_lock(%s)", (_LOCK,)).fetchone()
         if row is None or not row[0]:
             connection.close()
+            if again:
+                raise StoreAwayError("the database still holds the lock of a connection that was lost")
             raise StoreError("another run has this database: stop it, or name another one")
         self._owner = connection
+
+    def _check_owned(self) -> None:
+        """Take the lock again, where the connection that held it was lost."""
+        owner = self._owner
+        if owner is None:
+            return
+        try:
+            owner.execute("SELECT 1")
+        except psycopg.Error:
+            owner.close()
+            self._take(again=True)
 
     def close(self) -> None:
         """Close all connections."""
@@ -111,13 +124,16 @@ class PostgresqlStore(SqlStore):
                 connection.close()  # what is left of it is not to be trusted
             raise StoreAwayError(f"the database cannot be reached: {said or 'no answer'}") from None
 
+    def commit(self, changes: Changes) -> None:
+        """Write changes in one transaction, of the run that has the database."""
+        with self._errors(), self._guard_of_owner:
+            self._check_owned()
+        super().commit(changes)
+
     @contextmanager
     def _transaction(self) -> Iterator[Any]:
-        with self._errors():
-            if self._owner is not None and self._owner.closed:
-                self._take()
-            with self._connection().transaction(), self._connection().cursor() as cursor:
-                yield cursor
+        with self._errors(), self._connection().transaction(), self._connection().cursor() as cursor:
+            yield cursor
 
     def _query(self, text: str, values: Sequence[Any] = ()) -> list[Any]:
         with self._errors():
