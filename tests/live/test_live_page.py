@@ -14,10 +14,11 @@ from chromium import BROWSER, Chromium
 from fake_view import FakeView, Played, diagnoses
 from page_reader import NASTY, read, words
 
-server = pytest.importorskip("residua.live.server", reason="the extra 'live' is not installed")
+pytest.importorskip("uvicorn", reason="the extra 'live' is not installed")
 
-from residua.live.server import Server, Settings  # noqa: E402
-from residua.report.live_page import live_page, live_policy  # noqa: E402
+
+from residua.live.server import Server, Settings
+from residua.report.live_page import live_page, live_policy
 
 in_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
 LIVE = "document.body.dataset.state === 'live'"

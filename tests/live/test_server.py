@@ -17,10 +17,10 @@ import pytest
 from fake_view import FakeView
 
 httpx = pytest.importorskip("httpx", reason="the extra 'live' is not installed")
-server = pytest.importorskip("residua.live.server", reason="the extra 'live' is not installed")
-routes = pytest.importorskip("residua.live.routes")
+pytest.importorskip("uvicorn", reason="the extra 'live' is not installed")
 
 from residua.errors import SettingError  # noqa: E402
+from residua.live import routes, server  # noqa: E402
 from residua.report.live_page import live_policy  # noqa: E402
 
 PATHS = ("/", "/overview.json", "/plant/north.json", "/events", "/metrics", "/health", "/nothing", "/plant/../metrics")

@@ -16,7 +16,10 @@ from receiver import Receiver, events
 from residua.errors import SettingError
 from residua.live.sink import DeliveryError
 
-webhook = pytest.importorskip("residua.live.sinks.webhook", reason="the extra 'live' is not installed")
+pytest.importorskip("httpx", reason="the extra 'live' is not installed")
+
+from residua.live.sinks import webhook
+
 KEY = "a key that nobody guesses"
 
 

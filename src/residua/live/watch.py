@@ -381,7 +381,8 @@ class Watch:
         """Tell of plants of which nothing has come for some seconds, by the clock."""
         changes = Changes()
         for plant in self.plants.values():
-            if plant.count and plant.missing is None and now - plant.heard > after:
+            known = math.isfinite(plant.sampling.last)  # not after a reset
+            if known and plant.missing is None and now - plant.heard > after:
                 plant.missing = tuple(range(len(self.models[plant.model].layout.channels)))
                 plant.whole = 0
                 channels = list(self.models[plant.model].layout.channels)
