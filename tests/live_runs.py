@@ -114,7 +114,7 @@ def command(*arguments: object, **more: Any) -> subprocess.CompletedProcess[str]
 class Nobody:
     """Stands for the source of messages that are handed over directly."""
 
-    name = "nobody"
+    name, finite, rereads = "nobody", False, False
 
     def __init__(self) -> None:
         self.acknowledged = 0
@@ -142,6 +142,6 @@ def memory_by_hour(run: Run, plants: int, hours: int) -> tuple[list[float], int,
             columns: dict[str, Any] = {"u": [one[:2] for one in part], "y": [one[2:] for one in part]}
             body = json.dumps({"t0": float(first), "dt": 1.0} | columns).encode()[1:]
             some = [Message(source, b'{"plant": "p%d", ' % p + body, 0.0) for p in range(plants)]
-            run.apply(some, time.time())
+            run.apply(some)
         memory.append(resident())
     return memory, hours * 3600 * plants, time.monotonic() - begin

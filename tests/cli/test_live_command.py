@@ -73,17 +73,19 @@ def test_ctrl_c_ends_it_in_order_and_the_next_run_goes_on(tmp_path: Path) -> Non
 
 def test_reset_lets_a_plant_begin_anew(tmp_path: Path) -> None:
     rows, path = recording(2000), configuration(tmp_path, STDIN)
-    made = command(path, input="\n".join(line("north", 1000.0 + k, row) for k, row in enumerate(rows[:50])))
+    made = command(path, input="\n".join(line("north", 1000.0 + k, row) for k, row in enumerate(rows[:200])))
     assert made.returncode == 0, made.stderr
-    back = [line("north", float(k), row) for k, row in enumerate(rows[:50])]
+    back = [line("north", float(k), row) for k, row in enumerate(rows[:200])]
     refused = command(path, input="\n".join(back))
-    assert "0 rows" in refused.stdout
+    assert refused.returncode == 2
+    assert "no sample could be judged" in refused.stderr
+    assert "not used: refused 190, late 10" in refused.stdout
     assert [one["kind"] for one in events_in(tmp_path / "live.db")] == ["clock"]
     assert command(path, "--reset", "nobody").stderr == "error: the store has no plant 'nobody'\n"
     asked = command(path, "--reset", "north")
     assert asked.returncode == 0, asked.stderr
     again = command(path, input="\n".join(back))
-    assert "50 rows" in again.stdout, again.stdout + again.stderr
+    assert "200 rows" in again.stdout, again.stdout + again.stderr
 
 
 def test_the_demo_names_a_fault_on_its_page(tmp_path: Path) -> None:

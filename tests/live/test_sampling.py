@@ -124,9 +124,23 @@ def test_a_clock_that_goes_back_is_told_once_and_refused_until_it_is_past() -> N
     assert feed.kinds().count("late") == BACK_AFTER
     assert feed.state.back
     assert len(feed.rows) == 20
-    feed([whole(120.0, 1.0), whole(121.0, 1.0)])
+    feed([whole(120.0, 1.0)])
+    assert feed.state.back  # what follows is another stretch: the filter must start anew
+    later = 120.0 + WHOLE.longest_gap
+    feed([whole(later, 1.0), whole(later + 1, 1.0)])
     assert not feed.state.back
-    assert feed.times[-2:] == [120.0, 121.0]
+    assert feed.times[-2:] == [later, later + 1]
+    assert sum(math.isnan(values[0]) for _, values in feed.rows) == WHOLE.longest_gap
+
+
+def test_a_file_that_is_read_again_is_no_clock_that_goes_back() -> None:
+    feed = Feed()([whole(100.0 + k, k) for k in range(20)])
+    old = [whole(50.0 + k, k) for k in range(30)]
+    for one in old:
+        one.past = True
+    feed(old)
+    assert set(feed.kinds()) == {"late"}
+    assert not feed.state.back
 
 
 def test_what_is_delivered_again_is_no_clock_that_goes_back() -> None:

@@ -19,6 +19,7 @@ from residua.cli import screen
 from residua.cli.guard import FAULT, NO_FAULT
 from residua.cli.streams import complain
 from residua.errors import DataError
+from residua.monitor import Monitor
 from residua.visible import echo, visible
 
 if TYPE_CHECKING:
@@ -66,7 +67,10 @@ def live(
 
 def _say(settings: LiveSettings) -> None:
     """Say what a configuration is."""
+    from residua.live.watched_model import WatchedModel
+
     for one in settings.monitors:
+        WatchedModel(one.name, Monitor.load(one.file), settings.store.history)  # says what is wrong with it
         more = ", and new ones" if one.accept_new else ""
         screen.say(f"monitor {visible(one.name)}: {len(one.plants)} plants{more}")
     for what, some in (("source", settings.sources), ("sink", settings.sinks)):
@@ -114,9 +118,19 @@ def _run(settings: LiveSettings, *, linger: bool) -> int:
             if server is not None:
                 server.stop()
             run.close()
-        raised = run.numbers.events["raised"]
-        screen.say(f"{sum(run.numbers.rows.values()):,} rows, {raised:,} alarms raised")
-        return FAULT if raised and not stopped.is_set() else NO_FAULT
+        raised, rows = run.numbers.events["raised"], run.numbers.rows.total()
+        screen.say(f"{rows:,} rows, {raised:,} alarms raised{_dropped(run)}")
+        if stopped.is_set():
+            return NO_FAULT
+        if not run.watch.judged:
+            raise DataError(f"no sample could be judged, so this is not a verdict: {rows:,} rows came{_dropped(run)}")
+        return FAULT if raised or any(one.told for one in run.watch.plants.values()) else NO_FAULT
+
+
+def _dropped(run: Run) -> str:
+    """Say how many messages and readings were not used, by reason."""
+    counts = {name: count for name, count in run.numbers.dropped.most_common() if name != "gap"}
+    return f"; not used: {', '.join(f'{name} {count:,}' for name, count in counts.items())}" if counts else ""
 
 
 def _started(run: Run, server: Any) -> None:

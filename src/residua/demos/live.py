@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from residua.decide import NormThreshold
 from residua.design import kalman_filter
+from residua.errors import DataError
 from residua.library import simulate_three_tank, three_tank, three_tank_fault
 from residua.monitor import Monitor
 from residua.recording.table_writer import write_table
@@ -55,7 +56,16 @@ def write(folder: Path) -> Path:
     ----------
     folder : Path
         Exists. What an earlier demo stored there is removed, so that it begins at the beginning.
+
+    Raises
+    ------
+    DataError
+        If the folder has anything else in it.
     """
+    path = folder / "live.toml"
+    mine = path.exists() and path.read_text(encoding="utf-8") == _CONFIGURATION
+    if not mine and any(folder.iterdir()):
+        raise DataError(f"{folder} has files in it that the demo might replace: name a new folder")
     plant = three_tank()
     monitor = Monitor(kalman_filter(plant), test=NormThreshold(persistence=5, window=10, false_alarm_rate=0.005))
     normal = simulate_three_tank(_NORMAL, seed=1)
@@ -71,7 +81,6 @@ def write(folder: Path) -> Path:
         write_table(folder / f"{name}.csv", {"time": run.time} | {n: rows[:, c] for c, n in enumerate(names)})
     for old in ("live.db", "live.db-wal", "live.db-shm", "live.db.lock", "events.jsonl"):
         (folder / old).unlink(missing_ok=True)
-    path = folder / "live.toml"
     path.write_text(_CONFIGURATION, encoding="utf-8")
     return path
 

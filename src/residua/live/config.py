@@ -13,6 +13,7 @@ from typing import Any
 
 from residua.errors import FileFormatError, MissingExtraError, SettingError
 from residua.files import read_bytes
+from residua.live.messages import LONGEST_ID
 from residua.live.setting_checks import check_seconds, choice, flag, number, text, texts, whole
 from residua.visible import echo, listed
 
@@ -52,7 +53,7 @@ class MonitorSettings:
         The ids of its plants.
     accept_new : bool
         Whether plants that are not listed are taken in when they send; of one monitor only.
-    max_plants : int
+    max_plants : int, default 10,000
         Plants of this monitor at most.
     """
 
@@ -66,6 +67,8 @@ class MonitorSettings:
         text(self, "file", needed="the monitor, such as 'tank.json'")
         text(self, "name")
         texts(self, "plants")
+        for plant in self.plants:
+            _check(len(plant) <= LONGEST_ID, f"plants: an id has at most {LONGEST_ID} characters")
         flag(self, "accept_new")
         whole(self, "max_plants", 1, _MOST_PLANTS)
         _check(len(self.plants) <= self.max_plants, f"max_plants: {len(self.plants)} plants are listed")
@@ -79,11 +82,11 @@ class SamplingOptions:
 
     Attributes
     ----------
-    wait : float
+    wait : float, default 2
         Seconds that a row waits for readings that are missing.
-    max_age : float
+    max_age : float, default 0
         Seconds for which a channel that is not stated keeps its last value; 0: it is missing at once.
-    silence : float
+    silence : float, default 60
         Seconds without anything of a plant after which its data are said to be missing.
     """
 
@@ -108,9 +111,9 @@ class StoreSettings:
         Of SQLite.
     dsn_file, dsn_env : str
         Of PostgreSQL: a file or an environment variable with the connection string.
-    history : float
+    history : float, default 3600
         Seconds of rows that are kept of each plant at least.
-    keep_events : int
+    keep_events : int, default 100,000
         Events that are kept at least, once all sinks have delivered them.
     """
 

@@ -73,6 +73,12 @@ class Delivery:
                 self.health = Health(False, str(error))
                 _LOG.error("sink %s: %s", self.sink.name, error)
                 return
+            except Exception as error:  # of a sink that is wrong itself: it must not end in silence
+                self.failures += 1
+                self.health = Health(False, f"{type(error).__name__}: {error}; trying again")
+                _LOG.exception("sink %s", self.sink.name)
+                if pauses.wait(self._stopping):
+                    return
 
     def _some(self) -> bool:
         """Deliver some events; return whether there were any."""

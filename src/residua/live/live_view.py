@@ -78,8 +78,7 @@ class LiveView:
 
     def _problems(self) -> list[str]:
         """Return what hinders the run itself."""
-        patient = self._run.patient.health
-        return [] if patient.good else [f"store: {patient.text}; nothing is acknowledged meanwhile"]
+        return self._run.problems
 
     def _row(self, plant: WatchedPlant) -> dict[str, Any]:
         state = _state(plant)
@@ -92,7 +91,7 @@ class LiveView:
             "state": state,
             "since": since,
             "time": _number(plant.sampling.last),
-            "age": max(0.0, time.time() - plant.heard) if plant.count else None,
+            "age": max(0.0, time.monotonic() - plant.heard) if plant.count else None,
             "name": name,
             "sure": sure,
             "ratio": _number(plant.ratio),
@@ -209,7 +208,7 @@ class LiveView:
             out["connected", (("name", one.name), ("part", "source"))] = float(one.health.good)
         out["connected", (("name", "store"), ("part", "store"))] = float(run.patient.health.good)
         out["queue", ()] = float(len(run.inbox))
-        now = time.time()
+        now = time.monotonic()
         for model in run.models:
             out |= _of_model(model, [one for one in list(run.watch.plants.values()) if one.model == model], now)
         return out

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-#: Bytes of a message at most.
-LARGEST = 4_000_000
+#: Bytes of a message at most, and characters of the id of a plant.
+LARGEST, LONGEST_ID = 4_000_000, 200
 
 
 @dataclass(slots=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TypeVar
 
 from residua.live.source import Health, Pauses, RunStoppedError
@@ -29,6 +29,14 @@ class Patience:
     def rows(self, key: int, first: int = 0) -> list[tuple[int, bytes]]:
         """Return the rows of a plant that are kept."""
         return self._again(lambda: self.store.rows(key, first))
+
+    def meta(self) -> Mapping[str, str]:
+        """Return facts about the whole."""
+        return self._again(self.store.meta)
+
+    def drop_events(self, before: int) -> None:
+        """Drop events before a place."""
+        self._again(lambda: self.store.drop_events(before))
 
     def commit(self, changes: Changes) -> None:
         """Write changes in one transaction.

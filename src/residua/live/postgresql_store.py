@@ -10,7 +10,7 @@ from typing import Any
 from residua.errors import SettingError, missing_extra
 from residua.live.config import StoreSettings
 from residua.live.secrets import secret
-from residua.live.sql_store import TABLES, SqlStore
+from residua.live.sql_store import META, TABLES, SqlStore
 from residua.live.store import Changes, StoreAwayError, StoreError
 
 try:
@@ -20,6 +20,11 @@ except ImportError as error:
 
 #: The number of the lock that the run holds, for as long as its connection lives.
 _LOCK = 7_236_845_112
+#: Seconds, and milliseconds, after which a host that does not answer is away.
+_LIMITS: dict[str, Any] = {
+    **{"connect_timeout": 10, "tcp_user_timeout": 20_000},
+    **{"keepalives": 1, "keepalives_idle": 10, "keepalives_interval": 5, "keepalives_count": 3},
+}
 #: What a server says that another attempt may not hear again: its classes of SQLSTATE.
 _PASSING = ("08", "40", "57", "53")
 _FULL = "53100"
@@ -43,6 +48,7 @@ class PostgresqlStore(SqlStore):
         self._all: list[psycopg.Connection[Any]] = []
         self._guard, self._guard_of_owner = threading.Lock(), threading.Lock()
         self._owner: psycopg.Connection[Any] | None = None
+        self._epoch = 0
 
     @classmethod
     def of(cls, settings: StoreSettings) -> PostgresqlStore:
@@ -67,10 +73,18 @@ class PostgresqlStore(SqlStore):
                 for text in TABLES:
                     self._connection().execute(text.format(bytes="BYTEA", real="DOUBLE PRECISION", without_rowid=""))
         self._check_schema()
+        if own:
+            self._epoch = int(self.meta().get("epoch", "0")) + 1
+            with self._transaction() as cursor:
+                cursor.execute(self._worded(META), ("epoch", str(self._epoch)))
+
+    def _connect(self) -> psycopg.Connection[Any]:
+        """Connect; no step of it, and no question later, waits for a host that does not answer."""
+        return psycopg.connect(self._dsn, autocommit=True, **_LIMITS)
 
     def _take(self, *, again: bool = False) -> None:
         """Take the lock that another run would have; ``again``: what the server still has of a lost connection goes."""
-        connection = psycopg.connect(self._dsn, autocommit=True)
+        connection = self._connect()
         row = connection.execute("SELECT pg_try_advisory_lock(%s)", (_LOCK,)).fetchone()
         if row is None or not row[0]:
             connection.close()
@@ -101,7 +115,7 @@ class PostgresqlStore(SqlStore):
     def _connection(self) -> psycopg.Connection[Any]:
         connection = getattr(self._local, "connection", None)
         if connection is None or connection.closed:
-            connection = psycopg.connect(self._dsn, autocommit=True)
+            connection = self._connect()
             self._local.connection = connection
             with self._guard:
                 self._all = [one for one in self._all if not one.closed]
@@ -115,7 +129,8 @@ class PostgresqlStore(SqlStore):
             yield
         except psycopg.Error as error:
             state = error.sqlstate or ""
-            said = (error.diag.message_primary or "").strip()
+            fatal = str(error).rpartition("FATAL:")  # of the server; other texts may have the connection string in them
+            said = (error.diag.message_primary or (fatal[2] if fatal[1] else "")).strip()
             passes = isinstance(error, (psycopg.OperationalError, psycopg.InterfaceError)) or state[:2] in _PASSING
             if state == _FULL or not passes:
                 raise StoreError(f"the database refuses: {said or type(error).__name__}") from None
@@ -129,6 +144,14 @@ class PostgresqlStore(SqlStore):
         with self._errors(), self._guard_of_owner:
             self._check_owned()
         super().commit(changes)
+
+    def _check_owner(self, cursor: Any) -> None:
+        """Raise where another run has taken the database over since: what this one knows is old."""
+        if self._owner is None:
+            return
+        row = cursor.execute("SELECT value FROM meta WHERE name = 'epoch' FOR SHARE").fetchone()
+        if row is None or row[0] != str(self._epoch):
+            raise StoreError("another run has taken this database over meanwhile: this one ends")
 
     @contextmanager
     def _transaction(self) -> Iterator[Any]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import missing_extra
-from residua.live.messages import LARGEST, Message
+from residua.live.messages import LARGEST, LONGEST_ID, Message
 
 try:
     import orjson
@@ -22,8 +22,6 @@ except ImportError as error:
 
 #: Rows of a packed message at most.
 MOST_ROWS = 100_000
-#: Characters of the id of a plant at most.
-LONGEST_ID = 200
 #: Seconds from 1970 that a time is taken for: dates from the year -29,700 to 33,600.
 _LARGEST_TIME = 1e12
 _NUMBERS = frozenset({int, float, type(None)})
@@ -91,6 +89,10 @@ class Readings:
         The channels that are spoken of; ``None`` for all.
     dated : bool
         Whether times are dates.
+    past : bool
+        Whether they are from a source that ends, such as a file that may be read again: old times are no clock then.
+    arrived : float
+        When the message came, by the clock.
     """
 
     plant: str
@@ -98,6 +100,8 @@ class Readings:
     values: NDArray[np.float64]
     stated: tuple[int, ...] | None
     dated: bool
+    past: bool = False
+    arrived: float = 0.0
 
 
 #: Returns the channels of a plant; ``None`` where the plant is not known.
@@ -255,9 +259,11 @@ def _numbers(values: list[Any]) -> NDArray[np.float64]:
     if not _NUMBERS.issuperset(map(type, values)):
         raise MessageError("number", "values must be numbers or null")
     try:
-        return np.array(values, dtype=np.float64)
+        out = np.array(values, dtype=np.float64)
     except OverflowError as error:
         raise MessageError("number", "a number that is too large") from error
+    out[~np.isfinite(out)] = np.nan  # what a protocol other than JSON may bring
+    return out
 
 
 def _channel(message: Message, content: bytes | float, layouts: Layouts) -> Readings:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from collections import Counter, deque
@@ -20,7 +21,7 @@ from residua.live.patience import Patience
 from residua.live.readings import Layout, MessageError, Readings, readings_of
 from residua.live.sampling import Remark, Rows, SamplingSettings, due, sample
 from residua.live.source import RunStoppedError, Source
-from residua.live.store import Changes, Store
+from residua.live.store import Changes, Store, StoreAwayError
 from residua.live.stores import store_of
 from residua.live.watch import Watch, Work
 from residua.live.watched_model import WatchedModel
@@ -36,6 +37,8 @@ _TICK, _SLOW_TICK = 0.1, 2.0
 _LOOKED_THROUGH = 4096
 #: Events that are dropped together at least.
 _DROPPED_AT_ONCE = 1000
+#: Plants of which it is said that their step is another one.
+_MOST_ODD = 20
 #: Seconds that sinks have at the end.
 _LEAVING = 10.0
 _LOG = logging.getLogger("residua.live")
@@ -111,6 +114,11 @@ class Inbox:
                 self._room.notify_all()
             return out
 
+    def oldest(self) -> float:
+        """Return when the message came that waits longest; infinite where none waits."""
+        with self._lock:
+            return self._queue[0].arrived if self._queue else math.inf
+
     def wake(self) -> None:
         """Let whoever takes look again."""
         with self._lock:
@@ -163,7 +171,7 @@ class Run:
         self.store: Store = store_of(settings.store)
         self.sources: list[Source] = []
         self.deliveries: list[Delivery] = []
-        self._worked = False
+        self._worked, self._whole = False, True
         self.store.open()
         try:
             self._begin()
@@ -174,10 +182,10 @@ class Run:
     def _begin(self) -> None:
         settings, now = self.settings, time.time()
         self.patient = Patience(self.store, self.stopping)
-        self.watch = Watch(self.models, self.store, self.patient, now)
+        self.watch = Watch(self.models, self.store, self.patient, now, time.monotonic())
         for one in settings.monitors:
             self._check_plants(one.plants, one.name)
-            self._commit(self.watch.add(one.plants, one.name, now))
+            self._commit(self.watch.add(one.plants, one.name, time.monotonic()))
         self._open = {one.name: one.max_plants for one in settings.monitors if one.accept_new}
         plants = {name: self.models[one.model].generator.plant for name, one in self.watch.plants.items()}
         self.sources = [
@@ -197,6 +205,7 @@ class Run:
         }
         self._said: dict[str, tuple[float, int]] = {}
         self._dropped = 0
+        self._odd_steps: dict[str, str] = {}
 
     def _check_plants(self, plants: Sequence[str], model: str) -> None:
         for plant in plants:
@@ -222,10 +231,14 @@ class Run:
         ------
         StoreError
             If the store is full or damaged: what was not committed was not acknowledged.
+        DataError
+            If a source has ended because it could not go on.
         """
         ended, self._worked = False, True
         try:
+            self._whole = False
             self._take_requests()
+            self._whole = True
             times = {one.plant: one.sampling.last for one in self.watch.plants.values() if one.count}
             for source in self.sources:
                 source.resume(times)
@@ -239,24 +252,32 @@ class Run:
             pass
         finally:
             self._leave(ended)
+        wrong = [one for one in self.sources if ended and not one.health.good]
+        if wrong:
+            raise DataError(f"{wrong[0].name}: {wrong[0].health.text}; what had come before is in the store")
 
     def _work(self) -> bool:
         """Work; return whether all sources have ended."""
         next_tick = next_slow = 0.0
         while not self.stopping.is_set():
+            over = all(one.finite and one.over for one in self.sources)  # asked first: they put before they are over
             messages = self.inbox.take(AT_ONCE, _TICK)
-            now = time.time()
+            self._whole = False  # until what is done in memory is in the store
             if messages:
-                self.apply(messages, now)
+                self.apply(messages)
+            now = time.monotonic()
             if now >= next_tick:
                 next_tick = now + _TICK
-                self._release(now)
+                self._release(min(time.time(), self.inbox.oldest()))
             if now >= next_slow:
                 next_slow = now + _SLOW_TICK
                 self._look_around(now)
-            if not messages and all(one.finite and one.over for one in self.sources) and not len(self.inbox):
+            ended = over and not messages and not len(self.inbox)
+            if ended:
                 self._release(float("inf"))
                 self._commit(self.watch.standing())
+            self._whole = True
+            if ended:
                 return True
         return False
 
@@ -264,6 +285,16 @@ class Run:
     def takes_new(self) -> bool:
         """Whether plants that are not listed are taken in."""
         return bool(self._open)
+
+    @property
+    def problems(self) -> list[str]:
+        """What hinders the run, or makes its answers doubtful, in words."""
+        out = (
+            []
+            if self.patient.health.good
+            else [f"store: {self.patient.health.text}; nothing is acknowledged meanwhile"]
+        )
+        return out + list(self._odd_steps.values())
 
     def stop(self) -> None:
         """End soon; from any thread, or a signal."""
@@ -276,12 +307,14 @@ class Run:
         for source in self.sources:
             source.stop()
         try:
-            if self.patient.health.good:
+            if self._whole and self.patient.health.good:
                 self.store.commit(self.watch.rest())
+        except StoreAwayError as error:  # the next start then runs some rows again
+            _LOG.warning("%s", error)
         finally:
             for delivery in self.deliveries:
-                if ended:
-                    delivery.finish(self.committed, _LEAVING)
+                if ended and not delivery.finish(self.committed, _LEAVING):
+                    _LOG.warning("sink %s: events wait; the next run delivers them", delivery.sink.name)
             self.stopping.set()
             with self.news:
                 self.news.notify_all()
@@ -299,8 +332,9 @@ class Run:
 
     # ------------------------------------------------------------------------ a batch
 
-    def apply(self, messages: Sequence[Message], now: float) -> None:
+    def apply(self, messages: Sequence[Message]) -> None:
         """Take messages, commit what follows from them, and acknowledge them."""
+        now = time.monotonic()
         readings = self._readings(messages, now)
         work: dict[str, Work] = {}
         touched: set[str] = set()
@@ -336,7 +370,9 @@ class Run:
             self.numbers.messages[message.source.name] += 1
             before = len(new)
             try:
-                out.append(readings_of(message, layout))
+                one = readings_of(message, layout)
+                one.arrived, one.past = message.arrived, message.source.rereads
+                out.append(one)
             except MessageError as error:
                 if len(new) > before:  # a plant is taken in by what can be used of it
                     new.popitem()
@@ -352,24 +388,36 @@ class Run:
         done = work.get(plant.plant)
 
         def known(time: float) -> Sequence[float] | None:
-            return self._known(plant, time, work.get(plant.plant), model.layout.dt)
+            return self._known(plant, time, model.layout.dt)
 
         before = plant.sampling
         plant.sampling, rows, remarks = sample(
-            before, readings, model.layout.dt, self._sampling[plant.model], now, known
+            before, readings, model.layout.dt, self._sampling[plant.model], readings.arrived, known
         )
         plant.heard = now
+        if plant.steps.odd(readings.times, model.layout.dt):
+            self._tell_step(plant, model.layout.dt)
         if remarks:
             self._remark(plant, remarks, work, rows, now)
         if rows:
             if done is None:
                 done = work.setdefault(plant.plant, Work())
             done.rows += rows
+            plant.remember(rows)
             self.numbers.rows[plant.model] += sum(len(one.times) for one in rows)
         elif plant.sampling is not before:
             touched.add(plant.plant)
         if plant.sampling.pending:
             self._pending.add(plant.plant)
+
+    def _tell_step(self, plant: WatchedPlant, dt: float) -> None:
+        """Say that a plant has another step than its monitor."""
+        if plant.plant not in self._odd_steps and len(self._odd_steps) < _MOST_ODD:
+            said = (
+                f"{visible(plant.plant)} sends every {plant.steps.usual:.6g} s, its monitor runs at {dt:g} s: make one "
+            )
+            self._odd_steps[plant.plant] = f"{said}for that step, or send at that of the monitor"
+            _LOG.warning("%s", self._odd_steps[plant.plant])
 
     def _remark(
         self, plant: WatchedPlant, remarks: Sequence[Remark], work: dict[str, Work], rows: Sequence[Rows], now: float
@@ -381,9 +429,9 @@ class Run:
             else:
                 self._drop(one.kind, plant.plant, f"at {one.time:.15g} s", now, one.count)
 
-    def _known(self, plant: WatchedPlant, time: float, work: Work | None, dt: float) -> Sequence[float] | None:
-        """Return the row that is out for a time: of this batch, or of those that are stored."""
-        for rows in reversed(work.rows if work else ()):
+    def _known(self, plant: WatchedPlant, time: float, dt: float) -> Sequence[float] | None:
+        """Return the row that is out for a time: of the last ones, or of those that are stored."""
+        for rows in reversed(plant.recent):
             near = np.flatnonzero(np.abs(rows.times - time) < 0.5 * dt)
             if near.size:
                 return rows.values[near[-1]].tolist()
@@ -405,9 +453,10 @@ class Run:
             plant.sampling, rows, remarks = due(plant.sampling, model.layout.dt, self._sampling[plant.model], now)
             if rows:
                 work[name] = Work(rows)
+                plant.remember(rows)
                 self.numbers.rows[plant.model] += sum(len(one.times) for one in rows)
             if remarks:
-                self._remark(plant, remarks, work, (), now)
+                self._remark(plant, remarks, work, (), time.monotonic())
             if not plant.sampling.pending:
                 self._pending.discard(name)
         if work:
@@ -416,17 +465,16 @@ class Run:
     def _look_around(self, now: float) -> None:
         """Tell of silent plants, take requests from the store, and drop old events."""
         self._commit(self.watch.silent(now, self.settings.sampling.silence))
-        if self.patient.health.good:
-            self._take_requests()
+        self._take_requests()
         done = min((one.position for one in self.deliveries), default=self.committed)
         before = min(done, self.committed - self.settings.store.keep_events)
         if before - self._dropped >= _DROPPED_AT_ONCE:
             self._dropped = before
-            self.store.drop_events(before)
+            self.patient.drop_events(before)
 
     def _take_requests(self) -> None:
         """Let plants begin anew for which somebody has asked it."""
-        for name, wanted in self.store.meta().items():
+        for name, wanted in self.patient.meta().items():
             if name.startswith("reset ") and wanted:
                 plant = name.removeprefix("reset ")
                 changes = self.watch.reset(plant) if plant in self.watch.plants else Changes()
@@ -452,7 +500,7 @@ class Run:
     def _drop(self, reason: str, where: str, text: str, now: float, count: int = 1) -> None:
         """Count what is dropped, and log it once a second at most for each reason."""
         self.numbers.dropped[reason] += count
-        last, more = self._said.get(reason, (0.0, 0))
+        last, more = self._said.get(reason, (-math.inf, 0))
         if now - last < 1.0:
             self._said[reason] = (last, more + count)
             return
@@ -463,7 +511,7 @@ class Run:
     def wait_for_event(self, place: int, timeout: float) -> bool:
         """Wait until there is an event after a place, or the time is over; return whether there is one."""
         with self.news:
-            if self.committed <= place and not self.stopping.is_set():
+            if self.committed <= place:
                 self.news.wait(timeout)
             return self.committed > place
 

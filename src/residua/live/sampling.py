@@ -8,6 +8,7 @@ order, each once. The grid follows the plant's clock slowly, so that a step that
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -84,7 +85,8 @@ class SamplingState:
     late : int
         Readings in a row that were older than the last row.
     back : bool
-        Whether the clock has gone back: readings are refused until their time is past the last row.
+        Whether the clock has gone back: readings are refused until their time is past the last row, by as many rows as
+        let the filter start anew.
     """
 
     last: float = math.nan
@@ -183,7 +185,7 @@ def sample(
     rows: list[Rows] = []
     remarks: list[Remark] = []
     for k, time in enumerate(readings.times):
-        state = _one(state, time, readings, k, dt, arrived, known, remarks)
+        state = _one(state, time, readings, k, dt, settings.longest_gap, arrived, known, remarks)
         state, released = _released(state, dt, settings, arrived, remarks)
         rows += released
     return state, rows, remarks
@@ -204,17 +206,19 @@ def _next_rows(
     state: SamplingState, readings: Readings, dt: float, settings: SamplingSettings
 ) -> tuple[SamplingState, list[Rows], list[Remark]] | None:
     """Return whole rows, each a step after the one before and the first a step after the last one; else ``None``."""
-    if state.pending or readings.stated is not None or settings.max_age > 0:
+    if state.pending or state.back or readings.stated is not None or settings.max_age > 0:
         return None
     grid, times, half = state.grid, readings.times, 0.5 * dt
     if grid != grid:
         grid = times[0] - dt
     for time in times:
-        off = time - grid - dt
+        expected = grid + dt
+        off = time - expected
         if off >= half or off <= -half:
             return None
-        grid = grid + dt + FOLLOW * off
-    after = SamplingState(times[-1], grid, readings.dated)
+        grid = expected + FOLLOW * off
+    dated = state.dated if state.grid == state.grid else readings.dated
+    after = SamplingState(times[-1], grid, dated)
     return after, [Rows(np.array(times), readings.values)], []
 
 
@@ -224,6 +228,7 @@ def _one(
     readings: Readings,
     k: int,
     dt: float,
+    longest_gap: int,
     arrived: float,
     known: Known,
     remarks: list[Remark],
@@ -233,12 +238,14 @@ def _one(
         state = replace(state, grid=time - dt, last=time - dt, dated=readings.dated)
     number = round((time - state.grid) / dt)
     values = readings.values[k]
+    if state.back and number <= longest_gap:  # what follows is another stretch: the filter starts anew for the gap
+        remarks.append(Remark("refused", time))
+        return state
     if number <= 0:
-        return _old(state, time, values, readings.stated, known, remarks)
+        return _old(state, time, values, readings, known, remarks)
     if state.late or state.back:
         state = replace(state, late=0, back=False)
-    slots = dict(state.pending)
-    slot = slots.get(number)
+    place, slot = _slot_at(state.pending, number)
     if slot is None:
         slot = Slot(time, (math.nan,) * len(values), 0, arrived)
     now, bits, clash = list(slot.values), slot.stated, False
@@ -251,37 +258,39 @@ def _one(
     if bits == slot.stated:
         remarks.append(Remark("conflict" if clash else "repeat", time))
         return state
-    slots[number] = Slot(slot.time, tuple(now), bits, slot.arrived)
-    return replace(state, pending=tuple(sorted(slots.items())))
+    new = (number, Slot(slot.time, tuple(now), bits, slot.arrived))
+    after = place + 1 if place < len(state.pending) and state.pending[place][0] == number else place
+    return replace(state, pending=(*state.pending[:place], new, *state.pending[after:]))
+
+
+def _slot_at(pending: Sequence[tuple[int, Slot]], number: int) -> tuple[int, Slot | None]:
+    """Return where the slot of a row is, or would be, and the slot if there is one."""
+    if not pending or number > pending[-1][0]:
+        return len(pending), None
+    place = bisect_left(pending, number, key=lambda one: one[0])
+    return place, pending[place][1] if pending[place][0] == number else None
 
 
 def _old(
     state: SamplingState,
     time: float,
     values: NDArray[np.float64],
-    stated: tuple[int, ...] | None,
+    readings: Readings,
     known: Known,
     remarks: list[Remark],
 ) -> SamplingState:
     """Say of a reading for a row that is out whether it was said before, and whether the clock has gone back."""
-    if state.back:
-        remarks.append(Remark("refused", time))
-        return state
-    row = known(time)
+    row, kind = known(time), "late"
     if row is not None:
-        pairs = [(row[c], float(values[c])) for c in (range(len(values)) if stated is None else stated)]
+        stated = range(len(values)) if readings.stated is None else readings.stated
+        pairs = [(row[c], float(values[c])) for c in stated]
         if all(_same(a, b) for a, b in pairs):
             remarks.append(Remark("repeat", time))
             return state
-        if any(a == a for a, _ in pairs):
-            remarks.append(Remark("conflict", time))
-            return _later(state, time, remarks)
-    remarks.append(Remark("late", time))
-    return _later(state, time, remarks)
-
-
-def _later(state: SamplingState, time: float, remarks: list[Remark]) -> SamplingState:
-    """Count a reading that is older than the last row."""
+        kind = "conflict" if any(a == a for a, _ in pairs) else "late"
+    remarks.append(Remark(kind, time))
+    if readings.past:
+        return state
     late = state.late + 1
     if late < BACK_AFTER:
         return replace(state, late=late)
@@ -293,29 +302,30 @@ def _released(
     state: SamplingState, dt: float, settings: SamplingSettings, now: float, remarks: list[Remark]
 ) -> tuple[SamplingState, list[Rows]]:
     """Release rows from the front for as long as they are complete or overdue."""
-    out = _Releasing(state, dt, settings)
-    pending = list(state.pending)
-    while pending:
-        number, slot = pending[0]
+    out, pending, k = _Releasing(state, dt, settings), state.pending, 0
+    spoken = _spoken_of(pending) if settings.max_age > 0 else 0
+    last = pending[-1][1].time if pending else math.nan
+    while k < len(pending):
+        number, slot = pending[k]
         full = (1 << len(slot.values)) - 1
-        overdue = now - slot.arrived >= settings.wait or len(pending) > MOST_PENDING
-        newest = math.inf if overdue else pending[-1][1].time
+        if k and settings.max_age > 0:
+            spoken = _spoken_of(pending[k:])
+        overdue = now - slot.arrived >= settings.wait or len(pending) - k > MOST_PENDING
+        newest = math.inf if overdue else last
         gap = number - out.step - 1
         if gap:
-            later = settings.max_age > 0 and _spoken_of(pending) == full
-            gone = gap if later or newest == math.inf else _steps(newest - settings.wait - out.grid, dt)
+            gone = gap if spoken == full or newest == math.inf else _steps(newest - settings.wait - out.grid, dt)
             if gone < 1:
                 break
             remarks.append(Remark("gap", out.grid + dt, min(gap, gone)))
             out.skip(min(gap, gone), len(slot.values))
             if gone < gap:
                 break
-        due_at = out.grid + dt + settings.wait
-        if slot.stated != full and newest < due_at and not (settings.max_age > 0 and _spoken_of(pending) == full):
+        if slot.stated != full and newest < out.grid + dt + settings.wait and spoken != full:
             break
         out.take(slot)
-        pending.pop(0)
-    return out.finished(pending)
+        k += 1
+    return out.finished(pending[k:])
 
 
 class _Releasing:
@@ -330,10 +340,15 @@ class _Releasing:
 
     def skip(self, rows: int, width: int) -> None:
         """Let rows go that nothing was said of; of a long gap not all of them."""
-        for j in range(1, min(rows, self.settings.longest_gap) + 1):
+        empty = 0
+        for j in range(1, rows + 1):
             moment = self.grid + j * self.dt
+            values = _held(self.held, self.held_at, moment, width, self.settings)
+            empty += all(value != value for value in values)
+            if empty > self.settings.longest_gap:
+                break
             self.times.append(moment)
-            self.values.append(_held(self.held, self.held_at, moment, width, self.settings))
+            self.values.append(values)
         self.step += rows
         self.grid += rows * self.dt
         self.last = self.grid

@@ -52,7 +52,9 @@ def secret(settings: Any, name: str) -> str | None:
     if variable:
         value = os.environ.get(variable)
         if value is None:
-            raise SettingError(f"{name}_env: the environment variable {variable} is not set")
+            # What is no name may be the secret itself.
+            shown = f" {variable}" if variable.isidentifier() else ", of which the name is no name,"
+            raise SettingError(f"{name}_env: the environment variable{shown} is not set")
         return _checked(value, f"{name}_env: the environment variable {variable}")
     return None
 

@@ -38,6 +38,9 @@ class Source(ABC):
         Which source it is, for the page and the log; never with a secret in it.
     finite : bool
         Whether it ends by itself, as a recording does: the run ends when all sources have.
+    rereads : bool
+        Whether it brings again what it has brought before, as a file does that is read from its beginning: that
+        readings are old then says nothing of the clock of a plant.
 
     Notes
     -----
@@ -47,6 +50,7 @@ class Source(ABC):
 
     kind: ClassVar[str]
     finite: bool = False
+    rereads: bool = False
     name: str
 
     @abstractmethod

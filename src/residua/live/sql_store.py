@@ -42,7 +42,8 @@ _EVENT = (
     "INSERT INTO events (place, plant, number, kind, time, clock, content) VALUES (?, ?, ?, ?, ?, ?, ?) "
     "ON CONFLICT (place) DO NOTHING"
 )
-_META = "INSERT INTO meta (name, value) VALUES (?, ?) ON CONFLICT (name) DO UPDATE SET value = excluded.value"
+#: Writes a fact about the whole.
+META = "INSERT INTO meta (name, value) VALUES (?, ?) ON CONFLICT (name) DO UPDATE SET value = excluded.value"
 _POSITION = (
     "INSERT INTO sinks (name, position) VALUES (?, ?) ON CONFLICT (name) DO UPDATE SET position = excluded.position"
 )
@@ -58,6 +59,9 @@ class SqlStore(Store):
     @abstractmethod
     def _query(self, text: str, values: Sequence[Any] = ()) -> list[Any]:
         """Return the rows of a question."""
+
+    def _check_owner(self, cursor: Any) -> None:
+        """Raise where another run has the store now; where the lock of a run cannot be lost there is none."""
 
     @staticmethod
     def _worded(text: str) -> str:
@@ -92,6 +96,7 @@ class SqlStore(Store):
     def commit(self, changes: Changes) -> None:
         """Write changes in one transaction."""
         with self._transaction() as cursor:
+            self._check_owner(cursor)
             if changes.plants:
                 cursor.executemany(self._worded(_PLANT), [one.values() for one in changes.plants.values()])
             if changes.rows:
@@ -102,7 +107,7 @@ class SqlStore(Store):
             if changes.events:
                 cursor.executemany(self._worded(_EVENT), [_event_out(one) for one in changes.events])
             if changes.meta:
-                cursor.executemany(self._worded(_META), list(changes.meta.items()))
+                cursor.executemany(self._worded(META), list(changes.meta.items()))
 
     def events(self, after: int, limit: int, plant: str | None = None) -> list[Event]:
         """Return events after a place."""
@@ -136,7 +141,7 @@ class SqlStore(Store):
         """Drop events before a place."""
         last = self.last_place()
         with self._transaction() as cursor:
-            cursor.execute(self._worded(_META), ("dropped", str(last)))
+            cursor.execute(self._worded(META), ("dropped", str(last)))
             cursor.execute(self._worded("DELETE FROM events WHERE place < ?"), (before,))
 
     def _check_schema(self) -> None:
@@ -144,7 +149,7 @@ class SqlStore(Store):
         known = self.meta().get("schema")
         if known is None:
             with self._transaction() as cursor:
-                cursor.execute(self._worded(_META), ("schema", SCHEMA))
+                cursor.execute(self._worded(META), ("schema", SCHEMA))
         elif known != SCHEMA:
             raise StoreError(f"the store has tables of version {known}, this residua reads version {SCHEMA}")
 
@@ -159,4 +164,4 @@ def _event_in(row: Any) -> Event:
     return Event(int(place), plant, int(number), kind, float(time), clock, json.loads(content))
 
 
-__all__ = ["SCHEMA", "TABLES", "SqlStore"]
+__all__ = ["META", "SCHEMA", "TABLES", "SqlStore"]

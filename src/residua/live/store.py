@@ -14,7 +14,7 @@ from residua.live.events import Event
 from residua.live.watched_plant import WatchedPlant
 
 
-class StoreAwayError(Exception):
+class StoreAwayError(ResiduaError, OSError):
     """The store cannot be reached now: the same is tried again later. The text has no secret in it."""
 
 

@@ -34,9 +34,9 @@ STORED_EVERY = 256
 #: So many times the rows that are kept, an alarm that stands longer loses its beginning.
 LONGEST_ALARM = 10
 #: Rows whose decisions are kept in memory while an alarm stands; those of more plants are made again for every look.
-_MOST_JUDGED = 50_000
+_MOST_JUDGED = 100_000
 #: In the order of events at one row.
-_RANKS = {"clock": 0, "back": 1, "ended": 2, "raised": 3, "renamed": 4, "missing": 5, "standing": 6}
+_RANKS = {"clock": 0, "back": 1, "raised": 2, "renamed": 2, "ended": 2, "missing": 3, "standing": 4}
 
 
 @dataclass(slots=True)
@@ -77,6 +77,8 @@ class Watch:
         By which rows are read while a batch is worked at.
     now : float
         Seconds since 1970.
+    heard : float, optional
+        When plants count as heard of last; by the clock that :meth:`silent` goes by.
 
     Raises
     ------
@@ -84,12 +86,20 @@ class Watch:
         If the store has plants of a model that is not there, or of another monitor.
     """
 
-    def __init__(self, models: Mapping[str, WatchedModel], store: Store, patient: Patience, now: float) -> None:
+    def __init__(
+        self,
+        models: Mapping[str, WatchedModel],
+        store: Store,
+        patient: Patience,
+        now: float,
+        heard: float | None = None,
+    ) -> None:
         self.models, self.store, self._patient = dict(models), store, patient
         self.plants: dict[str, WatchedPlant] = {}
         self._blocks: dict[str, FleetBlock] = {}
         self._by_place: dict[str, list[WatchedPlant]] = {name: [] for name in models}
         self._judged: dict[int, Judged] = {}
+        self.judged = 0
         self.last_place = store.last_place()
         self._check_models(store.meta())
         states: dict[str, list[State]] = {name: [] for name in models}
@@ -100,6 +110,7 @@ class Watch:
                     "configured: name it again, or begin with a new store"
                 )
             plant.take_record(record, now)
+            plant.heard = now if heard is None else heard
             states[plant.model].append(self._recovered(plant, running))
             self._place(plant)
         for name, model in self.models.items():
@@ -112,7 +123,7 @@ class Watch:
             if known is not None and known != model.fingerprint:
                 raise DataError(
                     f"the store goes on with another monitor of {echo(name)}, or with other thresholds: begin with a "
-                    "new store, or give the model another name"
+                    "new store"
                 )
 
     def _place(self, plant: WatchedPlant) -> None:
@@ -168,7 +179,11 @@ class Watch:
         for name, one in work.items():
             plant = self.plants[name]
             for rows, time in one.clocks:
-                batch.events[plant.key].append((plant.count + rows, _RANKS["clock"], time, "clock", {}))
+                said = (
+                    "the clock has gone back: readings are refused until they are later than the last row, or a reset"
+                )
+                content = {"until": plant.sampling.last, "text": [said]}
+                batch.events[plant.key].append((plant.count + rows, _RANKS["clock"], time, "clock", content))
             if len(one.rows) == 1:
                 waiting.append((plant, one.rows[0].times, one.rows[0].values))
             elif one.rows:
@@ -204,6 +219,7 @@ class Watch:
             alarm, missing, statistic = (made[asked] for asked in _ASKED)
             some: Any = (alarm.any(axis=1), missing.any(axis=1))
             alarmed, gaps = (one.tolist() for one in some)
+            self.judged += int(np.count_nonzero(np.isfinite(statistic)))
             ratios = (statistic[:, -1] / threshold).tolist()
             for k, (plant, times, values) in enumerate(ones):
                 first = plant.count
@@ -382,7 +398,9 @@ class Watch:
         changes = Changes()
         for plant in self.plants.values():
             known = math.isfinite(plant.sampling.last)  # not after a reset
-            if known and plant.missing is None and now - plant.heard > after:
+            model = self.models[plant.model]
+            quiet = max(after, 2 * model.longest_gap * model.layout.dt)
+            if known and plant.missing is None and now - plant.heard > quiet:
                 plant.missing = tuple(range(len(self.models[plant.model].layout.channels)))
                 plant.whole = 0
                 channels = list(self.models[plant.model].layout.channels)
@@ -394,8 +412,9 @@ class Watch:
         """Tell of the alarms that stand where the data end."""
         batch = _empty_batch()
         for plant in self.plants.values():
-            if not plant.told:
+            if not plant.told or plant.standing_at == plant.count:
                 continue
+            plant.standing_at = plant.count
             judged = self._judged_to(plant, plant.count, batch)
             row = (plant.count, _RANKS["standing"], judged.last_time, "standing")
             alarms = judged.dated(judged.alarms(), plant.open_since)
@@ -417,7 +436,8 @@ class Watch:
         block.replace_state(np.array([one.place]), model.start())
         self._judged.pop(one.key, None)
         one.sampling, one.told, one.open_row, one.ratio = SamplingState(), [], -1, math.nan
-        one.anchor, one.anchor_at, one.mark, one.mark_at = state_to_bytes(model.start()), one.count, None, one.count
+        one.anchor = one.mark = state_to_bytes(model.start())
+        one.anchor_at = one.mark_at = one.count
         batch.changes.forgotten[one.key] = one.count
         one.running_at = -1  # is stored anew
         batch.moved.add(one.key)

@@ -4,11 +4,49 @@ from __future__ import annotations
 
 import json
 import math
+from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from residua.live.alarm_events import ToldAlarm
-from residua.live.sampling import SamplingState
+from residua.live.sampling import Rows, SamplingState
+
+#: Rows of a plant that are kept at hand at least.
+AT_HAND = 64
+#: Steps of another length, and so many times those of the right one, from which on the plant has another step.
+ODD_STEPS = 10
+
+
+@dataclass(slots=True)
+class Steps:
+    """How far apart the readings of a plant are, for the question whether that is the step of its monitor.
+
+    Attributes
+    ----------
+    last : float
+        The time of the last reading.
+    right, wrong : int
+        Steps that were those of the monitor, and others; repeats do not count.
+    usual : float
+        The last one of the others.
+    """
+
+    last: float = math.nan
+    right: int = 0
+    wrong: int = 0
+    usual: float = math.nan
+
+    def odd(self, times: Sequence[float], dt: float) -> bool:
+        """Take note of times of readings; return whether they are nearly all of another step."""
+        step = times[0] - self.last if len(times) == 1 else times[1] - times[0]
+        self.last = times[-1]
+        if step > 0:
+            if abs(step - dt) < dt / 4:
+                self.right += 1
+            else:
+                self.wrong, self.usual = self.wrong + 1, step
+        return self.wrong >= ODD_STEPS and self.wrong > ODD_STEPS * self.right
 
 
 @dataclass(slots=True, eq=False)
@@ -42,6 +80,8 @@ class WatchedPlant:
     anchor, mark : bytes or None
         Running states at the rows ``anchor_at``, from which on rows are kept, and ``mark_at``, where the anchor goes
         next; ``None``: the start.
+    standing_at : int
+        The row at which an alarm was told to stand where the data end.
     running_at : int
         The row at which the store has the running state.
     said : tuple of (str, str, float), or None
@@ -49,7 +89,10 @@ class WatchedPlant:
     ratio : float
         Of the last row, statistic over threshold.
     heard : float
-        When something came of it last, by the clock.
+        When something came of it last, by a clock that only goes forward.
+    steps : Steps
+    recent : deque of Rows
+        The last rows; ``recent_rows`` of them.
     """
 
     key: int
@@ -71,10 +114,22 @@ class WatchedPlant:
     anchor_at: int = 0
     mark: bytes | None = None
     mark_at: int = 0
+    standing_at: int = -1
     running_at: int = 0
     said: tuple[str, str, float] | None = None
     ratio: float = math.nan
     heard: float = 0.0
+    steps: Steps = field(default_factory=Steps)
+    recent: deque[Rows] = field(default_factory=deque)
+    recent_rows: int = 0
+
+    def remember(self, rows: Sequence[Rows]) -> None:
+        """Keep the last rows at hand, for readings that come again."""
+        for one in rows:
+            self.recent.append(one)
+            self.recent_rows += len(one.times)
+        while len(self.recent) > 1 and self.recent_rows - len(self.recent[0].times) >= AT_HAND:
+            self.recent_rows -= len(self.recent.popleft().times)
 
     def to_record(self) -> str:
         """Return what changes with every row, as JSON."""
@@ -82,13 +137,15 @@ class WatchedPlant:
         content += [self.gap, self.whole, None if self.missing is None else list(self.missing)]
         content += [[one.to_record() for one in self.told], self.sampling.to_record()]
         content.append(None if self.said is None else list(self.said))
+        content += [self.standing_at, self.ratio if math.isfinite(self.ratio) else None]
         return json.dumps(content, allow_nan=False)
 
     def take_record(self, record: str, now: float) -> None:
         """Take over what :meth:`to_record` wrote; what was pending counts as having come at ``now``."""
         content = json.loads(record)
         self.count, self.number, self.open_row, self.open_since, self.last_on, self.next_look = content[:6]
-        self.gap, self.whole, missing, told, sampling, said = content[6:]
+        self.gap, self.whole, missing, told, sampling, said, self.standing_at, ratio = content[6:]
+        self.ratio = math.nan if ratio is None else ratio
         self.said = None if said is None else (str(said[0]), str(said[1]), float(said[2]))
         self.missing = None if missing is None else tuple(missing)
         self.told = [ToldAlarm.from_record(one) for one in told]

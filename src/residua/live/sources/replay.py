@@ -136,6 +136,7 @@ class Replay(ThreadedSource):
 
     kind: ClassVar[str] = "replay"
     finite = True
+    rereads = True
 
     def __init__(self, settings: Settings, models: Mapping[str, Plant]) -> None:
         paths = [settings.file] if settings.file else list(settings.files.values())

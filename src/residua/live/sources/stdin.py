@@ -76,6 +76,7 @@ class JsonLines(ThreadedSource):
         self._settings = settings
         self._waker = Waker()
         self.finite = not settings.follow
+        self.rereads = _is_file(settings.path)
 
     def wake(self) -> None:
         """Make the thread look whether the run is ending."""
@@ -130,6 +131,14 @@ class JsonLines(ThreadedSource):
                 return
             else:
                 self.stopping.wait(0.2)  # of what is at its end, a system only says that it can be read
+
+
+def _is_file(path: str) -> bool:
+    """Tell whether lines come from a file, which begins at its beginning when it is read again."""
+    try:
+        return stat.S_ISREG(os.stat(path).st_mode if path else os.fstat(sys.stdin.fileno()).st_mode)
+    except (OSError, ValueError, AttributeError):  # a standard input that is none
+        return False
 
 
 def split(pieces: Iterator[bytes], most: int = LARGEST) -> Iterator[bytes | None]:
