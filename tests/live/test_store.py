@@ -203,3 +203,24 @@ def test_a_database_that_comes_back_goes_on_and_is_still_owned() -> None:
         assert "hidden" not in str(error.value)
     finally:
         database.stop()
+
+
+def test_a_run_whose_database_another_has_taken_over_ends() -> None:
+    database = Database()
+    from residua.live.postgresql_store import PostgresqlStore
+
+    database.start()
+    try:
+        first, second = PostgresqlStore(database.dsn), PostgresqlStore(database.dsn)
+        first.open()
+        first.commit(changes())
+        assert first._owner is not None
+        first._owner.close()  # lost, as by a server that was started again
+        second.open()
+        second.commit(changes(first=3, place=2))
+        second.close()
+        with pytest.raises(StoreError, match="another run has taken this database over"):
+            first.commit(changes(first=3, place=2))
+        first.close()
+    finally:
+        database.stop()
