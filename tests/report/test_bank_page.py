@@ -144,8 +144,8 @@ def test_nothing_of_a_bank_is_taken_as_html(sized: rs.Diagnosis) -> None:
     nasty = replace(sized.codes, members=tuple(m.name for m in members))
     alarms = tuple(replace(a, reading=nasty.read(a.reading.pattern)) for a in sized.alarms if a.reading)
     page = render([Section("", replace(sized, codes=nasty, alarms=alarms))], "t")
-    reader = read(page)
-    assert [tag for tag, _ in reader.tags].count("script") == 4
+    reader, plain = read(page), read(render([Section("", sized)], "t"))
+    assert [tag for tag, _ in reader.tags].count("script") == [tag for tag, _ in plain.tags].count("script")
     assert "img" not in [tag for tag, _ in reader.tags]
 
 

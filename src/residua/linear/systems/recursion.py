@@ -201,7 +201,7 @@ def _run_compiled(
     assert _kernel is not None
     x_next = np.empty(x.shape)
     r = np.empty((v.shape[0], v.shape[1], matrices[2].shape[0]))
-    _kernel.run(*matrices, x, v, x_next, r, path, *(() if w is None else (w,)))
+    _kernel.run(*matrices, np.ascontiguousarray(x), v, x_next, r, path, *(() if w is None else (w,)))
     return x_next, r
 
 
