@@ -1,4 +1,4 @@
-// Numbers, times and colours as the charts of all pages show them.
+// Numbers, times, colours and thresholds as the charts of all pages show them.
 const residuaAxes = (function () {
   "use strict";
 
@@ -55,5 +55,29 @@ const residuaAxes = (function () {
     });
   }
 
-  return { colours, two, day, clockTime, clockTicks, short, ticks };
+  // The line of a threshold with its value, above everything else in the chart.
+  function drawThreshold(u, threshold, colours) {
+    const ctx = u.ctx, box = u.bbox, pixel = devicePixelRatio;
+    const at = u.valToPos(threshold, "y", true);
+    ctx.setLineDash([7 * pixel, 4 * pixel]);
+    ctx.strokeStyle = ctx.fillStyle = colours.threshold;
+    ctx.lineWidth = 1.75 * pixel;
+    ctx.beginPath();
+    ctx.moveTo(box.left, at);
+    ctx.lineTo(box.left + box.width, at);
+    ctx.stroke();
+    ctx.textAlign = "left";
+    ctx.font = 12 * pixel + "px system-ui, sans-serif";
+    const room = at - box.top > 20 * pixel;
+    ctx.textBaseline = room ? "bottom" : "top";
+    const place = ["threshold " + short(threshold), box.left + 6 * pixel, at + (room ? -3 : 3) * pixel];
+    ctx.setLineDash([]);
+    ctx.strokeStyle = colours.paper;
+    ctx.lineWidth = 4 * pixel;
+    ctx.lineJoin = "round";
+    ctx.strokeText(...place);
+    ctx.fillText(...place);
+  }
+
+  return { colours, two, day, clockTime, clockTicks, short, ticks, drawThreshold };
 })();

@@ -1,7 +1,7 @@
 // The charts of one plant: statistic, residuals and signals, which follow the data or stand still where zoomed.
 const residuaLiveCharts = (function () {
   "use strict";
-  const { day, clockTime, clockTicks, short, ticks, colours: readColours } = residuaAxes;
+  const { day, clockTime, clockTicks, short, ticks, drawThreshold, colours: readColours } = residuaAxes;
   const HEIGHT = { statistic: 220, residual: 160, signal: 150 };
   const SHOWN = 6;
   const find = (selector) => document.querySelector(selector);
@@ -50,26 +50,7 @@ const residuaLiveCharts = (function () {
         ctx.setLineDash([2 * pixel, 3 * pixel]);
         ctx.strokeStyle = colours.onset;
         for (const onset of data.spans.onsets) upright(ctx, u.valToPos(onset, "x", true), box);
-        if (entry.threshold == null) return;
-        const at = u.valToPos(entry.threshold, "y", true);
-        ctx.setLineDash([7 * pixel, 4 * pixel]);
-        ctx.strokeStyle = ctx.fillStyle = colours.threshold;
-        ctx.lineWidth = 1.75 * pixel;
-        ctx.beginPath();
-        ctx.moveTo(box.left, at);
-        ctx.lineTo(box.left + box.width, at);
-        ctx.stroke();
-        ctx.textAlign = "left";
-        ctx.font = 12 * pixel + "px system-ui, sans-serif";
-        const room = at - box.top > 20 * pixel;
-        ctx.textBaseline = room ? "bottom" : "top";
-        const place = ["threshold " + short(entry.threshold), box.left + 6 * pixel, at + (room ? -3 : 3) * pixel];
-        ctx.setLineDash([]);
-        ctx.strokeStyle = colours.paper;
-        ctx.lineWidth = 4 * pixel;
-        ctx.lineJoin = "round";
-        ctx.strokeText(...place);
-        ctx.fillText(...place);
+        if (entry.threshold != null) drawThreshold(u, entry.threshold, colours);
       });
     };
   }

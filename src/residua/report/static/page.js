@@ -1,6 +1,6 @@
 (function () {
   "use strict";
-  const { day, clockTime, clockTicks, short, ticks } = residuaAxes;
+  const { day, clockTime, clockTicks, short, ticks, drawThreshold } = residuaAxes;
   const root = document.documentElement;
   const page = JSON.parse(document.getElementById("residua-data").textContent);
   const HEIGHT = { residual: 160, statistic: 220, member: 160, scores: 240, signal: 160 };
@@ -92,25 +92,7 @@
         ctx.stroke();
       }
       if (chart.threshold != null && !(chart.log && chart.threshold <= 0)) {
-        const at = u.valToPos(chart.threshold, "y", true);
-        ctx.setLineDash([7 * pixel, 4 * pixel]);
-        ctx.strokeStyle = ctx.fillStyle = colours.threshold;
-        ctx.lineWidth = 1.75 * pixel;
-        ctx.beginPath();
-        ctx.moveTo(box.left, at);
-        ctx.lineTo(box.left + box.width, at);
-        ctx.stroke();
-        ctx.textAlign = "left";
-        ctx.font = 12 * pixel + "px system-ui, sans-serif";
-        const room = at - box.top > 20 * pixel;
-        ctx.textBaseline = room ? "bottom" : "top";
-        const place = ["threshold " + short(chart.threshold), box.left + 6 * pixel, at + (room ? -3 : 3) * pixel];
-        ctx.setLineDash([]);
-        ctx.strokeStyle = colours.paper;
-        ctx.lineWidth = 4 * pixel;
-        ctx.lineJoin = "round";
-        ctx.strokeText(...place);
-        ctx.fillText(...place);
+        drawThreshold(u, chart.threshold, colours);
       }
       ctx.restore();
     };
