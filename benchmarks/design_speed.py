@@ -1,7 +1,7 @@
 """How much faster designs of larger plants are than those of another state of the source, in interleaved rounds.
 
-    git worktree add /tmp/before d3cd033
-    OPENBLAS_NUM_THREADS=1 python benchmarks/design_speed.py /tmp/before/src
+    git worktree add ../before d3cd033
+    OPENBLAS_NUM_THREADS=1 python benchmarks/design_speed.py ../before/src
 
 Every round runs each task once with either source, each in a process of its own, so that nothing is kept from one to
 the next; what counts is the processor time of the design alone, in medians. Without another source only today's times
