@@ -37,7 +37,8 @@ class Feed:
 
     def __call__(self, readings: Iterable[Readings], arrived: float = NOW) -> Feed:
         for one in readings:
-            self.state, rows, remarks = sample(self.state, one, self.dt, self.options, arrived, self.known)
+            one.arrived = arrived
+            self.state, rows, remarks = sample(self.state, one, self.dt, self.options, self.known)
             self.take(rows, remarks)
             again = SamplingState.from_record(self.state.to_record(), arrived)
             assert repr(again) == repr(self.state).replace(f"arrived={NOW}", f"arrived={arrived}")

@@ -289,12 +289,9 @@ class Run:
     @property
     def problems(self) -> list[str]:
         """What hinders the run, or makes its answers doubtful, in words."""
-        out = (
-            []
-            if self.patient.health.good
-            else [f"store: {self.patient.health.text}; nothing is acknowledged meanwhile"]
-        )
-        return out + list(self._odd_steps.values())
+        away = self.patient.health
+        store = [] if away.good else [f"store: {away.text}; nothing is acknowledged meanwhile"]
+        return [*store, *self._odd_steps.values()]
 
     def stop(self) -> None:
         """End soon; from any thread, or a signal."""
@@ -385,24 +382,19 @@ class Run:
         """Put readings on the grid of their plant."""
         plant = self.watch.plants[readings.plant]
         model = self.models[plant.model]
-        done = work.get(plant.plant)
 
         def known(time: float) -> Sequence[float] | None:
             return self._known(plant, time, model.layout.dt)
 
         before = plant.sampling
-        plant.sampling, rows, remarks = sample(
-            before, readings, model.layout.dt, self._sampling[plant.model], readings.arrived, known
-        )
+        plant.sampling, rows, remarks = sample(before, readings, model.layout.dt, self._sampling[plant.model], known)
         plant.heard = now
         if plant.steps.odd(readings.times, model.layout.dt):
             self._tell_step(plant, model.layout.dt)
         if remarks:
             self._remark(plant, remarks, work, rows, now)
         if rows:
-            if done is None:
-                done = work.setdefault(plant.plant, Work())
-            done.rows += rows
+            work.setdefault(plant.plant, Work()).rows += rows
             plant.remember(rows)
             self.numbers.rows[plant.model] += sum(len(one.times) for one in rows)
         elif plant.sampling is not before:
@@ -413,11 +405,10 @@ class Run:
     def _tell_step(self, plant: WatchedPlant, dt: float) -> None:
         """Say that a plant has another step than its monitor."""
         if plant.plant not in self._odd_steps and len(self._odd_steps) < _MOST_ODD:
-            said = (
-                f"{visible(plant.plant)} sends every {plant.steps.usual:.6g} s, its monitor runs at {dt:g} s: make one "
-            )
-            self._odd_steps[plant.plant] = f"{said}for that step, or send at that of the monitor"
-            _LOG.warning("%s", self._odd_steps[plant.plant])
+            steps = f"sends every {plant.steps.usual:.6g} s, its monitor runs at {dt:g} s"
+            said = f"{visible(plant.plant)} {steps}: make one for that step, or send at that of the monitor"
+            self._odd_steps[plant.plant] = said
+            _LOG.warning("%s", said)
 
     def _remark(
         self, plant: WatchedPlant, remarks: Sequence[Remark], work: dict[str, Work], rows: Sequence[Rows], now: float

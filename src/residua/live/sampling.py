@@ -155,7 +155,6 @@ def sample(
     readings: Readings,
     dt: float,
     settings: SamplingSettings,
-    arrived: float,
     known: Known,
 ) -> tuple[SamplingState, list[Rows], list[Remark]]:
     """Take readings of one plant, and release the rows that are complete or overdue.
@@ -167,8 +166,6 @@ def sample(
     dt : float
         Seconds between rows.
     settings : SamplingSettings
-    arrived : float
-        When the readings came, by the clock.
     known : callable
         Looks up rows that are out, for readings that come again.
 
@@ -185,8 +182,8 @@ def sample(
     rows: list[Rows] = []
     remarks: list[Remark] = []
     for k, time in enumerate(readings.times):
-        state = _one(state, time, readings, k, dt, settings.longest_gap, arrived, known, remarks)
-        state, released = _released(state, dt, settings, arrived, remarks)
+        state = _one(state, time, readings, k, dt, settings.longest_gap, known, remarks)
+        state, released = _released(state, dt, settings, readings.arrived, remarks)
         rows += released
     return state, rows, remarks
 
@@ -229,7 +226,6 @@ def _one(
     k: int,
     dt: float,
     longest_gap: int,
-    arrived: float,
     known: Known,
     remarks: list[Remark],
 ) -> SamplingState:
@@ -247,7 +243,7 @@ def _one(
         state = replace(state, late=0, back=False)
     place, slot = _slot_at(state.pending, number)
     if slot is None:
-        slot = Slot(time, (math.nan,) * len(values), 0, arrived)
+        slot = Slot(time, (math.nan,) * len(values), 0, readings.arrived)
     now, bits, clash = list(slot.values), slot.stated, False
     for c in range(len(values)) if readings.stated is None else readings.stated:
         value = float(values[c])
