@@ -13,7 +13,7 @@ from residua.errors import SettingError, missing_extra
 from residua.live.messages import LARGEST, Message
 from residua.live.secrets import check_secret, secret
 from residua.live.setting_checks import choice, file, flag, text, texts, whole
-from residua.live.source import Health, Pauses
+from residua.live.source import Pauses
 from residua.live.sources.threaded import HandOver, ThreadedSource
 from residua.live.sources.topics import Topics
 
@@ -182,7 +182,6 @@ class Kafka(ThreadedSource):
         self._safe: dict[_Part, int] = {}
         self._assignments = 0
         self._paused = False
-        self._hand: HandOver | None = None
         self._away = ""
         self._asked = 0.0
 
@@ -194,16 +193,9 @@ class Kafka(ThreadedSource):
                 if assignment is not None and self._ours.get(part) == assignment:
                     self._safe[part] = offset + 1
 
-    @property
-    def waiting(self) -> int:
-        """Messages that came, and wait to be put."""
-        return self._hand.count if self._hand else 0
-
     def work(self) -> None:
         """Read until the run ends; where librdkafka gives up, begin anew."""
-        hand = HandOver(self.put, _MOST, _MOST_BYTES, lambda: None, f"residua {self.name}, putting")
-        self._hand = hand
-        try:
+        with self.handing_over(_MOST, _MOST_BYTES, lambda: None) as hand:
             while not (self.stopping.is_set() or hand.ended):
                 try:
                     self._serve(hand)
@@ -211,9 +203,6 @@ class Kafka(ThreadedSource):
                     self.say(False, f"{self._where}: {_words(error)}; tries again")
                 if not hand.ended:
                     self._pauses.wait(self.stopping)
-        finally:
-            hand.close()
-            self._health = Health(False, "has ended")
 
     @property
     def _where(self) -> str:

@@ -14,7 +14,7 @@ from residua.errors import SettingError, missing_extra
 from residua.live.messages import LARGEST, Message
 from residua.live.secrets import check_secret, secret
 from residua.live.setting_checks import choice, file, flag, number, text, texts, whole
-from residua.live.source import Health, Pauses
+from residua.live.source import Pauses
 from residua.live.sources.threaded import HandOver, ThreadedSource
 from residua.live.sources.topics import Topics
 from residua.live.sources.waking import Waker
@@ -178,7 +178,6 @@ class Mqtt(ThreadedSource):
         self._safe: deque[Sequence[Message]] = deque()
         self._pauses = Pauses()
         self._generation = 0
-        self._hand: HandOver | None = None
         self._burst: list[Message] = []
         self.burst_bytes = 0
         self._now = 0.0
@@ -190,11 +189,6 @@ class Mqtt(ThreadedSource):
         if self._settings.qos:
             self._safe.append(messages)
             self._waker.wake()
-
-    @property
-    def waiting(self) -> int:
-        """Messages that came, and wait to be put."""
-        return self._hand.count if self._hand else 0
 
     def wake(self) -> None:
         """Make the thread look at what is new."""
@@ -208,9 +202,7 @@ class Mqtt(ThreadedSource):
     def work(self) -> None:
         """Connect, read until the connection is lost, and so on."""
         most = max(self._settings.receive_maximum, 2 * _BURST)
-        hand = HandOver(self.put, most, _MOST_BYTES, self._waker.wake, f"residua {self.name}, putting")
-        self._hand = hand
-        try:
+        with self.handing_over(most, _MOST_BYTES, self._waker.wake) as hand:
             while not (self.stopping.is_set() or hand.ended):
                 self._generation += 1
                 connection = _Connection(self, hand)
@@ -224,9 +216,6 @@ class Mqtt(ThreadedSource):
                 hand.forget(self._comes_again)
                 if not hand.ended:
                     self._pauses.wait(self.stopping)
-        finally:
-            hand.close()
-            self._health = Health(False, "has ended")
 
     @property
     def _where(self) -> str:

@@ -16,7 +16,7 @@ from residua.errors import SettingError, missing_extra
 from residua.live.messages import Message
 from residua.live.secrets import check_secret, secret
 from residua.live.setting_checks import choice, file, number, table_of_texts, text, texts, whole
-from residua.live.source import Health, Pauses
+from residua.live.source import Pauses
 from residua.live.sources.threaded import HandOver, ThreadedSource
 from residua.visible import echo
 
@@ -176,14 +176,8 @@ class OpcUa(ThreadedSource):
         self._password = secret(settings, "password")
         self._places = settings.table()
         self._pauses = Pauses()
-        self._hand: HandOver | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._awake: asyncio.Event | None = None
-
-    @property
-    def waiting(self) -> int:
-        """Values that came, and wait to be put."""
-        return self._hand.count if self._hand else 0
 
     def wake(self) -> None:
         """Make the thread look at what is new."""
@@ -193,13 +187,11 @@ class OpcUa(ThreadedSource):
 
     def work(self) -> None:
         """Connect, listen until the connection is lost, and so on."""
-        self._hand = HandOver(self.put, _MOST, 2**62, self.wake, f"residua {self.name}, putting")
-        try:
-            asyncio.run(self._work(self._hand))
-        finally:
-            self._loop = None
-            self._hand.close()
-            self._health = Health(False, "has ended")
+        with self.handing_over(_MOST, 2**62, self.wake) as hand:
+            try:
+                asyncio.run(self._work(hand))
+            finally:
+                self._loop = None
 
     async def _work(self, hand: HandOver) -> None:
         self._awake, self._loop = asyncio.Event(), asyncio.get_running_loop()

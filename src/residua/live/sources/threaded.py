@@ -6,7 +6,8 @@ import logging
 import threading
 from abc import abstractmethod
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from residua.live.messages import Message
 from residua.live.source import Health, RunStoppedError, Source
@@ -33,6 +34,7 @@ class ThreadedSource(Source):
         self._health = Health(False, "not started")
         self._thread: threading.Thread | None = None
         self._over = False
+        self._hand: HandOver | None = None
 
     def start(self, put: Callable[[Message], None]) -> None:
         """Begin."""
@@ -62,6 +64,21 @@ class ThreadedSource(Source):
         if (good, text) != (self._health.good, self._health.text):
             logger.log(logging.INFO if good else logging.WARNING, "%s: %s", self.name, text)
         self._health = Health(good, text)
+
+    @property
+    def waiting(self) -> int:
+        """What came, and waits to be put, of a source that hands over."""
+        return self._hand.count if self._hand else 0
+
+    @contextmanager
+    def handing_over(self, most: int, most_bytes: int, freed: Callable[[], None]) -> Iterator[HandOver]:
+        """Hand over for as long as :meth:`work` lasts; parameters as of :class:`HandOver`."""
+        self._hand = HandOver(self.put, most, most_bytes, freed, f"residua {self.name}, putting")
+        try:
+            yield self._hand
+        finally:
+            self._hand.close()
+            self._health = Health(False, "has ended")
 
     @abstractmethod
     def work(self) -> None:
