@@ -32,6 +32,7 @@ plant_header, tick_header = "src/residua/monitor/_plant_filter.h", "src/residua/
 kernels = [
     kernel("residua.linear.systems._recursion", [filter_header]),
     kernel("residua.monitor._fused", [filter_header, judging_header, plant_header, tick_header]),
+    kernel("residua.live._rows", []),
 ]
 
 setup(

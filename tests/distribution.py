@@ -21,6 +21,10 @@ SMOKE = Path(__file__).with_name("smoke.py")
 COMPILERS = ("cc", "gcc", "c++", "g++", "clang", "cl")
 
 
+#: The compiled modules.
+KERNELS = ("residua/linear/systems/_recursion", "residua/monitor/_fused", "residua/live/_rows")
+
+
 def contents(distribution: Path) -> list[str]:
     """Return the files of a wheel or a source distribution, without the folder around the latter."""
     if distribution.suffix == ".whl":
@@ -37,14 +41,15 @@ def complaints(distribution: Path) -> list[str]:
     if distribution.suffix == ".whl":
         wanted = [r"residua/__init__\.py", r"residua/py\.typed", r".*/licenses/LICENSE"]
         wanted += [r"residua/export/fmi/fmu\.c", r"residua/export/fmi/headers/.+\.h", r".*/licenses/.*fmi/LICENSE\.txt"]
-        wanted += [r"residua/report/static/.+\.js", r"residua/linear/systems/_recursion\.(abi3\.so|pyd)"]
+        wanted += [r"residua/report/static/.+\.js", *(rf"{kernel}\.(abi3\.so|pyd)" for kernel in KERNELS)]
         unwanted = [name for name in names if not name.startswith(("residua/", "residua-"))]
-        unwanted += [name for name in built if "_recursion." not in name]
+        unwanted += [name for name in built if not name.startswith(tuple(f"{kernel}." for kernel in KERNELS))]
         if "-cp311-abi3-" not in distribution.name:
             unwanted.append("a tag other than cp311-abi3, by which each Python would need a wheel of its own")
     else:
         wanted = [
-            r"src/residua/linear/systems/_recursion\.c",
+            *(rf"src/{kernel}\.c" for kernel in KERNELS),
+            r"src/residua/linear/systems/_filter\.h",
             r"setup\.py",
             r"LICENSE",
             r"CHANGELOG\.md",

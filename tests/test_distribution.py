@@ -26,11 +26,12 @@ WHEEL = (
     "residua/export/fmi/fmu.c",
     "residua/export/fmi/headers/fmi3Functions.h",
     "residua-1.0.dist-info/licenses/src/residua/export/fmi/LICENSE.txt",
-    "residua/linear/systems/_recursion.abi3.so",
+    *(f"{kernel}.abi3.so" for kernel in distribution.KERNELS),
     "residua-1.0.dist-info/licenses/LICENSE",
 )
 SOURCE = (
-    "src/residua/linear/systems/_recursion.c",
+    *(f"src/{kernel}.c" for kernel in distribution.KERNELS),
+    "src/residua/linear/systems/_filter.h",
     "setup.py",
     "LICENSE",
     "CHANGELOG.md",

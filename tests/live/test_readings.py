@@ -65,7 +65,7 @@ def test_a_topic_of_one_channel(payload: Any, more: dict[str, Any], time: float)
 
 def test_packed_rows_have_the_times_of_their_start_and_step() -> None:
     one = read({"plant": "north", "t0": 10, "dt": 0.5, "u": [[1], [2], [3]], "y": [[1, 1]] * 3})
-    assert one.times == [10.0, 10.5, 11.0]
+    assert list(one.times) == [10.0, 10.5, 11.0]
     assert one.values.shape == (3, 3)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -20,11 +21,21 @@ try:
 except ImportError as error:
     raise missing_extra("orjson", "live") from error
 
+try:
+    if os.environ.get("RESIDUA_NO_COMPILED") == "1":
+        _kernel = None
+    else:
+        from residua.live import _rows as _kernel  # pyright: ignore[reportAttributeAccessIssue]
+except ImportError:  # built without a C compiler
+    _kernel = None
+
 #: Rows of a packed message at most.
 MOST_ROWS = 100_000
 #: Seconds from 1970 that a time is taken for: dates from the year -29,700 to 33,600.
 _LARGEST_TIME = 1e12
 _NUMBERS = frozenset({int, float, type(None)})
+#: What the kernel says is wrong.
+_WRONG = ("", "shape", "number")
 _KEYS = (
     frozenset({"plant", "t", "u", "y"}),
     frozenset({"plant", "t", "values"}),
@@ -81,8 +92,8 @@ class Readings:
     Attributes
     ----------
     plant : str
-    times : sequence of float
-        In seconds, as they were stated.
+    times : list of float, or ndarray
+        In seconds, as they were stated; an array where a message states many as a start and a step.
     values : ndarray, shape (rows, channels)
         NaN for a missing value.
     stated : tuple of int, or None
@@ -96,7 +107,7 @@ class Readings:
     """
 
     plant: str
-    times: list[float]
+    times: list[float] | NDArray[np.float64]
     values: NDArray[np.float64]
     stated: tuple[int, ...] | None
     dated: bool
@@ -146,8 +157,7 @@ def readings_of(message: Message, layouts: Layouts) -> Readings:
         if type(whole.get("t")) is list:
             return _packed(plant, whole, layout)
         time, dated = time_of(whole.get("t"))
-        values = _numbers(_list(whole.get("u", []), len(layout.inputs)) + _list(whole["y"], len(layout.outputs)))
-        return Readings(plant, [time], values[None], None, dated)
+        return Readings(plant, [time], _rows(layout, [whole.get("u", [])], [whole["y"]]), None, dated)
     raise MessageError("shape", "keys must be plant, t, u, y; or plant, t, values; or plant, t0, dt, u, y")
 
 
@@ -209,7 +219,7 @@ def _named(plant: str, time: float, dated: bool, values: Any, layout: Layout) ->
     except KeyError:
         raise MessageError("channel", "a channel that the plant does not have") from None
     row = np.full((1, len(layout.channels)), np.nan)
-    row[0, list(stated)] = _numbers(list(values.values()))
+    row[0, list(stated)] = _row(list(values.values()))
     return Readings(plant, [time], row, None if len(stated) == row.shape[1] else stated, dated)
 
 
@@ -221,15 +231,13 @@ def _packed(plant: str, whole: dict[str, Any], layout: Layout) -> Readings:
     u = whole.get("u", [[]] * count if not layout.inputs else None)
     if u == [] and not layout.inputs:
         u = [[]] * count
-    values = np.empty((count, len(layout.channels)))
-    values[:, : len(layout.inputs)] = _matrix(u, count, len(layout.inputs))
-    values[:, len(layout.inputs) :] = _matrix(y, count, len(layout.outputs))
+    values = _rows(layout, u, y)
     if "t0" in whole:
         start, dated = time_of(whole["t0"])
         step: Any = whole.get("dt")
         if type(step) not in (int, float) or not 1000 * abs(step - layout.dt) <= layout.dt:
             raise MessageError("time", f"dt must be that of the monitor, {layout.dt:g} s")
-        return Readings(plant, (start + np.arange(count) * float(step)).tolist(), values, None, dated)
+        return Readings(plant, start + float(step) * np.arange(count, dtype=np.float64), values, None, dated)
     moments = [time_of(one) for one in whole["t"]]
     if len(moments) != count:
         raise MessageError("shape", "t and y must have as many rows")
@@ -239,31 +247,64 @@ def _packed(plant: str, whole: dict[str, Any], layout: Layout) -> Readings:
     return Readings(plant, times, values, None, moments[0][1])
 
 
-def _matrix(rows: Any, count: int, width: int) -> NDArray[np.float64]:
-    """Return so many rows of so many JSON numbers."""
-    if type(rows) is not list or len(rows) != count:
-        raise MessageError("shape", "u and y must have as many rows")
-    if set(map(type, rows)) != {list} or set(map(len, rows)) != {width}:
-        raise MessageError("shape", f"a row has not the {width} values of the plant")
-    return _numbers(list(chain.from_iterable(rows))).reshape(count, width)
-
-
-def _list(values: Any, width: int) -> list[Any]:
-    if type(values) is not list or len(values) != width:
-        raise MessageError("shape", f"a row has not the {width} values of the plant")
+def _rows(layout: Layout, u: Any, y: list[Any]) -> NDArray[np.float64]:
+    """Return rows of JSON numbers, inputs and outputs side by side."""
+    values = np.empty((len(y), len(layout.channels)))
+    inputs, outputs = len(layout.inputs), len(layout.outputs)
+    _check(fill_rows(values, u, 0, inputs))
+    _check(fill_rows(values, y, inputs, outputs))
     return values
 
 
-def _numbers(values: list[Any]) -> NDArray[np.float64]:
-    """Return JSON numbers, NaN for null; no text, no truth value."""
-    if not _NUMBERS.issuperset(map(type, values)):
-        raise MessageError("number", "values must be numbers or null")
+def fill_rows(values: NDArray[np.float64], rows: Any, first: int, width: int) -> str:
+    """Write rows of JSON numbers into the columns of an array from one on, NaN for null.
+
+    Parameters
+    ----------
+    values : ndarray, shape (rows, channels)
+    rows : object
+        As JSON says it: right are as many lists as there are rows, each of ``width`` numbers.
+    first, width : int
+
+    Returns
+    -------
+    str
+        What is wrong: ``"shape"`` of rows, ``"number"`` where a value is none, such as a text or a truth value, or is
+        larger than any double; empty where nothing is. What was written is then of no use.
+    """
+    if _kernel is not None:
+        return _WRONG[_kernel.fill(values, rows, first, width)]
+    return _fill_rows(values, rows, first, width)
+
+
+def _fill_rows(values: NDArray[np.float64], rows: Any, first: int, width: int) -> str:
+    """Do the same in NumPy."""
+    if type(rows) is not list or len(rows) != len(values):
+        return "shape"
+    if not set(map(type, rows)) <= {list} or not set(map(len, rows)) <= {width}:
+        return "shape"
+    flat = list(chain.from_iterable(rows))
+    if not set(map(type, flat)) <= _NUMBERS:
+        return "number"
     try:
-        out = np.array(values, dtype=np.float64)
-    except OverflowError as error:
-        raise MessageError("number", "a number that is too large") from error
-    out[~np.isfinite(out)] = np.nan  # what a protocol other than JSON may bring
-    return out
+        values[:, first : first + width] = np.array(flat, dtype=np.float64).reshape(len(rows), width)
+    except OverflowError:
+        return "number"
+    return ""
+
+
+def _row(numbers: list[Any]) -> NDArray[np.float64]:
+    """Return JSON numbers."""
+    values = np.empty((1, len(numbers)))
+    _check(fill_rows(values, [numbers], 0, len(numbers)))
+    return values[0]
+
+
+def _check(wrong: str) -> None:
+    if wrong == "shape":
+        raise MessageError("shape", "u and y must have as many rows, and a row as many values as the plant")
+    if wrong:
+        raise MessageError("number", "values must be numbers or null")
 
 
 def _channel(message: Message, content: bytes | float, layouts: Layouts) -> Readings:
@@ -284,8 +325,9 @@ def _channel(message: Message, content: bytes | float, layouts: Layouts) -> Read
     if time is None:
         time, dated = message.arrived, True
     row = np.full((1, len(layout.channels)), np.nan)
-    row[0, place] = _numbers([value])[0]
+    number = float(_row([value])[0])
+    row[0, place] = number if math.isfinite(number) else math.nan  # a protocol other than JSON may bring infinity
     return Readings(message.plant, [time], row, (place,), dated)
 
 
-__all__ = ["REASONS", "Layout", "Layouts", "MessageError", "Readings", "readings_of", "time_of"]
+__all__ = ["REASONS", "Layout", "Layouts", "MessageError", "Readings", "fill_rows", "readings_of", "time_of"]

@@ -181,7 +181,7 @@ def sample(
         return quick
     rows: list[Rows] = []
     remarks: list[Remark] = []
-    for k, time in enumerate(readings.times):
+    for k, time in enumerate(np.asarray(readings.times).tolist()):
         state = _one(state, time, readings, k, dt, settings.longest_gap, known, remarks)
         state, released = _released(state, dt, settings, readings.arrived, remarks)
         rows += released
@@ -205,18 +205,30 @@ def _next_rows(
     """Return whole rows, each a step after the one before and the first a step after the last one; else ``None``."""
     if state.pending or state.back or readings.stated is not None or settings.max_age > 0:
         return None
-    grid, times, half = state.grid, readings.times, 0.5 * dt
-    if grid != grid:
-        grid = times[0] - dt
-    for time in times:
+    times = np.asarray(readings.times, dtype=np.float64)
+    grid = _followed(float(times[0]) - dt if state.grid != state.grid else state.grid, times, dt)
+    if grid is None:
+        return None
+    dated = state.dated if state.grid == state.grid else readings.dated
+    return SamplingState(float(times[-1]), grid, dated), [Rows(times, readings.values)], []
+
+
+def _followed(grid: float, times: NDArray[np.float64], dt: float) -> float | None:
+    """Return the grid after times that are a step apart each; ``None`` where one is off by half a step."""
+    if len(times) > 1:
+        steps = np.full(len(times), dt)
+        steps[0] = grid + dt
+        expected = np.add.accumulate(steps)
+        if (expected == times).all():  # the sum goes from left to right, as the loop does: the same grid
+            return float(expected[-1])
+    half = 0.5 * dt
+    for time in times.tolist():
         expected = grid + dt
         off = time - expected
         if off >= half or off <= -half:
             return None
         grid = expected + FOLLOW * off
-    dated = state.dated if state.grid == state.grid else readings.dated
-    after = SamplingState(times[-1], grid, dated)
-    return after, [Rows(np.array(times), readings.values)], []
+    return grid
 
 
 def _one(

@@ -134,7 +134,9 @@ class Store(ABC):
 
 def rows_to_bytes(times: NDArray[np.float64], values: NDArray[np.float64]) -> bytes:
     """Return rows as bytes: for each its time and its channels, little-endian."""
-    return np.column_stack([times, values]).astype("<f8", copy=False).tobytes()
+    whole = np.empty((len(times), 1 + values.shape[1]), dtype="<f8")
+    whole[:, 0], whole[:, 1:] = times, values
+    return whole.tobytes()
 
 
 def rows_from_bytes(

@@ -30,7 +30,7 @@ from residua.visible import echo
 #: What is asked of every row.
 _ASKED = ("alarm", "missing", "statistic")
 #: Rows after which the running state of a plant is stored again: a restart runs so many at most.
-STORED_EVERY = 256
+STORED_EVERY = 1024
 #: So many times the rows that are kept, an alarm that stands longer loses its beginning.
 LONGEST_ALARM = 10
 #: Rows whose decisions are kept in memory while an alarm stands; those of more plants are made again for every look.
@@ -374,7 +374,8 @@ class Watch:
     def _update(self, plant: WatchedPlant, *, moved: bool = False, whole: bool = False) -> PlantUpdate:
         """Return what is stored of a plant; its running state now and then, or where ``whole`` says so."""
         running = None
-        if (whole and plant.running_at != plant.count) or plant.count - plant.running_at >= STORED_EVERY:
+        late = plant.count - plant.running_at >= STORED_EVERY or plant.running_at < plant.anchor_at  # its rows go
+        if late or (whole and plant.running_at != plant.count):
             running, plant.running_at = self._state(plant), plant.count
         anchor, mark = (plant.anchor, plant.mark) if moved else (None, None)
         return PlantUpdate(

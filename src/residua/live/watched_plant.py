@@ -9,6 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from residua.live.alarm_events import ToldAlarm
 from residua.live.sampling import Rows, SamplingState
 
@@ -37,10 +40,10 @@ class Steps:
     wrong: int = 0
     usual: float = math.nan
 
-    def odd(self, times: Sequence[float], dt: float) -> bool:
+    def odd(self, times: Sequence[float] | NDArray[np.float64], dt: float) -> bool:
         """Take note of times of readings; return whether they are nearly all of another step."""
-        step = times[0] - self.last if len(times) == 1 else times[1] - times[0]
-        self.last = times[-1]
+        step = float(times[0] - self.last if len(times) == 1 else times[1] - times[0])
+        self.last = float(times[-1])
         if step > 0:
             if abs(step - dt) < dt / 4:
                 self.right += 1
