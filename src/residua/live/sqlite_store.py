@@ -81,7 +81,7 @@ class SqliteStore(SqlStore):
         if connection is None:
             connection = sqlite3.connect(self.path, timeout=_BUSY, isolation_level=None, check_same_thread=False)
             connection.execute("PRAGMA synchronous = FULL")
-            connection.execute("PRAGMA cache_size = -8000")
+            connection.execute("PRAGMA cache_size = -2000")
             self._local.connection = connection
             with self._guard:
                 self._all.append(connection)
