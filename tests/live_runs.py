@@ -132,7 +132,7 @@ def resident() -> float:
 def memory_by_hour(run: Run, plants: int, hours: int) -> tuple[list[float], int, float]:
     """Replay hours of plants at one sample a second; return the memory after each, the rows, and the seconds.
 
-    Messages are packed by 100 rows; each plant is at another place of the recording, so that their alarms come by turns.
+    Messages are packed by 100 rows; each plant is at another place of the recording: their alarms come by turns.
     """
     rows, source = recording(6000, seed=5), Nobody()
     rows = np.concatenate([rows[:500], rows[2200:5400]])
