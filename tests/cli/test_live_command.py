@@ -36,6 +36,16 @@ def test_the_example_and_the_check(tmp_path: Path) -> None:
     assert not (tmp_path / "live.db").exists()
 
 
+@pytest.mark.parametrize("option", [[], ["--check"]], ids=["run", "check"])
+def test_secrets_are_read_before_anything_is_opened(tmp_path: Path, option: list[str]) -> None:
+    sink = '[[sinks]]\nkind = "webhook"\nurl = "http://127.0.0.1:9/"\nkey_env = "RESIDUA_TEST_NO_SUCH_KEY"'
+    made = command(configuration(tmp_path, STDIN, sink), *option)
+    assert made.returncode == 2
+    said = "sink webhook: key_env: the environment variable RESIDUA_TEST_NO_SUCH_KEY is not set"
+    assert made.stderr == f"error: {said}\n"
+    assert not (tmp_path / "live.db").exists()
+
+
 def test_what_is_wrong_is_one_line_and_status_2(tmp_path: Path) -> None:
     path = configuration(tmp_path, STDIN, more="colour = 3")
     made = command(path)

@@ -31,7 +31,9 @@ def live(
     config: Annotated[
         Path | None, typer.Argument(metavar="CONFIG.toml", help="Monitors, sources, store, sinks and page.")
     ] = None,
-    check: Annotated[bool, typer.Option("--check", help="Read the configuration, say what it is, and stop.")] = False,
+    check: Annotated[
+        bool, typer.Option("--check", help="Read configuration and secrets, say what it is, and stop.")
+    ] = False,
     reset: Annotated[
         str | None,
         typer.Option("--reset", metavar="PLANT", help="Let a plant begin anew whose clock has gone back, and stop."),
@@ -59,10 +61,12 @@ def live(
     settings = configuration.load_settings(config)
     if reset is not None:
         _reset(settings, reset)
-    elif check:
+        return
+    configuration.check_secrets(settings)
+    if check:
         _say(settings)
-    else:
-        raise typer.Exit(_run(settings, linger=False))
+        return
+    raise typer.Exit(_run(settings, linger=False))
 
 
 def _say(settings: LiveSettings) -> None:

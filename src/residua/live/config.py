@@ -14,6 +14,7 @@ from typing import Any
 from residua.errors import FileFormatError, MissingExtraError, SettingError
 from residua.files import read_bytes
 from residua.live.messages import LONGEST_ID
+from residua.live.secrets import secret
 from residua.live.setting_checks import check_seconds, choice, flag, number, text, texts, whole
 from residua.visible import echo, listed
 
@@ -330,6 +331,26 @@ def made(kind: str, settings: Any, kinds: Mapping[str, tuple[str, str]], *more: 
     return getattr(import_module(module), name)(settings, *more)
 
 
+def check_secrets(settings: LiveSettings) -> None:
+    """Read the secrets that settings point at, and keep none: what is wrong with one is said before anything is open.
+
+    Raises
+    ------
+    SettingError
+        If one cannot be had; the text says of which table, and has no secret in it.
+    """
+    tables = [*((f"source {kind}", one) for kind, one in settings.sources), ("store", settings.store)]
+    tables += [(f"sink {kind}", one) for kind, one in settings.sinks]
+    tables += [("server", settings.server)] if settings.server is not None else []
+    for where, one in tables:
+        names = [key.name.removesuffix("_env") for key in fields(one) if key.name.endswith("_env")]
+        for name in names:
+            try:
+                secret(one, name)
+            except SettingError as error:
+                raise SettingError(f"{where}: {error}") from error
+
+
 def example() -> str:
     """Return a configuration to begin with."""
     return _EXAMPLE
@@ -369,6 +390,7 @@ __all__ = [
     "MonitorSettings",
     "SamplingOptions",
     "StoreSettings",
+    "check_secrets",
     "example",
     "load_settings",
     "made",
