@@ -31,8 +31,8 @@ def main() -> None:
     print(f"{rows:,} rows in {seconds:.0f} s; {memory[0]:.0f} MB after the first hour, {later:.0f} MB at most after it")
     with TABLE.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["hour", "MB"])
-        writer.writerows((hour, f"{one:.0f}") for hour, one in enumerate(memory, 1))
+        writer.writerow(["hour", *range(1, HOURS + 1)])
+        writer.writerow(["MB", *(f"{one:.0f}" for one in memory)])
 
 
 if __name__ == "__main__":
