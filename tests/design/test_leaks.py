@@ -16,7 +16,7 @@ import pytest
 import residua as rs
 from exact_arithmetic import exact_leak, normal_rank, reaches
 from refusals import Refused
-from residua.design.core.internal_form import frequency_grid, leakage
+from residua.design.core.internal_form import frequency_grid, leak_frequencies, leakage
 from residua.errors import AccuracyError, ResiduaError
 from residua.testing import check_residual_generator
 from scaled_plants import KINDS, numbers
@@ -270,3 +270,17 @@ def test_the_grid_of_frequencies_is_that_of_the_poles_in_any_units_of_the_states
     A = np.array([[-1.0, 2, 1], [3, -5, 1], [1, 1, -9]])
     plain, scaled = (rs.StateSpace(M, np.ones((3, 1)), np.ones((1, 3))) for M in (A, T * A / T.T))
     np.testing.assert_array_equal(frequency_grid(plain), frequency_grid(scaled))
+
+
+def test_leaks_of_a_plant_that_integrates_are_measured_as_far_down_as_its_responses_change() -> None:
+    """The outputs are (s + 0.01) / s^2 and 1 / (s + 200): below the slowest pole one goes from 1/s to 1/s^2."""
+    A, B, C = np.diag([0.01, 0], 1) + np.diag([0, 0, -200.0]), np.array([[1.0], [1], [1]]), np.eye(3)[[0, 2]]
+    T = 2.0 ** np.array([20, 0, -20])[:, None]
+    plain, scaled = rs.Plant(A, B, C), rs.Plant(T * A / T.T, T * B, C / T.T * [[8.0], [0.5]])
+    still = rs.Plant(A - 5 * np.eye(3), B, C)
+    filters = [rs.design.luenberger_observer(plant).residual_generator().system for plant in (plain, scaled, still)]
+    w, of_scaled, of_still = map(leak_frequencies, filters, (plain, scaled, still))
+    assert w[0] == pytest.approx(1.0371e-4)
+    assert frequency_grid(filters[0], plain.system(()))[0] > 0.1
+    np.testing.assert_array_equal(w, of_scaled)
+    np.testing.assert_array_equal(of_still, frequency_grid(filters[2], still.system(())))

@@ -42,6 +42,19 @@ def _floats(M: acb_mat) -> NDArray[np.complex128]:
     return np.array(entries, dtype=complex).reshape(M.nrows(), M.ncols())
 
 
+def _made_of(E: NDArray | None, A: NDArray, B: NDArray, C: NDArray, D: NDArray, s: acb) -> NDArray[np.float64]:
+    """Return the sizes of what each entry of the response is made of: to its own digits, the response is not known.
+
+    The terms of its sum, and what every number of the equations moves it by, relative to that number.
+    """
+    n, sizes = len(A), _terms(E, A, B, C, D, s)
+    if not n or not B.shape[1] or not len(C):
+        return sizes
+    M = _matrix(np.eye(n) if E is None else E) * s - _matrix(A)
+    X, Y = np.abs(_floats(M.solve(_matrix(B)))), np.abs(_floats(M.transpose().solve(_matrix(C.T)))).T
+    return sizes + Y @ (np.abs(_floats(M)) @ X + np.abs(B))
+
+
 @dataclass(frozen=True, eq=False)
 class Paths:
     """Responses of residuals to controls, disturbances and faults, at some frequencies.
@@ -111,7 +124,7 @@ def paths(filter: Any, plant: Any, y: NDArray[np.float64], w: list[float]) -> Pa
                 [through[i, j] + (Q[i, j] if j < m else 0) for i in range(rows) for j in range(B.shape[1])],
             )
             q, r = np.abs(_floats(Q)), np.abs(_floats(P))
-            made = _terms(plant.E, plant.A, B, plant.C, D, s)
+            made = _made_of(plant.E, plant.A, B, plant.C, D, s)
             r = np.where(r < _NO_RESPONSE * made, made, r)  # an input that reaches no output is not its own rounding
             inside = (_terms(None, filter.A, filter.B, filter.C, filter.D, s)[:, m:] / y).max(axis=1, initial=0.0)
             own.append((q[:, m:] / y).max(axis=1, initial=0.0) / np.where(inside > 0, inside, 1.0))

@@ -76,6 +76,13 @@ _EARLIER = [
     ("alike directions", 504, designs._filters),
     # a zero at 0 was what rounding left of it, on the stable side: an observer that does not exist was designed
     ("stiff", 603, designs._observers),
+    # a plant that integrates leaked below a hundredth of its slowest pole, where nothing was measured
+    ("stiff", 712, designs._parity),
+    ("stiff", 131, designs._filters),
+    # a gain was measured in units of the plant, whose chains are far slower than the poles asked for
+    ("stiff", 704, designs._scheme_banks),
+    # what rounding of decimal units left of an input was compared with itself: a flaw of the campaign
+    ("singular E", 714, designs._parity),
 ]
 
 

@@ -7,7 +7,9 @@ from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, ModelError
 from residua.linear import StateSpace
+from residua.linear.poles.zeros import invariant_zeros
 from residua.linear.subspaces.reachability import without_unobservable
+from residua.linear.systems.array_cache import Latest, entries
 from residua.linear.systems.balancing import descriptor_units, state_units
 from residua.linear.systems.response_terms import accurate_response, in_even_units, paths, response_terms
 from residua.plant import Plant
@@ -17,6 +19,8 @@ from residua.tolerances import IDENTITY, ROUNDING, TINY, above_rounding
 _MEASURED = 1e-15
 #: Rounding of the responses that could hide or feign a leak of this size is taken out by more digits.
 _UNSURE = 1e-10
+#: Poles and zeros this far below what they are made of are at 0: half the digits.
+_SMALL = float(np.sqrt(np.finfo(float).eps))
 
 
 def internal_form(
@@ -218,9 +222,46 @@ def frequency_grid(*systems: StateSpace, points: int = 60) -> NDArray[np.float64
 def _pole_sizes(system: StateSpace) -> NDArray[np.float64]:
     """Return the sizes of the poles that are not rounding, whatever the units of the states."""
     poles = np.abs(system.poles())
+    return poles[poles > _SMALL * _size(system)]
+
+
+def _size(system: StateSpace) -> float:
+    """Return the size of what the poles of a system are made of."""
     explicit = system.E is None and system.n_states
-    size = float(np.linalg.norm(in_even_units(system).system.A)) if explicit else poles.max(initial=0.0)
-    return poles[poles > np.sqrt(np.finfo(float).eps) * size]
+    size = np.linalg.norm(in_even_units(system).system.A) if explicit else np.abs(system.poles()).max(initial=0.0)
+    return float(size)
+
+
+def leak_frequencies(generator: StateSpace, plant: Plant) -> NDArray[np.float64]:
+    """Return the frequencies in rad/s at which leaks are measured: those of the dynamics of filter and plant.
+
+    A plant that integrates goes on to change below its slowest pole: where the response of an output to an input goes
+    from one power of 1/s to another, it has a zero. From a hundredth of the slowest of these on nothing changes but
+    by powers of 1/s.
+    """
+    w, system = frequency_grid(generator, plant.system(())), plant.system(("control", "disturbance"))
+    if system.is_discrete or np.all(system.poles() != 0):
+        return w
+    low = _slowest_zero(system) / 100
+    return w if w[0] <= low else np.geomspace(1.0371 * low, w[-1], len(w))
+
+
+_slowest: Latest[float] = Latest()
+
+
+def _slowest_zero(system: StateSpace) -> float:
+    """Return the size of the smallest zero of the response of an output to an input that is not at 0."""
+    A, B, C, D, E = system.A, system.B, system.C, system.D, system.E
+
+    def found() -> float:
+        least = _SMALL * _size(system)
+        zeros = [
+            np.abs(invariant_zeros(A, B[:, [j]], C[[i]], D[[i]][:, [j]], E).zeros)
+            for i, j in np.ndindex(system.D.shape)
+        ]
+        return float(np.min(np.concatenate(zeros), where=np.concatenate(zeros) > least, initial=np.inf))
+
+    return _slowest.of(entries(A, B, C, D, E), found)
 
 
 def leakage(generator: StateSpace, plant: Plant, w: NDArray | None = None) -> dict[str, float]:
@@ -259,7 +300,7 @@ def leakage_of_inputs(generator: StateSpace, plant: Plant, w: NDArray | None = N
     if not n_u and not plant.disturbances:
         return np.zeros(0)
     if w is None:
-        w = frequency_grid(generator, plant.system(()))
+        w = leak_frequencies(generator, plant)
     points = np.exp(1j * w * generator.dt) if generator.is_discrete else 1j * w
     driven = in_even_units(plant.system(("control", "disturbance")))
     system = _with_even_rows(generator, np.concatenate([driven.inputs[:n_u], 1 / driven.outputs]))
@@ -275,7 +316,8 @@ def leakage_of_inputs(generator: StateSpace, plant: Plant, w: NDArray | None = N
     parts = _cancelling(
         np.where(alive, Q.values, 0.0), np.where(_alive(np.abs(P.values), P.terms), P.values, 0.0), n_u
     )[1]
-    ratio = np.where(parts > 0, np.abs(total) / np.where(parts > 0, parts, 1.0), 0.0)
+    # where the terms that are alive are the smaller ones, what gets through is of the others: all of it
+    ratio = np.where(parts > 0, np.abs(total) / np.where(parts > 0, np.maximum(parts, np.abs(total)), 1.0), 0.0)
     return ratio.max(axis=(0, 1), initial=0.0)
 
 

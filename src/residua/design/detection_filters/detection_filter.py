@@ -28,7 +28,7 @@ from residua.design.detection_filters.directional_gain import (
     scalar_pole,
 )
 from residua.design.observers.observer import Observer, in_units_of_the_plant
-from residua.design.observers.observer_gain import POLE_ERROR
+from residua.design.observers.observer_gain import POLE_ERROR, gain_size
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
 from residua.linear.poles.matrix_poles import explicit_poles
@@ -263,7 +263,7 @@ class _Frame:
             poles=explicit_poles(F),
             requested_poles=design.requested,
             fixed_poles=design.fixed,
-            conditions={"pole error": self._pole_error(design, F), "norm of K1": float(np.linalg.norm(K1))},
+            conditions={"pole error": self._pole_error(design, F), "norm of K1": gain_size(F, K1, plant.C)},
             notes=(*notes, design.note) if design.note else notes,
         )
         K, M = above_rounding(K1 + F @ self.H, np.abs(K1) + np.abs(F) @ np.abs(self.H)), np.eye(len(F))

@@ -14,7 +14,7 @@ from residua.design.core.evidence import Evidence
 from residua.design.core.method import method
 from residua.design.observers.estimate_check import check_estimate
 from residua.design.observers.observer import Observer, in_units_of_the_plant
-from residua.design.observers.observer_gain import place, pole_evidence
+from residua.design.observers.observer_gain import gain_size, place, pole_evidence
 from residua.errors import DesignError
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
@@ -105,7 +105,7 @@ def luenberger_observer(
     evidence = Evidence(
         method="Luenberger observer",
         **pole_evidence(placed, F),
-        conditions={"pole error": placed.error, "norm of K": placed.norm},
+        conditions={"pole error": placed.error, "norm of K": gain_size(F, K, plant.C)},
         notes=(f"disturbances are not decoupled by a Luenberger observer: {names}",) if names else (),
         references=("Twardy and Kaczorek, part I, Theorem 2",),
     )

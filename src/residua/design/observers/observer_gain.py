@@ -13,6 +13,7 @@ from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.poles.placement import Placement, default_margin, place_observer_margin, place_observer_poles
 from residua.linear.poles.pole_assignment import real_block_diagonal
+from residua.linear.systems.balancing import state_units
 from residua.plant import Plant
 
 #: Largest error of a pole of an observer, relative (sampled: absolute).
@@ -58,6 +59,20 @@ def own_rate(plant: Plant) -> float:
     """Return the geometric mean of the sizes of the plant's poles, in 1/s."""
     A = plant.A if plant.E is None else real_block_diagonal(plant.system(()).poles())
     return default_margin(A, plant.dt)
+
+
+def gain_size(F: NDArray, K: NDArray, C: NDArray) -> float:
+    r"""Return the norm of the gain of an observer in the units that its own error equation has: one over time.
+
+    States as in ``F``, which the gain has closed, and outputs as large as these make them. In units of the plant alone
+    a gain is large wherever the poles asked for are faster than the plant: by a power of their ratio that grows along
+    every chain of states.
+    """
+    if not K.size:
+        return 0.0
+    states = state_units(F, K, C)
+    outputs = (np.abs(C) * states).max(axis=1, initial=0.0)
+    return float(np.linalg.norm(K * np.where(outputs > 0, outputs, 1.0) / states[:, None]))
 
 
 def pole_evidence(placed: Placement, F: NDArray) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from residua.design.core.evidence import Evidence
 from residua.design.core.method import method
 from residua.design.observers.estimate_check import check_estimate
 from residua.design.observers.observer import Observer, in_units_of_the_plant, without_measured_equations
-from residua.design.observers.observer_gain import margin_from, place, pole_evidence
+from residua.design.observers.observer_gain import gain_size, margin_from, place, pole_evidence
 from residua.errors import AccuracyError, DesignError
 from residua.linear.poles.placement import Placement
 from residua.linear.subspaces.far_gain import refuse_far_gain
@@ -258,7 +258,7 @@ def assemble(
             "|T E| / |E|": identity,
             "T E + H C = I": whole,
             "pole error": placed.error,
-            "norm of K1": float(np.linalg.norm(K1)),
+            "norm of K1": gain_size(F, K1, plant.C),
         },
         notes=notes,
         references=(REFERENCE,),
