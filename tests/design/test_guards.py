@@ -134,6 +134,13 @@ WRONG = [
         id="reading of an estimator",
     ),
     pytest.param(
+        "design.estimation.fault_estimator:read_faults",
+        lambda reading: _times(reading, "static", "derivative", "dynamics"),
+        lambda: D.sensor_fault_estimators(rs.library.vtol(), poles=[-30, -40, -40, -50]),
+        marks=trips("design.estimation.sensor_fault_estimators:sensor_fault_estimators"),
+        id="estimates of every sensor",
+    ),
+    pytest.param(
         "design.estimation.fault_reading:_inverse",
         off,
         estimator,

@@ -83,6 +83,10 @@ _EARLIER = [
     ("stiff", 704, designs._scheme_banks),
     # what rounding of decimal units left of an input was compared with itself: a flaw of the campaign
     ("singular E", 714, designs._parity),
+    # states that no output sees had units without end, in which a disturbance that moves them was rounding
+    ("repeated poles", 1027, None),
+    # a fault whose ways cancel was compared with its own rounding in the internal form
+    ("repeated poles", 1012, designs._estimators),
 ]
 
 

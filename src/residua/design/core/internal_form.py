@@ -11,7 +11,7 @@ from residua.linear.poles.zeros import invariant_zeros
 from residua.linear.subspaces.reachability import without_unobservable
 from residua.linear.systems.array_cache import Latest, entries
 from residua.linear.systems.balancing import descriptor_units, state_units
-from residua.linear.systems.response_terms import accurate_response, in_even_units, paths, response_terms
+from residua.linear.systems.response_terms import accurate_response, in_even_units, response_terms
 from residua.plant import Plant
 from residua.tolerances import IDENTITY, ROUNDING, TINY, above_rounding
 
@@ -147,20 +147,20 @@ def check_known_form(generator: StateSpace, plant: Plant, form: StateSpace, *, l
     """Return how far an internal form is from the generator driven by the plant, over frequency, or raise."""
     w = frequency_grid(generator, plant.system(()))
     n_u = len(plant.inputs)
-    Q = _along_paths(generator, w)[..., n_u:]
-    P, known = _along_paths(plant.system(("fault", "disturbance", "noise")), w), _along_paths(form, w)
+    points = np.exp(1j * w * generator.dt) if generator.is_discrete else 1j * w
+    systems = generator, plant.system(("fault", "disturbance", "noise")), form
+    # values are exactly zero where no chain of couplings leads: in some units rounding there is large
+    of_filter, of_plant, of_form = (response_terms(system, points) for system in systems)
+    Q, P, known = of_filter.values[..., n_u:], of_plant.values, of_form.values
     if known.shape != (len(w), Q.shape[1], P.shape[2]):
         raise ModelError(f"the internal form is {form.n_outputs} x {form.n_inputs}, not residuals x (f, d, w)")
     terms = (np.abs(Q) @ np.abs(P)).max(axis=0)
     # a path that is itself what rounding left of nothing cannot be missed
     terms = np.maximum(terms, 1e-8 * np.abs(Q).max(axis=(0, 2))[:, None] * np.abs(P).max(axis=(0, 1))[None, :])
+    made_of = of_filter.terms[..., n_u:] @ np.abs(P) + np.abs(Q) @ of_plant.terms + of_form.terms
+    terms = np.maximum(terms, ROUNDING / limit * made_of.max(axis=0))
     missed = np.abs(Q @ P - known).max(axis=0)
     return _accepted(float(np.max(missed / np.where(terms > 0, terms, 1.0), initial=0.0)), limit)
-
-
-def _along_paths(system: StateSpace, w: NDArray) -> NDArray:
-    """Return responses, exactly zero where no chain of couplings leads: in some units rounding there is large."""
-    return np.where(paths(system, system.B, system.D), system.frequency_response(w), 0.0)
 
 
 def _accepted(worst: float, limit: float) -> float:

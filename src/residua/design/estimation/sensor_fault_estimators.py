@@ -13,6 +13,7 @@ from residua.design.estimation.fault_estimator import FaultEstimator, fault_esti
 from residua.errors import AccuracyError, DesignError
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
+from residua.words import counted
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +93,8 @@ def sensor_fault_estimators(
     ------
     DesignError
         If there is none for any sensor.
+    AccuracyError
+        If what was computed missed its check for every sensor.
 
     See Also
     --------
@@ -119,6 +122,7 @@ def sensor_fault_estimators(
         faults[name] = own[0]
     members: dict[str, FaultEstimator] = {}
     failures: dict[str, str] = {}
+    kinds: set[type[Exception]] = set()
     for name, fault in faults.items():
         try:
             members[name] = fault_estimator(
@@ -126,7 +130,10 @@ def sensor_fault_estimators(
             )
         except (DesignError, AccuracyError) as error:
             failures[name] = str(error)
+            kinds.add(type(error))
     if not members:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in failures.items())
+        if DesignError not in kinds:  # there may be some
+            raise AccuracyError(f"the estimates of {counted(len(failures), 'sensor')} missed a check: {reasons}")
         raise DesignError(f"no fault of a sensor can be estimated: {reasons}")
     return SensorFaultEstimators(members, failures)

@@ -46,6 +46,9 @@ class BalancedSystem:
         The diagonals of ``T``, ``U`` and ``Y``; all powers of two, so that scaling rounds nothing.
     start : ndarray
         The units of the states that the sweeps started from, of :func:`residua.linear.systems.units.system_units`.
+    settled : bool
+        Whether the sweeps came to rest: a part that acts on others, or is acted on, one way only may be scaled without
+        end.
     """
 
     A: NDArray[np.float64]
@@ -56,11 +59,14 @@ class BalancedSystem:
     inputs: NDArray[np.float64]
     outputs: NDArray[np.float64]
     start: NDArray[np.float64]
+    settled: bool
 
     @property
     def has_units(self) -> bool:
         """Whether the balanced units of the states mean something: a hidden part of a system has none of its own."""
-        return not self.states.size or bool(np.ptp(np.log2(self.states / self.start)) <= _WIDEST)
+        if not self.states.size:
+            return True
+        return self.settled and bool(np.ptp(np.log2(self.states / self.start)) <= _WIDEST)
 
     @property
     def own_units(self) -> NDArray[np.float64]:
@@ -172,7 +178,7 @@ def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> Ba
     scaled = W.copy()
     left, right, settled = _factors(scaled, n, level, _length)
     if not settled or _vanished(scaled):
-        left, right, _ = _factors(W, n, level, _largest)
+        left, right, settled = _factors(W, n, level, _largest)
     T, U, Y = T * right[:n], U * right[n:], Y * left[n:]
     # The scaled matrices are the same for states and inputs in c times larger, outputs in c times smaller units:
     # of these units those nearest to the original ones are taken; the sweeps may have drifted far away from them.
@@ -180,7 +186,7 @@ def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> Ba
     c = 2.0 ** np.round(size / max(len(T) + len(Y), 1))
     T, U, Y = T / c, U / c, Y * c
     scaled = A0 / T[:, None] * T, B0 / T[:, None] * U, Y[:, None] * C0 * T, Y[:, None] * D0 * U
-    return BalancedSystem(*scaled, T, U, Y, start.states)
+    return BalancedSystem(*scaled, T, U, Y, start.states, settled)
 
 
 def _level(A: NDArray[np.float64]) -> float:
