@@ -45,6 +45,20 @@ def test_equal_ratios_of_rows_without_a_common_signal_are_not_combined() -> None
     np.testing.assert_array_equal(np.abs(rows) > 0, np.eye(2, dtype=bool))
 
 
+def test_where_ratios_are_equal_the_basis_of_the_rows_chooses_nothing() -> None:
+    """Three equal sensors beside a fourth: the best relations see each fault alike, in a space of two dimensions."""
+    space = np.linalg.qr(np.array([[1.0, -1, 0, 0], [0, 1, -1, 0], [0, 0, 1, -1]]).T)[0].T
+    found = []
+    for seed in range(4):
+        turned = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0] @ space
+        ratios, rows = best_ratios(turned[:, :3], turned, 3)
+        np.testing.assert_allclose(ratios, [1, 1, 0.5])
+        found.append(np.abs(rows @ turned))
+    np.testing.assert_allclose(found[0][0] * np.sqrt(1.5), [1, 0.5, 0.5, 0], atol=1e-12)
+    for other in found[1:]:
+        np.testing.assert_allclose(other, found[0], atol=1e-12)
+
+
 def test_combinations_within_a_part_are_the_best_ones() -> None:
     rng = np.random.default_rng(4)
     F, D = rng.normal(size=(3, 4)), rng.normal(size=(3, 5))

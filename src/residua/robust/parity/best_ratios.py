@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 
 from residua.linear.subspaces.parts import row_parts
 
+#: Ratios that differ by less, relative, are equal; answers to signals that do are the same, in a space known to less.
+_EQUAL, _NEARLY = 1e-9, 1e-6
+
 
 def best_ratios(
     wanted: NDArray[np.float64], unwanted: NDArray[np.float64], rank: int
@@ -15,8 +18,9 @@ def best_ratios(
 
     The generalised eigenproblem :math:`F F^T c = \lambda D D^T c`, by singular values alone, nothing is squared: with
     :math:`D = U S V^T` of that rank, those of :math:`S^{-1} U^T F`. Combinations that ``D`` annihilates are
-    left out; they must annihilate ``F`` too, or the ratio has no largest value. Rows that share no signal are not
-    combined: where their ratios are equal, rounding would choose the combination.
+    left out; they must annihilate ``F`` too, or the ratio has no largest value. Rounding chooses nothing where ratios
+    are equal: rows that share no signal are not combined then, and of those that do, the combination comes first that
+    answers most to a single wanted signal.
 
     Parameters
     ----------
@@ -42,11 +46,31 @@ def best_ratios(
         chosen = kept[at : at + len(s)]
         at += len(s)
         scaled = U[:, chosen] / s[chosen]
-        left, values, _ = np.linalg.svd(scaled.T @ wanted, full_matrices=True)
+        seen = scaled.T @ wanted
+        left, values, _ = np.linalg.svd(seen, full_matrices=True)
+        left = _without_choice(left, values, seen)
         ratios += [*values, *np.zeros(len(left) - len(values))]
         combinations += list((scaled @ left).T)
     order = np.argsort([-float(f"{x:.9e}") for x in ratios], kind="stable")
     return np.array(ratios)[order], np.array(combinations).reshape(len(ratios), len(wanted))[order]
+
+
+def _without_choice(left: NDArray[np.float64], values: NDArray[np.float64], seen: NDArray[np.float64]) -> NDArray:
+    """Return left singular vectors; of those with one value, the ones that answer most to one column, then the next."""
+    left, start = left.copy(), 0
+    for end in range(1, len(values) + 1):
+        if end < len(values) and values[end] > (1 - _EQUAL) * values[start]:
+            continue
+        if end > start + 1 and values[start] > 0:
+            rest = left[:, start:end]
+            for k in range(start, end):
+                answers = rest.T @ seen
+                sizes = np.linalg.norm(answers, axis=0)
+                first = answers[:, np.flatnonzero(sizes > (1 - _NEARLY) * sizes.max())[0]]
+                turned = np.linalg.qr(first[:, None], mode="complete")[0]
+                left[:, k], rest = rest @ (first / np.linalg.norm(first)), rest @ turned[:, 1:]
+        start = end
+    return left
 
 
 def _singular_rows(M: NDArray[np.float64], part: NDArray[np.int_]) -> tuple[NDArray, NDArray]:
