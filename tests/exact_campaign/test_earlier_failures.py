@@ -89,6 +89,8 @@ _EARLIER = [
     ("repeated poles", 1012, designs._estimators),
     # of relations that are equally good, rounding chose
     ("hidden modes", 1028, designs._parity),
+    # what rounding left of an equation that a disturbance takes away was scaled up to a measurement
+    ("singular E", 1008, designs._observers),
 ]
 
 

@@ -71,7 +71,8 @@ def _reduced(
     free = np.zeros((p, 0))  # combinations of the used outputs that no disturbance enters
     free = _embedded(left_null_basis(plant.Dd[used])[0], used, p) if np.any(plant.Dd) else np.eye(p)[:, used]
     G = _through_outputs(plant, used)
-    A = plant.A - G @ plant.C
+    # an equation that a measured disturbance leaves nothing of would be evened up from its rounding
+    A = sum_without_rounding((np.eye(n), plant.A), (-G, plant.C))
     drive = np.hstack([plant.Bu, plant.Bd])
     u = descriptor_units(A, plant.E, drive, free.T @ plant.C, np.zeros((free.shape[1], drive.shape[1])))
     R, S = u.equations[:, None], u.states
