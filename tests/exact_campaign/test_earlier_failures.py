@@ -91,6 +91,9 @@ _EARLIER = [
     ("hidden modes", 1028, designs._parity),
     # what rounding left of an equation that a disturbance takes away was scaled up to a measurement
     ("singular E", 1008, designs._observers),
+    ("singular E", 1038, designs._observers),
+    # a perfect observer hung chains of a part on to those of another, with which it had no common unit
+    ("dead sensors", 1035, designs._perfect),
 ]
 
 

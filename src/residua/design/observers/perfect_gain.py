@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import AccuracyError, DesignError
 from residua.linear.subspaces.observability import staircase
+from residua.linear.subspaces.parts import row_parts
 from residua.linear.subspaces.rank import (
     decide_rank,
     null_basis,
@@ -103,8 +104,14 @@ class _Problem:
         return 1e-4 * float(np.linalg.norm(self.inverse) * np.linalg.norm(self.S))
 
 
-def _problem(R0: Matrix, S0: Matrix, n: int, rtol: float, bandwidth: float | None) -> _Problem:
+def _problem(
+    R0: Matrix, S0: Matrix, n: int, rtol: float, bandwidth: float | None, inputs: Matrix | None = None
+) -> _Problem:
+    """Return the scaled problem; parts that nothing connects have the units that inputs to both give them."""
     u = pencil_units(R0, S0)  # of the entries alone: sweeps that even norms run away where parts lead one way only
+    if inputs is not None and len(row_parts(np.hstack([R0, S0]))) > 1:
+        both = pencil_units(np.hstack([R0, inputs]), np.hstack([S0, np.zeros_like(inputs)]))
+        u = replace(both, columns=both.columns[: R0.shape[1]])
     R, S = u.rows[:, None] * R0 * u.columns, u.unit * u.rows[:, None] * S0 * u.columns
     width = R.shape[1]
     Q, upper = np.linalg.qr(R, mode="complete")
@@ -236,14 +243,17 @@ def least_order_gain(R: Matrix, S: Matrix, n: int, *, rtol: float, bandwidth: fl
     return gain
 
 
-def full_rank_gain(R: Matrix, S: Matrix, n: int, *, rtol: float, bandwidth: float | None, seed: int) -> PerfectGain:
+def full_rank_gain(
+    R: Matrix, S: Matrix, n: int, *, inputs: Matrix, rtol: float, bandwidth: float | None, seed: int
+) -> PerfectGain:
     """Return the best of many gains whose ``T`` has full column rank: least index first, then least noise.
 
     The observable part of ``(H, M)`` is made nilpotent through ``t`` random combinations of ``H``, which gives it
     ``t`` chains; random gains into the unobservable part, nilpotent by itself, hang its chains on to them. Each
-    dimension of the null space of ``S`` ends one chain, which bounds ``t``.
+    dimension of the null space of ``S`` ends one chain, which bounds ``t``. Chains of one part may hang on to those of
+    another that nothing connects with it, but the control inputs, whose columns are ``inputs``.
     """
-    p = _problem(R, S, n, rtol, bandwidth)
+    p = _problem(R, S, n, rtol, bandwidth, inputs)
     rng = np.random.default_rng(seed)
     form = staircase(p.M, p.H, rtol=rtol, units="given")
     c = len(p.M)

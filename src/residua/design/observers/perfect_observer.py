@@ -404,7 +404,8 @@ def perfect_observer(
         gain = least_order_gain(R, S, n, rtol=rtol, bandwidth=scale)
     else:
         check_singular(plant, rtol)
-        gain = full_rank_gain(R, S, n, rtol=rtol, bandwidth=scale, seed=seed)
+        inputs = np.vstack([plant.Bu, plant.Du[rows]])
+        gain = full_rank_gain(R, S, n, inputs=inputs, rtol=rtol, bandwidth=scale, seed=seed)
     left = gain.W if least_order else output_error_rows(gain, len(rows))
     blank = Evidence("perfect observer")
     observer = PerfectObserver(

@@ -71,13 +71,13 @@ def _reduced(
     free = np.zeros((p, 0))  # combinations of the used outputs that no disturbance enters
     free = _embedded(left_null_basis(plant.Dd[used])[0], used, p) if np.any(plant.Dd) else np.eye(p)[:, used]
     G = _through_outputs(plant, used)
-    # an equation that a measured disturbance leaves nothing of would be evened up from its rounding
-    A = sum_without_rounding((np.eye(n), plant.A), (-G, plant.C))
+    # an equation, or an output, that a measured disturbance leaves nothing of would be evened up from its rounding
+    A, C = sum_without_rounding((np.eye(n), plant.A), (-G, plant.C)), without_rounding(free.T, plant.C)
     drive = np.hstack([plant.Bu, plant.Bd])
-    u = descriptor_units(A, plant.E, drive, free.T @ plant.C, np.zeros((free.shape[1], drive.shape[1])))
+    u = descriptor_units(A, plant.E, drive, C, np.zeros((free.shape[1], drive.shape[1])))
     R, S = u.equations[:, None], u.states
     As, Es = R * A * S, R * (np.eye(n) if plant.E is None else plant.E) * S
-    Cs = u.outputs[:, None] * (free.T @ plant.C) * S
+    Cs = u.outputs[:, None] * C * S
     Ds = R * (plant.Bd - G @ plant.Dd)
     U, s, Vh = np.linalg.svd(Cs) if Cs.size else (np.eye(len(Cs)), np.zeros(0), np.eye(n))
     U, Vh = without_noise(U), without_noise(Vh)
