@@ -103,7 +103,12 @@ def check_state_map(
     """
     n_u = len(plant.inputs)
     p = plant.system(("control", "disturbance", "fault"))
-    units = state_units(p.A, p.B, p.C, p.D) if p.E is None else descriptor_units(p.A, p.E, p.B, p.C, p.D).states
+    if p.E is None:
+        units = state_units(p.A, p.B, p.C, p.D)
+        rate = _largest(p.A, units / units[:, None])
+    else:
+        u = descriptor_units(p.A, p.E, p.B, p.C, p.D)
+        units, rate = u.states, 1 / u.unit
     V = np.zeros((generator.n_outputs, plant.n_states)) if V is None else V
     TE, VE = (T, 0.0 * V) if p.E is None else (T @ p.E, V @ p.E)
     absolute_TE, absolute_VE = (
@@ -115,10 +120,12 @@ def check_state_map(
         rows = np.resize(units, len(T))  # stacked observers repeat the states of the plant
     else:
         heights = (absolute_TE * units).max(axis=1, initial=0.0)
-        others = (terms * units).max(axis=1, initial=0.0)  # of a row of T that is zero
-        rows = np.where(heights > 1e-12 * heights.max(initial=0.0), heights, np.where(others > 0, others, 1.0))
+        others = (terms * units).max(axis=1, initial=0.0)
+        # a row of T that is zero has the size of the other terms; residuals, and so rows, have units of their own
+        rows = np.where(rate * heights > 1e-12 * others, heights, np.where(others > 0, others, 1.0))
+        rows = np.where(rows > 0, rows, 1.0)
     first = _largest(T @ p.A - Gy @ p.C - generator.A @ TE, units / rows[:, None])
-    own = _largest(p.A, units / units[:, None]) if p.E is None else 0.0
+    own = rate if p.E is None else 0.0
     if generator.n_states:  # where decoupling left T = 0, all the terms are rounding of what the poles are made of
         own = max(own, 1e-3 * float(np.abs(generator.poles()).max()))
     first /= max(_largest(terms, units / rows[:, None]), own, TINY)

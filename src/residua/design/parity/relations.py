@@ -331,14 +331,16 @@ def relations_of(
 ) -> ParityRelations:
     """Return relations as one set, each scaled so that the newest sample of an output has coefficient one.
 
-    Relations that keep directions together are of one order, and all scaled by the factor of the first.
+    The first output that takes much part, in units that are not those of the caller: another one would be another
+    rounding. Relations that keep directions together are of one order, and all scaled by the factor of the first.
     """
-    factors = []
+    factors, outputs = [], canonical_units(plant).outputs
     for row in rows:
         newest = row.q[-1]
         if not np.any(row.q):
             raise DesignError("a relation reads no output: the equations of the model are not independent")
-        large = np.flatnonzero(np.abs(newest) >= 0.1 * np.abs(newest).max())
+        parts = np.abs(newest) / outputs
+        large = np.flatnonzero(parts >= 0.1 * parts.max())
         leading = float(newest[large[0]] / np.prod(row.basis.sizes[: row.order]))
         factors.append(1 / leading if leading else 1.0)
     if directions is not None:
