@@ -128,6 +128,8 @@ def _subspaces(record: Record, found: Paths, made: Any, faults: Sequence[str], l
         r = (total[:, :, j] / unit).T
         height = np.linalg.norm(r, axis=0)
         off = np.linalg.norm(r - scaled @ (scaled.T @ r), axis=0)
+        terms = np.linalg.norm(np.where(live[:, None], found.terms[:, :, found.to_faults], 0.0)[:, :, j] / unit, axis=1)
+        off = np.where(off > _LEAK * terms, off, 0.0)  # against what cancels there, as any leak
         worst = float(np.max(np.where(height > 1e-7, off / np.where(height > 0, height, 1.0), 0.0)))
         if worst > _NEAR:
             text = f"{record.function}: {name!r} leaves its subspace of dimension {basis.shape[1]} by {worst:.1e}"

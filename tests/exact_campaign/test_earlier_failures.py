@@ -94,6 +94,16 @@ _EARLIER = [
     ("singular E", 1038, designs._observers),
     # a perfect observer hung chains of a part on to those of another, with which it had no common unit
     ("dead sensors", 1035, designs._perfect),
+    # rows of residuals in small units were taken for zero beside one in large units
+    ("feedthrough", 1041, designs._parity),
+    # the output with coefficient one was chosen in the units of the caller, and rounding with it
+    ("integrators", 1042, designs._parity),
+    # residuals had the size of what an integrator makes them of, beside which their answers were no directions
+    ("integrators", 1107, designs._noise),
+    # a direction that rounding bends where nearly everything cancels: a flaw of the campaign
+    ("integrators", 1110, designs._filters),
+    # what rounding left of a gain on a dead sensor was a direction of its fault
+    ("dead sensors", 1118, designs._noise),
 ]
 
 

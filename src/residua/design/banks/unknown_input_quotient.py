@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from residua.design.core.signals import signal_names
 from residua.linear import StateSpace
 from residua.linear.subspaces.detection_space import confining_gain, detection_space
+from residua.linear.subspaces.parts import row_parts
 from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis, range_basis, without_noise
 from residua.linear.subspaces.reachability import reachable_basis
 from residua.linear.systems.balancing import descriptor_units, without_rounding
@@ -105,7 +106,7 @@ def unknown_input_quotient(parts: ExplicitParts, rtol: float) -> Quotient:
     if S.shape[1]:
         inject = confining_gain(A, C, S)
         scale = float(np.linalg.norm(parts.C, 2)) if parts.C.size else 0.0  # what is left of C may be all rounding
-        H = left_null_basis(C @ S, rtol=rtol, scale=scale)[0].T
+        H = _left_null_rows(C @ S, rtol, scale)
         P = left_null_basis(S)[0]
     else:
         inject, H, P = np.zeros((len(A), len(C))), np.eye(len(C)), np.eye(len(A))
@@ -122,6 +123,16 @@ def unknown_input_quotient(parts: ExplicitParts, rtol: float) -> Quotient:
         read @ parts.measurement_noise,
         direct,
     )
+
+
+def _left_null_rows(M: NDArray, rtol: float, scale: float) -> NDArray[np.float64]:
+    """Return orthonormal rows that annihilate a matrix; outputs that share nothing, as a dead one, are not mixed."""
+    rows = [np.zeros((0, len(M)))]
+    for part in row_parts(M):
+        basis = left_null_basis(M[part], rtol=rtol, scale=scale)[0]
+        rows.append(np.zeros((basis.shape[1], len(M))))
+        rows[-1][:, part] = basis.T
+    return np.vstack(rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +157,9 @@ class QuotientFilter:
 def quotient_filter(plant: Plant, parts: ExplicitParts, quotient: Quotient, gain: NDArray) -> QuotientFilter:
     """Return the filter of a gain on the quotient: ``z' = (A - gain C) z + (inject + gain read) eta``."""
     F = quotient.A - gain @ quotient.C
-    K = quotient.inject + gain @ quotient.read
+    # what rounding left of a dead sensor would be all of the dynamics that its fault has
+    terms = np.abs(quotient.inject) + np.abs(gain) @ np.abs(quotient.read)
+    K = above_rounding(quotient.inject + gain @ quotient.read, terms, RESIDUE)
     n_y = plant.n_outputs
     T = _without_rounding(quotient.T1 - K[:, n_y:] @ parts.algebra) * parts.equations
     read = _without_rounding(quotient.read)

@@ -11,7 +11,7 @@ from residua.design.core.internal_form import frequency_grid
 from residua.linear import StateSpace
 from residua.linear.systems.response_terms import EvenUnits, in_even_units, response_terms
 from residua.plant import Plant
-from residua.tolerances import DESIGN_ROUNDING, TINY
+from residua.tolerances import DESIGN_ROUNDING, LEAKAGE, TINY
 
 #: Of the largest terms of a row and of a column, wherever they stand: what stands elsewhere leaves eps of rounding.
 _ELSEWHERE = 1e-4
@@ -176,8 +176,14 @@ def _dimension(s: NDArray[np.float64], rtol: float) -> int:
 
 
 def residual_units(responses: FaultResponses) -> NDArray[np.float64]:
-    """Return the size of what each residual is made of: residuals that ignore every fault have one as well."""
-    units = responses.sizes.max(axis=(0, 2), initial=0.0)
+    """Return the size of each residual: of its answers, where these are more than a little of what they are made of.
+
+    Else of what it is made of, so that residuals that ignore every fault have one as well. Where a plant integrates,
+    that grows without end towards low frequencies, and no answer would be a direction beside those of another residual.
+    """
+    values, sizes = np.abs(responses.values), responses.sizes
+    answers = np.where(values > LEAKAGE * sizes, values, 0.0).max(axis=(0, 2), initial=0.0)
+    units = np.where(answers > 0, answers, sizes.max(axis=(0, 2), initial=0.0))
     return np.where(units > 0, units, 1.0)
 
 

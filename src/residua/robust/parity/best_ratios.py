@@ -6,9 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.linear.subspaces.parts import row_parts
-
-#: Ratios that differ by less, relative, are equal; answers to signals that do are the same, in a space known to less.
-_EQUAL, _NEARLY = 1e-9, 1e-6
+from residua.tolerances import DESIGN_ROUNDING, IDENTITY
 
 
 def best_ratios(
@@ -59,14 +57,14 @@ def _without_choice(left: NDArray[np.float64], values: NDArray[np.float64], seen
     """Return left singular vectors; of those with one value, the ones that answer most to one column, then the next."""
     left, start = left.copy(), 0
     for end in range(1, len(values) + 1):
-        if end < len(values) and values[end] > (1 - _EQUAL) * values[start]:
+        if end < len(values) and values[end] > (1 - DESIGN_ROUNDING) * values[start]:
             continue
         if end > start + 1 and values[start] > 0:
             rest = left[:, start:end]
             for k in range(start, end):
                 answers = rest.T @ seen
                 sizes = np.linalg.norm(answers, axis=0)
-                first = answers[:, np.flatnonzero(sizes > (1 - _NEARLY) * sizes.max())[0]]
+                first = answers[:, np.flatnonzero(sizes > (1 - IDENTITY) * sizes.max())[0]]
                 turned = np.linalg.qr(first[:, None], mode="complete")[0]
                 left[:, k], rest = rest @ (first / np.linalg.norm(first)), rest @ turned[:, 1:]
         start = end
