@@ -98,6 +98,12 @@ _EARLIER = [
     ("feedthrough", 1041, designs._parity),
     # the output with coefficient one was chosen in the units of the caller, and rounding with it
     ("integrators", 1042, designs._parity),
+    # an algebraic equation held a disturbance by what rounding left of it
+    ("singular E", 1128, designs._estimators),
+    # the internal form was compared with responses that elimination in the units of the caller had rounded
+    ("stiff", 1144, designs._estimators),
+    # a triangular matrix was singular in units of rows and columns
+    ("integrators", 1129, designs._estimators),
     # residuals had the size of what an integrator makes them of, beside which their answers were no directions
     ("integrators", 1107, designs._noise),
     # a direction that rounding bends where nearly everything cancels: a flaw of the campaign

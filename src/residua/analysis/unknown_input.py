@@ -353,17 +353,18 @@ def algebraic_equations(plant: Plant, *, without: NDArray | None = None) -> NDAr
 def with_equations_measured(plant: Plant) -> tuple[Plant, NDArray[np.float64]]:
     """Return a singular plant with its algebraic equations as further outputs, which read zero, and these equations.
 
-    ``N (A x + B u + E_d d) = 0`` with ``N E = 0`` tells of the state what a sensor would.
+    ``N (A x + B u + E_d d) = 0`` with ``N E = 0`` tells of the state what a sensor would. A disturbance that enters one
+    by rounding only would have units in which that is all of it.
     """
     N = algebraic_equations(plant)
     measured = plant._with(
-        C=frozen(np.vstack([plant.C, N @ plant.A])),
+        C=frozen(np.vstack([plant.C, without_rounding(N, plant.A)])),
         outputs=(*plant.outputs, *(f"equation {i + 1}" for i in range(len(N)))),
         operating_point=OperatingPoint(
             plant.operating_point.inputs, (*plant.operating_point.outputs, *(0.0,) * len(N))
         ),
         **{
-            f"D{role}": frozen(np.vstack([getattr(plant, f"D{role}"), N @ getattr(plant, f"B{role}")]))
+            f"D{role}": frozen(np.vstack([getattr(plant, f"D{role}"), without_rounding(N, getattr(plant, f"B{role}"))]))
             for role in "udfw"
         },
     )

@@ -157,7 +157,7 @@ def check_known_form(generator: StateSpace, plant: Plant, form: StateSpace, *, l
     points = np.exp(1j * w * generator.dt) if generator.is_discrete else 1j * w
     systems = generator, plant.system(("fault", "disturbance", "noise")), form
     # values are exactly zero where no chain of couplings leads: in some units rounding there is large
-    of_filter, of_plant, of_form = (response_terms(system, points) for system in systems)
+    of_filter, of_plant, of_form = (response_terms(_with_even_states(system), points) for system in systems)
     Q, P, known = of_filter.values[..., n_u:], of_plant.values, of_form.values
     if known.shape != (len(w), Q.shape[1], P.shape[2]):
         raise ModelError(f"the internal form is {form.n_outputs} x {form.n_inputs}, not residuals x (f, d, w)")
@@ -326,6 +326,13 @@ def leakage_of_inputs(generator: StateSpace, plant: Plant, w: NDArray | None = N
     # where the terms that are alive are the smaller ones, what gets through is of the others: all of it
     ratio = np.where(parts > 0, np.abs(total) / np.where(parts > 0, np.maximum(parts, np.abs(total)), 1.0), 0.0)
     return ratio.max(axis=(0, 1), initial=0.0)
+
+
+def _with_even_states(system: StateSpace) -> StateSpace:
+    """Return a system with its channels as they are, and its states in units in which elimination rounds least."""
+    even = in_even_units(system)
+    B, C = even.system.B / even.inputs, even.system.C / even.outputs[:, None]
+    return even.system.replaced(B=B, C=C, D=system.D)
 
 
 def _with_even_rows(generator: StateSpace, inputs: NDArray) -> StateSpace:
