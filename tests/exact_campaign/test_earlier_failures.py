@@ -104,6 +104,8 @@ _EARLIER = [
     ("stiff", 1144, designs._estimators),
     # a triangular matrix was singular in units of rows and columns
     ("integrators", 1129, designs._estimators),
+    # a gain that rounding left on an output coupled states, and was the norm of all
+    ("dead sensors", 1203, designs._filters),
     # residuals had the size of what an integrator makes them of, beside which their answers were no directions
     ("integrators", 1107, designs._noise),
     # a direction that rounding bends where nearly everything cancels: a flaw of the campaign

@@ -30,8 +30,8 @@ from residua.linear import is_stable_mode
 from residua.linear.poles.placement import place_observer_poles
 from residua.linear.poles.spectrum import spectrum_error
 from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank, equilibrated
+from residua.linear.systems.balancing import state_units
 from residua.plant import Plant
-from residua.plant.comparable_units import even_plant
 from residua.tolerances import IDENTITY, TINY
 
 #: No pole of a sampled observer is chosen nearer to zero: its inverse would be far from all others.
@@ -231,7 +231,8 @@ def _existence(plant: Plant, rtol: float) -> UnknownInputExistence:
     if independent.rank < q:
         raise DesignError(f"the {q} unknown inputs have only {independent.rank} independent directions")
     # rows and columns of a triangular matrix have no even size: in the units of states alone its diagonal stays
-    regular = decide_rank(even_plant(plant, explicit=True).plant.A, rtol=rtol)
+    units = state_units(plant.A, plant.Bd, plant.C)
+    regular = decide_rank(plant.A / units[:, None] * units, rtol=rtol)
     if regular.rank < plant.n_states:
         raise DesignError(
             f"A is singular, rank {regular.rank} < {plant.n_states}: the inverse form does not exist; {_INSTEAD}"

@@ -16,7 +16,7 @@ from residua.design.observers.estimate_check import check_estimate
 from residua.design.observers.observer import Observer, in_units_of_the_plant
 from residua.design.observers.observer_gain import gain_size, place, pole_evidence
 from residua.errors import DesignError
-from residua.linear.subspaces.rank import DEFAULT_RTOL
+from residua.linear.subspaces.rank import DEFAULT_RTOL, without_rounded_gains
 from residua.plant import Plant
 from residua.plant.comparable_units import even_plant
 
@@ -99,7 +99,7 @@ def luenberger_observer(
     used = arrays.different_positions(outputs, plant.outputs, "output")
     placed = place(plant.A, plant.C[used], poles, margin, plant.dt, rtol)
     n, W = plant.n_states, np.eye(plant.n_outputs)[used]
-    K = placed.gain @ W
+    K = without_rounded_gains(placed.gain) @ W  # which would couple states that nothing couples
     F = plant.A - K @ plant.C
     names = ", ".join(plant.disturbances)
     evidence = Evidence(
