@@ -154,7 +154,7 @@ def check_known_form(generator: StateSpace, plant: Plant, form: StateSpace, *, l
     """Return how far an internal form is from the generator driven by the plant, over frequency, or raise."""
     w = frequency_grid(generator, plant.system(()))
     n_u = len(plant.inputs)
-    points = np.exp(1j * w * generator.dt) if generator.is_discrete else 1j * w
+    points = np.asarray(np.exp(1j * w * generator.dt) if generator.is_discrete else 1j * w, dtype=np.complex128)
     systems = generator, plant.system(("fault", "disturbance", "noise")), form
     # values are exactly zero where no chain of couplings leads: in some units rounding there is large
     of_filter, of_plant, of_form = (response_terms(_with_even_states(system), points) for system in systems)
