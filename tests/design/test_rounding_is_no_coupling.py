@@ -56,7 +56,7 @@ def dead_sensor() -> rs.Plant:
 )
 def test_no_pole_is_placed_through_rounding(plant: rs.Plant, design: Any) -> None:
     made = design(plant)
-    assert made.evidence.conditions["norm of K1"] < GAIN
+    assert made.evidence.conditions["size of K1"] < GAIN
     assert np.abs(made.system.A).max(initial=0.0) < GAIN
 
 

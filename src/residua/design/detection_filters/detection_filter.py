@@ -263,7 +263,7 @@ class _Frame:
             poles=explicit_poles(F),
             requested_poles=design.requested,
             fixed_poles=design.fixed,
-            conditions={"pole error": self._pole_error(design, F), "norm of K1": gain_size(F, K1, plant.C)},
+            conditions={"pole error": self._pole_error(design, F), "size of K1": gain_size(F, K1, plant.C)},
             notes=(*notes, design.note) if design.note else notes,
         )
         K, M = above_rounding(K1 + F @ self.H, np.abs(K1) + np.abs(F) @ np.abs(self.H)), np.eye(len(F))

@@ -105,7 +105,7 @@ def luenberger_observer(
     evidence = Evidence(
         method="Luenberger observer",
         **pole_evidence(placed, F),
-        conditions={"pole error": placed.error, "norm of K": gain_size(F, K, plant.C)},
+        conditions={"pole error": placed.error, "size of K": gain_size(F, K, plant.C)},
         notes=(f"disturbances are not decoupled by a Luenberger observer: {names}",) if names else (),
         references=("Twardy and Kaczorek, part I, Theorem 2",),
     )

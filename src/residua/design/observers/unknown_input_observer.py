@@ -258,7 +258,7 @@ def assemble(
             "|T E| / |E|": identity,
             "T E + H C = I": whole,
             "pole error": placed.error,
-            "norm of K1": gain_size(F, K1, plant.C),
+            "size of K1": gain_size(F, K1, plant.C),
         },
         notes=notes,
         references=(REFERENCE,),
