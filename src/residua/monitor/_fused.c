@@ -423,6 +423,29 @@ point_at_plan(Runner *self)
     q->B = PLAN(self, B_);
     q->C = PLAN(self, C_);
     q->D = PLAN(self, D_);
+    as_a_whole(q);
+}
+
+/* Pack the matrices of the filter, as a whole and section by section. */
+static int
+pack_filter(Runner *self)
+{
+    job *const q = &self->filter;
+    Py_ssize_t size = 8;
+    execute(q, self->path); /* without plants it only packs */
+    q->is_packed = 1;
+    self->sections = find_sections(q, &q->n_sections, &size);
+    if (self->sections == NULL)
+        return 0;
+    self->sections_room = PyMem_Malloc((size_t)size * sizeof(double));
+    if (self->sections_room == NULL) {
+        PyErr_NoMemory();
+        return -1;
+    }
+    place_sections(self->sections, q->n_sections, q->m, line_of(self->sections_room));
+    q->sections = self->sections;
+    pack_sections(q, self->path);
+    return 0;
 }
 
 static PyObject *
@@ -469,15 +492,13 @@ runner_new(PyTypeObject *type, PyObject *args, PyObject *keywords)
             self->tile = self->filter.packed + packed;
             point_at_plan(self);
             find_records(self);
+            status = pack_filter(self);
         }
     }
     if (status < 0) {
         Py_DECREF(self);
         return NULL;
     }
-    job q = self->filter; /* without plants it only packs */
-    execute(&q, path);
-    self->filter.is_packed = 1;
     return (PyObject *)self;
 }
 
@@ -495,6 +516,8 @@ runner_dealloc(PyObject *object)
     while (self->one_views.held > 0)
         PyBuffer_Release(&self->one_views.views[--self->one_views.held]);
     free(self->one_room);
+    free(self->sections);
+    PyMem_Free(self->sections_room);
     PyMem_Free(self->room);
     freefunc release = (freefunc)PyType_GetSlot(type, Py_tp_free);
     release(object);
@@ -516,7 +539,7 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     const Py_ssize_t samples = time < CHUNK ? CHUNK : time < PIECE ? time : PIECE, k = self->test.k;
     const test_plan *t = &self->test;
     const Py_ssize_t widest = t->directions > k ? t->directions : k;
-    const Py_ssize_t room_e = t->kind == NORM ? 0 : samples * k, states = (2 * CHUNK + 2) * self->n + 16;
+    const Py_ssize_t room_e = t->kind == NORM ? 0 : samples * k, states = (2 * CHUNK + 3) * self->n + 16;
     const Py_ssize_t history = t->kind < CHI_SQUARED ? 0 : widest * (t->window - 1 + samples + 16);
     const Py_ssize_t doubles = samples * (self->m + self->nr + 2 * k + 2) + states + small_size(self) + room_e + history
                                + 8;

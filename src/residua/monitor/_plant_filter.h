@@ -72,6 +72,8 @@ typedef struct {
     isolation_plan naming;
     job filter;
     const double *judge; /* centre and whitening of at most four residuals, padded; NULL of more */
+    section *sections; /* of the filter, if it has several; what they are packed in */
+    double *sections_room;
     double *room; /* of the packed matrices, and: */
     double *tile; /* of four samples: offsets, lowest values, highest values; of u and y, of u, of y */
     int has_offset;
