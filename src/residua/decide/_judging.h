@@ -12,7 +12,8 @@
 #define LARGEST_SQUARES 9e239  /* sums of squares up to here are of numbers up to there */
 #define FULL 2.0               /* as in residua.decide.cusum */
 
-enum { NORM = 1, PAGE, CROSIER, PIGNATIELLO_RUNGER, EWMA, CHI_SQUARED, GLR, DIRECTED_GLR };
+enum { NORM = 1, PAGE, CROSIER, PIGNATIELLO_RUNGER, EWMA, CHI_SQUARED, GLR, DIRECTED_GLR, PARTS };
+enum { NOBODY, DIRECTIONS, CODES };
 
 typedef unsigned char flag;
 typedef long long whole;
@@ -26,10 +27,19 @@ typedef struct {
     double threshold, release_level, allowance, old_weight, new_weight, deviation;
     double padded[20]; /* of at most four residuals: centres, then rows of the whitening, and zeros */
     const double *center, *whitening, *coefficients, *rewhitening, *knots, *scores, *along;
+    /* Of parts: their first columns, and the end; their thresholds; of each column the residuals that it takes, and with
+     * which weights, `terms` rows; and a whitening of all, or NULL. */
+    Py_ssize_t parts, terms;
+    const whole *begins, *from;
+    const double *limits, *weights, *joint;
 } test_plan;
 
 typedef struct {
-    Py_ssize_t k, window, groups;
+    int kind;
+    Py_ssize_t k, window, groups; /* k: residuals, or members */
+    const flag *codes; /* of each group, which members it fires */
+    double share;
+    int is_at_once; /* a member that is in alarm counts as fired, whatever the window */
     const whole *dimensions;
     const double *padded; /* k rows of all columns of all groups, and zeros */
     Py_ssize_t columns, room; /* of a row: a multiple of four numbers */
@@ -565,8 +575,15 @@ shares_of(double *values, double size, Py_ssize_t count)
 {
     for (Py_ssize_t c = 0; c < count; c++) {
         const double score = values[c] / size;
-        values[c] = score < 1.0 ? score : 1.0;
+        values[c] = score > 1.0 ? 1.0 : score; /* NaN where infinite sums are compared */
     }
+}
+
+INLINE void
+clear_doubles(void *to, Py_ssize_t count)
+{
+    for (Py_ssize_t j = 0; j < count; j++)
+        ((double *)to)[j] = 0.0;
 }
 
 /* How well each signature explains one sum; NaN where nothing can be said. `part` has room for all columns. */

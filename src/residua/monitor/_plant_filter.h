@@ -7,7 +7,7 @@
 
 #define RESIDUA_JUDGES
 #include "../linear/systems/_filter.h"
-#include "../decide/_judging.h"
+#include "../decide/_members.h"
 
 #define PIECE 256
 #define LARGEST 1e150 /* as in residua.monitor.one_plant */
@@ -16,23 +16,23 @@
 
 enum {
     A_, B_, C_, D_, START, OFFSET, LOW, HIGH, ROWS, CORRECTION, RATIOS, CENTER, WHITENING, COEFFICIENTS, REWHITENING,
-    KNOTS, SCORES, ALONG, BASES, DIMENSIONS, PLAN_ARRAYS
+    KNOTS, SCORES, ALONG, BASES, DIMENSIONS, SIZES, LIMITS, JOINT, CODE_TABLE, PLAN_ARRAYS
 };
 enum {
     X, HELD, GAP, RUNNING, AGE, RESETS, BROKEN, STARTING, START_SUMS, MOVED, APART, COUNT, TEST_VALUES, TEST_BEGUN,
-    TEST_FILLED, PAST, PAST_USABLE, SUMS, UP, DOWN, ALARM, VALUES, BEGUN, FILLED, LAST_FLAGS, LAST_STATISTIC,
-    LAST_RESIDUALS, LAST_UP, LAST_SCORES,
+    TEST_FILLED, PAST, PAST_USABLE, SUMS, UP, DOWN, ALARM, VALUES, BEGUN, FILLED, SINCE, FIRED, LAST_FLAGS,
+    LAST_STATISTIC, LAST_RESIDUALS, LAST_UP, LAST_SCORES, LAST_CODE,
     STATE_ARRAYS
 };
 enum {
     OUT_RESIDUALS, OUT_MISSING, OUT_ASIDE, OUT_USABLE, OUT_STATISTIC, OUT_EXCEEDED, OUT_ALARM, OUT_UP, OUT_WHITENED,
-    OUT_SCORES, OUT_READY, OUTPUTS
+    OUT_SCORES, OUT_READY, OUT_PARTS, OUT_FIRED, OUT_CODE, OUTPUTS
 };
 enum {
     N, N_U, N_Y, N_R, SETTLE, MAX_HOLD, FIRST, N_RATIOS, PARTIAL, TEST_KIND, K, WINDOW, PERSISTENCE, RELEASE, ORDER,
-    N_KNOTS, N_SUMS, N_ALONG, GROUPS, ISOLATION_WINDOW, COLUMNS, INTEGERS
+    N_KNOTS, N_SUMS, N_ALONG, GROUPS, ISOLATION_WINDOW, COLUMNS, N_PARTS, MEMBERS, AT_ONCE, INTEGERS
 };
-enum { THRESHOLD, RELEASE_LEVEL, ALLOWANCE, OLD_WEIGHT, NEW_WEIGHT, DEVIATION, NUMBERS };
+enum { THRESHOLD, RELEASE_LEVEL, ALLOWANCE, OLD_WEIGHT, NEW_WEIGHT, DEVIATION, SHARE, NUMBERS };
 
 typedef struct {
     source in;                                            /* deviations of a piece: where they lie, or in v */
@@ -40,6 +40,8 @@ typedef struct {
     whole *up;
     double *x, *small; /* of states and a spare one; of one sample */
     flag *usable, *over, *alarm;
+    part_piece parts; /* room for what is not an output */
+    whole count;      /* samples of the plant before the piece */
     job filter;
     int is_missing; /* the last sample of the piece */
     int is_judged;  /* whether q and the squares of a piece are there already, in `statistic` */
@@ -74,6 +76,7 @@ typedef struct {
     const double *judge; /* centre and whitening of at most four residuals, padded; NULL of more */
     section *sections; /* of the filter, if it has several; what they are packed in */
     double *sections_room;
+    void *parts_room; /* of what the plan of a test of parts points at */
     double *room; /* of the packed matrices, and: */
     double *tile; /* of four samples: offsets, lowest values, highest values; of u and y, of u, of y */
     int has_offset;
@@ -206,13 +209,6 @@ copy_flags(flag *to, const flag *from, Py_ssize_t count)
         *to = *from;
     else
         memcpy(to, from, (size_t)count);
-}
-
-INLINE void
-clear_doubles(void *to, Py_ssize_t count)
-{
-    for (Py_ssize_t j = 0; j < count; j++)
-        ((double *)to)[j] = 0.0;
 }
 
 INLINE int

@@ -1,0 +1,118 @@
+"""Banks, groups and codes in the fused loop have the bits of NumPy, whatever the data, and however they are cut."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+
+from fused_examples import MARKS, Bank, bank_specification, recording, same
+from residua.monitor import fused
+from residua.monitor.fused import FusedRun, LastSample, copied, plan_of, run_block
+from residua.monitor.running import initial_state, joined_decisions, rows_of, run_reference, written_rows
+
+needs_kernel = pytest.mark.skipif(fused._kernel is None, reason="there is no compiled kernel")
+
+banks = st.builds(
+    Bank,
+    kind=st.sampled_from(("norm", "norm", "peak", "groups", "alone")),
+    members=st.lists(st.tuples(st.integers(0, 6), st.integers(1, 4)), min_size=1, max_size=40).map(tuple),
+    channels=st.integers(1, 5),
+    window=st.sampled_from((1, 1, 5)),
+    persistence=st.integers(1, 3),
+    release=st.integers(1, 4),
+    code_window=st.sampled_from((1, 4, 30)),
+    dedicated=st.booleans(),
+    starts=st.booleans(),
+)
+seeds, marked = st.integers(0, 2**32 - 1), st.lists(st.sampled_from((*MARKS, 1e119, 1e149)), max_size=6)
+TOLD = ("missing", "usable", "statistic", "alarm", "residuals", "up", "member_statistics", "fired", "code", "scores")
+
+
+def compare_blocks(bank: Bank, marks: list[float], overflow: bool, path: int, seed: int) -> int:
+    """Assert that blocks have the bits of NumPy, in any cut; return how many samples were in alarm."""
+    spec, rng = bank_specification(bank, seed), np.random.default_rng(seed + 1)
+    if overflow:
+        spec = replace(spec, plausible=np.tile([-1e308, 1e308], (spec.B.shape[1], 1)))
+    plan = plan_of(spec)
+    assert plan is not None
+    assert plan.names
+    data = recording(spec, rng, int(rng.integers(2, 600)), marks)
+    with np.errstate(all="ignore"):
+        state, expected = run_reference(spec, initial_state(spec, 3), data)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fused, "best_path", lambda: path)
+        now, parts = initial_state(spec, 3), []
+        for part in np.split(data, np.sort(rng.integers(0, data.shape[1] + 1, rng.integers(6))), axis=1):
+            now, decisions = run_block(spec, now, part)
+            parts.append(decisions)
+    same(joined_decisions(parts), expected, "decisions")
+    same(now, state, "state")
+    return int(expected.alarm.sum())
+
+
+def compare_ticks(bank: Bank, marks: list[float], path: int, plants: int, few: bool, seed: int) -> None:
+    """Assert that single samples of some plants, in any order, have the bits of NumPy, the last decisions too."""
+    spec, rng = bank_specification(bank, seed), np.random.default_rng(seed + 1)
+    plan, state = plan_of(spec), initial_state(spec, plants)
+    assert plan is not None
+    data = np.concatenate([recording(spec, rng, 30, marks) for _ in range(-(-plants // 3))])[:plants]
+    keep = TOLD[:4] if few else fused.OUTPUTS
+    coded = 0 if spec.isolation.coding is None else len(spec.members)
+    last = LastSample.blank(plants, len(spec.C), len(spec.isolation.groups), coded)
+    inputs = int(rng.integers(0, data.shape[2] + 1))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fused, "best_path", lambda: path)
+        run = FusedRun(spec, plan, copied(state), inputs, last)
+    for k in range(data.shape[1]):
+        rows = rng.permutation(plants)[: int(rng.integers(1, plants + 1))]
+        outs, sample = run.outputs(len(rows), 1, keep), data[rows, k : k + 1]
+        run.run(sample[..., :inputs], sample[..., inputs:], outs, rows)
+        with np.errstate(all="ignore"):
+            after, expected = run_reference(spec, rows_of(state, rows), sample)
+        state = written_rows(copied(state), rows, after)
+        for name in TOLD:
+            values = outs[name]
+            if values is not None:
+                assert np.array_equal(values, getattr(expected, name), equal_nan=values.dtype == float), name
+        if last.code is not None:
+            assert np.array_equal(last.code[rows], expected.code[:, -1])
+            loud = expected.alarm[:, -1]
+            assert np.array_equal(last.scores[rows][loud], expected.scores[:, -1][loud], equal_nan=True)
+    same(run.state, state, "state")
+
+
+@needs_kernel
+@settings(max_examples=60, deadline=None)
+@given(bank=banks, marks=marked, overflow=st.booleans(), path=st.sampled_from((0, 1, 2)), seed=seeds)
+def test_a_bank_has_the_bits_of_numpy(bank: Bank, marks: list[float], overflow: bool, path: int, seed: int) -> None:
+    compare_blocks(bank, marks, overflow, min(path, fused.best_path()), seed)
+
+
+@needs_kernel
+@settings(max_examples=30, deadline=None)
+@given(
+    bank=banks,
+    marks=marked,
+    path=st.sampled_from((0, 1, 2)),
+    plants=st.sampled_from((1, 2, 33, 70)),
+    few=st.booleans(),
+    seed=seeds,
+)
+def test_single_samples_of_many_banks_have_the_bits_of_numpy(
+    bank: Bank, marks: list[float], path: int, plants: int, few: bool, seed: int
+) -> None:
+    compare_ticks(bank, marks, min(path, fused.best_path()), plants, few, seed)
+
+
+@needs_kernel
+@pytest.mark.campaign
+@settings(max_examples=10_000, deadline=None)
+@given(bank=banks, marks=marked, overflow=st.booleans(), path=st.sampled_from((0, 1, 2)), seed=seeds)
+def test_ten_thousand_banks_have_the_bits_of_numpy(
+    bank: Bank, marks: list[float], overflow: bool, path: int, seed: int
+) -> None:
+    compare_blocks(bank, marks, overflow, min(path, fused.best_path()), seed)
+    compare_ticks(bank, marks, min(path, fused.best_path()), 1 + seed % 40, bool(seed % 2), seed)
