@@ -19,6 +19,7 @@ typedef struct {
     double *statistics;
     flag *fired, *code;
     double *ones, *counts; /* room: members in alarm as numbers, and how many of them there are in the window */
+    double *columns;       /* room: residuals, one whitened residual, and a square of each part, for all samples */
     whole before;          /* samples before the piece */
 } part_piece;
 
@@ -50,6 +51,58 @@ whiten_parts(const test_plan *t, const piece *p, double *centred)
         p->usable[i] = 0;
         for (Py_ssize_t j = 0; j < k; j++)
             q[j] = 0.0;
+    }
+}
+
+/* Whitened residuals of a piece, and the squares of each part, column by column: all samples of one at once. 0 where a
+ * sample is not usable, or might not be. `keeps`: whether the whitened residuals themselves are asked for. */
+INLINE int
+squares_by_column(const test_plan *t, const piece *p, part_piece *m, int keeps)
+{
+    const Py_ssize_t time = p->time, k = t->k, nr = t->nr, parts = t->parts;
+    double *const white = m->columns + nr * time, *const squares = white + time;
+    if (!all_set(p->usable, time))
+        return 0;
+    for (Py_ssize_t c = 0; c < nr; c++)
+        for (Py_ssize_t i = 0; i < time; i++)
+            m->columns[c * time + i] = p->r[i * nr + c] - t->center[c];
+    clear_doubles(squares, parts * time);
+    for (Py_ssize_t part = 0; part < parts; part++) {
+        double *restrict square = squares + part * time;
+        for (Py_ssize_t j = (Py_ssize_t)t->begins[part]; j < t->begins[part + 1]; j++) {
+            clear_doubles(white, time);
+            for (Py_ssize_t l = 0; l < t->terms; l++) {
+                const double *restrict from = m->columns + t->from[l * k + j] * time;
+                const double weight = t->weights[l * k + j];
+                for (Py_ssize_t i = 0; i < time; i++)
+                    white[i] += from[i] * weight;
+            }
+            for (Py_ssize_t i = 0; i < time; i++)
+                square[i] += white[i] * white[i];
+            if (keeps)
+                for (Py_ssize_t i = 0; i < time; i++)
+                    p->q[i * k + j] = white[i];
+        }
+    }
+    return all_within(squares, parts * time, LARGEST_SQUARES);
+}
+
+/* The norms of these squares, and of each sample the largest in units of its threshold. */
+INLINE void
+norms_by_column(const test_plan *t, piece *p, part_piece *m)
+{
+    const Py_ssize_t time = p->time, parts = t->parts;
+    double *const squares = m->columns + (t->nr + 1) * time;
+    roots(squares, parts * time);
+    for (Py_ssize_t part = 0; part < parts; part++) {
+        const double *restrict norm = squares + part * time;
+        const double limit = t->limits[part];
+        for (Py_ssize_t i = 0; i < time; i++) {
+            const double ratio = norm[i] / limit;
+            p->statistic[i] = part == 0 || ratio > p->statistic[i] ? ratio : p->statistic[i];
+        }
+        for (Py_ssize_t i = 0; i < time; i++)
+            m->statistics[i * parts + part] = norm[i];
     }
 }
 

@@ -1,7 +1,7 @@
 /* The fused loop of residua.monitor.fused: filter, test and isolation in one pass over the data of many plants.
  *
  * A plant is run over pieces of the recording that stay in the cache: its filter first (_plant_filter.h), then test
- * and isolation (_judging.h). Of one sample, several plants are run at once (_tick.h). A Kalman filter with missing
+ * and isolation (_judging.h; of parts, _members.h). Of one sample, several plants are run at once (_tick.h). A Kalman filter with missing
  * values is left to NumPy, from some sample on. The same bits as NumPy, in place: nothing can fail once the arrays are
  * checked.
  */
@@ -122,8 +122,14 @@ judge_parts(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
                s->usable, s->over, s->alarm, s->up, 0, 0};
     if (b->out[OUT_READY].base != NULL)
         copy_flags(out_b1(b, OUT_READY, plant, first), s->usable, time);
-    whiten_parts(t, &p, spare);
-    norms_of_parts(t, test.window, &p, &m);
+    const int keeps = t->window > 1 || (t->joint == NULL && b->out[OUT_WHITENED].base != NULL);
+    const int is_whitened = time > 1 && squares_by_column(t, &p, &m, keeps);
+    if (!is_whitened)
+        whiten_parts(t, &p, spare);
+    if (is_whitened && t->window == 1)
+        norms_by_column(t, &p, &m);
+    else
+        norms_of_parts(t, test.window, &p, &m);
     alarms_of_parts(t, &own, &p, &m);
     if (t->joint != NULL)
         joint_residuals(t, &p, spare);
@@ -678,8 +684,9 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     const int is_summed = t->kind >= CHI_SQUARED && t->kind <= DIRECTED_GLR;
     const Py_ssize_t history = is_summed ? widest * (t->window - 1 + samples + 16) : 0;
     const Py_ssize_t parts = samples * t->parts, members = self->naming.kind == CODES ? parts : 0;
+    const Py_ssize_t columns = parts ? samples * (self->nr + 1) + parts : 0;
     const Py_ssize_t doubles = samples * (self->m + self->nr + 2 * k + 2) + states + small_size(self) + room_e + history
-                               + parts + 2 * members + 8;
+                               + parts + 2 * members + columns + 8;
     double *room = malloc((size_t)doubles * sizeof(double) + (size_t)(3 * samples + parts + members + 1));
     if (room == NULL)
         return NULL;
@@ -696,6 +703,7 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     s->parts.statistics = s->history + history;
     s->parts.ones = s->parts.statistics + parts;
     s->parts.counts = s->parts.ones + members;
+    s->parts.columns = s->parts.counts + members;
     s->usable = (flag *)(room + doubles);
     s->over = s->usable + samples;
     s->alarm = s->over + samples;

@@ -36,7 +36,8 @@
 #define MAX_SMALL 8 /* largest order and number of outputs that are kept in registers */
 #define BLOCK 8     /* rows per block for larger filters */
 #define SMALLEST 0x1p-500
-#define SPAN 256 /* samples, or plants, that go through the sections of a filter one after the other */
+#define SPAN 256      /* samples, or plants, that go through the sections of a filter one after the other, at most */
+#define NEAR_BY 16384 /* numbers of their signals and outputs, which are to stay in the cache; fewer samples cost more */
 
 #if defined(__GNUC__)
 #define INLINE static inline __attribute__((always_inline))
@@ -299,7 +300,9 @@ typedef void (*runner)(const job *);
                 if (left >= OUT) {                                                                                    \
                     EACH_VECTOR(OUT, L)((lanes##L *)r)[i] = out[i];                                                   \
                 } else {                                                                                              \
-                    _Pragma("GCC unroll 8") for (int i = 0; i < OUT; i++) if (i < nr) r[i] = out[i / L][i % L];       \
+                    _Pragma("GCC unroll 8") for (int i = 0; i < OUT; i++) if (i % L == 0 && i + L <= nr)              \
+                        ((lanes##L *)r)[i / L] = out[i / L];                                                          \
+                    else if (i / L * L + L > nr && i < nr) r[i] = out[i / L][i % L];                                  \
                 }                                                                                                     \
             }                                                                                                         \
             if (N % L == 0) {                                                                                         \
@@ -356,11 +359,11 @@ static const runner judged_table[MAX_SMALL] = {judged_1, judged_2, judged_3, jud
 #endif
 #endif
 
-/* Numbers that the packed matrices of a filter take, at most. */
+/* Numbers that the packed matrices of a filter take, at most, and up to the next line of the cache. */
 INLINE Py_ssize_t
 packed_size(Py_ssize_t n, Py_ssize_t m, Py_ssize_t nr)
 {
-    return (n + nr + 2 * BLOCK) * (n + m);
+    return ((n + nr + 2 * BLOCK) * (n + m) + 7) / 8 * 8;
 }
 
 /* ---- sections --------------------------------------------------------------------------------------------------- */
@@ -560,12 +563,13 @@ static void
 run_sections(const job *q, int path)
 {
     const int is_tick = q->time == 1 && q->plants > 1 && q->x != q->x_next;
+    const Py_ssize_t near_by = NEAR_BY / (q->m + q->nr + 1), span = near_by < 16 ? 16 : near_by < SPAN ? near_by : SPAN;
     double *const x = q->state + 2 * q->n;
     job whole = *q, some = *q;
     whole.sections = NULL;
     for (Py_ssize_t p = 0; p < q->plants; p += whole.plants) {
         const Py_ssize_t room = q->plants - p;
-        whole.plants = is_tick ? (room < SPAN ? room : SPAN) : 1;
+        whole.plants = is_tick ? (room < span ? room : span) : 1;
         whole.x = q->x + p * q->n;
         whole.x_next = q->x_next + p * q->n;
         whole.v.first = q->v.first + p * q->time * q->v.first_step;
@@ -582,8 +586,8 @@ run_sections(const job *q, int path)
             some.plants = 1;
             some.x = some.x_next = x;
             memcpy(x, whole.x, (size_t)q->n * sizeof(double));
-            for (Py_ssize_t k = 0; k < q->time; k += SPAN) {
-                some.time = q->time - k < SPAN ? q->time - k : SPAN;
+            for (Py_ssize_t k = 0; k < q->time; k += span) {
+                some.time = q->time - k < span ? q->time - k : span;
                 run_each(&some, path);
                 some.v.first += some.time * some.v.first_step;
                 some.v.second += some.time * some.v.second_step;

@@ -65,7 +65,7 @@ run_on_buffers(Py_buffer *b, int has_w, int path)
     as_a_whole(&q);
     Py_ssize_t size = padded * (q.n + q.m) + 3 * q.n;
     section *const sections = find_sections(&q, &q.n_sections, &size);
-    double *room = PyMem_Malloc((size_t)(size + 8) * sizeof(double));
+    double *room = PyMem_Malloc((size_t)(size + 16) * sizeof(double));
     if (room == NULL) {
         free(sections);
         PyErr_NoMemory();
@@ -73,7 +73,7 @@ run_on_buffers(Py_buffer *b, int has_w, int path)
     }
     q.packed = line_of(room);
     q.state = q.packed + padded * (q.n + q.m);
-    place_sections(sections, q.n_sections, q.m, q.state + 3 * q.n);
+    place_sections(sections, q.n_sections, q.m, line_of(q.state + 3 * q.n));
     q.sections = sections;
     Py_BEGIN_ALLOW_THREADS
     pack_sections(&q, path);
