@@ -1,9 +1,9 @@
 /* The fused loop of residua.monitor.fused: filter, test and isolation in one pass over the data of many plants.
  *
  * A plant is run over pieces of the recording that stay in the cache: its filter first (_plant_filter.h), then test
- * and isolation (_judging.h; of parts, _members.h). Of one sample, several plants are run at once (_tick.h). A Kalman filter with missing
- * values is left to NumPy, from some sample on. The same bits as NumPy, in place: nothing can fail once the arrays are
- * checked.
+ * and isolation (_judging.h; of members and groups, _members.h). Of one sample, several plants are run at once
+ * (_tick.h). A Kalman filter with missing values is left to NumPy, from some sample on. The same bits as NumPy, in
+ * place: nothing can fail once the arrays are checked.
  */
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
