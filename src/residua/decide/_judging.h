@@ -101,6 +101,19 @@ row_product(const double *restrict v, const double *restrict M, Py_ssize_t rows,
 INLINE int
 all_within(const double *v, Py_ssize_t count, double largest)
 {
+    if (count >= 16) { /* no value is larger than the sum of their sizes, which is NaN if one is */
+        double sizes[16] = {0.0}, sum = 0.0;
+        Py_ssize_t j = 0;
+        for (; j + 16 <= count; j += 16)
+            for (int l = 0; l < 16; l++)
+                sizes[l] += fabs(v[j + l]);
+        for (; j < count; j++)
+            sum += fabs(v[j]);
+        for (int l = 0; l < 16; l++)
+            sum += sizes[l];
+        if (sum <= largest)
+            return 1;
+    }
     double outside[8] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0}; /* lanes of vectors */
     Py_ssize_t i = 0;
     for (; i + 8 <= count; i += 8)
@@ -196,6 +209,16 @@ turn_window(window_row row, Py_ssize_t window, Py_ssize_t k)
     *row.filled = 0;
     for (Py_ssize_t j = 0; j < k; j++)
         row.begun[j] = 0.0;
+    if (k <= 4) { /* a constant: in registers */
+        double sum[4] = {0.0, 0.0, 0.0, 0.0};
+        for (Py_ssize_t i = window - 1; i >= 0; i--)
+            for (Py_ssize_t j = 0; j < k; j++) {
+                const double value = row.values[i * k + j];
+                row.values[i * k + j] = sum[j];
+                sum[j] = i == window - 1 ? value : sum[j] + value;
+            }
+        return;
+    }
     double *after = row.begun; /* adds up, and is zero again in the end */
     for (Py_ssize_t i = window - 1; i >= 0; i--)
         for (Py_ssize_t j = 0; j < k; j++) {
@@ -207,29 +230,63 @@ turn_window(window_row row, Py_ssize_t window, Py_ssize_t k)
         row.begun[j] = 0.0;
 }
 
-/* The sums over the last samples, as residua.decide.window has them. */
+/* Some samples of a window that is not full before them; sums of residual j from sums + j * across on, `down` apart. */
 INLINE void
-moving_sums(window_row row, Py_ssize_t window, const double *v, double *sums, Py_ssize_t time, Py_ssize_t k)
+fill_window(window_row row, Py_ssize_t at, const double *v, double *sums, Py_ssize_t some, Py_ssize_t k,
+            Py_ssize_t down, Py_ssize_t across)
+{
+    double *place = row.values + at * k;
+    if (k <= 4) { /* a constant: what has begun stays in registers */
+        double begun[4];
+        for (Py_ssize_t j = 0; j < k; j++)
+            begun[j] = row.begun[j];
+        for (Py_ssize_t i = 0; i < some; i++, place += k, v += k, sums += down)
+            for (Py_ssize_t j = 0; j < k; j++) {
+                const double value = v[j];
+                begun[j] = at + i ? begun[j] + value : value;
+                sums[j * across] = place[j] + begun[j];
+                place[j] = value;
+            }
+        for (Py_ssize_t j = 0; j < k; j++)
+            row.begun[j] = begun[j];
+        return;
+    }
+    for (Py_ssize_t i = 0; i < some; i++, place += k, v += k, sums += down)
+        for (Py_ssize_t j = 0; j < k; j++) {
+            const double begun = at + i ? row.begun[j] + v[j] : v[j];
+            row.begun[j] = begun;
+            sums[j * across] = place[j] + begun;
+            place[j] = v[j];
+        }
+}
+
+/* The sums over the last samples, as residua.decide.window has them: of residual j from sums + j * across on. */
+INLINE void
+spread_sums(window_row row, Py_ssize_t window, const double *v, double *sums, Py_ssize_t time, Py_ssize_t k,
+            Py_ssize_t down, Py_ssize_t across)
 {
     if (window == 1) {
-        memcpy(sums, v, (size_t)(time * k) * sizeof(double));
+        for (Py_ssize_t i = 0; i < time; i++)
+            for (Py_ssize_t j = 0; j < k; j++)
+                sums[i * down + j * across] = v[i * k + j];
         return;
     }
     while (time > 0) {
         const Py_ssize_t at = (Py_ssize_t)*row.filled, room = window - at, some = time < room ? time : room;
-        double *place = row.values + at * k;
-        for (Py_ssize_t i = 0; i < some; i++, place += k, v += k, sums += k)
-            for (Py_ssize_t j = 0; j < k; j++) {
-                const double begun = at + i ? row.begun[j] + v[j] : v[j];
-                row.begun[j] = begun;
-                sums[j] = place[j] + begun;
-                place[j] = v[j];
-            }
+        fill_window(row, at, v, sums, some, k, down, across);
+        v += some * k;
+        sums += some * down;
         *row.filled = at + some;
         if (some == room)
             turn_window(row, window, k);
         time -= some;
     }
+}
+
+INLINE void
+moving_sums(window_row row, Py_ssize_t window, const double *v, double *sums, Py_ssize_t time, Py_ssize_t k)
+{
+    spread_sums(row, window, v, sums, time, k, k, 1);
 }
 
 /* Alarms of statistics, NaN where nothing is decided; an alarm of a test that remembers is raised and ended at once. */
@@ -459,15 +516,16 @@ best_of_sums(const test_plan *t, const double *columns, Py_ssize_t apart, Py_ssi
     }
 }
 
+/* The sums themselves, of one column. */
 INLINE void
-length_of_sums(const test_plan *t, const double *sample, double *restrict best)
+sums_of_recent(const test_plan *t, const double *sample, double *restrict best)
 {
     double total[TOGETHER] = {0.0};
     for (Py_ssize_t back = 0; back < t->window; back++)
         for (int l = 0; l < TOGETHER; l++)
             total[l] += sample[l - back];
     for (int l = 0; l < TOGETHER; l++)
-        best[l] = sqrt(total[l]);
+        best[l] = total[l];
 }
 
 /* What is summed of a sample: its square, itself, or its parts along directions. */
@@ -507,12 +565,14 @@ of_recent(const test_plan *t, double *sums, piece *p, double *part, Py_ssize_t k
     for (Py_ssize_t i = kept; i < seen; i += TOGETHER) {
         double best[TOGETHER];
         if (t->kind == CHI_SQUARED)
-            length_of_sums(t, columns + i, best);
+            sums_of_recent(t, columns + i, best);
         else
             best_of_sums(t, columns + i, apart, width, total, best);
         for (Py_ssize_t l = 0; l < TOGETHER && i + l < seen; l++)
             p->statistic[i + l - kept] = best[l];
     }
+    if (t->kind == CHI_SQUARED)
+        roots(p->statistic, seen - kept);
     for (Py_ssize_t i = 0; i < kept; i++)
         for (Py_ssize_t j = 0; j < width; j++)
             sums[i * width + j] = columns[j * apart + seen - kept + i];
@@ -525,11 +585,13 @@ of_recent(const test_plan *t, double *sums, piece *p, double *part, Py_ssize_t k
 INLINE void
 judge_stream(const test_plan *t, const test_row *row, piece *p, double *part, double *spare, Py_ssize_t k)
 {
+    if (!t->order && !t->knots_of_each) /* as it is */
+        p->e = p->q;
     double *const e = p->e;
     if (t->order)
         for (Py_ssize_t i = 0; i < p->time; i++)
             p->usable[i] = (flag)unforetold(t, row, p->q + i * k, p->usable[i], e + i * k, part, k);
-    else
+    else if (e != p->q)
         memcpy(e, p->q, (size_t)(p->time * k) * sizeof(double));
     if (t->knots_of_each)
         for (Py_ssize_t i = 0; i < p->time; i++)
@@ -563,11 +625,23 @@ parts_along(const isolation_plan *n, const double *sums, double *along, Py_ssize
 INLINE void
 each_length(double *values, Py_ssize_t count)
 {
-    double far = 1.0;
-    for (Py_ssize_t c = 0; c < count; c++)
-        far = (fabs(values[c]) >= 1e-150) | (values[c] == 0.0) ? far : 0.0;
-    for (Py_ssize_t c = 0; c < count; c++)
-        values[c] = far == 1.0 ? fabs(values[c]) : sqrt(values[c] * values[c]);
+    double near[8] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0}; /* lanes of vectors */
+    Py_ssize_t c = 0;
+    for (; c + 8 <= count; c += 8)
+        for (int l = 0; l < 8; l++)
+            near[l] = (fabs(values[c + l]) >= 1e-150) | (values[c + l] == 0.0) ? near[l] : 1.0;
+    for (; c < count; c++)
+        near[0] = (fabs(values[c]) >= 1e-150) | (values[c] == 0.0) ? near[0] : 1.0;
+    double any = 0.0;
+    for (int l = 0; l < 8; l++)
+        any += near[l];
+    if (any == 0.0) {
+        for (c = 0; c < count; c++)
+            values[c] = fabs(values[c]);
+        return;
+    }
+    for (c = 0; c < count; c++)
+        values[c] = sqrt(values[c] * values[c]);
 }
 
 INLINE void
@@ -616,8 +690,97 @@ score_sample(const isolation_plan *n, const double *sums, int usable, double *pa
 }
 
 INLINE void
-name_by_direction(const isolation_plan *n, window_row row, const piece *p, double *part, Py_ssize_t k)
+squares_of_columns(const double *restrict columns, double *restrict total, Py_ssize_t time, Py_ssize_t k)
 {
+    if (k <= 4) { /* a constant: in registers */
+        for (Py_ssize_t i = 0; i < time; i++) {
+            double sum = 0.0;
+            for (Py_ssize_t j = 0; j < k; j++)
+                sum += columns[j * time + i] * columns[j * time + i];
+            total[i] = sum;
+        }
+        return;
+    }
+    clear_doubles(total, time);
+    for (Py_ssize_t j = 0; j < k; j++)
+        for (Py_ssize_t i = 0; i < time; i++)
+            total[i] += columns[j * time + i] * columns[j * time + i];
+}
+
+/* The parts of sums, which lie in columns, along one direction. */
+INLINE void
+columns_along(const isolation_plan *n, const double *restrict columns, double *restrict along, Py_ssize_t time,
+              Py_ssize_t k, Py_ssize_t which)
+{
+    const double *const part = n->padded + which;
+    if (k <= 4) {
+        double weight[4];
+        for (Py_ssize_t j = 0; j < k; j++)
+            weight[j] = part[j * n->room];
+        for (Py_ssize_t i = 0; i < time; i++) {
+            double sum = 0.0;
+            for (Py_ssize_t j = 0; j < k; j++)
+                sum += columns[j * time + i] * weight[j];
+            along[i] = sum;
+        }
+        return;
+    }
+    clear_doubles(along, time);
+    for (Py_ssize_t j = 0; j < k; j++) {
+        const double weight = part[j * n->room];
+        for (Py_ssize_t i = 0; i < time; i++)
+            along[i] += columns[j * time + i] * weight;
+    }
+}
+
+/* The same of a piece, column by column: all samples of one at once. `sums` are the columns of the sums, with room for
+ * three more behind them. */
+INLINE void
+score_columns(const isolation_plan *n, const piece *p, double *sums, Py_ssize_t k)
+{
+    const Py_ssize_t time = p->time, groups = n->groups;
+    double *restrict size = sums + k * time, *restrict along = size + time, *restrict total = along + time;
+    squares_of_columns(sums, size, time, k);
+    roots(size, time);
+    Py_ssize_t column = 0;
+    for (Py_ssize_t g = 0; g < groups; g++) {
+        if (n->are_lines) {
+            columns_along(n, sums, total, time, k, column++);
+            each_length(total, time);
+        } else {
+            clear_doubles(total, time);
+            for (whole d = 0; d < n->dimensions[g]; d++) {
+                columns_along(n, sums, along, time, k, column++);
+                for (Py_ssize_t i = 0; i < time; i++)
+                    total[i] += along[i] * along[i];
+            }
+            roots(total, time);
+        }
+        for (Py_ssize_t i = 0; i < time; i++) {
+            const double score = total[i] / size[i]; /* NaN where all is zero */
+            along[i] = score > 1.0 ? 1.0 : score;
+        }
+        for (Py_ssize_t i = 0; i < time; i++)
+            p->scores[i * groups + g] = along[i];
+    }
+    if (all_set(p->usable, time))
+        return;
+    for (Py_ssize_t i = 0; i < time; i++)
+        for (Py_ssize_t g = 0; !p->usable[i] && g < groups; g++)
+            p->scores[i * groups + g] = NAN;
+}
+
+INLINE void
+name_by_direction(const isolation_plan *n, window_row row, const piece *p, double *part, double *columns, Py_ssize_t k)
+{
+    if (p->scores != NULL && p->time > 1) {
+        const Py_ssize_t time = p->time;
+        spread_sums(row, n->window, p->q, columns, time, k, 1, time);
+        score_columns(n, p, columns, k);
+        for (Py_ssize_t j = 0; j < k; j++) /* what is kept of the last sample */
+            p->sums[(time - 1) * k + j] = columns[j * time + time - 1];
+        return;
+    }
     moving_sums(row, n->window, p->q, p->sums, p->time, k);
     if (p->scores != NULL)
         for (Py_ssize_t i = 0; i < p->time; i++)

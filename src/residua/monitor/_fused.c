@@ -135,7 +135,7 @@ judge_parts(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
         joint_residuals(t, &p, spare);
     write_piece(self, b, plant, first, &p);
     if (n->kind == DIRECTIONS)
-        name_by_direction(n, row_of_isolation(self, row), &p, spare, t->k);
+        name_by_direction(n, row_of_isolation(self, row), &p, spare, s->columns, t->k);
     if (n->kind == CODES)
         read_codes(n, &own, &p, &m);
     if (!self->has_state[LAST_FLAGS])
@@ -169,7 +169,7 @@ judge_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
     raise_alarms(t, &test, &p);
     write_piece(self, b, plant, first, &p);
     if (self->naming.kind == DIRECTIONS)
-        name_by_direction(&self->naming, row_of_isolation(self, row), &p, spare, k);
+        name_by_direction(&self->naming, row_of_isolation(self, row), &p, spare, s->columns, k);
     if (self->has_state[LAST_FLAGS])
         write_last(self, row, &p, s, spare, k);
 }
@@ -684,9 +684,10 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     const int is_summed = t->kind >= CHI_SQUARED && t->kind <= DIRECTED_GLR;
     const Py_ssize_t history = is_summed ? widest * (t->window - 1 + samples + 16) : 0;
     const Py_ssize_t parts = samples * t->parts, members = self->naming.kind == CODES ? parts : 0;
+    const Py_ssize_t directions = self->naming.kind == DIRECTIONS ? samples * (k + 3) : 0;
     const Py_ssize_t columns = parts ? samples * (self->nr + 1) + parts : 0;
     const Py_ssize_t doubles = samples * (self->m + self->nr + 2 * k + 2) + states + small_size(self) + room_e + history
-                               + parts + 2 * members + columns + 8;
+                               + parts + 2 * members + columns + directions + 8;
     double *room = malloc((size_t)doubles * sizeof(double) + (size_t)(3 * samples + parts + members + 1));
     if (room == NULL)
         return NULL;
@@ -704,6 +705,7 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     s->parts.ones = s->parts.statistics + parts;
     s->parts.counts = s->parts.ones + members;
     s->parts.columns = s->parts.counts + members;
+    s->columns = s->parts.columns + columns;
     s->usable = (flag *)(room + doubles);
     s->over = s->usable + samples;
     s->alarm = s->over + samples;

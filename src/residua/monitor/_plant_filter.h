@@ -6,11 +6,14 @@
 #define RESIDUA_PLANT_FILTER_H
 
 #define RESIDUA_JUDGES
+#include <limits.h>
+
 #include "../linear/systems/_filter.h"
 #include "../decide/_members.h"
 
 #define PIECE 256
 #define LARGEST 1e150 /* as in residua.monitor.one_plant */
+#define FAR 1e15      /* limits beyond are no signal's: as a rule one bound of all values tells that they are within */
 
 /* ---- what runs, and its arrays ---------------------------------------------------------------------------------- */
 
@@ -41,6 +44,7 @@ typedef struct {
     double *x, *small; /* of states and a spare one; of one sample */
     flag *usable, *over, *alarm;
     part_piece parts; /* room for what is not an output */
+    double *columns;  /* room: sums by which directions are judged, and three more numbers, for all samples */
     whole count;      /* samples of the plant before the piece */
     job filter;
     int is_missing; /* the last sample of the piece */
@@ -161,11 +165,89 @@ DEFINE_DEVIATIONS(within_baseline, , 2, 0)
 DEFINE_DEVIATIONS(deviations_avx2, AVX2, 4, 1)
 DEFINE_DEVIATIONS(within_avx2, AVX2, 4, 0)
 #endif
+
+/* Four vectors at once, as long as there are so many: their sizes are added to `sum`, without an offset if CENTRED. */
+#define ADD_SIZES(COUNT, L, CENTRED)                                                                                  \
+    for (; i + (COUNT) * L <= period; i += (COUNT) * L)                                                               \
+        _Pragma("GCC unroll 4") for (int l = 0; l < (COUNT); l++)                                                     \
+        {                                                                                                             \
+            lanes##L value = ((const lanes##L *)(from + i))[l];                                                       \
+            if (CENTRED) {                                                                                            \
+                value -= ((const lanes##L *)(tile + i))[l];                                                           \
+                ((lanes##L *)(to + i))[l] = value;                                                                    \
+            }                                                                                                         \
+            sum[l] += (lanes##L)((flags##L)value & sign);                                                             \
+        }
+
+/* The sum of the sizes of samples in a row, from which the offset is taken if CENTRED; four samples of it are in the
+ * tile. No value is larger than the sum, and one that is not finite makes it so. */
+#define DEFINE_SIZES(NAME, TARGET, L, CENTRED)                                                                        \
+    TARGET static double NAME(const double *from, double *to, Py_ssize_t total, const double *tile, Py_ssize_t columns)\
+    {                                                                                                                 \
+        lanes##L sum[4] = {{0.0}};                                                                                    \
+        const flags##L sign = (flags##L){0} + LLONG_MAX;                                                              \
+        double all = 0.0;                                                                                             \
+        for (Py_ssize_t left = total; left > 0; left -= columns) {                                                    \
+            const Py_ssize_t period = left < columns ? left : columns;                                                \
+            Py_ssize_t i = 0;                                                                                         \
+            ADD_SIZES(4, L, CENTRED)                                                                                  \
+            ADD_SIZES(1, L, CENTRED)                                                                                  \
+            for (; i < period; i++) {                                                                                 \
+                const double value = CENTRED ? from[i] - tile[i] : from[i];                                           \
+                if (CENTRED)                                                                                          \
+                    to[i] = value;                                                                                    \
+                all += fabs(value);                                                                                   \
+            }                                                                                                         \
+            from += period;                                                                                           \
+            if (CENTRED)                                                                                              \
+                to += period;                                                                                         \
+        }                                                                                                             \
+        for (int j = 0; j < 4; j++)                                                                                   \
+            for (int l = 0; l < L; l++)                                                                               \
+                all += sum[j][l];                                                                                     \
+        return all;                                                                                                   \
+    }
+
+DEFINE_SIZES(centred_baseline, , 2, 1)
+DEFINE_SIZES(sizes_baseline, , 2, 0)
+#if defined(HAVE_AVX2)
+DEFINE_SIZES(centred_avx2, AVX2, 4, 1)
+DEFINE_SIZES(sizes_avx2, AVX2, 4, 0)
 #endif
+#endif
+
+/* How far any of the limits of a tile is from zero, or 0 if it is so near that values are to be compared with each. */
+INLINE double
+nearest_limit(const double *tile, Py_ssize_t period)
+{
+    double nearest = DBL_MAX;
+    for (Py_ssize_t i = 0; i < period; i++) {
+        nearest = -tile[period + i] < nearest ? -tile[period + i] : nearest;
+        nearest = tile[2 * period + i] < nearest ? tile[2 * period + i] : nearest;
+    }
+    return nearest >= FAR ? nearest : 0.0;
+}
 
 static int
 deviations(const Runner *self, const double *from, double *to, Py_ssize_t rows, const double *tile, Py_ssize_t columns)
 {
+#if defined(HAVE_VECTORS)
+    const double nearest = rows < 8 ? 0.0 : nearest_limit(tile, 4 * columns);
+    if (nearest > 0.0 && self->path != PATH_PLAIN) {
+        double (*sizes)(const double *, double *, Py_ssize_t, const double *, Py_ssize_t);
+        sizes = to == NULL ? sizes_baseline : centred_baseline;
+#if defined(HAVE_AVX2)
+        if (self->path == PATH_AVX2)
+            sizes = to == NULL ? sizes_avx2 : centred_avx2;
+#endif
+        const Py_ssize_t period = to == NULL ? rows * columns : 4 * columns;
+        if (sizes(from, to, rows * columns, tile, period) <= nearest)
+            return 1;
+        if (to != NULL) /* deviations they are by now */
+            from = to;
+        to = NULL;
+    }
+#endif
 #if defined(HAVE_AVX2)
     if (self->path == PATH_AVX2)
         return (to == NULL ? within_avx2 : deviations_avx2)(from, to, rows * columns, tile, 4 * columns);
