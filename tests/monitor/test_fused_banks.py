@@ -9,6 +9,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from fused_examples import MARKS, Bank, bank_specification, recording, same
+from residua.decide.structured import CodeState, alarms_since
+from residua.decide.window import empty_window
 from residua.monitor import fused
 from residua.monitor.fused import FusedRun, LastSample, copied, plan_of, run_block
 from residua.monitor.running import initial_state, joined_decisions, rows_of, run_reference, written_rows
@@ -105,6 +107,19 @@ def test_single_samples_of_many_banks_have_the_bits_of_numpy(
     bank: Bank, marks: list[float], path: int, plants: int, few: bool, seed: int
 ) -> None:
     compare_ticks(bank, marks, min(path, fused.best_path()), plants, few, seed)
+
+
+def test_members_of_which_it_is_not_known_since_when_stay_so_in_any_cut() -> None:
+    """States of an earlier version: a member fires, and since when is 0; known again once it has been silent."""
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        fired = rng.random((2, 7, 3)) < 0.8
+        state = CodeState(empty_window(2, 1, 3), np.zeros((2, 3), dtype=np.int64), rng.random((2, 3)) < 0.6)
+        expected, now = alarms_since(fired, state, 10), state
+        for k in range(7):
+            since = alarms_since(fired[:, k : k + 1], now, 10 + k)
+            now = CodeState(now.window, since, fired[:, k])
+        assert np.array_equal(now.since, expected)
 
 
 @needs_kernel
