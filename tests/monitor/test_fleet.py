@@ -12,7 +12,7 @@ from hypothesis import given, settings, strategies as st
 import residua as rs
 from residua.decide import CUSUM, Directional, NormThreshold
 from residua.errors import DataError, FileFormatError, NotFittedError, SettingError
-from residua.monitor import snapshot
+from residua.monitor import fused, snapshot
 
 KINDS = ("norm", "norm over a window", "CUSUM", "bank", "observer")
 
@@ -158,6 +158,21 @@ def test_a_snapshot_keeps_alarms_and_last_decisions(kind: str) -> None:
     assert again.decision(1).fired == fleet.decision(1).fired
     assert again.decision(1).reading == fleet.decision(1).reading
     assert fleet.snapshot() == again.snapshot()
+
+
+@pytest.mark.skipif(fused._kernel is None, reason="there is no compiled kernel")
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_snapshot_has_the_same_bytes_without_the_kernel(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    u, y = data(6, 60, 5)
+    made = []
+    for kernel in (fused._kernel, None):
+        monkeypatch.setattr(fused, "_kernel", kernel)
+        fleet = rs.Fleet(monitor(kind), plants=range(6))
+        for k in range(0, 60, 4):
+            fleet.run(u[:, k : k + 3], y[:, k : k + 3])
+            fleet.tick(None, u[:, k + 3], y[:, k + 3])
+        made.append(fleet.snapshot())
+    assert made[0] == made[1]
 
 
 def test_a_snapshot_without_the_last_code_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -219,7 +219,8 @@ class LastSample:
         self.flags[rows] = sum((one[:, -1].astype(np.uint8) << bit for bit, one in enumerate(flags)), np.uint8(0))
         self.statistic[rows], self.residuals[rows] = made.statistic[:, -1], made.residuals[:, -1]
         self.up[rows] = made.up[:, -1]
-        self.scores[rows] = made.scores[:, -1]
+        loud = made.alarm[:, -1]
+        self.scores[rows[loud]] = made.scores[loud, -1]
         if self.code is not None:
             self.code[rows] = made.code[:, -1]
 
