@@ -15,6 +15,8 @@ from residua.decide.isolation import NoNames
 from residua.decide.member_thresholds import BankTest, GroupTest
 from residua.decide.peak_threshold import PeakBankTest
 from residua.decide.structured import code_test
+from residua.monitor.fused import FusedRun, copied, plan_of
+from residua.monitor.running import Decisions, State, initial_state
 from residua.monitor.specification import Specification
 from residua.monitor.starting import StartFit
 
@@ -95,6 +97,24 @@ def same(one: Any, other: Any, where: str = "") -> None:
         assert np.array_equal(one, other, equal_nan=one.dtype.kind == "f"), where
     else:
         assert one == other, where
+
+
+def same_of_few_outputs(spec: Specification, data: np.ndarray, state: State, expected: Decisions, seed: int) -> None:
+    """Assert that a run of which little is asked for has the same bits: loops leave out what nobody reads."""
+    plan, rng = plan_of(spec), np.random.default_rng(seed)
+    assert plan is not None
+    run = FusedRun(spec, plan, copied(initial_state(spec, len(data))))
+    names = [name for name in ("residuals", "statistic", "alarm", "fired", "scores") if rng.random() < 0.6]
+    outputs = run.outputs(*data.shape[:2], names)
+    cut = int(rng.integers(0, data.shape[1] + 1))
+    for part in (slice(0, cut), slice(cut, None)):
+        places = {name: None if values is None else values[:, part] for name, values in outputs.items()}
+        with np.errstate(all="ignore"):  # what is left to NumPy
+            run.run(data[:, part], data[:, part, :0], places)
+    same(run.state, state, "state")
+    for name in names:
+        if outputs[name] is not None:
+            same(outputs[name], getattr(expected, name), name)
 
 
 # ------------------------------------------------------------------------------------- banks

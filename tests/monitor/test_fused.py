@@ -10,7 +10,7 @@ import pytest
 from hypothesis import assume, given, settings, strategies as st
 
 import residua as rs
-from fused_examples import ISOLATIONS, MARKS, ORDERS, TESTS, plant, recording, same, specification
+from fused_examples import ISOLATIONS, MARKS, ORDERS, TESTS, plant, recording, same, same_of_few_outputs, specification
 from residua.decide import (
     CUSUM,
     Directional,
@@ -62,6 +62,7 @@ def test_it_has_the_bits_of_numpy(
             parts.append(decisions)
     same(joined_decisions(parts), expected, "decisions")
     same(now, state, "state")
+    same_of_few_outputs(spec, data, state, expected, seed)
 
 
 @needs_kernel

@@ -177,6 +177,34 @@ largest_of(const double *values, Py_ssize_t count)
     return largest[0];
 }
 
+/* Sums of squares of whitened residuals alone, of numbers of residuals that are constants: vectors over samples. 0, and
+ * nothing to be read of them, where one may not be usable. */
+INLINE int
+squares_of_rows(const test_plan *t, const piece *p, Py_ssize_t nr, Py_ssize_t k)
+{
+    double center[4], weight[4][4];
+    if (nr > 4 || k > 4 || !all_set(p->usable, p->time))
+        return 0;
+    for (Py_ssize_t j = 0; j < nr; j++) {
+        center[j] = t->center[j];
+        for (Py_ssize_t l = 0; l < k; l++)
+            weight[j][l] = t->whitening[j * k + l];
+    }
+    const double *restrict r = p->r;
+    double *restrict squares = p->statistic;
+    for (Py_ssize_t i = 0; i < p->time; i++) {
+        double total = 0.0;
+        for (Py_ssize_t l = 0; l < k; l++) {
+            double sum = 0.0;
+            for (Py_ssize_t j = 0; j < nr; j++)
+                sum += (r[i * nr + j] - center[j]) * weight[j][l];
+            total += sum * sum;
+        }
+        squares[i] = total;
+    }
+    return all_within(squares, p->time, LARGEST_SQUARES);
+}
+
 /* Whitened residuals; 0 and not usable where one would overflow a sum. Whether their squares are in `statistic`. */
 INLINE int
 whiten(const test_plan *t, const piece *p, Py_ssize_t nr, Py_ssize_t k)
@@ -541,9 +569,10 @@ summed_part(const test_plan *t, const double *e, double *part, Py_ssize_t k)
             part[j] = e[j];
 }
 
-/* Statistics of sums over the last samples that were seen, of a piece; `sums` are these samples, the oldest first. */
+/* Statistics of sums over the last samples that were seen, of a piece; `sums` are these samples, the oldest first. If it
+ * `has_squares`, all samples are seen, and `statistic` holds what chi-squared sums. */
 INLINE void
-of_recent(const test_plan *t, double *sums, piece *p, double *part, Py_ssize_t k)
+of_recent(const test_plan *t, double *sums, piece *p, double *part, Py_ssize_t k, int has_squares)
 {
     const Py_ssize_t width = t->kind == CHI_SQUARED ? 1 : t->kind == GLR ? k : t->directions, kept = t->window - 1;
     const Py_ssize_t apart = kept + p->time + TOGETHER;
@@ -552,13 +581,17 @@ of_recent(const test_plan *t, double *sums, piece *p, double *part, Py_ssize_t k
     for (Py_ssize_t i = 0; i < kept; i++)
         for (Py_ssize_t j = 0; j < width; j++)
             columns[j * apart + i] = sums[i * width + j];
-    for (Py_ssize_t i = 0; i < p->time; i++)
-        if (p->usable[i]) {
-            summed_part(t, p->e + i * k, part, k);
-            for (Py_ssize_t j = 0; j < width; j++)
-                columns[j * apart + seen] = part[j];
-            seen++;
-        }
+    if (has_squares && t->kind == CHI_SQUARED) {
+        memcpy(columns + seen, p->statistic, (size_t)p->time * sizeof(double));
+        seen += p->time;
+    } else
+        for (Py_ssize_t i = 0; i < p->time; i++)
+            if (p->usable[i]) {
+                summed_part(t, p->e + i * k, part, k);
+                for (Py_ssize_t j = 0; j < width; j++)
+                    columns[j * apart + seen] = part[j];
+                seen++;
+            }
     for (Py_ssize_t j = 0; j < width; j++)
         for (Py_ssize_t i = seen; i < seen + TOGETHER && i < apart; i++)
             columns[j * apart + i] = 0.0;
@@ -583,7 +616,8 @@ of_recent(const test_plan *t, double *sums, piece *p, double *part, Py_ssize_t k
 }
 
 INLINE void
-judge_stream(const test_plan *t, const test_row *row, piece *p, double *part, double *spare, Py_ssize_t k)
+judge_stream(const test_plan *t, const test_row *row, piece *p, double *part, double *spare, Py_ssize_t k,
+             int has_squares)
 {
     if (!t->order && !t->knots_of_each) /* as it is */
         p->e = p->q;
@@ -602,7 +636,7 @@ judge_stream(const test_plan *t, const test_row *row, piece *p, double *part, do
     else if (t->kind == EWMA)
         averages(t, row->sums, p, k);
     else
-        of_recent(t, row->sums, p, spare, k);
+        of_recent(t, row->sums, p, spare, k, has_squares && p->e == p->q);
     if (!all_set(p->usable, p->time))
         for (Py_ssize_t i = 0; i < p->time; i++)
             p->statistic[i] = p->usable[i] ? p->statistic[i] : NAN;

@@ -161,11 +161,11 @@ judge_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
                s->usable, s->over, s->alarm, s->up, s->is_judged, 0};
     if (b->out[OUT_READY].base != NULL)
         copy_flags(out_b1(b, OUT_READY, plant, first), s->usable, time);
-    const int has_squares = whiten(t, &p, nr, k);
+    const int has_squares = (s->is_short && squares_of_rows(t, &p, nr, k)) || whiten(t, &p, nr, k);
     if (t->kind == NORM)
         judge_norm(t, &test, &p, k, has_squares);
     else
-        judge_stream(t, &test, &p, part, spare, k);
+        judge_stream(t, &test, &p, part, spare, k, has_squares);
     raise_alarms(t, &test, &p);
     write_piece(self, b, plant, first, &p);
     if (self->naming.kind == DIRECTIONS)
@@ -529,6 +529,9 @@ point_at_plan(Runner *self)
             t->padded[4 + 4 * i + j] = t->whitening[i * t->k + j];
     }
     self->judge = self->nr <= 4 && t->k <= 4 ? t->padded : NULL;
+    self->sums_squares = self->judge != NULL && self->naming.kind == NOBODY
+                         && ((t->kind == NORM && t->window == 1)
+                             || (t->kind == CHI_SQUARED && !t->order && !t->knots_of_each));
     const int limits[3] = {OFFSET, LOW, HIGH};
     const Py_ssize_t begins[3] = {0, 0, self->n_u}, ends[3] = {self->m, self->n_u, self->m};
     double *tile = self->tile;

@@ -48,6 +48,7 @@ typedef struct {
     whole count;      /* samples of the plant before the piece */
     job filter;
     int is_missing; /* the last sample of the piece */
+    int is_short;   /* whether nothing but the squares of a piece is asked for */
     int is_judged;  /* whether q and the squares of a piece are there already, in `statistic` */
 } scratch;
 
@@ -83,7 +84,7 @@ typedef struct {
     void *parts_room; /* of what the plan of a test of parts points at */
     double *room; /* of the packed matrices, and: */
     double *tile; /* of four samples: offsets, lowest values, highest values; of u and y, of u, of y */
-    int has_offset;
+    int has_offset, sums_squares; /* whether residuals are judged by the sum of the squares of each sample, and nothing else */
     Py_ssize_t plants;
     Py_buffer plan[PLAN_ARRAYS], state[STATE_ARRAYS];
     char *base[STATE_ARRAYS]; /* of the state: where the first row lies, and how far apart rows are */
@@ -562,12 +563,13 @@ filter_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t ro
     const int all = gather(self, b, u, y, b->u_strides[1], b->y_strides[1], time, s);
     s->r = b->out[OUT_RESIDUALS].base == NULL ? s->own_r : out_f8(b, OUT_RESIDUALS, plant, k);
     s->is_judged = 0;
+    s->is_short = time > 1 && self->sums_squares && b->out[OUT_WHITENED].base == NULL;
     if (self->partial && (!all || *B1(self, APART, row)))
         return 0;
     if (all && *B1(self, RUNNING, row) && !*B1(self, STARTING, row)) {
         double *x = F8(self, X, row), *before = s->small;
         copy_doubles(before, x, n);
-        s->is_judged = filter_some(self, s, x, s->in, s->r, time, self->judge);
+        s->is_judged = filter_some(self, s, x, s->in, s->r, time, s->is_short ? NULL : self->judge);
         if (are_sound(self, s->r, time * self->nr) && is_finite(x, n)) {
             const whole age = *I8(self, AGE, row);
             s->is_missing = 0;

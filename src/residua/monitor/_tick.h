@@ -180,6 +180,7 @@ together(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t count, 
     q->v = s->in;
     q->r = s->own_r;
     q->judge = self->judge;
+    s->is_short = 0;
     s->is_judged = execute(q, self->path);
     if (!all_within(s->own_r, count * self->nr, LARGEST) || !all_within(x_next, count * n, DBL_MAX))
         return 0;
