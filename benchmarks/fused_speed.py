@@ -274,7 +274,7 @@ def banks(rounds: Rounds, samples: int, plants: int) -> list[tuple[str, str, flo
         ("bank of 8 filters, against 8 runs of one", "1.1", taken["together"] / taken["alone"], ""),
         ("fused bank of 8 with its code, against its filters alone", "", taken["fused"] / taken["together"], ""),
         ("Monitor.run of a bank of 8, in copies", "", taken["run"] / taken["copy"], "104 bytes a sample"),
-        ("the same in NumPy, times as long", "", taken["run in NumPy"] / taken["run"], ""),
+        ("Monitor.run of a bank of 8 in NumPy, times as long", "", taken["run in NumPy"] / taken["run"], ""),
     ]
     return rows_out + single_samples_of_banks(rounds, bank, u[:plants], y[:plants])
 
@@ -307,9 +307,9 @@ def single_samples_of_banks(
     )
     return [
         ("Monitor.step of a bank of 8, in µs", "", 1e6 * taken["steps"] / 2000, ""),
-        ("the same in NumPy, times as long", "", 10 * taken["steps in NumPy"] / taken["steps"], ""),
+        ("Monitor.step of a bank of 8 in NumPy, times as long", "", 10 * taken["steps in NumPy"] / taken["steps"], ""),
         (f"tick of {len(u):,} banks of 8, in copies", "", taken["tick"] / taken["copy"], "104 bytes a plant"),
-        ("the same in NumPy, times as long", "", taken["tick in NumPy"] / taken["tick"], ""),
+        ("tick of as many in NumPy, times as long", "", taken["tick in NumPy"] / taken["tick"], ""),
     ]
 
 
