@@ -20,7 +20,7 @@ from residua.monitor.running import Decisions, State, initial_state
 from residua.monitor.specification import Specification
 from residua.monitor.starting import StartFit
 
-MARKS = (np.nan, np.inf, -np.inf, 1e300, 1e308, 1e12, 1e200)
+MARKS = (np.nan, np.inf, -np.inf, 1e300, 1e308, 1e12, 1e200, 1e119, 1e140)
 
 TESTS: dict[str, Any] = {
     "norm": NormThreshold(threshold=3.0),
