@@ -23,6 +23,7 @@ import numpy as np
 
 import residua as rs
 from residua.linear.systems import recursion
+from residua.monitor import fused
 from residua.monitor.fused import OUTPUTS, FusedRun, copied, plan_of
 from residua.monitor.plant_records import bytes_of_record
 from residua.monitor.running import initial_state
@@ -211,6 +212,107 @@ def missing(rounds: Rounds, plants: int) -> list[tuple[str, str, float, str]]:
     return rows
 
 
+def eight_sensors() -> rs.Plant:
+    rng = np.random.default_rng(4)
+    made = plant()
+    return rs.Plant(made.A, made.Bu, rng.standard_normal((8, 4)), dt=1).with_sensor_faults()
+
+
+def in_numpy(call: Callable[[], object]) -> Callable[[], None]:
+    """Return a call without the fused loop: the filter in C, all else in NumPy, as before there was one for it."""
+
+    def called() -> None:
+        kernel = fused._kernel
+        fused._kernel = None
+        try:
+            call()
+        finally:
+            fused._kernel = kernel
+
+    return called
+
+
+def banks(rounds: Rounds, samples: int, plants: int) -> list[tuple[str, str, float, str]]:
+    made, path, kernel = eight_sensors(), recursion.best_path(), recursion._kernel
+    assert kernel is not None
+    bank = rs.design.sensor_fault_bank(made)
+    generator, rng = bank.residual_generator(), np.random.default_rng(5)
+    whole = generator.system
+    u = rng.standard_normal((samples, 5))
+    y = made.system(("control",)).simulate(u) + 0.1 * rng.standard_normal((samples, 8))
+    source = np.hstack([u, y])
+    data, target = source[None], np.empty_like(source)
+    rows = [list(member.residuals) for member in generator.members]
+    states = [np.flatnonzero(whole.C[own].any(axis=0)) for own in rows]
+    outs = [np.empty((1, samples, len(own))) for own in rows]
+    alone = []
+    for own, at, one in zip(rows, states, outs, strict=True):
+        parts = (whole.A[np.ix_(at, at)], whole.B[at], whole.C[np.ix_(own, at)], whole.D[own])
+        x, after = np.zeros((1, len(at))), np.empty((1, len(at)))
+        alone.append((*(np.ascontiguousarray(M) for M in parts), x, data, after, one, path))
+    n, out = len(whole.A), np.empty((1, samples, len(whole.C)))
+    together = (whole.A, whole.B, whole.C, whole.D, np.zeros((1, n)), data, np.empty((1, n)), out, path)
+    test = rs.decide.NormThreshold(threshold=20.0)
+    monitor, other = rs.Monitor(bank, test=test), rs.Monitor(bank, test=test)
+    spec = monitor._specification()
+    plan = plan_of(spec)
+    assert plan is not None
+    run = FusedRun(spec, plan, copied(initial_state(spec, 1)), 5)
+    outputs = run.outputs(1, samples, ("residuals", "alarm"))
+    taken = rounds.medians(
+        {
+            "copy": lambda: np.copyto(target, source),
+            "together": lambda: kernel.run(*together),
+            "alone": lambda: [kernel.run(*one) for one in alone],
+            "fused": lambda: run.run(u[None], y[None], outputs),
+            "run": lambda: monitor.run(u, y),
+            "run in NumPy": in_numpy(lambda: other.run(u, y)),
+        }
+    )
+    assert all(np.array_equal(out[..., own], one) for own, one in zip(rows, outs, strict=True))
+    rows_out = [
+        ("bank of 8 filters, against 8 runs of one", "1.1", taken["together"] / taken["alone"], ""),
+        ("fused bank of 8 with its code, against its filters alone", "", taken["fused"] / taken["together"], ""),
+        ("Monitor.run of a bank of 8, in copies", "", taken["run"] / taken["copy"], "104 bytes a sample"),
+        ("Monitor.run of a bank of 8 in NumPy, times as long", "", taken["run in NumPy"] / taken["run"], ""),
+    ]
+    return rows_out + single_samples_of_banks(rounds, bank, u[:plants], y[:plants])
+
+
+def single_samples_of_banks(
+    rounds: Rounds, bank: rs.design.Bank, u: np.ndarray, y: np.ndarray
+) -> list[tuple[str, str, float, str]]:
+    test, plants = rs.decide.NormThreshold(threshold=20.0), range(len(u))
+    monitor, other = rs.Monitor(bank, test=test), rs.Monitor(bank, test=test)
+    fleet = rs.Fleet(monitor, plants=plants)
+    made: list[rs.Fleet] = []
+    in_numpy(lambda: made.append(rs.Fleet(other, plants=plants)))()
+    target, source = np.empty((len(u), 13)), np.hstack([u, y])
+
+    def steps(one: rs.Monitor, count: int) -> None:
+        for k in range(count):
+            one.step(u[k], y[k])
+
+    for _ in range(40):
+        fleet.tick(None, u, y)
+        made[0].tick(None, u, y)
+    taken = rounds.medians(
+        {
+            "copy": lambda: np.copyto(target, source),
+            "steps": lambda: steps(monitor, 2000),
+            "steps in NumPy": in_numpy(lambda: steps(other, 200)),
+            "tick": lambda: fleet.tick(None, u, y),
+            "tick in NumPy": in_numpy(lambda: made[0].tick(None, u, y)),
+        }
+    )
+    return [
+        ("Monitor.step of a bank of 8, in µs", "", 1e6 * taken["steps"] / 2000, ""),
+        ("Monitor.step of a bank of 8 in NumPy, times as long", "", 10 * taken["steps in NumPy"] / taken["steps"], ""),
+        (f"tick of {len(u):,} banks of 8, in copies", "", taken["tick"] / taken["copy"], "104 bytes a plant"),
+        ("tick of as many in NumPy, times as long", "", taken["tick in NumPy"] / taken["tick"], ""),
+    ]
+
+
 def imports() -> list[tuple[str, str, float, str]]:
     times = []
     for line in ("import numpy, scipy.linalg", "import residua"):
@@ -230,7 +332,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     rounds = Rounds(options.rounds)
-    rows = [*one_series(rounds), *one_sample(rounds), *fleets(rounds, options.plants), *imports()]
+    of_banks = banks(rounds, SAMPLES // 4, options.plants // 50)
+    rows = [*one_series(rounds), *one_sample(rounds), *fleets(rounds, options.plants), *of_banks, *imports()]
     for row in rows:
         print(f"{row[0]:<75} {row[1]:>6} {row[2]:>9.3g}  {row[3]}")
     print(f"{platform.machine()}, Python {platform.python_version()}, NumPy {np.__version__}")

@@ -13,7 +13,7 @@ from hypothesis import given, settings, strategies as st
 
 from residua.errors import DataError, ModelError
 from residua.linear.systems import recursion
-from residua.linear.systems.recursion import compiled, ordered_product, run_filter
+from residua.linear.systems.recursion import Matrices, compiled, ordered_product, run_filter
 
 needs_compiled = pytest.mark.skipif(not compiled(), reason="built without a C compiler")
 PATHS = range(recursion._BEST_PATH + 1)
@@ -83,6 +83,54 @@ def test_compiled_equals_numpy_bitwise(
     actual = recursion._run_compiled(matrices, x, v, path)
     for one, other in zip(actual, expected, strict=True):
         assert_same_bits(one, other)
+
+
+def bank(rng: np.random.Generator, members: list[tuple[int, int]], m: int) -> Matrices:
+    """Return filters of some states and outputs, stacked: zeros of either sign wherever they have nothing in common."""
+    n, nr = (sum(sizes) for sizes in zip(*members, strict=True))
+    B, D = rng.normal(size=(n, m)), rng.normal(size=(nr, m))
+    A, C = (np.where(rng.random(shape) < 0.5, 0.0, -0.0) for shape in ((n, n), (nr, n)))
+    at = row = 0
+    for states, outputs in members:
+        A[at : at + states, at : at + states] = 0.8 * rng.normal(size=(states, states)) / max(1, states) ** 0.5
+        C[row : row + outputs, at : at + states] = rng.normal(size=(outputs, states))
+        at, row = at + states, row + outputs
+    return A, B, C, D
+
+
+@needs_compiled
+@pytest.mark.parametrize("path", PATHS)
+@settings(max_examples=100, deadline=None)
+@given(
+    members=st.lists(st.tuples(st.integers(0, 10), st.integers(0, 5)), min_size=1, max_size=40),
+    shape=st.sampled_from(((1, 0), (1, 1), (3, 1), (300, 1), (1, 5), (2, 300), (3, 600))),
+    m=st.integers(0, 4),
+    marks=st.lists(st.sampled_from((np.nan, np.inf, -np.inf, 1e308, -1e308, 5e-324, -0.0)), max_size=3),
+    cut=st.integers(0, 600),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_a_bank_has_the_bits_of_all_products(
+    path: int,
+    members: list[tuple[int, int]],
+    shape: tuple[int, int],
+    m: int,
+    marks: list[float],
+    cut: int,
+    seed: int,
+) -> None:
+    """Zeros that are left out change nothing; where a value or a state is not finite, they are taken along."""
+    rng = np.random.default_rng(seed)
+    matrices = bank(rng, members, m)
+    x, v = rng.normal(size=(shape[0], len(matrices[0]))), rng.normal(size=(*shape, m))
+    for mark in marks:
+        target = v if v.size and rng.random() < 0.7 else x
+        if target.size:
+            target[tuple(int(rng.integers(size)) for size in target.shape)] = mark
+    expected = recursion._run_numpy(matrices, x, v)
+    middle, first = recursion._run_compiled(matrices, x, np.ascontiguousarray(v[:, :cut]), path)
+    after, second = recursion._run_compiled(matrices, middle, np.ascontiguousarray(v[:, cut:]), path)
+    assert_same_bits(after, expected[0])
+    assert_same_bits(np.concatenate([first, second], axis=1), expected[1])
 
 
 @pytest.mark.parametrize("path", [None, *(PATHS if compiled() else ())])

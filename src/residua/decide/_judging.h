@@ -12,7 +12,8 @@
 #define LARGEST_SQUARES 9e239  /* sums of squares up to here are of numbers up to there */
 #define FULL 2.0               /* as in residua.decide.cusum */
 
-enum { NORM = 1, PAGE, CROSIER, PIGNATIELLO_RUNGER, EWMA, CHI_SQUARED, GLR, DIRECTED_GLR };
+enum { NORM = 1, PAGE, CROSIER, PIGNATIELLO_RUNGER, EWMA, CHI_SQUARED, GLR, DIRECTED_GLR, PARTS };
+enum { NOBODY, DIRECTIONS, CODES };
 
 typedef unsigned char flag;
 typedef long long whole;
@@ -26,10 +27,19 @@ typedef struct {
     double threshold, release_level, allowance, old_weight, new_weight, deviation;
     double padded[20]; /* of at most four residuals: centres, then rows of the whitening, and zeros */
     const double *center, *whitening, *coefficients, *rewhitening, *knots, *scores, *along;
+    /* Of parts: their first columns, and the end; their thresholds; of each column the residuals that it takes, and with
+     * which weights, `terms` rows; and a whitening of all, or NULL. */
+    Py_ssize_t parts, terms;
+    const whole *begins, *from;
+    const double *limits, *weights, *joint;
 } test_plan;
 
 typedef struct {
-    Py_ssize_t k, window, groups;
+    int kind;
+    Py_ssize_t k, window, groups; /* k: residuals, or members */
+    const flag *codes; /* of each group, which members it fires */
+    double share;
+    int is_at_once; /* a member that is in alarm counts as fired, whatever the window */
     const whole *dimensions;
     const double *padded; /* k rows of all columns of all groups, and zeros */
     Py_ssize_t columns, room; /* of a row: a multiple of four numbers */
@@ -91,6 +101,19 @@ row_product(const double *restrict v, const double *restrict M, Py_ssize_t rows,
 INLINE int
 all_within(const double *v, Py_ssize_t count, double largest)
 {
+    if (count >= 16) { /* no value is larger than the sum of their sizes, which is NaN if one is */
+        double sizes[16] = {0.0}, sum = 0.0;
+        Py_ssize_t j = 0;
+        for (; j + 16 <= count; j += 16)
+            for (int l = 0; l < 16; l++)
+                sizes[l] += fabs(v[j + l]);
+        for (; j < count; j++)
+            sum += fabs(v[j]);
+        for (int l = 0; l < 16; l++)
+            sum += sizes[l];
+        if (sum <= largest)
+            return 1;
+    }
     double outside[8] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0}; /* lanes of vectors */
     Py_ssize_t i = 0;
     for (; i + 8 <= count; i += 8)
@@ -154,6 +177,34 @@ largest_of(const double *values, Py_ssize_t count)
     return largest[0];
 }
 
+/* Sums of squares of whitened residuals alone, of numbers of residuals that are constants: vectors over samples. 0, and
+ * nothing to be read of them, where one may not be usable. */
+INLINE int
+squares_of_rows(const test_plan *t, const piece *p, Py_ssize_t nr, Py_ssize_t k)
+{
+    double center[4], weight[4][4];
+    if (nr > 4 || k > 4 || !all_set(p->usable, p->time))
+        return 0;
+    for (Py_ssize_t j = 0; j < nr; j++) {
+        center[j] = t->center[j];
+        for (Py_ssize_t l = 0; l < k; l++)
+            weight[j][l] = t->whitening[j * k + l];
+    }
+    const double *restrict r = p->r;
+    double *restrict squares = p->statistic;
+    for (Py_ssize_t i = 0; i < p->time; i++) {
+        double total = 0.0;
+        for (Py_ssize_t l = 0; l < k; l++) {
+            double sum = 0.0;
+            for (Py_ssize_t j = 0; j < nr; j++)
+                sum += (r[i * nr + j] - center[j]) * weight[j][l];
+            total += sum * sum;
+        }
+        squares[i] = total;
+    }
+    return all_within(squares, p->time, LARGEST_SQUARES);
+}
+
 /* Whitened residuals; 0 and not usable where one would overflow a sum. Whether their squares are in `statistic`. */
 INLINE int
 whiten(const test_plan *t, const piece *p, Py_ssize_t nr, Py_ssize_t k)
@@ -186,6 +237,16 @@ turn_window(window_row row, Py_ssize_t window, Py_ssize_t k)
     *row.filled = 0;
     for (Py_ssize_t j = 0; j < k; j++)
         row.begun[j] = 0.0;
+    if (k <= 4) { /* a constant: in registers */
+        double sum[4] = {0.0, 0.0, 0.0, 0.0};
+        for (Py_ssize_t i = window - 1; i >= 0; i--)
+            for (Py_ssize_t j = 0; j < k; j++) {
+                const double value = row.values[i * k + j];
+                row.values[i * k + j] = sum[j];
+                sum[j] = i == window - 1 ? value : sum[j] + value;
+            }
+        return;
+    }
     double *after = row.begun; /* adds up, and is zero again in the end */
     for (Py_ssize_t i = window - 1; i >= 0; i--)
         for (Py_ssize_t j = 0; j < k; j++) {
@@ -197,29 +258,63 @@ turn_window(window_row row, Py_ssize_t window, Py_ssize_t k)
         row.begun[j] = 0.0;
 }
 
-/* The sums over the last samples, as residua.decide.window has them. */
+/* Some samples of a window that is not full before them; sums of residual j from sums + j * across on, `down` apart. */
 INLINE void
-moving_sums(window_row row, Py_ssize_t window, const double *v, double *sums, Py_ssize_t time, Py_ssize_t k)
+fill_window(window_row row, Py_ssize_t at, const double *v, double *sums, Py_ssize_t some, Py_ssize_t k,
+            Py_ssize_t down, Py_ssize_t across)
+{
+    double *place = row.values + at * k;
+    if (k <= 4) { /* a constant: what has begun stays in registers */
+        double begun[4];
+        for (Py_ssize_t j = 0; j < k; j++)
+            begun[j] = row.begun[j];
+        for (Py_ssize_t i = 0; i < some; i++, place += k, v += k, sums += down)
+            for (Py_ssize_t j = 0; j < k; j++) {
+                const double value = v[j];
+                begun[j] = at + i ? begun[j] + value : value;
+                sums[j * across] = place[j] + begun[j];
+                place[j] = value;
+            }
+        for (Py_ssize_t j = 0; j < k; j++)
+            row.begun[j] = begun[j];
+        return;
+    }
+    for (Py_ssize_t i = 0; i < some; i++, place += k, v += k, sums += down)
+        for (Py_ssize_t j = 0; j < k; j++) {
+            const double begun = at + i ? row.begun[j] + v[j] : v[j];
+            row.begun[j] = begun;
+            sums[j * across] = place[j] + begun;
+            place[j] = v[j];
+        }
+}
+
+/* The sums over the last samples, as residua.decide.window has them: of residual j from sums + j * across on. */
+INLINE void
+spread_sums(window_row row, Py_ssize_t window, const double *v, double *sums, Py_ssize_t time, Py_ssize_t k,
+            Py_ssize_t down, Py_ssize_t across)
 {
     if (window == 1) {
-        memcpy(sums, v, (size_t)(time * k) * sizeof(double));
+        for (Py_ssize_t i = 0; i < time; i++)
+            for (Py_ssize_t j = 0; j < k; j++)
+                sums[i * down + j * across] = v[i * k + j];
         return;
     }
     while (time > 0) {
         const Py_ssize_t at = (Py_ssize_t)*row.filled, room = window - at, some = time < room ? time : room;
-        double *place = row.values + at * k;
-        for (Py_ssize_t i = 0; i < some; i++, place += k, v += k, sums += k)
-            for (Py_ssize_t j = 0; j < k; j++) {
-                const double begun = at + i ? row.begun[j] + v[j] : v[j];
-                row.begun[j] = begun;
-                sums[j] = place[j] + begun;
-                place[j] = v[j];
-            }
+        fill_window(row, at, v, sums, some, k, down, across);
+        v += some * k;
+        sums += some * down;
         *row.filled = at + some;
         if (some == room)
             turn_window(row, window, k);
         time -= some;
     }
+}
+
+INLINE void
+moving_sums(window_row row, Py_ssize_t window, const double *v, double *sums, Py_ssize_t time, Py_ssize_t k)
+{
+    spread_sums(row, window, v, sums, time, k, k, 1);
 }
 
 /* Alarms of statistics, NaN where nothing is decided; an alarm of a test that remembers is raised and ended at once. */
@@ -449,15 +544,16 @@ best_of_sums(const test_plan *t, const double *columns, Py_ssize_t apart, Py_ssi
     }
 }
 
+/* The sums themselves, of one column. */
 INLINE void
-length_of_sums(const test_plan *t, const double *sample, double *restrict best)
+sums_of_recent(const test_plan *t, const double *sample, double *restrict best)
 {
     double total[TOGETHER] = {0.0};
     for (Py_ssize_t back = 0; back < t->window; back++)
         for (int l = 0; l < TOGETHER; l++)
             total[l] += sample[l - back];
     for (int l = 0; l < TOGETHER; l++)
-        best[l] = sqrt(total[l]);
+        best[l] = total[l];
 }
 
 /* What is summed of a sample: its square, itself, or its parts along directions. */
@@ -473,9 +569,10 @@ summed_part(const test_plan *t, const double *e, double *part, Py_ssize_t k)
             part[j] = e[j];
 }
 
-/* Statistics of sums over the last samples that were seen, of a piece; `sums` are these samples, the oldest first. */
+/* Statistics of sums over the last samples that were seen, of a piece; `sums` are these samples, the oldest first. If it
+ * `has_squares`, all samples are seen, and `statistic` holds what chi-squared sums. */
 INLINE void
-of_recent(const test_plan *t, double *sums, piece *p, double *part, Py_ssize_t k)
+of_recent(const test_plan *t, double *sums, piece *p, double *part, Py_ssize_t k, int has_squares)
 {
     const Py_ssize_t width = t->kind == CHI_SQUARED ? 1 : t->kind == GLR ? k : t->directions, kept = t->window - 1;
     const Py_ssize_t apart = kept + p->time + TOGETHER;
@@ -484,25 +581,31 @@ of_recent(const test_plan *t, double *sums, piece *p, double *part, Py_ssize_t k
     for (Py_ssize_t i = 0; i < kept; i++)
         for (Py_ssize_t j = 0; j < width; j++)
             columns[j * apart + i] = sums[i * width + j];
-    for (Py_ssize_t i = 0; i < p->time; i++)
-        if (p->usable[i]) {
-            summed_part(t, p->e + i * k, part, k);
-            for (Py_ssize_t j = 0; j < width; j++)
-                columns[j * apart + seen] = part[j];
-            seen++;
-        }
+    if (has_squares && t->kind == CHI_SQUARED) {
+        memcpy(columns + seen, p->statistic, (size_t)p->time * sizeof(double));
+        seen += p->time;
+    } else
+        for (Py_ssize_t i = 0; i < p->time; i++)
+            if (p->usable[i]) {
+                summed_part(t, p->e + i * k, part, k);
+                for (Py_ssize_t j = 0; j < width; j++)
+                    columns[j * apart + seen] = part[j];
+                seen++;
+            }
     for (Py_ssize_t j = 0; j < width; j++)
         for (Py_ssize_t i = seen; i < seen + TOGETHER && i < apart; i++)
             columns[j * apart + i] = 0.0;
     for (Py_ssize_t i = kept; i < seen; i += TOGETHER) {
         double best[TOGETHER];
         if (t->kind == CHI_SQUARED)
-            length_of_sums(t, columns + i, best);
+            sums_of_recent(t, columns + i, best);
         else
             best_of_sums(t, columns + i, apart, width, total, best);
         for (Py_ssize_t l = 0; l < TOGETHER && i + l < seen; l++)
             p->statistic[i + l - kept] = best[l];
     }
+    if (t->kind == CHI_SQUARED)
+        roots(p->statistic, seen - kept);
     for (Py_ssize_t i = 0; i < kept; i++)
         for (Py_ssize_t j = 0; j < width; j++)
             sums[i * width + j] = columns[j * apart + seen - kept + i];
@@ -513,13 +616,16 @@ of_recent(const test_plan *t, double *sums, piece *p, double *part, Py_ssize_t k
 }
 
 INLINE void
-judge_stream(const test_plan *t, const test_row *row, piece *p, double *part, double *spare, Py_ssize_t k)
+judge_stream(const test_plan *t, const test_row *row, piece *p, double *part, double *spare, Py_ssize_t k,
+             int has_squares)
 {
+    if (!t->order && !t->knots_of_each) /* as it is */
+        p->e = p->q;
     double *const e = p->e;
     if (t->order)
         for (Py_ssize_t i = 0; i < p->time; i++)
             p->usable[i] = (flag)unforetold(t, row, p->q + i * k, p->usable[i], e + i * k, part, k);
-    else
+    else if (e != p->q)
         memcpy(e, p->q, (size_t)(p->time * k) * sizeof(double));
     if (t->knots_of_each)
         for (Py_ssize_t i = 0; i < p->time; i++)
@@ -530,7 +636,7 @@ judge_stream(const test_plan *t, const test_row *row, piece *p, double *part, do
     else if (t->kind == EWMA)
         averages(t, row->sums, p, k);
     else
-        of_recent(t, row->sums, p, spare, k);
+        of_recent(t, row->sums, p, spare, k, has_squares && p->e == p->q);
     if (!all_set(p->usable, p->time))
         for (Py_ssize_t i = 0; i < p->time; i++)
             p->statistic[i] = p->usable[i] ? p->statistic[i] : NAN;
@@ -553,11 +659,23 @@ parts_along(const isolation_plan *n, const double *sums, double *along, Py_ssize
 INLINE void
 each_length(double *values, Py_ssize_t count)
 {
-    double far = 1.0;
-    for (Py_ssize_t c = 0; c < count; c++)
-        far = (fabs(values[c]) >= 1e-150) | (values[c] == 0.0) ? far : 0.0;
-    for (Py_ssize_t c = 0; c < count; c++)
-        values[c] = far == 1.0 ? fabs(values[c]) : sqrt(values[c] * values[c]);
+    double near[8] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0}; /* lanes of vectors */
+    Py_ssize_t c = 0;
+    for (; c + 8 <= count; c += 8)
+        for (int l = 0; l < 8; l++)
+            near[l] = (fabs(values[c + l]) >= 1e-150) | (values[c + l] == 0.0) ? near[l] : 1.0;
+    for (; c < count; c++)
+        near[0] = (fabs(values[c]) >= 1e-150) | (values[c] == 0.0) ? near[0] : 1.0;
+    double any = 0.0;
+    for (int l = 0; l < 8; l++)
+        any += near[l];
+    if (any == 0.0) {
+        for (c = 0; c < count; c++)
+            values[c] = fabs(values[c]);
+        return;
+    }
+    for (c = 0; c < count; c++)
+        values[c] = sqrt(values[c] * values[c]);
 }
 
 INLINE void
@@ -565,8 +683,15 @@ shares_of(double *values, double size, Py_ssize_t count)
 {
     for (Py_ssize_t c = 0; c < count; c++) {
         const double score = values[c] / size;
-        values[c] = score < 1.0 ? score : 1.0;
+        values[c] = score > 1.0 ? 1.0 : score; /* NaN where infinite sums are compared */
     }
+}
+
+INLINE void
+clear_doubles(void *to, Py_ssize_t count)
+{
+    for (Py_ssize_t j = 0; j < count; j++)
+        ((double *)to)[j] = 0.0;
 }
 
 /* How well each signature explains one sum; NaN where nothing can be said. `part` has room for all columns. */
@@ -599,8 +724,97 @@ score_sample(const isolation_plan *n, const double *sums, int usable, double *pa
 }
 
 INLINE void
-name_by_direction(const isolation_plan *n, window_row row, const piece *p, double *part, Py_ssize_t k)
+squares_of_columns(const double *restrict columns, double *restrict total, Py_ssize_t time, Py_ssize_t k)
 {
+    if (k <= 4) { /* a constant: in registers */
+        for (Py_ssize_t i = 0; i < time; i++) {
+            double sum = 0.0;
+            for (Py_ssize_t j = 0; j < k; j++)
+                sum += columns[j * time + i] * columns[j * time + i];
+            total[i] = sum;
+        }
+        return;
+    }
+    clear_doubles(total, time);
+    for (Py_ssize_t j = 0; j < k; j++)
+        for (Py_ssize_t i = 0; i < time; i++)
+            total[i] += columns[j * time + i] * columns[j * time + i];
+}
+
+/* The parts of sums, which lie in columns, along one direction. */
+INLINE void
+columns_along(const isolation_plan *n, const double *restrict columns, double *restrict along, Py_ssize_t time,
+              Py_ssize_t k, Py_ssize_t which)
+{
+    const double *const part = n->padded + which;
+    if (k <= 4) {
+        double weight[4];
+        for (Py_ssize_t j = 0; j < k; j++)
+            weight[j] = part[j * n->room];
+        for (Py_ssize_t i = 0; i < time; i++) {
+            double sum = 0.0;
+            for (Py_ssize_t j = 0; j < k; j++)
+                sum += columns[j * time + i] * weight[j];
+            along[i] = sum;
+        }
+        return;
+    }
+    clear_doubles(along, time);
+    for (Py_ssize_t j = 0; j < k; j++) {
+        const double weight = part[j * n->room];
+        for (Py_ssize_t i = 0; i < time; i++)
+            along[i] += columns[j * time + i] * weight;
+    }
+}
+
+/* The same of a piece, column by column: all samples of one at once. `sums` are the columns of the sums, with room for
+ * three more behind them. */
+INLINE void
+score_columns(const isolation_plan *n, const piece *p, double *sums, Py_ssize_t k)
+{
+    const Py_ssize_t time = p->time, groups = n->groups;
+    double *restrict size = sums + k * time, *restrict along = size + time, *restrict total = along + time;
+    squares_of_columns(sums, size, time, k);
+    roots(size, time);
+    Py_ssize_t column = 0;
+    for (Py_ssize_t g = 0; g < groups; g++) {
+        if (n->are_lines) {
+            columns_along(n, sums, total, time, k, column++);
+            each_length(total, time);
+        } else {
+            clear_doubles(total, time);
+            for (whole d = 0; d < n->dimensions[g]; d++) {
+                columns_along(n, sums, along, time, k, column++);
+                for (Py_ssize_t i = 0; i < time; i++)
+                    total[i] += along[i] * along[i];
+            }
+            roots(total, time);
+        }
+        for (Py_ssize_t i = 0; i < time; i++) {
+            const double score = total[i] / size[i]; /* NaN where all is zero */
+            along[i] = score > 1.0 ? 1.0 : score;
+        }
+        for (Py_ssize_t i = 0; i < time; i++)
+            p->scores[i * groups + g] = along[i];
+    }
+    if (all_set(p->usable, time))
+        return;
+    for (Py_ssize_t i = 0; i < time; i++)
+        for (Py_ssize_t g = 0; !p->usable[i] && g < groups; g++)
+            p->scores[i * groups + g] = NAN;
+}
+
+INLINE void
+name_by_direction(const isolation_plan *n, window_row row, const piece *p, double *part, double *columns, Py_ssize_t k)
+{
+    if (p->scores != NULL && p->time > 1) {
+        const Py_ssize_t time = p->time;
+        spread_sums(row, n->window, p->q, columns, time, k, 1, time);
+        score_columns(n, p, columns, k);
+        for (Py_ssize_t j = 0; j < k; j++) /* what is kept of the last sample */
+            p->sums[(time - 1) * k + j] = columns[j * time + time - 1];
+        return;
+    }
     moving_sums(row, n->window, p->q, p->sums, p->time, k);
     if (p->scores != NULL)
         for (Py_ssize_t i = 0; i < p->time; i++)

@@ -141,6 +141,32 @@ def _listed(items: Iterable[str]) -> str:
     return "; ".join(entries[:NAMED]) + (f"; and {more} more" if more > 0 else "")
 
 
+def each_once(groups: Iterable[tuple[str, ...]]) -> tuple[tuple[str, ...], ...]:
+    """Return groups without the faults that an earlier one has named."""
+    named: set[str] = set()
+    out = []
+    for group in groups:
+        left = tuple(name for name in group if name not in named)
+        named.update(left)
+        out += [left] if left else []
+    return tuple(out)
+
+
+def pairs_of(
+    pairs: Iterable[tuple[tuple[str, ...], tuple[str, ...]]],
+) -> tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]:
+    """Return pairs of groups, each once; a fault with two codes makes no pair with itself."""
+    out = []
+    for one, other in pairs:
+        if len(one) == 1:
+            other = tuple(name for name in other if name not in one)
+        elif len(other) == 1:
+            one = tuple(name for name in one if name not in other)
+        if one and other and (other, one) not in out:
+            out.append((one, other))
+    return tuple(dict.fromkeys(out))
+
+
 def distinct_rows(rows: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Return how often each distinct row of a boolean matrix occurs, where first, and which one each row is."""
     if not len(rows):

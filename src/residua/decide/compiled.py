@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-#: Statistics in C, as :file:`_judging.h` numbers them.
-STATISTICS = ("norm", "page", "crosier", "pignatiello-runger", "ewma", "chi-squared", "glr", "directed glr")
+#: Statistics in C, as :file:`_judging.h` numbers them; that of parts is in :file:`_members.h`.
+STATISTICS = ("norm", "page", "crosier", "pignatiello-runger", "ewma", "chi-squared", "glr", "directed glr", "parts")
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +31,12 @@ class CompiledTest:
         How a residual is made white and Gaussian.
     along : ndarray, shape (k, directions), or None
         Of a likelihood ratio along directions.
+    sizes : ndarray of int, shape (parts,), or None
+        How many whitened residuals each part has that is tested by itself, such as a member of a bank.
+    limits : ndarray, shape (parts,), or None
+        The threshold of each.
+    joint : ndarray, shape (residuals, k), or None
+        A whitening of all, in which the direction is judged; the other one when omitted.
     """
 
     statistic: str
@@ -50,6 +56,9 @@ class CompiledTest:
     knots: NDArray[np.float64] | None = None
     scores: NDArray[np.float64] | None = None
     along: NDArray[np.float64] | None = None
+    sizes: NDArray[np.int64] | None = None
+    limits: NDArray[np.float64] | None = None
+    joint: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,4 +75,24 @@ class CompiledIsolation:
     bases: tuple[NDArray[np.float64], ...] = field(default=())
 
 
-__all__ = ["STATISTICS", "CompiledIsolation", "CompiledTest"]
+@dataclass(frozen=True, eq=False)
+class CompiledCodes:
+    """An isolation by code as the fused loop runs it, of a test of parts.
+
+    Attributes
+    ----------
+    window : int
+    share : float
+        Of the samples of the member that was in alarm the longest, from which on another counts as fired.
+    codes : ndarray of bool, shape (members, groups)
+    at_once : bool
+        Whether the members in alarm count as fired, whatever the window.
+    """
+
+    window: int
+    share: float
+    codes: NDArray[np.bool_]
+    at_once: bool = False
+
+
+__all__ = ["STATISTICS", "CompiledCodes", "CompiledIsolation", "CompiledTest"]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from residua.decide.alarm import Alarm, Candidate, LearntMatch, PresentFault, Size
 from residua.decide.code_reading import CodeReading
-from residua.decide.compiled import CompiledIsolation
+from residua.decide.compiled import CompiledCodes, CompiledIsolation
 from residua.decide.learnt_faults import LearntFault
 from residua.decide.matched_hold import Match
 from residua.decide.member_bounds import MemberBounds
@@ -154,7 +154,7 @@ class Isolation(Record, ABC):
         """
 
     @property
-    def compiled(self) -> CompiledIsolation | None:
+    def compiled(self) -> CompiledIsolation | CompiledCodes | None:
         """What the fused loop runs in its place, with the same bits; ``None`` where :meth:`run` is all there is."""
         return None
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.checks import check_rate
+from residua.decide.compiled import CompiledTest
 from residua.decide.false_alarms import coincidence
 from residua.decide.fault_free import FaultFree
 from residua.decide.persistence import AlarmRuns, alarm_logic
@@ -143,6 +144,25 @@ class BankTest(ResidualTest):
     def _whole(self, q: NDArray, usable: NDArray[np.bool_], block: Block) -> NDArray[np.float64]:
         """Return the residual in units in which its direction is judged: of a bank nothing is."""
         return q
+
+    @property
+    def compiled(self) -> CompiledTest | None:
+        """The same in C."""
+        return self._in_c() if type(self) is BankTest else None
+
+    def _in_c(self, joint: NDArray[np.float64] | None = None) -> CompiledTest:
+        return CompiledTest(
+            "parts",
+            self.center,
+            self.whitening,
+            self.threshold,
+            self.window,
+            self.persistence,
+            self.release,
+            sizes=self.sizes,
+            limits=self.thresholds,
+            joint=joint,
+        )
 
     # ----------------------------------------------- what the rest of a monitor asks for
 
@@ -440,6 +460,12 @@ class GroupTest(BankTest):
 
     def _whole(self, q: NDArray, usable: NDArray[np.bool_], block: Block) -> NDArray[np.float64]:
         return ordered_product(np.where(usable[..., None], block.residuals - self.center, 0.0), self.whole)
+
+    @property
+    def compiled(self) -> CompiledTest | None:
+        """The same in C."""
+        same = self.whole.shape == self.whitening.shape
+        return self._in_c(self.whole) if type(self) is GroupTest and same else None
 
     @property
     def metric(self) -> NDArray[np.float64]:

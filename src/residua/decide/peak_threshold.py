@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.decide.checks import FALSE_ALARM_RATE, check_rate, check_samples, is_number
+from residua.decide.compiled import CompiledTest
 from residua.decide.false_alarms import observed
 from residua.decide.fault_free import FaultFree
 from residua.decide.member_thresholds import BankTest, Parts, fit_together, rows_of, side_by_side
@@ -99,6 +100,11 @@ class PeakTest(_Peak, NormTest):
         """In thresholds."""
         return np.abs(self.whitening) / self.threshold
 
+    @property
+    def compiled(self) -> CompiledTest | None:
+        """The same in C."""
+        return self._in_c() if type(self) is PeakTest else None
+
     def words(self, step: float) -> dict[str, str]:
         """Return in words what the threshold is, what is tested, and when an alarm begins and ends."""
         alarm = f"raised by one sample over it, ended by {self.release} below it"
@@ -119,6 +125,11 @@ class PeakBankTest(_Peak, BankTest):
     def guarded(self) -> NDArray[np.float64]:
         """In thresholds."""
         return np.abs(self.whitening) / np.repeat(self.thresholds, self.sizes)
+
+    @property
+    def compiled(self) -> CompiledTest | None:
+        """The same in C."""
+        return self._in_c() if type(self) is PeakBankTest else None
 
     def words(self, step: float) -> dict[str, str]:
         """Return in words what the thresholds are, what is tested, and when an alarm begins and ends."""

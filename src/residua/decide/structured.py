@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, Self
@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from residua.analysis.codes import equal_codes, strongly_isolating
 from residua.decide.alarm import Alarm, Candidate, PresentFault
 from residua.decide.checks import check_samples, is_number
-from residua.decide.code_reading import CodeReading, distinct_rows
+from residua.decide.code_reading import CodeReading, distinct_rows, each_once, pairs_of
 from residua.decide.code_words import statement_by_code
+from residua.decide.compiled import CompiledCodes
 from residua.decide.isolation import Isolation, IsolationSettings, Named, Naming, Scores, Seen, check_groups, last_over
 from residua.decide.member_bounds import MemberBounds, leakage_cautions
 from residua.decide.sizes import sizes_over, with_sizes
@@ -45,6 +46,10 @@ class CodeState:
     window: WindowState
     since: NDArray[np.int64]
     fired: NDArray[np.bool_]
+
+    def arrays(self) -> tuple[NDArray | None, ...]:
+        """Return what the fused loop reads and writes, in its order: window, since and fired."""
+        return *self.window.arrays(), self.since, self.fired
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,9 +125,7 @@ class CodeTest(Isolation):
         below = np.flatnonzero((off > 0) & (codes <= pattern[:, None]).all(axis=0))
         first, second = np.triu_indices(len(below), 1)
         whole = ((codes[:, below[first]] | codes[:, below[second]]) == pattern[:, None]).all(axis=0)
-        pairs = _pairs_of(
-            (groups[below[a]], groups[below[b]]) for a, b in zip(first[whole], second[whole], strict=True)
-        )
+        pairs = pairs_of((groups[below[a]], groups[below[b]]) for a, b in zip(first[whole], second[whole], strict=True))
         if (off == 0).any():
             g = int(off.argmin())
             return CodeReading("exact", groups[g], 0, pairs, (), *made, settled[g])
@@ -136,7 +139,7 @@ class CodeTest(Isolation):
         smallest = int(off.min(initial=len(pattern) + 1))
         near = np.flatnonzero(off == smallest)
         nearest = tuple(dict.fromkeys(groups[g] for g in near))  # both codes of one fault can be equally near
-        possible = _each_once(groups[g] for g in above[np.argsort(off[above], kind="stable")])
+        possible = each_once(groups[g] for g in above[np.argsort(off[above], kind="stable")])
         alone = len(nearest) == 1 and all(set(group) <= set(nearest[0]) for group in possible)
         if alone and smallest <= self.distance and not pattern.all():
             return CodeReading("nearest", nearest[0], smallest, pairs, (), *made, settled[near[0]])
@@ -167,6 +170,13 @@ class CodeTest(Isolation):
             since = alarms_since(fired, state, block.count)
             state = CodeState(window, since, fired[:, -1].copy())
         return state, Scores(scores, code=code)
+
+    @property
+    def compiled(self) -> CompiledCodes | None:
+        """The same in C."""
+        if type(self) is not CodeTest:
+            return None
+        return CompiledCodes(self.window, self.share, self.codes, self.at_once and self.dedicated)
 
     def name(self, seen: Seen, start: int, stop: int, last: int) -> Named:
         """Return what the fired members say: the pattern that stood the longest, and the candidates by it.
@@ -354,32 +364,6 @@ class Structured(IsolationSettings):
         """Raise where what runs has another window."""
         if content.get("window") != self.window:
             raise FileFormatError(f"{where}.window must be that of isolate, {self.window}")
-
-
-def _each_once(groups: Iterable[tuple[str, ...]]) -> tuple[tuple[str, ...], ...]:
-    """Return groups without the faults that an earlier one has named."""
-    named: set[str] = set()
-    out = []
-    for group in groups:
-        left = tuple(name for name in group if name not in named)
-        named.update(left)
-        out += [left] if left else []
-    return tuple(out)
-
-
-def _pairs_of(
-    pairs: Iterable[tuple[tuple[str, ...], tuple[str, ...]]],
-) -> tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]:
-    """Return pairs of groups, each once; a fault with two codes makes no pair with itself."""
-    out = []
-    for one, other in pairs:
-        if len(one) == 1:
-            other = tuple(name for name in other if name not in one)
-        elif len(other) == 1:
-            one = tuple(name for name in one if name not in other)
-        if one and other and (other, one) not in out:
-            out.append((one, other))
-    return tuple(dict.fromkeys(out))
 
 
 def settled_codes(generator: ResidualGenerator) -> NDArray[np.bool_]:
@@ -682,10 +666,13 @@ def alarms_since(fired: NDArray[np.bool_], state: CodeState, count: int | NDArra
     time = fired.shape[1]
     samples = np.arange(time)
     last_off = np.where(fired.any(axis=2), -1, samples).max(axis=1)
+    before = state.since
+    unknown = state.fired & (before == 0)  # and so it stays until the member is silent
+    if unknown.any():
+        fired = fired & ~(unknown[:, None] & np.logical_and.accumulate(fired, axis=1))
     standing = fired & (samples > last_off[:, None])[..., None]
     first = np.where(standing.any(axis=1), np.reshape(count, (-1, 1)) + 1 + standing.argmax(axis=1), 0)
-    before = state.since
-    return np.where((last_off == -1)[:, None] & (state.fired | (before > 0)), before, first)
+    return np.where((last_off == -1)[:, None] & (before > 0), before, first)
 
 
 __all__ = ["CodeReading", "CodeTest", "Structured", "code_test", "distinct_rows", "read_code", "read_codes"]

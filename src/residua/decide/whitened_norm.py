@@ -158,8 +158,9 @@ class NormTest(ResidualTest):
     @property
     def compiled(self) -> CompiledTest | None:
         """The same in C."""
-        if type(self) is not NormTest:
-            return None
+        return self._in_c() if type(self) is NormTest else None
+
+    def _in_c(self) -> CompiledTest:
         return CompiledTest(
             "norm", self.center, self.whitening, self.threshold, self.window, self.persistence, self.release
         )

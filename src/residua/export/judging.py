@@ -89,7 +89,7 @@ def judging_of(spec: Specification) -> Judging:
         )
     if codes is not None and parts is not None and codes.groups:
         naming = CompiledIsolation()
-    elif naming is None:
+    elif not isinstance(naming, CompiledIsolation):
         raise SettingError(
             f"the isolation of this monitor ({type(spec.isolation).__name__}) cannot be exported: Directional can, "
             "Structured for a bank with codes, or isolate=None, which only raises the alarm"

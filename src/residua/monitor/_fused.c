@@ -1,9 +1,9 @@
 /* The fused loop of residua.monitor.fused: filter, test and isolation in one pass over the data of many plants.
  *
  * A plant is run over pieces of the recording that stay in the cache: its filter first (_plant_filter.h), then test
- * and isolation (_judging.h). Of one sample, several plants are run at once (_tick.h). A Kalman filter with missing
- * values is left to NumPy, from some sample on. The same bits as NumPy, in place: nothing can fail once the arrays are
- * checked.
+ * and isolation (_judging.h; of members and groups, _members.h). Of one sample, several plants are run at once
+ * (_tick.h). A Kalman filter with missing values is left to NumPy, from some sample on. The same bits as NumPy, in
+ * place: nothing can fail once the arrays are checked.
  */
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
@@ -18,10 +18,11 @@ static test_row
 row_of_test(const Runner *self, Py_ssize_t row)
 {
     const test_plan *t = &self->test;
+    const int is_norm = t->kind == NORM || t->kind == PARTS;
     test_row out = {.up = I8(self, UP, row), .down = I8(self, DOWN, row), .alarm = B1(self, ALARM, row)};
-    if (t->kind == NORM && t->window == 1) /* such a window remembers nothing */
+    if (is_norm && t->window == 1) /* such a window remembers nothing */
         return out;
-    if (t->kind == NORM) {
+    if (is_norm) {
         out.window.values = F8(self, TEST_VALUES, row);
         out.window.begun = F8(self, TEST_BEGUN, row);
         out.window.filled = I8(self, TEST_FILLED, row);
@@ -38,7 +39,7 @@ row_of_isolation(const Runner *self, Py_ssize_t row)
 {
     const isolation_plan *p = &self->naming;
     window_row out = {NULL, NULL, NULL};
-    if (p->groups && p->window > 1) {
+    if (p->kind != NOBODY && p->window > 1) {
         out.values = F8(self, VALUES, row);
         out.begun = F8(self, BEGUN, row);
         out.filled = I8(self, FILLED, row);
@@ -76,8 +77,76 @@ write_last(const Runner *self, Py_ssize_t row, const piece *p, const scratch *s,
     *F8(self, LAST_STATISTIC, row) = p->statistic[last];
     *I8(self, LAST_UP, row) = p->is_quiet ? 0 : p->up[last];
     copy_doubles(F8(self, LAST_RESIDUALS, row), s->r + last * self->nr, self->nr);
-    if (alarm && self->naming.groups)
+    if (alarm && self->naming.kind == DIRECTIONS)
         score_sample(&self->naming, p->sums + last * k, p->usable[last], spare, F8(self, LAST_SCORES, row), k);
+}
+
+static part_row
+row_of_parts(const Runner *self, Py_ssize_t row)
+{
+    part_row out = {.up = I8(self, UP, row), .down = I8(self, DOWN, row), .alarm = B1(self, ALARM, row)};
+    if (self->naming.kind == CODES) {
+        out.since = I8(self, SINCE, row);
+        out.fired = B1(self, FIRED, row);
+        out.counts = row_of_isolation(self, row);
+    }
+    return out;
+}
+
+static part_piece
+outputs_of_parts(const block *b, Py_ssize_t plant, Py_ssize_t first, const scratch *s)
+{
+    part_piece m = s->parts;
+    m.before = s->count;
+    if (b->out[OUT_PARTS].base != NULL)
+        m.statistics = out_f8(b, OUT_PARTS, plant, first);
+    if (b->out[OUT_FIRED].base != NULL)
+        m.fired = out_b1(b, OUT_FIRED, plant, first);
+    if (b->out[OUT_CODE].base != NULL)
+        m.code = out_b1(b, OUT_CODE, plant, first);
+    return m;
+}
+
+/* The same of parts that are tested one by one. */
+INLINE void
+judge_parts(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, Py_ssize_t first, Py_ssize_t time,
+            scratch *s)
+{
+    const test_plan *t = &self->test;
+    const isolation_plan *n = &self->naming;
+    const test_row test = row_of_test(self, row);
+    const part_row own = row_of_parts(self, row);
+    double *const spare = s->small;
+    part_piece m = outputs_of_parts(b, plant, first, s);
+    piece p = {time, s->r, s->q, s->sums, s->statistic, out_f8(b, OUT_SCORES, plant, first), s->e, s->history,
+               s->usable, s->over, s->alarm, s->up, 0, 0};
+    if (b->out[OUT_READY].base != NULL)
+        copy_flags(out_b1(b, OUT_READY, plant, first), s->usable, time);
+    const int keeps = t->window > 1 || (t->joint == NULL && b->out[OUT_WHITENED].base != NULL);
+    const int is_whitened = time > 1 && squares_by_column(t, &p, &m, keeps);
+    if (!is_whitened)
+        whiten_parts(t, &p, spare);
+    if (is_whitened && t->window == 1)
+        norms_by_column(t, &p, &m);
+    else
+        norms_of_parts(t, test.window, &p, &m);
+    alarms_of_parts(t, &own, &p, &m);
+    if (t->joint != NULL)
+        joint_residuals(t, &p, spare);
+    write_piece(self, b, plant, first, &p);
+    if (n->kind == DIRECTIONS)
+        name_by_direction(n, row_of_isolation(self, row), &p, spare, s->columns, t->k);
+    if (n->kind == CODES)
+        read_codes(n, &own, &p, &m);
+    if (!self->has_state[LAST_FLAGS])
+        return;
+    write_last(self, row, &p, s, spare, t->k);
+    if (n->kind == CODES) {
+        const flag *code = m.code + (time - 1) * n->k;
+        memcpy(B1(self, LAST_CODE, row), code, (size_t)n->k);
+        if (n->groups && !p.is_quiet && p.alarm[time - 1])
+            agreements(n, code, p.usable[time - 1], F8(self, LAST_SCORES, row));
+    }
 }
 
 /* With constant numbers of residuals the loops over them unroll. */
@@ -92,15 +161,15 @@ judge_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
                s->usable, s->over, s->alarm, s->up, s->is_judged, 0};
     if (b->out[OUT_READY].base != NULL)
         copy_flags(out_b1(b, OUT_READY, plant, first), s->usable, time);
-    const int has_squares = whiten(t, &p, nr, k);
+    const int has_squares = (s->is_short && squares_of_rows(t, &p, nr, k)) || whiten(t, &p, nr, k);
     if (t->kind == NORM)
         judge_norm(t, &test, &p, k, has_squares);
     else
-        judge_stream(t, &test, &p, part, spare, k);
+        judge_stream(t, &test, &p, part, spare, k, has_squares);
     raise_alarms(t, &test, &p);
     write_piece(self, b, plant, first, &p);
-    if (self->naming.groups)
-        name_by_direction(&self->naming, row_of_isolation(self, row), &p, spare, k);
+    if (self->naming.kind == DIRECTIONS)
+        name_by_direction(&self->naming, row_of_isolation(self, row), &p, spare, s->columns, k);
     if (self->has_state[LAST_FLAGS])
         write_last(self, row, &p, s, spare, k);
 }
@@ -110,7 +179,9 @@ judge_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
                             Py_ssize_t time, scratch *s)                                                              \
     {                                                                                                                 \
         const int square = self->nr == self->test.k;                                                                  \
-        if (square && self->nr == 1)                                                                                  \
+        if (self->test.kind == PARTS)                                                                                 \
+            judge_parts(self, b, plant, row, k, time, s);                                                             \
+        else if (square && self->nr == 1)                                                                             \
             judge_piece(self, b, plant, row, k, time, s, 1, 1);                                                       \
         else if (square && self->nr == 2)                                                                             \
             judge_piece(self, b, plant, row, k, time, s, 2, 2);                                                       \
@@ -167,6 +238,7 @@ run_plant(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, 
         const Py_ssize_t time = b->time - k < PIECE ? b->time - k : PIECE;
         if (!filter_piece(self, b, plant, row, k, time, s))
             break;
+        s->count = *I8(self, COUNT, row) + k - begin;
         judge(self, b, plant, row, k, time, s);
         k += time;
     }
@@ -225,17 +297,18 @@ take_all(Runner *self, PyObject *plan, PyObject *state)
     const Py_ssize_t plan_sizes[PLAN_ARRAYS] = {
         n * n, n * m, nr * n, nr * m, n * m, m, m, m, (Py_ssize_t)self->first * nr * n, n * n, nr * self->n_ratios, nr,
         nr * k, t->order * k * k, k * k, k * t->knots_of_each, t->knots_of_each, k * t->directions, k * p->columns,
-        p->groups};
+        p->groups, t->parts, t->parts, nr * k, p->groups * p->k};
+    const Py_ssize_t parts = t->kind == PARTS ? t->parts : 1;
     const Py_ssize_t state_sizes[STATE_ARRAYS] = {
-        n, m, 1, 1, 1, 1, 1, 1, n, 1, 1, 1, t->window * k, k, 1, t->order * k, t->order, t->sums, 1, 1, 1,
-        p->window * k, k, 1, 1, 1, nr, 1, p->groups};
+        n, m, 1, 1, 1, 1, 1, 1, n, 1, 1, 1, t->window * k, k, 1, t->order * k, t->order, t->sums, parts, parts, parts,
+        p->window * p->k, p->k, 1, p->k, p->k, 1, 1, nr, 1, p->groups, p->k};
     const char *const formats[STATE_ARRAYS] = {"d", "d", "lq", "?", "lq", "lq", "lq", "?",  "d", "d", "?", "lq",
                                                "d", "d", "lq", "d", "?",  "d",  "lq", "lq", "?", "d", "d", "lq",
-                                               "B", "d", "d", "lq", "d"};
+                                               "lq", "?", "B", "d", "d", "lq", "d", "?"};
     for (int j = 0; j < PLAN_ARRAYS; j++) {
         PyObject *one = PyTuple_GetItem(plan, j);
-        if (one == NULL || (one != Py_None && take(one, &self->plan[j], j == DIMENSIONS ? "lq" : "d", plan_sizes[j], 0,
-                                                   "plan", j) < 0))
+        const char *format = j == DIMENSIONS || j == SIZES ? "lq" : j == CODE_TABLE ? "?" : "d";
+        if (one == NULL || (one != Py_None && take(one, &self->plan[j], format, plan_sizes[j], 0, "plan", j) < 0))
             return -1;
         self->has_plan[j] = one != Py_None;
     }
@@ -253,12 +326,15 @@ static int
 is_complete(const Runner *self)
 {
     int complete = 1;
-    const int norm = self->test.kind == NORM, named = self->naming.groups > 0;
+    const int parts = self->test.kind == PARTS, norm = self->test.kind == NORM || parts;
+    const int kind = self->naming.kind, named = kind != NOBODY;
     for (int j = 0; j < PLAN_ARRAYS; j++) {
         const int needed = j <= HIGH || j == CENTER || j == WHITENING || (self->first && j <= RATIOS)
                            || (self->test.order && (j == COEFFICIENTS || j == REWHITENING))
                            || (self->test.knots_of_each && (j == KNOTS || j == SCORES))
-                           || (self->test.kind == DIRECTED_GLR && j == ALONG) || (named && j >= BASES);
+                           || (self->test.kind == DIRECTED_GLR && j == ALONG)
+                           || (kind == DIRECTIONS && (j == BASES || j == DIMENSIONS))
+                           || (parts && (j == SIZES || j == LIMITS)) || (kind == CODES && j == CODE_TABLE);
         complete &= self->has_plan[j] || !needed;
     }
     for (int j = 0; j < STATE_ARRAYS; j++) {
@@ -266,7 +342,9 @@ is_complete(const Runner *self)
                            || (norm && self->test.window > 1 && j >= TEST_VALUES && j <= TEST_FILLED)
                            || (!norm && j >= PAST && j <= SUMS)
                            || (named && self->naming.window > 1 && j >= VALUES && j <= FILLED)
-                           || (self->has_state[LAST_FLAGS] && j > LAST_FLAGS && (j != LAST_SCORES || named));
+                           || (kind == CODES && (j == SINCE || j == FIRED))
+                           || (self->has_state[LAST_FLAGS] && j > LAST_FLAGS
+                               && (j != LAST_SCORES || self->naming.groups) && (j != LAST_CODE || kind == CODES));
         complete &= self->has_state[j] || !needed;
     }
     if (!complete)
@@ -278,7 +356,8 @@ is_complete(const Runner *self)
 static int
 points_inside(const Runner *self)
 {
-    const int norm = self->test.kind == NORM && self->test.window > 1, named = self->naming.groups > 0 && self->naming.window > 1;
+    const int norm = (self->test.kind == NORM || self->test.kind == PARTS) && self->test.window > 1;
+    const int named = self->naming.kind != NOBODY && self->naming.window > 1;
     for (Py_ssize_t p = 0; p < self->plants; p++) {
         const whole test = norm ? *I8(self, TEST_FILLED, p) : 0, naming = named ? *I8(self, FILLED, p) : 0;
         const whole age = *B1(self, STARTING, p) ? *I8(self, AGE, p) : 0;
@@ -348,8 +427,12 @@ read_plan(Runner *self, const whole *i, const double *d)
     t->old_weight = d[OLD_WEIGHT];
     t->new_weight = d[NEW_WEIGHT];
     t->deviation = d[DEVIATION];
-    self->naming.k = t->k;
+    t->parts = (Py_ssize_t)i[N_PARTS];
     self->naming.groups = (Py_ssize_t)i[GROUPS];
+    self->naming.kind = i[MEMBERS] ? CODES : i[GROUPS] ? DIRECTIONS : NOBODY;
+    self->naming.k = i[MEMBERS] ? (Py_ssize_t)i[MEMBERS] : t->k;
+    self->naming.is_at_once = i[AT_ONCE] != 0;
+    self->naming.share = d[SHARE];
     self->naming.window = (Py_ssize_t)i[ISOLATION_WINDOW];
     self->naming.columns = (Py_ssize_t)i[COLUMNS];
     self->naming.room = (self->naming.columns + 7) / 8 * 8;
@@ -359,9 +442,12 @@ read_plan(Runner *self, const whole *i, const double *d)
     const Py_ssize_t width = t->kind == DIRECTED_GLR ? t->directions : t->kind == CHI_SQUARED ? 1 : t->k;
     const Py_ssize_t sums[] = {[NORM] = 0, [PAGE] = 2 * t->k + 1, [CROSIER] = t->k + 1,
                                [PIGNATIELLO_RUNGER] = t->k + 2, [EWMA] = t->k, [CHI_SQUARED] = (t->window - 1) * width,
-                               [GLR] = (t->window - 1) * width, [DIRECTED_GLR] = (t->window - 1) * width};
-    return t->kind < NORM || t->kind > DIRECTED_GLR || t->window < 1 || t->sums != sums[t->kind]
-                   || (self->naming.groups && self->naming.window < 1) || t->knots_of_each == 1
+                               [GLR] = (t->window - 1) * width, [DIRECTED_GLR] = (t->window - 1) * width,
+                               [PARTS] = 0};
+    return t->kind < NORM || t->kind > PARTS || t->window < 1 || t->sums != sums[t->kind]
+                   || (self->naming.kind != NOBODY && self->naming.window < 1) || t->knots_of_each == 1
+                   || (t->kind == PARTS) != (t->parts > 0)
+                   || (self->naming.kind == CODES && self->naming.k != t->parts)
                ? -1
                : 0;
 }
@@ -381,6 +467,49 @@ check_dimensions(Runner *self)
     return columns == self->naming.columns ? 0 : -1;
 }
 
+/* Which residuals each whitened one of a part takes; 0 if the sizes of the parts do not add up, -1 without memory. */
+static int
+point_at_parts(Runner *self)
+{
+    test_plan *t = &self->test;
+    const Py_ssize_t k = t->k, nr = self->nr, parts = t->parts;
+    const whole *sizes = self->plan[SIZES].buf;
+    whole columns = 0;
+    for (Py_ssize_t j = 0; j < parts; j++) {
+        if (sizes[j] < 0 || sizes[j] > k)
+            return 0;
+        columns += sizes[j];
+    }
+    if (columns != k)
+        return 0;
+    t->terms = 0;
+    for (Py_ssize_t j = 0; j < k; j++) {
+        Py_ssize_t terms = 0;
+        for (Py_ssize_t i = 0; i < nr; i++)
+            terms += PLAN(self, WHITENING)[i * k + j] != 0.0;
+        t->terms = terms > t->terms ? terms : t->terms;
+    }
+    self->parts_room = PyMem_Calloc((size_t)(2 * t->terms * k + parts + 1), sizeof(double));
+    if (self->parts_room == NULL)
+        return -1;
+    double *const weights = self->parts_room; /* zeros where a column takes fewer, of the first residual */
+    whole *const from = (whole *)(weights + t->terms * k), *const begins = from + t->terms * k;
+    for (Py_ssize_t j = 0; j < k; j++)
+        for (Py_ssize_t i = 0, l = 0; i < nr; i++)
+            if (PLAN(self, WHITENING)[i * k + j] != 0.0) {
+                from[l * k + j] = i;
+                weights[l++ * k + j] = PLAN(self, WHITENING)[i * k + j];
+            }
+    for (Py_ssize_t j = 0; j < parts; j++)
+        begins[j + 1] = begins[j] + sizes[j];
+    t->weights = weights;
+    t->from = from;
+    t->begins = begins;
+    t->limits = PLAN(self, LIMITS);
+    t->joint = self->has_plan[JOINT] ? PLAN(self, JOINT) : NULL;
+    return 1;
+}
+
 static void
 point_at_plan(Runner *self)
 {
@@ -393,12 +522,16 @@ point_at_plan(Runner *self)
     t->scores = PLAN(self, SCORES);
     t->along = PLAN(self, ALONG);
     self->naming.dimensions = self->plan[DIMENSIONS].buf;
+    self->naming.codes = self->plan[CODE_TABLE].buf;
     for (Py_ssize_t i = 0; i < self->nr && self->nr <= 4 && t->k <= 4; i++) {
         t->padded[i] = t->center[i];
         for (Py_ssize_t j = 0; j < t->k; j++)
             t->padded[4 + 4 * i + j] = t->whitening[i * t->k + j];
     }
     self->judge = self->nr <= 4 && t->k <= 4 ? t->padded : NULL;
+    self->sums_squares = self->judge != NULL && self->naming.kind == NOBODY
+                         && ((t->kind == NORM && t->window == 1)
+                             || (t->kind == CHI_SQUARED && !t->order && !t->knots_of_each));
     const int limits[3] = {OFFSET, LOW, HIGH};
     const Py_ssize_t begins[3] = {0, 0, self->n_u}, ends[3] = {self->m, self->n_u, self->m};
     double *tile = self->tile;
@@ -423,6 +556,29 @@ point_at_plan(Runner *self)
     q->B = PLAN(self, B_);
     q->C = PLAN(self, C_);
     q->D = PLAN(self, D_);
+    as_a_whole(q);
+}
+
+/* Pack the matrices of the filter, as a whole and section by section. */
+static int
+pack_filter(Runner *self)
+{
+    job *const q = &self->filter;
+    Py_ssize_t size = 8;
+    execute(q, self->path); /* without plants it only packs */
+    q->is_packed = 1;
+    self->sections = find_sections(q, &q->n_sections, &size);
+    if (self->sections == NULL)
+        return 0;
+    self->sections_room = PyMem_Malloc((size_t)size * sizeof(double));
+    if (self->sections_room == NULL) {
+        PyErr_NoMemory();
+        return -1;
+    }
+    place_sections(self->sections, q->n_sections, q->m, line_of(self->sections_room));
+    q->sections = self->sections;
+    pack_sections(q, self->path);
+    return 0;
 }
 
 static PyObject *
@@ -456,8 +612,18 @@ runner_new(PyTypeObject *type, PyObject *args, PyObject *keywords)
         status = -1;
     if (status == 0 && !points_inside(self))
         status = -1;
-    if (status == 0 && self->naming.groups && check_dimensions(self) < 0)
+    if (status == 0 && self->naming.kind == DIRECTIONS && check_dimensions(self) < 0)
         status = -1, PyErr_SetString(PyExc_ValueError, "the dimensions of the signatures do not add up");
+    if (status == 0 && self->test.kind == PARTS) {
+        const int outcome = point_at_parts(self);
+        if (outcome < 0)
+            PyErr_NoMemory();
+        if (outcome == 0)
+            PyErr_SetString(PyExc_ValueError, "the sizes of the parts do not add up");
+        status = outcome > 0 ? 0 : -1;
+        if (self->test.joint != NULL) /* nothing bounds what its directions are judged by: with squares and roots */
+            self->naming.are_lines = 0;
+    }
     if (status == 0) {
         const Py_ssize_t packed = packed_size(self->n, self->m, self->nr) + 1;
         const Py_ssize_t padded = 24 * self->m + self->test.k * self->naming.room;
@@ -469,15 +635,13 @@ runner_new(PyTypeObject *type, PyObject *args, PyObject *keywords)
             self->tile = self->filter.packed + packed;
             point_at_plan(self);
             find_records(self);
+            status = pack_filter(self);
         }
     }
     if (status < 0) {
         Py_DECREF(self);
         return NULL;
     }
-    job q = self->filter; /* without plants it only packs */
-    execute(&q, path);
-    self->filter.is_packed = 1;
     return (PyObject *)self;
 }
 
@@ -495,6 +659,9 @@ runner_dealloc(PyObject *object)
     while (self->one_views.held > 0)
         PyBuffer_Release(&self->one_views.views[--self->one_views.held]);
     free(self->one_room);
+    free(self->sections);
+    PyMem_Free(self->sections_room);
+    PyMem_Free(self->parts_room);
     PyMem_Free(self->room);
     freefunc release = (freefunc)PyType_GetSlot(type, Py_tp_free);
     release(object);
@@ -516,11 +683,15 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     const Py_ssize_t samples = time < CHUNK ? CHUNK : time < PIECE ? time : PIECE, k = self->test.k;
     const test_plan *t = &self->test;
     const Py_ssize_t widest = t->directions > k ? t->directions : k;
-    const Py_ssize_t room_e = t->kind == NORM ? 0 : samples * k, states = (2 * CHUNK + 2) * self->n + 16;
-    const Py_ssize_t history = t->kind < CHI_SQUARED ? 0 : widest * (t->window - 1 + samples + 16);
+    const Py_ssize_t room_e = t->kind == NORM || t->kind == PARTS ? 0 : samples * k, states = (2 * CHUNK + 3) * self->n + 16;
+    const int is_summed = t->kind >= CHI_SQUARED && t->kind <= DIRECTED_GLR;
+    const Py_ssize_t history = is_summed ? widest * (t->window - 1 + samples + 16) : 0;
+    const Py_ssize_t parts = samples * t->parts, members = self->naming.kind == CODES ? parts : 0;
+    const Py_ssize_t directions = self->naming.kind == DIRECTIONS ? samples * (k + 3) : 0;
+    const Py_ssize_t columns = parts ? samples * (self->nr + 1) + parts : 0;
     const Py_ssize_t doubles = samples * (self->m + self->nr + 2 * k + 2) + states + small_size(self) + room_e + history
-                               + 8;
-    double *room = malloc((size_t)doubles * sizeof(double) + 3 * (size_t)samples + 1);
+                               + parts + 2 * members + columns + directions + 8;
+    double *room = malloc((size_t)doubles * sizeof(double) + (size_t)(3 * samples + parts + members + 1));
     if (room == NULL)
         return NULL;
     s->v = room;
@@ -533,9 +704,16 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     s->small = s->x + states;
     s->e = s->small + small_size(self);
     s->history = s->e + room_e;
+    s->parts.statistics = s->history + history;
+    s->parts.ones = s->parts.statistics + parts;
+    s->parts.counts = s->parts.ones + members;
+    s->parts.columns = s->parts.counts + members;
+    s->columns = s->parts.columns + columns;
     s->usable = (flag *)(room + doubles);
     s->over = s->usable + samples;
     s->alarm = s->over + samples;
+    s->parts.fired = s->alarm + samples;
+    s->parts.code = s->parts.fired + parts;
     s->filter = self->filter;
     s->filter.state = s->x + 2 * CHUNK * self->n;
     s->filter.q = s->q;
@@ -587,8 +765,10 @@ get_output(PyObject *object, Py_buffer *view, Py_ssize_t plants, Py_ssize_t time
 static int
 get_outputs(const Runner *self, PyObject *outputs, Py_ssize_t plants, block *b, views *all)
 {
-    const Py_ssize_t widths[OUTPUTS] = {self->nr, 1, self->m, 1, 1, 1, 1, 1, self->test.k, self->naming.groups, 1};
-    const Py_ssize_t sizes[OUTPUTS] = {8, 1, 1, 1, 8, 1, 1, 8, 8, 8, 1};
+    const Py_ssize_t widths[OUTPUTS] = {self->nr, 1, self->m, 1, 1, 1, 1, 1, self->test.k, self->naming.groups, 1,
+                                         self->test.parts, self->test.parts,
+                                         self->naming.kind == CODES ? self->naming.k : 0};
+    const Py_ssize_t sizes[OUTPUTS] = {8, 1, 1, 1, 8, 1, 1, 8, 8, 8, 1, 8, 1, 1};
     for (int j = 0; j < OUTPUTS; j++) {
         PyObject *one = PyTuple_GetItem(outputs, j);
         if (one == NULL)

@@ -6,33 +6,36 @@
 #define RESIDUA_PLANT_FILTER_H
 
 #define RESIDUA_JUDGES
+#include <limits.h>
+
 #include "../linear/systems/_filter.h"
-#include "../decide/_judging.h"
+#include "../decide/_members.h"
 
 #define PIECE 256
 #define LARGEST 1e150 /* as in residua.monitor.one_plant */
+#define FAR 1e15      /* limits beyond are no signal's: as a rule one bound of all values tells that they are within */
 
 /* ---- what runs, and its arrays ---------------------------------------------------------------------------------- */
 
 enum {
     A_, B_, C_, D_, START, OFFSET, LOW, HIGH, ROWS, CORRECTION, RATIOS, CENTER, WHITENING, COEFFICIENTS, REWHITENING,
-    KNOTS, SCORES, ALONG, BASES, DIMENSIONS, PLAN_ARRAYS
+    KNOTS, SCORES, ALONG, BASES, DIMENSIONS, SIZES, LIMITS, JOINT, CODE_TABLE, PLAN_ARRAYS
 };
 enum {
     X, HELD, GAP, RUNNING, AGE, RESETS, BROKEN, STARTING, START_SUMS, MOVED, APART, COUNT, TEST_VALUES, TEST_BEGUN,
-    TEST_FILLED, PAST, PAST_USABLE, SUMS, UP, DOWN, ALARM, VALUES, BEGUN, FILLED, LAST_FLAGS, LAST_STATISTIC,
-    LAST_RESIDUALS, LAST_UP, LAST_SCORES,
+    TEST_FILLED, PAST, PAST_USABLE, SUMS, UP, DOWN, ALARM, VALUES, BEGUN, FILLED, SINCE, FIRED, LAST_FLAGS,
+    LAST_STATISTIC, LAST_RESIDUALS, LAST_UP, LAST_SCORES, LAST_CODE,
     STATE_ARRAYS
 };
 enum {
     OUT_RESIDUALS, OUT_MISSING, OUT_ASIDE, OUT_USABLE, OUT_STATISTIC, OUT_EXCEEDED, OUT_ALARM, OUT_UP, OUT_WHITENED,
-    OUT_SCORES, OUT_READY, OUTPUTS
+    OUT_SCORES, OUT_READY, OUT_PARTS, OUT_FIRED, OUT_CODE, OUTPUTS
 };
 enum {
     N, N_U, N_Y, N_R, SETTLE, MAX_HOLD, FIRST, N_RATIOS, PARTIAL, TEST_KIND, K, WINDOW, PERSISTENCE, RELEASE, ORDER,
-    N_KNOTS, N_SUMS, N_ALONG, GROUPS, ISOLATION_WINDOW, COLUMNS, INTEGERS
+    N_KNOTS, N_SUMS, N_ALONG, GROUPS, ISOLATION_WINDOW, COLUMNS, N_PARTS, MEMBERS, AT_ONCE, INTEGERS
 };
-enum { THRESHOLD, RELEASE_LEVEL, ALLOWANCE, OLD_WEIGHT, NEW_WEIGHT, DEVIATION, NUMBERS };
+enum { THRESHOLD, RELEASE_LEVEL, ALLOWANCE, OLD_WEIGHT, NEW_WEIGHT, DEVIATION, SHARE, NUMBERS };
 
 typedef struct {
     source in;                                            /* deviations of a piece: where they lie, or in v */
@@ -40,8 +43,12 @@ typedef struct {
     whole *up;
     double *x, *small; /* of states and a spare one; of one sample */
     flag *usable, *over, *alarm;
+    part_piece parts; /* room for what is not an output */
+    double *columns;  /* room: sums by which directions are judged, and three more numbers, for all samples */
+    whole count;      /* samples of the plant before the piece */
     job filter;
     int is_missing; /* the last sample of the piece */
+    int is_short;   /* whether nothing but the squares of a piece is asked for */
     int is_judged;  /* whether q and the squares of a piece are there already, in `statistic` */
 } scratch;
 
@@ -72,9 +79,12 @@ typedef struct {
     isolation_plan naming;
     job filter;
     const double *judge; /* centre and whitening of at most four residuals, padded; NULL of more */
+    section *sections; /* of the filter, if it has several; what they are packed in */
+    double *sections_room;
+    void *parts_room; /* of what the plan of a test of parts points at */
     double *room; /* of the packed matrices, and: */
     double *tile; /* of four samples: offsets, lowest values, highest values; of u and y, of u, of y */
-    int has_offset;
+    int has_offset, sums_squares; /* whether residuals are judged by the sum of the squares of each sample, and nothing else */
     Py_ssize_t plants;
     Py_buffer plan[PLAN_ARRAYS], state[STATE_ARRAYS];
     char *base[STATE_ARRAYS]; /* of the state: where the first row lies, and how far apart rows are */
@@ -156,11 +166,89 @@ DEFINE_DEVIATIONS(within_baseline, , 2, 0)
 DEFINE_DEVIATIONS(deviations_avx2, AVX2, 4, 1)
 DEFINE_DEVIATIONS(within_avx2, AVX2, 4, 0)
 #endif
+
+/* Four vectors at once, as long as there are so many: their sizes are added to `sum`, without an offset if CENTRED. */
+#define ADD_SIZES(COUNT, L, CENTRED)                                                                                  \
+    for (; i + (COUNT) * L <= period; i += (COUNT) * L)                                                               \
+        _Pragma("GCC unroll 4") for (int l = 0; l < (COUNT); l++)                                                     \
+        {                                                                                                             \
+            lanes##L value = ((const lanes##L *)(from + i))[l];                                                       \
+            if (CENTRED) {                                                                                            \
+                value -= ((const lanes##L *)(tile + i))[l];                                                           \
+                ((lanes##L *)(to + i))[l] = value;                                                                    \
+            }                                                                                                         \
+            sum[l] += (lanes##L)((flags##L)value & sign);                                                             \
+        }
+
+/* The sum of the sizes of samples in a row, from which the offset is taken if CENTRED; four samples of it are in the
+ * tile. No value is larger than the sum, and one that is not finite makes it so. */
+#define DEFINE_SIZES(NAME, TARGET, L, CENTRED)                                                                        \
+    TARGET static double NAME(const double *from, double *to, Py_ssize_t total, const double *tile, Py_ssize_t columns)\
+    {                                                                                                                 \
+        lanes##L sum[4] = {{0.0}};                                                                                    \
+        const flags##L sign = (flags##L){0} + LLONG_MAX;                                                              \
+        double all = 0.0;                                                                                             \
+        for (Py_ssize_t left = total; left > 0; left -= columns) {                                                    \
+            const Py_ssize_t period = left < columns ? left : columns;                                                \
+            Py_ssize_t i = 0;                                                                                         \
+            ADD_SIZES(4, L, CENTRED)                                                                                  \
+            ADD_SIZES(1, L, CENTRED)                                                                                  \
+            for (; i < period; i++) {                                                                                 \
+                const double value = CENTRED ? from[i] - tile[i] : from[i];                                           \
+                if (CENTRED)                                                                                          \
+                    to[i] = value;                                                                                    \
+                all += fabs(value);                                                                                   \
+            }                                                                                                         \
+            from += period;                                                                                           \
+            if (CENTRED)                                                                                              \
+                to += period;                                                                                         \
+        }                                                                                                             \
+        for (int j = 0; j < 4; j++)                                                                                   \
+            for (int l = 0; l < L; l++)                                                                               \
+                all += sum[j][l];                                                                                     \
+        return all;                                                                                                   \
+    }
+
+DEFINE_SIZES(centred_baseline, , 2, 1)
+DEFINE_SIZES(sizes_baseline, , 2, 0)
+#if defined(HAVE_AVX2)
+DEFINE_SIZES(centred_avx2, AVX2, 4, 1)
+DEFINE_SIZES(sizes_avx2, AVX2, 4, 0)
 #endif
+#endif
+
+/* How far any of the limits of a tile is from zero, or 0 if it is so near that values are to be compared with each. */
+INLINE double
+nearest_limit(const double *tile, Py_ssize_t period)
+{
+    double nearest = DBL_MAX;
+    for (Py_ssize_t i = 0; i < period; i++) {
+        nearest = -tile[period + i] < nearest ? -tile[period + i] : nearest;
+        nearest = tile[2 * period + i] < nearest ? tile[2 * period + i] : nearest;
+    }
+    return nearest >= FAR ? nearest : 0.0;
+}
 
 static int
 deviations(const Runner *self, const double *from, double *to, Py_ssize_t rows, const double *tile, Py_ssize_t columns)
 {
+#if defined(HAVE_VECTORS)
+    const double nearest = rows < 8 ? 0.0 : nearest_limit(tile, 4 * columns);
+    if (nearest > 0.0 && self->path != PATH_PLAIN) {
+        double (*sizes)(const double *, double *, Py_ssize_t, const double *, Py_ssize_t);
+        sizes = to == NULL ? sizes_baseline : centred_baseline;
+#if defined(HAVE_AVX2)
+        if (self->path == PATH_AVX2)
+            sizes = to == NULL ? sizes_avx2 : centred_avx2;
+#endif
+        const Py_ssize_t period = to == NULL ? rows * columns : 4 * columns;
+        if (sizes(from, to, rows * columns, tile, period) <= nearest)
+            return 1;
+        if (to != NULL) /* deviations they are by now */
+            from = to;
+        to = NULL;
+    }
+#endif
 #if defined(HAVE_AVX2)
     if (self->path == PATH_AVX2)
         return (to == NULL ? within_avx2 : deviations_avx2)(from, to, rows * columns, tile, 4 * columns);
@@ -204,13 +292,6 @@ copy_flags(flag *to, const flag *from, Py_ssize_t count)
         *to = *from;
     else
         memcpy(to, from, (size_t)count);
-}
-
-INLINE void
-clear_doubles(void *to, Py_ssize_t count)
-{
-    for (Py_ssize_t j = 0; j < count; j++)
-        ((double *)to)[j] = 0.0;
 }
 
 INLINE int
@@ -482,12 +563,13 @@ filter_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t ro
     const int all = gather(self, b, u, y, b->u_strides[1], b->y_strides[1], time, s);
     s->r = b->out[OUT_RESIDUALS].base == NULL ? s->own_r : out_f8(b, OUT_RESIDUALS, plant, k);
     s->is_judged = 0;
+    s->is_short = time > 1 && self->sums_squares && b->out[OUT_WHITENED].base == NULL;
     if (self->partial && (!all || *B1(self, APART, row)))
         return 0;
     if (all && *B1(self, RUNNING, row) && !*B1(self, STARTING, row)) {
         double *x = F8(self, X, row), *before = s->small;
         copy_doubles(before, x, n);
-        s->is_judged = filter_some(self, s, x, s->in, s->r, time, self->judge);
+        s->is_judged = filter_some(self, s, x, s->in, s->r, time, s->is_short ? NULL : self->judge);
         if (are_sound(self, s->r, time * self->nr) && is_finite(x, n)) {
             const whole age = *I8(self, AGE, row);
             s->is_missing = 0;

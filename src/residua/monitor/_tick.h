@@ -149,6 +149,7 @@ finish_each(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t coun
         s->r = r + i * self->nr;
         s->q = white + i * self->test.k;
         s->statistic = squares + i;
+        s->count = *I8(self, COUNT, row) - 1;
         if (t->b->out[OUT_RESIDUALS].base != NULL)
             copy_doubles(out_f8(t->b, OUT_RESIDUALS, first + i, 0), s->r, self->nr);
         judge(self, t->b, first + i, row, 0, 1, s);
@@ -179,6 +180,7 @@ together(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t count, 
     q->v = s->in;
     q->r = s->own_r;
     q->judge = self->judge;
+    s->is_short = 0;
     s->is_judged = execute(q, self->path);
     if (!all_within(s->own_r, count * self->nr, LARGEST) || !all_within(x_next, count * n, DBL_MAX))
         return 0;
@@ -239,7 +241,7 @@ run_tick(const Runner *self, const block *b, const whole *rows, whole *left, Py_
          scratch *s)
 {
     tick t = {b, rows, left, stop, 0, 0};
-    t.is_short = self->record_size && self->test.kind == NORM && self->test.window == 1 && !self->naming.groups;
+    t.is_short = self->record_size && self->test.kind == NORM && self->test.window == 1 && self->naming.kind == NOBODY;
     for (int j = 0; j < OUTPUTS; j++) {
         const int told = j == OUT_USABLE || j == OUT_ALARM || j == OUT_STATISTIC;
         t.is_short &= told ? b->out[j].base != NULL : j == OUT_MISSING || b->out[j].base == NULL;

@@ -217,7 +217,9 @@ class FleetBlock:
     def _place(self, state: State) -> None:
         """Put a state of its own, one record for each plant, in the hands of the kernel."""
         plan, plants = plan_of(self.spec), len(self.ids)
-        last = LastSample.blank(plants, self.generator.n_residuals, len(self.spec.isolation.groups))
+        isolation = self.spec.isolation
+        members = 0 if isolation.coding is None else len(isolation.coding.members)
+        last = LastSample.blank(plants, self.generator.n_residuals, len(isolation.groups), members)
         self._state, self.last = as_records([state, last]) if plants else (state, last)
         self._run: FusedRun | None = None
         if plan is not None and plan.names:
@@ -406,9 +408,12 @@ class FleetBlock:
         out |= {"aside": np.zeros((1, 1, self.spec.B.shape[1]), dtype=bool), "up": one.up[[row], None]}
         out |= {"statistic": one.statistic[[row], None], "residuals": one.residuals[[row], None]}
         made = decisions_of(out | {"scores": one.scores[[row], None]})
-        if self.spec.members:  # of a restored fleet of banks: which fired is known again with the next sample
-            nobody = np.zeros((1, 1, len(self.spec.members)))
-            made = replace(made, tested=replace(made.tested, part_statistics=nobody, fired=nobody.astype(bool)))
+        if self.spec.members:
+            nobody = np.full((1, 1, len(self.spec.members)), np.nan)  # of a test in NumPy that is known with the next
+            fired = state.test.arrays()[-1][:, None] if self.spec.test.compiled is not None else nobody > 0
+            made = replace(made, tested=replace(made.tested, part_statistics=nobody, fired=fired))
+        if one.code is not None:
+            made = replace(made, named=replace(made.named, code=one.code[[row], None]))
         return decision_from(made, self.spec, self.generator, state)
 
     def alarms(self) -> list[FleetAlarm]:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.decide.compiled import STATISTICS, CompiledIsolation, CompiledTest
+from residua.decide.compiled import STATISTICS, CompiledCodes, CompiledIsolation, CompiledTest
 from residua.decide.isolation import Scores
 from residua.decide.test import Block, Tested
 from residua.linear.systems.recursion import best_path, compiled
@@ -36,7 +36,9 @@ except ImportError:  # built without a C compiler
 #: What a block leaves, in the order of the kernel.
 OUTPUTS = (
     *("residuals", "missing", "aside", "usable", "statistic", "exceeded", "alarm", "up", "whitened", "scores", "ready"),
+    *("member_statistics", "fired", "code"),
 )
+_OF_PARTS = ("member_statistics", "fired", "code")
 _TYPES = {
     "ready": bool,
     "missing": bool,
@@ -45,6 +47,8 @@ _TYPES = {
     "exceeded": bool,
     "alarm": bool,
     "up": np.int64,
+    "fired": bool,
+    "code": bool,
 }
 #: What a step returns in one number, and that the plant is left to NumPy.
 _FLAGS, _IS_LEFT = {1: "alarm", 2: "usable", 4: "missing"}, 8
@@ -86,9 +90,19 @@ def plan_of(spec: Specification) -> Plan | None:
     return known
 
 
+def compiled_isolation(spec: Specification) -> CompiledIsolation | CompiledCodes | None:
+    """Return what the loop runs of the isolation; codes are read of as many parts as they have members."""
+    named, test = spec.isolation.compiled, spec.test.compiled
+    parts = 0 if test is None or test.sizes is None else len(test.sizes)
+    return None if isinstance(named, CompiledCodes) and len(named.codes) != parts else named
+
+
 def _plan(spec: Specification, test: CompiledTest) -> Plan:
-    named = spec.isolation.compiled
-    naming = named or CompiledIsolation()
+    named = compiled_isolation(spec)
+    codes = named if isinstance(named, CompiledCodes) else None
+    naming = named if isinstance(named, CompiledIsolation) else CompiledIsolation()
+    members, groups = (0, len(naming.bases)) if codes is None else codes.codes.shape
+    parts = 0 if test.sizes is None else len(test.sizes)
     channels, k = spec.B.shape[1], test.whitening.shape[1]
     first = spec.first
     integers = [
@@ -96,11 +110,13 @@ def _plan(spec: Specification, test: CompiledTest) -> Plan:
         0 if first is None else first.samples, 0 if first is None else first.ratios.shape[1], spec.partial is not None,
         STATISTICS.index(test.statistic) + 1, k, test.window, test.persistence, test.release,
         0 if test.coefficients is None else len(test.coefficients), 0 if test.scores is None else len(test.scores),
-        test.sums, 0 if test.along is None else test.along.shape[1], len(naming.bases), naming.window,
-        sum(basis.shape[1] for basis in naming.bases),
+        test.sums, 0 if test.along is None else test.along.shape[1], groups,
+        naming.window if codes is None else codes.window, sum(basis.shape[1] for basis in naming.bases),
+        parts, members, codes is not None and codes.at_once,
     ]  # fmt: skip
     numbers = [
         *(test.threshold, test.release_level, test.allowance, 1 - test.weight, test.weight, test.deviation),
+        0.0 if codes is None else codes.share,
     ]
     started = (None, None, None) if first is None else (first.rows, first.correction, first.ratios)
     bases = np.hstack(naming.bases) if naming.bases else None
@@ -109,11 +125,18 @@ def _plan(spec: Specification, test: CompiledTest) -> Plan:
         test.whitening, test.coefficients, test.rewhitening, test.knots, test.scores, test.along, bases,
     )  # fmt: skip
     dimensions = np.array([basis.shape[1] for basis in naming.bases], dtype=np.int64) if naming.bases else None
-    widths = {"residuals": len(spec.C), "aside": channels, "whitened": k, "scores": len(naming.bases)}
+    sizes = None if test.sizes is None else np.ascontiguousarray(test.sizes, dtype=np.int64)
+    limits, joint = (None if a is None else np.ascontiguousarray(a, dtype=float) for a in (test.limits, test.joint))
+    table = None if codes is None else np.ascontiguousarray(codes.codes.T, dtype=bool)
+    widths = {"residuals": len(spec.C), "aside": channels, "whitened": k, "scores": groups}
+    widths |= {"member_statistics": parts, "fired": parts, "code": members}
     return Plan(
         np.array(integers, dtype=np.int64),
         np.array(numbers, dtype=float),
-        (*(None if a is None else np.ascontiguousarray(a, dtype=float) for a in arrays), dimensions),
+        (
+            *(None if a is None else np.ascontiguousarray(a, dtype=float) for a in arrays),
+            *(dimensions, sizes, limits, joint, table),
+        ),
         widths,
         named is not None,
     )
@@ -122,8 +145,11 @@ def _plan(spec: Specification, test: CompiledTest) -> Plan:
 def state_arrays(spec: Specification, state: State) -> tuple[NDArray | None, ...]:
     """Return the arrays of a state in the order of the kernel; ``None`` for what it does not read."""
     f = state.filter
-    named = spec.isolation.compiled
-    naming = state.isolation.arrays() if named is not None and named.bases else (None, None, None)
+    named, naming = compiled_isolation(spec), (None,) * 5
+    if isinstance(named, CompiledCodes):
+        naming = state.isolation.arrays()
+    elif named is not None and named.bases:
+        naming = (*state.isolation.arrays(), None, None)
     remembered = (one if one is None or one.flags.writeable else None for one in (*state.test.arrays(), *naming))
     return (
         f.x, f.held, f.gap, f.running, f.age, f.resets, f.broken, f.starting,
@@ -164,6 +190,8 @@ class LastSample:
         Samples in a row over the threshold.
     scores : ndarray, shape (plants, groups)
         Of those in alarm.
+    code : ndarray of bool, shape (plants, members), or None
+        Where a code is read: which members count as fired.
     """
 
     flags: NDArray[np.uint8]
@@ -171,16 +199,18 @@ class LastSample:
     residuals: NDArray[np.float64]
     up: NDArray[np.int64]
     scores: NDArray[np.float64]
+    code: NDArray[np.bool_] | None = None
 
     @staticmethod
-    def blank(plants: int, residuals: int, groups: int) -> LastSample:
-        """Return that nothing was decided yet."""
+    def blank(plants: int, residuals: int, groups: int, members: int = 0) -> LastSample:
+        """Return that nothing was decided yet; ``members`` of a code, if one is read."""
         return LastSample(
             np.zeros(plants, dtype=np.uint8),
             np.full(plants, np.nan),
             np.full((plants, residuals), np.nan),
             np.zeros(plants, dtype=np.int64),
             np.full((plants, groups), np.nan),
+            np.zeros((plants, members), dtype=bool) if members else None,
         )
 
     def remember(self, rows: NDArray[np.int64], made: Decisions) -> None:
@@ -189,7 +219,10 @@ class LastSample:
         self.flags[rows] = sum((one[:, -1].astype(np.uint8) << bit for bit, one in enumerate(flags)), np.uint8(0))
         self.statistic[rows], self.residuals[rows] = made.statistic[:, -1], made.residuals[:, -1]
         self.up[rows] = made.up[:, -1]
-        self.scores[rows] = made.scores[:, -1]
+        loud = made.alarm[:, -1]
+        self.scores[rows[loud]] = made.scores[loud, -1]
+        if self.code is not None:
+            self.code[rows] = made.code[:, -1]
 
 
 class FusedRun:
@@ -220,7 +253,7 @@ class FusedRun:
         names = [one.name for one in fields(LastSample)]
         kept = [None if last is None else getattr(last, name) for name in names]
         if not plan.widths["scores"]:
-            kept[-1] = None
+            kept[names.index("scores")] = None
         self._kernel = _kernel.Runner(
             integers, plan.numbers, plan.arrays, (*state_arrays(spec, state), *kept), self.plants, best_path()
         )
@@ -232,6 +265,7 @@ class FusedRun:
             width = self.plan.widths.get(name)
             shape = (plants, time) if width is None else (plants, time, width)
             kept = name in keep and not (name == "ready" and self.plan.names)
+            kept = kept and not (name in _OF_PARTS and not width)
             out[name] = np.zeros(shape, dtype=_TYPES.get(name, np.float64)) if kept else None
         return out
 
@@ -352,8 +386,12 @@ def decisions_of(outputs: dict[str, Any]) -> Decisions:
     nobody = np.zeros((*shape, 0))
     usable, statistic, exceeded, alarm, up = (outputs[n] for n in ("usable", "statistic", "exceeded", "alarm", "up"))
     whitened = nobody if outputs["whitened"] is None else outputs["whitened"]
-    tested = Tested(usable, statistic, exceeded, alarm, up, whitened, nobody, nobody.astype(bool))
-    return Decisions(outputs["residuals"], outputs["missing"], outputs["aside"], tested, Scores(outputs["scores"]))
+    parts, fired, code = (outputs.get(name) for name in _OF_PARTS)
+    if parts is None or fired is None:
+        parts, fired = nobody, nobody.astype(bool)
+    tested = Tested(usable, statistic, exceeded, alarm, up, whitened, parts, fired)
+    named = Scores(outputs["scores"], code=code)
+    return Decisions(outputs["residuals"], outputs["missing"], outputs["aside"], tested, named)
 
 
 def run_block(spec: Specification, state: State, data: NDArray[np.float64]) -> tuple[State, Decisions]:

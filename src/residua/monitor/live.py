@@ -22,6 +22,8 @@ from residua.visible import echo, listed
 PIECE = 100_000
 #: What users can have of a block: all that decisions have but what they are made from.
 KEPT = ("residuals", "missing", "aside", "usable", "statistic", "exceeded", "alarm", "up", "scores")
+#: What a block has of members besides, whatever is kept.
+_OF_MEMBERS = ("member_statistics", "fired", "code")
 #: What is not needed of a recording once it is judged.
 _PASSING = ("whitened", "ready")
 
@@ -62,7 +64,9 @@ class Live:
             state = initial_state(spec, len(data)) if self.state is None else self.state
             self.state, decisions = run_reference(spec, state, data)
             return (decisions if keep is None else _only(decisions, keep)), self.state
-        wanted = OUTPUTS if keep is None else (*keep, *(() if run.plan.names else ("residuals", "ready", "usable")))
+        wanted = OUTPUTS if keep is None else (*keep, *_OF_MEMBERS)
+        if keep is not None and not run.plan.names:
+            wanted = (*wanted, "residuals", "ready", "usable")
         outputs = run.outputs(data.shape[0], data.shape[1], wanted)
         decisions = run.block(data, outputs)
         self.state = run.state

@@ -170,6 +170,8 @@ def _block(name: str, model: Any, kept: dict[str, NDArray], monitors: Mapping[st
     if standing.ndim != 2 or standing.shape[1] != 3 or not ((standing >= 0) & (standing[:, :1] < len(ids))).all():
         raise FileFormatError("the alarms of this snapshot are none of its plants")
     block = FleetBlock(monitor, ids, state, StandingAlarms(len(ids), standing.tolist()))
+    if block.last.code is not None:  # versions before this column: known again with the next sample
+        kept.setdefault("last.code", np.zeros_like(block.last.code))
     block.take_over(_state_from(block.last, kept, "last"))
     if kept:
         raise FileFormatError(f"this snapshot has columns that are not known: {listed(list(kept))}")

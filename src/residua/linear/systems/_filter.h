@@ -9,12 +9,18 @@
  * After a sample of nothing but zeros, states below 2^-500 in size become zero, here and in NumPy: a filter at rest
  * would otherwise end among the denormal numbers, which cost processors many times a product. While anything
  * comes in, that costs no more than a look at the first input.
+ *
+ * A bank is many small filters: blocks of A and C are zero. It is run section by section, and these blocks are left
+ * out. No sum is ever -0 (it begins at +0, and 0 + -0 is 0), and zero times a finite number is 0 or -0, so that nothing
+ * changes while states are finite. Within a section nothing is left out: a state that is not finite stays so to the end,
+ * where it is seen, and the samples are run again with all products. There zero times infinity is NaN in every row.
  */
 #ifndef RESIDUA_FILTER_H
 #define RESIDUA_FILTER_H
 
 #include <float.h>
 #include <stdint.h>
+#include <stdlib.h>
 #include <string.h>
 
 #if !defined(FLT_EVAL_METHOD) || FLT_EVAL_METHOD != 0
@@ -30,6 +36,8 @@
 #define MAX_SMALL 8 /* largest order and number of outputs that are kept in registers */
 #define BLOCK 8     /* rows per block for larger filters */
 #define SMALLEST 0x1p-500
+#define SPAN 256      /* samples, or plants, that go through the sections of a filter one after the other, at most */
+#define NEAR_BY 16384 /* numbers of their signals and outputs, which are to stay in the cache; fewer samples cost more */
 
 #if defined(__GNUC__)
 #define INLINE static inline __attribute__((always_inline))
@@ -43,14 +51,24 @@ typedef struct {
     Py_ssize_t columns, first_step, second_step; /* of the first; numbers from row to row */
 } source;
 
+/* States and outputs of a filter that have no product with the others: a member of a bank, or a few. */
+typedef struct {
+    Py_ssize_t at, n, column, nr; /* the first state and the first output, and how many of them */
+    double *packed;
+} section;
+
 typedef struct {
     Py_ssize_t n, m, nr, plants, time;
+    Py_ssize_t step;           /* numbers from row to row of A and of C, and from plant to plant of x: all states */
+    Py_ssize_t r_step, r_room; /* outputs from row to row; of a section how many there are from its own on, else 0 */
+    const section *sections;   /* NULL: there is one */
+    Py_ssize_t n_sections;
     const double *A, *B, *C, *D, *x;
     source v;
     double *x_next, *r;
     double *packed; /* columns of the matrices, padded with zero rows */
     int is_packed;  /* whether they are there already */
-    double *state;  /* blocks: two padded states */
+    double *state;  /* room for three states */
     /* Of at most four residuals: four centres and four rows of a whitening, padded with zeros; NULL for none. What
      * comes of it: whitened residuals (room for three more behind them), and sums of their squares. */
     const double *judge;
@@ -58,13 +76,15 @@ typedef struct {
     Py_ssize_t k;
 } job;
 
-/* Every column of M (rows x columns, C order): rows top .. top + width, zero where M has no such row. */
+/* Every column of M (rows x columns, its rows so many numbers apart): rows top .. top + width, zero where M has no such
+ * row. */
 INLINE double *
-pack(double *to, const double *M, Py_ssize_t rows, Py_ssize_t columns, Py_ssize_t top, Py_ssize_t width)
+pack(double *to, const double *M, Py_ssize_t rows, Py_ssize_t columns, Py_ssize_t step, Py_ssize_t top,
+     Py_ssize_t width)
 {
     for (Py_ssize_t j = 0; j < columns; j++)
         for (Py_ssize_t i = 0; i < width; i++)
-            *to++ = top + i < rows ? M[(top + i) * columns + j] : 0.0;
+            *to++ = top + i < rows ? M[(top + i) * step + j] : 0.0;
     return to;
 }
 
@@ -92,11 +112,12 @@ block_product_plain(const double *columns, const source *v, Py_ssize_t m, const 
 }
 
 INLINE double *
-pack_blocks(double *to, const double *on_v, Py_ssize_t m, const double *on_x, Py_ssize_t n, Py_ssize_t rows)
+pack_blocks(double *to, const double *on_v, Py_ssize_t m, const double *on_x, Py_ssize_t n, Py_ssize_t step,
+            Py_ssize_t rows)
 {
     for (Py_ssize_t top = 0; top < rows; top += BLOCK) {
-        to = pack(to, on_v, rows, m, top, BLOCK);
-        to = pack(to, on_x, rows, n, top, BLOCK);
+        to = pack(to, on_v, rows, m, m, top, BLOCK);
+        to = pack(to, on_x, rows, n, step, top, BLOCK);
     }
     return to;
 }
@@ -143,14 +164,14 @@ run_blocks(const job *q, block_product product)
     double *const on_state = q->packed;
     double *const on_output = on_state + (n + BLOCK - 1) / BLOCK * BLOCK * (m + n);
     if (!q->is_packed) {
-        pack_blocks(on_state, q->B, m, q->A, n, n);
-        pack_blocks(on_output, q->D, m, q->C, n, nr);
+        pack_blocks(on_state, q->B, m, q->A, n, q->step, n);
+        pack_blocks(on_output, q->D, m, q->C, n, q->step, nr);
     }
     source v = q->v;
     double *r = q->r, *now = q->state, *next = q->state + n;
     for (Py_ssize_t p = 0; p < q->plants; p++) {
-        memcpy(now, q->x + p * n, (size_t)n * sizeof(double));
-        for (Py_ssize_t k = 0; k < q->time; k++, r += nr) {
+        memcpy(now, q->x + p * q->step, (size_t)n * sizeof(double));
+        for (Py_ssize_t k = 0; k < q->time; k++, r += q->r_step) {
             all_blocks(product, on_output, &v, m, now, n, r, nr);
             all_blocks(product, on_state, &v, m, now, n, next, n);
             if (is_silent(v.first, v.columns, v.second, m - v.columns))
@@ -161,7 +182,7 @@ run_blocks(const job *q, block_product product)
             v.first += v.first_step;
             v.second += v.second_step;
         }
-        memcpy(q->x_next + p * n, now, (size_t)n * sizeof(double));
+        memcpy(q->x_next + p * q->step, now, (size_t)n * sizeof(double));
     }
 }
 
@@ -214,14 +235,15 @@ typedef void (*runner)(const job *);
         double *const a = q->packed;                                                                                  \
         double *const b = a + N * WIDTH, *const c = b + m * WIDTH, *const d = c + N * OUT;                            \
         if (!q->is_packed) {                                                                                          \
-            pack(a, q->A, N, N, 0, WIDTH);                                                                            \
-            pack(b, q->B, N, m, 0, WIDTH);                                                                            \
-            pack(c, q->C, nr, N, 0, OUT);                                                                             \
-            pack(d, q->D, nr, m, 0, OUT);                                                                             \
+            pack(a, q->A, N, N, q->step, 0, WIDTH);                                                                   \
+            pack(b, q->B, N, m, m, 0, WIDTH);                                                                         \
+            pack(c, q->C, nr, N, q->step, 0, OUT);                                                                    \
+            pack(d, q->D, nr, m, m, 0, OUT);                                                                          \
         }                                                                                                             \
         const double *first = q->v.first, *second = q->v.second;                                                      \
         double *restrict r = q->r, *restrict white = q->q, *restrict squares = q->squares;                            \
-        Py_ssize_t left = q->plants * q->time * nr;                                                                   \
+        const Py_ssize_t step = q->step, r_step = q->r_step, left_step = q->r_room ? 0 : r_step;                      \
+        Py_ssize_t left = !q->r_room ? q->plants * q->time * nr : q->r_room >= OUT ? OUT : 0;                         \
         const Py_ssize_t k_white = q->k;                                                                              \
         lanes##L center = {0.0}, whitening[OUT];                                                                      \
         if (JUDGE) {                                                                                                  \
@@ -233,11 +255,11 @@ typedef void (*runner)(const job *);
             lanes##L x[WIDTH / L];                                                                                    \
             memset(x, 0, sizeof x);                                                                                   \
             if (N % L == 0) {                                                                                         \
-                EACH_VECTOR(N, L) x[i] = ((const lanes##L *)(q->x + p * N))[i];                                       \
+                EACH_VECTOR(N, L) x[i] = ((const lanes##L *)(q->x + p * step))[i];                                    \
             } else {                                                                                                  \
-                _Pragma("GCC unroll 8") for (int j = 0; j < N; j++) x[j / L][j % L] = q->x[p * N + j];                \
+                _Pragma("GCC unroll 8") for (int j = 0; j < N; j++) x[j / L][j % L] = q->x[p * step + j];             \
             }                                                                                                         \
-            for (Py_ssize_t k = 0; k < q->time; k++, r += nr, left -= nr) {                                           \
+            for (Py_ssize_t k = 0; k < q->time; k++, r += r_step, left -= left_step) {                                \
                 lanes##L sum[WIDTH / L] = {{0.0}}, out[OUT / L] = {{0.0}};                                            \
                 for (Py_ssize_t j = 0; j < columns; j++) {                                                            \
                     ADD_COLUMN(sum, b + j * WIDTH, WIDTH, L, first[j])                                                \
@@ -278,13 +300,15 @@ typedef void (*runner)(const job *);
                 if (left >= OUT) {                                                                                    \
                     EACH_VECTOR(OUT, L)((lanes##L *)r)[i] = out[i];                                                   \
                 } else {                                                                                              \
-                    _Pragma("GCC unroll 8") for (int i = 0; i < OUT; i++) if (i < nr) r[i] = out[i / L][i % L];       \
+                    _Pragma("GCC unroll 8") for (int i = 0; i < OUT; i++) if (i % L == 0 && i + L <= nr)              \
+                        ((lanes##L *)r)[i / L] = out[i / L];                                                          \
+                    else if (i / L * L + L > nr && i < nr) r[i] = out[i / L][i % L];                                  \
                 }                                                                                                     \
             }                                                                                                         \
             if (N % L == 0) {                                                                                         \
-                EACH_VECTOR(N, L)((lanes##L *)(q->x_next + p * N))[i] = x[i];                                         \
+                EACH_VECTOR(N, L)((lanes##L *)(q->x_next + p * step))[i] = x[i];                                      \
             } else {                                                                                                  \
-                _Pragma("GCC unroll 8") for (int j = 0; j < N; j++) q->x_next[p * N + j] = x[j / L][j % L];           \
+                _Pragma("GCC unroll 8") for (int j = 0; j < N; j++) q->x_next[p * step + j] = x[j / L][j % L];        \
             }                                                                                                         \
         }                                                                                                             \
     }
@@ -335,15 +359,126 @@ static const runner judged_table[MAX_SMALL] = {judged_1, judged_2, judged_3, jud
 #endif
 #endif
 
+/* Numbers that the packed matrices of a filter take, at most, and up to the next line of the cache. */
+INLINE Py_ssize_t
+packed_size(Py_ssize_t n, Py_ssize_t m, Py_ssize_t nr)
+{
+    return ((n + nr + 2 * BLOCK) * (n + m) + 7) / 8 * 8;
+}
+
+/* ---- sections --------------------------------------------------------------------------------------------------- */
+
+/* About how many vectors of four numbers a sample costs. */
+INLINE Py_ssize_t
+cost_of(Py_ssize_t n, Py_ssize_t m, Py_ssize_t nr)
+{
+    if (n <= MAX_SMALL && nr <= MAX_SMALL)
+        return (n + m) * ((n > 4 ? 2 : 1) + (nr > 4 ? 2 : 1)) + 8;
+    return (n + m) * 2 * ((n + BLOCK - 1) / BLOCK + (nr + BLOCK - 1) / BLOCK) + 16;
+}
+
+/* Where the states can be cut: from which of them on a section can begin, and with which output. */
+static Py_ssize_t
+find_cuts(const job *q, Py_ssize_t *furthest, section *cuts)
+{
+    const Py_ssize_t n = q->n, nr = q->nr;
+    Py_ssize_t count = 0, reached = 0;
+    for (Py_ssize_t i = 0; i < n; i++)
+        furthest[i] = i;
+    for (Py_ssize_t i = 0; i < n; i++)
+        for (Py_ssize_t j = 0; j < n; j++)
+            if (q->A[i * n + j] != 0.0) {
+                const Py_ssize_t low = i < j ? i : j, high = i < j ? j : i;
+                furthest[low] = furthest[low] > high ? furthest[low] : high;
+            }
+    Py_ssize_t *const first = furthest + n, *const last = first + nr; /* state of each output; n and -1 of none */
+    for (Py_ssize_t i = 0; i < nr; i++) {
+        first[i] = n;
+        last[i] = -1;
+        for (Py_ssize_t j = 0; j < n; j++)
+            if (q->C[i * n + j] != 0.0) {
+                first[i] = first[i] < j ? first[i] : j;
+                last[i] = j;
+            }
+    }
+    for (Py_ssize_t at = 0; at < n; at++) {
+        Py_ssize_t column = 0;
+        int is_cut = at == 0 || reached < at;
+        for (Py_ssize_t i = 0; i < nr; i++)
+            column = last[i] >= 0 && last[i] < at ? i + 1 : column;
+        for (Py_ssize_t i = 0; i < nr; i++)
+            is_cut &= i < column ? last[i] < at : first[i] >= at;
+        reached = furthest[at] > reached ? furthest[at] : reached;
+        if (is_cut)
+            cuts[count++] = (section){.at = at, .column = column};
+    }
+    return count;
+}
+
+/* The sections of a filter, of which small ones side by side are one where that costs less; NULL if there is one, or no
+ * memory. The caller frees them. Room for their packed matrices, in numbers, is added to `size`. */
+static section *
+find_sections(const job *q, Py_ssize_t *n_sections, Py_ssize_t *size)
+{
+    const Py_ssize_t n = q->n, m = q->m, nr = q->nr;
+    *n_sections = 0;
+    if (n < 2 || (n <= MAX_SMALL && nr <= MAX_SMALL))
+        return NULL;
+    section *const cuts = malloc((size_t)n * sizeof(section));
+    Py_ssize_t *const room = malloc((size_t)(3 * n + 2 * nr + 2) * sizeof(Py_ssize_t));
+    const Py_ssize_t count = cuts == NULL || room == NULL ? 0 : find_cuts(q, room, cuts);
+    Py_ssize_t *const least = room, *const next = room + n + 1; /* from each cut on: the least cost, and the next cut */
+    for (Py_ssize_t i = count - 1; i >= 0 && count > 1; i--) {
+        least[count] = 0;
+        least[i] = PY_SSIZE_T_MAX;
+        for (Py_ssize_t j = i + 1; j <= count; j++) {
+            const Py_ssize_t states = (j < count ? cuts[j].at : n) - cuts[i].at;
+            const Py_ssize_t cost = cost_of(states, m, (j < count ? cuts[j].column : nr) - cuts[i].column) + least[j];
+            if (cost < least[i]) {
+                least[i] = cost;
+                next[i] = j;
+            }
+        }
+    }
+    for (Py_ssize_t i = 0; i < count && count > 1; i = next[i]) {
+        const Py_ssize_t j = next[i];
+        section *const one = &cuts[(*n_sections)++]; /* never beyond i */
+        *one = cuts[i];
+        one->n = (j < count ? cuts[j].at : n) - one->at;
+        one->nr = (j < count ? cuts[j].column : nr) - one->column;
+        *size += packed_size(one->n, m, one->nr);
+    }
+    free(room);
+    if (*n_sections > 1)
+        return cuts;
+    *n_sections = 0;
+    free(cuts);
+    return NULL;
+}
+
+/* Give the sections their room. */
+static void
+place_sections(section *sections, Py_ssize_t count, Py_ssize_t m, double *room)
+{
+    for (Py_ssize_t j = 0; j < count; j++) {
+        sections[j].packed = room;
+        room += packed_size(sections[j].n, m, sections[j].nr);
+    }
+}
+
 /* ---- choice of path ------------------------------------------------------------------------------------------- */
 
 enum { PATH_PLAIN = 0, PATH_BASELINE = 1, PATH_AVX2 = 2 };
 
-/* Numbers that the packed matrices of a filter take, at most. */
-INLINE Py_ssize_t
-packed_size(Py_ssize_t n, Py_ssize_t m, Py_ssize_t nr)
+/* What a filter is that has one section and a place of its own in memory. */
+INLINE void
+as_a_whole(job *q)
 {
-    return (n + nr + 2 * BLOCK) * (n + m);
+    q->step = q->n;
+    q->r_step = q->nr;
+    q->r_room = 0;
+    q->sections = NULL;
+    q->n_sections = 0;
 }
 
 /* Where numbers that begin with a line of the cache can be put, in room for seven more. */
@@ -368,10 +503,112 @@ best_path(void)
 #endif
 }
 
+static int execute(const job *q, int path);
+
+/* A section of a filter from some plant and sample on, its states in x. */
+INLINE job
+job_of(const job *q, const section *s, double *x)
+{
+    job one = *q;
+    one.n = s->n;
+    one.nr = s->nr;
+    one.sections = NULL;
+    one.A = q->A + s->at * (q->step + 1);
+    one.B = q->B + s->at * q->m;
+    one.C = q->C + s->column * q->step + s->at;
+    one.D = q->D + s->column * q->m;
+    one.x = q->x + s->at;
+    one.x_next = x + s->at;
+    one.packed = s->packed;
+    one.r = q->r + s->column;
+    one.r_room = q->nr - s->column;
+    one.judge = NULL;
+    return one;
+}
+
+static void
+pack_sections(const job *q, int path)
+{
+    for (Py_ssize_t j = 0; j < q->n_sections; j++) {
+        job one = job_of(q, &q->sections[j], NULL);
+        one.plants = 0;
+        one.is_packed = 0;
+        execute(&one, path);
+    }
+}
+
+/* Some samples of a plant, or one of several plants, whose packed sections are there: one section after the other. A
+ * row of outputs is stored with what stands behind it, which the next section overwrites. */
+static void
+run_each(const job *q, int path)
+{
+    for (Py_ssize_t j = 0; j < q->n_sections; j++) {
+        job one = job_of(q, &q->sections[j], q->x_next);
+        one.is_packed = 1;
+        execute(&one, path);
+    }
+}
+
+INLINE int
+are_finite(const double *values, Py_ssize_t count)
+{
+    double sum = 0.0; /* 0 times a finite number is 0 */
+    for (Py_ssize_t j = 0; j < count; j++)
+        sum += 0.0 * values[j];
+    return sum == 0.0;
+}
+
+/* Run a filter section by section, and again as a whole where a state has not stayed finite. */
+static void
+run_sections(const job *q, int path)
+{
+    const int is_tick = q->time == 1 && q->plants > 1 && q->x != q->x_next;
+    const Py_ssize_t near_by = NEAR_BY / (q->m + q->nr + 1), span = near_by < 16 ? 16 : near_by < SPAN ? near_by : SPAN;
+    double *const x = q->state + 2 * q->n;
+    job whole = *q, some = *q;
+    whole.sections = NULL;
+    for (Py_ssize_t p = 0; p < q->plants; p += whole.plants) {
+        const Py_ssize_t room = q->plants - p;
+        whole.plants = is_tick ? (room < span ? room : span) : 1;
+        whole.x = q->x + p * q->n;
+        whole.x_next = q->x_next + p * q->n;
+        whole.v.first = q->v.first + p * q->time * q->v.first_step;
+        whole.v.second = q->v.second + p * q->time * q->v.second_step;
+        whole.r = q->r + p * q->time * q->nr;
+        some.v = whole.v;
+        some.r = whole.r;
+        if (is_tick) {
+            some.plants = whole.plants;
+            some.x = whole.x;
+            some.x_next = whole.x_next;
+            run_each(&some, path);
+        } else {
+            some.plants = 1;
+            some.x = some.x_next = x;
+            memcpy(x, whole.x, (size_t)q->n * sizeof(double));
+            for (Py_ssize_t k = 0; k < q->time; k += span) {
+                some.time = q->time - k < span ? q->time - k : span;
+                run_each(&some, path);
+                some.v.first += some.time * some.v.first_step;
+                some.v.second += some.time * some.v.second_step;
+                some.r += some.time * q->nr;
+            }
+        }
+        if (!are_finite(some.x_next, whole.plants * q->n))
+            execute(&whole, path);
+        else if (!is_tick)
+            memcpy(whole.x_next, x, (size_t)q->n * sizeof(double));
+    }
+}
+
 /* Run a filter; whether residuals were judged too. */
 static int
 execute(const job *q, int path)
 {
+    if (q->sections != NULL) {
+        run_sections(q, path);
+        return 0;
+    }
 #if defined(HAVE_AVX2)
     if (path == PATH_AVX2) {
 #if defined(RESIDUA_JUDGES)

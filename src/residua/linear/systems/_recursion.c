@@ -58,20 +58,28 @@ run_on_buffers(Py_buffer *b, int has_w, int path)
     if (!shapes_fit(b, &q, has_w))
         return -1;
     const Py_ssize_t padded = q.n + q.nr + 2 * BLOCK;
-    if (q.n + q.m > (PY_SSIZE_T_MAX / (Py_ssize_t)sizeof(double) - 2 * q.n) / padded) {
+    if (q.n + q.m > (PY_SSIZE_T_MAX / (Py_ssize_t)sizeof(double) - 3 * q.n) / 2 / padded) {
         PyErr_NoMemory();
         return -1;
     }
-    double *room = PyMem_Malloc((size_t)(padded * (q.n + q.m) + 2 * q.n + 8) * sizeof(double));
+    as_a_whole(&q);
+    Py_ssize_t size = padded * (q.n + q.m) + 3 * q.n;
+    section *const sections = find_sections(&q, &q.n_sections, &size);
+    double *room = PyMem_Malloc((size_t)(size + 16) * sizeof(double));
     if (room == NULL) {
+        free(sections);
         PyErr_NoMemory();
         return -1;
     }
     q.packed = line_of(room);
     q.state = q.packed + padded * (q.n + q.m);
+    place_sections(sections, q.n_sections, q.m, line_of(q.state + 3 * q.n));
+    q.sections = sections;
     Py_BEGIN_ALLOW_THREADS
+    pack_sections(&q, path);
     execute(&q, path);
     Py_END_ALLOW_THREADS
+    free(sections);
     PyMem_Free(room);
     return 0;
 }
