@@ -268,8 +268,9 @@ def leakage_of_inputs(generator: StateSpace, plant: Plant, w: NDArray | None = N
     rounding = _MEASURED * (_products(Q.terms, np.abs(P.values), n_u) + _products(np.abs(Q.values), P.terms, n_u))
     unsure = np.flatnonzero((rounding > _UNSURE * parts).any(axis=(1, 2)))
     if unsure.size:
-        better = accurate_response(system, points[unsure]), accurate_response(driven.system, points[unsure])
-        total[unsure] = _cancelling(*better, n_u)[0]
+        measured = accurate_response(driven.system, points[unsure])
+        controls = np.broadcast_to(np.eye(n_u, measured.shape[2]), (len(unsure), n_u, measured.shape[2]))
+        total[unsure] = accurate_response(system, points[unsure], np.concatenate([controls, measured], axis=1))
     # in the units of the signals that the plant has of itself, the rounding of one term of a residual is that of all
     alive = _alive(np.abs(Q.values), Q.terms + Q.terms.max(axis=2, keepdims=True, initial=0.0))
     parts = _cancelling(
