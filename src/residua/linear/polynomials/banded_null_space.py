@@ -85,6 +85,12 @@ class BlockBand:
                 T[j, :, j + i - 1] = self.blocks[j, :, i]
         return T.reshape(count * rows, (count + 1) * columns)
 
+    def without(self, rows: NDArray[np.int_]) -> BlockBand:
+        """Return the matrix with some of its rows, counted from the first to the last, set to zero."""
+        blocks = self.blocks.copy()
+        blocks[tuple(np.divmod(rows, blocks.shape[1]))] = 0.0
+        return BlockBand(blocks)
+
     def of_rows(self, chosen: NDArray[np.int_]) -> BlockBand:
         """Return the same rows of each block row, without the columns that have no entry there."""
         part = self.blocks[:, chosen]
@@ -180,6 +186,20 @@ class FactoredBand:
         return np.moveaxis(X, 2, 0), s
 
 
+def least_squares(band: BlockBand, right: NDArray[np.float64], scale: float) -> NDArray[np.float64]:
+    """Return ``x`` of the smallest ``|x T - right|``, zero where a row of ``T`` is; the other rows are independent.
+
+    Parameters
+    ----------
+    band : BlockBand
+    right : ndarray, shape (count + 1, columns)
+    scale : float
+        The largest singular value.
+    """
+    factor = _Factor.of(band, _SHIFT * scale, right[:, :, None])
+    return factor.solved(factor.right)[:, :, 0]
+
+
 @dataclass(frozen=True, eq=False)
 class _Factor:
     """The triangular factor of the transpose of a band above a small multiple of the identity, in block rows.
@@ -188,34 +208,40 @@ class _Factor:
     ----------
     blocks : list of list of ndarray, shape (rows, rows)
         Of each block row the block on the diagonal, which is upper triangular, and those after it.
+    right : ndarray, shape (count, rows, vectors)
+        What the orthogonal factor makes of right-hand sides.
     """
 
     blocks: list[list[NDArray[np.float64]]]
+    right: NDArray[np.float64]
 
     @classmethod
-    def of(cls, band: BlockBand, shift: float) -> _Factor:
+    def of(cls, band: BlockBand, shift: float, right: NDArray[np.float64] | None = None) -> _Factor:
         """Return the factor, from one block row of the transpose after the other."""
         S = band.blocks
         count, rows, _, columns = S.shape
-        width = 3 if S[:, :, 0].any() else 2
+        right = np.zeros((count + 1, columns, 0)) if right is None else right
+        width = (3 if S[:, :, 0].any() else 2) * rows
         ahead = np.zeros((count + 2, rows, 3, columns))
         ahead[:count] = S
-        active = np.zeros((0, width * rows))
-        factors = []
+        active = np.zeros((0, width + right.shape[2]))
+        factors, turned = [], np.zeros((count, rows, right.shape[2]))
         for j in range(count):
             incoming = [active]
             for i in (0, 1) if j == 0 else (j + 1,):
-                row = np.zeros((columns, width * rows))
-                for at in range(max(i - 1, j), min(i + 2, j + width)):
+                row = np.zeros((columns, active.shape[1]))
+                for at in range(max(i - 1, j), min(i + 2, j + width // rows)):
                     row[:, (at - j) * rows : (at - j + 1) * rows] = ahead[at, :, i - at + 1].T
+                row[:, width:] = right[i]
                 incoming.append(row)
-            incoming.append(shift * np.eye(rows, width * rows))
+            incoming.append(shift * np.eye(rows, active.shape[1]))
             R = np.asarray(scipy.linalg.qr(np.vstack(incoming), mode="r", overwrite_a=True, check_finite=False)[0])
-            R = R[: width * rows]
-            factors.append([R[:rows, i * rows : (i + 1) * rows].copy() for i in range(width)])
-            active = np.zeros((len(R) - rows, width * rows))
-            active[:, : (width - 1) * rows] = R[rows:, rows:]
-        return cls(factors)
+            factors.append([R[:rows, i : i + rows].copy() for i in range(0, width, rows)])
+            turned[j] = R[:rows, width:]
+            left = R[rows:width]
+            active = np.zeros((len(left), active.shape[1]))
+            active[:, : width - rows], active[:, width:] = left[:, rows:width], left[:, width:]
+        return cls(factors, turned)
 
     def inverse_of_square(self, X: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return ``(R' R)^-1 X`` for vectors of shape (count, rows, vectors), up to a factor."""
@@ -226,10 +252,15 @@ class _Factor:
             Y[j] = scipy.linalg.solve_triangular(diagonal, Y[j], trans=1, check_finite=False)
             for i, R in enumerate(after[: count - 1 - j], j + 1):
                 Y[i] -= R.T @ Y[j]
-        Y /= np.abs(Y).max()
-        for j in reversed(range(count)):  # R X = Y
+        Y = self.solved(Y / np.abs(Y).max())
+        return Y / np.abs(Y).max()
+
+    def solved(self, Y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return ``R^-1 Y``."""
+        X, count = Y.copy(), len(Y)
+        for j in reversed(range(count)):
             diagonal, *after = self.blocks[j]
             for i, R in enumerate(after[: count - 1 - j], j + 1):
-                Y[j] -= R @ Y[i]
-            Y[j] = scipy.linalg.solve_triangular(diagonal, Y[j], check_finite=False)
-        return Y / np.abs(Y).max()
+                X[j] -= R @ X[i]
+            X[j] = scipy.linalg.solve_triangular(diagonal, X[j], check_finite=False)
+        return X

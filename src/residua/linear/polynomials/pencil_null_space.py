@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
-from residua.linear.polynomials.banded_null_space import BlockBand, FactoredBand
+from residua.linear.polynomials.banded_null_space import BlockBand, FactoredBand, least_squares
 from residua.linear.polynomials.degree_search import at_smallest_degree
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.parts import row_parts
 from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis
+from residua.linear.systems.array_cache import Latest, entries
 from residua.linear.systems.balancing import evened
 from residua.tolerances import RESIDUE, above_rounding
 
@@ -202,13 +204,29 @@ def refined(problem: Pencil, x: NDArray[np.float64], *, rtol: float = PENCIL_RTO
     band, units = _block_band(problem, k)
     scaled = (x / units).ravel()
     if _is_large(band):
-        W = _left_null_basis(band, problem, rtol)[0]
-        return (W @ (scaled @ W)).reshape(k + 1, -1) * units
+        return (scaled - _moved(band, scaled, problem, rtol)).reshape(k + 1, -1) * units
     T = band.dense()
     U, s, Vh = np.linalg.svd(T, full_matrices=False)
     keep = s > rtol * s[0] if len(s) else s > 0
     scaled = scaled - ((scaled @ T) @ Vh[keep].T / s[keep]) @ U[:, keep].T
     return scaled.reshape(k + 1, -1) * units
+
+
+def _moved(band: BlockBand, x: NDArray[np.float64], problem: Pencil, rtol: float) -> NDArray[np.float64]:
+    """Return how far a vector is from a null vector of a large band.
+
+    The correction is as small as what it mends, so that entries far below the largest keep their digits, which those
+    of the computed null vectors do not have. The largest entries of these stay as they are.
+    """
+    basis = problem.basis
+    key = entries(problem.P0, problem.P1, problem.rows, problem.columns, basis.real, basis.imaginary, basis.sizes)
+    W = _bases.of((key, len(band.blocks), rtol), lambda: _left_null_basis(band, problem, rtol)[0])
+    kept = scipy.linalg.qr(W.T, mode="r", pivoting=True)[1][: W.shape[1]]
+    left = band.times(x.reshape(1, len(band.blocks), -1))[0]
+    return least_squares(band.without(kept), left, band.largest()).ravel()
+
+
+_bases: Latest[NDArray[np.float64]] = Latest()
 
 
 def _block_band(problem: Pencil, degree: int) -> tuple[BlockBand, NDArray[np.float64]]:
