@@ -12,7 +12,7 @@ with DATA.open(encoding="utf-8", newline="") as file:
 states = [int(name.split()[0]) for name in header[1:-1]]
 figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
 for name, *times, slope in rows:
-    axes.loglog(states, [float(t) for t in times], marker="o", label=f"{name}, slope {slope}")
+    axes.loglog(states, [float(t) for t in times], marker="o", label=f"{name}, slope {slope}" if slope else name)
 axes.set_xticks(states, [str(n) for n in states])
 axes.minorticks_off()
 axes.set_xlabel("states")

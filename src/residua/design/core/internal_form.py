@@ -269,8 +269,9 @@ def leakage_of_inputs(generator: StateSpace, plant: Plant, w: NDArray | None = N
     unsure = np.flatnonzero((rounding > _UNSURE * parts).any(axis=(1, 2)))
     if unsure.size:
         measured = accurate_response(driven.system, points[unsure])
-        controls = np.broadcast_to(np.eye(n_u, measured.shape[2]), (len(unsure), n_u, measured.shape[2]))
-        total[unsure] = accurate_response(system, points[unsure], np.concatenate([controls, measured], axis=1))
+        signals = np.zeros((len(unsure), n_u + measured.shape[1], measured.shape[2]), dtype=np.complex128)
+        signals[:, :n_u], signals[:, n_u:] = np.eye(n_u, measured.shape[2]), measured
+        total[unsure] = accurate_response(system, points[unsure], signals)
     # in the units of the signals that the plant has of itself, the rounding of one term of a residual is that of all
     alive = _alive(np.abs(Q.values), Q.terms + Q.terms.max(axis=2, keepdims=True, initial=0.0))
     parts = _cancelling(
