@@ -41,6 +41,7 @@ def test_names_are_imported_when_they_are_first_asked_for() -> None:
     loaded = _loaded("residua.__all__, dir(residua)")
     assert {name for name in loaded if name.startswith("residua")} == {"residua"}
     assert not {"numpy", "scipy"} & set(loaded)
+    assert "residua.analysis.coding" in _loaded("residua.coding.choose")
     loaded = _loaded("residua.Plant")
     assert "residua.plant" in loaded
     assert not {"residua.design", "residua.monitor", "residua.identify"} & set(loaded)
@@ -52,7 +53,7 @@ def test_a_room_can_be_the_first_that_is_imported() -> None:
 
 def test_the_names_of_the_package_are_what_it_says() -> None:
     assert set(residua.__all__) | {"cluster", "export", "report", "testing"} <= set(dir(residua))
-    assert set(residua._PLACES) | set(residua._ROOMS) == set(residua.__all__)
+    assert {*residua._PLACES, *residua._ROOMS, "coding"} == set(residua.__all__)
     assert residua.Plant is importlib.import_module("residua.plant").Plant
     assert residua.diagnosability is importlib.import_module("residua.analysis").diagnosability
     assert residua.design is importlib.import_module("residua.design")

@@ -29,7 +29,6 @@ _PLACES = {
     "RegimeMonitor": "monitor",
     "StateSpace": "linear",
     "UncertainPlant": "plant",
-    "coding": "analysis",
     "diagnosability": "analysis",
     "load_plant": "plant",
     "read_recording": "monitor",
@@ -72,6 +71,8 @@ def __getattr__(name: str) -> Any:
         value = getattr(import_module(f"residua.{_PLACES[name]}"), name)
         globals()[name] = value
         return value
+    if name == "coding":  # a module inside a room
+        return import_module("residua.analysis.coding")
     if name in _ROOMS or name in _MORE_ROOMS:
         return import_module(f"residua.{name}")
     raise AttributeError(f"module 'residua' has no attribute {name!r}")
