@@ -5,7 +5,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 
-DATA = Path(__file__).resolve().parent.parent / "data" / "design_times.csv"
+DATA = Path("..", "data", "design_times.csv")  # Sphinx runs a picture in its folder
 
 with DATA.open(encoding="utf-8", newline="") as file:
     header, *rows = csv.reader(file)
