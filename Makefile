@@ -75,6 +75,7 @@ docs: $(VENV)/.made-docs
 bench: $(VENV)/.made-bench
 	$(BIN)/python benchmarks/other_packages.py --out docs/data
 	$(BIN)/python benchmarks/fused_speed.py --out docs/data/speed.csv
+	$(BIN)/python benchmarks/design_times.py --out docs/data/design_times.csv
 	$(BIN)/pytest benchmarks -s --benchmark-columns=min,median,ops --benchmark-sort=min
 
 campaign: $(VENV)/.made-test

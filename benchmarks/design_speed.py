@@ -58,6 +58,7 @@ def _tasks() -> dict[str, tuple[float, Callable[[], Any], Callable[[Any], Any]]]
         "parity_relations, 100 states": (4, lambda: chain(100), D.parity_relations),
         "unknown_input_observer, 200 states": (3, lambda: full(200, 50), D.unknown_input_observer),
         "kalman_filter, 200 states": (3, lambda: full(200, 50), D.kalman_filter),
+        "suggest, 100 states": (4, lambda: full(100, 25), rs.suggest),
     }
 
 
@@ -68,6 +69,7 @@ NAMES = (
     "parity_relations, 100 states",
     "unknown_input_observer, 200 states",
     "kalman_filter, 200 states",
+    "suggest, 100 states",
 )
 
 

@@ -17,8 +17,9 @@ extensions = [
     "offline",  # equations, by sphinx.ext.mathjax
     "numpydoc",
     "sphinx_gallery.gen_gallery",
+    "matplotlib.sphinxext.plot_directive",  # pictures of measured tables, drawn from docs/pictures
 ]
-exclude_patterns = ["_build", "_templates", "examples"]
+exclude_patterns = ["_build", "_templates", "examples", "pictures"]
 templates_path = ["_templates"]
 nitpicky = False
 default_role = None
@@ -43,6 +44,10 @@ sphinx_gallery_conf = {
     "write_computation_times": False,  # these pages load scripts from other hosts
     "within_subsection_order": "gallery_order.by_interest",
 }
+
+plot_html_show_source_link = False
+plot_html_show_formats = False
+plot_formats = [("svg", 100)]
 
 html_theme = "pydata_sphinx_theme"
 html_title = "residua"

@@ -17,6 +17,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -107,7 +108,7 @@ def reached_guards(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPat
 def changed(monkeypatch: pytest.MonkeyPatch, target: str, change: Callable[[Any], Any]) -> None:
     """Have a function, ``module:name``, give a wrong result: what a change makes of the right one."""
     module, name = target.split(":")
-    owner: Any = sys.modules[f"residua.{module}"]
+    owner: Any = import_module(f"residua.{module}")
     *path, last = name.split(".")
     for part in path:
         owner = getattr(owner, part)

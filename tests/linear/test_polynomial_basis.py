@@ -122,3 +122,41 @@ def test_a_common_factor_in_any_basis(seed: int) -> None:
     assert len(found) == k + 1
     assert error < 1e-9
     assert np.allclose(basis.values(z, k) @ found, basis.values(z, k) @ left, rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_large_pencils_have_the_null_vectors_of_a_full_decomposition(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng([seed, 8])
+    n, m = int(rng.integers(6, 14)), int(rng.integers(1, 4))
+    A, C = rng.standard_normal((n, n)), rng.standard_normal((m, n))
+    A /= np.abs(np.linalg.eigvals(A)).max()
+    if seed % 2:  # two parts without a common unit
+        A[: n // 2, n // 2 :] = A[n // 2 :, : n // 2] = 0
+        C[0, n // 2 :] = 0
+        C[1:, : n // 2] = 0
+    poles = np.linalg.eigvals(A)
+    problem = pencil(
+        np.vstack([-A, -C]), np.vstack([np.eye(n), np.zeros((m, n))]), PolynomialBasis.on(poles).with_room()
+    )
+    whole = shortest_pencil_null_vectors(problem, most=n)
+    monkeypatch.setattr("residua.linear.polynomials.pencil_null_space._DENSE", 0)
+    made = shortest_pencil_null_vectors(problem, most=n)
+    assert whole is not None
+    assert made is not None
+    assert made.vectors.shape == whole.vectors.shape
+    assert made.decision.smallest_kept == pytest.approx(whole.decision.smallest_kept, rel=0.01)
+    assert made.decision.largest_dropped < 1e-14
+    assert np.allclose(made.units, whole.units)
+    first, second = (
+        np.linalg.qr((one.vectors / one.units).reshape(len(one.vectors), -1).T)[0] for one in (whole, made)
+    )
+    assert np.linalg.norm(first - second @ (second.T @ first), 2) < 1e-10
+    moved = whole.vectors[0] + 1e-6 * rng.standard_normal(whole.vectors[0].shape) * whole.units
+    back = refined(problem, moved)
+    assert np.abs(problem.products(back)).max() < 1e-13 * np.abs(back).max()
+    assert np.abs((back - whole.vectors[0]) / whole.units).max() < 1e-4
+    short = whole.degree - 1
+    if short >= 0:
+        assert shortest_pencil_null_vectors(problem, most=short) is None

@@ -296,7 +296,7 @@ def _too_much(record: Method, plant: Plant, end: float) -> str:
         return f"{n} states are more than the {LARGEST} that are tried here; call it, it may take minutes"
     if record.many and n > LARGE:
         return f"{n} states are more than the {LARGE} for which banks and estimators are tried here"
-    if record.many and len(plant.faults) > MOST_FAULTS:
+    if record.many and (record.faults or record.size) and len(plant.faults) > MOST_FAULTS:
         return f"{len(plant.faults)} faults are more than the {MOST_FAULTS} for which banks are tried here"
     return "the time for trying is used up: suggest(plant, seconds=...)" if time.monotonic() > end else ""
 

@@ -316,8 +316,10 @@ def leakage_of_inputs(generator: StateSpace, plant: Plant, w: NDArray | None = N
     rounding = _MEASURED * (_products(Q.terms, np.abs(P.values), n_u) + _products(np.abs(Q.values), P.terms, n_u))
     unsure = np.flatnonzero((rounding > _UNSURE * parts).any(axis=(1, 2)))
     if unsure.size:
-        better = accurate_response(system, points[unsure]), accurate_response(driven.system, points[unsure])
-        total[unsure] = _cancelling(*better, n_u)[0]
+        measured = accurate_response(driven.system, points[unsure])
+        signals = np.zeros((len(unsure), n_u + measured.shape[1], measured.shape[2]), dtype=np.complex128)
+        signals[:, :n_u], signals[:, n_u:] = np.eye(n_u, measured.shape[2]), measured
+        total[unsure] = accurate_response(system, points[unsure], signals)
     # in the units of the signals that the plant has of itself, the rounding of one term of a residual is that of all
     alive = _alive(np.abs(Q.values), Q.terms + Q.terms.max(axis=2, keepdims=True, initial=0.0))
     parts = _cancelling(

@@ -133,25 +133,27 @@ def _deadbeat(M: Matrix, H: Matrix, rtol: float, scale: float) -> tuple[Matrix, 
     At, Bt = M.T, H.T
     scale_A = max(float(np.linalg.norm(M, 2)) if M.size else 0.0, scale, np.finfo(float).tiny)
     scale_B = max(float(np.linalg.norm(H, 2)) if H.size else 0.0, np.finfo(float).tiny)
-    X, F, levels = np.zeros((c, 0)), np.zeros((k, c)), []
+    X, Y, F, levels = np.zeros((c, 0)), np.eye(c), np.zeros((k, c)), []
     steps: list[tuple[int, NDArray]] = []
     while X.shape[1] < c:
-        project = np.eye(c) - X @ X.T
-        reach = project @ Bt
+        reach = Y.T @ Bt  # in the complement of X, of which Y is a basis
         basis, _ = range_basis(reach, rtol=rtol, scale=scale_B)
-        rest = project @ At
-        kernel, _ = null_basis(rest - basis @ (basis.T @ rest), rtol=rtol, scale=scale_A)
-        U, s, _ = np.linalg.svd(kernel - X @ (X.T @ kernel), full_matrices=False)
-        fresh = U[:, s > 0.5]
-        if not fresh.shape[1]:
+        rest = Y.T @ At
+        inside = rest @ Y
+        kernel, _ = null_basis(inside - basis @ (basis.T @ inside), rtol=rtol, scale=scale_A)
+        count = kernel.shape[1]
+        if not count:
             return None
+        turned = np.linalg.qr(kernel, mode="complete")[0]
+        before, fresh, Y = Y, Y @ turned[:, :count], Y @ turned[:, count:]
         fresh = np.linalg.qr(fresh - X @ (X.T @ fresh))[0]
-        inverse = np.linalg.pinv(reach, rcond=rtol * scale_B / max(float(np.linalg.norm(reach, 2)), rtol * scale_B))
-        inverse = inverse if reach.size else np.zeros((k, c))
+        large = float(np.linalg.norm(reach, 2)) if reach.size else 0.0
+        inverse = np.linalg.pinv(reach, rcond=rtol * scale_B / max(large, rtol * scale_B)) @ before.T
         steps.append((X.shape[1], inverse))
-        F = F - inverse @ rest @ fresh @ fresh.T
+        F = F - inverse @ At @ fresh @ fresh.T
         X = np.hstack([X, fresh])
-        levels.append(fresh.shape[1])
+        Y = np.linalg.qr(Y - X @ (X.T @ Y))[0]
+        levels.append(count)
     for _ in range(2):  # what rounding left below the diagonal blocks is taken out once more
         for (start, inverse), count in zip(steps, levels, strict=True):
             fresh = X[:, start : start + count]

@@ -29,6 +29,7 @@ from residua.plant.input_output_model import InputOutputModel
     source="Gertler (1991), eqs. (3-1), (3-2)",
     singular=True,
     noise="moving average",
+    many=True,
 )
 def primary_residuals(
     model: InputOutputModel | Plant, *, form: str = "ma", poles: Poles | None = None

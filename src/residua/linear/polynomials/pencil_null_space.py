@@ -5,18 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
+from residua.linear.polynomials.banded_null_space import BlockBand, FactoredBand, least_squares
 from residua.linear.polynomials.degree_search import at_smallest_degree
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.parts import row_parts
 from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis
+from residua.linear.systems.array_cache import Latest, entries
 from residua.linear.systems.balancing import evened
 from residua.tolerances import RESIDUE, above_rounding
 
 #: Singular values below this fraction of the largest count as zero. No rounding accumulates before the singular values
 #: are taken, and what is zero comes out near 1e-16: a larger one would take a nearly exact relation for an exact one.
 PENCIL_RTOL = 1e-13
+#: Rows of stacked pencils up to which all singular values are computed; above, only the smallest, at a thousandth of
+#: the time from a few thousand rows on.
+_DENSE = 300
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +60,8 @@ class PencilNullVectors:
     vectors : ndarray, shape (count, degree + 1, rows)
         Coefficients in the basis of the pencil.
     decision : RankDecision
-        The rank of the block matrix that they annihilate.
+        The rank of the block matrix that they annihilate; of a large one on the space of its largest and its smallest
+        singular values, as the others are not computed.
     units : ndarray, shape (degree + 1, rows)
         ``vectors / units`` is orthonormal.
     """
@@ -104,29 +111,70 @@ def pencil_null_vectors(problem: Pencil, degree: int, *, rtol: float = PENCIL_RT
     PencilNullVectors
         Orthonormal in balanced units.
     """
-    T, units = _block_matrix(problem, degree)
-    W, decision = _left_null_basis(T, problem, degree, rtol)
+    band, units = _block_band(problem, degree)
+    W, decision = _left_null_basis(band, problem, rtol)
     vectors = W.T.reshape(W.shape[1], degree + 1, len(problem.rows))
     size = np.abs(vectors).max(axis=(1, 2), initial=0.0)
     vectors = above_rounding(vectors, size[:, None, None], RESIDUE)
     return PencilNullVectors(vectors * units, decision, units)
 
 
-def _left_null_basis(T: NDArray, problem: Pencil, degree: int, rtol: float) -> tuple[NDArray, RankDecision]:
+def _left_null_basis(band: BlockBand, problem: Pencil, rtol: float) -> tuple[NDArray, RankDecision]:
     """Return the left null space of the stacked pencil, part by part where nothing connects the rows of the pencil."""
     parts = row_parts((problem.P0 != 0) | (problem.P1 != 0))
+    degree, count = len(band.blocks) - 1, len(problem.rows)
+    if _is_large(band):
+        scale, found = band.largest(), []
+        for part in parts:
+            found.append(FactoredBand.of(band.of_rows(part), scale).left_null_basis(rtol))
+        s = np.concatenate([[scale], np.sort(np.concatenate([values for _, values in found]))[::-1]])
+        decision = RankDecision(int(np.count_nonzero(s > rtol * scale)), s, rtol * scale)
+        return _side_by_side([basis for basis, _ in found], parts, degree, count), decision
+    T = band.dense()
     if len(parts) < 2:
         return left_null_basis(T, rtol=rtol)
     whole = decide_rank(T, rtol=rtol)
     scale = float(whole.singular_values.max(initial=0.0))
-    count, bases = len(problem.rows), []
+    bases = []
     for part in parts:
         rows = (np.arange(degree + 1)[:, None] * count + part).ravel()
-        basis = left_null_basis(T[rows][:, np.any(T[rows], axis=0)], rtol=rtol, scale=scale)[0]
-        bases.append(np.zeros((len(T), basis.shape[1])))
-        bases[-1][rows] = basis
-    W = np.hstack(bases)
+        bases.append(left_null_basis(T[rows][:, np.any(T[rows], axis=0)], rtol=rtol, scale=scale)[0])
+    W = _side_by_side(bases, parts, degree, count)
     return (W, whole) if W.shape[1] == len(T) - whole.rank else left_null_basis(T, rtol=rtol)
+
+
+def _side_by_side(bases: list[NDArray], parts: list[NDArray[np.int_]], degree: int, count: int) -> NDArray:
+    """Return bases of parts of the rows of a pencil, as columns, as those of all of its ``count`` rows."""
+    wholes = []
+    for basis, part in zip(bases, parts, strict=True):
+        whole = np.zeros((degree + 1, count, basis.shape[1]))
+        whole[:, part] = basis.reshape(degree + 1, len(part), basis.shape[1])
+        wholes.append(whole.reshape((degree + 1) * count, basis.shape[1]))
+    return np.hstack(wholes)
+
+
+def _is_large(band: BlockBand) -> bool:
+    """Tell whether all singular values would take too long."""
+    return band.rows > _DENSE and bool(band.blocks.any())
+
+
+class _Existence:
+    """Whether a pencil has null vectors of at most a degree; factors of large ones serve all lower degrees too."""
+
+    def __init__(self, problem: Pencil, rtol: float) -> None:
+        self._problem, self._rtol = problem, rtol
+        self._factored: list[FactoredBand] = []
+
+    def __call__(self, degree: int) -> bool:
+        if self._factored and degree < len(self._factored[0].band.blocks):
+            return any(part.first(degree + 1).is_singular(self._rtol) for part in self._factored)
+        band = _block_band(self._problem, degree)[0]
+        if not _is_large(band):
+            return decide_rank(band.dense(), rtol=self._rtol).rank < band.rows
+        scale = band.largest()
+        parts = row_parts((self._problem.P0 != 0) | (self._problem.P1 != 0))
+        self._factored = [FactoredBand.of(band.of_rows(part), scale) for part in parts]
+        return any(part.is_singular(self._rtol) for part in self._factored)
 
 
 def shortest_pencil_null_vectors(problem: Pencil, *, most: int, rtol: float = PENCIL_RTOL) -> PencilNullVectors | None:
@@ -138,13 +186,9 @@ def shortest_pencil_null_vectors(problem: Pencil, *, most: int, rtol: float = PE
     most : int
     rtol : float
     """
-    rows = len(problem.P0)
-
-    def exists(degree: int) -> bool:
-        return decide_rank(_block_matrix(problem, degree)[0], rtol=rtol).rank < rows * (degree + 1)
-
-    if rows == 0:
+    if not len(problem.P0):
         return None
+    exists = _Existence(problem, rtol)
     low, high = 0, 0  # upwards first: short ones cost little to find, and there often are some
     while not exists(high):
         if high == most:
@@ -157,15 +201,35 @@ def shortest_pencil_null_vectors(problem: Pencil, *, most: int, rtol: float = PE
 def refined(problem: Pencil, x: NDArray[np.float64], *, rtol: float = PENCIL_RTOL) -> NDArray[np.float64]:
     """Return the null vector nearest to one that rounding, such as that of a change of basis, has moved."""
     k = len(x) - 1
-    T, units = _block_matrix(problem, k)
+    band, units = _block_band(problem, k)
     scaled = (x / units).ravel()
+    if _is_large(band):
+        return (scaled - _moved(band, scaled, problem, rtol)).reshape(k + 1, -1) * units
+    T = band.dense()
     U, s, Vh = np.linalg.svd(T, full_matrices=False)
     keep = s > rtol * s[0] if len(s) else s > 0
     scaled = scaled - ((scaled @ T) @ Vh[keep].T / s[keep]) @ U[:, keep].T
     return scaled.reshape(k + 1, -1) * units
 
 
-def _block_matrix(problem: Pencil, degree: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _moved(band: BlockBand, x: NDArray[np.float64], problem: Pencil, rtol: float) -> NDArray[np.float64]:
+    """Return how far a vector is from a null vector of a large band.
+
+    The correction is as small as what it mends, so that entries far below the largest keep their digits, which those
+    of the computed null vectors do not have. The largest entries of these stay as they are.
+    """
+    basis = problem.basis
+    key = entries(problem.P0, problem.P1, problem.rows, problem.columns, basis.real, basis.imaginary, basis.sizes)
+    W = _bases.of((key, len(band.blocks), rtol), lambda: _left_null_basis(band, problem, rtol)[0])
+    kept = scipy.linalg.qr(W.T, mode="r", pivoting=True)[1][: W.shape[1]]
+    left = band.times(x.reshape(1, len(band.blocks), -1))[0]
+    return least_squares(band.without(kept), left, band.largest()).ravel()
+
+
+_bases: Latest[NDArray[np.float64]] = Latest()
+
+
+def _block_band(problem: Pencil, degree: int) -> tuple[BlockBand, NDArray[np.float64]]:
     """Return the matrix that the stacked coefficients of null vectors annihilate, and its balanced units.
 
     Units of one size for all degrees would not do: where poles lie far apart, so do the sizes of the elements.
@@ -174,14 +238,13 @@ def _block_matrix(problem: Pencil, degree: int) -> tuple[NDArray[np.float64], ND
     P1 = problem.rows[:, None] * problem.P1 * problem.columns
     used = np.any(P0 != 0, axis=0) | np.any(P1 != 0, axis=0)
     P0, P1 = P0[:, used], P1[:, used]
-    rows, width = P0.shape
     basis, links = problem.basis, problem.basis.links
-    T = np.zeros((degree + 1, rows, degree + 2, width))
+    S = np.zeros((degree + 1, len(P0), 3, P0.shape[1]))
     for j in range(degree + 1):
-        T[j, :, j] = P0 + basis.real[j] * P1
-        T[j, :, j + 1] = basis.sizes[j] * P1
+        S[j, :, 1] = P0 + basis.real[j] * P1
+        S[j, :, 2] = basis.sizes[j] * P1
         if links[j]:
-            T[j, :, j - 1] = -links[j] * P1
-    T = T.reshape((degree + 1) * rows, (degree + 2) * width)
-    left, right = evened(T, np.ones(T.shape[0]), np.ones(T.shape[1]))  # the blocks are in even units
-    return left[:, None] * T * right, left.reshape(degree + 1, rows) * problem.rows
+            S[j, :, 0] = -links[j] * P1
+    band = BlockBand(S)
+    left, right = band.evened()  # the blocks are in even units
+    return band.scaled(left, right), left * problem.rows

@@ -64,7 +64,7 @@ def check_rtol(rtol: float) -> None:
 
 
 def _svd_decision(
-    M: ArrayLike, rtol: float, scale: float | None, full: bool
+    M: ArrayLike, rtol: float, scale: float | None, side: str
 ) -> tuple[NDArray, NDArray, NDArray, RankDecision]:
     check_rtol(rtol)
     M = np.atleast_2d(np.asarray(M))
@@ -72,7 +72,10 @@ def _svd_decision(
     if rows == 0 or columns == 0:
         U, Vh, s = np.eye(rows), np.eye(columns), np.zeros(0)
     else:
-        U, s, Vh = np.linalg.svd(M, full_matrices=full)
+        # The singular vectors beyond the shorter side are computed where they are asked for only.
+        U, s, Vh = np.linalg.svd(
+            M, full_matrices=(side == "left" and rows > columns) or (side == "right" and columns > rows)
+        )
     largest = float(s[0]) if s.size else 0.0
     tolerance = rtol * (largest if scale is None else scale)
     rank = int(np.count_nonzero(s > tolerance))
@@ -131,13 +134,13 @@ def range_basis(
     M: ArrayLike, *, rtol: float = DEFAULT_RTOL, scale: float | None = None
 ) -> tuple[NDArray, RankDecision]:
     """Return an orthonormal basis of the column space of ``M`` and the rank decision behind it."""
-    U, _, _, decision = _svd_decision(M, rtol, scale, full=False)
+    U, _, _, decision = _svd_decision(M, rtol, scale, "short")
     return without_noise(U[:, : decision.rank]), decision
 
 
 def null_basis(M: ArrayLike, *, rtol: float = DEFAULT_RTOL, scale: float | None = None) -> tuple[NDArray, RankDecision]:
     """Return an orthonormal basis of ``{x : M x = 0}`` and the rank decision behind it."""
-    _, _, Vh, decision = _svd_decision(M, rtol, scale, full=True)
+    _, _, Vh, decision = _svd_decision(M, rtol, scale, "right")
     return without_noise(Vh[decision.rank :].conj().T), decision
 
 
@@ -145,7 +148,7 @@ def left_null_basis(
     M: ArrayLike, *, rtol: float = DEFAULT_RTOL, scale: float | None = None
 ) -> tuple[NDArray, RankDecision]:
     """Return an orthonormal basis, as columns, of ``{w : w' M = 0}`` and the rank decision behind it."""
-    U, _, _, decision = _svd_decision(M, rtol, scale, full=True)
+    U, _, _, decision = _svd_decision(M, rtol, scale, "left")
     return without_noise(U[:, decision.rank :]), decision
 
 

@@ -19,6 +19,8 @@ Complex = NDArray[np.complex128]
 
 _SPLIT = 2.0**27 + 1.0
 _REFINED = 2
+#: Numbers that are worked on at a time: they stay near the processor.
+_NEAR = 2**13
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,37 +118,53 @@ def response_terms(
     return ResponseTerms(np.where(own, values, 0.0), np.where(paths(system, B, D), terms, 0.0))
 
 
-def accurate_response(system: StateSpace, points: Complex) -> Complex:
+def accurate_response(system: StateSpace, points: Complex, signals: Complex | None = None) -> Complex:
     """Return the responses at complex points to working precision even where their terms cancel by many digits.
 
     The solution of the equations is refined with twice the digits, and ``C X + D`` is summed with twice the digits.
+
+    Parameters
+    ----------
+    system : StateSpace
+    points : ndarray of complex, shape (k,)
+    signals : ndarray of complex, shape (k, inputs, columns), optional
+        What drives the system at each point; each of its inputs by itself when omitted.
     """
-    value = np.broadcast_to(system.D, (len(points), *system.D.shape)).astype(complex)
-    rest = np.zeros_like(value)
-    if not system.n_states or not system.n_inputs:
-        return value
+    B, B_rest = _driven(system.B, points, signals)
+    value, rest = _driven(system.D, points, signals)
+    if not system.n_states or not value.shape[2]:
+        return value + rest
     for part in independent_parts(system.A, system.E):
         rows = np.flatnonzero(system.C[:, part].any(axis=1))
-        columns = np.flatnonzero(system.B[part].any(axis=0))
+        columns = np.flatnonzero(B[:, part].any(axis=(0, 1)))
         if rows.size and columns.size:
             at, C = np.ix_(np.arange(len(points)), rows, columns), system.C[np.ix_(rows, part)]
-            high, low = _accurate_states(system, part, columns, points)
+            here = np.ix_(np.arange(len(points)), part, columns)
+            high, low = _accurate_states(system, part, points, B[here], B_rest[here])
             value[at], more = _product_added(C, high, value[at], rest[at])
             rest[at] = more + C @ low
     return value + rest
 
 
+def _driven(M: Real, points: Complex, signals: Complex | None) -> tuple[Complex, Complex]:
+    """Return what signals make of a matrix at each point, with twice the digits; without signals the matrix itself."""
+    if signals is None:
+        value = np.broadcast_to(M, (len(points), *M.shape)).astype(complex)
+        return value, np.zeros_like(value)
+    none = np.zeros((len(points), len(M), signals.shape[2]), dtype=complex)
+    return _product_added(M, signals, none, none)
+
+
 def _accurate_states(
-    system: StateSpace, part: NDArray[np.int_], columns: NDArray[np.int_], points: Complex
+    system: StateSpace, part: NDArray[np.int_], points: Complex, start: Complex, start_rest: Complex
 ) -> tuple[Complex, Complex]:
-    """Return the responses of some states to some inputs with twice the digits."""
+    """Return the responses of some states to what drives them, with twice the digits."""
     states = np.ix_(part, part)
-    A, E, B = system.A[states], None if system.E is None else system.E[states], system.B[np.ix_(part, columns)]
-    start = np.broadcast_to(B, (len(points), *B.shape)).astype(complex)
+    A, E = system.A[states], None if system.E is None else system.E[states]
     solve = solver(A, E, points)
     high, low = solve(start), np.zeros_like(start)
     for _ in range(_REFINED):
-        step = solve(_residue(A, E, start, points, high, low))
+        step = solve(_residue(A, E, start, start_rest, points, high, low))
         high, low = _two_sum(high, low + step)
     return high, low
 
@@ -161,9 +179,11 @@ def _sizes_times(A: Real, E: Real | None, points: Complex, inside: Real) -> Real
     return apart @ inside + diagonal[:, :, None] * inside
 
 
-def _residue(A: Real, E: Real | None, start: Complex, points: Complex, high: Complex, low: Complex) -> Complex:
+def _residue(
+    A: Real, E: Real | None, start: Complex, start_rest: Complex, points: Complex, high: Complex, low: Complex
+) -> Complex:
     """Return ``B + A X - s E X`` with twice the digits, ``X = high + low``, from ``B`` at each point."""
-    value, rest = _product_added(A, high, start, np.zeros_like(start))
+    value, rest = _product_added(A, high, start, start_rest)
     rest = rest + A @ low
     through, through_rest = high, low
     if E is not None:
@@ -179,14 +199,42 @@ def _residue(A: Real, E: Real | None, start: Complex, points: Complex, high: Com
 
 
 def _product_added(M: Real, X: Complex, high: Complex, low: Complex) -> tuple[Complex, Complex]:
-    """Return ``high + low + M X`` with twice the digits."""
-    for k in range(M.shape[1]):
-        column = M[:, k]
-        if np.any(column):
-            product, error = _two_product(column[None, :, None], X[:, k, None, :])
-            high, lost = _two_sum(high, product)
-            low = low + (error + lost)
-    return high, low
+    """Return ``high + low + M X`` with twice the digits; real and imaginary parts do not meet.
+
+    By some points at a time, so that what every column of ``M`` adds to stays near the processor.
+    """
+    x = np.ascontiguousarray(X, dtype=complex).view(float)
+    total, rest = (np.array(part, dtype=complex, order="C").view(float) for part in (high, low))
+    used = np.flatnonzero(M.any(axis=0))
+    first, second = _split(M)
+    step = max(_NEAR // max(total[0].size, 1), 1) if len(total) else 1
+    for start in range(0, len(total), step):
+        at = slice(start, start + step)
+        _columns_added(M.T[used], first.T[used], second.T[used], x[at][:, used], total[at], rest[at])
+    return total.view(complex), rest.view(complex)
+
+
+def _columns_added(M: Real, first: Real, second: Real, x: Real, total: Real, rest: Real) -> None:
+    """Add the products of columns and what multiplies them in place: Dekker's products, Knuth's sums."""
+    upper, lower = _split(x)
+    shape = total.shape
+    product, other, left, error = (np.empty(shape) for _ in range(4))
+    for k in range(len(M)):
+        m, a, c = M[k][None, :, None], first[k][None, :, None], second[k][None, :, None]
+        y, b, d = x[:, k, None], upper[:, k, None], lower[:, k, None]
+        np.multiply(m, y, out=product)
+        np.subtract(product, np.multiply(a, b, out=other), out=error)
+        np.subtract(error, np.multiply(c, b, out=other), out=error)
+        np.subtract(error, np.multiply(a, d, out=other), out=error)
+        np.subtract(np.multiply(c, d, out=other), error, out=error)  # of the product
+        np.add(total, product, out=other)
+        np.subtract(other, total, out=left)
+        np.subtract(product, left, out=product)
+        np.subtract(other, left, out=left)
+        np.subtract(total, left, out=left)
+        np.add(left, product, out=left)  # of the sum
+        total[...] = other
+        np.add(rest, np.add(error, left, out=error), out=rest)
 
 
 def _two_sum(a: Complex, b: Complex) -> tuple[Complex, Complex]:
