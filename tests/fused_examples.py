@@ -95,6 +95,9 @@ def same(one: Any, other: Any, where: str = "") -> None:
     elif isinstance(one, np.ndarray):
         assert one.dtype == other.dtype, where
         assert np.array_equal(one, other, equal_nan=one.dtype.kind == "f"), where
+        if one.dtype.kind == "f":
+            whole = ~np.isnan(one)
+            assert np.array_equal(np.signbit(one[whole]), np.signbit(other[whole])), where
     else:
         assert one == other, where
 
@@ -161,9 +164,10 @@ def bank_specification(bank: Bank, seed: int) -> Specification:
     faults = [f"f{j}" for j in range(groups)]
     test: Any = (PeakBankTest if bank.kind == "peak" else BankTest)(*given, bank.window, "made up", names=names)
     isolation: Any = NoNames()
-    if bank.kind == "groups":
+    if bank.kind in ("groups", "directed"):
         whole = rng.standard_normal((nr, nr)) * rng.choice([1.0, 1e160, 1e200])
-        test = GroupTest(*given, bank.window, "made up", names=names, whole=whole)
+        if bank.kind == "groups":
+            test = GroupTest(*given, bank.window, "made up", names=names, whole=whole)
         bases = tuple(np.linalg.qr(rng.standard_normal((nr, int(rng.integers(1, min(nr, 2) + 1)))))[0] for _ in faults)
         isolation = DirectionTest(bank.code_window, tuple((name,) for name in faults), bases, ())
     elif bank.kind != "alone":

@@ -9,8 +9,11 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from fused_examples import MARKS, Bank, bank_specification, recording, same, same_of_few_outputs
-from residua.decide.structured import CodeState, alarms_since
+from residua.decide.directional import DirectionTest
+from residua.decide.structured import CodeState, CodeTest, alarms_since
+from residua.decide.whitened_norm import NormTest
 from residua.decide.window import empty_window
+from residua.errors import FileFormatError
 from residua.monitor import fused
 from residua.monitor.fused import FusedRun, LastSample, copied, plan_of, run_block
 from residua.monitor.running import initial_state, joined_decisions, rows_of, run_reference, written_rows
@@ -19,7 +22,7 @@ needs_kernel = pytest.mark.skipif(fused._kernel is None, reason="there is no com
 
 banks = st.builds(
     Bank,
-    kind=st.sampled_from(("norm", "norm", "peak", "groups", "alone")),
+    kind=st.sampled_from(("norm", "norm", "peak", "groups", "directed", "alone")),
     members=st.lists(st.tuples(st.integers(0, 6), st.integers(1, 4)), min_size=1, max_size=40).map(tuple),
     channels=st.integers(1, 5),
     window=st.sampled_from((1, 1, 5)),
@@ -140,6 +143,53 @@ def test_limits_are_those_of_deviations_wherever_values_lie(lies: str, marks: in
     same(run.state, state, "state")
     for name in ("residuals", "missing", "aside", "statistic", "alarm", "code"):
         same(out[name], getattr(expected, name), name)
+
+
+@needs_kernel
+@pytest.mark.parametrize("small", [1.5e-162, 1e-160, 1e-170])
+def test_scores_of_sums_whose_squares_underflow_are_those_of_numpy_in_any_cut(small: float) -> None:
+    """The size of a sum may round to zero while its part along a signature does not: nothing is named then."""
+    spec = replace(
+        bank_specification(Bank("groups", ((0, 1), (0, 1)), 2, 1, 1, 50, 1, False, False), 0),
+        D=np.eye(2),
+        offset=np.zeros(2),
+        settle=0,
+        test=NormTest(np.zeros(2), np.eye(2), 1.0, 1, 50, 1, "made up"),
+        isolation=DirectionTest(1, (("f",),), (np.full((2, 1), 0.5**0.5),), ()),
+    )
+    data = np.full((1, 40, 2), small)
+    data[:, 3] = 5.0
+    state, expected = run_reference(spec, initial_state(spec, 1), data)
+    assert expected.alarm[0, 3:].all()
+    for cuts in ([], [10], list(range(1, 40))):
+        now, parts = initial_state(spec, 1), []
+        for part in np.split(data, cuts, axis=1):
+            now, decisions = run_block(spec, now, part)
+            parts.append(decisions)
+        same(joined_decisions(parts), expected, "decisions")
+        same(now, state, "state")
+
+
+@needs_kernel
+def test_a_bank_without_channels_ends() -> None:
+    spec = bank_specification(Bank("norm", ((1, 1), (1, 1), (1, 1)), 2, 1, 1, 2, 4, False, False), 3)
+    none = np.zeros((3, 0))
+    spec = replace(spec, B=none, D=none, start=none, offset=np.zeros(0), plausible=np.zeros((0, 2)))
+    data = np.zeros((2, 30, 0))
+    state, expected = run_reference(spec, initial_state(spec, 2), data)
+    now, decisions = run_block(spec, initial_state(spec, 2), data)
+    same(now, state, "state")
+    same(decisions, expected, "decisions")
+
+
+def test_a_member_that_fires_since_before_the_first_sample_is_refused() -> None:
+    spec = bank_specification(Bank("norm", ((1, 1), (1, 1)), 2, 1, 1, 2, 4, False, False), 3)
+    state = initial_state(spec, 1).isolation
+    assert isinstance(spec.isolation, CodeTest)
+    assert isinstance(state, CodeState)
+    for since in (-5, 31):
+        with pytest.raises(FileFormatError, match="between 0 and"):
+            spec.isolation.check_state(replace(state, since=np.full_like(state.since, since)), 30)
 
 
 def test_members_of_which_it_is_not_known_since_when_stay_so_in_any_cut() -> None:

@@ -237,7 +237,7 @@ turn_window(window_row row, Py_ssize_t window, Py_ssize_t k)
     *row.filled = 0;
     for (Py_ssize_t j = 0; j < k; j++)
         row.begun[j] = 0.0;
-    if (k <= 4) { /* a constant: in registers */
+    if (k <= 4) { /* in registers, where it is a constant */
         double sum[4] = {0.0, 0.0, 0.0, 0.0};
         for (Py_ssize_t i = window - 1; i >= 0; i--)
             for (Py_ssize_t j = 0; j < k; j++) {
@@ -264,7 +264,7 @@ fill_window(window_row row, Py_ssize_t at, const double *v, double *sums, Py_ssi
             Py_ssize_t down, Py_ssize_t across)
 {
     double *place = row.values + at * k;
-    if (k <= 4) { /* a constant: what has begun stays in registers */
+    if (k <= 4) { /* what has begun stays in registers, where it is a constant */
         double begun[4];
         for (Py_ssize_t j = 0; j < k; j++)
             begun[j] = row.begun[j];
@@ -726,7 +726,7 @@ score_sample(const isolation_plan *n, const double *sums, int usable, double *pa
 INLINE void
 squares_of_columns(const double *restrict columns, double *restrict total, Py_ssize_t time, Py_ssize_t k)
 {
-    if (k <= 4) { /* a constant: in registers */
+    if (k <= 4) { /* in registers, where it is a constant */
         for (Py_ssize_t i = 0; i < time; i++) {
             double sum = 0.0;
             for (Py_ssize_t j = 0; j < k; j++)
@@ -791,7 +791,7 @@ score_columns(const isolation_plan *n, const piece *p, double *sums, Py_ssize_t 
             roots(total, time);
         }
         for (Py_ssize_t i = 0; i < time; i++) {
-            const double score = total[i] / size[i]; /* NaN where all is zero */
+            const double score = size[i] > 0.0 ? total[i] / size[i] : NAN; /* a part may be more than its rounded whole */
             along[i] = score > 1.0 ? 1.0 : score;
         }
         for (Py_ssize_t i = 0; i < time; i++)

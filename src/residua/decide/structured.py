@@ -281,8 +281,8 @@ class CodeTest(Isolation):
     def check_state(self, state: CodeState, count: int) -> None:
         """Raise where a state from a file cannot be one."""
         state.window.check("state.isolation.window")
-        if (state.since > count).any():
-            raise FileFormatError("state.isolation.since must not be later than state.count")
+        if ((state.since < 0) | (state.since > count)).any():
+            raise FileFormatError("state.isolation.since must lie between 0 and state.count")
 
 
 @dataclass(frozen=True)

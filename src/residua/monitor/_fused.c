@@ -122,7 +122,8 @@ judge_parts(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
                s->usable, s->over, s->alarm, s->up, 0, 0};
     if (b->out[OUT_READY].base != NULL)
         copy_flags(out_b1(b, OUT_READY, plant, first), s->usable, time);
-    const int keeps = t->window > 1 || (t->joint == NULL && b->out[OUT_WHITENED].base != NULL);
+    const int is_read = n->kind == DIRECTIONS || b->out[OUT_WHITENED].base != NULL;
+    const int keeps = t->window > 1 || (t->joint == NULL && is_read);
     const int is_whitened = time > 1 && squares_by_column(t, &p, &m, keeps);
     if (!is_whitened)
         whiten_parts(t, &p, spare);
@@ -209,7 +210,7 @@ judge(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, Py_s
     judge_plain(self, b, plant, row, k, time, s);
 }
 
-/* Run one plant from a sample on; return up to which it has come. */
+/* Write what a block leaves of a plant where nothing is written else. */
 static void
 clear_outputs(const Runner *self, const block *b, Py_ssize_t place)
 {

@@ -232,6 +232,8 @@ nearest_limit(const double *tile, Py_ssize_t period)
 static int
 deviations(const Runner *self, const double *from, double *to, Py_ssize_t rows, const double *tile, Py_ssize_t columns)
 {
+    if (columns == 0) /* loops go on by so many */
+        return 1;
 #if defined(HAVE_VECTORS)
     const double nearest = rows < 8 ? 0.0 : nearest_limit(tile, 4 * columns);
     if (nearest > 0.0 && self->path != PATH_PLAIN) {
