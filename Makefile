@@ -8,6 +8,8 @@ CODE := src tests benchmarks docs
 # Where Python may not keep what it compiles, every process that a test starts compiles the package again.
 unexport PYTHONDONTWRITEBYTECODE
 
+# Of the tests: one more than processors, for those of live runs wait for brokers and for clocks.
+TEST_WORKERS ?= $(shell $(PYTHON) -c 'import os; print(1 + os.cpu_count())')
 # Of the exact campaign: plants, processes, and the folder of its record, from which it is resumed.
 PLANTS ?= 100000
 WORKERS ?= $(shell nproc)
@@ -58,7 +60,7 @@ test: $(VENV)/.made-test
 	$(BIN)/ruff check $(CODE)
 	$(BIN)/ruff format --check $(CODE)
 	$(BIN)/pyright --pythonpath $(BIN)/python
-	$(BIN)/pytest -n auto --dist worksteal $(if $(filter 0,$(COVERAGE)),,--cov --cov-report=term)
+	$(BIN)/pytest -n $(TEST_WORKERS) --dist worksteal $(if $(filter 0,$(COVERAGE)),,--cov --cov-report=term)
 
 # In an environment of its own: the engines are large, and take an older pandas than the other tests.
 test-cluster:
