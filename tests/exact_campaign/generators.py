@@ -43,7 +43,7 @@ def examine_generator(subject: Subject, record: Record, made: Any, plant: Any, p
     _subspaces(record, found, made, plant.faults, live)
     if not made.system.is_stable():
         record.problem("wrong", "stability", f"not stable: {made.system.poles()}")
-    norms = [value for name, value in made.evidence.conditions.items() if name.startswith("norm of")]
+    norms = [value for name, value in made.evidence.conditions.items() if name.startswith(("norm of", "size of"))]
     gain = max(norms, default=0.0)
     if subject.by.name == "base" and gain > _GAIN * max(1.0, subject.rates):
         record.problem("wrong", "gain", f"{record.function}: a gain of norm {gain:.1e} for a plant of small fractions")

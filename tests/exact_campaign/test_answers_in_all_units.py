@@ -78,7 +78,7 @@ def test_no_gain_is_rounding(kind: str, seed: int, design: Any) -> None:
     """Whatever decides on it, a gain of plants of small fractions in even units is no 1e10."""
     plant = plant_of(case_of(kind, seed))
     made = design(plant)
-    assert max(v for name, v in made.evidence.conditions.items() if name.startswith("norm of")) < GAIN
+    assert max(v for name, v in made.evidence.conditions.items() if name.startswith(("norm of", "size of"))) < GAIN
 
 
 @trips("linear.subspaces.far_gain:refuse_far_gain")

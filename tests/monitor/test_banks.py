@@ -311,7 +311,7 @@ def test_a_fleet_gives_what_each_plant_alone_gives() -> None:
         (lambda c: c["running"]["isolation"]["settled"].__setitem__(0, ["somebody"]), "settled"),
         (lambda c: c["running"]["isolation"].update(members=["a"]), "4 members"),
         (lambda c: c["state"]["test"]["runs"]["alarm"].update(shape=[1], bool=[False]), "state.test.runs.alarm"),
-        (lambda c: c["state"]["isolation"]["since"]["int"].__setitem__(0, 10**6), "since must not be later"),
+        (lambda c: c["state"]["isolation"]["since"]["int"].__setitem__(0, 10**6), "since must lie between"),
         (
             lambda c: c["state"]["isolation"]["window"]["values"].update(shape=[1, 50, 1], float=[0.0] * 50),
             "state.isolation.window.values",

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import example, given, settings, strategies as st
 
 import residua as rs
 from older_files import as_version
@@ -74,6 +74,7 @@ def test_one_mark_for_no_value_changes_nothing_for_long(kind: str, mark: float, 
     marks=st.lists(st.sampled_from([np.nan, np.inf, *MARKS, 1e20, 1e12]), max_size=12),
     overflow=st.booleans(),
 )
+@example("Kalman filter, fitted", 74132746, [np.nan] * 5 + [np.inf] + [np.nan] * 5, True)  # infinity in any range
 def test_any_cutting_and_any_fleet_gives_the_same_bits(
     kind: str, seed: int, marks: list[float], overflow: bool
 ) -> None:

@@ -104,6 +104,8 @@ def _plan(spec: Specification, test: CompiledTest) -> Plan:
     members, groups = (0, len(naming.bases)) if codes is None else codes.codes.shape
     parts = 0 if test.sizes is None else len(test.sizes)
     channels, k = spec.B.shape[1], test.whitening.shape[1]
+    largest = np.finfo(np.float64).max
+    plausible = np.clip(spec.plausible, -largest, largest)  # infinity is no measurement, however wide the range
     first = spec.first
     integers = [
         len(spec.A), channels, 0, len(spec.C), spec.settle, spec.max_hold,
@@ -121,7 +123,7 @@ def _plan(spec: Specification, test: CompiledTest) -> Plan:
     started = (None, None, None) if first is None else (first.rows, first.correction, first.ratios)
     bases = np.hstack(naming.bases) if naming.bases else None
     arrays = (
-        spec.A, spec.B, spec.C, spec.D, spec.start, spec.offset, *spec.plausible.T, *started, test.center,
+        spec.A, spec.B, spec.C, spec.D, spec.start, spec.offset, *plausible.T, *started, test.center,
         test.whitening, test.coefficients, test.rewhitening, test.knots, test.scores, test.along, bases,
     )  # fmt: skip
     dimensions = np.array([basis.shape[1] for basis in naming.bases], dtype=np.int64) if naming.bases else None
