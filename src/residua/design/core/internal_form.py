@@ -162,8 +162,10 @@ def check_known_form(generator: StateSpace, plant: Plant, form: StateSpace, *, l
     if known.shape != (len(w), Q.shape[1], P.shape[2]):
         raise ModelError(f"the internal form is {form.n_outputs} x {form.n_inputs}, not residuals x (f, d, w)")
     terms = (np.abs(Q) @ np.abs(P)).max(axis=0)
-    # a path that is itself what rounding left of nothing cannot be missed
-    terms = np.maximum(terms, 1e-8 * np.abs(Q).max(axis=(0, 2))[:, None] * np.abs(P).max(axis=(0, 1))[None, :])
+    # a path that is itself what rounding left of nothing, beside the others of its residual, cannot be missed
+    units = in_even_units(systems[1]).outputs
+    largest = (np.abs(Q) / units).max(axis=(0, 2))[:, None] * (np.abs(P) * units[:, None]).max(axis=(0, 1))
+    terms = np.maximum(terms, ROUNDING / limit * largest)
     made_of = of_filter.terms[..., n_u:] @ np.abs(P) + np.abs(Q) @ of_plant.terms + of_form.terms
     terms = np.maximum(terms, ROUNDING / limit * made_of.max(axis=0))
     missed = np.abs(Q @ P - known).max(axis=0)
