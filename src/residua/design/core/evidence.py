@@ -39,9 +39,9 @@ class Evidence:
         Poles that no gain can move: unobservable modes, which are invariant zeros of the plant.
     decoupling : mapping of str to float
         Largest gain to the residual from each group of inputs that must not be seen (``"control"``,
-        ``"disturbance"``), relative to the terms that have to cancel, from a hundredth of the slowest dynamics of plant
-        and filter on. A plant that integrates answers to slower inputs by powers of 1/s more; what rounding leaves of
-        the filter does so too.
+        ``"disturbance"``), relative to the terms that have to cancel, from a hundredth of the slowest pole of plant and
+        filter on, and of a plant that integrates from a 25th of its slowest zero on. Such a plant answers to slower
+        inputs by powers of 1/s more; what rounding leaves of the filter does so too.
     ranks : mapping of str to RankDecision
         Every rank decision with the singular values on both sides of its gap.
     conditions : mapping of str to float

@@ -21,6 +21,8 @@ _MEASURED = 1e-15
 _UNSURE = 1e-10
 #: Poles and zeros this far below what they are made of are at 0: half the digits.
 _SMALL = float(np.sqrt(np.finfo(float).eps))
+#: Of the slowest zero, the part at which its response is the asymptote to a thousandth: ``sqrt(1 + 1 / 25**2)``.
+_BELOW_ZEROS = 25
 
 
 def internal_form(
@@ -245,13 +247,13 @@ def leak_frequencies(generator: StateSpace, plant: Plant) -> NDArray[np.float64]
     """Return the frequencies in rad/s at which leaks are measured: those of the dynamics of filter and plant.
 
     A plant that integrates goes on to change below its slowest pole: where the response of an output to an input goes
-    from one power of 1/s to another, it has a zero. From a hundredth of the slowest of these on nothing changes but
-    by powers of 1/s.
+    from one power of 1/s to another, it has a zero. Below a part of the slowest of these a response is the power of
+    1/s alone to a thousandth, and what is added there is what rounding left of the filter.
     """
     w, system = frequency_grid(generator, plant.system(())), plant.system(("control", "disturbance"))
     if system.is_discrete or np.all(system.poles() != 0):
         return w
-    low = _slowest_zero(system) / 100
+    low = _slowest_zero(system) / _BELOW_ZEROS
     return w if w[0] <= low else np.geomspace(1.0371 * low, w[-1], len(w))
 
 
