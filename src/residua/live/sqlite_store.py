@@ -15,6 +15,8 @@ from residua.live.store import StoreAwayError, StoreError
 
 #: Seconds for which a writer waits for another one.
 _BUSY = 30.0
+#: Pages of the log, of 4 kB, from which on it is copied into the file: several of the largest transactions.
+_LOG_PAGES = 4000
 
 
 class SqliteStore(SqlStore):
@@ -81,7 +83,7 @@ class SqliteStore(SqlStore):
         if connection is None:
             connection = sqlite3.connect(self.path, timeout=_BUSY, isolation_level=None, check_same_thread=False)
             connection.execute("PRAGMA synchronous = FULL")
-            connection.execute("PRAGMA cache_size = -2000")
+            connection.execute(f"PRAGMA wal_autocheckpoint = {_LOG_PAGES}")
             self._local.connection = connection
             with self._guard:
                 self._all.append(connection)
