@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import example, given, settings, strategies as st
 
 import residua as rs
 from effort import rounds
@@ -60,11 +60,13 @@ def textbook(made: rs.Plant, partial: PartialUpdate, data: np.ndarray) -> tuple[
             out[k] = np.linalg.solve(np.linalg.cholesky(innovation), r)
         x = A @ x + made.Bu @ u + K @ r
         P = A @ P @ A.T + Q - K @ innovation @ K.T
+        P = (P + P.T) / 2  # otherwise rounding may grow in what is not symmetric, without bound
     return out, x
 
 
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 10_000), share=st.sampled_from([0.02, 0.2, 0.6]))
+@example(957, 0.02)
 def test_it_is_the_kalman_filter_of_the_book(seed: int, share: float) -> None:
     """Also in the scale of the residual; 1e-6 is how near to stationary counts as stationary, relative."""
     made = generated(seed)
