@@ -20,7 +20,7 @@ import residua as rs
 from live_examples import alarms_of, monitor, recording
 from residua.live.config import load_settings
 from residua.live.messages import Message
-from residua.live.run import Run
+from residua.live.run import AT_ONCE, Inbox, Run
 from residua.live.sqlite_store import SqliteStore
 
 
@@ -142,13 +142,13 @@ def memory_by_hour(run: Run, plants: int, hours: int) -> tuple[list[float], int,
         blocks.append(json.dumps({"dt": 1.0} | columns).encode()[1:])
     memory: list[float] = []
     begin = time.monotonic()
+    inbox = Inbox()
     for k in range(hours * 36):
-        run.apply(
-            [
-                Message(source, b'{"plant": "p%d", "t0": %d, ' % (p, 100 * k) + blocks[(k + p) % len(blocks)], 0.0)
-                for p in range(plants)
-            ]
-        )
+        for p in range(plants):
+            text = b'{"plant": "p%d", "t0": %d, ' % (p, 100 * k) + blocks[(k + p) % len(blocks)]
+            inbox.put(Message(source, text, 0.0))
+        while messages := inbox.take(AT_ONCE, 0.0):
+            run.apply(messages)
         if k % 36 == 35:
             memory.append(resident())
     return memory, hours * 3600 * plants, time.monotonic() - begin

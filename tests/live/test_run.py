@@ -214,3 +214,14 @@ def test_a_full_inbox_waits_and_a_closed_one_refuses() -> None:
     inbox.close()
     assert over.wait(5)
     thread.join()
+
+
+def test_what_is_committed_together_is_bounded_in_bytes_too() -> None:
+    from residua.live.run import Inbox
+
+    inbox = Inbox()
+    for k in range(5):
+        inbox.put(Message(None, b"x" * 1000, float(k)))
+    assert [one.arrived for one in inbox.take(10, 0.0, 2000)] == [0.0, 1.0]
+    assert [one.arrived for one in inbox.take(10, 0.0, 1)] == [2.0]  # one alone, however large
+    assert len(inbox.take(10, 0.0)) == 2

@@ -29,8 +29,8 @@ from residua.live.watched_plant import WatchedPlant
 from residua.monitor.monitor import Monitor
 from residua.visible import echo, visible
 
-#: Messages that are committed together at most.
-AT_ONCE = 4000
+#: Messages that are committed together at most, and bytes of them, unless one alone has more.
+AT_ONCE, BYTES_AT_ONCE = 4000, 4_000_000
 #: Seconds between two looks at rows that wait, and at what else depends on the clock.
 _TICK, _SLOW_TICK = 0.1, 2.0
 #: Rows of a plant that are looked through for a reading that comes again.
@@ -102,14 +102,17 @@ class Inbox:
             if len(self._queue) == 1:
                 self._some.notify()
 
-    def take(self, most: int, seconds: float) -> list[Message]:
-        """Return the messages that wait, up to a number; wait for the first some seconds at most."""
+    def take(self, most: int, seconds: float, octets: int = BYTES_AT_ONCE) -> list[Message]:
+        """Return what waits, up to so many messages and bytes; wait for the first some seconds at most."""
         with self._lock:
             if not self._queue and not self._closed:
                 self._some.wait(seconds)
-            count = min(most, len(self._queue))
-            out = [self._queue.popleft() for _ in range(count)]
-            self._bytes -= sum(map(_size, out))
+            out: list[Message] = []
+            size = 0
+            while self._queue and len(out) < most and size < octets:
+                out.append(self._queue.popleft())
+                size += _size(out[-1])
+            self._bytes -= size
             if out:
                 self._room.notify_all()
             return out
