@@ -314,23 +314,16 @@ def single_samples_of_banks(
 
 
 def imports() -> list[tuple[str, str, float, str]]:
-    """Return the time on the clock of new processes that import the package, and that use each of its names."""
-    lines = (
-        "import numpy, scipy.linalg",
-        "import numpy, scipy.linalg, residua",
-        "import numpy, scipy.linalg, residua; [getattr(residua, name) for name in residua.__all__]",
-    )
+    """Return the time on the clock of new processes that import the package."""
+    lines = ("import numpy, scipy.linalg", "import numpy, scipy.linalg, residua")
     runs: list[list[float]] = [[] for _ in lines]
     for _ in range(15):
         for line, taken in zip(lines, runs, strict=True):
             start = time.perf_counter()
             subprocess.run([sys.executable, "-c", line], check=True)
             taken.append(time.perf_counter() - start)
-    base, imported, used = (median(taken) for taken in runs)
-    return [
-        ("import residua, above NumPy and scipy.linalg, in seconds", "0.25", imported - base, ""),
-        ("the same, with the first use of all its names", "", used - base, "each is imported when it is used"),
-    ]
+    base, imported = (median(taken) for taken in runs)
+    return [("import residua, above NumPy and scipy.linalg, in seconds", "0.25", imported - base, "")]
 
 
 def main() -> None:

@@ -28,11 +28,11 @@ def main() -> None:
         memory, rows, seconds = memory_by_hour(run, PLANTS, HOURS)
         run.close()
     later = max(memory[1:])
-    print(f"{rows:,} rows in {seconds:.0f} s; {memory[0]:.0f} MB after the first hour, {later:.0f} MB at most after it")
+    print(f"{rows:,} rows in {seconds:.0f} s; {memory[0]:.1f} MB after the first hour, {later:.1f} MB at most after it")
     with TABLE.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["hour", *range(1, HOURS + 1)])
-        writer.writerow(["MB", *(f"{one:.0f}" for one in memory)])
+        writer.writerow(["MB", *(f"{one:.1f}" for one in memory)])
 
 
 if __name__ == "__main__":

@@ -17,7 +17,6 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -108,7 +107,7 @@ def reached_guards(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPat
 def changed(monkeypatch: pytest.MonkeyPatch, target: str, change: Callable[[Any], Any]) -> None:
     """Have a function, ``module:name``, give a wrong result: what a change makes of the right one."""
     module, name = target.split(":")
-    owner: Any = import_module(f"residua.{module}")
+    owner: Any = sys.modules[f"residua.{module}"]
     *path, last = name.split(".")
     for part in path:
         owner = getattr(owner, part)

@@ -7,6 +7,7 @@ import pytest
 
 from residua.linear.polynomials.common_factor import without_common_factor
 from residua.linear.polynomials.pencil_null_space import (
+    Pencil,
     pencil,
     pencil_null_vectors,
     refined,
@@ -160,3 +161,50 @@ def test_large_pencils_have_the_null_vectors_of_a_full_decomposition(
     short = whole.degree - 1
     if short >= 0:
         assert shortest_pencil_null_vectors(problem, most=short) is None
+
+
+def of_poles(poles: np.ndarray, C: np.ndarray) -> Pencil:
+    """Return the pencil of relations of independent states with these poles, all driven alike."""
+    n, m = len(poles), len(C)
+    P0, P1 = np.vstack([-np.diag(poles), -C]), np.vstack([np.eye(n), np.zeros((m, n))])
+    return pencil(P0, P1, PolynomialBasis.on(poles).with_room())
+
+
+@pytest.mark.parametrize(
+    "outputs",
+    [np.ones((1, 6)), np.vstack([np.ones((2, 6)), np.zeros((1, 6))]), np.arange(90.0).reshape(15, 6) % 7 - 3],
+    ids=["one", "one dead", "more than states"],
+)
+@pytest.mark.parametrize("degree", [6])
+def test_large_bands_with_rows_of_nothing_or_many_null_vectors(
+    outputs: np.ndarray, degree: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = of_poles(-np.arange(1.0, 7.0), outputs)
+    whole = pencil_null_vectors(problem, degree)
+    monkeypatch.setattr("residua.linear.polynomials.pencil_null_space._DENSE", 0)
+    made = pencil_null_vectors(problem, degree)
+    assert made.vectors.shape == whole.vectors.shape
+    values = np.linalg.svd((made.vectors / made.units).reshape(len(made.vectors), -1), compute_uv=False)
+    assert np.allclose(values, 1.0)
+    for one in made.vectors:
+        assert np.abs(problem.products(one)).max() < 1e-12 * np.abs(one).max()
+
+
+@pytest.mark.parametrize("seed", [15, 3])
+def test_stiff_pencils_are_not_said_to_have_none(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lower degrees have units of their own: judged in those of a higher one there was a vector, and then none."""
+    monkeypatch.setattr("residua.linear.polynomials.pencil_null_space._DENSE", 0)
+    poles = -np.logspace(-3.75, 3.75, 24)
+    made = shortest_pencil_null_vectors(of_poles(poles, np.random.default_rng(seed).standard_normal((1, 24))), most=24)
+    assert made is not None
+    assert len(made.vectors)
+
+
+def test_an_iteration_that_does_not_settle_ends_with_the_whole_decomposition(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("residua.linear.polynomials.pencil_null_space._DENSE", 0)
+    problem = of_poles(-np.arange(1.0, 7.0), np.ones((2, 6)))
+    settled = pencil_null_vectors(problem, 6)
+    monkeypatch.setattr("residua.linear.polynomials.banded_null_space._STEPS", 1)
+    made = pencil_null_vectors(problem, 6)
+    assert made.vectors.shape == settled.vectors.shape
+    assert made.decision.smallest_kept == pytest.approx(settled.decision.smallest_kept, rel=1e-3)  # as it settles

@@ -253,8 +253,11 @@ def leak_frequencies(generator: StateSpace, plant: Plant) -> NDArray[np.float64]
     w, system = frequency_grid(generator, plant.system(())), plant.system(("control", "disturbance"))
     if system.is_discrete or np.all(system.poles() != 0):
         return w
-    low = _slowest_zero(system) / _BELOW_ZEROS
-    return w if w[0] <= low else np.geomspace(1.0371 * low, w[-1], len(w))
+    low = 1.0371 * _slowest_zero(system) / _BELOW_ZEROS
+    if w[0] <= low:
+        return w
+    more = int(np.ceil(np.log(w[0] / low) / np.log(w[1] / w[0])))  # as near to one another as the others
+    return np.concatenate([np.geomspace(low, w[0], more + 1)[:-1], w])
 
 
 _slowest: Latest[float] = Latest()

@@ -100,7 +100,7 @@ class BlockBand:
         """Return the products of the transpose with vectors, shape (vectors, count, rows)."""
         count, rows, _, columns = self.blocks.shape
         parts = x.transpose(1, 0, 2) @ self.blocks.reshape(count, rows, -1)  # (count, vectors, 3 columns)
-        return np.moveaxis(self._over_columns(np.moveaxis(parts.reshape(count, -1, 3, columns), 2, 1)), 1, 0)
+        return np.moveaxis(self._over_columns(np.moveaxis(parts.reshape(count, len(x), 3, columns), 2, 1)), 1, 0)
 
     def largest(self) -> float:
         """Return the largest singular value, to some percent, by iteration with the square."""
@@ -138,10 +138,6 @@ class FactoredBand:
         """Return a band with its factor."""
         return cls(band, scale, _Factor.of(band, _SHIFT * scale))
 
-    def first(self, count: int) -> FactoredBand:
-        """Return the same of the first block rows."""
-        return FactoredBand(BlockBand(self.band.blocks[:count]), self.scale, self._factor)
-
     def is_singular(self, rtol: float) -> bool:
         """Tell whether a singular value counts as zero."""
         return bool(self._iterated(min(2, self.band.rows), rtol * self.scale)[1][-1] <= rtol * self.scale)
@@ -176,14 +172,16 @@ class FactoredBand:
             X = self._factor.inverse_of_square(X)
             Q = np.linalg.qr(X.reshape(count * rows, wanted))[0]
             product = self.band.times(Q.T.reshape(wanted, count, rows)).reshape(wanted, -1)
-            U, now, _ = np.linalg.svd(product, full_matrices=False)
+            U, now, _ = np.linalg.svd(product, full_matrices=wanted > product.shape[1])
             now = np.concatenate([now, np.zeros(wanted - len(now))])  # fewer columns than vectors
             X = (Q @ U).reshape(count, rows, wanted)
             settled = np.abs(now - s) <= _NEARLY * now + tolerance / 100
             s = now
             if step and settled.all():
-                break
-        return np.moveaxis(X, 2, 0), s
+                return np.moveaxis(X, 2, 0), s
+        U, s, _ = np.linalg.svd(self.band.dense())  # takes its time, and ends
+        s = np.concatenate([s, np.zeros(len(U) - len(s))])
+        return U.T[len(U) - wanted :].reshape(wanted, count, rows), s[len(s) - wanted :]
 
 
 def least_squares(band: BlockBand, right: NDArray[np.float64], scale: float) -> NDArray[np.float64]:

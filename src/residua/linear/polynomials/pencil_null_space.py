@@ -126,7 +126,9 @@ def _left_null_basis(band: BlockBand, problem: Pencil, rtol: float) -> tuple[NDA
     if _is_large(band):
         scale, found = band.largest(), []
         for part in parts:
-            found.append(FactoredBand.of(band.of_rows(part), scale).left_null_basis(rtol))
+            one = band.of_rows(part)
+            nothing = np.eye(one.rows), np.zeros(one.rows)  # of rows that are zero
+            found.append(FactoredBand.of(one, scale).left_null_basis(rtol) if one.blocks.size else nothing)
         s = np.concatenate([[scale], np.sort(np.concatenate([values for _, values in found]))[::-1]])
         decision = RankDecision(int(np.count_nonzero(s > rtol * scale)), s, rtol * scale)
         return _side_by_side([basis for basis, _ in found], parts, degree, count), decision
@@ -158,23 +160,13 @@ def _is_large(band: BlockBand) -> bool:
     return band.rows > _DENSE and bool(band.blocks.any())
 
 
-class _Existence:
-    """Whether a pencil has null vectors of at most a degree; factors of large ones serve all lower degrees too."""
-
-    def __init__(self, problem: Pencil, rtol: float) -> None:
-        self._problem, self._rtol = problem, rtol
-        self._factored: list[FactoredBand] = []
-
-    def __call__(self, degree: int) -> bool:
-        if self._factored and degree < len(self._factored[0].band.blocks):
-            return any(part.first(degree + 1).is_singular(self._rtol) for part in self._factored)
-        band = _block_band(self._problem, degree)[0]
-        if not _is_large(band):
-            return decide_rank(band.dense(), rtol=self._rtol).rank < band.rows
-        scale = band.largest()
-        parts = row_parts((self._problem.P0 != 0) | (self._problem.P1 != 0))
-        self._factored = [FactoredBand.of(band.of_rows(part), scale) for part in parts]
-        return any(part.is_singular(self._rtol) for part in self._factored)
+def _exists(problem: Pencil, degree: int, rtol: float) -> bool:
+    """Tell whether a pencil has null vectors of at most a degree, in the units in which they are computed then."""
+    band = _block_band(problem, degree)[0]
+    if not _is_large(band):
+        return decide_rank(band.dense(), rtol=rtol).rank < band.rows
+    scale, bands = band.largest(), [band.of_rows(part) for part in row_parts((problem.P0 != 0) | (problem.P1 != 0))]
+    return any(not one.blocks.size or FactoredBand.of(one, scale).is_singular(rtol) for one in bands)
 
 
 def shortest_pencil_null_vectors(problem: Pencil, *, most: int, rtol: float = PENCIL_RTOL) -> PencilNullVectors | None:
@@ -188,14 +180,20 @@ def shortest_pencil_null_vectors(problem: Pencil, *, most: int, rtol: float = PE
     """
     if not len(problem.P0):
         return None
-    exists = _Existence(problem, rtol)
+
+    def exists(degree: int) -> bool:
+        return _exists(problem, degree, rtol)
+
     low, high = 0, 0  # upwards first: short ones cost little to find, and there often are some
     while not exists(high):
         if high == most:
             return None
         low, high = high + 1, min(max(2 * high, 1), most)
     smallest = at_smallest_degree(lambda degree: degree if exists(degree) else None, low, high, high)
-    return pencil_null_vectors(problem, smallest, rtol=rtol)
+    found = pencil_null_vectors(problem, smallest, rtol=rtol)
+    while not len(found.vectors) and found.degree < most:  # at the edge of the tolerance
+        found = pencil_null_vectors(problem, found.degree + 1, rtol=rtol)
+    return found if len(found.vectors) else None
 
 
 def refined(problem: Pencil, x: NDArray[np.float64], *, rtol: float = PENCIL_RTOL) -> NDArray[np.float64]:
