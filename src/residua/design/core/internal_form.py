@@ -269,11 +269,10 @@ def _slowest_zero(system: StateSpace) -> float:
 
     def found() -> float:
         least = _SMALL * _size(system)
-        zeros = [
-            np.abs(invariant_zeros(A, B[:, [j]], C[[i]], D[[i]][:, [j]], E).zeros)
-            for i, j in np.ndindex(system.D.shape)
-        ]
-        return float(np.min(np.concatenate(zeros), where=np.concatenate(zeros) > least, initial=np.inf))
+        pairs = np.ndindex(system.D.shape)
+        zeros = [np.abs(invariant_zeros(A, B[:, [j]], C[[i]], D[[i]][:, [j]], E).zeros) for i, j in pairs]
+        sizes = np.concatenate(zeros)
+        return float(np.min(sizes, where=sizes > least, initial=np.inf))
 
     return _slowest.of(entries(A, B, C, D, E), found)
 

@@ -120,7 +120,7 @@ class BlockBand:
 
 @dataclass(frozen=True, eq=False)
 class FactoredBand:
-    """A band with the triangular factor of its transpose, which holds those of its first block rows too.
+    """A band with the triangular factor of its transpose.
 
     Attributes
     ----------
