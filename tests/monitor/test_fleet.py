@@ -32,6 +32,10 @@ def monitor(kind: str) -> rs.Monitor:
         return rs.Monitor(rs.design.kalman_filter(plant()), test=CUSUM(threshold=4.0))
     if kind == "bank":
         return rs.Monitor(rs.design.sensor_fault_bank(plant()), test=NormThreshold(threshold=1.0))
+    if kind == "patient bank":
+        return rs.Monitor(
+            rs.design.sensor_fault_bank(plant()), test=NormThreshold(threshold=1.0, persistence=3), settle=0
+        )
     if kind == "observer":
         made = rs.design.unknown_input_observer(bare()).residual_generator()
         return rs.Monitor(made, test=NormThreshold(threshold=0.5), isolate=None)
@@ -186,6 +190,35 @@ def test_a_snapshot_without_the_last_code_goes_on(monkeypatch: pytest.MonkeyPatc
     fleet.tick(None, u[:, 50], y[:, 50])
     again.tick(None, u[:, 50], y[:, 50])
     assert again.snapshot() == fleet.snapshot()
+
+
+@pytest.mark.parametrize(
+    ("skipped", "words"),
+    [
+        ([[7, 1, 2]], "skipped samples of this snapshot are none of its plants"),
+        ([[0, -1, 2]], "none of its plants"),
+        ([[0, 3, 3]], "in no order"),
+        ([[0, 3, 999]], "in no order"),
+        ([[1, 3, 5], [0, 1, 2]], "in no order"),
+        ([[0, 3, 5], [0, 5, 6]], "in no order"),
+    ],
+)
+def test_skipped_samples_that_somebody_made_up_are_refused(
+    skipped: list[list[int]], words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    columns = snapshot._columns
+    monkeypatch.setattr(snapshot, "_columns", lambda block: columns(block) | {"skipped": np.array(skipped)})
+    with pytest.raises(FileFormatError, match=words):
+        rs.Fleet.restore(taken(), monitor("norm"))
+
+
+def test_a_snapshot_without_skipped_samples_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As those of earlier versions are."""
+    columns = snapshot._columns
+    with monkeypatch.context() as patch:
+        patch.setattr(snapshot, "_columns", lambda block: {k: v for k, v in columns(block).items() if k != "skipped"})
+        content = taken()
+    assert rs.Fleet.restore(content, monitor("norm")).snapshot() == taken()
 
 
 def test_plants_come_and_go() -> None:
@@ -364,6 +397,43 @@ def test_events_of_alarms_are_the_same_however_time_is_cut(kind: str) -> None:
         fleet = rs.Fleet.restore(fleet.snapshot(), monitor(kind))
     events.sort(key=lambda one: (one.plant, one.sample, one.kind))
     assert [(e.plant, e.kind, e.onset, e.raised, e.ended, e.candidates) for e in events] == expected
+
+
+@pytest.mark.parametrize("kind", ["norm", "norm over a window", "CUSUM", "patient bank", "observer"])
+def test_samples_without_a_decision_do_not_move_an_onset(kind: str) -> None:
+    """The onset is the first sample over the threshold, however many were missing since, as in `Monitor.run`."""
+    u, y = data(6, 90, 4)
+    y[::2, 20:60, 1] += 8.0
+    y[np.random.default_rng(5).random(y.shape[:2]) < 0.4, 0] = np.nan
+    made = rs.Fleet(monitor(kind), plants=range(6)).run(u, y)
+    assert isinstance(made, rs.monitor.Decisions)
+    expected, moved = [], 0
+    for p in range(6):
+        for t in np.flatnonzero(np.diff(made.alarm[p], prepend=False) & made.alarm[p]).tolist():
+            up = int(made.up[p, t])
+            onset = int(np.flatnonzero(made.usable[p, : t + 1])[-up]) if up else t + 1
+            moved += onset != t + 1 - up
+            expected.append((p, t, onset))
+        diagnosis = monitor(kind).run(u[p], y[p])
+        assert isinstance(diagnosis, rs.Diagnosis)
+        if diagnosis.alarms and made.up[p, diagnosis.alarms[0].start]:
+            assert diagnosis.alarms[0].onset == 2.0 * next(onset for q, _, onset in expected if q == p)
+    assert moved > 1 or kind in ("CUSUM", "observer")
+    rng = np.random.default_rng(2)
+    fleet, events, done = rs.Fleet(monitor(kind), plants=range(6)), [], 0
+    ticked, standing = rs.Fleet(monitor(kind), plants=range(6)), {}
+    while done < 90:
+        size = min(int(rng.integers(1, 12)), 90 - done)
+        events += fleet.follow(range(6), u[:, done : done + size], y[:, done : done + size])
+        fleet = rs.Fleet.restore(fleet.snapshot(), monitor(kind))
+        for k in range(done, done + size):
+            order = rng.permutation(6).tolist()
+            ticked.tick(order, u[order, k], y[order, k])
+            standing |= {(one.plant, one.raised / 2): one.onset / 2 for one in ticked.alarms}
+        done += size
+        fleet = rs.Fleet.joined(fleet.split(3))
+    assert sorted((e.plant, e.sample, e.onset_sample) for e in events if e.kind == "raised") == expected
+    assert standing == {(p, float(t)): float(onset) for p, t, onset in expected}
 
 
 def test_following_refuses_what_does_not_fit() -> None:

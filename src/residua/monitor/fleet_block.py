@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.alarm import Candidate
+from residua.decide.persistence import AlarmRuns
 from residua.errors import DataError
 from residua.monitor.decision import Decision, decision_from
 from residua.monitor.fused import FusedRun, LastSample, decisions_of, plan_of
@@ -19,6 +20,7 @@ from residua.monitor.monitor import Monitor
 from residua.monitor.plant_records import as_records, takes_no_memory
 from residua.monitor.running import Decisions, State, initial_state, rows_of, run_reference, written_rows
 from residua.monitor.saving import monitor_out
+from residua.monitor.skipped_samples import SkippedSamples
 from residua.visible import echo
 
 #: What a tick says of its records.
@@ -61,8 +63,7 @@ class AlarmEvent:
     kind : {"raised", "ended"}
     onset_sample, raised_sample : int
         Numbers, among the samples of this plant, of the one at which the statistic went over its threshold and stayed,
-        and of the one at which the alarm was raised. The onset is counted back from the raise by the samples over the
-        threshold: of those that were missing in between it knows nothing.
+        and of the one at which the alarm was raised.
     ended_sample : int or None
         Of the first one after the alarm; ``None`` in an event of an alarm that was raised.
     step : float
@@ -196,6 +197,7 @@ class FleetBlock:
     state : State, optional
         A row for each; the start when omitted.
     standing : StandingAlarms, optional
+    skipped : SkippedSamples, optional
     """
 
     def __init__(
@@ -204,6 +206,7 @@ class FleetBlock:
         ids: Sequence[Hashable],
         state: State | None = None,
         standing: StandingAlarms | None = None,
+        skipped: SkippedSamples | None = None,
     ) -> None:
         self.monitor, self.ids = monitor, list(ids)
         self.spec, self.generator = monitor._specification(), monitor.generator
@@ -212,6 +215,9 @@ class FleetBlock:
             twice = next(plant for row, plant in enumerate(self.ids) if self.rows[plant] != row)
             raise DataError(f"the plant {echo(twice)} is there twice")
         self.standing = StandingAlarms(len(self.ids)) if standing is None else standing
+        self.skipped = SkippedSamples() if skipped is None else skipped
+        #: Of a new block, as long as no sample of any plant was judged: none can be over its threshold.
+        self._is_settling = state is None
         self._place(initial_state(self.spec, len(self.ids)) if state is None else state)
 
     def _place(self, state: State) -> None:
@@ -286,7 +292,7 @@ class FleetBlock:
         """Go on with one sample of plants, each once."""
         out = self._go_on(rows, u, y, _TOLD, threads)
         missing, decided, statistic, alarm = (out[name][:, 0] for name in _TOLD)
-        self._follow_alarms(rows, alarm)
+        self._follow_alarms(rows, alarm, out["usable"])
         return Tick(alarm, decided, missing, statistic)
 
     def replace_state(self, rows: NDArray[np.int64], state: State) -> None:
@@ -327,13 +333,15 @@ class FleetBlock:
         before, last = self.state.count[rows], self.last.scores[rows]
         standing = self.standing
         stood = standing.stands[rows]
-        out = self._go_on(rows, u, y, ("alarm", "up", "scores"), threads)
-        alarm = out["alarm"]
+        out = self._go_on(rows, u, y, ("alarm", "up", "scores", "usable"), threads)
+        alarm, usable = out["alarm"], out["usable"]
         events = []
         for k, t in np.argwhere(alarm != np.concatenate([stood[:, None], alarm[:, :-1]], axis=1)).tolist():
             row, number = int(rows[k]), int(before[k]) + t
             if alarm[k, t]:
-                since = (number + 1 - int(out["up"][k, t]), number)
+                one = np.array([k])
+                onset = self.skipped.onsets(rows[one], before[one], usable[one, : t + 1], out["up"][one, t])
+                since = (int(onset[0]), number)
                 standing.stands[row], standing.onset[row], standing.raised[row] = True, *since
                 events.append(self._event(row, since, None, out["scores"][k, t]))
             else:
@@ -341,6 +349,7 @@ class FleetBlock:
                 standing.stands[row] = False
                 since = (int(standing.onset[row]), int(standing.raised[row]))
                 events.append(self._event(row, since, number, scores))
+        self._follow_skipped(rows, usable)
         return events
 
     def _event(self, row: int, when: tuple[int, int], ended: int | None, scores: NDArray[np.float64]) -> AlarmEvent:
@@ -352,12 +361,37 @@ class FleetBlock:
         self.last.remember(places, made)
         self._made[places], self._place_in_made[places] = made, np.arange(len(places))
 
-    def _follow_alarms(self, rows: NDArray[np.int64] | None, alarm: NDArray[np.bool_]) -> None:
-        """Note which alarms were raised, and which have ended."""
+    def _follow_skipped(self, rows: NDArray[np.int64] | None, usable: NDArray[np.bool_]) -> None:
+        """Note the samples of a block that were not judged, once the onsets of its alarms are known."""
+        which = np.flatnonzero(~(usable[:, 0] if usable.shape[1] == 1 else usable.all(axis=1)))
+        self._is_settling = self._is_settling and len(which) == len(usable) and not usable.any()
+        if which.size and not self._is_settling:
+            who = which if rows is None else rows[which]
+            before = self.state.count[who] - usable.shape[1]
+            self.skipped.note(who, before, usable[which], self.over(who))
+
+    def over(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return how many samples over the threshold plants have had in a row that no alarm stands for.
+
+        Of a bank, the largest number of a member. Of a test that does not count them in its state, what it says of the
+        last sample.
+        """
+        runs = getattr(self.state.test, "runs", None)
+        if not isinstance(runs, AlarmRuns):
+            return np.where(self.standing.stands[rows], 0, self.last.up[rows])
+        over = np.where(runs.alarm[rows], 0, runs.up[rows])
+        return over if over.ndim == 1 else over.max(axis=1, initial=0)
+
+    def _follow_alarms(
+        self, rows: NDArray[np.int64] | None, alarm: NDArray[np.bool_], usable: NDArray[np.bool_]
+    ) -> None:
+        """Note after a sample of plants which alarms were raised, and which have ended."""
         new = self.standing.changed(rows, alarm)
         if new.size:
-            count = self.state.count[new]
-            self.standing.onset[new], self.standing.raised[new] = count - self.last.up[new], count - 1
+            before, judged = self.state.count[new] - 1, np.ones((len(new), 1), dtype=bool)
+            self.standing.onset[new] = self.skipped.onsets(new, before, judged, self.last.up[new])
+            self.standing.raised[new] = before
+        self._follow_skipped(rows, usable)
 
     def run(self, data: NDArray[np.float64], threads: int) -> Decisions:
         """Go on with a block of all plants, (plants, time, channels)."""
@@ -383,8 +417,13 @@ class FleetBlock:
         new = standing.changed(None, alarm[:, -1])
         off = ~alarm[new, ::-1]
         raised = np.where(off.any(axis=1), alarm.shape[1] - off.argmax(axis=1), 0)
-        number = before[new] + raised
-        standing.onset[new], standing.raised[new] = number + 1 - decisions.up[new, raised], number
+        for t in np.unique(raised).tolist():
+            those = new[raised == t]
+            standing.onset[those] = self.skipped.onsets(
+                those, before[those], decisions.usable[those, : t + 1], decisions.up[those, t]
+            )
+            standing.raised[those] = before[those] + t
+        self._follow_skipped(None, decisions.usable)
 
     # ----------------------------------------------------------------------- looking
 
@@ -429,7 +468,7 @@ class FleetBlock:
     def of(self, rows: NDArray[np.int64]) -> FleetBlock:
         """Return a block of some of the plants, with a state of its own."""
         ids = [self.ids[row] for row in rows]
-        part = FleetBlock(self.monitor, ids, rows_of(self.state, rows), self.standing.of(rows))
+        part = FleetBlock(self.monitor, ids, rows_of(self.state, rows), self.standing.of(rows), self.skipped.of(rows))
         part.take_over(rows_of(self.last, rows), self._made[rows], self._place_in_made[rows])
         return part
 
@@ -444,7 +483,8 @@ class FleetBlock:
         """Return blocks as one."""
         first, standing = parts[0], StandingAlarms.joined([part.standing for part in parts])
         ids = [plant for part in parts for plant in part.ids]
-        whole = FleetBlock(first.monitor, ids, _stacked([part.state for part in parts]), standing)
+        skipped = SkippedSamples.joined([(part.skipped, len(part.ids)) for part in parts])
+        whole = FleetBlock(first.monitor, ids, _stacked([part.state for part in parts]), standing, skipped)
         made = np.concatenate([part._made for part in parts])
         places = np.concatenate([part._place_in_made for part in parts])
         whole.take_over(_stacked([part.last for part in parts]), made, places)

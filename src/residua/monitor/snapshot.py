@@ -23,6 +23,7 @@ from residua.monitor.fleet_block import FleetBlock, StandingAlarms, fingerprint_
 from residua.monitor.monitor import Monitor
 from residua.monitor.plant_records import takes_no_memory
 from residua.monitor.running import State, initial_state
+from residua.monitor.skipped_samples import SkippedSamples
 from residua.monitor.specification import Specification
 from residua.visible import echo, listed
 
@@ -124,6 +125,7 @@ def _padding(size: int) -> bytes:
 def _columns(block: FleetBlock) -> dict[str, NDArray]:
     """Return what a block remembers, by name."""
     out = {"ids": _ids_out(block.ids), "standing": block.standing.table()}
+    out["skipped"] = block.skipped.table(block.state.count, block.over(np.arange(len(block.ids))))
     return out | dict(_arrays(block.state, "state")) | dict(_arrays(block.last, "last"))
 
 
@@ -166,16 +168,33 @@ def _block(name: str, model: Any, kept: dict[str, NDArray], monitors: Mapping[st
     spec = monitor._specification()
     state: State = _state_from(initial_state(spec, len(ids)), kept, "state")
     _check_state(spec, state)
-    standing = kept.pop("standing")
-    if standing.ndim != 2 or standing.shape[1] != 3 or not ((standing >= 0) & (standing[:, :1] < len(ids))).all():
-        raise FileFormatError("the alarms of this snapshot are none of its plants")
-    block = FleetBlock(monitor, ids, state, StandingAlarms(len(ids), standing.tolist()))
+    standing = _of_plants(kept.pop("standing"), len(ids), "alarms")
+    skipped = _of_plants(kept.pop("skipped", standing[:0]), len(ids), "skipped samples")  # not in earlier versions
+    if not _in_order(skipped, state):
+        raise FileFormatError("the skipped samples of this snapshot are in no order")
+    alarms = StandingAlarms(len(ids), standing.tolist())
+    block = FleetBlock(monitor, ids, state, alarms, SkippedSamples(skipped.tolist()))
     if block.last.code is not None:  # versions before this column: known again with the next sample
         kept.setdefault("last.code", np.zeros_like(block.last.code))
     block.take_over(_state_from(block.last, kept, "last"))
     if kept:
         raise FileFormatError(f"this snapshot has columns that are not known: {listed(list(kept))}")
     return block
+
+
+def _of_plants(table: NDArray, plants: int, what: str) -> NDArray:
+    """Return a table whose first column names rows of plants, once it has that form."""
+    if table.ndim != 2 or table.shape[1] != 3 or not ((table >= 0) & (table[:, :1] < plants)).all():
+        raise FileFormatError(f"the {what} of this snapshot are none of its plants")
+    return table
+
+
+def _in_order(spans: NDArray, state: State) -> bool:
+    """Return whether spans of samples are some, one after the other, of samples that plants have had."""
+    row, start, stop = spans.T
+    same = row[1:] == row[:-1]
+    after = np.where(same, start[1:] > stop[:-1], row[1:] > row[:-1])
+    return bool((start < stop).all() and (stop <= state.count[row]).all() and after.all())
 
 
 def _check_state(spec: Specification, state: State) -> None:
