@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -117,6 +116,8 @@ def _dated(signal: NDArray[np.float64], quiet: int, last: int) -> tuple[ChangeTi
         if begin < LEAST_BEFORE or not profile[begin] > 0:
             return None, 0.0
         left = signal - fit
+        if np.abs(left).max() <= DATA_ROUNDING * np.abs(signal - signal.mean()).max():  # no noise, and the very shape
+            return ChangeTime(begin, begin, begin), np.inf
     p = len(lags)
     innovations = np.convolve(left, np.concatenate([[1.0], -lags]))[p : len(left)]
     before, after = innovations[: begin - p], innovations[begin - p :]
@@ -132,40 +133,49 @@ def _dated(signal: NDArray[np.float64], quiet: int, last: int) -> tuple[ChangeTi
     return moment, float(profile[begin] / noise)
 
 
-def _shapes(n: int) -> list[NDArray[np.float64]]:
-    """Return the shapes of a change: a jump, rises that end, a ramp, and the square of time."""
+def _shapes(n: int) -> NDArray[np.float64]:
+    """Return the shapes of a change, in rows: a jump, rises that end, a ramp, and the square of time."""
     time = np.arange(1, n + 1, dtype=float)
-    out, rise = [np.ones(n)], 2
-    while rise < n:
-        out.append(np.minimum(time / rise, 1.0))
-        rise *= 2
-    return [*out, time / n, (time / n) ** 2]
+    rises = [np.minimum(time / 2**k, 1.0) for k in range(1, (n - 1).bit_length())]
+    return np.array([np.ones(n), *rises, time, time**2])
 
 
 def _autoregression(noise: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the coefficients of an autoregression by least squares, of the order that Akaike's criterion chooses."""
     n = len(noise)
     most = min(_MOST_LAGS, n // 20)
-    rows = np.column_stack([noise[most - k : n - k] for k in range(1, most + 1)]) if most else np.zeros((n, 0))
     target = noise[most:]
-    best = np.inf
-    chosen: NDArray[np.float64] = np.zeros(0)
-    for order in range(most + 1):
-        lags = np.asarray(np.linalg.lstsq(rows[:, :order], target, rcond=None)[0], dtype=float)
-        spread = float(np.mean((target - rows[:, :order] @ lags) ** 2))
-        if spread <= 0:
-            return lags
-        value = len(target) * np.log(spread) + 2 * order
-        if value < best:
-            best, chosen = value, lags
+    rows = np.column_stack([*(noise[most - k : n - k] for k in range(1, most + 1)), target])
+    R = _triangular_factor(rows)  # of every order at once: its first rows and columns
+    known = np.abs(np.diag(R)[:most]) > DATA_ROUNDING * np.linalg.norm(R[:, :most], axis=0)
+    orders = np.arange((most if known.all() else int(np.argmin(known))) + 1)
+    unexplained = np.cumsum(R[::-1, most] ** 2)[::-1][orders]
+    exact = np.flatnonzero(unexplained <= 0)
+    if len(exact):
+        order = int(exact[0])
+    else:
+        order = int(np.argmin(len(target) * np.log(unexplained) + 2 * orders))
+    chosen = np.linalg.solve(R[:order, :order], R[:order, most])
     if len(chosen) == 1:  # least squares underrates a slow noise (Kendall's correction)
         first = float(chosen[0])
         chosen = np.array([min(first + (1 + 3 * first) / n, max(0.99, first))])
     return chosen
 
 
+def _triangular_factor(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return R of QR: of the squares, which is far faster, where these keep seven digits of what is left of a row."""
+    squares = rows.T @ rows
+    try:
+        R = np.linalg.cholesky(squares).T
+        if (np.diag(R) ** 2 > DATA_ROUNDING * np.diag(squares)).all():
+            return R
+    except np.linalg.LinAlgError:
+        pass
+    return np.linalg.qr(rows, mode="r")
+
+
 def _profile(
-    signal: NDArray[np.float64], lags: NDArray[np.float64], shapes: Sequence[NDArray[np.float64]], last: int
+    signal: NDArray[np.float64], lags: NDArray[np.float64], shapes: NDArray[np.float64], last: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return how much of the innovations' squares a change at each time explains, and the best fit of all."""
     n, p = len(signal), len(lags)
@@ -173,21 +183,36 @@ def _profile(
     z = np.convolve(signal, whiten)[p:n]
     z = z - z.mean()
     m = n - p
-    size = 1 << (2 * m - 1).bit_length()
-    spectrum = np.fft.rfft(z, size)
-    profile, at_best, best = np.full(n, -np.inf), np.zeros(n), -np.inf
-    for shape in shapes:
-        g = np.convolve(shape, whiten)[:m]
-        along = np.fft.irfft(spectrum * np.conj(np.fft.rfft(g, size)), size)[:m]
-        energy = (np.cumsum(g**2) - np.cumsum(g) ** 2 / m)[::-1]  # less what a baseline takes
-        usable = (along > 0) & (energy > DATA_ROUNDING * energy.max())
-        gain = np.full(n, -np.inf)
-        gain[p:] = np.where(usable, along**2 / np.where(usable, energy, 1.0), 0.0)
-        gain[last + 1 :] = -np.inf
-        k = int(np.argmax(gain))
-        if gain[k] > best:
-            best = gain[k]
-            size_ = along[k - p] / energy[k - p] if gain[k] > 0 else 0.0
-            at_best = np.concatenate([np.zeros(k), size_ * shape[: n - k]])
-        profile = np.maximum(profile, gain)
+    along = _along_shapes(np.convolve(z, whiten[::-1])[p:], len(shapes))
+    g = shapes[:, :m].copy()
+    for k, lag in enumerate(lags, 1):
+        g[:, k:] -= lag * shapes[:, : m - k]
+    energy = (np.cumsum(g**2, axis=1) - np.cumsum(g, axis=1) ** 2 / m)[:, ::-1]  # less what a baseline takes
+    usable = (along > 0) & (energy > DATA_ROUNDING * energy.max(axis=1, keepdims=True))
+    usable[:, last + 1 - p :] = False
+    gain = np.where(usable, along**2 / np.where(usable, energy, 1.0), 0.0)
+    profile = np.full(n, -np.inf)
+    profile[p : last + 1] = gain[:, : last + 1 - p].max(axis=0)
+    shape, k = np.unravel_index(int(np.argmax(gain)), gain.shape)
+    at_best = np.zeros(n)
+    if gain[shape, k] > 0:
+        at_best[p + k :] = along[shape, k] / energy[shape, k] * shapes[shape, : m - k]
     return profile, at_best + float(np.mean(signal - at_best))
+
+
+def _along_shapes(z: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """Return the sums of a signal times each shape, from each sample on: sums of sums, as the shapes are."""
+
+    def later(sums: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.cumsum(sums[::-1])[::-1]
+
+    jump = later(z)
+    ramp = later(jump)
+    out = np.empty((count, len(z)))
+    out[0] = jump
+    for j, rise in enumerate(2 ** np.arange(1, count - 2), 1):
+        out[j] = ramp
+        out[j, : max(len(z) - rise, 0)] -= ramp[rise:]
+        out[j] /= rise
+    out[-2:] = ramp, 2 * later(ramp) - ramp
+    return out

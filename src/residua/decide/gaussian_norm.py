@@ -51,6 +51,9 @@ def norm_density(length: Values, mean: Values, dimension: int) -> Values:
     """
     from scipy.special import gammaln
 
+    if dimension == 1:  # both signs
+        near, far = np.subtract(length, mean), np.add(length, mean)
+        return (np.exp(-(near**2) / 2) + np.exp(-(far**2) / 2)) / np.sqrt(2 * np.pi)
     r, m = np.broadcast_arrays(np.asarray(length, dtype=float), np.asarray(mean, dtype=float))
     order = dimension / 2 - 1
     density = np.empty(r.shape)
@@ -70,8 +73,8 @@ def norm_density(length: Values, mean: Values, dimension: int) -> Values:
         density[~small] = np.exp(logs)
         return density
     with np.errstate(over="ignore"):
-        ratio = (at / center) ** order
-    density[~small] = at * ratio * np.exp(-((at - center) ** 2) / 2) * _scaled_bessel(order, at * center)
+        weight = at * (at / center) ** order if order else at
+    density[~small] = weight * np.exp(-((at - center) ** 2) / 2) * _scaled_bessel(order, at * center)
     return density
 
 
@@ -83,9 +86,8 @@ def _scaled_bessel(order: float, x: Values) -> Values:
         return i0e(x)
     if order == 1:
         return i1e(x)
-    if abs(order) == 0.5:
-        other = np.exp(-2 * x)
-        return (1 + other if order < 0 else -np.expm1(-2 * x)) / np.sqrt(2 * np.pi * x)
+    if order == 0.5:
+        return -np.expm1(-2 * x) / np.sqrt(2 * np.pi * x)
     return ive(order, x)
 
 
