@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import signal
+import threading
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 # Before NumPy is imported: with matrices of ten rows the threads of the linear algebra do nothing but wait for each
@@ -17,10 +20,8 @@ from guards import reached_guards  # noqa: E402, F401
 from refusals import pytest_configure, refused  # noqa: E402, F401
 
 REPOSITORY = Path(__file__).resolve().parent.parent
-#: Of the cases of one test, those whose coverage is measured, as long as none of them took so many seconds.
-TRACED, CHEAP = 2, 0.1
-#: Tests of which a case took longer than that.
-_DEAR: set[str] = set()
+#: Of one test, the cases whose coverage is measured, and for how many seconds of processor time.
+TRACED, TRACED_SECONDS = 2, 0.2
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -35,17 +36,30 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker("no_cover")
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Measure no coverage in further cases of a test of which one took its time: there tracing costs most."""
-    if _without_case(item) in _DEAR:
-        item.add_marker("no_cover")
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
+    """Measure the coverage of a test as it begins: what a long one does later, it does again and again."""
+    plugin = item.config.pluginmanager.getplugin("_cov")
+    controller = getattr(plugin, "cov_controller", None)
+    alone = threading.current_thread() is threading.main_thread()
+    if controller is None or item.get_closest_marker("no_cover") or not (alone and hasattr(signal, "setitimer")):
+        return (yield)
+    stopped = False
 
+    def stop(*_: object) -> None:
+        nonlocal stopped
+        stopped = True
+        controller.cov.stop()
 
-def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> None:
-    """Note the tests of which a case took its time."""
-    if call.when == "call" and call.duration > CHEAP:
-        _DEAR.add(_without_case(item))
+    before = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, TRACED_SECONDS)
+    try:
+        return (yield)
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)
+        if stopped:
+            controller.cov.start()
 
 
 def _without_case(item: pytest.Item) -> str:
