@@ -93,7 +93,7 @@ def test_a_transient_is_left_out_by_request() -> None:
     assert left.fit_check.changes == ()
     assert left.threshold < kept.threshold
     counted = monitor().fit(None, data, transient=150)
-    assert counted.threshold == monitor().fit(None, data[149:]).threshold  # the first sample settles
+    assert counted.threshold == monitor().fit(None, data[150:]).threshold
     assert "left out as a transient" in counted.norm_test.basis
 
 
@@ -116,7 +116,7 @@ def test_too_few_are_all_used_and_that_is_said() -> None:
     watch = monitor().fit(None, white(11, 100))
     assert watch.fit_check is not None
     assert watch.fit_check.held_out is None
-    assert "no samples held out, 99 are too few" in watch.norm_test.basis
+    assert "no samples held out, 100 are too few" in watch.norm_test.basis
 
 
 def test_thresholds_that_data_do_not_change_hold_nothing_out() -> None:

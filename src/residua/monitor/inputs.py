@@ -212,7 +212,7 @@ def _forgotten(generator: ResidualGenerator, left: float) -> int:
     """Return after how many samples a state at the start leaves no more in the residual than a part of the largest."""
     s = generator.system.explicit()
     if not s.n_states or not np.any(s.C):
-        return 1
+        return 0
     units = state_units(s.A, s.B, s.C, s.D)
     rows, step, largest = s.C * units, s.A / units[:, None] * units, 0.0
     for k in range(_MOST_SAMPLES):
@@ -239,9 +239,9 @@ def _last_read(generator: ResidualGenerator) -> int:
     largest = float(np.abs(rows).max(initial=0.0))
     for k in range(s.n_states):
         if not np.abs(rows).max(initial=0.0) > ROUNDING * largest:
-            return max(k, 1)
+            return k
         rows = rows @ step
-    return max(s.n_states, 1)
+    return s.n_states
 
 
 def signal_levels(generator: ResidualGenerator, v: NDArray[np.float64]) -> NDArray[np.float64]:
