@@ -56,7 +56,7 @@ def test_the_statement_of_the_issue() -> None:
     assert least_rate(8000) == pytest.approx(3.744e-4, abs=1e-7)
     assert least_rate(samples_for(1e-4)) <= 1e-4 < least_rate(samples_for(1e-4) - 1)
     test = rs.decide.NormThreshold(persistence=1, source="quantile", false_alarm_rate=1e-4)
-    residuals = np.random.default_rng(1).standard_normal((8001, 1))
+    residuals = np.random.default_rng(1).standard_normal((8000, 1))
     monitor = rs.Monitor(given(), test=test, isolate=None).fit(None, residuals, held_out=0)
     assert "with 8000 samples no rate below 0.00037 can be promised at 95 %; 0.0001 takes 29956 samples" in str(
         monitor.norm_test.basis
