@@ -155,7 +155,7 @@ def _autoregression(noise: NDArray[np.float64]) -> NDArray[np.float64]:
         order = int(exact[0])
     else:
         order = int(np.argmin(len(target) * np.log(unexplained) + 2 * orders))
-    chosen = np.linalg.solve(R[:order, :order], R[:order, most])
+    chosen: NDArray[np.float64] = np.asarray(np.linalg.solve(R[:order, :order], R[:order, most]), dtype=float)
     if len(chosen) == 1:  # least squares underrates a slow noise (Kendall's correction)
         first = float(chosen[0])
         chosen = np.array([min(first + (1 + 3 * first) / n, max(0.99, first))])
@@ -166,12 +166,12 @@ def _triangular_factor(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return R of QR: of the squares, which is far faster, where these keep seven digits of what is left of a row."""
     squares = rows.T @ rows
     try:
-        R = np.linalg.cholesky(squares).T
+        R = np.asarray(np.linalg.cholesky(squares).T, dtype=float)
         if (np.diag(R) ** 2 > DATA_ROUNDING * np.diag(squares)).all():
             return R
     except np.linalg.LinAlgError:
         pass
-    return np.linalg.qr(rows, mode="r")
+    return np.asarray(np.linalg.qr(rows, mode="r"), dtype=float)
 
 
 def _profile(
