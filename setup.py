@@ -30,9 +30,10 @@ def kernel(name: str, depends: list[str]) -> Extension:
 filter_header, judging_header = "src/residua/linear/systems/_filter.h", "src/residua/decide/_judging.h"
 members_header = "src/residua/decide/_members.h"
 plant_header, tick_header = "src/residua/monitor/_plant_filter.h", "src/residua/monitor/_tick.h"
+gain_header = "src/residua/monitor/_partial_gain.h"
 kernels = [
     kernel("residua.linear.systems._recursion", [filter_header]),
-    kernel("residua.monitor._fused", [filter_header, judging_header, members_header, plant_header, tick_header]),
+    kernel("residua.monitor._fused", [filter_header, judging_header, members_header, plant_header, tick_header, gain_header]),
     kernel("residua.live._rows", []),
 ]
 

@@ -2,8 +2,8 @@
  *
  * A plant is run over pieces of the recording that stay in the cache: its filter first (_plant_filter.h), then test
  * and isolation (_judging.h; of members and groups, _members.h). Of one sample, several plants are run at once
- * (_tick.h). A Kalman filter with missing values is left to NumPy, from some sample on. The same bits as NumPy, in
- * place: nothing can fail once the arrays are checked.
+ * (_tick.h). The same bits as NumPy, in place: nothing can fail once the arrays are checked. What a Kalman filter with
+ * missing values needs (_partial_gain.h) is brought when the first one is met: the plant stops there, untouched.
  */
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
@@ -298,12 +298,12 @@ take_all(Runner *self, PyObject *plan, PyObject *state)
     const Py_ssize_t plan_sizes[PLAN_ARRAYS] = {
         n * n, n * m, nr * n, nr * m, n * m, m, m, m, (Py_ssize_t)self->first * nr * n, n * n, nr * self->n_ratios, nr,
         nr * k, t->order * k * k, k * k, k * t->knots_of_each, t->knots_of_each, k * t->directions, k * p->columns,
-        p->groups, t->parts, t->parts, nr * k, p->groups * p->k};
+        p->groups, t->parts, t->parts, nr * k, p->groups * p->k, partial_numbers(n, self->some.inputs, self->some.p)};
     const Py_ssize_t parts = t->kind == PARTS ? t->parts : 1;
     const Py_ssize_t state_sizes[STATE_ARRAYS] = {
-        n, m, 1, 1, 1, 1, 1, 1, n, 1, 1, 1, t->window * k, k, 1, t->order * k, t->order, t->sums, parts, parts, parts,
+        n, m, 1, 1, 1, 1, 1, 1, n, 1, 1, n * n, 1, t->window * k, k, 1, t->order * k, t->order, t->sums, parts, parts, parts,
         p->window * p->k, p->k, 1, p->k, p->k, 1, 1, nr, 1, p->groups, p->k};
-    const char *const formats[STATE_ARRAYS] = {"d", "d", "lq", "?", "lq", "lq", "lq", "?",  "d", "d", "?", "lq",
+    const char *const formats[STATE_ARRAYS] = {"d", "d", "lq", "?", "lq", "lq", "lq", "?",  "d", "d", "?", "d", "lq",
                                                "d", "d", "lq", "d", "?",  "d",  "lq", "lq", "?", "d", "d", "lq",
                                                "lq", "?", "B", "d", "d", "lq", "d", "?"};
     for (int j = 0; j < PLAN_ARRAYS; j++) {
@@ -339,7 +339,7 @@ is_complete(const Runner *self)
         complete &= self->has_plan[j] || !needed;
     }
     for (int j = 0; j < STATE_ARRAYS; j++) {
-        const int needed = (j <= COUNT && (j != START_SUMS || self->first)) || (j >= UP && j <= ALARM)
+        const int needed = (j <= COUNT && j != SPREAD && (j != START_SUMS || self->first)) || (j >= UP && j <= ALARM)
                            || (norm && self->test.window > 1 && j >= TEST_VALUES && j <= TEST_FILLED)
                            || (!norm && j >= PAST && j <= SUMS)
                            || (named && self->naming.window > 1 && j >= VALUES && j <= FILLED)
@@ -348,6 +348,7 @@ is_complete(const Runner *self)
                                && (j != LAST_SCORES || self->naming.groups) && (j != LAST_CODE || kind == CODES));
         complete &= self->has_state[j] || !needed;
     }
+    complete &= !self->partial || self->has_plan[PARTIAL_NUMBERS] == self->has_state[SPREAD];
     if (!complete)
         PyErr_SetString(PyExc_ValueError, "an array that is needed is None");
     return complete;
@@ -409,7 +410,10 @@ read_plan(Runner *self, const whole *i, const double *d)
     self->settle = i[SETTLE];
     self->max_hold = i[MAX_HOLD];
     self->first = i[FIRST];
-    self->partial = (int)i[PARTIAL];
+    self->partial = i[PARTIAL] != 0;
+    self->some.n = self->n;
+    self->some.inputs = (Py_ssize_t)i[PLANT_INPUTS];
+    self->some.p = self->m - self->some.inputs;
     test_plan *t = &self->test;
     t->kind = (int)i[TEST_KIND];
     t->nr = self->nr;
@@ -445,7 +449,7 @@ read_plan(Runner *self, const whole *i, const double *d)
                                [PIGNATIELLO_RUNGER] = t->k + 2, [EWMA] = t->k, [CHI_SQUARED] = (t->window - 1) * width,
                                [GLR] = (t->window - 1) * width, [DIRECTED_GLR] = (t->window - 1) * width,
                                [PARTS] = 0};
-    return t->kind < NORM || t->kind > PARTS || t->window < 1 || t->sums != sums[t->kind]
+    return (self->partial && (self->some.inputs > self->m || self->some.p != self->nr)) || t->kind < NORM || t->kind > PARTS || t->window < 1 || t->sums != sums[t->kind]
                    || (self->naming.kind != NOBODY && self->naming.window < 1) || t->knots_of_each == 1
                    || (t->kind == PARTS) != (t->parts > 0)
                    || (self->naming.kind == CODES && self->naming.k != t->parts)
@@ -549,6 +553,9 @@ point_at_plan(Runner *self)
     self->has_offset = 0; /* a negative zero counts as one: 0 less that is 0, whatever the sign */
     for (Py_ssize_t i = 0; i < self->m; i++)
         self->has_offset |= PLAN(self, OFFSET)[i] != 0.0 || signbit(PLAN(self, OFFSET)[i]);
+    self->has_gains = self->partial && self->has_plan[PARTIAL_NUMBERS];
+    if (self->has_gains)
+        point_at_partial(&self->some, PLAN(self, PARTIAL_NUMBERS));
     job *q = &self->filter;
     q->n = self->n;
     q->m = self->m;
@@ -647,6 +654,13 @@ runner_new(PyTypeObject *type, PyObject *args, PyObject *keywords)
 }
 
 static void
+free_scratch(void *room, scratch *s)
+{
+    free_gain_store(&s->gains);
+    free(room);
+}
+
+static void
 runner_dealloc(PyObject *object)
 {
     Runner *self = (Runner *)object;
@@ -659,7 +673,7 @@ runner_dealloc(PyObject *object)
             PyBuffer_Release(&self->state[j]);
     while (self->one_views.held > 0)
         PyBuffer_Release(&self->one_views.views[--self->one_views.held]);
-    free(self->one_room);
+    free_scratch(self->one_room, &self->one_scratch);
     free(self->sections);
     PyMem_Free(self->sections_room);
     PyMem_Free(self->parts_room);
@@ -693,8 +707,11 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     const Py_ssize_t doubles = samples * (self->m + self->nr + 2 * k + 2) + states + small_size(self) + room_e + history
                                + parts + 2 * members + columns + directions + 8;
     double *room = malloc((size_t)doubles * sizeof(double) + (size_t)(3 * samples + parts + members + 1));
-    if (room == NULL)
+    memset(&s->gains, 0, sizeof s->gains);
+    if (room == NULL || (self->has_gains && !make_gain_store(&s->gains, &self->some))) {
+        free_scratch(room, s);
         return NULL;
+    }
     s->v = room;
     s->r = s->own_r = s->v + samples * self->m;
     s->q = s->own_r + samples * self->nr;
@@ -818,7 +835,7 @@ run_all(const Runner *self, const block *b, const whole *rows, whole *left, int 
                 left[p] = b->time - end;
             open += end < b->time;
         }
-    free(room);
+    free_scratch(room, &s);
     return open;
 }
 

@@ -10,6 +10,7 @@
 
 #include "../linear/systems/_filter.h"
 #include "../decide/_members.h"
+#include "_partial_gain.h"
 
 #define PIECE 256
 #define LARGEST 1e150 /* as in residua.monitor.one_plant */
@@ -19,10 +20,10 @@
 
 enum {
     A_, B_, C_, D_, START, OFFSET, LOW, HIGH, ROWS, CORRECTION, RATIOS, CENTER, WHITENING, COEFFICIENTS, REWHITENING,
-    KNOTS, SCORES, ALONG, BASES, DIMENSIONS, SIZES, LIMITS, JOINT, CODE_TABLE, PLAN_ARRAYS
+    KNOTS, SCORES, ALONG, BASES, DIMENSIONS, SIZES, LIMITS, JOINT, CODE_TABLE, PARTIAL_NUMBERS, PLAN_ARRAYS
 };
 enum {
-    X, HELD, GAP, RUNNING, AGE, RESETS, BROKEN, STARTING, START_SUMS, MOVED, APART, COUNT, TEST_VALUES, TEST_BEGUN,
+    X, HELD, GAP, RUNNING, AGE, RESETS, BROKEN, STARTING, START_SUMS, MOVED, APART, SPREAD, COUNT, TEST_VALUES, TEST_BEGUN,
     TEST_FILLED, PAST, PAST_USABLE, SUMS, UP, DOWN, ALARM, VALUES, BEGUN, FILLED, SINCE, FIRED, LAST_FLAGS,
     LAST_STATISTIC, LAST_RESIDUALS, LAST_UP, LAST_SCORES, LAST_CODE,
     STATE_ARRAYS
@@ -33,7 +34,8 @@ enum {
 };
 enum {
     N, N_U, N_Y, N_R, SETTLE, MAX_HOLD, FIRST, N_RATIOS, PARTIAL, TEST_KIND, K, WINDOW, PERSISTENCE, RELEASE, ORDER,
-    N_KNOTS, N_SUMS, N_ALONG, GROUPS, ISOLATION_WINDOW, COLUMNS, N_PARTS, MEMBERS, AT_ONCE, INTEGERS
+    N_KNOTS, N_SUMS, N_ALONG, GROUPS, ISOLATION_WINDOW, COLUMNS, N_PARTS, MEMBERS, AT_ONCE, PLANT_INPUTS,
+    INTEGERS
 };
 enum { THRESHOLD, RELEASE_LEVEL, ALLOWANCE, OLD_WEIGHT, NEW_WEIGHT, DEVIATION, SHARE, NUMBERS };
 
@@ -50,6 +52,7 @@ typedef struct {
     int is_missing; /* the last sample of the piece */
     int is_short;   /* whether nothing but the squares of a piece is asked for */
     int is_judged;  /* whether q and the squares of a piece are there already, in `statistic` */
+    gain_store gains;
 } scratch;
 
 typedef struct {
@@ -75,6 +78,8 @@ typedef struct {
     Py_ssize_t n, m, n_u, n_y, nr, n_ratios;
     whole settle, max_hold, first;
     int partial, path;
+    int has_gains; /* whether there is what a Kalman filter with missing values needs; else such a plant is left */
+    partial_plan some;
     test_plan test;
     isolation_plan naming;
     job filter;
@@ -406,6 +411,10 @@ stop_filter(const Runner *self, Py_ssize_t row)
     memset(F8(self, X, row), 0, (size_t)self->n * sizeof(double));
     if (self->first)
         memset(F8(self, START_SUMS, row), 0, (size_t)self->n * sizeof(double));
+    if (self->has_gains && *B1(self, APART, row)) {
+        *B1(self, APART, row) = 0;
+        memset(F8(self, SPREAD, row), 0, (size_t)(self->n * self->n) * sizeof(double));
+    }
 }
 
 static void
@@ -475,12 +484,59 @@ learn_start(const Runner *self, Py_ssize_t row, const double *r, int complete, d
         sums[j] += spare[j];
 }
 
+/* Which inputs are known and which outputs can be used, of channels that are there; whether no output can. */
+INLINE int
+find_pattern(const partial_plan *q, flag *pattern)
+{
+    int is_blank = 1;
+    for (Py_ssize_t i = 0; i < q->p; i++) {
+        for (Py_ssize_t j = 0; j < q->inputs; j++)
+            if (!pattern[j] && q->D[i * q->inputs + j] != 0.0) /* moved at once by an input that is missing */
+                pattern[q->inputs + i] = 0;
+        is_blank &= !pattern[q->inputs + i];
+    }
+    return is_blank;
+}
+
+/* A sample of a Kalman filter that is off its stationary gain, or of which values are missing; whether enough is known of
+ * its state. */
+static int
+filter_with_gain(const Runner *self, Py_ssize_t row, const double *held, double *r, scratch *s)
+{
+    const size_t size = (size_t)(self->n * self->n) * sizeof(double);
+    double *const x = F8(self, X, row), *const spread = F8(self, SPREAD, row);
+    if (*B1(self, STARTING, row)) { /* nothing is known of the state: the recursion finds out, from here on */
+        *B1(self, STARTING, row) = 0;
+        memset(F8(self, START_SUMS, row), 0, (size_t)self->n * sizeof(double));
+        memcpy(spread, self->some.unknown, size);
+    }
+    const gain *g = find_gain(&s->gains, &self->some, spread, &self->filter, self->path);
+    if (g->is_stationary)
+        filter_some(self, s, x, one_array(held, self->m), r, 1, NULL);
+    else {
+        job one = s->filter;
+        as_a_whole(&one);
+        one.packed = g->packed;
+        one.time = one.plants = 1;
+        one.x = one.x_next = x;
+        one.v = one_array(held, self->m);
+        one.r = r;
+        one.judge = NULL;
+        execute(&one, self->path);
+    }
+    memcpy(spread, g->after, size);
+    *B1(self, APART, row) = (flag)g->is_apart;
+    return !g->is_lost;
+}
+
 /* One sample where values may be missing, or whose filter starts; whether there is a residual. */
 static int
 filter_sample(const Runner *self, Py_ssize_t row, const double *held, int complete, double *r, scratch *s)
 {
-    double *x = F8(self, X, row), *before = s->small;
+    double *x = F8(self, X, row), *spare = s->small;
     whole *age = I8(self, AGE, row), *gap = I8(self, GAP, row);
+    const int is_blank = !complete && (!self->has_gains || find_pattern(&self->some, s->gains.pattern));
+    int with_gain, is_known;
     for (;;) {
         int fresh = 0;
         if (!*B1(self, RUNNING, row)) {
@@ -491,7 +547,7 @@ filter_sample(const Runner *self, Py_ssize_t row, const double *held, int comple
             start_filter(self, row, held);
             fresh = 1;
         }
-        if (!complete && *gap + 1 > self->max_hold) { /* too long a gap: wait for a complete sample */
+        if (is_blank && *gap + 1 > self->max_hold) { /* too long a gap: wait for a complete sample */
             if (is_finite(x, self->n)) {
                 stop_filter(self, row);
                 *I8(self, RESETS, row) += 1;
@@ -499,10 +555,14 @@ filter_sample(const Runner *self, Py_ssize_t row, const double *held, int comple
                 break_filter(self, row);
             continue;
         }
-        copy_doubles(before, x, self->n);
-        filter_some(self, s, x, one_array(held, self->m), r, 1, NULL);
+        with_gain = self->has_gains && (!complete || *B1(self, APART, row));
+        is_known = 1;
+        if (with_gain)
+            is_known = filter_with_gain(self, row, held, r, s);
+        else
+            filter_some(self, s, x, one_array(held, self->m), r, 1, NULL);
         if (all_within(r, self->nr, LARGEST)) {
-            *gap = complete ? 0 : *gap + 1;
+            *gap = is_blank ? *gap + 1 : 0;
             break;
         }
         break_filter(self, row);
@@ -510,10 +570,16 @@ filter_sample(const Runner *self, Py_ssize_t row, const double *held, int comple
             return 0;
     }
     if (*B1(self, STARTING, row))
-        learn_start(self, row, r, complete, before);
-    *age = complete ? *age + 1 : 0;
+        learn_start(self, row, r, complete, spare);
+    *age = complete || with_gain ? *age + 1 : 0;
     if (*B1(self, STARTING, row) && *age == self->first)
-        correct_start(self, row, before);
+        correct_start(self, row, spare);
+    if (!is_known && is_finite(x, self->n)) { /* so little is known of the state that a new start is better */
+        stop_filter(self, row);
+        *I8(self, RESETS, row) += 1;
+        *gap = 0;
+    } else if (!is_known)
+        break_filter(self, row);
     return complete;
 }
 
@@ -532,6 +598,8 @@ filter_with_gaps(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_
             const double v = deviation(&s->in, i, j);
             const int there = (v >= low[j]) & (v <= high[j]);
             complete &= there;
+            if (self->has_gains)
+                s->gains.pattern[j] = (flag)there;
             if (there)
                 held[j] = v;
             else if (b->out[OUT_ASIDE].base != NULL) {
@@ -554,7 +622,7 @@ filter_with_gaps(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_
     }
 }
 
-/* A piece of one plant; 0 if it is left to NumPy, untouched. */
+/* A piece of one plant; 0 if it is left, untouched, for want of what a Kalman filter with missing values needs. */
 static int
 filter_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, Py_ssize_t k, Py_ssize_t time,
              scratch *s)
@@ -566,9 +634,10 @@ filter_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t ro
     s->r = b->out[OUT_RESIDUALS].base == NULL ? s->own_r : out_f8(b, OUT_RESIDUALS, plant, k);
     s->is_judged = 0;
     s->is_short = time > 1 && self->sums_squares && b->out[OUT_WHITENED].base == NULL;
-    if (self->partial && (!all || *B1(self, APART, row)))
+    const int is_apart = self->partial && *B1(self, APART, row);
+    if (self->partial && !self->has_gains && (!all || is_apart))
         return 0;
-    if (all && *B1(self, RUNNING, row) && !*B1(self, STARTING, row)) {
+    if (all && *B1(self, RUNNING, row) && !*B1(self, STARTING, row) && !is_apart) {
         double *x = F8(self, X, row), *before = s->small;
         copy_doubles(before, x, n);
         s->is_judged = filter_some(self, s, x, s->in, s->r, time, s->is_short ? NULL : self->judge);

@@ -298,7 +298,7 @@ class FleetBlock:
     def replace_state(self, rows: NDArray[np.int64], state: State) -> None:
         """Let some plants go on from other states."""
         if self._run is not None:
-            self._run.state = written_rows(self._run.state, rows, state)
+            self._run.write(rows, state)
         else:
             self._state = written_rows(self._state, rows, state)
 

@@ -1,8 +1,8 @@
 """The fused loop: filter, test and isolation in one pass over the data, where there is a compiled kernel.
 
 It gives the same bits as :mod:`residua.monitor.running`, its reference, which runs where there is no kernel, where
-``RESIDUA_NO_COMPILED`` is ``1``, or where a test or an isolation is not written in C. What a Kalman filter does
-with missing values is NumPy's: the loop leaves a plant where they begin, and takes it up again after some samples.
+``RESIDUA_NO_COMPILED`` is ``1``, or where a test or an isolation is not written in C. What a Kalman filter needs where
+values are missing, its covariances and room for those of every plant, is brought when the first value is missing.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from residua.decide.compiled import STATISTICS, CompiledCodes, CompiledIsolation
 from residua.decide.isolation import Scores
 from residua.decide.test import Block, Tested
 from residua.linear.systems.recursion import best_path, compiled
-from residua.monitor.filtering import filter_block
-from residua.monitor.running import Decisions, State, judged, rows_of, run_reference, written_rows
+from residua.monitor.plant_records import takes_no_memory
+from residua.monitor.running import Decisions, State, run_reference, written_rows
 from residua.monitor.specification import Specification
 
 try:
@@ -50,10 +50,8 @@ _TYPES = {
     "fired": bool,
     "code": bool,
 }
-#: What a step returns in one number, and that the plant is left to NumPy.
-_FLAGS, _IS_LEFT = {1: "alarm", 2: "usable", 4: "missing"}, 8
-#: Samples that NumPy runs of a plant that was left to it before the loop takes it up again.
-_LEFT = 256
+#: Of what a step returns in one number: that the plant was left.
+_IS_LEFT = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +113,7 @@ def _plan(spec: Specification, test: CompiledTest) -> Plan:
         test.sums, 0 if test.along is None else test.along.shape[1], groups,
         naming.window if codes is None else codes.window, sum(basis.shape[1] for basis in naming.bases),
         parts, members, codes is not None and codes.at_once,
+        0 if spec.partial is None else spec.partial.B.shape[1],
     ]  # fmt: skip
     numbers = [
         *(test.threshold, test.release_level, test.allowance, 1 - test.weight, test.weight, test.deviation),
@@ -156,17 +155,18 @@ def state_arrays(spec: Specification, state: State) -> tuple[NDArray | None, ...
     return (
         f.x, f.held, f.gap, f.running, f.age, f.resets, f.broken, f.starting,
         None if spec.first is None else f.start_sums, f.moved, f.apart,
-        state.count, *remembered,
+        f.spread if _has_room(f.spread) else None, state.count, *remembered,
     )  # fmt: skip
+
+
+def _has_room(spread: NDArray) -> bool:
+    """Tell whether a state has room for the covariances of filters that are off their stationary one."""
+    return bool(spread.size) and not takes_no_memory(spread)
 
 
 def _there(values: NDArray | None) -> NDArray:
     assert values is not None
     return values
-
-
-def _row(values: Any) -> NDArray[np.float64]:
-    return np.zeros((1, 1, 0)) if values is None else np.asarray(values, dtype=float)[None, None]
 
 
 def copied(whole: Any) -> Any:
@@ -252,13 +252,36 @@ class FusedRun:
         integers = plan.integers.copy()
         self._inputs = int(integers[1]) if inputs is None else inputs
         integers[1:3] = self._inputs, integers[1] - self._inputs
+        self._integers = integers
+        self._kernel = self._runner()
+
+    def _runner(self) -> Any:
+        """Return the kernel on the arrays of the state."""
+        assert _kernel is not None
+        plan, spec, state = self.plan, self.spec, self.state
         names = [one.name for one in fields(LastSample)]
-        kept = [None if last is None else getattr(last, name) for name in names]
+        kept = [None if self.last is None else getattr(self.last, name) for name in names]
         if not plan.widths["scores"]:
             kept[names.index("scores")] = None
-        self._kernel = _kernel.Runner(
-            integers, plan.numbers, plan.arrays, (*state_arrays(spec, state), *kept), self.plants, best_path()
-        )
+        partial = spec.partial if _has_room(state.filter.spread) else None
+        arrays = (*plan.arrays, None if partial is None else partial.numbers)
+        remembered = (*state_arrays(spec, state), *kept)
+        return _kernel.Runner(self._integers, plan.numbers, arrays, remembered, self.plants, best_path())
+
+    def _make_room(self) -> None:
+        """Bring what a Kalman filter with missing values needs."""
+        filtered = self.state.filter
+        self.state = replace(self.state, filter=replace(filtered, spread=np.zeros(filtered.spread.shape)))
+        self._kernel = self._runner()
+        if self._one is not None:
+            self._kernel.bind(tuple(self._one[name] for name in OUTPUTS))
+
+    def write(self, rows: NDArray[np.int64], state: State) -> None:
+        """Let some plants go on from other states."""
+        before = self.state.filter.spread
+        self.state = written_rows(self.state, rows, state)
+        if self.state.filter.spread is not before:
+            self._kernel, self._one = self._runner(), None
 
     def outputs(self, plants: int, time: int, keep: Sequence[str] = OUTPUTS) -> dict[str, NDArray | None]:
         """Return arrays for what a block leaves: zeros, for much of it is written only where it is not zero."""
@@ -294,17 +317,12 @@ class FusedRun:
         """
         left = np.zeros(len(y), dtype=np.int64)  # samples; written, and read, only where it has to be
         call = (u, y, tuple(outputs[name] for name in OUTPUTS), rows, left)
-        stopped = self._shared((*call, True), len(y), threads)
-        while stopped:
-            which = np.flatnonzero(left)
-            for samples in np.unique(left[which]).tolist():
-                who = which[left[which] == samples]
-                places = who if rows is None else rows[who]
-                self._leave(places, who, u, y, outputs, left)
-            stopped = self._shared((*call, False), len(y), threads)
+        if self._shared((*call, True), len(y), threads):
+            self._make_room()
+            self._shared((*call, False), len(y), threads)
 
     def _shared(self, call: tuple[Any, ...], plants: int, threads: int) -> int:
-        """Run all plants, and return how many of them are left to NumPy."""
+        """Run all plants, and return how many of them stopped where a value was missing."""
         if threads == 1 or plants < 2 * threads:
             return self._kernel.run(*call, 0, plants)
         bounds = np.linspace(0, plants, threads + 1).astype(int).tolist()
@@ -338,10 +356,8 @@ class FusedRun:
             self._kernel.bind(tuple(out[name] for name in OUTPUTS))
         flags, statistic = self._kernel.step(u, y)
         if flags & _IS_LEFT:
-            one = np.zeros(1, dtype=np.int64)
-            self._leave(one, one, _row(u), _row(y), out, one + 1)
-            flags = sum(bit for bit, name in _FLAGS.items() if _there(out[name])[0, 0])
-            statistic = float(_there(out["statistic"])[0, 0])
+            self._make_room()
+            flags, statistic = self._kernel.step(u, y)
         return bool(flags & 1), bool(flags & 2), bool(flags & 4), statistic
 
     def last_residual(self) -> NDArray[np.float64]:
@@ -353,33 +369,6 @@ class FusedRun:
         """Return the decisions of the last step."""
         assert self._one is not None
         return decisions_of({name: None if values is None else values.copy() for name, values in self._one.items()})
-
-    # ------------------------------------------------------------------- left to NumPy
-
-    def _leave(
-        self,
-        rows: NDArray[np.int64],
-        who: NDArray[np.int64],
-        u: NDArray,
-        y: NDArray,
-        outputs: dict[str, NDArray | None],
-        left: NDArray[np.int64],
-    ) -> None:
-        """Run some samples of plants in NumPy, all from the same one on."""
-        begin = y.shape[1] - int(left[who[0]])
-        part = slice(begin, min(begin + _LEFT, y.shape[1]))
-        data = np.ascontiguousarray(np.concatenate([u[who, part], y[who, part]], axis=2))
-        before = rows_of(self.state, rows)
-        filter_state, filtered = filter_block(self.spec, before.filter, data)
-        after, made = judged(self.spec, before, filter_state, filtered, name=self.plan.names)
-        self.state = written_rows(self.state, rows, after)
-        beside = {"ready": filtered.usable, "whitened": made.tested.whitened}
-        for name, values in outputs.items():
-            if values is not None:
-                values[who, part] = beside[name] if name in beside else getattr(made, name)
-        if self.last is not None:
-            self.last.remember(rows, made)
-        left[who] = y.shape[1] - part.stop
 
 
 def decisions_of(outputs: dict[str, Any]) -> Decisions:

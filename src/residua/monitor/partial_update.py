@@ -153,6 +153,13 @@ class PartialUpdate:
         return _LOST * (np.diag(self.spread) + moved)
 
     @cached_property
+    def numbers(self) -> Matrix:
+        """All that gains follow from, one after the other in the order of ``_partial_gain.h``."""
+        plant, noise = (self.A, self.B, self.C, self.D, self.K), (self.Q, self.R, self.S)
+        derived = (self.free_input, self._most, _REACHED * self.spread, self.unknown, self._stationary_root)
+        return np.concatenate([np.ravel(one) for one in (*plant, *noise, self.covariance, *derived)])
+
+    @cached_property
     def nominal(self) -> tuple[Matrix, Matrix]:
         """Responses of the stationary innovation by age, the settled one last: (ages + 1, faults, p); their scale.
 

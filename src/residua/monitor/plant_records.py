@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 #: Numbers begin at multiples of so many bytes; records of more than a line begin with a line of the cache.
 _ALIGNED, _LINE = 8, 64
 #: What an ordinary sample does not touch lies in records of its own.
-SELDOM = frozenset({"start_sums", "moved", "resets", "broken"})
+SELDOM = frozenset({"start_sums", "moved", "resets", "broken", "spread", "bent"})
 
 
 def takes_no_memory(array: NDArray) -> bool:
