@@ -1,4 +1,4 @@
-"""A Kalman filter with missing values has the bits of NumPy in the loop, by samples, by ticks and by recordings alike."""
+"""A Kalman filter with missing values has the bits of NumPy in the loop: by samples, by ticks and by recordings."""
 
 from __future__ import annotations
 

@@ -574,6 +574,9 @@ pack_filter(Runner *self)
     job *const q = &self->filter;
     Py_ssize_t size = 8;
     execute(q, self->path); /* without plants it only packs */
+    job start = {.m = self->m, .nr = self->n, .A = q->A, .B = q->B, .C = q->C, .D = PLAN(self, START), .v = one_array(NULL, self->m),
+                 .packed = self->packed_start};
+    execute(&start, self->path);
     q->is_packed = 1;
     self->sections = find_sections(q, &q->n_sections, &size);
     if (self->sections == NULL)
@@ -633,13 +636,15 @@ runner_new(PyTypeObject *type, PyObject *args, PyObject *keywords)
             self->naming.are_lines = 0;
     }
     if (status == 0) {
-        const Py_ssize_t packed = packed_size(self->n, self->m, self->nr) + 1;
+        const Py_ssize_t of_filter = packed_size(self->n, self->m, self->nr);
+        const Py_ssize_t packed = of_filter + packed_size(0, self->m, self->n) + 1;
         const Py_ssize_t padded = 24 * self->m + self->test.k * self->naming.room;
         self->room = PyMem_Malloc((size_t)(packed + padded + 7) * sizeof(double));
         if (self->room == NULL)
             status = -1, PyErr_NoMemory();
         else {
             self->filter.packed = line_of(self->room);
+            self->packed_start = self->filter.packed + of_filter;
             self->tile = self->filter.packed + packed;
             point_at_plan(self);
             find_records(self);
@@ -698,7 +703,7 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     const Py_ssize_t samples = time < CHUNK ? CHUNK : time < PIECE ? time : PIECE, k = self->test.k;
     const test_plan *t = &self->test;
     const Py_ssize_t widest = t->directions > k ? t->directions : k;
-    const Py_ssize_t room_e = t->kind == NORM || t->kind == PARTS ? 0 : samples * k, states = (2 * CHUNK + 3) * self->n + 16;
+    const Py_ssize_t room_e = t->kind == NORM || t->kind == PARTS ? 0 : samples * k, states = (3 * CHUNK + 3) * self->n + 16;
     const int is_summed = t->kind >= CHI_SQUARED && t->kind <= DIRECTED_GLR;
     const Py_ssize_t history = is_summed ? widest * (t->window - 1 + samples + 16) : 0;
     const Py_ssize_t parts = samples * t->parts, members = self->naming.kind == CODES ? parts : 0;
@@ -719,6 +724,7 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     s->statistic = s->sums + samples * k;
     s->up = (whole *)(s->statistic + samples);
     s->x = (double *)(s->up + samples);
+    s->starts = s->x + (2 * CHUNK + 3) * self->n + 8;
     s->small = s->x + states;
     s->e = s->small + small_size(self);
     s->history = s->e + room_e;

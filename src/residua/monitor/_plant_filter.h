@@ -43,7 +43,7 @@ typedef struct {
     source in;                                            /* deviations of a piece: where they lie, or in v */
     double *v, *r, *own_r, *q, *sums, *statistic, *e, *history; /* of a piece; r may be an output */
     whole *up;
-    double *x, *small; /* of states and a spare one; of one sample */
+    double *x, *starts, *small; /* of states and a spare one; of states that filters start with; of one sample */
     flag *usable, *over, *alarm;
     part_piece parts; /* room for what is not an output */
     double *columns;  /* room: sums by which directions are judged, and three more numbers, for all samples */
@@ -88,6 +88,7 @@ typedef struct {
     double *sections_room;
     void *parts_room; /* of what the plan of a test of parts points at */
     double *room; /* of the packed matrices, and: */
+    double *packed_start; /* what takes a sample to the state that a filter starts with */
     double *tile; /* of four samples: offsets, lowest values, highest values; of u and y, of u, of y */
     int has_offset, sums_squares; /* whether residuals are judged by the sum of the squares of each sample, and nothing else */
     Py_ssize_t plants;
@@ -469,19 +470,34 @@ correct_start(const Runner *self, Py_ssize_t row, double *left)
     *B1(self, STARTING, row) = 0;
 }
 
-static void
+/* Add what a residual says of the start: with a constant number of states the loops unroll. */
+INLINE void
+add_response(const double *restrict r, const double *restrict response, double *restrict sums, double *restrict spare,
+             Py_ssize_t nr, Py_ssize_t n)
+{
+    row_product(r, response, nr, n, spare);
+    for (Py_ssize_t j = 0; j < n; j++)
+        sums[j] += spare[j];
+}
+
+INLINE void
 learn_start(const Runner *self, Py_ssize_t row, const double *r, int complete, double *spare)
 {
-    const Py_ssize_t n = self->n;
-    double *sums = F8(self, START_SUMS, row);
+    const Py_ssize_t n = self->n, nr = self->nr;
+    double *sums = F8(self, START_SUMS, row), part[4];
     if (!complete) {
         memset(sums, 0, (size_t)n * sizeof(double));
         return;
     }
-    const double *response = PLAN(self, ROWS) + *I8(self, AGE, row) * self->nr * n;
-    row_product(r, response, self->nr, n, spare);
-    for (Py_ssize_t j = 0; j < n; j++)
-        sums[j] += spare[j];
+    const double *response = PLAN(self, ROWS) + *I8(self, AGE, row) * nr * n;
+    if (n == 4)
+        add_response(r, response, sums, part, nr, 4);
+    else if (n == 3)
+        add_response(r, response, sums, part, nr, 3);
+    else if (n == 2)
+        add_response(r, response, sums, part, nr, 2);
+    else
+        add_response(r, response, sums, spare, nr, n);
 }
 
 /* Which inputs are known and which outputs can be used, of channels that are there; whether no output can. */

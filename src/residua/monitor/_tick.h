@@ -1,12 +1,15 @@
-/* One sample of many plants, as most are: their filters run, and no value is missing. The same bits as plant by plant.
+/* One sample of many plants. The same bits as plant by plant.
  *
- * A few plants at once go through each step, so that processors work on several while others wait for memory. A chunk
- * in which one plant is another case is cut in two, and so on; what is left is run as a recording of one sample.
+ * A few plants at once go through each step, so that processors work on several while others wait for memory. Those that
+ * are another case, since a value is missing or their filter overflows, are left out of what is written, and then run as
+ * recordings of one sample.
  */
 #ifndef RESIDUA_TICK_H
 #define RESIDUA_TICK_H
 
 #define CHUNK 32 /* plants; at least two */
+
+#define ODD 32   /* plants: code and predictions of branches stay those of one road for a while */
 
 #if defined(__GNUC__)
 #define PREFETCH(at) __builtin_prefetch(at, 1)
@@ -18,9 +21,21 @@ typedef struct {
     const block *b;
     const whole *rows; /* of the state; NULL for all in order */
     whole *left;
-    Py_ssize_t stop, open; /* the end of all plants; those that are left to NumPy */
+    Py_ssize_t stop, open; /* the end of all plants; those that are left */
     int is_short; /* whether a norm without a window, of records, and nothing but what a tick tells is asked for */
+    int is_early; /* whether a plant of the last chunk has just started */
+    Py_ssize_t n_odd, odd[ODD]; /* plants that are another case, which are run by themselves some at a time */
 } tick;
+
+/* Some plants of a tick that go through it together. */
+typedef struct {
+    Py_ssize_t first, count;
+    int is_fresh, is_early;      /* whether a filter does not run yet; whether one has just started, or does so now */
+    int has_apart;               /* whether a Kalman filter is off its stationary one */
+    int has_odd;                 /* whether there are some that are run by themselves afterwards */
+    flag is_odd[CHUNK];          /* which */
+    char *records[CHUNK];
+} chunk;
 
 INLINE Py_ssize_t
 row_in_tick(const tick *t, Py_ssize_t plant)
@@ -28,41 +43,157 @@ row_in_tick(const tick *t, Py_ssize_t plant)
     return t->rows == NULL ? plant : (Py_ssize_t)t->rows[plant];
 }
 
-/* The states of plants, one after the other; how many of them are an ordinary case. */
-static Py_ssize_t
-gather_states(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t count, double *x)
+/* The states of plants, one after the other. */
+static void
+gather_states(const Runner *self, const tick *t, chunk *c, double *x)
 {
-    Py_ssize_t plain = 0;
-    for (Py_ssize_t i = first; i < first + count; i++) {
-        const Py_ssize_t row = row_in_tick(t, i);
-        plain += *B1(self, RUNNING, row) & !*B1(self, STARTING, row) & !(self->partial && *B1(self, APART, row));
+    flag running = 1, starting = 0, apart = 0;
+    for (Py_ssize_t i = 0; i < c->count; i++) {
+        const Py_ssize_t row = row_in_tick(t, c->first + i);
+        running &= *B1(self, RUNNING, row);
+        starting |= *B1(self, STARTING, row);
+        apart |= *B1(self, APART, row);
         x = copy_few(x, PLACE(self, X, row), self->n);
     }
-    return plain;
+    c->is_fresh = !running;
+    c->is_early = starting;
+    c->has_apart = self->partial && apart;
 }
 
 /* The same of records, which are listed, while those of the next chunk are on their way. */
-INLINE Py_ssize_t
-gather_records(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t count, double *x, char **records)
+INLINE void
+gather_records(const Runner *self, const tick *t, chunk *c, double *x)
 {
-    const Py_ssize_t n = self->n, stride = self->stride[COUNT], size = self->record_size;
+    const Py_ssize_t n = self->n, stride = self->stride[COUNT], size = self->record_size, first = c->first;
     const Py_ssize_t begin = self->offset[X], running = self->offset[RUNNING], starting = self->offset[STARTING];
-    const Py_ssize_t apart = self->offset[APART];
-    const flag partial = self->partial != 0;
-    Py_ssize_t plain = 0;
+    const Py_ssize_t apart = self->offset[APART], count = c->count, ahead = t->stop - CHUNK - first;
+    const int is_early = t->is_early && self->first;
+    flag all_running = 1, any_starting = 0, any_apart = 0;
     for (Py_ssize_t i = 0; i < count; i++) {
         char *const record = self->records + row_in_tick(t, first + i) * stride;
-        if (first + i + CHUNK < t->stop) {
-            const char *next = self->records + row_in_tick(t, first + i + CHUNK) * stride;
+        if (i < ahead) {
+            const Py_ssize_t row = row_in_tick(t, first + i + CHUNK);
+            const char *next = self->records + row * stride;
             for (Py_ssize_t k = 0; k < size; k += 64)
                 PREFETCH(next + k);
+            if (is_early)
+                PREFETCH(PLACE(self, START_SUMS, row));
         }
-        records[i] = record;
-        plain += *(flag *)(record + running) & !*(flag *)(record + starting)
-                 & !(partial && *(flag *)(record + apart));
+        c->records[i] = record;
+        all_running &= *(flag *)(record + running);
+        any_starting |= *(flag *)(record + starting);
+        any_apart |= *(flag *)(record + apart);
         x = copy_few(x, record + begin, n);
     }
-    return plain;
+    c->is_fresh = !all_running;
+    c->is_early = any_starting;
+    c->has_apart = self->partial && any_apart;
+}
+
+#define FOUR 4 /* samples that a tile has of each limit */
+
+/* Mark the plants of a chunk that are off their stationary filter, and, unless `all` values are there, those that miss one. */
+static void
+mark_odd(const Runner *self, const tick *t, chunk *c, const source *in, int all)
+{
+    const double *low = PLAN(self, LOW), *high = PLAN(self, HIGH);
+    const Py_ssize_t m = self->m, columns = in->columns, others = m - columns;
+    const double *const tile = others ? self->tile + 12 * m : self->tile, *const next = tile + 12 * columns;
+    c->has_odd = 1;
+    for (Py_ssize_t i = 0; i < c->count; i++)
+        c->is_odd[i] = c->has_apart && *B1(self, APART, row_in_tick(t, c->first + i));
+    for (Py_ssize_t i = 0; i < c->count && !all; i += FOUR) {
+        const Py_ssize_t rows = c->count - i < FOUR ? c->count - i : FOUR;
+        if (deviations(self, in->first + i * in->first_step, NULL, rows, tile, columns)
+            && deviations(self, in->second + i * in->second_step, NULL, rows, next, others))
+            continue;
+        for (Py_ssize_t k = i; k < i + rows; k++)
+            for (Py_ssize_t j = 0; j < m; j++) {
+                const double value = deviation(in, k, j);
+                c->is_odd[k] |= !((value >= low[j]) & (value <= high[j]));
+            }
+    }
+    int is_fresh = 0; /* a filter that waits for a whole sample does not start */
+    for (Py_ssize_t i = 0; i < c->count && c->is_fresh; i++)
+        is_fresh |= !c->is_odd[i] && !*B1(self, RUNNING, row_in_tick(t, c->first + i));
+    c->is_fresh = is_fresh;
+}
+
+/* The first plant from one on that is another case; the number of plants if there is none. */
+INLINE Py_ssize_t
+next_odd(const chunk *c, Py_ssize_t from)
+{
+    const flag *at = c->has_odd ? memchr(c->is_odd + from, 1, (size_t)(c->count - from)) : NULL;
+    return at == NULL ? c->count : at - c->is_odd;
+}
+
+/* The states that filters start with which do not run yet. */
+static void
+start_together(const Runner *self, const tick *t, const chunk *c, const scratch *s, double *x)
+{
+    const Py_ssize_t n = self->n;
+    job q = s->filter;
+    as_a_whole(&q);
+    q.n = q.step = 0;
+    q.nr = q.r_step = n;
+    q.plants = c->count;
+    q.time = 1;
+    q.v = s->in;
+    q.r = s->starts;
+    q.packed = self->packed_start;
+    q.judge = NULL;
+    execute(&q, self->path);
+    for (Py_ssize_t i = 0; i < c->count; i++)
+        if (!*B1(self, RUNNING, row_in_tick(t, c->first + i)))
+            copy_doubles(x + i * n, s->starts + i * n, n);
+}
+
+/* What is remembered of filters that start or have just started, before their sample is counted. */
+static void
+learn_together(const Runner *self, const tick *t, const chunk *c, double *x, const scratch *s)
+{
+    const Py_ssize_t n = self->n;
+    for (Py_ssize_t i = 0; i < c->count; i++) {
+        const Py_ssize_t row = row_in_tick(t, c->first + i);
+        if (c->has_odd && c->is_odd[i])
+            continue;
+        if (!*B1(self, RUNNING, row)) {
+            *B1(self, RUNNING, row) = 1;
+            *B1(self, STARTING, row) = self->first > 0;
+            *I8(self, AGE, row) = 0;
+            if (self->first)
+                memset(F8(self, START_SUMS, row), 0, (size_t)n * sizeof(double));
+        }
+        if (!*B1(self, STARTING, row))
+            continue;
+        learn_start(self, row, s->own_r + i * self->nr, 1, s->small);
+        if (*I8(self, AGE, row) + 1 == self->first) {
+            copy_doubles(F8(self, X, row), x + i * n, n);
+            correct_start(self, row, s->small);
+            copy_doubles(x + i * n, F8(self, X, row), n);
+        }
+    }
+}
+
+/* Whether no plant of a chunk overflows; what is there of those that are another case is not looked at, and cleared. */
+INLINE int
+are_all_sound(const Runner *self, const chunk *c, double *r, double *x)
+{
+    for (Py_ssize_t i = next_odd(c, 0); i < c->count; i = next_odd(c, i + 1)) {
+        clear_doubles(r + i * self->nr, self->nr);
+        clear_doubles(x + i * self->n, self->n);
+    }
+    return all_within(r, c->count * self->nr, LARGEST) && all_within(x, c->count * self->n, DBL_MAX);
+}
+
+/* Mark the plants of a chunk that overflow. */
+static void
+mark_overflows(const Runner *self, chunk *c, const double *r, const double *x)
+{
+    for (Py_ssize_t i = 0; i < c->count; i++)
+        c->is_odd[i] = (c->has_odd && c->is_odd[i]) || !all_within(r + i * self->nr, self->nr, LARGEST)
+                       || !is_finite(x + i * self->n, self->n);
+    c->has_odd = 1;
 }
 
 /* What is remembered of a plant after an ordinary sample; whether the filter has settled. */
@@ -83,16 +214,16 @@ keep_filter(const Runner *self, Py_ssize_t row, const source *in, Py_ssize_t i, 
 
 /* A norm without a window of records: decided, and what a tick tells written. */
 INLINE void
-finish_records(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t count, char *const *records,
-               const double *x, const scratch *s)
+finish_records(const Runner *self, const tick *t, const chunk *c, const double *x, const scratch *s)
 {
+    const Py_ssize_t first = c->first, count = c->count;
     const test_plan *const test = &self->test;
     const Py_ssize_t n = self->n, m = self->m, nr = self->nr;
     const double threshold = test->threshold, *const statistics = s->statistic, *const r = s->own_r;
     const whole settle = self->settle, persistence = test->persistence, release = test->release;
     const source in = s->in;
     const output usables = t->b->out[OUT_USABLE], alarms = t->b->out[OUT_ALARM], told = t->b->out[OUT_STATISTIC];
-    const int keeps = self->has_state[LAST_FLAGS];
+    const int keeps = self->has_state[LAST_FLAGS], has_odd = c->has_odd;
     LOCAL(X);
     LOCAL(HELD);
     LOCAL(AGE);
@@ -106,7 +237,9 @@ finish_records(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t c
     LOCAL(LAST_UP);
     LOCAL(LAST_RESIDUALS);
     for (Py_ssize_t i = 0; i < count; i++) {
-        char *const record = records[i];
+        char *const record = c->records[i];
+        if (has_odd && c->is_odd[i])
+            continue;
         const whole age = ++OF_RECORD(whole, AGE);
         const int usable = age > settle, over = usable & (statistics[i] > threshold);
         whole up = OF_RECORD(whole, UP), down = OF_RECORD(whole, DOWN);
@@ -139,11 +272,13 @@ finish_records(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t c
 
 /* Any other test or isolation, plant by plant. */
 static void
-finish_each(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t count, const double *x, scratch *s)
+finish_each(const Runner *self, const tick *t, const chunk *c, const double *x, scratch *s)
 {
     double *const r = s->own_r, *const white = s->q, *const squares = s->statistic;
-    for (Py_ssize_t i = 0; i < count; i++) {
-        const Py_ssize_t row = row_in_tick(t, first + i);
+    for (Py_ssize_t i = 0; i < c->count; i++) {
+        if (c->has_odd && c->is_odd[i])
+            continue;
+        const Py_ssize_t plant = c->first + i, row = row_in_tick(t, plant);
         s->usable[0] = (flag)keep_filter(self, row, &s->in, i, x + i * self->n);
         s->is_missing = 0;
         s->r = r + i * self->nr;
@@ -151,27 +286,31 @@ finish_each(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t coun
         s->statistic = squares + i;
         s->count = *I8(self, COUNT, row) - 1;
         if (t->b->out[OUT_RESIDUALS].base != NULL)
-            copy_doubles(out_f8(t->b, OUT_RESIDUALS, first + i, 0), s->r, self->nr);
-        judge(self, t->b, first + i, row, 0, 1, s);
+            copy_doubles(out_f8(t->b, OUT_RESIDUALS, plant, 0), s->r, self->nr);
+        judge(self, t->b, plant, row, 0, 1, s);
     }
     s->q = white;
     s->statistic = squares;
 }
 
-INLINE int
-together(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t count, scratch *s)
+/* Run the plants of a chunk that are no other case, and say which are. */
+INLINE void
+together(const Runner *self, tick *t, chunk *c, scratch *s)
 {
     const block *b = t->b;
-    const Py_ssize_t n = self->n;
-    const char *u = b->u + first * b->u_strides[0], *y = b->y + first * b->y_strides[0];
+    const Py_ssize_t n = self->n, count = c->count;
+    const char *u = b->u + c->first * b->u_strides[0], *y = b->y + c->first * b->y_strides[0];
     double *const x = s->x, *const x_next = x + CHUNK * n;
-    char *records[CHUNK];
-    const Py_ssize_t plain = self->record_size ? gather_records(self, t, first, count, x, records)
-                                        : gather_states(self, t, first, count, x);
-    if (plain == 0) /* such as at the first sample */
-        return -1;
-    if (plain < count || !gather(self, b, u, y, b->u_strides[0], b->y_strides[0], count, s))
-        return 0;
+    if (self->record_size)
+        gather_records(self, t, c, x);
+    else
+        gather_states(self, t, c, x);
+    const int all = gather(self, b, u, y, b->u_strides[0], b->y_strides[0], count, s);
+    c->has_odd = 0;
+    if (!all || c->has_apart)
+        mark_odd(self, t, c, &s->in, all);
+    if (c->is_fresh)
+        start_together(self, t, c, s, x);
     job *q = &s->filter;
     q->plants = count;
     q->time = 1;
@@ -182,57 +321,65 @@ together(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t count, 
     q->judge = self->judge;
     s->is_short = 0;
     s->is_judged = execute(q, self->path);
-    if (!all_within(s->own_r, count * self->nr, LARGEST) || !all_within(x_next, count * n, DBL_MAX))
-        return 0;
+    if (!are_all_sound(self, c, s->own_r, x_next))
+        mark_overflows(self, c, s->own_r, x_next);
+    t->is_early = c->is_fresh || c->is_early;
+    if (t->is_early)
+        learn_together(self, t, c, x_next, s);
+    for (Py_ssize_t i = next_odd(c, 0); i < count; i = next_odd(c, i + 1))
+        s->statistic[i] = 0.0;
     if (t->is_short && s->is_judged && all_within(s->statistic, count, LARGEST_SQUARES)) {
         roots(s->statistic, count);
-        finish_records(self, t, first, count, records, x_next, s);
+        finish_records(self, t, c, x_next, s);
     } else
-        finish_each(self, t, first, count, x_next, s);
-    return 1;
+        finish_each(self, t, c, x_next, s);
 }
 
-static int
-together_plain(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t count, scratch *s)
+static void
+together_plain(const Runner *self, tick *t, chunk *c, scratch *s)
 {
-    return together(self, t, first, count, s);
+    together(self, t, c, s);
 }
 
 #if defined(HAVE_AVX2)
-AVX2 static int
-together_avx2(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t count, scratch *s)
+AVX2 static void
+together_avx2(const Runner *self, tick *t, chunk *c, scratch *s)
 {
-    return together(self, t, first, count, s);
+    together(self, t, c, s);
 }
 #endif
 
-/* Some plants that are an ordinary case; 0, and nothing done, if they are not, and -1 if no one is. */
-static int
-run_together(const Runner *self, const tick *t, Py_ssize_t first, Py_ssize_t count, scratch *s)
+/* Run the plants that are another case. */
+static void
+run_odd(const Runner *self, tick *t, scratch *s)
 {
-#if defined(HAVE_AVX2)
-    if (self->path == PATH_AVX2)
-        return together_avx2(self, t, first, count, s);
-#endif
-    return together_plain(self, t, first, count, s);
+    for (Py_ssize_t k = 0; k < t->n_odd; k++) {
+        const Py_ssize_t plant = t->odd[k];
+        if (run_plant(self, t->b, plant, row_in_tick(t, plant), 0, s) == 0) {
+            t->left[plant] = 1;
+            t->open++;
+        }
+    }
+    t->n_odd = 0;
 }
 
 static void
 run_in_tick(const Runner *self, tick *t, Py_ssize_t first, Py_ssize_t count, scratch *s)
 {
-    const int outcome = run_together(self, t, first, count, s);
-    if (outcome == 1)
-        return;
-    if (outcome == 0 && count > 1) {
-        run_in_tick(self, t, first, count / 2, s);
-        run_in_tick(self, t, first + count / 2, count - count / 2, s);
-        return;
+    chunk c;
+    c.first = first;
+    c.count = count;
+#if defined(HAVE_AVX2)
+    if (self->path == PATH_AVX2)
+        together_avx2(self, t, &c, s);
+    else
+#endif
+        together_plain(self, t, &c, s);
+    for (Py_ssize_t i = next_odd(&c, 0); i < count; i = next_odd(&c, i + 1)) {
+        t->odd[t->n_odd++] = first + i;
+        if (t->n_odd == ODD)
+            run_odd(self, t, s);
     }
-    for (Py_ssize_t i = first; i < first + count; i++)
-        if (run_plant(self, t->b, i, row_in_tick(t, i), 0, s) == 0) {
-            t->left[i] = 1;
-            t->open++;
-        }
 }
 
 /* Run one sample of plants first to stop; how many are left to NumPy. */
@@ -240,7 +387,7 @@ static Py_ssize_t
 run_tick(const Runner *self, const block *b, const whole *rows, whole *left, Py_ssize_t first, Py_ssize_t stop,
          scratch *s)
 {
-    tick t = {b, rows, left, stop, 0, 0};
+    tick t = {.b = b, .rows = rows, .left = left, .stop = stop};
     t.is_short = self->record_size && self->test.kind == NORM && self->test.window == 1 && self->naming.kind == NOBODY;
     for (int j = 0; j < OUTPUTS; j++) {
         const int told = j == OUT_USABLE || j == OUT_ALARM || j == OUT_STATISTIC;
@@ -248,6 +395,7 @@ run_tick(const Runner *self, const block *b, const whole *rows, whole *left, Py_
     }
     for (Py_ssize_t p = first; p < stop; p += CHUNK)
         run_in_tick(self, &t, p, stop - p < CHUNK ? stop - p : CHUNK, s);
+    run_odd(self, &t, s);
     return t.open;
 }
 
