@@ -497,7 +497,9 @@ class Monitor:
         generator, spec = self.generator, self._specification()
         state, decisions = run_whole(spec, data, progress)
         self._state = state
-        clock = generator.dt * np.arange(data.shape[1]) if measured.time is None else measured.time
+        clock = np.arange(data.shape[1], dtype=float) if measured.time is None else measured.time
+        if measured.time is None:
+            clock *= generator.dt
         plant, compared = generator.plant, compared_outputs(self.design)
         notes = (*self.notes, *(self._check.notes if self._check else ()), *measured.notes)
         whole = []

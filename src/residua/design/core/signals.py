@@ -46,7 +46,18 @@ def stack_signals(plant: Plant, u: ArrayLike | None, y: ArrayLike) -> NDArray[np
     u_, y_ = checked_signals(plant, u, y)
     if u_ is None:
         return np.ascontiguousarray(y_)
+    if u_.size and u_.flags.c_contiguous and y_.flags.c_contiguous:
+        return _side_by_side(u_, y_)
     return np.ascontiguousarray(np.concatenate([u_, y_], axis=-1))  # columns of a table lie the other way round
+
+
+def _side_by_side(u: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return ``[u, y]`` of arrays that lie in order: a row of each is copied as one item, in half the time."""
+    out = np.empty((*u.shape[:-1], u.shape[-1] + y.shape[-1]))
+    rows = out.view([(name, f"V{8 * one.shape[-1]}") for name, one in (("u", u), ("y", y))])
+    for name, one in (("u", u), ("y", y)):
+        rows[name] = one.view(f"V{8 * one.shape[-1]}")
+    return out
 
 
 def run_signals(system: StateSpace, plant: Plant, u: ArrayLike | None, y: ArrayLike, x0: Any) -> NDArray[np.float64]:
