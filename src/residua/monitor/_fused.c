@@ -165,6 +165,8 @@ judge_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
     const int has_squares = (s->is_short && squares_of_rows(t, &p, nr, k)) || whiten(t, &p, nr, k);
     if (t->kind == NORM)
         judge_norm(t, &test, &p, k, has_squares);
+    else if (s->is_chained)
+        memcpy(p.statistic, p.e, (size_t)time * sizeof(double));
     else
         judge_stream(t, &test, &p, part, spare, k, has_squares);
     raise_alarms(t, &test, &p);
@@ -534,6 +536,8 @@ point_at_plan(Runner *self)
             t->padded[4 + 4 * i + j] = t->whitening[i * t->k + j];
     }
     self->judge = self->nr <= 4 && t->k <= 4 ? t->padded : NULL;
+    self->chains = self->judge != NULL && self->path == PATH_AVX2 && t->kind == CROSIER && !t->order && !t->knots_of_each
+                   && self->n >= 1 && self->n <= MAX_SMALL;
     self->sums_squares = self->judge != NULL && self->naming.kind == NOBODY
                          && ((t->kind == NORM && t->window == 1)
                              || (t->kind == CHI_SQUARED && !t->order && !t->knots_of_each));
