@@ -578,9 +578,16 @@ pack_filter(Runner *self)
     job *const q = &self->filter;
     Py_ssize_t size = 8;
     execute(q, self->path); /* without plants it only packs */
-    job start = {.m = self->m, .nr = self->n, .A = q->A, .B = q->B, .C = q->C, .D = PLAN(self, START), .v = one_array(NULL, self->m),
-                 .packed = self->packed_start};
-    execute(&start, self->path);
+    job *const start = &self->starter;
+    start->n = start->time = 1;
+    start->m = self->m;
+    start->nr = self->n;
+    start->A = start->B = start->C = start->x = self->zeros;
+    start->D = PLAN(self, START);
+    start->v = one_array(NULL, self->m);
+    as_a_whole(start);
+    execute(start, self->path);
+    start->is_packed = 1;
     q->is_packed = 1;
     self->sections = find_sections(q, &q->n_sections, &size);
     if (self->sections == NULL)
@@ -641,14 +648,16 @@ runner_new(PyTypeObject *type, PyObject *args, PyObject *keywords)
     }
     if (status == 0) {
         const Py_ssize_t of_filter = packed_size(self->n, self->m, self->nr);
-        const Py_ssize_t packed = of_filter + packed_size(0, self->m, self->n) + 1;
+        const Py_ssize_t packed = of_filter + packed_size(1, self->m, self->n) + 1;
         const Py_ssize_t padded = 24 * self->m + self->test.k * self->naming.room;
-        self->room = PyMem_Malloc((size_t)(packed + padded + 7) * sizeof(double));
+        const Py_ssize_t zeros = self->m + self->n + CHUNK;
+        self->room = PyMem_Calloc((size_t)(packed + padded + zeros + 7), sizeof(double));
         if (self->room == NULL)
             status = -1, PyErr_NoMemory();
         else {
             self->filter.packed = line_of(self->room);
-            self->packed_start = self->filter.packed + of_filter;
+            self->starter.packed = self->filter.packed + of_filter;
+            self->zeros = self->filter.packed + packed + padded;
             self->tile = self->filter.packed + packed;
             point_at_plan(self);
             find_records(self);
@@ -707,7 +716,7 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     const Py_ssize_t samples = time < CHUNK ? CHUNK : time < PIECE ? time : PIECE, k = self->test.k;
     const test_plan *t = &self->test;
     const Py_ssize_t widest = t->directions > k ? t->directions : k;
-    const Py_ssize_t room_e = t->kind == NORM || t->kind == PARTS ? 0 : samples * k, states = (3 * CHUNK + 3) * self->n + 16;
+    const Py_ssize_t room_e = t->kind == NORM || t->kind == PARTS ? 0 : samples * k, states = (3 * CHUNK + 3) * (self->n + 1) + 16;
     const int is_summed = t->kind >= CHI_SQUARED && t->kind <= DIRECTED_GLR;
     const Py_ssize_t history = is_summed ? widest * (t->window - 1 + samples + 16) : 0;
     const Py_ssize_t parts = samples * t->parts, members = self->naming.kind == CODES ? parts : 0;
@@ -728,7 +737,7 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     s->statistic = s->sums + samples * k;
     s->up = (whole *)(s->statistic + samples);
     s->x = (double *)(s->up + samples);
-    s->starts = s->x + (2 * CHUNK + 3) * self->n + 8;
+    s->starts = s->x + (2 * CHUNK + 3) * (self->n + 1) + 8;
     s->small = s->x + states;
     s->e = s->small + small_size(self);
     s->history = s->e + room_e;
@@ -743,7 +752,7 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     s->parts.fired = s->alarm + samples;
     s->parts.code = s->parts.fired + parts;
     s->filter = self->filter;
-    s->filter.state = s->x + 2 * CHUNK * self->n;
+    s->filter.state = s->x + 2 * CHUNK * self->n; /* of the start too, which has one state */
     s->filter.q = s->q;
     s->filter.squares = s->statistic;
     s->filter.k = k;

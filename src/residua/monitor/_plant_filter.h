@@ -90,7 +90,8 @@ typedef struct {
     double *sections_room;
     void *parts_room; /* of what the plan of a test of parts points at */
     double *room; /* of the packed matrices, and: */
-    double *packed_start; /* what takes a sample to the state that a filter starts with */
+    job starter; /* from a sample to the state that a filter starts with: outputs of one whose only state stays zero */
+    double *zeros;
     int chains; /* whether cumulative sums are formed with the residuals */
     double *tile; /* of four samples: offsets, lowest values, highest values; of u and y, of u, of y */
     int has_offset, sums_squares; /* whether residuals are judged by the sum of the squares of each sample, and nothing else */

@@ -132,16 +132,12 @@ static void
 start_together(const Runner *self, const tick *t, const chunk *c, const scratch *s, double *x)
 {
     const Py_ssize_t n = self->n;
-    job q = s->filter;
-    as_a_whole(&q);
-    q.n = q.step = 0;
-    q.nr = q.r_step = n;
+    job q = self->starter;
     q.plants = c->count;
-    q.time = 1;
     q.v = s->in;
+    q.x_next = s->starts + CHUNK * n;
     q.r = s->starts;
-    q.packed = self->packed_start;
-    q.judge = NULL;
+    q.state = s->filter.state;
     execute(&q, self->path);
     for (Py_ssize_t i = 0; i < c->count; i++)
         if (!*B1(self, RUNNING, row_in_tick(t, c->first + i)))

@@ -37,6 +37,7 @@
 #define BLOCK 8     /* rows per block for larger filters */
 #define SMALLEST 0x1p-500
 #define SPAN 256      /* samples, or plants, that go through the sections of a filter one after the other, at most */
+#define AHEAD 256     /* samples from which on signals are asked for while others are run: a piece of the fused loop */
 #define NEAR_BY 16384 /* numbers of their signals and outputs, which are to stay in the cache; fewer samples cost more */
 
 #if defined(__GNUC__)
@@ -233,6 +234,13 @@ typedef void (*runner)(const job *);
     }                                                                                                                 \
     TARGET static void FAMILY##_blocks(const job *q) { run_blocks(q, block_product_##FAMILY); }
 
+/* Numbers further on, which need not be there; of no use where samples are looked at once. */
+#if defined(RESIDUA_JUDGES)
+#define ASK_FOR(at, further) __builtin_prefetch((const char *)((uintptr_t)(at) + (uintptr_t)(further) * sizeof(double)));
+#else
+#define ASK_FOR(at, further)
+#endif
+
 #define CHAIN_BEGINS(JUDGE) CHAIN_BEGINS_##JUDGE
 #define CHAIN_GOES_ON(JUDGE) CHAIN_GOES_ON_##JUDGE
 #define CHAIN_ENDS(JUDGE) CHAIN_ENDS_##JUDGE
@@ -336,6 +344,8 @@ typedef void (*runner)(const job *);
                     __asm__ volatile("" ::: "memory"); /* a branch: as a selection every state would wait for it */   \
                     EACH_VECTOR(WIDTH, L) x[i] = ((lanes##L *)rest)[i];                                               \
                 }                                                                                                     \
+                ASK_FOR(first, AHEAD * first_step)                                                                    \
+                ASK_FOR(second, AHEAD * second_step)                                                                  \
                 first += first_step;                                                                                  \
                 second += second_step;                                                                                \
                 if (JUDGE) {                                                                                          \
