@@ -208,7 +208,7 @@ def missing(rounds: Rounds, plants: int) -> list[tuple[str, str, float, str]]:
             }
         )
         label = f"tick with 1 % of plants missing a value, {name}, against a complete one"
-        rows.append((label, "1.3", taken["holes"] / taken["whole"], "in NumPy" if "Kalman" in name else ""))
+        rows.append((label, "1.3", taken["holes"] / taken["whole"], ""))
     return rows
 
 
