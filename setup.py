@@ -19,7 +19,7 @@ def kernel(name: str, depends: list[str]) -> Extension:
     return Extension(
         name,
         sources=[f"src/{name.replace('.', '/')}.c"],
-        depends=depends,
+        depends=[module_header, *depends],
         extra_compile_args=flags,
         define_macros=[("Py_LIMITED_API", "0x030B0000")] if stable_abi else [],
         py_limited_api=stable_abi,
@@ -30,10 +30,11 @@ def kernel(name: str, depends: list[str]) -> Extension:
 filter_header, judging_header = "src/residua/linear/systems/_filter.h", "src/residua/decide/_judging.h"
 members_header = "src/residua/decide/_members.h"
 plant_header, tick_header = "src/residua/monitor/_plant_filter.h", "src/residua/monitor/_tick.h"
-gain_header = "src/residua/monitor/_partial_gain.h"
+gain_header, module_header = "src/residua/monitor/_partial_gain.h", "src/residua/_module.h"
+loop_headers = [filter_header, judging_header, members_header, plant_header, tick_header, gain_header]
 kernels = [
     kernel("residua.linear.systems._recursion", [filter_header]),
-    kernel("residua.monitor._fused", [filter_header, judging_header, members_header, plant_header, tick_header, gain_header]),
+    kernel("residua.monitor._fused", loop_headers),
     kernel("residua.live._rows", []),
 ]
 

@@ -35,6 +35,7 @@ ROOMS = (
         "tolerances",
         "number_kinds",
         "arrays",
+        "kernels",
         "facade",
         "progress",
         "files",

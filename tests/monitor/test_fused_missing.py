@@ -134,3 +134,29 @@ def test_steps_have_the_bits_of_the_recording(
     for k, name in enumerate(("alarm", "usable", "missing", "statistic", "residuals")):
         same(np.array([one[k] for one in found]), getattr(expected, name)[0], name)
     same(run.state, state, "state")
+
+
+@needs_kernel
+def test_snapshots_have_the_bytes_of_numpy() -> None:
+    """Before values are missing, while they are, and when all filters are back at their stationary gain."""
+    rng = np.random.default_rng(0)
+    made = rs.Plant([[0.5]], [[0.1]], [[1.0], [0.4]], dt=1).with_sensor_faults()
+    made = made.with_noise(process=1e-1, measurement=1e-1)
+    monitors = [rs.Monitor(rs.design.kalman_filter(made), isolate=None) for _ in range(2)]
+    with pytest.MonkeyPatch.context() as patch:
+        fleets = [rs.Fleet(monitors[0], plants=range(5))]
+        patch.setattr(fused, "_kernel", None)
+        fleets.append(rs.Fleet(monitors[1], plants=range(5)))
+    columns = set()
+    for k in range(60):
+        u, y = rng.standard_normal((5, 1)), rng.standard_normal((5, 2))
+        if k in (0, 20, 21):
+            y[1, 0] = y[3] = np.nan
+        for fleet in fleets:
+            fleet.tick(None, u, y)
+        contents = [fleet.snapshot() for fleet in fleets]
+        assert contents[0] == contents[1], k
+        columns.add(b"state.filter.spread" in contents[0])
+        assert rs.Fleet.restore(contents[0], monitors[0]).snapshot() == contents[0]
+    assert columns == {True, False}
+    assert b"state.filter.spread" not in contents[0]

@@ -2,6 +2,8 @@
 
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
+
+#include "../_module.h"
 #include <math.h>
 
 enum { DONE, NO_ROW, NO_NUMBER };
@@ -77,24 +79,4 @@ static PyMethodDef methods[] = {
     {NULL, NULL, 0, NULL},
 };
 
-static PyModuleDef_Slot slots[] = {
-#if defined(Py_mod_gil) && !defined(Py_LIMITED_API)
-    {Py_mod_gil, Py_MOD_GIL_NOT_USED},
-#endif
-    {0, NULL},
-};
-
-static struct PyModuleDef definition = {
-    PyModuleDef_HEAD_INIT,
-    .m_name = "residua.live._rows",
-    .m_doc = "The compiled part of residua.live.readings.",
-    .m_size = 0,
-    .m_methods = methods,
-    .m_slots = slots,
-};
-
-PyMODINIT_FUNC
-PyInit__rows(void)
-{
-    return PyModuleDef_Init(&definition);
-}
+DEFINE_MODULE(_rows, "residua.live._rows", "The compiled part of residua.live.readings.", methods, )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.errors import missing_extra
+from residua.kernels import kernel
 from residua.live.messages import LARGEST, LONGEST_ID, Message
 
 try:
@@ -21,13 +21,7 @@ try:
 except ImportError as error:
     raise missing_extra("orjson", "live") from error
 
-try:
-    if os.environ.get("RESIDUA_NO_COMPILED") == "1":
-        _kernel = None
-    else:
-        from residua.live import _rows as _kernel  # pyright: ignore[reportAttributeAccessIssue]
-except ImportError:  # built without a C compiler
-    _kernel = None
+_kernel = kernel("residua.live._rows")
 
 #: Rows of a packed message at most.
 MOST_ROWS = 100_000

@@ -10,6 +10,7 @@
 
 #include <stdlib.h>
 
+#include "../_module.h"
 #include "_plant_filter.h"
 
 /* ---- judging a piece --------------------------------------------------------------------------------------------- */
@@ -303,8 +304,8 @@ take_all(Runner *self, PyObject *plan, PyObject *state)
         p->groups, t->parts, t->parts, nr * k, p->groups * p->k, partial_numbers(n, self->some.inputs, self->some.p)};
     const Py_ssize_t parts = t->kind == PARTS ? t->parts : 1;
     const Py_ssize_t state_sizes[STATE_ARRAYS] = {
-        n, m, 1, 1, 1, 1, 1, 1, n, 1, 1, n * n, 1, t->window * k, k, 1, t->order * k, t->order, t->sums, parts, parts, parts,
-        p->window * p->k, p->k, 1, p->k, p->k, 1, 1, nr, 1, p->groups, p->k};
+        n, m, 1, 1, 1, 1, 1, 1, n, 1, 1, n * n, 1, t->window * k, k, 1, t->order * k, t->order, t->sums, parts, parts,
+        parts, p->window * p->k, p->k, 1, p->k, p->k, 1, 1, nr, 1, p->groups, p->k};
     const char *const formats[STATE_ARRAYS] = {"d", "d", "lq", "?", "lq", "lq", "lq", "?",  "d", "d", "?", "d", "lq",
                                                "d", "d", "lq", "d", "?",  "d",  "lq", "lq", "?", "d", "d", "lq",
                                                "lq", "?", "B", "d", "d", "lq", "d", "?"};
@@ -451,7 +452,9 @@ read_plan(Runner *self, const whole *i, const double *d)
                                [PIGNATIELLO_RUNGER] = t->k + 2, [EWMA] = t->k, [CHI_SQUARED] = (t->window - 1) * width,
                                [GLR] = (t->window - 1) * width, [DIRECTED_GLR] = (t->window - 1) * width,
                                [PARTS] = 0};
-    return (self->partial && (self->some.inputs > self->m || self->some.p != self->nr)) || t->kind < NORM || t->kind > PARTS || t->window < 1 || t->sums != sums[t->kind]
+    if (self->partial && (self->some.inputs > self->m || self->some.p != self->nr))
+        return -1;
+    return t->kind < NORM || t->kind > PARTS || t->window < 1 || t->sums != sums[t->kind]
                    || (self->naming.kind != NOBODY && self->naming.window < 1) || t->knots_of_each == 1
                    || (t->kind == PARTS) != (t->parts > 0)
                    || (self->naming.kind == CODES && self->naming.k != t->parts)
@@ -536,8 +539,8 @@ point_at_plan(Runner *self)
             t->padded[4 + 4 * i + j] = t->whitening[i * t->k + j];
     }
     self->judge = self->nr <= 4 && t->k <= 4 ? t->padded : NULL;
-    self->chains = self->judge != NULL && self->path == PATH_AVX2 && t->kind == CROSIER && !t->order && !t->knots_of_each
-                   && self->n >= 1 && self->n <= MAX_SMALL;
+    self->chains = self->judge != NULL && self->path == PATH_AVX2 && t->kind == CROSIER && !t->order
+                   && !t->knots_of_each && self->n >= 1 && self->n <= MAX_SMALL;
     self->sums_squares = self->judge != NULL && self->naming.kind == NOBODY
                          && ((t->kind == NORM && t->window == 1)
                              || (t->kind == CHI_SQUARED && !t->order && !t->knots_of_each));
@@ -716,7 +719,8 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     const Py_ssize_t samples = time < CHUNK ? CHUNK : time < PIECE ? time : PIECE, k = self->test.k;
     const test_plan *t = &self->test;
     const Py_ssize_t widest = t->directions > k ? t->directions : k;
-    const Py_ssize_t room_e = t->kind == NORM || t->kind == PARTS ? 0 : samples * k, states = (3 * CHUNK + 3) * (self->n + 1) + 16;
+    const Py_ssize_t room_e = t->kind == NORM || t->kind == PARTS ? 0 : samples * k;
+    const Py_ssize_t states = (3 * CHUNK + 3) * (self->n + 1) + 16;
     const int is_summed = t->kind >= CHI_SQUARED && t->kind <= DIRECTED_GLR;
     const Py_ssize_t history = is_summed ? widest * (t->window - 1 + samples + 16) : 0;
     const Py_ssize_t parts = samples * t->parts, members = self->naming.kind == CODES ? parts : 0;
@@ -1027,24 +1031,5 @@ fill_module(PyObject *module)
     return status;
 }
 
-static PyModuleDef_Slot slots[] = {
-    {Py_mod_exec, fill_module},
-#if defined(Py_mod_gil) && !defined(Py_LIMITED_API)
-    {Py_mod_gil, Py_MOD_GIL_NOT_USED},
-#endif
-    {0, NULL},
-};
-
-static struct PyModuleDef definition = {
-    PyModuleDef_HEAD_INIT,
-    .m_name = "residua.monitor._fused",
-    .m_doc = "The compiled loop of residua.monitor.fused.",
-    .m_size = 0,
-    .m_slots = slots,
-};
-
-PyMODINIT_FUNC
-PyInit__fused(void)
-{
-    return PyModuleDef_Init(&definition);
-}
+DEFINE_MODULE(_fused, "residua.monitor._fused", "The compiled loop of residua.monitor.fused.", NULL,
+              FILLED_BY(fill_module))

@@ -1,7 +1,7 @@
 /* The gain of a Kalman filter for a sample of which some values are missing, as residua.monitor.partial_update has it.
  *
- * The same sums in the same order as there, so that the bits are the same. Gains are remembered by what they follow from:
- * the covariance of the prediction and which values are there. Plants that miss the same values need the same ones.
+ * The same sums in the same order as there, so that the bits are the same. Gains are remembered by what they follow
+ * from: the covariance of the prediction and which values are there. Plants that miss the same values need the same ones.
  */
 #ifndef RESIDUA_PARTIAL_GAIN_H
 #define RESIDUA_PARTIAL_GAIN_H
@@ -9,7 +9,7 @@
 #define MOST_GAINS 1024         /* that are remembered in one run: a power of two */
 #define ROOM_FOR_GAINS 4194304  /* bytes; larger filters remember fewer */
 
-/* Matrices of the plant and its noise, as in PartialUpdate; what counts as reached, and the numbers derived from them. */
+/* Matrices of the plant and its noise, and what is derived from them, as in PartialUpdate.numbers. */
 typedef struct {
     Py_ssize_t n, inputs, p; /* states, inputs and outputs of the plant */
     const double *A, *B, *C, *D, *K, *Q, *R, *S, *covariance, *free_input, *most, *reached, *unknown, *root;

@@ -23,8 +23,8 @@ enum {
     KNOTS, SCORES, ALONG, BASES, DIMENSIONS, SIZES, LIMITS, JOINT, CODE_TABLE, PARTIAL_NUMBERS, PLAN_ARRAYS
 };
 enum {
-    X, HELD, GAP, RUNNING, AGE, RESETS, BROKEN, STARTING, START_SUMS, MOVED, APART, SPREAD, COUNT, TEST_VALUES, TEST_BEGUN,
-    TEST_FILLED, PAST, PAST_USABLE, SUMS, UP, DOWN, ALARM, VALUES, BEGUN, FILLED, SINCE, FIRED, LAST_FLAGS,
+    X, HELD, GAP, RUNNING, AGE, RESETS, BROKEN, STARTING, START_SUMS, MOVED, APART, SPREAD, COUNT, TEST_VALUES,
+    TEST_BEGUN, TEST_FILLED, PAST, PAST_USABLE, SUMS, UP, DOWN, ALARM, VALUES, BEGUN, FILLED, SINCE, FIRED, LAST_FLAGS,
     LAST_STATISTIC, LAST_RESIDUALS, LAST_UP, LAST_SCORES, LAST_CODE,
     STATE_ARRAYS
 };
@@ -543,8 +543,8 @@ find_pattern(const partial_plan *q, flag *pattern)
     return is_blank;
 }
 
-/* A sample of a Kalman filter that is off its stationary gain, or of which values are missing; whether enough is known of
- * its state. */
+/* A sample of a Kalman filter that is off its stationary gain, or of which values are missing; whether enough is known
+ * of its state. */
 static int
 filter_with_gain(const Runner *self, Py_ssize_t row, const double *held, double *r, scratch *s)
 {

@@ -1,8 +1,8 @@
 /* One sample of many plants. The same bits as plant by plant.
  *
- * A few plants at once go through each step, so that processors work on several while others wait for memory. Those that
- * are another case, since a value is missing or their filter overflows, are left out of what is written, and then run as
- * recordings of one sample.
+ * A few plants at once go through each step, so that processors work on several while others wait for memory. Those
+ * that are another case, since a value is missing or their filter overflows, are left out of what is written, and then
+ * run as recordings of one sample.
  */
 #ifndef RESIDUA_TICK_H
 #define RESIDUA_TICK_H
@@ -92,7 +92,7 @@ gather_records(const Runner *self, const tick *t, chunk *c, double *x)
 
 #define FOUR 4 /* samples that a tile has of each limit */
 
-/* Mark the plants of a chunk that are off their stationary filter, and, unless `all` values are there, those that miss one. */
+/* Mark the plants of a chunk that are off their stationary filter, and those that miss a value unless `all` are there. */
 static void
 mark_odd(const Runner *self, const tick *t, chunk *c, const source *in, int all)
 {

@@ -7,7 +7,6 @@ values are missing, its covariances and room for those of every plant, is brough
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, is_dataclass, replace
@@ -20,18 +19,13 @@ from numpy.typing import NDArray
 from residua.decide.compiled import STATISTICS, CompiledCodes, CompiledIsolation, CompiledTest
 from residua.decide.isolation import Scores
 from residua.decide.test import Block, Tested
+from residua.kernels import kernel
 from residua.linear.systems.recursion import best_path, compiled
 from residua.monitor.plant_records import takes_no_memory
 from residua.monitor.running import Decisions, State, run_reference, written_rows
 from residua.monitor.specification import Specification
 
-try:
-    if os.environ.get("RESIDUA_NO_COMPILED") == "1":
-        _kernel = None
-    else:
-        import residua.monitor._fused as _kernel  # pyright: ignore[reportMissingImports]
-except ImportError:  # built without a C compiler
-    _kernel = None
+_kernel = kernel("residua.monitor._fused")
 
 #: What a block leaves, in the order of the kernel.
 OUTPUTS = (

@@ -30,6 +30,8 @@ from residua.visible import echo, listed
 #: The mark and the version.
 MARK, VERSION = b"RESIDUAF", 1
 _HEAD, _SUM = struct.Struct("<8sII"), 32
+#: Columns that come with the first plant that needs them, and may stay when no plant does any longer.
+_AT_TIMES = ("state.filter.spread", "state.filter.bent")
 _TYPES = {"<f8": np.float64, "<i8": np.int64, "|b1": np.bool_, "|u1": np.uint8}
 
 
@@ -130,11 +132,12 @@ def _columns(block: FleetBlock) -> dict[str, NDArray]:
 
 
 def _arrays(whole: Any, where: str) -> list[tuple[str, NDArray]]:
-    """Return the arrays of a state by name; those that take no memory are left out."""
+    """Return the arrays of a state by name; those that take no memory, or need none, are left out."""
     if whole is None:
         return []
     if isinstance(whole, np.ndarray):
-        return [] if takes_no_memory(whole) else [(where, whole)]
+        needs_none = takes_no_memory(whole) or (where in _AT_TIMES and whole.size > 0 and not whole.any())
+        return [] if needs_none else [(where, whole)]
     return [pair for one in fields(whole) for pair in _arrays(getattr(whole, one.name), f"{where}.{one.name}")]
 
 

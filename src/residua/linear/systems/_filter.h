@@ -284,9 +284,9 @@ typedef void (*runner)(const job *);
     memcpy(q->chain->sums, ends, sizeof ends);                                                                        \
     q->chain->is_alarmed = is_alarmed;
 
-/* JUDGE: whether residuals are also centred and whitened, and their squares added up; 2 if cumulative sums are formed too,
- * whose samples wait for one another: the filter of the next one goes on meanwhile. A row of residuals is stored with
- * what stands in the lanes behind it, where the next rows come to lie. */
+/* JUDGE: whether residuals are also centred and whitened, and their squares added up; 2 if cumulative sums are formed
+ * too, whose samples wait for one another: the filter of the next one goes on meanwhile. A row of residuals is stored
+ * with what stands in the lanes behind it, where the next rows come to lie. */
 #define DEFINE_SMALL(NAME, TARGET, L, N, WIDTH, OUT, JUDGE)                                                           \
     TARGET static void NAME(const job *q)                                                                             \
     {                                                                                                                 \

@@ -2,6 +2,7 @@
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 
+#include "../../_module.h"
 #include "_filter.h"
 
 /* ---- Python --------------------------------------------------------------------------------------------------- */
@@ -128,24 +129,5 @@ static PyMethodDef methods[] = {
     {NULL, NULL, 0, NULL},
 };
 
-static PyModuleDef_Slot slots[] = {
-#if defined(Py_mod_gil) && !defined(Py_LIMITED_API)
-    {Py_mod_gil, Py_MOD_GIL_NOT_USED},
-#endif
-    {0, NULL},
-};
-
-static struct PyModuleDef definition = {
-    PyModuleDef_HEAD_INIT,
-    .m_name = "residua.linear.systems._recursion",
-    .m_doc = "The compiled kernel of residua.linear.systems.recursion.",
-    .m_size = 0,
-    .m_methods = methods,
-    .m_slots = slots,
-};
-
-PyMODINIT_FUNC
-PyInit__recursion(void)
-{
-    return PyModuleDef_Init(&definition);
-}
+DEFINE_MODULE(_recursion, "residua.linear.systems._recursion",
+              "The compiled kernel of residua.linear.systems.recursion.", methods, )

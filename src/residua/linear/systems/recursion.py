@@ -7,20 +7,14 @@ run over the whole recording to the last bit, on every machine with IEEE 754 ari
 from __future__ import annotations
 
 import math
-import os
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residua.errors import DataError, ModelError
+from residua.kernels import kernel
 
-try:
-    if os.environ.get("RESIDUA_NO_COMPILED") == "1":
-        _kernel = None
-    else:
-        from residua.linear.systems import _recursion as _kernel  # pyright: ignore[reportAttributeAccessIssue]
-except ImportError:  # built without a C compiler
-    _kernel = None
+_kernel = kernel("residua.linear.systems._recursion")
 
 _BEST_PATH: int = _kernel.best_path() if _kernel is not None else 0
 #: A state below this size becomes zero after a sample of nothing but zeros: denormal numbers cost many times a product.
