@@ -363,9 +363,11 @@ class FleetBlock:
 
     def _follow_skipped(self, rows: NDArray[np.int64] | None, usable: NDArray[np.bool_]) -> None:
         """Note the samples of a block that were not judged, once the onsets of its alarms are known."""
+        self._is_settling = self._is_settling and not usable.any()
+        if self._is_settling:
+            return
         which = np.flatnonzero(~(usable[:, 0] if usable.shape[1] == 1 else usable.all(axis=1)))
-        self._is_settling = self._is_settling and len(which) == len(usable) and not usable.any()
-        if which.size and not self._is_settling:
+        if which.size:
             who = which if rows is None else rows[which]
             before = self.state.count[who] - usable.shape[1]
             self.skipped.note(who, before, usable[which], self.over(who))
