@@ -754,8 +754,12 @@ execute(const job *q, int path)
     if (path == PATH_AVX2) {
 #if defined(RESIDUA_JUDGES)
         if (q->judge != NULL && q->n >= 1 && q->n <= MAX_SMALL) {
-            const int is_tick = q->time == 1 && q->plants > 1 && q->is_packed;
-            (q->chain != NULL ? chained_table : is_tick ? tick_table : judged_table)[q->n - 1](q);
+            if (q->chain != NULL)
+                chained_table[q->n - 1](q);
+            else if (q->time == 1 && q->plants > 1 && q->is_packed)
+                tick_table[q->n - 1](q);
+            else
+                judged_table[q->n - 1](q);
             return 1;
         }
 #endif
