@@ -69,13 +69,13 @@ def chosen(shape: tuple[int, int, int], direct: bool, starts: bool, hold: int) -
 
 
 @needs_kernel
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20, deadline=None)
 @drawn
 def test_recordings_have_the_bits_of_numpy(
     shape: tuple[int, int, int], direct: bool, starts: bool, share: float, hold: int, seed: int
 ) -> None:
     spec, rng = chosen(shape, direct, starts, hold), np.random.default_rng(seed)
-    data = recorded(spec, rng, 3, int(rng.integers(2, 400)), share)
+    data = recorded(spec, rng, 3, int(rng.integers(2, 250)), share)
     with np.errstate(all="ignore"):
         state, expected = run_reference(spec, initial_state(spec, 3), data)
     now, parts = initial_state(spec, 3), []
@@ -87,7 +87,7 @@ def test_recordings_have_the_bits_of_numpy(
 
 
 @needs_kernel
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=8, deadline=None)
 @drawn
 @pytest.mark.parametrize("path", [0, 1, 2])
 def test_ticks_have_the_bits_of_numpy(
