@@ -159,8 +159,13 @@ class ResidualGenerator:
         form = self._internal_form
         skip = range(len(self.faults), len(self.faults) + len(self.plant.disturbances))
         columns = [i for i in range(form.n_inputs) if i not in skip]
-        even = in_even_units(form.select(inputs=columns)).system
-        scaled = even.frequency_response(frequency_grid(form))
+        even = in_even_units(form.select(inputs=columns))
+        system = even.system
+        if self.faults and form.E is None:  # the states in the units of the signatures, whose eliminations are kept
+            states = in_even_units(form.select(inputs=range(len(self.faults))))
+            factors = states.equations / even.equations
+            system = system.replaced(A=states.system.A, B=factors[:, None] * system.B, C=system.C / factors)
+        scaled = system.frequency_response(frequency_grid(form))
         for axes in ((0, 1), (0, 2)):  # each input, then each residual, has its own units
             units = np.abs(scaled).max(axis=axes, keepdims=True, initial=0.0)
             scaled = scaled / np.where(units > 0, units, 1.0)

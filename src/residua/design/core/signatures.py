@@ -94,12 +94,21 @@ def fault_responses(
         B = own.equations[:, None] * (_largest(np.abs(T) / p.equations, Bf) + _largest(Gy, Df))
         D = _largest(Hy, Df) + (0.0 if V is None else _largest(np.abs(V) / p.equations, Bf))
         D = own.outputs[:, None] * D
-    response = response_terms(scaled, points, B, D)
-    Q = np.abs(generator.frequency_response(w)[:, :, n_u:]) * own.outputs[:, None] / p.outputs
+    if np.array_equal(form.A, generator.A) and np.array_equal(form.C, -generator.C):  # one elimination for both
+        Gy, Hy = own.equations[:, None] * generator.B[:, n_u:] / p.outputs, generator.D[:, n_u:] / p.outputs
+        both = scaled.replaced(
+            B=np.hstack([scaled.B, Gy]), D=np.hstack([scaled.D, -own.outputs[:, None] * Hy]), inputs=None
+        )
+        response = response_terms(both, points, np.hstack([B, np.abs(Gy)]), np.hstack([D, np.abs(both.D[:, n_f:])]))
+        Q = np.abs(response.values[:, :, n_f:])
+    else:
+        response = response_terms(scaled, points, B, D)
+        Q = np.abs(generator.frequency_response(w)[:, :, n_u:]) * own.outputs[:, None] / p.outputs
+    values, terms = response.values[:, :, :n_f], response.terms[:, :, :n_f]
     driven = _largest(Q, np.abs(p.system.frequency_response(w)))
-    reached = np.any(np.abs(response.values) > DESIGN_ROUNDING * (response.terms + driven), axis=0)
-    terms = response.terms + driven if T is None else response.terms
-    return FaultResponses(scaled, np.where(reached, response.values, 0.0), terms, driven, reached, own.outputs)
+    reached = np.any(np.abs(values) > DESIGN_ROUNDING * (terms + driven), axis=0)
+    terms = terms + driven if T is None else terms
+    return FaultResponses(scaled, np.where(reached, values, 0.0), terms, driven, reached, own.outputs)
 
 
 def _largest(rows: NDArray, columns: NDArray) -> NDArray[np.float64]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 from residua.errors import AccuracyError, DesignError
 from residua.linear.subspaces.observability import staircase
@@ -26,6 +27,10 @@ VARIATION = 1e-6
 #: A square T beyond this condition counts as singular: K = T^-1 L would be all rounding.
 CONDITION = 1e8
 _ATTEMPTS = 12
+#: From so many rows on null spaces are iterated, ...
+_LARGE = 24
+#: ... to what rounding leaves of the largest singular value.
+_NULL = 1e-14
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,17 +142,16 @@ def _deadbeat(M: Matrix, H: Matrix, rtol: float, scale: float) -> tuple[Matrix, 
     steps: list[tuple[int, NDArray]] = []
     while X.shape[1] < c:
         reach = Y.T @ Bt  # in the complement of X, of which Y is a basis
-        basis, _ = range_basis(reach, rtol=rtol, scale=scale_B)
-        rest = Y.T @ At
-        inside = rest @ Y
-        kernel, _ = null_basis(inside - basis @ (basis.T @ inside), rtol=rtol, scale=scale_A)
+        basis, decision = range_basis(reach, rtol=rtol, scale=scale_B)
+        inside = Y.T @ At @ Y
+        kernel = _kernel(inside - basis @ (basis.T @ inside), rtol, scale_A)
         count = kernel.shape[1]
         if not count:
             return None
         turned = np.linalg.qr(kernel, mode="complete")[0]
         before, fresh, Y = Y, Y @ turned[:, :count], Y @ turned[:, count:]
         fresh = np.linalg.qr(fresh - X @ (X.T @ fresh))[0]
-        large = float(np.linalg.norm(reach, 2)) if reach.size else 0.0
+        large = float(decision.singular_values.max(initial=0.0))
         inverse = np.linalg.pinv(reach, rcond=rtol * scale_B / max(large, rtol * scale_B)) @ before.T
         steps.append((X.shape[1], inverse))
         F = F - inverse @ At @ fresh @ fresh.T
@@ -157,10 +161,33 @@ def _deadbeat(M: Matrix, H: Matrix, rtol: float, scale: float) -> tuple[Matrix, 
     for _ in range(2):  # what rounding left below the diagonal blocks is taken out once more
         for (start, inverse), count in zip(steps, levels, strict=True):
             fresh = X[:, start : start + count]
-            lost = (At + Bt @ F) @ fresh
+            lost = At @ fresh + Bt @ (F @ fresh)
             lost = lost - X[:, :start] @ (X[:, :start].T @ lost)
             F = F - inverse @ lost @ fresh.T
     return F.T, X, levels
+
+
+def _kernel(M: Matrix, rtol: float, scale: float) -> Matrix:
+    """Return an orthonormal basis of the null space of a square matrix; of a large one by inverse iteration.
+
+    The rank is decided by all singular values either way; to compute the vectors of all takes three times as long.
+    """
+    if len(M) < _LARGE:
+        return null_basis(M, rtol=rtol, scale=scale)[0]
+    decision = decide_rank(M, rtol=rtol, scale=scale)
+    s, count = decision.singular_values, len(M) - decision.rank
+    if not count or 4 * count > len(M):
+        return null_basis(M, rtol=rtol, scale=scale)[0]
+    factors, pivots, _ = lapack.dgetrf(M)
+    diagonal, least = factors.diagonal(), float(np.finfo(float).eps * s[0])
+    np.fill_diagonal(factors, np.where(np.abs(diagonal) < least, least, diagonal))
+    Z = np.random.default_rng(3).standard_normal((len(M), count))
+    for _ in range(2):
+        Z = lapack.dgetrs(factors, pivots, lapack.dgetrs(factors, pivots, Z, trans=1)[0])[0]
+        Z = np.linalg.qr(Z)[0]
+    if not np.linalg.norm(M @ Z) <= max(2 * s[len(M) - count], _NULL * s[0]):  # no gap behind the values
+        return null_basis(M, rtol=rtol, scale=scale)[0]
+    return without_noise(Z)
 
 
 def _triangular(N: Matrix, X: Matrix, levels: list[int], size: float) -> tuple[Matrix, float]:

@@ -169,6 +169,17 @@ def _exists(problem: Pencil, degree: int, rtol: float) -> bool:
     return any(not one.blocks.size or FactoredBand.of(one, scale).is_singular(rtol) for one in bands)
 
 
+def _certain_degree(problem: Pencil) -> int | None:
+    """Return the smallest degree at which there are more coefficients than equations for them; ``None`` if never.
+
+    Of a pencil without structure it is the smallest at which there are null vectors.
+    """
+    dynamic = int(np.count_nonzero(np.any(problem.P1 != 0, axis=0)))
+    every = int(np.count_nonzero(np.any((problem.P0 != 0) | (problem.P1 != 0), axis=0)))
+    spare = len(problem.P0) - every
+    return dynamic // spare if spare > 0 else None
+
+
 def shortest_pencil_null_vectors(problem: Pencil, *, most: int, rtol: float = PENCIL_RTOL) -> PencilNullVectors | None:
     """Return the polynomial rows of the smallest degree that annihilate a pencil; ``None`` when none is up to ``most``.
 
@@ -184,12 +195,16 @@ def shortest_pencil_null_vectors(problem: Pencil, *, most: int, rtol: float = PE
     def exists(degree: int) -> bool:
         return _exists(problem, degree, rtol)
 
-    low, high = 0, 0  # upwards first: short ones cost little to find, and there often are some
-    while not exists(high):
-        if high == most:
-            return None
-        low, high = high + 1, min(max(2 * high, 1), most)
-    smallest = at_smallest_degree(lambda degree: degree if exists(degree) else None, low, high, high)
+    certain = _certain_degree(problem)
+    if certain is not None and certain <= most and not (certain and exists(certain - 1)):
+        smallest = certain
+    else:
+        low, high = 0, 0  # upwards first: short ones cost little to find, and there often are some
+        while not exists(high):
+            if high == most:
+                return None
+            low, high = high + 1, min(max(2 * high, 1), most)
+        smallest = at_smallest_degree(lambda degree: degree if exists(degree) else None, low, high, high)
     found = pencil_null_vectors(problem, smallest, rtol=rtol)
     while not len(found.vectors) and found.degree < most:  # at the edge of the tolerance
         found = pencil_null_vectors(problem, found.degree + 1, rtol=rtol)
@@ -197,21 +212,25 @@ def shortest_pencil_null_vectors(problem: Pencil, *, most: int, rtol: float = PE
 
 
 def refined(problem: Pencil, x: NDArray[np.float64], *, rtol: float = PENCIL_RTOL) -> NDArray[np.float64]:
-    """Return the null vector nearest to one that rounding, such as that of a change of basis, has moved."""
-    k = len(x) - 1
-    band, units = _block_band(problem, k)
-    scaled = (x / units).ravel()
+    """Return the null vector nearest to one that rounding, such as that of a change of basis, has moved.
+
+    Of several of one degree, along the first axis, those nearest to each: one factorisation serves all.
+    """
+    if x.ndim == 2:
+        return refined(problem, x[None], rtol=rtol)[0]
+    band, units = _block_band(problem, x.shape[1] - 1)
+    scaled = (x / units).reshape(len(x), -1)
     if _is_large(band):
-        return (scaled - _moved(band, scaled, problem, rtol)).reshape(k + 1, -1) * units
+        return (scaled - _moved(band, scaled, problem, rtol)).reshape(x.shape) * units
     T = band.dense()
     U, s, Vh = np.linalg.svd(T, full_matrices=False)
     keep = s > rtol * s[0] if len(s) else s > 0
     scaled = scaled - ((scaled @ T) @ Vh[keep].T / s[keep]) @ U[:, keep].T
-    return scaled.reshape(k + 1, -1) * units
+    return scaled.reshape(x.shape) * units
 
 
 def _moved(band: BlockBand, x: NDArray[np.float64], problem: Pencil, rtol: float) -> NDArray[np.float64]:
-    """Return how far a vector is from a null vector of a large band.
+    """Return how far each of some vectors, shape (vectors, rows), is from a null vector of a large band.
 
     The correction is as small as what it mends, so that entries far below the largest keep their digits, which those
     of the computed null vectors do not have. The largest entries of these stay as they are.
@@ -220,8 +239,9 @@ def _moved(band: BlockBand, x: NDArray[np.float64], problem: Pencil, rtol: float
     key = entries(problem.P0, problem.P1, problem.rows, problem.columns, basis.real, basis.imaginary, basis.sizes)
     W = _bases.of((key, len(band.blocks), rtol), lambda: _left_null_basis(band, problem, rtol)[0])
     kept = scipy.linalg.qr(W.T, mode="r", pivoting=True)[1][: W.shape[1]]
-    left = band.times(x.reshape(1, len(band.blocks), -1))[0]
-    return least_squares(band.without(kept), left, band.largest()).ravel()
+    left = band.times(x.reshape(len(x), len(band.blocks), -1))
+    moved = least_squares(band.without(kept), np.moveaxis(left, 0, -1), band.largest())
+    return np.moveaxis(moved, -1, 0).reshape(x.shape)
 
 
 _bases: Latest[NDArray[np.float64]] = Latest()
