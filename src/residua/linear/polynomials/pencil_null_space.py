@@ -60,8 +60,8 @@ class PencilNullVectors:
     vectors : ndarray, shape (count, degree + 1, rows)
         Coefficients in the basis of the pencil.
     decision : RankDecision
-        The rank of the block matrix that they annihilate; of a large one on the space of its largest and its smallest
-        singular values, as the others are not computed.
+        The rank of the block matrix that they annihilate; of a large one with its largest singular value and its
+        smallest ones.
     units : ndarray, shape (degree + 1, rows)
         ``vectors / units`` is orthonormal.
     """
@@ -129,9 +129,8 @@ def _left_null_basis(band: BlockBand, problem: Pencil, rtol: float) -> tuple[NDA
             one = band.of_rows(part)
             nothing = np.eye(one.rows), np.zeros(one.rows)  # of rows that are zero
             found.append(FactoredBand.of(one, scale).left_null_basis(rtol) if one.blocks.size else nothing)
-        s = np.concatenate([[scale], np.sort(np.concatenate([values for _, values in found]))[::-1]])
-        decision = RankDecision(int(np.count_nonzero(s > rtol * scale)), s, rtol * scale)
-        return _side_by_side([basis for basis, _ in found], parts, degree, count), decision
+        W = _side_by_side([basis for basis, _ in found], parts, degree, count)
+        return W, _decision_of_smallest([values for _, values in found], scale, rtol, band.rows)
     T = band.dense()
     if len(parts) < 2:
         return left_null_basis(T, rtol=rtol)
@@ -143,6 +142,15 @@ def _left_null_basis(band: BlockBand, problem: Pencil, rtol: float) -> tuple[NDA
         bases.append(left_null_basis(T[rows][:, np.any(T[rows], axis=0)], rtol=rtol, scale=scale)[0])
     W = _side_by_side(bases, parts, degree, count)
     return (W, whole) if W.shape[1] == len(T) - whole.rank else left_null_basis(T, rtol=rtol)
+
+
+def _decision_of_smallest(parts: list[NDArray], scale: float, rtol: float, rows: int) -> RankDecision:
+    """Return the rank of a matrix of some rows of which the largest and the smallest singular values are known."""
+    s = np.sort(np.concatenate(parts))[::-1]
+    rank = rows - int(np.count_nonzero(s <= rtol * scale))
+    if len(s) < rows:
+        s = np.concatenate([[scale], s])
+    return RankDecision(rank, s, rtol * scale, rank - int(np.count_nonzero(s > rtol * scale)))
 
 
 def _side_by_side(bases: list[NDArray], parts: list[NDArray[np.int_]], degree: int, count: int) -> NDArray:
