@@ -29,14 +29,18 @@ def _poles_of_part(A: NDArray) -> NDArray[np.complex128]:
     balanced = scipy.linalg.matrix_balance(A / T[:, None] * T)[0]
     poles, left, right = scipy.linalg.eig(balanced, left=True, right=True)
     overlap = np.abs(np.sum(left.conj() * right, axis=0))
-    return np.where(is_rounding_of_zero(poles, overlap, float(np.linalg.norm(balanced))), 0.0, poles).astype(complex)
+    zero = is_rounding_of_zero(poles, overlap, float(np.linalg.norm(balanced)), balanced)
+    return np.where(zero, 0.0, poles).astype(complex)
 
 
-def is_rounding_of_zero(values: NDArray, overlap: NDArray, size: float) -> NDArray[np.bool_]:
+def is_rounding_of_zero(
+    values: NDArray, overlap: NDArray, size: float, matrix: NDArray | None = None
+) -> NDArray[np.bool_]:
     r"""Tell which eigenvalues of a matrix, or of a pencil ``A - sE``, may be nothing but rounding of zero.
 
     Rounding scatters a zero of multiplicity ``m`` by :math:`|A| \epsilon^{1/m}`, and to first order any eigenvalue by
-    :math:`\epsilon |A| / |w^H E v|`, with its unit eigenvectors: what is within both is zero.
+    :math:`\epsilon |A| / |w^H E v|`, with its unit eigenvectors: what is within both is zero. Not where ``A`` stays
+    regular, whatever rounding does to it: then none is, however far from normal it is.
 
     Parameters
     ----------
@@ -45,6 +49,8 @@ def is_rounding_of_zero(values: NDArray, overlap: NDArray, size: float) -> NDArr
         :math:`|w^H v|`, or :math:`|w^H E v|`.
     size : float
         Norm of ``A``, or of what ``A`` was computed from.
+    matrix : ndarray, shape (n, n), optional
+        ``A``.
     """
     count = len(values)
     rounding = 10 * count * np.finfo(float).eps
@@ -53,4 +59,6 @@ def is_rounding_of_zero(values: NDArray, overlap: NDArray, size: float) -> NDArr
         near = np.abs(values) <= size * rounding ** (1 / m)
         if np.count_nonzero(near) >= m:
             zero = near & (np.abs(values) * overlap <= rounding * size)
+    if matrix is not None and zero.any() and np.linalg.norm(matrix, -2) > rounding * size:
+        return values == 0
     return zero

@@ -201,7 +201,7 @@ def _finite_zeros(M: Matrices, scale: float) -> NDArray[np.complex128]:
         raise AccuracyError("a zero of the compressed pencil came out infinite: a rank decision was not clear")
     overlap = np.abs(np.sum(left.conj() * (E @ right), axis=0))
     overlap /= np.linalg.norm(left, axis=0) * np.linalg.norm(right, axis=0)
-    zeros = np.where(is_rounding_of_zero(zeros, overlap, scale), 0.0, zeros).astype(np.complex128)
+    zeros = np.where(is_rounding_of_zero(zeros, overlap, scale, A), 0.0, zeros).astype(np.complex128)
     return zeros[np.lexsort((zeros.imag, zeros.real))]
 
 
