@@ -12,6 +12,7 @@ from residua.linear.subspaces.reachability import without_unobservable
 from residua.linear.systems.array_cache import Latest, entries
 from residua.linear.systems.balancing import descriptor_units, state_units
 from residua.linear.systems.response_terms import accurate_response, in_even_units, response_terms
+from residua.linear.systems.units import system_units
 from residua.plant import Plant
 from residua.tolerances import IDENTITY, ROUNDING, TINY, above_rounding
 
@@ -238,9 +239,11 @@ def _pole_sizes(system: StateSpace) -> NDArray[np.float64]:
 
 def _size(system: StateSpace) -> float:
     """Return the size of what the poles of a system are made of."""
-    explicit = system.E is None and system.n_states
-    size = np.linalg.norm(in_even_units(system).system.A) if explicit else np.abs(system.poles()).max(initial=0.0)
-    return float(size)
+    if system.E is None and system.n_states:
+        n = system.n_states
+        T = system_units(system.A, np.zeros((n, 0)), np.zeros((0, n)), np.zeros((0, 0))).states
+        return float(np.linalg.norm(system.A / T[:, None] * T))
+    return float(np.abs(system.poles()).max(initial=0.0))
 
 
 def leak_frequencies(generator: StateSpace, plant: Plant) -> NDArray[np.float64]:

@@ -19,7 +19,7 @@ Complex = NDArray[np.complex128]
 #: From so many states on factors are computed point by point: below, one call for all points is faster.
 _STATES = 32
 #: Factors of more bytes are made for one point at a time, and not kept.
-_MOST_BYTES = 2**26
+_MOST_BYTES = 2**24
 
 
 def independent_parts(A: Real, E: Real | None) -> list[NDArray[np.int_]]:
