@@ -56,7 +56,7 @@ class Relation:
     @property
     def used(self) -> NDArray[np.bool_]:
         """The equations of the plant that take part, shape (states + outputs,)."""
-        return np.hstack([self.p, self.q]).any(axis=0)
+        return np.asarray(np.hstack([self.p, self.q]).any(axis=0))
 
 
 def changed(rows: Sequence[Relation], bases: Sequence[PolynomialBasis], plant: Plant) -> list[Relation]:
