@@ -13,6 +13,8 @@ HEAVY = (
     "scipy.signal",
     "scipy.stats",
     "scipy.optimize",
+    "scipy.sparse",
+    "scipy.special",
     "matplotlib",
     "pandas",
     "polars",

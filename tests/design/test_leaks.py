@@ -16,7 +16,8 @@ import pytest
 import residua as rs
 from exact_arithmetic import exact_leak, normal_rank, reaches
 from refusals import Refused
-from residua.design.core.internal_form import frequency_grid, leak_frequencies, leakage
+from residua.design.core.internal_form import frequency_grid, leak_frequencies, leakage, leakage_of_inputs
+from residua.design.core.signatures import checked_responses, fault_responses
 from residua.errors import AccuracyError, ResiduaError
 from residua.testing import check_residual_generator
 from scaled_plants import KINDS, numbers
@@ -287,3 +288,31 @@ def test_leaks_of_a_plant_that_integrates_are_measured_as_far_down_as_its_respon
     assert (w[1:] / w[:-1]).max() <= (own[1:] / own[:-1]).max() * 1.0001
     np.testing.assert_array_equal(w, of_scaled)
     np.testing.assert_array_equal(of_still, frequency_grid(filters[2], still.system(())))
+
+
+def test_a_plant_that_integrates_and_has_no_inputs_has_residuals() -> None:
+    plant = rs.Plant([[0.0, 1.0], [0.0, -1.0]], np.zeros((2, 0)), [[1.0, 0.0]]).with_faults({"f": [0.0, 1.0]})
+    made = rs.design.luenberger_observer(plant).residual_generator()
+    assert made.evidence.decoupling == {}
+    assert made.structure.all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_responses_that_are_evaluated_together_are_those_evaluated_alone(seed: int) -> None:
+    rng = np.random.default_rng([seed, 16])
+    n, p = 6, 4
+    plant = rs.Plant(rng.standard_normal((n, n)), rng.standard_normal((n, 2)), rng.standard_normal((p, n)), dt=0)
+    plant = plant.with_disturbances(rng.standard_normal((n, 1))).with_faults({"f": rng.standard_normal(n)})
+    plant = plant.with_sensor_faults(plant.outputs[:2])
+    made = rs.design.unknown_input_observer(plant).residual_generator()
+    system, form = made.system, made.internal_form()
+    maps = made.state_map, made.static_map
+    known = checked_responses(system, plant, form, *maps)
+    together = leakage_of_inputs(system, plant, known=known)
+    np.testing.assert_allclose(together, leakage_of_inputs(system, plant), atol=1e-13)
+    one = fault_responses(system, plant, form, *maps, known.w, known)
+    other = fault_responses(system, plant, form, *maps, known.w)
+    np.testing.assert_allclose(one.values, other.values, rtol=1e-9, atol=1e-12 * np.abs(other.values).max())
+    np.testing.assert_allclose(one.terms, other.terms, rtol=1e-9)
+    np.testing.assert_allclose(one.sizes, other.sizes, rtol=1e-9)
+    np.testing.assert_array_equal(one.reached, other.reached)

@@ -9,6 +9,7 @@ import scipy.linalg
 import residua as rs
 from refusals import Refused
 from residua.design import perfect_observer
+from residua.design.observers import perfect_gain
 from residua.design.observers.perfect_gain import nilpotency_index
 from residua.design.observers.perfect_observer import differential_filter
 from residua.errors import AccuracyError, DesignError, ModelError, SettingError
@@ -406,3 +407,24 @@ def test_the_ladder_circuit_obeys_kirchhoff() -> None:
     E = plant.E[np.ix_([1, 2, 3], [1, 2, 3])]
     pole = rs.StateSpace(blocked, np.zeros((3, 1)), np.eye(3), E=E).poles()
     np.testing.assert_allclose(pole, [-1 / (CAPACITANCE * (R_CAPACITOR + network))])
+
+
+@pytest.mark.parametrize("n", [24, 40])
+def test_a_chain_by_arnoldi_is_that_of_nested_null_spaces(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng([n, 16])
+    M, H = rng.standard_normal((n, n)) / np.sqrt(n), rng.standard_normal((1, n))
+    hidden = (
+        np.block([[M, np.zeros((n, 1))], [np.zeros((1, n)), np.full((1, 1), 0.5)]]),
+        np.hstack([H, np.zeros((1, 1))]),
+    )
+    made = [perfect_gain._deadbeat(M, H, 1e-10, 1.0), perfect_gain._deadbeat(*hidden, 1e-10, 1.0)]
+    assert perfect_gain._single_chain(M.T, H[0], 1e-10, 1.0)[0]
+    assert perfect_gain._single_chain(hidden[0].T, hidden[1][0], 1e-10, 1.0) == (True, None)
+    monkeypatch.setattr(perfect_gain, "_LARGE", 1000)
+    whole = [perfect_gain._deadbeat(M, H, 1e-10, 1.0), perfect_gain._deadbeat(*hidden, 1e-10, 1.0)]
+    assert made[1] is whole[1] is None  # what the output does not see stays where it is
+    assert made[0] is not None
+    assert whole[0] is not None
+    assert made[0][2] == whole[0][2] == [1] * n
+    np.testing.assert_allclose(made[0][0], whole[0][0], atol=1e-9 * np.abs(whole[0][0]).max())
+    np.testing.assert_allclose(np.abs(np.sum(made[0][1] * whole[0][1], axis=0)), 1, atol=1e-9)  # but for signs

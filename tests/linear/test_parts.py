@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.linalg
 
 from residua.design.core.signatures import _dimension
 from residua.linear import invariant_zeros
-from residua.linear.poles.matrix_poles import is_rounding_of_zero
+from residua.linear.poles.matrix_poles import explicit_poles, is_rounding_of_zero
 from residua.linear.polynomials.pencil_null_space import pencil, pencil_null_vectors
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis, basis_on_poles
 from residua.linear.subspaces.parts import row_parts
@@ -81,6 +82,19 @@ def test_a_zero_of_multiplicity_two_that_rounding_scatters_is_zero_and_a_small_o
     overlap = 1 / np.linalg.norm(left, axis=0)
     assert is_rounding_of_zero(values, overlap, 1.0).all()
     assert not is_rounding_of_zero(np.array([1e-9, 1.0]), np.ones(2), 1.0).any()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_pole_of_a_regular_matrix_far_from_normal_is_zero(seed: int) -> None:
+    """Rounding moves the poles of long chains by more than they are, and yet no rounding makes the matrix singular."""
+    rng, n = np.random.default_rng([seed, 16]), 60
+    chain = -1.5 * np.eye(n) + np.diag(rng.uniform(0.8, 1.0, n - 1), -1)
+    chain += np.diag(rng.uniform(0.1, 0.3, n - 1), 1) if seed % 2 else np.diag(rng.uniform(0.8, 1.0, 1), n - 1)
+    sampled = scipy.linalg.expm(0.2 * chain)
+    for A in (chain, sampled):
+        assert np.all(explicit_poles(A) != 0)
+        A = np.block([[A, np.zeros((n, 1))], [np.ones((1, n)), np.zeros((1, 1))]])  # and one that sums the states up
+        assert np.count_nonzero(explicit_poles(A) == 0) == 1
 
 
 def test_invariant_zeros_at_the_origin_are_exact() -> None:

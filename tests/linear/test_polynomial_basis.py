@@ -149,6 +149,8 @@ def test_large_pencils_have_the_null_vectors_of_a_full_decomposition(
     assert made.vectors.shape == whole.vectors.shape
     assert made.decision.smallest_kept == pytest.approx(whole.decision.smallest_kept, rel=0.01)
     assert made.decision.largest_dropped < 1e-14
+    assert made.decision.rank == whole.decision.rank
+    assert made.decision.dropped.size == made.vectors.shape[1] * (n + m) - whole.decision.rank
     assert np.allclose(made.units, whole.units)
     first, second = (
         np.linalg.qr((one.vectors / one.units).reshape(len(one.vectors), -1).T)[0] for one in (whole, made)
@@ -184,6 +186,8 @@ def test_large_bands_with_rows_of_nothing_or_many_null_vectors(
     monkeypatch.setattr("residua.linear.polynomials.pencil_null_space._DENSE", 0)
     made = pencil_null_vectors(problem, degree)
     assert made.vectors.shape == whole.vectors.shape
+    assert made.decision.rank == whole.decision.rank
+    assert made.decision.kept.size == made.decision.rank - made.decision.omitted
     values = np.linalg.svd((made.vectors / made.units).reshape(len(made.vectors), -1), compute_uv=False)
     assert np.allclose(values, 1.0)
     for one in made.vectors:

@@ -21,8 +21,10 @@ from residua.decide import NormThreshold
 from residua.decide.matched_hold import HeldState
 from residua.errors import FileFormatError
 from residua.library import three_tank
+from residua.linear import RankDecision
 from residua.monitor.design_records import generator_in, generator_out
 from residua.records import array_out
+from residua.report.tables import evidence_html
 
 
 def continuous() -> rs.Plant:
@@ -509,3 +511,21 @@ def test_a_design_that_leaks_is_not_loaded() -> None:
         wrong = replace(made, plant=made.plant.without_disturbances().with_disturbances({"gust": [0, 0, 1]}))
         with pytest.raises(FileFormatError, match="design: the disturbance inputs reach the residual"):
             generator_in(generator_out(wrong), "design")
+
+
+def test_a_rank_of_which_most_singular_values_were_not_computed_is_saved_and_shown() -> None:
+    decision = RankDecision(719, np.array([3.0, 1e-2, 1e-16]), 3e-13, 717)
+    assert str(decision) == "rank 719 (smallest kept 0.01, largest dropped 1e-16; 717 larger ones not computed)"
+    made = sampled_monitor().generator
+    known = RankDecision(1, np.array([2.0, 0.0]), 1e-10)
+    evidence = made.evidence.extended(ranks={"states": decision, "faults": known})
+    record = generator_out(replace(made, evidence=evidence))
+    assert len(record["evidence"]["ranks"]["faults"]) == 3  # as in files of earlier versions
+    back = generator_in(json.loads(json.dumps(record)), "design")
+    assert_same(back.evidence.ranks, {"states": decision, "faults": known})
+    shown = evidence_html(back.evidence)
+    assert "719" in shown
+    assert "3, 717 not computed, 0.01" in shown
+    record["evidence"]["ranks"]["states"][3] = 10
+    with pytest.raises(FileFormatError, match="a rank of 719 does not fit 3 singular values and 10 others"):
+        generator_in(json.loads(json.dumps(record)), "design")

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import digamma, polygamma
 
 from residua.errors import DataError
 from residua.words import counted
@@ -85,6 +84,8 @@ def moderated_variances(variances: ArrayLike, freedom: ArrayLike) -> ModeratedVa
     >>> made.variances.round(2).tolist(), made.freedom.round(1).tolist()
     ([0.01, 0.96, 95.7], [10.4, 10.4, 10.4])
     """
+    from scipy.special import digamma, polygamma  # slow to import, and needed only here
+
     s2, d = _checked(variances, freedom)
     some = d > 0
     logs = np.log(s2[some]) - digamma(d[some] / 2) + np.log(d[some] / 2)
@@ -116,6 +117,8 @@ def _inverse_trigamma(value: float) -> float:
 
     It begins below the place. The reciprocal of the function is convex, so that every step goes up and none too far.
     """
+    from scipy.special import polygamma
+
     x, eps = 0.5 + 1 / value, float(np.finfo(float).eps)
     if value < eps:  # it is one over its argument there, to the last digit
         return 1 / value

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtri
 
 from residua.arrays import frozen, positions
 from residua.errors import DataError, SettingError
@@ -104,6 +103,8 @@ class GreyBox:
         SettingError
             If the level is no probability below 1.
         """
+        from scipy.special import ndtri  # slow to import, and needed only here
+
         if not (isinstance(level, (int, float)) and 0 < level < 1):
             raise SettingError(f"level must lie between 0 and 1, got {echo(level)}")
         out = (1 - level) / (2 * len(self.parameters) if together else 2)

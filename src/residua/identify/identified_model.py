@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtri
 
 from residua.errors import DataError, SettingError
 from residua.identify.model_report import IdentificationReport
@@ -239,6 +238,8 @@ def uncertain_along(
     SettingError
         If the level is no probability.
     """
+    from scipy.special import ndtri  # slow to import, and needed only here
+
     if not 0 < level < 1:
         raise SettingError(f"level must be a probability between 0 and 1, got {level!r}")
     quantile = float(-ndtri((1 - level ** (1 / max(len(sizes), 1))) / 2))

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaincc, ndtri
 
 from residua.identify.realisation import Innovations
 from residua.identify.segments import BLOCK, Gathered
@@ -161,6 +160,8 @@ def ljung_box(correlations: NDArray, pairs: NDArray, rows: int) -> NDArray[np.fl
         The products in each sum; lags without any do not count.
     rows : int
     """
+    from scipy.special import gammaincc  # slow to import, and needed only here
+
     seen = pairs > 0
     if not seen.any():
         return np.ones(correlations.shape[1])
@@ -176,6 +177,8 @@ def _significant(
     Without those whose errors go with the inputs ``before`` them at least as much: there the model misses what the
     input does, and one that varies slowly goes with what comes after, too.
     """
+    from scipy.special import ndtri  # slow to import, and needed only here
+
     if not correlation.size:
         return ()
     limit = -ndtri(CHANCE / (2 * correlation.size)) / np.sqrt(np.maximum(pairs, 1.0))

@@ -323,12 +323,30 @@ def _evidence_out(evidence: Evidence) -> dict[str, Any]:
             for name in ("decoupling", "conditions")
         },
         "ranks": {
-            name: [int(d.rank), array_out(np.asarray(d.singular_values)), float_out(d.tolerance)]
+            name: [
+                int(d.rank),
+                array_out(np.asarray(d.singular_values)),
+                float_out(d.tolerance),
+                *([int(d.omitted)] if d.omitted else []),
+            ]
             for name, d in evidence.ranks.items()
         },
         "notes": list(evidence.notes),
         "references": list(evidence.references),
     }
+
+
+def _rank_in(value: Any, where: str) -> RankDecision:
+    """Return a rank decision; the number of singular values that were not computed is left out where there are none."""
+    entries = list_in(value, where)
+    rank, values, tolerance, omitted = list_in([*entries, 0] if len(entries) == 3 else entries, where, 4)
+    sizes, least = array_in(values, where, NOT_NEGATIVE, 1), float_in(tolerance, where, NOT_NEGATIVE)
+    made = RankDecision(whole_in(rank, where), sizes, least, whole_in(omitted, where))
+    if not 0 <= made.rank - made.omitted <= len(sizes):
+        raise FileFormatError(
+            f"{where}: a rank of {made.rank} does not fit {len(sizes)} singular values and {made.omitted} others"
+        )
+    return made
 
 
 def _evidence_in(value: Any, where: str) -> Evidence:
@@ -341,9 +359,7 @@ def _evidence_in(value: Any, where: str) -> Evidence:
     ranks = {}
     for name, entry in table_in(content["ranks"], joined(where, "ranks")).items():
         at = joined(joined(where, "ranks"), name)
-        rank, values, tolerance = list_in(entry, at, 3)
-        sizes, least = array_in(values, at, NOT_NEGATIVE, 1), float_in(tolerance, at, NOT_NEGATIVE)
-        ranks[name] = RankDecision(whole_in(rank, at), sizes, least)
+        ranks[name] = _rank_in(entry, at)
     return Evidence(
         method=text_in(content["method"], joined(where, "method")),
         **{name: array_in(content[name], joined(where, name), COMPLEX, 1) for name in _POLES},

@@ -275,9 +275,10 @@ def evidence_html(evidence: Evidence) -> str:
 
 
 def _singular(decision: RankDecision) -> tuple[str, str, str, str]:
-    values = [number(float(s), 3) for s in decision.singular_values]
+    kept, dropped = ([number(float(s), 3) for s in part] for part in (decision.kept, decision.dropped))
     gap = "clear" if decision.is_clear else "narrow"
-    kept, dropped = values[: decision.rank], values[decision.rank :]
+    if decision.omitted:
+        kept.insert(1, f"{decision.omitted} not computed")
     return _cut(kept) or "none", _cut(dropped) or "none", number(decision.tolerance, 2), gap
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from residua.design.core.evidence import Evidence
-from residua.design.core.internal_form import leakage_of_inputs
+from residua.design.core.internal_form import JointResponses, leakage_of_inputs
 from residua.errors import AccuracyError
 from residua.linear import StateSpace
 from residua.plant import Plant
@@ -39,11 +39,13 @@ class Decoupled:
     apart: bool = False
     limit: float = LEAKAGE
 
-    def leaks(self, system: StateSpace, plant: Plant, evidence: Evidence) -> dict[str, float]:
+    def leaks(
+        self, system: StateSpace, plant: Plant, evidence: Evidence, known: JointResponses | None = None
+    ) -> dict[str, float]:
         """Return the measured leaks, by the entry of the evidence, or raise when one is too large."""
         del evidence
         watched = plant.faults_as_disturbances(self.faults) if self.faults else plant
-        leakage, n_u = leakage_of_inputs(system, watched), len(plant.inputs)
+        leakage, n_u = leakage_of_inputs(system, watched, known=known), len(plant.inputs)
         leaks = {"control": leakage[:n_u]}
         if self.disturbances and (self.apart or not self.faults):
             leaks |= {"disturbance": leakage[n_u : n_u + len(plant.disturbances)]}
@@ -75,9 +77,11 @@ class Approximate:
 
     entry: str
 
-    def leaks(self, system: StateSpace, plant: Plant, evidence: Evidence) -> dict[str, float]:
+    def leaks(
+        self, system: StateSpace, plant: Plant, evidence: Evidence, known: JointResponses | None = None
+    ) -> dict[str, float]:
         """Return nothing, after checking that the evidence has the number that the design is judged by."""
-        del system, plant
+        del system, plant, known
         if self.entry not in {**evidence.conditions, **evidence.decoupling}:
             raise TypeError(f"an approximate design must say how far inputs reach its residual: no {self.entry!r}")
         return {}
@@ -101,9 +105,11 @@ class MeasuredBefore:
     plant: Plant
     measured: Mapping[str, float]
 
-    def leaks(self, system: StateSpace, plant: Plant, evidence: Evidence) -> dict[str, float]:
+    def leaks(
+        self, system: StateSpace, plant: Plant, evidence: Evidence, known: JointResponses | None = None
+    ) -> dict[str, float]:
         """Return what was measured, after checking that filter and signals are those that it was measured of."""
-        del evidence
+        del evidence, known
         one, other = ([np.frexp(getattr(s, name))[0] for name in "ABCD"] for s in (system, self.system))
         signals = [sorted((*p.inputs, *p.disturbances, *p.faults)) for p in (plant, self.plant)]
         if signals[0] != signals[1] or not all(np.array_equal(a, b) for a, b in zip(one, other, strict=True)):

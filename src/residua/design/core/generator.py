@@ -17,12 +17,13 @@ from residua.design.core.internal_form import (
     check_state_map,
     frequency_grid,
     internal_form,
+    leak_frequencies,
     leakage,
     with_silent_inputs,
 )
 from residua.design.core.responses import covariance_of_sums, steady_responses
 from residua.design.core.signals import discretized_filter, run_signals, sampled_filter
-from residua.design.core.signatures import signature_bases
+from residua.design.core.signatures import checked_responses, signature_bases
 from residua.errors import AccuracyError
 from residua.linear import StateSpace, decide_rank
 from residua.linear.systems.response_terms import in_even_units
@@ -159,8 +160,13 @@ class ResidualGenerator:
         form = self._internal_form
         skip = range(len(self.faults), len(self.faults) + len(self.plant.disturbances))
         columns = [i for i in range(form.n_inputs) if i not in skip]
-        even = in_even_units(form.select(inputs=columns)).system
-        scaled = even.frequency_response(frequency_grid(form))
+        even = in_even_units(form.select(inputs=columns))
+        system, w = even.system, frequency_grid(form)
+        if self.known_form is None and self.state_map is not None:  # where its check has eliminated already
+            own, w = in_even_units(self.system), leak_frequencies(self.system, self.plant)
+            factors = own.equations / even.equations
+            system = system.replaced(A=own.system.A, B=factors[:, None] * system.B, C=system.C / factors)
+        scaled = system.frequency_response(w)
         for axes in ((0, 1), (0, 2)):  # each input, then each residual, has its own units
             units = np.abs(scaled).max(axis=axes, keepdims=True, initial=0.0)
             scaled = scaled / np.where(units > 0, units, 1.0)
@@ -444,9 +450,12 @@ def make_generator(
     """
     if not system.is_stable():
         raise AccuracyError(f"the filter is not stable: poles {', '.join(map(format_pole, system.poles()))}")
-    leaks = decouples.leaks(system, plant, evidence)
+    known = None
     if state_map is not None and known_form is None:
         form = internal_form(system, plant, state_map, static_map)
+        known = checked_responses(system, plant, form, state_map, static_map)
+    leaks = decouples.leaks(system, plant, evidence, known)
+    if state_map is not None and known_form is None:
         identity = check_state_map(system, plant, state_map, static_map)
     else:
         if known_form is None and not isinstance(decouples, Approximate):
@@ -454,7 +463,7 @@ def make_generator(
         # as known form of an approximate design the driven filter would say that control inputs do nothing
         form = internal_form(system, plant) if known_form is None else known_form
         identity = check_known_form(system, plant, form)
-    bases, off = signature_bases(system, plant, form, state_map, static_map)
+    bases, off = signature_bases(system, plant, form, state_map, static_map, known)
     if isinstance(decouples, Decoupled):  # what is left of the faults that are ignored has passed the check
         bases |= {name: np.zeros((system.n_outputs, 0)) for name in decouples.faults}
     conditions = {"identities": identity} | ({"response off the signatures": off} if plant.faults else {})

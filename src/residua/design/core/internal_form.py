@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,10 +13,19 @@ from residua.linear.poles.zeros import invariant_zeros
 from residua.linear.subspaces.reachability import without_unobservable
 from residua.linear.systems.array_cache import Latest, entries
 from residua.linear.systems.balancing import descriptor_units, state_units
-from residua.linear.systems.response_terms import accurate_response, in_even_units, response_terms
+from residua.linear.systems.response_terms import (
+    EvenUnits,
+    ResponseTerms,
+    accurate_response,
+    in_even_units,
+    response_terms,
+)
+from residua.linear.systems.units import system_units
 from residua.plant import Plant
 from residua.tolerances import IDENTITY, ROUNDING, TINY, above_rounding
 
+#: Frequencies of a grid, if nothing else is asked for.
+POINTS = 60
 #: Rounding in a response, relative to its terms; measured: below 2e-16 for up to 30 states.
 _MEASURED = 1e-15
 #: Rounding of the responses that could hide or feign a leak of this size is taken out by more digits.
@@ -219,7 +230,7 @@ def _driven(generator: StateSpace, plant: Plant) -> StateSpace:
     )
 
 
-def frequency_grid(*systems: StateSpace, points: int = 60) -> NDArray[np.float64]:
+def frequency_grid(*systems: StateSpace, points: int = POINTS) -> NDArray[np.float64]:
     """Return frequencies in rad/s that span the dynamics of the systems, from far below to far above."""
     dt = max(system.dt for system in systems)
     if dt:  # not at the ends of the circle, where models have poles
@@ -238,9 +249,11 @@ def _pole_sizes(system: StateSpace) -> NDArray[np.float64]:
 
 def _size(system: StateSpace) -> float:
     """Return the size of what the poles of a system are made of."""
-    explicit = system.E is None and system.n_states
-    size = np.linalg.norm(in_even_units(system).system.A) if explicit else np.abs(system.poles()).max(initial=0.0)
-    return float(size)
+    if system.E is None and system.n_states:
+        n = system.n_states
+        T = system_units(system.A, np.zeros((n, 0)), np.zeros((0, n)), np.zeros((0, 0))).states
+        return float(np.linalg.norm(system.A / T[:, None] * T))
+    return float(np.abs(system.poles()).max(initial=0.0))
 
 
 def leak_frequencies(generator: StateSpace, plant: Plant) -> NDArray[np.float64]:
@@ -271,7 +284,7 @@ def _slowest_zero(system: StateSpace) -> float:
         least = _SMALL * _size(system)
         pairs = np.ndindex(system.D.shape)
         zeros = [np.abs(invariant_zeros(A, B[:, [j]], C[[i]], D[[i]][:, [j]], E).zeros) for i, j in pairs]
-        sizes = np.concatenate(zeros)
+        sizes = np.concatenate([np.zeros(0), *zeros])
         return float(np.min(sizes, where=sizes > least, initial=np.inf))
 
     return _slowest.of(entries(A, B, C, D, E), found)
@@ -307,17 +320,96 @@ def leakage(generator: StateSpace, plant: Plant, w: NDArray | None = None) -> di
     return {name: float(part.max()) for name, part in groups.items() if len(part)}
 
 
-def leakage_of_inputs(generator: StateSpace, plant: Plant, w: NDArray | None = None) -> NDArray[np.float64]:
-    """Return the leakage of each control, then of each disturbance; see :func:`leakage`."""
+@dataclass(frozen=True, eq=False)
+class JointResponses:
+    """What a filter and its plant do at the frequencies of leaks, each evaluated once, with what faults do to them.
+
+    Attributes
+    ----------
+    plant : Plant
+    w : ndarray, shape (k,)
+        In rad/s.
+    filter, driven : ResponseTerms
+        Of the filter and of the plant, as leaks take them.
+    faults, of_faults : ResponseTerms
+        The responses to the faults of the internal form, and those of the plant.
+    residuals, outputs : ndarray
+        The factors of the residuals and of the outputs in all of these.
+    """
+
+    plant: Plant
+    w: NDArray[np.float64]
+    filter: ResponseTerms
+    driven: ResponseTerms
+    faults: ResponseTerms
+    of_faults: ResponseTerms
+    residuals: NDArray[np.float64]
+    outputs: NDArray[np.float64]
+
+
+def joint_responses(
+    generator: StateSpace, plant: Plant, form: StateSpace, B_terms: NDArray, D_terms: NDArray
+) -> JointResponses:
+    """Return the responses by which a filter with a state map is checked.
+
+    Parameters
+    ----------
+    generator : StateSpace
+    plant : Plant
+    form : StateSpace
+        The internal form of the filter from the faults: with its own ``A``, and ``C`` but for the sign.
+    B_terms, D_terms : ndarray
+        The sums of sizes of which the ``B`` and ``D`` of the internal form are made.
+    """
+    w, n_u = leak_frequencies(generator, plant), len(plant.inputs)
+    points = np.asarray(np.exp(1j * w * generator.dt) if generator.is_discrete else 1j * w, dtype=np.complex128)
+    p, f = in_even_units(plant.system(("control", "disturbance"))), plant.system("fault")
+    R, Y = p.equations[:, None], p.outputs[:, None]
+    P = _with_columns(p.system, R * f.B, Y * f.D)
+    even = _with_even_rows(generator, np.concatenate([p.inputs[:n_u], 1 / p.outputs]))
+    R, Y = even.equations[:, None], even.outputs[:, None]
+    Q = _with_columns(even.system, -R * form.B, Y * form.D)
+    sizes = np.abs(even.system.B), np.abs(even.system.D)
+    terms = np.hstack([sizes[0], R * B_terms]), np.hstack([sizes[1], Y * D_terms])
+    parts = (
+        *_divided(response_terms(Q, points, *terms), form.n_inputs),
+        *_divided(response_terms(P, points), f.n_inputs),
+    )
+    return JointResponses(plant, w, parts[0], parts[2], parts[1], parts[3], even.outputs, p.outputs)
+
+
+def _with_columns(system: StateSpace, B: NDArray, D: NDArray) -> StateSpace:
+    return system.replaced(B=np.hstack([system.B, B]), D=np.hstack([system.D, D]), inputs=None)
+
+
+def _divided(found: ResponseTerms, last: int) -> tuple[ResponseTerms, ResponseTerms]:
+    """Return the responses to all inputs but the last ones, and to those."""
+    k = found.values.shape[2] - last
+    return (
+        ResponseTerms(found.values[:, :, :k], found.terms[:, :, :k]),
+        ResponseTerms(found.values[:, :, k:], found.terms[:, :, k:]),
+    )
+
+
+def leakage_of_inputs(
+    generator: StateSpace, plant: Plant, w: NDArray | None = None, known: JointResponses | None = None
+) -> NDArray[np.float64]:
+    """Return the leakage of each control, then of each disturbance; see :func:`leakage`.
+
+    With the responses that are ``known`` of a generator, as far as they are those of this plant.
+    """
     n_u = len(plant.inputs)
     if not n_u and not plant.disturbances:
         return np.zeros(0)
-    if w is None:
-        w = leak_frequencies(generator, plant)
+    if known is not None and known.plant is plant:
+        w = known.w
+    else:
+        known, w = None, leak_frequencies(generator, plant) if w is None else w
     points = np.exp(1j * w * generator.dt) if generator.is_discrete else 1j * w
     driven = in_even_units(plant.system(("control", "disturbance")))
-    system = _with_even_rows(generator, np.concatenate([driven.inputs[:n_u], 1 / driven.outputs]))
-    Q, P = response_terms(system, points), response_terms(driven.system, points)
+    system = _with_even_rows(generator, np.concatenate([driven.inputs[:n_u], 1 / driven.outputs])).system
+    Q = response_terms(system, points) if known is None else known.filter
+    P = response_terms(driven.system, points) if known is None else known.driven
     total, parts = _cancelling(Q.values, P.values, n_u)
     rounding = _MEASURED * (_products(Q.terms, np.abs(P.values), n_u) + _products(np.abs(Q.values), P.terms, n_u))
     unsure = np.flatnonzero((rounding > _UNSURE * parts).any(axis=(1, 2)))
@@ -343,11 +435,12 @@ def _with_even_states(system: StateSpace) -> StateSpace:
     return even.system.replaced(B=B, C=C, D=system.D)
 
 
-def _with_even_rows(generator: StateSpace, inputs: NDArray) -> StateSpace:
+def _with_even_rows(generator: StateSpace, inputs: NDArray) -> EvenUnits:
     """Return a filter in given units of its inputs, states and residuals in those that it has of itself."""
     scaled = generator.replaced(B=generator.B * inputs, D=generator.D * inputs)
     even = in_even_units(scaled)
-    return even.system.replaced(B=even.system.B / even.inputs, D=even.system.D / even.inputs)
+    system = even.system.replaced(B=even.system.B / even.inputs, D=even.system.D / even.inputs)
+    return EvenUnits(system, inputs, even.outputs, even.equations)
 
 
 def _cancelling(Q: NDArray, P: NDArray, n_u: int) -> tuple[NDArray, NDArray[np.float64]]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from residua.design.core.internal_form import frequency_grid
+from residua.design.core.internal_form import POINTS, JointResponses, frequency_grid, joint_responses
 from residua.linear import StateSpace
 from residua.linear.systems.response_terms import EvenUnits, in_even_units, response_terms
 from residua.plant import Plant
@@ -51,7 +51,13 @@ class FaultResponses:
 
 
 def fault_responses(
-    generator: StateSpace, plant: Plant, form: StateSpace, T: NDArray | None, V: NDArray | None, w: NDArray
+    generator: StateSpace,
+    plant: Plant,
+    form: StateSpace,
+    T: NDArray | None,
+    V: NDArray | None,
+    w: NDArray,
+    known: JointResponses | None = None,
 ) -> FaultResponses:
     r"""Return the responses of a residual to the faults of its plant, and which of them there are.
 
@@ -73,33 +79,73 @@ def fault_responses(
         The state and the static map of the generator, if it has them.
     w : ndarray
         Frequencies in rad/s.
+    known : JointResponses, optional
+        The responses at the frequencies of leaks, instead of those at ``w``.
 
     Returns
     -------
     FaultResponses
     """
-    n_u, n_f = len(plant.inputs), len(plant.faults)
-    points = np.exp(1j * w * form.dt) if form.is_discrete else 1j * w
-    # disturbances and controls take part in the units: they connect outputs that no fault connects
-    every = in_even_units(plant.system(("fault", "disturbance", "control")))
-    p = EvenUnits(every.system.select(inputs=range(n_f)), every.inputs[:n_f], every.outputs, every.equations)
-    own = form.select(inputs=range(n_f))
-    own = in_even_units(own.replaced(B=own.B * p.inputs, D=own.D * p.inputs))
+    n_u = len(plant.inputs)
+    made = _FaultColumns.of(generator, plant, form, T, V)
+    own, p = made.own, made.p
     scaled = own.system.replaced(B=own.system.B / own.inputs, D=own.system.D / own.inputs)
-    if T is None:
-        B, D = np.abs(scaled.B), np.abs(scaled.D)
+    if known is not None:
+        used = slice(len(known.w) - POINTS, None)
+        rows = (own.outputs / known.residuals)[:, None]
+        values, terms = rows * known.faults.values[used] * p.inputs, rows * known.faults.terms[used] * p.inputs
+        outputs = p.outputs / known.outputs
+        Q = rows * np.abs(known.filter.values[used, :, n_u:]) / outputs
+        P = outputs[:, None] * np.abs(known.of_faults.values[used]) * p.inputs
     else:
+        points = np.exp(1j * w * form.dt) if form.is_discrete else 1j * w
+        B, D = own.equations[:, None] * made.B_terms, own.outputs[:, None] * made.D_terms
+        response = response_terms(scaled, points, *((B, D) if T is not None else (None, None)))
+        values, terms = response.values, response.terms
+        Q = np.abs(generator.frequency_response(w)[:, :, n_u:]) * own.outputs[:, None] / p.outputs
+        P = np.abs(p.system.frequency_response(w))
+    driven = _largest(Q, P)
+    reached = np.any(np.abs(values) > DESIGN_ROUNDING * (terms + driven), axis=0)
+    terms = terms + driven if T is None else terms
+    return FaultResponses(scaled, np.where(reached, values, 0.0), terms, driven, reached, own.outputs)
+
+
+@dataclass(frozen=True, eq=False)
+class _FaultColumns:
+    """What faults do to an internal form and to its plant, in units of their own, with what it is made of."""
+
+    own: EvenUnits
+    p: EvenUnits
+    B_terms: NDArray[np.float64]
+    D_terms: NDArray[np.float64]
+
+    @classmethod
+    def of(
+        cls, generator: StateSpace, plant: Plant, form: StateSpace, T: NDArray | None, V: NDArray | None
+    ) -> _FaultColumns:
+        """Return the columns of the faults: the internal form's states and residuals are in the generator's units."""
+        n_u, n_f = len(plant.inputs), len(plant.faults)
+        # disturbances and controls take part in the units: they connect outputs that no fault connects
+        every = in_even_units(plant.system(("fault", "disturbance", "control")))
+        p = EvenUnits(every.system.select(inputs=range(n_f)), every.inputs[:n_f], every.outputs, every.equations)
+        own = form.select(inputs=range(n_f))
+        own = in_even_units(own.replaced(B=own.B * p.inputs, D=own.D * p.inputs))
+        if T is None:
+            return cls(own, p, np.zeros((form.n_states, n_f)), np.zeros((form.n_outputs, n_f)))
         Gy, Hy = (np.abs(M[:, n_u:]) / p.outputs for M in (generator.B, generator.D))
         Bf, Df = np.abs(p.system.B), np.abs(p.system.D)
-        B = own.equations[:, None] * (_largest(np.abs(T) / p.equations, Bf) + _largest(Gy, Df))
+        B = _largest(np.abs(T) / p.equations, Bf) + _largest(Gy, Df)
         D = _largest(Hy, Df) + (0.0 if V is None else _largest(np.abs(V) / p.equations, Bf))
-        D = own.outputs[:, None] * D
-    response = response_terms(scaled, points, B, D)
-    Q = np.abs(generator.frequency_response(w)[:, :, n_u:]) * own.outputs[:, None] / p.outputs
-    driven = _largest(Q, np.abs(p.system.frequency_response(w)))
-    reached = np.any(np.abs(response.values) > DESIGN_ROUNDING * (response.terms + driven), axis=0)
-    terms = response.terms + driven if T is None else response.terms
-    return FaultResponses(scaled, np.where(reached, response.values, 0.0), terms, driven, reached, own.outputs)
+        return cls(own, p, B, D)
+
+
+def checked_responses(
+    generator: StateSpace, plant: Plant, form: StateSpace, T: NDArray, V: NDArray | None
+) -> JointResponses:
+    """Return the responses by which a generator with a state map is checked for leaks and signatures."""
+    made = _FaultColumns.of(generator, plant, form, T, V)
+    of_faults = form.select(inputs=range(len(plant.faults)))
+    return joint_responses(generator, plant, of_faults, made.B_terms / made.p.inputs, made.D_terms / made.p.inputs)
 
 
 def _largest(rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
@@ -114,6 +160,7 @@ def signature_bases(
     form: StateSpace,
     state_map: NDArray | None = None,
     static_map: NDArray | None = None,
+    known: JointResponses | None = None,
     *,
     rtol: float = 1e-6,
 ) -> tuple[dict[str, NDArray[np.float64]], float]:
@@ -132,6 +179,8 @@ def signature_bases(
         Their internal form, faults first.
     state_map, static_map : ndarray, optional
         Those of the generator, if it has them.
+    known : JointResponses, optional
+        The responses, where they are known already.
     rtol : float
         Directions that carry less than this fraction of the response at every frequency are not there, but where
         those that rounding has left are much fainter still.
@@ -143,7 +192,8 @@ def signature_bases(
     off : float
         The largest fraction of any response, at any frequency, that was taken for rounding and left out.
     """
-    responses = fault_responses(generator, plant, form, state_map, static_map, frequency_grid(form, generator))
+    w = frequency_grid(form, generator) if known is None else known.w
+    responses = fault_responses(generator, plant, form, state_map, static_map, w, known)
     units = residual_units(responses)
     bases = {}
     for i, name in enumerate(plant.faults):

@@ -10,8 +10,6 @@ from math import comb
 import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import maximum_bipartite_matching, shortest_path
 
 from residua import arrays
 from residua.analysis.unknown_input import (
@@ -296,6 +294,9 @@ def _inverse(A: NDArray) -> NDArray:
 
     A state that is matched to an equation follows from the right-hand sides of those that it is reached from alone.
     """
+    from scipy.sparse import csr_array  # slow to import, and needed only here
+    from scipy.sparse.csgraph import maximum_bipartite_matching, shortest_path
+
     inverse = np.linalg.inv(A)
     equation = maximum_bipartite_matching(csr_array(A.T != 0), perm_type="column")
     if np.any(equation < 0):

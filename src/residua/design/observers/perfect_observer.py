@@ -499,13 +499,14 @@ def differential_filter(
         for i, P in enumerate(coefficients):
             for k in range(i + 1):
                 Q[m - i + k] = Q[m - i + k] + bandwidth**i * (-1) ** k * comb(i, k) * P
+    # before the states, which would be many where powers of the bandwidth run away
+    C = arrays.matrix(np.hstack([np.zeros((height, 0)), *Q[1:]]), "C", (height, m * width))
     eye = np.eye(width)
     links = np.eye(m, k=-1)
     rate = 0.0 if bandwidth is None else bandwidth
     chain = links if dt else rate * (links - np.eye(m))
     first = np.eye(m, 1) * (1.0 if dt else rate)
     A, B = np.kron(chain, eye), np.kron(first, eye)
-    C = np.hstack([np.zeros((height, 0)), *Q[1:]])
     return StateSpace(A.reshape(m * width, m * width), B, C, Q[0], dt=dt, inputs=inputs, outputs=outputs)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.design.core.generator import ResidualGenerator
-from residua.design.parity.relation import Relation, divided, synthetic_division
+from residua.design.parity.relation import Relation, divided, states_missed, synthetic_division
 from residua.design.parity.relations import ParityRelations, relations_of
 from residua.errors import AccuracyError, DesignError
 from residua.linear import StateSpace
@@ -83,7 +83,7 @@ def _row(generator: ResidualGenerator, i: int, rtol: float) -> RowFraction:
     n = plant.n_states
     x, zeros, _ = without_common_factor(np.hstack([p, q]), basis)
     relation = Relation(x[:, :n], x[:, n:], basis, np.zeros((n + plant.n_outputs, 0)), zeros)
-    missed = relation.missed(plant)
+    missed = states_missed([relation], plant)
     if not missed <= LEAKAGE:
         why = "it only approximates one, as a sampled continuous design does" if T is None else "too ill-conditioned"
         raise AccuracyError(

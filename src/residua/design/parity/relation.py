@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from residua.errors import ModelError
 from residua.linear.polynomials.pencil_null_space import Pencil, pencil, refined
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.rank import left_null_basis
+from residua.linear.systems.array_cache import entries
 from residua.plant import Plant
 from residua.tolerances import DESIGN_ROUNDING, RESIDUE, RESPONSE_ROUNDING, TINY
 
@@ -52,46 +53,65 @@ class Relation:
         """Return a multiple."""
         return replace(self, p=factor * self.p, q=factor * self.q)
 
-    def changed_to(self, basis: PolynomialBasis, plant: Plant) -> Relation:
-        """Return the same relation in another basis, made exact there."""
-        n = plant.n_states
-        x = self.basis.changed_to(basis, np.hstack([self.p, self.q]))
-        size = np.abs(np.hstack([self.p, self.q])).max(axis=0, initial=0.0)
-        used = size > 0
-        equations = state_pencil(plant, self.ignored, basis, canonical=True)
-        x = _exact(equations, x, used)
-        x[-1, :n] = _algebraic(x, plant)
-        return replace(self, p=x[:, :n], q=x[:, n:], basis=basis)
-
-    def missed(self, plant: Plant) -> float:
-        """Return how far the states are from dropping out, relative to the terms that have to cancel."""
-        none = np.zeros((plant.n_states + plant.n_outputs, 0))
-        equations = state_pencil(plant, none, self.basis, canonical=True)
-        return _left(equations, np.hstack([self.p, self.q]))
+    @property
+    def used(self) -> NDArray[np.bool_]:
+        """The equations of the plant that take part, shape (states + outputs,)."""
+        return np.asarray(np.hstack([self.p, self.q]).any(axis=0))
 
 
-def _exact(equations: Pencil, x: NDArray[np.float64], used: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return the null vector of the equations nearest to one, which reads nothing by what rounding leaves of nothing.
+def changed(rows: Sequence[Relation], bases: Sequence[PolynomialBasis], plant: Plant) -> list[Relation]:
+    """Return the same relations in other bases, made exact there: those of the same equations together."""
+    alike: dict[Hashable, list[int]] = {}
+    for i, (row, basis) in enumerate(zip(rows, bases, strict=True)):
+        key = row.order, entries(row.ignored, basis.real, basis.imaginary, basis.sizes), row.used.tobytes()
+        alike.setdefault(key, []).append(i)
+    out = list(rows)
+    n = plant.n_states
+    for chosen in alike.values():
+        row, basis = rows[chosen[0]], bases[chosen[0]]
+        X = np.stack([rows[i].basis.changed_to(basis, np.hstack([rows[i].p, rows[i].q])) for i in chosen])
+        equations = state_pencil(plant, row.ignored, basis, canonical=True)
+        for i, x in zip(chosen, _exact(equations, X, row.used), strict=True):
+            x[-1, :n] = _algebraic(x, plant)
+            out[i] = replace(rows[i], p=x[:, :n], q=x[:, n:], basis=basis)
+    return out
+
+
+def states_missed(rows: Sequence[Relation], plant: Plant) -> float:
+    """Return how far the states are from dropping out at most, relative to the terms that have to cancel."""
+    none = np.zeros((plant.n_states + plant.n_outputs, 0))
+    equations: dict[int, Pencil] = {}
+    for row in rows:
+        if id(row.basis) not in equations:
+            equations[id(row.basis)] = state_pencil(plant, none, row.basis, canonical=True)
+    left = [_left(equations[id(row.basis)], np.hstack([row.p, row.q])) for row in rows]
+    return float(np.max(left, initial=0.0))
+
+
+def _exact(equations: Pencil, X: NDArray[np.float64], used: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the null vectors of the equations nearest to some, which read nothing by what rounding leaves of nothing.
 
     Of equations that hardly take part it is tried whether the others will do.
     """
 
-    def nearest(used: NDArray[np.bool_]) -> NDArray[np.float64]:
-        out = np.zeros_like(x)
-        out[:, used] = refined(
-            pencil(equations.P0[used], equations.P1[used], equations.basis, canonical=True), x[:, used]
-        )
+    def nearest(X: NDArray[np.float64], used: NDArray[np.bool_]) -> NDArray[np.float64]:
+        out = np.zeros_like(X)
+        part = pencil(equations.P0[used], equations.P1[used], equations.basis, canonical=True)
+        out[..., used] = refined(part, X[..., used])
         return out
 
-    found = nearest(used)
-    height = np.abs(found).max(axis=0, initial=0.0)
-    fewer = used & (height > DESIGN_ROUNDING * height.max(initial=0.0))
-    if np.array_equal(fewer, used):
-        return found
-    simpler = nearest(fewer)
-    near = np.abs(simpler - found).max(initial=0.0) <= 10 * DESIGN_ROUNDING * height.max(initial=0.0)
-    holds = _left(equations, simpler) <= max(2 * _left(equations, found), RESIDUE)
-    return simpler if near and holds else found
+    out = nearest(X, used)
+    for i, (x, found) in enumerate(zip(X, out, strict=True)):
+        height = np.abs(found).max(axis=0, initial=0.0)
+        fewer = used & (height > DESIGN_ROUNDING * height.max(initial=0.0))
+        if np.array_equal(fewer, used):
+            continue
+        simpler = nearest(x, fewer)
+        near = np.abs(simpler - found).max(initial=0.0) <= 10 * DESIGN_ROUNDING * height.max(initial=0.0)
+        holds = _left(equations, simpler) <= max(2 * _left(equations, found), RESIDUE)
+        if near and holds:
+            out[i] = simpler
+    return out
 
 
 def _left(equations: Pencil, x: NDArray[np.float64]) -> float:

@@ -18,7 +18,7 @@ from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.signals import signal_names
 from residua.design.parity.directional_pencil import Directions, changed_together, check_directions
 from residua.design.parity.realization import Realization, pole_basis, realize_relation
-from residua.design.parity.relation import Relation, digits_lost, plant_rate
+from residua.design.parity.relation import Relation, changed, digits_lost, plant_rate, states_missed
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import PolynomialMatrix, StateSpace, is_stable_mode
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
@@ -144,7 +144,7 @@ class ParityRelations:
         """Return the rows in other bases, made exact there."""
         if self.directions is not None and self.rows:
             return changed_together(self.rows, bases[0], self.plant, self.directions)
-        return [row.changed_to(basis, self.plant) for row, basis in zip(self.rows, bases, strict=True)]
+        return changed(self.rows, bases, self.plant)
 
     # ------------------------------------------------------------------ filters
 
@@ -370,7 +370,7 @@ def _cancelling(lost: float) -> str:
 
 def _accepted(rows: Sequence[Relation], plant: Plant) -> float:
     """Return how far the states are missed at most, or raise."""
-    worst = max((row.missed(plant) for row in rows), default=0.0)
+    worst = states_missed(rows, plant)
     if not worst <= _REMAINDER:
         order = max(row.order for row in rows)
         raise AccuracyError(

@@ -6,13 +6,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from importlib.util import find_spec
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy.sparse
 from numpy.typing import NDArray
 
 from residua.errors import missing_extra
+
+if TYPE_CHECKING:
+    import scipy.sparse
 
 Matrix = NDArray[np.float64]
 #: Of the solver; what it returns is corrected afterwards, so that more digits would be lost on it.
@@ -95,6 +97,8 @@ class Unknowns:
 
     def coefficients(self, inequality: Inequality) -> tuple[Matrix, scipy.sparse.csr_matrix]:
         """Return constant and coefficients of an affine map, entries row by row: ``constant + coefficients @ x``."""
+        import scipy.sparse  # slow to import, and needed only here
+
         zero = np.zeros(self.count)
         constant = inequality(self.values(zero))
         columns = np.empty((constant.size, self.count))
@@ -122,6 +126,8 @@ def solve(
     What comes back is a candidate: solvers call a point optimal that misses a little, so that whoever asked has to
     check it.
     """
+    import scipy.sparse
+
     clarabel = require_solver()
     kinds = [[one for one in inequalities if (len(one[0]) == 1) == number] for number in (True, False)]
     rows, constants, cones = [], [], []
@@ -149,6 +155,8 @@ def solve(
 @lru_cache(maxsize=64)
 def _triangle(size: int) -> scipy.sparse.csr_array:
     """Return the map from a symmetric matrix to its upper triangle, column by column, in which norms are the same."""
+    import scipy.sparse
+
     j, i = np.tril_indices(size)
     weights = np.where(i == j, 0.5, 0.5 * np.sqrt(2.0))
     count = np.arange(len(i))

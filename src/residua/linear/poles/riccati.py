@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse.csgraph import connected_components
 
 from residua import arrays
 from residua.errors import AccuracyError, DesignError, ModelError
@@ -16,6 +15,7 @@ from residua.linear.poles.doubling import filter_covariance
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.observability import detectability, observability_form
+from residua.linear.subspaces.parts import part_of_each
 from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank, without_rounded_gains
 from residua.linear.systems.balancing import balance_system, power_of_two
 from residua.tolerances import RESIDUE
@@ -207,7 +207,7 @@ def _connected(A: Matrix, C: Matrix, Q: Matrix, R: Matrix, S: Matrix) -> NDArray
     """Tell which states some chain of couplings, noises and outputs connects: of others the errors share nothing."""
     n = len(A)
     graph = np.block([[(A != 0) | (Q != 0), S != 0], [C != 0, R != 0]])
-    part = connected_components(graph, directed=False)[1][:n]
+    part = part_of_each(graph)[:n]
     return part[:, None] == part
 
 

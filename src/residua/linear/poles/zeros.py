@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residua import arrays
 from residua.errors import AccuracyError
-from residua.linear.poles.matrix_poles import is_rounding_of_zero
+from residua.linear.poles.matrix_poles import is_regular, is_rounding_of_zero
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, decide_rank
 from residua.linear.systems.balancing import balance_system, descriptor_units, power_of_two
 
@@ -201,7 +201,8 @@ def _finite_zeros(M: Matrices, scale: float) -> NDArray[np.complex128]:
         raise AccuracyError("a zero of the compressed pencil came out infinite: a rank decision was not clear")
     overlap = np.abs(np.sum(left.conj() * (E @ right), axis=0))
     overlap /= np.linalg.norm(left, axis=0) * np.linalg.norm(right, axis=0)
-    zeros = np.where(is_rounding_of_zero(zeros, overlap, scale), 0.0, zeros).astype(np.complex128)
+    zero = is_rounding_of_zero(zeros, overlap, scale) & (not is_regular(A, scale))
+    zeros = np.where(zero, 0.0, zeros).astype(np.complex128)
     return zeros[np.lexsort((zeros.imag, zeros.real))]
 
 

@@ -190,12 +190,12 @@ def least_squares(band: BlockBand, right: NDArray[np.float64], scale: float) -> 
     Parameters
     ----------
     band : BlockBand
-    right : ndarray, shape (count + 1, columns)
+    right : ndarray, shape (count + 1, columns, vectors)
     scale : float
         The largest singular value.
     """
-    factor = _Factor.of(band, _SHIFT * scale, right[:, :, None])
-    return factor.solved(factor.right)[:, :, 0]
+    factor = _Factor.of(band, _SHIFT * scale, right)
+    return factor.solved(factor.right)
 
 
 @dataclass(frozen=True, eq=False)

@@ -60,8 +60,8 @@ class PencilNullVectors:
     vectors : ndarray, shape (count, degree + 1, rows)
         Coefficients in the basis of the pencil.
     decision : RankDecision
-        The rank of the block matrix that they annihilate; of a large one on the space of its largest and its smallest
-        singular values, as the others are not computed.
+        The rank of the block matrix that they annihilate; of a large one with its largest singular value and its
+        smallest ones.
     units : ndarray, shape (degree + 1, rows)
         ``vectors / units`` is orthonormal.
     """
@@ -129,9 +129,8 @@ def _left_null_basis(band: BlockBand, problem: Pencil, rtol: float) -> tuple[NDA
             one = band.of_rows(part)
             nothing = np.eye(one.rows), np.zeros(one.rows)  # of rows that are zero
             found.append(FactoredBand.of(one, scale).left_null_basis(rtol) if one.blocks.size else nothing)
-        s = np.concatenate([[scale], np.sort(np.concatenate([values for _, values in found]))[::-1]])
-        decision = RankDecision(int(np.count_nonzero(s > rtol * scale)), s, rtol * scale)
-        return _side_by_side([basis for basis, _ in found], parts, degree, count), decision
+        W = _side_by_side([basis for basis, _ in found], parts, degree, count)
+        return W, _decision_of_smallest([values for _, values in found], scale, rtol, band.rows)
     T = band.dense()
     if len(parts) < 2:
         return left_null_basis(T, rtol=rtol)
@@ -143,6 +142,15 @@ def _left_null_basis(band: BlockBand, problem: Pencil, rtol: float) -> tuple[NDA
         bases.append(left_null_basis(T[rows][:, np.any(T[rows], axis=0)], rtol=rtol, scale=scale)[0])
     W = _side_by_side(bases, parts, degree, count)
     return (W, whole) if W.shape[1] == len(T) - whole.rank else left_null_basis(T, rtol=rtol)
+
+
+def _decision_of_smallest(parts: list[NDArray], scale: float, rtol: float, rows: int) -> RankDecision:
+    """Return the rank of a matrix of some rows of which the largest and the smallest singular values are known."""
+    s = np.sort(np.concatenate(parts))[::-1]
+    rank = rows - int(np.count_nonzero(s <= rtol * scale))
+    if len(s) < rows:
+        s = np.concatenate([[scale], s])
+    return RankDecision(rank, s, rtol * scale, rank - int(np.count_nonzero(s > rtol * scale)))
 
 
 def _side_by_side(bases: list[NDArray], parts: list[NDArray[np.int_]], degree: int, count: int) -> NDArray:
@@ -169,6 +177,17 @@ def _exists(problem: Pencil, degree: int, rtol: float) -> bool:
     return any(not one.blocks.size or FactoredBand.of(one, scale).is_singular(rtol) for one in bands)
 
 
+def _certain_degree(problem: Pencil) -> int | None:
+    """Return the smallest degree at which there are more coefficients than equations for them; ``None`` if never.
+
+    Of a pencil without structure it is the smallest at which there are null vectors.
+    """
+    dynamic = int(np.count_nonzero(np.any(problem.P1 != 0, axis=0)))
+    every = int(np.count_nonzero(np.any((problem.P0 != 0) | (problem.P1 != 0), axis=0)))
+    spare = len(problem.P0) - every
+    return dynamic // spare if spare > 0 else None
+
+
 def shortest_pencil_null_vectors(problem: Pencil, *, most: int, rtol: float = PENCIL_RTOL) -> PencilNullVectors | None:
     """Return the polynomial rows of the smallest degree that annihilate a pencil; ``None`` when none is up to ``most``.
 
@@ -184,12 +203,16 @@ def shortest_pencil_null_vectors(problem: Pencil, *, most: int, rtol: float = PE
     def exists(degree: int) -> bool:
         return _exists(problem, degree, rtol)
 
-    low, high = 0, 0  # upwards first: short ones cost little to find, and there often are some
-    while not exists(high):
-        if high == most:
-            return None
-        low, high = high + 1, min(max(2 * high, 1), most)
-    smallest = at_smallest_degree(lambda degree: degree if exists(degree) else None, low, high, high)
+    certain = _certain_degree(problem)
+    if certain is not None and certain <= most and not (certain and exists(certain - 1)):
+        smallest = certain
+    else:
+        low, high = 0, 0  # upwards first: short ones cost little to find, and there often are some
+        while not exists(high):
+            if high == most:
+                return None
+            low, high = high + 1, min(max(2 * high, 1), most)
+        smallest = at_smallest_degree(lambda degree: degree if exists(degree) else None, low, high, high)
     found = pencil_null_vectors(problem, smallest, rtol=rtol)
     while not len(found.vectors) and found.degree < most:  # at the edge of the tolerance
         found = pencil_null_vectors(problem, found.degree + 1, rtol=rtol)
@@ -197,21 +220,25 @@ def shortest_pencil_null_vectors(problem: Pencil, *, most: int, rtol: float = PE
 
 
 def refined(problem: Pencil, x: NDArray[np.float64], *, rtol: float = PENCIL_RTOL) -> NDArray[np.float64]:
-    """Return the null vector nearest to one that rounding, such as that of a change of basis, has moved."""
-    k = len(x) - 1
-    band, units = _block_band(problem, k)
-    scaled = (x / units).ravel()
+    """Return the null vector nearest to one that rounding, such as that of a change of basis, has moved.
+
+    Of several of one degree, along the first axis, those nearest to each: one factorisation serves all.
+    """
+    if x.ndim == 2:
+        return refined(problem, x[None], rtol=rtol)[0]
+    band, units = _block_band(problem, x.shape[1] - 1)
+    scaled = (x / units).reshape(len(x), -1)
     if _is_large(band):
-        return (scaled - _moved(band, scaled, problem, rtol)).reshape(k + 1, -1) * units
+        return (scaled - _moved(band, scaled, problem, rtol)).reshape(x.shape) * units
     T = band.dense()
     U, s, Vh = np.linalg.svd(T, full_matrices=False)
     keep = s > rtol * s[0] if len(s) else s > 0
     scaled = scaled - ((scaled @ T) @ Vh[keep].T / s[keep]) @ U[:, keep].T
-    return scaled.reshape(k + 1, -1) * units
+    return scaled.reshape(x.shape) * units
 
 
 def _moved(band: BlockBand, x: NDArray[np.float64], problem: Pencil, rtol: float) -> NDArray[np.float64]:
-    """Return how far a vector is from a null vector of a large band.
+    """Return how far each of some vectors, shape (vectors, rows), is from a null vector of a large band.
 
     The correction is as small as what it mends, so that entries far below the largest keep their digits, which those
     of the computed null vectors do not have. The largest entries of these stay as they are.
@@ -220,8 +247,9 @@ def _moved(band: BlockBand, x: NDArray[np.float64], problem: Pencil, rtol: float
     key = entries(problem.P0, problem.P1, problem.rows, problem.columns, basis.real, basis.imaginary, basis.sizes)
     W = _bases.of((key, len(band.blocks), rtol), lambda: _left_null_basis(band, problem, rtol)[0])
     kept = scipy.linalg.qr(W.T, mode="r", pivoting=True)[1][: W.shape[1]]
-    left = band.times(x.reshape(1, len(band.blocks), -1))[0]
-    return least_squares(band.without(kept), left, band.largest()).ravel()
+    left = band.times(x.reshape(len(x), len(band.blocks), -1))
+    moved = least_squares(band.without(kept), np.moveaxis(left, 0, -1), band.largest())
+    return np.moveaxis(moved, -1, 0).reshape(x.shape)
 
 
 _bases: Latest[NDArray[np.float64]] = Latest()

@@ -51,3 +51,11 @@ def connected_parts(coupled: NDArray[np.bool_]) -> list[NDArray[np.int_]]:
         parts.append(np.flatnonzero(inside))
         left &= ~inside
     return parts
+
+
+def part_of_each(coupled: NDArray[np.bool_]) -> NDArray[np.int_]:
+    """Return for each node of a graph the number of its part, counted as :func:`connected_parts` returns them."""
+    part = np.empty(len(coupled), dtype=int)
+    for number, nodes in enumerate(connected_parts(coupled)):
+        part[nodes] = number
+    return part

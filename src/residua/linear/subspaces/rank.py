@@ -24,24 +24,38 @@ class RankDecision:
     rank : int
         Number of singular values above ``tolerance``.
     singular_values : ndarray
-        All singular values, largest first.
+        All singular values, largest first; of a large matrix the largest, and then the smallest ones.
     tolerance : float
         The absolute threshold that was used.
+    omitted : int
+        Singular values between the first and the second of those that were not computed, as they are above the
+        tolerance. They count in the rank.
     """
 
     rank: int
     singular_values: NDArray[np.float64]
     tolerance: float
+    omitted: int = 0
+
+    @property
+    def kept(self) -> NDArray[np.float64]:
+        """The singular values counted as nonzero, as far as they were computed."""
+        return self.singular_values[: self.rank - self.omitted]
+
+    @property
+    def dropped(self) -> NDArray[np.float64]:
+        """The singular values counted as zero."""
+        return self.singular_values[self.rank - self.omitted :]
 
     @property
     def smallest_kept(self) -> float:
         """The smallest singular value counted as nonzero (infinity when the rank is zero)."""
-        return float(self.singular_values[self.rank - 1]) if self.rank else float("inf")
+        return float(self.kept[-1]) if self.rank else float("inf")
 
     @property
     def largest_dropped(self) -> float:
         """The largest singular value counted as zero (zero when none was dropped)."""
-        return float(self.singular_values[self.rank]) if self.rank < len(self.singular_values) else 0.0
+        return float(self.dropped[0]) if self.dropped.size else 0.0
 
     @property
     def is_clear(self) -> bool:
@@ -50,7 +64,8 @@ class RankDecision:
 
     def __str__(self) -> str:
         kept = f"{self.smallest_kept:.3g}" if self.rank else "none"
-        return f"rank {self.rank} (smallest kept {kept}, largest dropped {self.largest_dropped:.3g})"
+        rest = f"; {self.omitted} larger ones not computed" if self.omitted else ""
+        return f"rank {self.rank} (smallest kept {kept}, largest dropped {self.largest_dropped:.3g}{rest})"
 
 
 def check_rtol(rtol: float) -> None:

@@ -27,11 +27,17 @@ _LARGE = 16384
 
 
 class Latest(Generic[R]):
-    """The latest results of one function, by what they were computed from. Threads may share it."""
+    """The latest results of one function, by what they were computed from. Threads may share it.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    kept : int
+        The most results that are kept.
+    """
+
+    def __init__(self, kept: int = _KEPT) -> None:
         self._results: OrderedDict[Hashable, tuple[R, int]] = OrderedDict()
-        self._bytes = 0
+        self._kept, self._bytes = kept, 0
         self._lock = Lock()
 
     def of(self, key: Hashable, compute: Callable[[], R]) -> R:
@@ -46,7 +52,7 @@ class Latest(Generic[R]):
             if size <= _MOST_BYTES and key not in self._results:
                 self._results[key] = (result, size)
                 self._bytes += size
-                while len(self._results) > _KEPT or self._bytes > _MOST_BYTES:
+                while len(self._results) > self._kept or self._bytes > _MOST_BYTES:
                     self._bytes -= self._results.popitem(last=False)[1][1]
         return result
 

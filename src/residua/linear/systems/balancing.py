@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.systems.array_cache import cached_by_entries
 from residua.linear.systems.units import bordered, matrix_units, pencil_units, system_units, without_residue
 from residua.tolerances import RESIDUE, above_rounding
@@ -174,7 +175,7 @@ def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> Ba
     W = without_residue(bordered(A, B, C, D))
     # Only couplings count in a sweep; the diagonal of A does not change with the units of the states.
     np.fill_diagonal(W[:n, :n], 0.0)
-    level = _level(A)
+    level = _level(A, float(np.abs(explicit_poles(A0)).max(initial=0.0)))
     scaled = W.copy()
     left, right, settled = _factors(scaled, n, level, _length)
     if not settled or _vanished(scaled):
@@ -189,7 +190,7 @@ def balance_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> Ba
     return BalancedSystem(*scaled, T, U, Y, start.states, settled)
 
 
-def _level(A: NDArray[np.float64]) -> float:
+def _level(A: NDArray[np.float64], radius: float) -> float:
     """Return the level for the channels, whose units are free: the spectral radius of ``A``, without units of states.
 
     Of a nilpotent matrix it is rounding, which a chain of ``n`` states grows to the ``n``-th root of it, beside the
@@ -199,7 +200,7 @@ def _level(A: NDArray[np.float64]) -> float:
     if not n:
         return 1.0
     eps, size = float(np.finfo(float).eps), float(np.linalg.norm(A))
-    radius, share = float(np.abs(np.linalg.eigvals(A)).max()), min((n * eps) ** (1 / n), _SURELY_REAL)
+    share = min((n * eps) ** (1 / n), _SURELY_REAL)
     rounding = max(math.sqrt(eps), share) * size  # the radius of the sizes is at most the norm
     if radius < rounding:
         rounding = max(math.sqrt(eps) * size, share * float(np.abs(np.linalg.eigvals(np.abs(A))).max()))

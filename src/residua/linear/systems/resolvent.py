@@ -11,12 +11,15 @@ from scipy.linalg import lapack
 
 from residua.errors import ModelError
 from residua.linear.subspaces.parts import connected_parts
+from residua.linear.systems.array_cache import Latest, entries
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 #: From so many states on factors are computed point by point: below, one call for all points is faster.
 _STATES = 32
+#: Factors of more bytes are made for one point at a time, and not kept.
+_MOST_BYTES = 2**24
 
 
 def independent_parts(A: Real, E: Real | None) -> list[NDArray[np.int_]]:
@@ -61,10 +64,9 @@ def solutions(A: Real, E: Real | None, points: Complex, B: Real, C: Real | None 
                 Y = np.linalg.solve(M.swapaxes(1, 2), Y.swapaxes(1, 2)).swapaxes(1, 2)
             return np.asarray(X, dtype=complex), np.asarray(Y, dtype=complex)
         rows, columns = _at_each(B.T, points), _at_each(C, points)
-        for s, x, y in zip(points, rows, columns, strict=True):
-            factors = _factors(A, E, s)
-            _solve(factors, x, 0)
-            _solve(factors, y, 1)
+        for of_point, x, y in zip(_factored(A, E, points), rows, columns, strict=True):
+            _solve(of_point, x, 0)
+            _solve(of_point, y, 1)
         return rows.swapaxes(1, 2), columns
 
 
@@ -85,7 +87,7 @@ def solver(A: Real, E: Real | None, points: Complex) -> Callable[[Complex], Comp
 
         return solved
     with _poles_named():
-        factors = [_factors(A, E, s) for s in points]
+        factors = list(_factored(A, E, points))
 
     def eliminated(B: Complex) -> Complex:
         rows = B.swapaxes(1, 2).copy()
@@ -105,24 +107,41 @@ def _poles_named() -> Iterator[None]:
 
 
 def _at_each(M: Real, points: Complex) -> Complex:
-    return np.broadcast_to(M, (len(points), *M.shape)).astype(complex)
+    return np.broadcast_to(M, (len(points), *M.shape)).astype(complex, order="C")
 
 
 def _at_points(A: Real, E: Real | None, points: Complex) -> Complex:
     return points[:, None, None] * (np.eye(len(A)) if E is None else E) - A
 
 
-def _factors(A: Real, E: Real | None, s: complex) -> tuple[Complex, NDArray]:
-    """Return the triangular factors of ``s E - A`` and the order of its rows."""
-    M = (-A.T).astype(complex)  # by rows what LAPACK wants by columns
-    if E is None:
-        np.fill_diagonal(M, s - A.diagonal())
+_latest: Latest[tuple[Complex, NDArray]] = Latest(kept=4)
+
+
+def _factored(A: Real, E: Real | None, points: Complex) -> Iterator[tuple[Complex, NDArray]]:
+    """Yield for each point the triangular factors of ``s E - A`` and the order of its rows.
+
+    The latest are kept: a check of a design often asks for the points of the one before it.
+    """
+    if 2 * A.nbytes * len(points) > _MOST_BYTES:
+        blocks = (_factors(A, E, points[[k]]) for k in range(len(points)))
     else:
-        M += s * E.T
-    factors, pivots, info = lapack.zgetrf(M.T, overwrite_a=1)
-    if info > 0:
-        raise np.linalg.LinAlgError("Singular matrix")
-    return factors, pivots
+        blocks = iter([_latest.of(entries(A, E, points), lambda: _factors(A, E, points))])
+    for factors, pivots in blocks:
+        yield from zip(factors.swapaxes(1, 2), pivots, strict=True)
+
+
+def _factors(A: Real, E: Real | None, points: Complex) -> tuple[Complex, NDArray]:
+    """Return the transposes of the triangular factors of ``s E - A`` at each point, and the orders of its rows."""
+    M, pivots = _at_each(-A.T, points), np.zeros((len(points), len(A)), dtype=np.int32)  # LAPACK wants columns
+    if E is None:
+        M[:, np.arange(len(A)), np.arange(len(A))] = points[:, None] - A.diagonal()
+    else:
+        M += points[:, None, None] * E.T
+    for k, of_point in enumerate(M):
+        _, pivots[k], info = lapack.zgetrf(of_point.T, overwrite_a=1)  # in place
+        if info > 0:
+            raise np.linalg.LinAlgError("Singular matrix")
+    return M, pivots
 
 
 def _solve(factors: tuple[Complex, NDArray], right: Complex, transposed: int) -> None:

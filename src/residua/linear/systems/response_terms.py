@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from residua.linear.systems.array_cache import Latest, entries
 from residua.linear.systems.resolvent import independent_parts, solutions, solver
@@ -267,6 +265,9 @@ def paths(system: StateSpace, B: Real, D: Real) -> NDArray[np.bool_]:
     # Of truth values, which no BLAS multiplies: its kernel for small floats now and then raises a flag of its own.
     coupled, reached = system.A != 0, B != 0
     if system.E is not None:
+        from scipy.sparse import csr_array  # slow to import, and needed only here
+        from scipy.sparse.csgraph import maximum_bipartite_matching
+
         coupled |= system.E != 0
         of_state = maximum_bipartite_matching(csr_array(coupled), perm_type="row")
         if np.any(of_state < 0):

@@ -201,8 +201,11 @@ class StateSpace:
         for part in independent_parts(self.A, self.E):
             rows = np.flatnonzero(self.C[:, part].any(axis=1))
             E = None if self.E is None else self.E[np.ix_(part, part)]
-            X, _ = solutions(self.A[np.ix_(part, part)], E, points, self.B[part])
-            values[:, rows] += self.C[np.ix_(rows, part)] @ X
+            A, B, C = self.A[np.ix_(part, part)], self.B[part], self.C[np.ix_(rows, part)]
+            if len(rows) < self.n_inputs:  # from the side that has fewer solutions
+                values[:, rows] += solutions(A, E, points, B[:, :0], C)[1] @ B
+            else:
+                values[:, rows] += C @ solutions(A, E, points, B)[0]
         return values
 
     def dc_gain(self) -> NDArray[np.float64]:
