@@ -112,6 +112,9 @@ _EARLIER = [
     ("integrators", 1110, designs._filters),
     # what rounding left of a gain on a dead sensor was a direction of its fault
     ("dead sensors", 1118, designs._noise),
+    # parts that nothing but a fault connects had the units of the caller beside one another
+    ("stiff", 1325, designs._filters),
+    ("repeated poles", 1329, designs._filters),
 ]
 
 

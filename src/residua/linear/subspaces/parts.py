@@ -51,3 +51,20 @@ def connected_parts(coupled: NDArray[np.bool_]) -> list[NDArray[np.int_]]:
         parts.append(np.flatnonzero(inside))
         left &= ~inside
     return parts
+
+
+def part_numbers(present: NDArray[np.bool_]) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+    """Return for each row and each column of a matrix the number, from zero, of the part that it belongs to.
+
+    Parameters
+    ----------
+    present : ndarray of bool, shape (rows, columns)
+        Where the entries are that are not zero.
+    """
+    rows, columns = present.shape
+    nodes = np.zeros((rows + columns, rows + columns), dtype=bool)
+    nodes[:rows, rows:] = present
+    numbers = np.empty(rows + columns, dtype=int)
+    for k, part in enumerate(connected_parts(nodes)):
+        numbers[part] = k
+    return numbers[:rows], numbers[rows:]
