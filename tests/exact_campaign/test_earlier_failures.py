@@ -115,6 +115,8 @@ _EARLIER = [
     # parts that nothing but a fault connects had the units of the caller beside one another
     ("stiff", 1325, designs._filters),
     ("repeated poles", 1329, designs._filters),
+    # a gain on an output that reads no state had the unit of that output in the size of the gain
+    ("dead sensors", 3002, designs._filters),
 ]
 
 

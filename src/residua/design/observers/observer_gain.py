@@ -72,7 +72,7 @@ def gain_size(F: NDArray, K: NDArray, C: NDArray) -> float:
         return 0.0
     states = state_units(F, K, C)
     outputs = (np.abs(C) * states).max(axis=1, initial=0.0)
-    return float(np.linalg.norm(K * np.where(outputs > 0, outputs, 1.0) / states[:, None]))
+    return float(np.linalg.norm(K * outputs / states[:, None]))  # a gain on an output that reads no state is none
 
 
 def pole_evidence(placed: Placement, F: NDArray) -> dict[str, Any]:
