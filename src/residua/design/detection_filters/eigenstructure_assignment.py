@@ -255,7 +255,7 @@ def _generator(
         raise AccuracyError(f"a pole is off by {gain.error:.2g} > {_POLE_ERROR:.0e}: ask for poles further apart")
     plant, n, exact = parts.plant, parts.plant.n_states, frame is not None
     K, S = parts.observer_gain(gain.gain), S0 @ parts.W * parts.outputs
-    F = plant.A - K @ plant.C
+    F = without_rounding(np.hstack([np.eye(n), -K]), np.vstack([plant.A, plant.C]))  # what cancels couples nothing
     method = f"eigenstructure assignment, {kind}"
     frame = frame or Frame(np.eye(n), np.eye(n), n)
     k = frame.seen
