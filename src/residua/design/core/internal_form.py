@@ -118,18 +118,19 @@ def check_state_map(
     )
     Gy, Hy = generator.B[:, n_u:], generator.D[:, n_u:]
     terms = np.abs(T) @ np.abs(p.A) + np.abs(Gy) @ np.abs(p.C) + np.abs(generator.A) @ absolute_TE
+    own_rate = float(np.abs(generator.poles()).max(initial=0.0))
     if len(T) % max(p.n_states, 1) == 0:
         rows = np.resize(units, len(T))  # stacked observers repeat the states of the plant
     else:
         heights = (absolute_TE * units).max(axis=1, initial=0.0)
         others = (terms * units).max(axis=1, initial=0.0)
-        # a row of T that is zero has the size of the other terms; residuals, and so rows, have units of their own
-        rows = np.where(rate * heights > 1e-12 * others, heights, np.where(others > 0, others, 1.0))
+        # a row of T that is zero has the size of the other terms, which have a rate in them, of the plant or else of
+        # the filter; residuals, and so rows, have units of their own
+        per_time = rate or own_rate or 1.0
+        rows = np.where(per_time * heights > 1e-12 * others, heights, np.where(others > 0, others / per_time, 1.0))
         rows = np.where(rows > 0, rows, 1.0)
     first = _largest(T @ p.A - Gy @ p.C - generator.A @ TE, units / rows[:, None])
-    own = rate if p.E is None else 0.0
-    if generator.n_states:  # where decoupling left T = 0, all the terms are rounding of what the poles are made of
-        own = max(own, 1e-3 * float(np.abs(generator.poles()).max()))
+    own = max(rate if p.E is None else 0.0, 1e-3 * own_rate)  # where T = 0, terms are rounding of what poles are of
     first /= max(_largest(terms, units / rows[:, None]), own, TINY)
     terms = np.abs(generator.C) @ absolute_TE + np.abs(Hy) @ np.abs(p.C) + np.abs(V) @ np.abs(p.A)
     heights = np.abs(p.C) @ units
