@@ -117,6 +117,8 @@ _EARLIER = [
     ("repeated poles", 1329, designs._filters),
     # a gain on an output that reads no state had the unit of that output in the size of the gain
     ("dead sensors", 3002, designs._filters),
+    # an output that divides nothing out was read by what rounding left of the gain that does
+    ("stiff", 2038, designs._decoupled),
 ]
 
 
