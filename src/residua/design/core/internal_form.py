@@ -23,6 +23,10 @@ _UNSURE = 1e-10
 _SMALL = float(np.sqrt(np.finfo(float).eps))
 #: Of the slowest zero, the part at which its response is the asymptote to a thousandth: ``sqrt(1 + 1 / 25**2)``.
 _BELOW_ZEROS = 25
+#: Of the slowest pole, the part from which frequencies begin.
+_BELOW_POLES = 100
+#: Rad per sample from which leaks of a sampled plant are measured at least: a period of 6,000 samples.
+_SLOW = 1e-3
 
 
 def internal_form(
@@ -244,21 +248,37 @@ def _size(system: StateSpace) -> float:
     return float(size)
 
 
-def leak_frequencies(generator: StateSpace, plant: Plant) -> NDArray[np.float64]:
+def leak_frequencies(
+    generator: StateSpace, plant: Plant, roles: tuple[str, ...] = ("control", "disturbance")
+) -> NDArray[np.float64]:
     """Return the frequencies in rad/s at which leaks are measured: those of the dynamics of filter and plant.
 
     A plant that integrates goes on to change below its slowest pole: where the response of an output to an input goes
     from one power of 1/s to another, it has a zero. Below a part of the slowest of these a response is the power of
-    1/s alone to a thousandth, and what is added there is what rounding left of the filter.
+    1/s alone to a thousandth, and what is added there is what rounding left of the filter. Of a sampled plant the same
+    holds of ``z - 1`` to two thousandths, as ``exp(jw dt) - 1`` turns from ``jw dt`` by half of that angle; it is
+    measured down to periods of some thousand samples in any case.
     """
-    w, system = frequency_grid(generator, plant.system(())), plant.system(("control", "disturbance"))
-    if system.is_discrete or np.all(system.poles() != 0):
+    w, system = frequency_grid(generator, plant.system(())), plant.system(roles)
+    form = _in_differences(system)
+    if not form.n_inputs or np.all(form.poles() != 0):
         return w
-    low = 1.0371 * _slowest_zero(system) / _BELOW_ZEROS
+    low = 1.0371 * _slowest_zero(form) / _BELOW_ZEROS
+    if system.is_discrete:
+        poles = [_pole_sizes(one) for one in (form, _in_differences(generator))]
+        low = min(low, 1.0371 * float(np.concatenate(poles).min(initial=np.inf)) / _BELOW_POLES, _SLOW) / system.dt
+        w = w[w > low]
     if w[0] <= low:
         return w
     more = int(np.ceil(np.log(w[0] / low) / np.log(w[1] / w[0])))  # as near to one another as the others
     return np.concatenate([np.geomspace(low, w[0], more + 1)[:-1], w])
+
+
+def _in_differences(system: StateSpace) -> StateSpace:
+    """Return a sampled system as one of ``z - 1``, which is to it what ``s`` is to a continuous one."""
+    if not system.is_discrete:
+        return system
+    return system.replaced(A=system.A - (np.eye(system.n_states) if system.E is None else system.E), dt=0.0)
 
 
 _slowest: Latest[float] = Latest()
