@@ -119,6 +119,10 @@ _EARLIER = [
     ("dead sensors", 3002, designs._filters),
     # an output that divides nothing out was read by what rounding left of the gain that does
     ("stiff", 2038, designs._decoupled),
+    # a gain on a state without an equation of its own was rounding, and compared with itself
+    ("integrators", 5071, designs._filters),
+    # what rounding left in a row of a gain coupled its state with others
+    ("delays", 5106, designs._filters),
 ]
 
 

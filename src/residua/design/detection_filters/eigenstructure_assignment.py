@@ -261,7 +261,7 @@ def _generator(
     k = frame.seen
     whole = frame.T @ (parts.A - gain.gain @ parts.C) @ frame.inverse
     T = frame.T[:k] / parts.states
-    own = frame.T[:k] @ (parts.G + gain.gain @ parts.W) * parts.outputs
+    own = frame.T[:k] @ parts.on_all_outputs(gain.gain)
     read = without_rounding(S0, parts.C, frame.inverse)  # measurements that repeat one another need no state
     system = StateSpace(
         whole[:k, :k],

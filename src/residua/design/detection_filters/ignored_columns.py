@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from residua import arrays
 from residua.errors import DesignError
 from residua.linear.subspaces.observability import detectability
-from residua.linear.subspaces.rank import RankDecision, decide_rank, range_basis
+from residua.linear.subspaces.rank import RankDecision, decide_rank, range_basis, without_rounded_gains
 from residua.linear.systems.balancing import descriptor_units, without_rounding
 from residua.plant import Plant
 from residua.tolerances import RESIDUE, above_rounding
@@ -69,9 +69,13 @@ class IgnoredColumns:
         """The columns side by side."""
         return np.hstack([np.zeros((len(self.A), 0)), *self.columns.values()])
 
+    def on_all_outputs(self, K0: NDArray) -> NDArray[np.float64]:
+        """Return ``K`` in balanced units of the states, without what rounding would couple them by."""
+        return without_rounded_gains(self.G + K0 @ self.W) * self.outputs
+
     def observer_gain(self, K0: NDArray) -> NDArray[np.float64]:
         """Return ``K`` in the units of the plant."""
-        return self.states[:, None] * (self.G + K0 @ self.W) * self.outputs
+        return self.states[:, None] * self.on_all_outputs(K0)
 
     def with_rows_of_length_one(self, S0: NDArray) -> NDArray[np.float64]:
         """Return rows for the outputs that are used, scaled to length one in the units of the plant.
