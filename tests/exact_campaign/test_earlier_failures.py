@@ -123,6 +123,8 @@ _EARLIER = [
     ("integrators", 5071, designs._filters),
     # what rounding left in a row of a gain coupled its state with others
     ("delays", 5106, designs._filters),
+    # and where columns of a gain cancel
+    ("oscillators", 2101, designs._observers),
 ]
 
 

@@ -15,6 +15,7 @@ from residua.linear.poles.placement import Placement, default_margin, place_obse
 from residua.linear.poles.pole_assignment import real_block_diagonal
 from residua.linear.systems.balancing import state_units
 from residua.plant import Plant
+from residua.tolerances import above_rounding
 
 #: Largest error of a pole of an observer, relative (sampled: absolute).
 POLE_ERROR = 1e-6
@@ -70,6 +71,7 @@ def gain_size(F: NDArray, K: NDArray, C: NDArray) -> float:
     """
     if not K.size:
         return 0.0
+    F = above_rounding(F, len(F) * np.abs(K) @ np.abs(C))  # what cancels there couples nothing
     states = state_units(F, K, C)
     outputs = (np.abs(C) * states).max(axis=1, initial=0.0)
     return float(np.linalg.norm(K * outputs / states[:, None]))  # a gain on an output that reads no state is none
