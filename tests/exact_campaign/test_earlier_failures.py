@@ -125,6 +125,10 @@ _EARLIER = [
     ("delays", 5106, designs._filters),
     # and where columns of a gain cancel
     ("oscillators", 2101, designs._observers),
+    # the size of a gain knew nothing of what it cancels, nor that rounding in its rows is no gain
+    ("companion", 2208, designs._observers),
+    ("delays", 2212, designs._filters),
+    ("feedthrough", 2219, designs._filters),
 ]
 
 

@@ -30,7 +30,6 @@ from residua.design.detection_filters.right_eigenvectors import (
     right_gain,
 )
 from residua.design.observers.observer import Observer
-from residua.design.observers.observer_gain import gain_size
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import StateSpace
 from residua.linear.norms.system_norms import hinf_norm
@@ -283,7 +282,7 @@ def _generator(
         requested_poles=gain.requested if exact else np.zeros(0, dtype=complex),
         fixed_poles=gain.fixed,
         ranks=ranks,
-        conditions={"pole error": gain.error, "size of K": gain_size(F, K, plant.C)},
+        conditions={"pole error": gain.error, "size of K": parts.size_of(F, K)},
         notes=(*((f"ignores {parts.text}",) if parts.names else ()), *(note for note in notes if note)),
         references=(REFERENCE,),
     )

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua import arrays
+from residua.design.observers.observer_gain import gain_size
 from residua.errors import DesignError
 from residua.linear.subspaces.observability import detectability
 from residua.linear.subspaces.rank import RankDecision, decide_rank, range_basis, without_rounded_gains
@@ -76,6 +77,11 @@ class IgnoredColumns:
     def observer_gain(self, K0: NDArray) -> NDArray[np.float64]:
         """Return ``K`` in the units of the plant."""
         return self.states[:, None] * self.on_all_outputs(K0)
+
+    def size_of(self, F: NDArray, K: NDArray) -> float:
+        """Return the size of a gain in the units of the plant, whose error equation has the state matrix ``F``."""
+        S, Y = self.states, self.outputs
+        return gain_size(F / S[:, None] * S, K / S[:, None] / Y, Y[:, None] * self.plant.C * S)
 
     def with_rows_of_length_one(self, S0: NDArray) -> NDArray[np.float64]:
         """Return rows for the outputs that are used, scaled to length one in the units of the plant.
