@@ -158,7 +158,9 @@ def paths(filter: Any, plant: Any, y: NDArray[np.float64], w: list[float]) -> Pa
             q = np.abs(_floats(Q))
             inside = (of_filter.terms[:, m:] / y).max(axis=1, initial=0.0)
             own.append((q[:, m:] / y).max(axis=1, initial=0.0) / np.where(inside > 0, inside, 1.0))
-            direct = np.hstack([q[:, :m], np.zeros((rows, B.shape[1] - m))])
+            alone = q[:, :m] < _NO_RESPONSE * of_filter.terms[:, :m]  # a control that no residual reads neither
+            direct = np.where(alone, of_filter.terms[:, :m], q[:, :m])
+            direct = np.hstack([direct, np.zeros((rows, B.shape[1] - m))])
             total.append(_floats(whole))
             terms.append(direct + q[:, m:] @ r)
             largest = (q[:, m:] / y).max(axis=1, initial=0.0)

@@ -129,6 +129,8 @@ _EARLIER = [
     ("companion", 2208, designs._observers),
     ("delays", 2212, designs._filters),
     ("feedthrough", 2219, designs._filters),
+    # what rounding left of a control in a filter was compared with itself: a flaw of the campaign
+    ("alike directions", 2308, designs._observers),
 ]
 
 

@@ -13,7 +13,6 @@ from residua.linear.systems.array_cache import Latest, entries
 from residua.plant import Plant
 from residua.plant.comparable_units import PlantUnits, canonical_units
 
-
 _kept: Latest[ResidualGenerator] = Latest()
 
 
