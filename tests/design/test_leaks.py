@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import residua as rs
 from exact_arithmetic import exact_leak, normal_rank, reaches
@@ -20,6 +21,7 @@ from residua.design.core.internal_form import frequency_grid, leak_frequencies, 
 from residua.design.core.signatures import checked_responses, fault_responses
 from residua.errors import AccuracyError, ResiduaError
 from residua.testing import check_residual_generator
+from residua.tolerances import LEAKAGE
 from scaled_plants import KINDS, numbers
 
 Design = Callable[[rs.Plant], rs.design.ResidualGenerator]
@@ -316,3 +318,49 @@ def test_responses_that_are_evaluated_together_are_those_evaluated_alone(seed: i
     np.testing.assert_allclose(one.terms, other.terms, rtol=1e-9)
     np.testing.assert_allclose(one.sizes, other.sizes, rtol=1e-9)
     np.testing.assert_array_equal(one.reached, other.reached)
+
+
+def test_few_frequencies_of_leaks_are_all_used_for_signatures() -> None:
+    """A sampled plant that integrates has fewer of them; that a fault is seen may show at slow ones alone."""
+    a, k = 0.03, 6
+    A = np.diag([1.0] + [1 - a] * k) + np.diag(np.full(k, a), -1)
+    C = np.zeros((2, k + 1))
+    C[0, 0], C[1, [0, -1]] = 1.0, (0.1, 1.0)
+    plant = rs.Plant(A, a * np.eye(k + 1)[:, :1], C, dt=1).with_faults({"f": np.eye(k + 1)[1]}).with_sensor_faults()
+    made = rs.design.luenberger_observer(plant).residual_generator()
+    assert len(leak_frequencies(made.system, plant)) < 60
+    assert made.structure.all()
+
+
+def integrating(zero: float, assumed: float, dt: float, units: NDArray[np.float64]) -> tuple[rs.StateSpace, rs.Plant]:
+    """Return the plant ``(d + zero) / d^2``, ``d = z - 1``, and ``(d^2 y - (d + assumed) u) / (d + 1/2)^2``."""
+    T, one = units[:, None], np.eye(2)
+    plant = rs.Plant(T * (one + np.diag([1.0], 1)) / T.T, T * [[1.0], [zero]], np.array([[1.0, 0]]) / T.T, dt=dt)
+    A, B = one + [[-1.0, 1], [-0.25, 0]], [[1.0, 1], [assumed, 0.25]]
+    return rs.StateSpace(T * A / T.T, T * B, [[-1.0, 0]] / T.T, [[0.0, 1]], dt=dt), plant
+
+
+@pytest.mark.parametrize("zero", [1e-4, 2e-5])
+@pytest.mark.parametrize("dt", [2.0**-20, 1.0, 2.0**20])
+def test_leaks_of_a_sampled_plant_that_integrates_are_measured_down_to_its_asymptote(dt: float, zero: float) -> None:
+    """A number of the filter that is wrong shows below the zero alone, far below the poles, and no more below that."""
+    for units in (np.ones(2), 2.0 ** np.array([20, -20])):
+        good, plant = integrating(zero, zero, dt, units)
+        wrong, _ = integrating(zero, zero * (1 + 4 * LEAKAGE), dt, units)
+        w = leak_frequencies(wrong, plant)
+        assert w[0] == pytest.approx(1.0371 * zero / 25 / dt)
+        assert np.sort(w)[-1] < np.pi / dt
+        assert leakage(good, plant)["control"] < LEAKAGE / 100
+        found = leakage(wrong, plant)["control"]
+        assert found > LEAKAGE
+        assert leakage(wrong, plant, w[w * dt > 0.001])["control"] < LEAKAGE  # what periods of 6,000 samples show
+        assert found > 0.99 * leakage(wrong, plant, np.geomspace(1e-6, 1, 200) / dt)["control"]
+
+
+def test_sampled_chains_of_integrators_have_relations() -> None:
+    """Where responses are powers of ``1 / (z - 1)`` alone, slower frequencies only show the rounding of the filter."""
+    n = 3
+    plant = rs.Plant(np.eye(n) + np.diag(np.ones(n - 1), 1), np.eye(n)[:, -1:], np.eye(n)[:1], dt=0.5)
+    made = rs.design.parity_relations(plant.with_actuator_faults().with_sensor_faults())
+    assert leak_frequencies(made.system, plant)[0] == 1e-3 / plant.dt
+    assert made.evidence.decoupling["control"] < 1e-6

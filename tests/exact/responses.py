@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -19,21 +20,24 @@ def _matrix(M: NDArray) -> acb_mat:
     return acb_mat(rows, columns, [acb(float(x)) for x in M.ravel()])
 
 
-def _response(E: NDArray | None, A: NDArray, B: NDArray, C: NDArray, D: NDArray, s: acb) -> acb_mat:
-    n = len(A)
-    if not n or not B.shape[1] or not len(C):
-        return _matrix(D)
-    E = np.eye(n) if E is None else E
-    return _matrix(C) * (_matrix(E) * s - _matrix(A)).solve(_matrix(B)) + _matrix(D)
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    """A system at a point: its response, and the solution ``X = (sE - A)^-1 B`` that it comes of."""
+
+    M: acb_mat | None
+    X: acb_mat | None
+    response: acb_mat
+    terms: NDArray[np.float64]
 
 
-def _terms(E: NDArray | None, A: NDArray, B: NDArray, C: NDArray, D: NDArray, s: acb) -> NDArray[np.float64]:
-    """Return the sums of the sizes of what each entry of the response is the sum of."""
+def _solved(E: NDArray | None, A: NDArray, B: NDArray, C: NDArray, D: NDArray, s: acb) -> _Solved:
+    """Return a response, with the sums of the sizes of what each entry is the sum of."""
     n = len(A)
     if not n or not B.shape[1] or not len(C):
-        return np.abs(D)
-    E = np.eye(n) if E is None else E
-    return np.abs(C) @ np.abs(_floats((_matrix(E) * s - _matrix(A)).solve(_matrix(B)))) + np.abs(D)
+        return _Solved(None, None, _matrix(D), np.abs(D))
+    M = _matrix(np.eye(n) if E is None else E) * s - _matrix(A)
+    X = M.solve(_matrix(B))
+    return _Solved(M, X, _matrix(C) * X + _matrix(D), np.abs(C) @ np.abs(_floats(X)) + np.abs(D))
 
 
 def _floats(M: acb_mat) -> NDArray[np.complex128]:
@@ -42,17 +46,44 @@ def _floats(M: acb_mat) -> NDArray[np.complex128]:
     return np.array(entries, dtype=complex).reshape(M.nrows(), M.ncols())
 
 
-def _made_of(E: NDArray | None, A: NDArray, B: NDArray, C: NDArray, D: NDArray, s: acb) -> NDArray[np.float64]:
+def _made_of(found: _Solved, B: NDArray, C: NDArray) -> NDArray[np.float64]:
     """Return the sizes of what each entry of the response is made of: to its own digits, the response is not known.
 
     The terms of its sum, and what every number of the equations moves it by, relative to that number.
     """
-    n, sizes = len(A), _terms(E, A, B, C, D, s)
-    if not n or not B.shape[1] or not len(C):
-        return sizes
-    M = _matrix(np.eye(n) if E is None else E) * s - _matrix(A)
-    X, Y = np.abs(_floats(M.solve(_matrix(B)))), np.abs(_floats(M.transpose().solve(_matrix(C.T)))).T
-    return sizes + Y @ (np.abs(_floats(M)) @ X + np.abs(B))
+    if found.M is None or found.X is None:
+        return found.terms
+    X, Y = np.abs(_floats(found.X)), np.abs(_floats(found.M.transpose().solve(_matrix(C.T)))).T
+    return found.terms + Y @ (np.abs(_floats(found.M)) @ X + np.abs(B))
+
+
+@dataclass(frozen=True, eq=False)
+class _PlantAt:
+    """A plant at a frequency, for all filters of it: the point, the responses of the outputs and their sizes."""
+
+    s: acb
+    response: acb_mat
+    sizes: NDArray[np.float64]
+
+
+@lru_cache(maxsize=64)
+def _plant_at(x: float, dt: float, *entries: bytes) -> _PlantAt:
+    """Return what is the same for all filters of a plant; arrays come as their shapes and bytes, which can be kept."""
+    E, A, B, C, D = (_array(one) for one in entries)
+    angle = arb(x) * arb(dt if dt else 1.0)
+    s = acb(angle.cos(), angle.sin()) if dt else acb(0, arb(x))
+    found = _solved(E if E is not None and E.size else None, A, B, C, D, s)
+    r, made = np.abs(_floats(found.response)), _made_of(found, B, C)
+    return _PlantAt(s, found.response, np.where(r < _NO_RESPONSE * made, made, r))  # not its own rounding
+
+
+def _bytes(M: NDArray | None) -> bytes:
+    M = np.zeros((0, 0)) if M is None else np.ascontiguousarray(M, dtype=float)
+    return np.array(M.shape, dtype=np.int64).tobytes() + M.tobytes()
+
+
+def _array(entries: bytes) -> NDArray[np.float64]:
+    return np.frombuffer(entries[16:]).reshape(np.frombuffer(entries[:16], dtype=np.int64))
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,12 +140,13 @@ def paths(filter: Any, plant: Any, y: NDArray[np.float64], w: list[float]) -> Pa
         m = len(plant.inputs)
         B = np.hstack([plant.Bu, plant.Bd, plant.Bf])
         D = np.hstack([plant.Du, plant.Dd, plant.Df])
+        dt = float(plant.dt)
+        entries = [_bytes(M) for M in (plant.E, plant.A, B, plant.C, D)]
         total, terms, reach, own = [], [], [], []
         for x in w:
-            angle = arb(x) * arb(float(plant.dt) if plant.dt else 1.0)
-            s = acb(angle.cos(), angle.sin()) if plant.dt else acb(0, arb(x))
-            Q = _response(None, filter.A, filter.B, filter.C, filter.D, s)
-            P = _response(plant.E, plant.A, B, plant.C, D, s)
+            at = _plant_at(x, dt, *entries)
+            of_filter = _solved(None, filter.A, filter.B, filter.C, filter.D, at.s)
+            Q, P, r = of_filter.response, at.response, at.sizes
             rows, p = Q.nrows(), P.nrows()
             Qy = acb_mat(rows, p, [Q[i, m + k] for i in range(rows) for k in range(p)])
             through = Qy * P
@@ -123,12 +155,12 @@ def paths(filter: Any, plant: Any, y: NDArray[np.float64], w: list[float]) -> Pa
                 B.shape[1],
                 [through[i, j] + (Q[i, j] if j < m else 0) for i in range(rows) for j in range(B.shape[1])],
             )
-            q, r = np.abs(_floats(Q)), np.abs(_floats(P))
-            made = _made_of(plant.E, plant.A, B, plant.C, D, s)
-            r = np.where(r < _NO_RESPONSE * made, made, r)  # an input that reaches no output is not its own rounding
-            inside = (_terms(None, filter.A, filter.B, filter.C, filter.D, s)[:, m:] / y).max(axis=1, initial=0.0)
+            q = np.abs(_floats(Q))
+            inside = (of_filter.terms[:, m:] / y).max(axis=1, initial=0.0)
             own.append((q[:, m:] / y).max(axis=1, initial=0.0) / np.where(inside > 0, inside, 1.0))
-            direct = np.hstack([q[:, :m], np.zeros((rows, B.shape[1] - m))])
+            alone = q[:, :m] < _NO_RESPONSE * of_filter.terms[:, :m]  # a control that no residual reads neither
+            direct = np.where(alone, of_filter.terms[:, :m], q[:, :m])
+            direct = np.hstack([direct, np.zeros((rows, B.shape[1] - m))])
             total.append(_floats(whole))
             terms.append(direct + q[:, m:] @ r)
             largest = (q[:, m:] / y).max(axis=1, initial=0.0)

@@ -43,10 +43,10 @@ def examine_generator(subject: Subject, record: Record, made: Any, plant: Any, p
     _subspaces(record, found, made, plant.faults, live)
     if not made.system.is_stable():
         record.problem("wrong", "stability", f"not stable: {made.system.poles()}")
-    norms = [value for name, value in made.evidence.conditions.items() if name.startswith(("norm of", "size of"))]
-    gain = max(norms, default=0.0)
+    sizes = {name: value for name, value in made.evidence.conditions.items() if name.startswith("size of")}
+    gain = max(sizes.values(), default=0.0)
     if subject.by.name == "base" and gain > _GAIN * max(1.0, subject.rates):
-        record.problem("wrong", "gain", f"{record.function}: a gain of norm {gain:.1e} for a plant of small fractions")
+        record.problem("wrong", "gain", f"{record.function}: a gain of size {gain:.1e} for a plant of small fractions")
     record.facts |= {
         f"{prefix}residuals": made.n_residuals,
         f"{prefix}order": made.system.n_states,
@@ -54,7 +54,7 @@ def examine_generator(subject: Subject, record: Record, made: Any, plant: Any, p
         f"{prefix}dimensions": {name: basis.shape[1] for name, basis in made.subspaces.items()},
         f"{prefix}fixed poles": len(made.evidence.fixed_poles),
     }
-    record.evidence |= {f"{prefix}{name}": value for name, value in made.evidence.decoupling.items()}
+    record.evidence |= {f"{prefix}{name}": value for name, value in (made.evidence.decoupling | sizes).items()}
     return found
 
 

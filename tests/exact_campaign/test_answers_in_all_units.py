@@ -18,12 +18,14 @@ from exact.responses import frequencies, paths
 from exact_campaign import designs
 from exact_campaign.answers import Subject
 from exact_campaign.cases import base_units, plant_of, units
-from exact_campaign.kinds import case_of
+from exact_campaign.kinds import KINDS, case_of
 from guards import trips
+from residua.design.core.internal_form import check_state_map
 from residua.design.detection_filters import detection_filter
 from residua.errors import AccuracyError, DesignError
 from residua.linear.systems.response_terms import response_terms
 from residua.plant import Plant
+from residua.plant.comparable_units import canonical_units, even_plant
 
 #: A gain of a plant of small fractions; one that rounding asks for is 1e10 and more.
 GAIN = 1e5
@@ -335,3 +337,29 @@ def test_a_zero_at_the_boundary_is_not_stable_by_rounding() -> None:
         assert answer.fixed_poles.tolist() == [0.0]
         with pytest.raises(DesignError, match="invariant zero 0 "):
             rs.design.unknown_input_observer(p)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("door", [lambda p: even_plant(p).plant, lambda p: canonical_units(p).applied(p)])
+def test_the_doors_of_the_designs_show_the_same_plant_in_all_units(kind: str, door: Callable[[Plant], Plant]) -> None:
+    """To the last bit, faults that join parts included: what lies behind a door cannot depend on units."""
+    for seed in (1, 4001, 4009, 4016):
+        first, *others = [door(p) for p in in_all_units(kind, seed)]
+        for other in others:
+            for name in ("A", "Bu", "Bd", "Bf", "C", "Du", "Dd", "Df"):
+                assert np.array_equal(getattr(first, name), getattr(other, name)), (seed, name)
+
+
+@pytest.mark.parametrize("A", [np.zeros((2, 2)), np.diag([-1.0, -3.0])], ids=["no rate", "rates"])
+@pytest.mark.parametrize("zeros", [0, 1])
+def test_how_far_identities_are_missed_does_not_depend_on_the_unit_of_time(A: np.ndarray, zeros: int) -> None:
+    """A row of the state map that is zero had the size of terms with a rate in them, in the unit of the caller."""
+    T, off = np.vstack([np.eye(2), np.zeros((zeros, 2))]), 1e-9
+    K = np.vstack([np.diag([2.0, 5.0]), np.zeros((zeros, 2))])
+    F = np.pad(A - K[:2], ((0, zeros), (0, zeros))) - np.diag([0.0] * 2 + [4.0] * zeros)
+    found = []
+    for c in (2.0**-20, 1.0, 2.0**20):
+        plant = rs.Plant(c * A, np.full((2, 1), c), np.eye(2)).with_faults({"f": [c, c]})
+        B, D = np.hstack([T.sum(axis=1, keepdims=True), K + off]), np.eye(2, 3, 1)
+        found.append(check_state_map(rs.StateSpace(c * F, c * B, -T.T, D), plant, T, limit=1.0))
+    assert found[0] == found[1] == found[2] > off / 100

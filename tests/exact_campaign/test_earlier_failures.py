@@ -112,6 +112,25 @@ _EARLIER = [
     ("integrators", 1110, designs._filters),
     # what rounding left of a gain on a dead sensor was a direction of its fault
     ("dead sensors", 1118, designs._noise),
+    # parts that nothing but a fault connects had the units of the caller beside one another
+    ("stiff", 1325, designs._filters),
+    ("repeated poles", 1329, designs._filters),
+    # a gain on an output that reads no state had the unit of that output in the size of the gain
+    ("dead sensors", 3002, designs._filters),
+    # an output that divides nothing out was read by what rounding left of the gain that does
+    ("stiff", 2038, designs._decoupled),
+    # a gain on a state without an equation of its own was rounding, and compared with itself
+    ("integrators", 5071, designs._filters),
+    # what rounding left in a row of a gain coupled its state with others
+    ("delays", 5106, designs._filters),
+    # and where columns of a gain cancel
+    ("oscillators", 2101, designs._observers),
+    # the size of a gain knew nothing of what it cancels, nor that rounding in its rows is no gain
+    ("companion", 2208, designs._observers),
+    ("delays", 2212, designs._filters),
+    ("feedthrough", 2219, designs._filters),
+    # what rounding left of a control in a filter was compared with itself: a flaw of the campaign
+    ("alike directions", 2308, designs._observers),
 ]
 
 

@@ -14,8 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.arrays import frozen
-from residua.linear.systems.balancing import descriptor_units, power_of_two
-from residua.linear.systems.units import PencilUnits, output_weights, pencil_units, system_units
+from residua.linear.subspaces.parts import part_numbers
+from residua.linear.systems.balancing import DescriptorUnits, descriptor_units
+from residua.linear.systems.units import (
+    PencilUnits,
+    bordered,
+    output_weights,
+    pencil_units,
+    powers_of_two,
+    row_levels,
+    system_units,
+    without_residue,
+)
 from residua.plant.plant import Plant
 
 Factors = NDArray[np.float64]
@@ -117,7 +127,8 @@ def own_units(plant: Plant) -> EvenPlant:
 def even_plant(plant: Plant, *, explicit: bool = False) -> EvenPlant:
     """Return a plant in even units; ``explicit`` divides an invertible ``E`` out, in even units too.
 
-    Those of states and outputs follow from the plant without its faults, so that no answer depends on what is watched.
+    Those of states and outputs follow from the plant without its faults, so that no answer depends on what is watched;
+    but parts that nothing else connects have a unit in common by the faults that move several of them.
     """
     if explicit and plant.E is not None:
         first = even_plant(plant)
@@ -126,10 +137,31 @@ def even_plant(plant: Plant, *, explicit: bool = False) -> EvenPlant:
     m = plant.Bu.shape[1]
     B, D = np.hstack([plant.Bu, plant.Bd]), np.hstack([plant.Du, plant.Dd])
     u = descriptor_units(plant.A, plant.E, B, plant.C, D)
+    u = _levelled(u, plant, B, D)
     faults = np.vstack([u.equations[:, None] * plant.Bf, u.outputs[:, None] * plant.Df])
-    sizes = power_of_two(np.linalg.norm(faults, axis=0))
+    sizes = np.linalg.norm(faults, axis=0)
+    sizes = powers_of_two(np.log2(np.where(sizes > 0, sizes, 1.0)))
     units = PlantUnits(u.equations, u.states, u.outputs, u.inputs[:m], u.inputs[m:], 1 / sizes)
     return EvenPlant(units.applied(plant), units)
+
+
+def _levelled(u: DescriptorUnits, plant: Plant, B: NDArray[np.float64], D: NDArray[np.float64]) -> DescriptorUnits:
+    """Return units with one factor more for each part of a plant that nothing connects: its level beside the others.
+
+    Nothing but a fault says what that is; without, it is that of the units that the plant was written in, and what is
+    decided of all parts together would change with these. The factors bring what faults do nearest to one size.
+    """
+    n = plant.n_states
+    rows, columns = np.concatenate([u.equations, u.outputs]), np.concatenate([u.states, u.inputs])
+    coupled = without_residue(rows[:, None] * bordered(plant.A, B, plant.C, D) * columns) > 0
+    coupled[:n, :n] |= np.eye(n, dtype=bool) if plant.E is None else plant.E != 0
+    of_rows, of_columns = part_numbers(coupled)
+    faults = rows[:, None] * np.vstack([plant.Bf, plant.Df])
+    if not np.any(of_rows) or not faults.size:
+        return u
+    levels = row_levels(faults, of_rows, int(max(of_rows.max(), of_columns.max(initial=0))) + 1)
+    left, right = rows / levels[of_rows], columns * levels[of_columns]
+    return DescriptorUnits(left[:n], right[:n], right[n:], left[n:], u.unit)
 
 
 def canonical_units(plant: Plant, *, controls: bool = True) -> PlantUnits:

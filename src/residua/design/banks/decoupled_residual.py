@@ -126,7 +126,9 @@ def decoupled_residual(
     array([False,  True])
     """
     ignored = [plant.faults[i] for i in arrays.positions(insensitive_to, plant.faults, "fault")]
-    return designed_in_own_units(plant, lambda own: _designed(own, ignored, poles, margin, gain, rtol))
+    # of poles and margins that a user chooses nothing is kept: they may be arrays, or wrong
+    asked = (tuple(ignored), gain, rtol) if poles is None and margin is None and isinstance(rtol, float) else None
+    return designed_in_own_units(plant, lambda own: _designed(own, ignored, poles, margin, gain, rtol), asked)
 
 
 def _designed(

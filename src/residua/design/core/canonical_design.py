@@ -2,21 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import replace
 
 import numpy as np
 
 from residua.design.core.generator import ResidualGenerator
 from residua.linear import StateSpace
+from residua.linear.systems.array_cache import Latest, entries
 from residua.plant import Plant
 from residua.plant.comparable_units import PlantUnits, canonical_units
 
+_kept: Latest[ResidualGenerator] = Latest()
 
-def designed_in_own_units(plant: Plant, design: Callable[[Plant], ResidualGenerator]) -> ResidualGenerator:
-    """Return what a design makes of the plant in canonical units, as a generator for the plant as it was written."""
+
+def designed_in_own_units(
+    plant: Plant, design: Callable[[Plant], ResidualGenerator], asked: Hashable = None
+) -> ResidualGenerator:
+    """Return what a design makes of the plant in canonical units, as a generator for the plant as it was written.
+
+    ``asked`` holds all that the design is asked for; the latest results are kept by it and by the plant, unless it is
+    ``None``: banks, and methods that are tried in turn, want the same residual many times.
+    """
     units = canonical_units(plant)
-    return in_units_of(plant, units, design(units.applied(plant)))
+    own = units.applied(plant)
+    if asked is None:
+        return in_units_of(plant, units, design(own))
+    matrices = entries(own.A, own.E, own.C, own.Bu, own.Du, own.Bd, own.Dd, own.Bf, own.Df, own.Bw, own.Dw)
+    names = (own.inputs, own.outputs, own.states, own.disturbances, own.faults)
+    return in_units_of(plant, units, _kept.of((asked, matrices, own.dt, *names), lambda: design(own)))
 
 
 def in_units_of(plant: Plant, units: PlantUnits, made: ResidualGenerator) -> ResidualGenerator:

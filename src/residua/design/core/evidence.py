@@ -40,8 +40,9 @@ class Evidence:
     decoupling : mapping of str to float
         Largest gain to the residual from each group of inputs that must not be seen (``"control"``,
         ``"disturbance"``), relative to the terms that have to cancel, from a hundredth of the slowest pole of plant and
-        filter on, and of a plant that integrates from a 25th of its slowest zero on. Such a plant answers to slower
-        inputs by powers of 1/s more; what rounding leaves of the filter does so too.
+        filter on, and of a plant that integrates from a 25th of its slowest zero on; of a sampled one from the
+        slower of these and of 1e-3 rad per sample, or from 1e-5 of the Nyquist frequency if it does not integrate.
+        A plant that does answers to slower inputs by powers of 1/s more; what rounding leaves of the filter does too.
     ranks : mapping of str to RankDecision
         Every rank decision with the singular values on both sides of its gap.
     conditions : mapping of str to float

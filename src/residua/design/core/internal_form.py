@@ -34,6 +34,10 @@ _UNSURE = 1e-10
 _SMALL = float(np.sqrt(np.finfo(float).eps))
 #: Of the slowest zero, the part at which its response is the asymptote to a thousandth: ``sqrt(1 + 1 / 25**2)``.
 _BELOW_ZEROS = 25
+#: Of the slowest pole, the part from which frequencies begin.
+_BELOW_POLES = 100
+#: Rad per sample from which leaks of a sampled plant are measured at least: a period of 6,000 samples.
+_SLOW = 1e-3
 
 
 def internal_form(
@@ -129,18 +133,19 @@ def check_state_map(
     )
     Gy, Hy = generator.B[:, n_u:], generator.D[:, n_u:]
     terms = np.abs(T) @ np.abs(p.A) + np.abs(Gy) @ np.abs(p.C) + np.abs(generator.A) @ absolute_TE
+    own_rate = float(np.abs(generator.poles()).max(initial=0.0))
     if len(T) % max(p.n_states, 1) == 0:
         rows = np.resize(units, len(T))  # stacked observers repeat the states of the plant
     else:
         heights = (absolute_TE * units).max(axis=1, initial=0.0)
         others = (terms * units).max(axis=1, initial=0.0)
-        # a row of T that is zero has the size of the other terms; residuals, and so rows, have units of their own
-        rows = np.where(rate * heights > 1e-12 * others, heights, np.where(others > 0, others, 1.0))
+        # a row of T that is zero has the size of the other terms, which have a rate in them, of the plant or else of
+        # the filter; residuals, and so rows, have units of their own
+        per_time = rate or own_rate or 1.0
+        rows = np.where(per_time * heights > 1e-12 * others, heights, np.where(others > 0, others / per_time, 1.0))
         rows = np.where(rows > 0, rows, 1.0)
     first = _largest(T @ p.A - Gy @ p.C - generator.A @ TE, units / rows[:, None])
-    own = rate if p.E is None else 0.0
-    if generator.n_states:  # where decoupling left T = 0, all the terms are rounding of what the poles are made of
-        own = max(own, 1e-3 * float(np.abs(generator.poles()).max()))
+    own = max(rate if p.E is None else 0.0, 1e-3 * own_rate)  # where T = 0, terms are rounding of what poles are of
     first /= max(_largest(terms, units / rows[:, None]), own, TINY)
     terms = np.abs(generator.C) @ absolute_TE + np.abs(Hy) @ np.abs(p.C) + np.abs(V) @ np.abs(p.A)
     heights = np.abs(p.C) @ units
@@ -256,21 +261,39 @@ def _size(system: StateSpace) -> float:
     return float(np.abs(system.poles()).max(initial=0.0))
 
 
-def leak_frequencies(generator: StateSpace, plant: Plant) -> NDArray[np.float64]:
+def leak_frequencies(
+    generator: StateSpace, plant: Plant, roles: tuple[str, ...] = ("control", "disturbance")
+) -> NDArray[np.float64]:
     """Return the frequencies in rad/s at which leaks are measured: those of the dynamics of filter and plant.
 
     A plant that integrates goes on to change below its slowest pole: where the response of an output to an input goes
     from one power of 1/s to another, it has a zero. Below a part of the slowest of these a response is the power of
-    1/s alone to a thousandth, and what is added there is what rounding left of the filter.
+    1/s alone to a thousandth, and what is added there is what rounding left of the filter. Of a sampled plant the same
+    holds of ``z - 1`` to two thousandths, as ``exp(jw dt) - 1`` turns from ``jw dt`` by half of that angle; it is
+    measured down to periods of some thousand samples in any case.
     """
-    w, system = frequency_grid(generator, plant.system(())), plant.system(("control", "disturbance"))
-    if system.is_discrete or np.all(system.poles() != 0):
+    w, system = frequency_grid(generator, plant.system(())), plant.system(roles)
+    form = _in_differences(system)
+    if not form.n_inputs or np.all(form.poles() != 0):
         return w
-    low = 1.0371 * _slowest_zero(system) / _BELOW_ZEROS
+    low = 1.0371 * _slowest_zero(form) / _BELOW_ZEROS
+    if system.is_discrete:
+        own = _in_differences(generator)
+        low = min(low, 1.0371 * _slowest_zero(own) / _BELOW_ZEROS)
+        poles = [_pole_sizes(one) for one in (form, own)]
+        low = min(low, 1.0371 * float(np.concatenate(poles).min(initial=np.inf)) / _BELOW_POLES, _SLOW) / system.dt
+        w = w[w > low]
     if w[0] <= low:
         return w
     more = int(np.ceil(np.log(w[0] / low) / np.log(w[1] / w[0])))  # as near to one another as the others
     return np.concatenate([np.geomspace(low, w[0], more + 1)[:-1], w])
+
+
+def _in_differences(system: StateSpace) -> StateSpace:
+    """Return a sampled system as one of ``z - 1``, which is to it what ``s`` is to a continuous one."""
+    if not system.is_discrete:
+        return system
+    return system.replaced(A=system.A - (np.eye(system.n_states) if system.E is None else system.E), dt=0.0)
 
 
 _slowest: Latest[float] = Latest()

@@ -91,7 +91,7 @@ def fault_responses(
     own, p = made.own, made.p
     scaled = own.system.replaced(B=own.system.B / own.inputs, D=own.system.D / own.inputs)
     if known is not None:
-        used = slice(len(known.w) - POINTS, None)
+        used = slice(max(len(known.w) - POINTS, 0), None)  # slower ones are those of leaks
         rows = (own.outputs / known.residuals)[:, None]
         values, terms = rows * known.faults.values[used] * p.inputs, rows * known.faults.terms[used] * p.inputs
         outputs = p.outputs / known.outputs

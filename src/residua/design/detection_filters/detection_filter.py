@@ -271,9 +271,13 @@ class _Frame:
         return in_units_of_the_plant(made, self.plant, self.even)
 
     def _read(self, K1: NDArray) -> NDArray[np.float64]:
-        """Return a gain without what changes the error equation by its rounding only, which would couple its states."""
-        A, C = self.even.plant.A, np.abs(self.even.plant.C)
-        rows = (np.abs(self.T) @ np.abs(A) + np.abs(K1) @ C).max(axis=1, keepdims=True, initial=0.0)
+        """Return a gain without what changes the error equation by its rounding only, which would couple its states.
+
+        Where decoupling has left a state no equation of its own, rounding is that of the equations of the others.
+        """
+        C, own = np.abs(self.even.plant.C), np.abs(self.T) @ np.abs(self.even.plant.A)
+        rows = (own + np.abs(K1) @ C).max(axis=1, keepdims=True, initial=0.0)
+        rows = np.where(own.any(axis=1, keepdims=True), rows, rows.max(initial=0.0))
         return np.where(np.abs(K1) * C.max(axis=1, initial=0.0) > RESIDUE * rows, K1, 0.0)
 
     def _pole_error(self, design: DirectionalGain, F: NDArray) -> float:

@@ -254,13 +254,13 @@ def _generator(
         raise AccuracyError(f"a pole is off by {gain.error:.2g} > {_POLE_ERROR:.0e}: ask for poles further apart")
     plant, n, exact = parts.plant, parts.plant.n_states, frame is not None
     K, S = parts.observer_gain(gain.gain), S0 @ parts.W * parts.outputs
-    F = plant.A - K @ plant.C
+    F = without_rounding(np.hstack([np.eye(n), -K]), np.vstack([plant.A, plant.C]))  # what cancels couples nothing
     method = f"eigenstructure assignment, {kind}"
     frame = frame or Frame(np.eye(n), np.eye(n), n)
     k = frame.seen
     whole = frame.T @ (parts.A - gain.gain @ parts.C) @ frame.inverse
     T = frame.T[:k] / parts.states
-    own = frame.T[:k] @ (parts.G + gain.gain @ parts.W) * parts.outputs
+    own = frame.T[:k] @ parts.on_all_outputs(gain.gain)
     read = without_rounding(S0, parts.C, frame.inverse)  # measurements that repeat one another need no state
     system = StateSpace(
         whole[:k, :k],
@@ -282,7 +282,7 @@ def _generator(
         requested_poles=gain.requested if exact else np.zeros(0, dtype=complex),
         fixed_poles=gain.fixed,
         ranks=ranks,
-        conditions={"pole error": gain.error, "norm of K": float(np.linalg.norm(K))},
+        conditions={"pole error": gain.error, "size of K": parts.size_of(F, K)},
         notes=(*((f"ignores {parts.text}",) if parts.names else ()), *(note for note in notes if note)),
         references=(REFERENCE,),
     )

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua import arrays
+from residua.design.observers.observer_gain import gain_size
 from residua.errors import DesignError
 from residua.linear.subspaces.observability import detectability
-from residua.linear.subspaces.rank import RankDecision, decide_rank, range_basis
+from residua.linear.subspaces.rank import RankDecision, decide_rank, range_basis, without_rounded_gains
 from residua.linear.systems.balancing import descriptor_units, without_rounding
 from residua.plant import Plant
 from residua.tolerances import RESIDUE, above_rounding
@@ -69,9 +70,18 @@ class IgnoredColumns:
         """The columns side by side."""
         return np.hstack([np.zeros((len(self.A), 0)), *self.columns.values()])
 
+    def on_all_outputs(self, K0: NDArray) -> NDArray[np.float64]:
+        """Return ``K`` in balanced units of the states, without what rounding would couple them by."""
+        return without_rounded_gains(self.G + K0 @ self.W) * self.outputs
+
     def observer_gain(self, K0: NDArray) -> NDArray[np.float64]:
         """Return ``K`` in the units of the plant."""
-        return self.states[:, None] * (self.G + K0 @ self.W) * self.outputs
+        return self.states[:, None] * self.on_all_outputs(K0)
+
+    def size_of(self, F: NDArray, K: NDArray) -> float:
+        """Return the size of a gain in the units of the plant, whose error equation has the state matrix ``F``."""
+        S, Y = self.states, self.outputs
+        return gain_size(F / S[:, None] * S, K / S[:, None] / Y, Y[:, None] * self.plant.C * S)
 
     def with_rows_of_length_one(self, S0: NDArray) -> NDArray[np.float64]:
         """Return rows for the outputs that are used, scaled to length one in the units of the plant.

@@ -28,7 +28,7 @@ from residua.linear import is_stable_mode
 from residua.linear.poles.placement import place_observer_poles
 from residua.linear.poles.spectrum import spectrum_error
 from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank, equilibrated
-from residua.linear.systems.balancing import state_units
+from residua.linear.systems.balancing import evened
 from residua.plant import Plant
 from residua.tolerances import IDENTITY, TINY
 
@@ -228,17 +228,38 @@ def _existence(plant: Plant, rtol: float) -> UnknownInputExistence:
     independent = decide_rank(equilibrated(plant.Bd), rtol=rtol)
     if independent.rank < q:
         raise DesignError(f"the {q} unknown inputs have only {independent.rank} independent directions")
-    # rows and columns of a triangular matrix have no even size: in the units of states alone its diagonal stays
-    units = state_units(plant.A, plant.Bd, plant.C)
-    regular = decide_rank(plant.A / units[:, None] * units, rtol=rtol)
-    if regular.rank < plant.n_states:
-        raise DesignError(
-            f"A is singular, rank {regular.rank} < {plant.n_states}: the inverse form does not exist; {_INSTEAD}"
-        )
+    _refuse_singular(plant.A, rtol)
     existence = unknown_input_observer_existence(plant, rtol=rtol)
     if not existence:
         raise DesignError("; ".join(existence.reasons))
     return existence
+
+
+def _refuse_singular(A: NDArray, rtol: float) -> None:
+    """Raise unless ``A`` is invertible, block by block of its triangular form: rates far apart make no rank.
+
+    Each state is matched to an equation; the blocks are the states that depend on one another. Within one, rows and
+    columns have an even size, in whatever units; those of different blocks have none in common.
+    """
+    from scipy.sparse import csr_array  # slow to import, and needed only here
+    from scipy.sparse.csgraph import connected_components, maximum_bipartite_matching
+
+    equation = maximum_bipartite_matching(csr_array(A.T != 0), perm_type="column")
+    matched = int(np.count_nonzero(equation >= 0))
+    why = f"rank {matched} < {len(A)}, whatever the values of its entries that are not zero" if matched < len(A) else ""
+    if not why:
+        ordered = A[equation]
+        count, block_of = connected_components(csr_array(ordered != 0), connection="strong")
+        for block in (np.flatnonzero(block_of == k) for k in range(count)):
+            M = ordered[np.ix_(block, block)]
+            rows, columns = evened(M)
+            found = decide_rank(rows[:, None] * M * columns, rtol=rtol)
+            if found.rank < len(block):
+                relative = found.largest_dropped / found.singular_values[0]
+                why = f"a block of {len(block)} states has rank {found.rank}: a singular value is {relative:.1g} of "
+                why += f"the largest, with rows and columns of even size, not above {rtol:.0e}"
+    if why:
+        raise DesignError(f"A is singular, {why}: the inverse form does not exist; {_INSTEAD}")
 
 
 def _first_rows(

@@ -17,6 +17,7 @@ from residua.design.observers.observer import Observer, in_units_of_the_plant
 from residua.design.observers.observer_gain import gain_size, place, pole_evidence
 from residua.errors import DesignError
 from residua.linear.subspaces.rank import DEFAULT_RTOL, without_rounded_gains
+from residua.linear.systems.balancing import without_rounding
 from residua.plant import Plant
 from residua.plant.comparable_units import even_plant
 
@@ -100,7 +101,7 @@ def luenberger_observer(
     placed = place(plant.A, plant.C[used], poles, margin, plant.dt, rtol)
     n, W = plant.n_states, np.eye(plant.n_outputs)[used]
     K = without_rounded_gains(placed.gain) @ W  # which would couple states that nothing couples
-    F = plant.A - K @ plant.C
+    F = without_rounding(np.hstack([np.eye(n), -K]), np.vstack([plant.A, plant.C]))
     names = ", ".join(plant.disturbances)
     evidence = Evidence(
         method="Luenberger observer",

@@ -13,8 +13,10 @@ from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.poles.placement import Placement, default_margin, place_observer_margin, place_observer_poles
 from residua.linear.poles.pole_assignment import real_block_diagonal
+from residua.linear.subspaces.rank import without_rounded_gains
 from residua.linear.systems.balancing import state_units
 from residua.plant import Plant
+from residua.tolerances import above_rounding
 
 #: Largest error of a pole of an observer, relative (sampled: absolute).
 POLE_ERROR = 1e-6
@@ -70,9 +72,12 @@ def gain_size(F: NDArray, K: NDArray, C: NDArray) -> float:
     """
     if not K.size:
         return 0.0
-    states = state_units(F, K, C)
+    K, n = without_rounded_gains(K), len(F)
+    fed = np.abs(K) @ np.abs(C)
+    # what cancels in F couples states no less than what is left; rounding of it couples nothing
+    states = state_units(np.abs(above_rounding(F, n * fed)) + fed, np.zeros((n, 0)), np.zeros((0, n)))
     outputs = (np.abs(C) * states).max(axis=1, initial=0.0)
-    return float(np.linalg.norm(K * np.where(outputs > 0, outputs, 1.0) / states[:, None]))
+    return float(np.linalg.norm(K * outputs / states[:, None]))  # a gain on an output that reads no state is none
 
 
 def pole_evidence(placed: Placement, F: NDArray) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.design.core.generator import ResidualGenerator
-from residua.design.core.internal_form import frequency_grid
+from residua.design.core.internal_form import frequency_grid, leak_frequencies
 from residua.design.observers.observer_gain import own_rate
 from residua.design.parity.relation_model import state_pencil
 from residua.errors import ModelError
@@ -163,10 +163,14 @@ def digits_lost(rows: Sequence[Relation], generator: ResidualGenerator) -> float
 
     In a filter on the poles of the rows' bases the terms are :math:`q_j N_j / N_k y`. What is left of them of the
     response to a fault, at frequencies below the rate of the plant (the median), is what rounding in data and
-    arithmetic is relative to; of the faults that a residual sees, the one of which least is left counts.
+    arithmetic is relative to; of the faults that a residual sees, the one of which least is left counts. A sampled
+    plant that integrates answers to ever slower faults by ever more: frequencies begin where those of leaks do.
     """
     plant = generator.plant
-    w = frequency_grid(generator.system, plant.system(()))
+    if plant.is_discrete:
+        w = leak_frequencies(generator.system, plant, ("fault",))
+    else:
+        w = frequency_grid(generator.system, plant.system(()))
     w = w[w <= max(plant_rate(plant), w[len(w) // 4])]
     points = np.exp(1j * w * plant.dt) if plant.is_discrete else 1j * w
     output = np.abs(plant.system("fault").frequency_response(w))

@@ -15,6 +15,7 @@ from residua.linear.subspaces.rank import (
     null_basis,
     range_basis,
     without_noise,
+    without_rounded_gains,
 )
 from residua.linear.subspaces.reachability import reachable_basis
 from residua.linear.systems.balancing import without_rounding
@@ -105,7 +106,8 @@ def confining_gain(A: NDArray, C: NDArray, S: NDArray) -> NDArray[np.float64]:
     outside = A @ S - S @ (S.T @ (A @ S))
     U, s, Vh = np.linalg.svd(C @ S, full_matrices=False)
     k = int(np.count_nonzero(s > 1e-12 * np.linalg.norm(C, 2))) if C.size else 0  # C S may be nothing but rounding
-    return outside @ (Vh[:k].T / s[:k]) @ U[:, :k].T
+    # an output that the gain does not need would be read by what rounding leaves, and its fault be a coupling
+    return without_rounded_gains(outside @ (Vh[:k].T / s[:k]) @ U[:, :k].T)
 
 
 @dataclass(frozen=True, eq=False)

@@ -59,3 +59,18 @@ def part_of_each(coupled: NDArray[np.bool_]) -> NDArray[np.int_]:
     for number, nodes in enumerate(connected_parts(coupled)):
         part[nodes] = number
     return part
+
+
+def part_numbers(present: NDArray[np.bool_]) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+    """Return for each row and each column of a matrix the number, from zero, of the part that it belongs to.
+
+    Parameters
+    ----------
+    present : ndarray of bool, shape (rows, columns)
+        Where the entries are that are not zero.
+    """
+    rows, columns = present.shape
+    nodes = np.zeros((rows + columns, rows + columns), dtype=bool)
+    nodes[:rows, rows:] = present
+    numbers = part_of_each(nodes)
+    return numbers[:rows], numbers[rows:]

@@ -87,6 +87,16 @@ def output_weights(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> NDArray[np
     return np.exp2(-_system_potentials(A, B, C, D)[len(A) + np.shape(B)[1] :])
 
 
+def row_levels(M: NDArray[np.float64], part_of_row: NDArray[np.int_], parts: int) -> NDArray[np.float64]:
+    """Return a factor, a power of two, for each part of the rows of a matrix: divided by them, its entries are nearest.
+
+    Nearest to one size in each column, whatever factors the columns have; one for the first of parts that columns join.
+    """
+    columns = np.arange(M.shape[1])
+    v = _potentials(np.abs(M), part_of_row, parts + columns, parts + len(columns), np.zeros(0), 0.0)
+    return powers_of_two(v[:parts])
+
+
 def _rounded(v: NDArray[np.float64], n: int, q: int) -> Units:
     """Return potentials of ``n`` states, ``q`` inputs and the outputs as powers of two."""
     T = powers_of_two(v)
