@@ -112,7 +112,7 @@ def same_of_few_outputs(spec: Specification, data: np.ndarray, state: State, exp
     cut = int(rng.integers(0, data.shape[1] + 1))
     for part in (slice(0, cut), slice(cut, None)):
         places = {name: None if values is None else values[:, part] for name, values in outputs.items()}
-        with np.errstate(all="ignore"):  # what is left to NumPy
+        with np.errstate(all="ignore"):
             run.run(data[:, part], data[:, part, :0], places)
     same(run.state, state, "state")
     for name in names:

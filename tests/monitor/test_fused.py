@@ -234,3 +234,23 @@ def test_states_are_run_in_place_and_blocks_are_pure() -> None:
     kept = copied(before)
     run_block(spec, before, data[:, 100:])
     same(before, kept)
+
+
+@needs_kernel
+@pytest.mark.parametrize("states", range(1, 10))
+def test_a_tick_of_many_plants_has_the_bits_of_ticks_of_few(states: int) -> None:
+    """Filters of few states run side by side, and their rows are stored with what stands in the lanes behind them."""
+    rng = np.random.default_rng(states)
+    A = rng.standard_normal((states, states))
+    A *= 0.5 / np.abs(np.linalg.eigvals(A)).max()
+    plant = rs.Plant(A, rng.standard_normal((states, 1)), rng.standard_normal((1, states)), dt=1).with_sensor_faults()
+    plant = plant.with_noise(process=0.1 * np.eye(states), measurement=0.3)
+    watch = rs.Monitor(rs.design.kalman_filter(plant), test=rs.decide.CUSUM(threshold=5.0, form="page"), isolate=None)
+    many = rs.Fleet(watch, plants=range(66))
+    few = [rs.Fleet(watch, plants=[0, 1, 2]), rs.Fleet(watch, plants=[32, 33]), rs.Fleet(watch, plants=[64, 65])]
+    for _ in range(40):
+        u, y = rng.standard_normal((66, 1)), 3 + rng.standard_normal((66, 1))
+        whole = many.tick(None, u, y).statistic
+        for fleet, which in zip(few, ([0, 1, 2], [32, 33], [64, 65]), strict=True):
+            np.testing.assert_array_equal(fleet.tick(None, u[which], y[which]).statistic, whole[which])
+    assert np.isfinite(whole).all()

@@ -727,7 +727,7 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     const Py_ssize_t directions = self->naming.kind == DIRECTIONS ? samples * (k + 3) : 0;
     const Py_ssize_t columns = parts ? samples * (self->nr + 1) + parts : 0;
     const Py_ssize_t doubles = samples * (self->m + self->nr + 2 * k + 2) + states + small_size(self) + room_e + history
-                               + parts + 2 * members + columns + directions + 8;
+                               + parts + 2 * members + columns + directions + 12;
     double *room = malloc((size_t)doubles * sizeof(double) + (size_t)(3 * samples + parts + members + 1));
     memset(&s->gains, 0, sizeof s->gains);
     if (room == NULL || (self->has_gains && !make_gain_store(&s->gains, &self->some))) {
@@ -736,7 +736,7 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     }
     s->v = room;
     s->r = s->own_r = s->v + samples * self->m;
-    s->q = s->own_r + samples * self->nr;
+    s->q = s->own_r + samples * self->nr + 4; /* ticks store rows as four numbers, however few they have */
     s->sums = s->q + samples * k + 4;
     s->statistic = s->sums + samples * k;
     s->up = (whole *)(s->statistic + samples);
@@ -838,7 +838,7 @@ check_rows(const Runner *self, const whole *rows, const whole *left, int fresh, 
     return 0;
 }
 
-/* How many plants are left to NumPy, or -1 without memory. */
+/* How many plants stopped for want of room, or -1 without memory. */
 static Py_ssize_t
 run_all(const Runner *self, const block *b, const whole *rows, whole *left, int fresh, Py_ssize_t first,
         Py_ssize_t stop)
@@ -963,7 +963,7 @@ get_sample(PyObject *object, Py_buffer *view, Py_ssize_t channels, const char **
 }
 
 PyDoc_STRVAR(step_doc, "step(u, y)\n--\n\n"
-                       "Run one sample; 1 alarm, 2 usable, 4 missing, 8 left to NumPy; the statistic.");
+                       "Run one sample; 1 alarm, 2 usable, 4 missing, 8 stopped for want of room; the statistic.");
 
 static PyObject *
 runner_step(PyObject *object, PyObject *args)

@@ -284,6 +284,7 @@ free_gain_store(gain_store *store)
     free(store->gains);
     free(store->room);
     free(store->work);
+    memset(store, 0, sizeof *store); /* it may be let go twice */
 }
 
 INLINE uint64_t

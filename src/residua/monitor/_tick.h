@@ -8,7 +8,6 @@
 #define RESIDUA_TICK_H
 
 #define CHUNK 32 /* plants; at least two */
-
 #define ODD 32   /* plants: code and predictions of branches stay those of one road for a while */
 
 #if defined(__GNUC__)
@@ -378,7 +377,7 @@ run_in_tick(const Runner *self, tick *t, Py_ssize_t first, Py_ssize_t count, scr
     }
 }
 
-/* Run one sample of plants first to stop; how many are left to NumPy. */
+/* Run one sample of plants first to stop; how many stopped for want of room. */
 static Py_ssize_t
 run_tick(const Runner *self, const block *b, const whole *rows, whole *left, Py_ssize_t first, Py_ssize_t stop,
          scratch *s)
