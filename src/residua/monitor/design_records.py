@@ -342,7 +342,7 @@ def _rank_in(value: Any, where: str) -> RankDecision:
     rank, values, tolerance, omitted = list_in([*entries, 0] if len(entries) == 3 else entries, where, 4)
     sizes, least = array_in(values, where, NOT_NEGATIVE, 1), float_in(tolerance, where, NOT_NEGATIVE)
     made = RankDecision(whole_in(rank, where), sizes, least, whole_in(omitted, where))
-    if not 0 <= made.rank - made.omitted <= len(sizes):
+    if not (made.omitted > 0) <= made.rank - made.omitted <= len(sizes):
         raise FileFormatError(
             f"{where}: a rank of {made.rank} does not fit {len(sizes)} singular values and {made.omitted} others"
         )

@@ -22,7 +22,7 @@ from residua.linear.systems.response_terms import (
 )
 from residua.linear.systems.units import system_units
 from residua.plant import Plant
-from residua.tolerances import IDENTITY, ROUNDING, TINY, above_rounding
+from residua.tolerances import IDENTITY, RESPONSE_ROUNDING, ROUNDING, TINY, above_rounding
 
 #: Frequencies of a grid, if nothing else is asked for.
 POINTS = 60
@@ -142,7 +142,8 @@ def check_state_map(
         # a row of T that is zero has the size of the other terms, which have a rate in them, of the plant or else of
         # the filter; residuals, and so rows, have units of their own
         per_time = rate or own_rate or 1.0
-        rows = np.where(per_time * heights > 1e-12 * others, heights, np.where(others > 0, others / per_time, 1.0))
+        instead = np.where(others > 0, others / per_time, 1.0)
+        rows = np.where(per_time * heights > RESPONSE_ROUNDING * others, heights, instead)
         rows = np.where(rows > 0, rows, 1.0)
     first = _largest(T @ p.A - Gy @ p.C - generator.A @ TE, units / rows[:, None])
     own = max(rate if p.E is None else 0.0, 1e-3 * own_rate)  # where T = 0, terms are rounding of what poles are of

@@ -100,7 +100,7 @@ class Staircase:
     @property
     def rounding_of_basis(self) -> float:
         """What rounding may have left in ``Q``: that of the norm of ``A`` beside the weakest coupling kept."""
-        kept = [float(one.singular_values[one.rank - 1]) for one in self.decisions[1:] if one.rank]
+        kept = [one.smallest_kept for one in self.decisions[1:] if one.rank]
         return RESIDUE * max(1.0, self.size / min(kept, default=self.size or 1.0))
 
     @property
