@@ -367,10 +367,12 @@ class FleetBlock:
         if self._is_settling:
             return
         which = np.flatnonzero(~(usable[:, 0] if usable.shape[1] == 1 else usable.all(axis=1)))
-        if which.size:
-            who = which if rows is None else rows[which]
-            before = self.state.count[who] - usable.shape[1]
-            self.skipped.note(who, before, usable[which], self.over(who))
+        if not which.size:
+            return
+        who = which if rows is None else rows[which]
+        over = self.over(who)
+        if over.any():
+            self.skipped.note(who, self.state.count[who] - usable.shape[1], usable[which], over)
 
     def over(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return how many samples over the threshold plants have had in a row that no alarm stands for.
