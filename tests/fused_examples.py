@@ -15,8 +15,8 @@ from residua.decide.isolation import NoNames
 from residua.decide.member_thresholds import BankTest, GroupTest
 from residua.decide.peak_threshold import PeakBankTest
 from residua.decide.structured import code_test
-from residua.monitor.fused import FusedRun, copied, plan_of
-from residua.monitor.running import Decisions, State, initial_state
+from residua.monitor.fused import FusedRun, copied, plan_of, run_block
+from residua.monitor.running import Decisions, State, initial_state, joined_decisions, run_reference
 from residua.monitor.specification import Specification
 from residua.monitor.starting import StartFit
 
@@ -100,6 +100,19 @@ def same(one: Any, other: Any, where: str = "") -> None:
             assert np.array_equal(np.signbit(one[whole]), np.signbit(other[whole])), where
     else:
         assert one == other, where
+
+
+def same_in_pieces(spec: Specification, data: np.ndarray, rng: np.random.Generator) -> tuple[State, Decisions]:
+    """Assert that a recording that is cut somewhere has the bits of the reference, and return what this gives."""
+    with np.errstate(all="ignore"):
+        state, expected = run_reference(spec, initial_state(spec, len(data)), data)
+        now, parts = initial_state(spec, len(data)), []
+        for part in np.split(data, np.sort(rng.integers(0, data.shape[1] + 1, rng.integers(6))), axis=1):
+            now, decisions = run_block(spec, now, part)
+            parts.append(decisions)
+    same(joined_decisions(parts), expected, "decisions")
+    same(now, state, "state")
+    return state, expected
 
 
 def same_of_few_outputs(spec: Specification, data: np.ndarray, state: State, expected: Decisions, seed: int) -> None:

@@ -10,7 +10,18 @@ import pytest
 from hypothesis import assume, given, settings, strategies as st
 
 import residua as rs
-from fused_examples import ISOLATIONS, MARKS, ORDERS, TESTS, plant, recording, same, same_of_few_outputs, specification
+from fused_examples import (
+    ISOLATIONS,
+    MARKS,
+    ORDERS,
+    TESTS,
+    plant,
+    recording,
+    same,
+    same_in_pieces,
+    same_of_few_outputs,
+    specification,
+)
 from residua.decide import (
     CUSUM,
     Directional,
@@ -54,14 +65,7 @@ def test_it_has_the_bits_of_numpy(
         spec = replace(spec, plausible=np.tile([-1e308, 1e308], (spec.B.shape[1], 1)), max_hold=int(rng.integers(12)))
     assert plan_of(spec) is not None
     data = recording(spec, rng, int(rng.integers(2, 700)), marks)
-    with np.errstate(all="ignore"):
-        state, expected = run_reference(spec, initial_state(spec, 3), data)
-        now, parts = initial_state(spec, 3), []
-        for part in np.split(data, np.sort(rng.integers(0, data.shape[1] + 1, rng.integers(6))), axis=1):
-            now, decisions = run_block(spec, now, part)
-            parts.append(decisions)
-    same(joined_decisions(parts), expected, "decisions")
-    same(now, state, "state")
+    state, expected = same_in_pieces(spec, data, rng)
     same_of_few_outputs(spec, data, state, expected, seed)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from fused_examples import MARKS, Bank, bank_specification, recording, same, same_of_few_outputs
+from fused_examples import MARKS, Bank, bank_specification, recording, same, same_in_pieces, same_of_few_outputs
 from residua.decide.directional import DirectionTest
 from residua.decide.structured import CodeState, CodeTest, alarms_since
 from residua.decide.whitened_norm import NormTest
@@ -45,16 +45,9 @@ def compare_blocks(bank: Bank, marks: list[float], overflow: bool, path: int, se
     assert plan is not None
     assert plan.names
     data = recording(spec, rng, int(rng.integers(2, 600)), marks)
-    with np.errstate(all="ignore"):
-        state, expected = run_reference(spec, initial_state(spec, 3), data)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(fused, "best_path", lambda: path)
-        now, parts = initial_state(spec, 3), []
-        for part in np.split(data, np.sort(rng.integers(0, data.shape[1] + 1, rng.integers(6))), axis=1):
-            now, decisions = run_block(spec, now, part)
-            parts.append(decisions)
-    same(joined_decisions(parts), expected, "decisions")
-    same(now, state, "state")
+        state, expected = same_in_pieces(spec, data, rng)
     same_of_few_outputs(spec, data, state, expected, seed)
     return int(expected.alarm.sum())
 

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import residua as rs
-from fused_examples import same
+from fused_examples import same, same_in_pieces
 from residua.decide import NormThreshold
 from residua.monitor import fused
-from residua.monitor.fused import OUTPUTS, FusedRun, copied, plan_of, run_block
-from residua.monitor.running import initial_state, joined_decisions, rows_of, run_reference, written_rows
+from residua.monitor.fused import OUTPUTS, FusedRun, copied, plan_of
+from residua.monitor.running import initial_state, rows_of, run_reference, written_rows
 from residua.monitor.specification import Specification
 
 needs_kernel = pytest.mark.skipif(fused._kernel is None, reason="there is no compiled kernel")
@@ -76,14 +76,7 @@ def test_recordings_have_the_bits_of_numpy(
 ) -> None:
     spec, rng = chosen(shape, direct, starts, hold), np.random.default_rng(seed)
     data = recorded(spec, rng, 3, int(rng.integers(2, 250)), share)
-    with np.errstate(all="ignore"):
-        state, expected = run_reference(spec, initial_state(spec, 3), data)
-    now, parts = initial_state(spec, 3), []
-    for part in np.split(data, np.sort(rng.integers(0, data.shape[1] + 1, rng.integers(6))), axis=1):
-        now, decisions = run_block(spec, now, part)
-        parts.append(decisions)
-    same(joined_decisions(parts), expected, "decisions")
-    same(now, state, "state")
+    same_in_pieces(spec, data, rng)
 
 
 @needs_kernel

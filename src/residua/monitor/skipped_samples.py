@@ -26,16 +26,20 @@ class SkippedSamples:
         for row, start, stop in spans:
             self._spans.setdefault(row, []).append((start, stop))
 
+    def rows(self) -> NDArray[np.int64]:
+        """Return the rows of the plants that have any, in order."""
+        return np.array(sorted(self._spans), dtype=np.int64)
+
     def table(self, count: NDArray[np.int64], over: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return row, first sample and the one after the last of each span that matters, in the order of the rows.
 
-        ``count`` and ``over``, shape (plants,): samples that each plant has had, and those over the threshold that no
+        ``count`` and ``over``, of :meth:`rows`: samples that each plant has had, and those over the threshold that no
         alarm stands for.
         """
         spans = [
             (row, *span)
-            for row in sorted(self._spans)
-            for span in _since_onset(self._spans[row], int(count[row]), int(over[row]))
+            for row, end, above in zip(self.rows().tolist(), count.tolist(), over.tolist(), strict=True)
+            for span in _since_onset(self._spans[row], end, above)
         ]
         return np.array(spans, dtype=np.int64).reshape(-1, 3)
 

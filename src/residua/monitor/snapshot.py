@@ -127,7 +127,8 @@ def _padding(size: int) -> bytes:
 def _columns(block: FleetBlock) -> dict[str, NDArray]:
     """Return what a block remembers, by name."""
     out = {"ids": _ids_out(block.ids), "standing": block.standing.table()}
-    out["skipped"] = block.skipped.table(block.state.count, block.over(np.arange(len(block.ids))))
+    rows = block.skipped.rows()
+    out["skipped"] = block.skipped.table(block.state.count[rows], block.over(rows))
     return out | dict(_arrays(block.state, "state")) | dict(_arrays(block.last, "last"))
 
 

@@ -280,9 +280,8 @@ def leak_frequencies(
     low = 1.0371 * _slowest_zero(form) / _BELOW_ZEROS
     if system.is_discrete:
         own = _in_differences(generator)
-        low = min(low, 1.0371 * _slowest_zero(own) / _BELOW_ZEROS)
-        poles = [_pole_sizes(one) for one in (form, own)]
-        low = min(low, 1.0371 * float(np.concatenate(poles).min(initial=np.inf)) / _BELOW_POLES, _SLOW) / system.dt
+        slowest = float(np.concatenate([_pole_sizes(form), _pole_sizes(own)]).min(initial=np.inf))
+        low = min(low, 1.0371 * _slowest_zero(own) / _BELOW_ZEROS, 1.0371 * slowest / _BELOW_POLES, _SLOW) / system.dt
         w = w[w > low]
     if w[0] <= low:
         return w

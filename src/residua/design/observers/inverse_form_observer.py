@@ -241,15 +241,14 @@ def _refuse_singular(A: NDArray, rtol: float) -> None:
     Each state is matched to an equation; the blocks are the states that depend on one another. Within one, rows and
     columns have an even size, in whatever units; those of different blocks have none in common.
     """
-    from scipy.sparse import csr_array  # slow to import, and needed only here
-    from scipy.sparse.csgraph import connected_components, maximum_bipartite_matching
+    from scipy.sparse.csgraph import connected_components  # slow to import
 
-    equation = maximum_bipartite_matching(csr_array(A.T != 0), perm_type="column")
+    equation = _equation_of_each_state(A)
     matched = int(np.count_nonzero(equation >= 0))
     why = f"rank {matched} < {len(A)}, whatever the values of its entries that are not zero" if matched < len(A) else ""
     if not why:
         ordered = A[equation]
-        count, block_of = connected_components(csr_array(ordered != 0), connection="strong")
+        count, block_of = connected_components(ordered != 0, connection="strong")
         for block in (np.flatnonzero(block_of == k) for k in range(count)):
             M = ordered[np.ix_(block, block)]
             rows, columns = evened(M)
@@ -315,18 +314,25 @@ def _inverse(A: NDArray) -> NDArray:
 
     A state that is matched to an equation follows from the right-hand sides of those that it is reached from alone.
     """
-    from scipy.sparse import csr_array  # slow to import, and needed only here
-    from scipy.sparse.csgraph import maximum_bipartite_matching, shortest_path
+    from scipy.sparse.csgraph import shortest_path  # slow to import
 
     inverse = np.linalg.inv(A)
-    equation = maximum_bipartite_matching(csr_array(A.T != 0), perm_type="column")
+    equation = _equation_of_each_state(A)
     if np.any(equation < 0):
         return inverse
     depends = A[equation] != 0  # row i: what the state i is computed from
-    distance = shortest_path(csr_array(depends.astype(float)), unweighted=True)
+    distance = shortest_path(depends.astype(float), unweighted=True)
     mask = np.zeros(A.shape, dtype=bool)
     mask[:, equation] = np.isfinite(distance)
     return np.where(mask, inverse, 0.0)
+
+
+def _equation_of_each_state(A: NDArray) -> NDArray[np.int_]:
+    """Return for each state an equation that holds it, no two the same; -1 where there is none left."""
+    from scipy.sparse import csr_array  # slow to import
+    from scipy.sparse.csgraph import maximum_bipartite_matching
+
+    return maximum_bipartite_matching(csr_array(A.T != 0), perm_type="column")
 
 
 def _rounded(M: NDArray, terms: NDArray) -> NDArray:

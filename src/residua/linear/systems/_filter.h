@@ -409,27 +409,20 @@ DEFINE_FAMILY(baseline, , 2)
 #define AVX2 __attribute__((target("avx2"))) /* this target does not bring FMA with it */
 DEFINE_FAMILY(avx2, AVX2, 4)
 #if defined(RESIDUA_JUDGES)
-DEFINE_SMALL(judged_1, AVX2, 4, 1, 4, 4, 1)
-DEFINE_SMALL(judged_2, AVX2, 4, 2, 4, 4, 1)
-DEFINE_SMALL(judged_3, AVX2, 4, 3, 4, 4, 1)
-DEFINE_SMALL(judged_4, AVX2, 4, 4, 4, 4, 1)
-DEFINE_SMALL(judged_5, AVX2, 4, 5, 8, 4, 1)
-DEFINE_SMALL(judged_6, AVX2, 4, 6, 8, 4, 1)
-DEFINE_SMALL(judged_7, AVX2, 4, 7, 8, 4, 1)
-DEFINE_SMALL(judged_8, AVX2, 4, 8, 8, 4, 1)
-static const runner judged_table[MAX_SMALL] = {judged_1, judged_2, judged_3, judged_4,
-                                               judged_5, judged_6, judged_7, judged_8};
+#define DEFINE_EIGHT(NAME, JUDGE)                                                                                     \
+    DEFINE_SMALL(NAME##_1, AVX2, 4, 1, 4, 4, JUDGE)                                                                   \
+    DEFINE_SMALL(NAME##_2, AVX2, 4, 2, 4, 4, JUDGE)                                                                   \
+    DEFINE_SMALL(NAME##_3, AVX2, 4, 3, 4, 4, JUDGE)                                                                   \
+    DEFINE_SMALL(NAME##_4, AVX2, 4, 4, 4, 4, JUDGE)                                                                   \
+    DEFINE_SMALL(NAME##_5, AVX2, 4, 5, 8, 4, JUDGE)                                                                   \
+    DEFINE_SMALL(NAME##_6, AVX2, 4, 6, 8, 4, JUDGE)                                                                   \
+    DEFINE_SMALL(NAME##_7, AVX2, 4, 7, 8, 4, JUDGE)                                                                   \
+    DEFINE_SMALL(NAME##_8, AVX2, 4, 8, 8, 4, JUDGE)                                                                   \
+    static const runner NAME##_table[MAX_SMALL] = {NAME##_1, NAME##_2, NAME##_3, NAME##_4,                            \
+                                                   NAME##_5, NAME##_6, NAME##_7, NAME##_8};
 
-DEFINE_SMALL(chained_1, AVX2, 4, 1, 4, 4, 2)
-DEFINE_SMALL(chained_2, AVX2, 4, 2, 4, 4, 2)
-DEFINE_SMALL(chained_3, AVX2, 4, 3, 4, 4, 2)
-DEFINE_SMALL(chained_4, AVX2, 4, 4, 4, 4, 2)
-DEFINE_SMALL(chained_5, AVX2, 4, 5, 8, 4, 2)
-DEFINE_SMALL(chained_6, AVX2, 4, 6, 8, 4, 2)
-DEFINE_SMALL(chained_7, AVX2, 4, 7, 8, 4, 2)
-DEFINE_SMALL(chained_8, AVX2, 4, 8, 8, 4, 2)
-static const runner chained_table[MAX_SMALL] = {chained_1, chained_2, chained_3, chained_4,
-                                                chained_5, chained_6, chained_7, chained_8};
+DEFINE_EIGHT(judged, 1)
+DEFINE_EIGHT(chained, 2)
 
 #define EACH_OF(count, k) _Pragma("GCC unroll 4") for (int k = 0; k < (count); k++)
 #define ADD_TO_EACH(P, WIDTH, on_state, on_output, value)                                                             \

@@ -19,7 +19,7 @@ from residua.design.parity.shortest import RelationSpace, relation_space
 from residua.errors import DesignError, ModelError
 from residua.linear.polynomials.pencil_null_space import PENCIL_RTOL
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
-from residua.linear.subspaces.parts import part_of_each
+from residua.linear.subspaces.parts import part_numbers
 from residua.linear.systems.balancing import descriptor_units
 from residua.plant import Plant
 from residua.plant.input_output_model import InputOutputModel
@@ -345,12 +345,11 @@ def _output_units(task: _Task) -> NDArray[np.float64]:
     size = np.concatenate([task.sizes, np.ones(s.n_inputs - k)])
     B, D = s.B * size, s.D * size
     u = descriptor_units(s.A, s.E, B, s.C, D)
-    n, rows = s.n_states, s.n_states + s.n_outputs
-    links = np.zeros((rows + n + s.n_inputs,) * 2, dtype=bool)
-    links[:rows, rows:] = np.block([[s.A, B], [s.C, D]]) != 0
-    links[:n, rows : rows + n] |= np.eye(n, dtype=bool) if s.E is None else s.E != 0
-    part = part_of_each(links)
-    of_outputs, of_signals = part[n:rows], part[rows + n :][:k]
+    n = s.n_states
+    coupled = np.block([[s.A, B], [s.C, D]]) != 0
+    coupled[:n, :n] |= np.eye(n, dtype=bool) if s.E is None else s.E != 0
+    of_rows, of_columns = part_numbers(coupled)
+    of_outputs, of_signals = of_rows[n:], of_columns[n:][:k]
     common = [np.exp2(np.mean(np.log2(u.inputs[:k][of_signals == i]))) if i in of_signals else 1.0 for i in of_outputs]
     return u.outputs * np.array(common)
 
