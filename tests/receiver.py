@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ssl
 import threading
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 from typing import Any
 
 from residua.live.events import Event
@@ -17,7 +19,8 @@ def events(count: int = 3, plant: str = "north") -> list[Event]:
 
 
 class Receiver:
-    """Keeps what is posted to it; ``answer`` says with which status, and what happens before.
+    """Keeps what is posted to it; ``answer`` says with which status, and what happens before; with a certificate and
+    its key, it speaks HTTPS.
 
     Attributes
     ----------
@@ -25,7 +28,12 @@ class Receiver:
         Whatever was answered.
     """
 
-    def __init__(self, answer: Callable[[int], int] = lambda number: 204, port: int = 0) -> None:
+    def __init__(
+        self,
+        answer: Callable[[int], int] = lambda number: 204,
+        port: int = 0,
+        certificate: tuple[Path, Path] | None = None,
+    ) -> None:
         self.received: list[tuple[str, dict[str, str], bytes]] = []
         self.answer = answer
         receiver = self
@@ -48,7 +56,14 @@ class Receiver:
 
         self._server = ThreadingHTTPServer(("127.0.0.1", port), Handler)
         self.port = self._server.server_address[1]
-        self.url = f"http://127.0.0.1:{self.port}/hook"
+        if certificate is not None:
+            context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+            context.load_cert_chain(*certificate)
+            # The handshake is made by the thread of the connection: whoever does not make one holds up nobody.
+            self._server.socket = context.wrap_socket(
+                self._server.socket, server_side=True, do_handshake_on_connect=False
+            )
+        self.url = f"{'http' if certificate is None else 'https'}://127.0.0.1:{self.port}/hook"
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.02,))
         self._thread.start()
 

@@ -8,8 +8,6 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from datetime import UTC, datetime, timedelta
-from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +15,7 @@ import pytest
 
 paho = pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed")
 
+from certificates import certificates  # noqa: E402
 from live.brokers import Mosquitto, Run, free_port, running, wait_for  # noqa: E402
 from residua.errors import SettingError  # noqa: E402
 from residua.live.messages import LARGEST  # noqa: E402
@@ -175,27 +174,6 @@ def test_large_messages_that_wait_are_bounded_and_come_again(tmp_path: Path, mon
                     time.sleep(0.1)
                 run.takes.set()
                 wait_for(lambda: len({int(m.payload) for m in run.messages}) == 40, 60.0)  # pyright: ignore
-
-
-def certificates(folder: Path) -> tuple[Path, Path]:
-    """Write a certificate of 127.0.0.1 that signs itself, and its key."""
-    pytest.importorskip("cryptography")
-    from cryptography import x509
-    from cryptography.hazmat.primitives import hashes, serialization
-    from cryptography.hazmat.primitives.asymmetric import ec
-
-    key = ec.generate_private_key(ec.SECP256R1())
-    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "broker")])
-    now = datetime.now(UTC)
-    names = x509.SubjectAlternativeName([x509.IPAddress(ip_address("127.0.0.1"))])
-    made = x509.CertificateBuilder(name, name, key.public_key(), x509.random_serial_number())
-    made = made.not_valid_before(now - timedelta(days=1)).not_valid_after(now + timedelta(days=1))
-    made = made.add_extension(names, False).add_extension(x509.BasicConstraints(True, None), True)
-    (folder / "cert.pem").write_bytes(made.sign(key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM))
-    plain = serialization.NoEncryption()
-    form = serialization.PrivateFormat.PKCS8
-    (folder / "key.pem").write_bytes(key.private_bytes(serialization.Encoding.PEM, form, plain))
-    return folder / "cert.pem", folder / "key.pem"
 
 
 # paho leaves the socket of a handshake that failed to the garbage collector, which closes it.

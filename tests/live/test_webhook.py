@@ -12,6 +12,7 @@ import time
 
 import pytest
 
+from certificates import certificates
 from receiver import Receiver, events
 from residua.errors import SettingError
 from residua.live.sink import DeliveryError
@@ -238,3 +239,40 @@ def test_keys_that_can_be_guessed_and_certificates_that_are_none(monkeypatch, tm
     monkeypatch.setenv("PLAIN", "http://x.org/")
     with pytest.raises(SettingError, match="url_env: https is needed"):
         webhook.Webhook(webhook.Settings(url_env="PLAIN", key_env="THE_KEY"))
+
+
+def test_https_to_a_certificate_of_ones_own(tmp_path):
+    certificate = certificates(tmp_path)
+    with Receiver(certificate=certificate) as receiver:
+        with sink(receiver.url, ca_file=str(certificate[0])) as made:
+            assert made.name == f"webhook https://127.0.0.1:{receiver.port}"
+            assert made.deliver(events(3)) == 3
+        assert [body.decode() for _, _, body in receiver.received] == [e.to_json() for e in events(3)]
+        assert all(verified(headers, body) for _, headers, body in receiver.received)
+
+
+@pytest.mark.parametrize(
+    ("address", "first_day", "known", "words"),
+    [
+        ("127.0.0.1", -1, False, "self-signed certificate"),  # nobody vouches for it
+        ("127.0.0.2", -1, True, "IP address mismatch"),  # of another machine
+        ("127.0.0.1", -3, True, "certificate has expired"),
+        ("127.0.0.1", 1, True, "certificate is not yet valid"),
+    ],
+)
+def test_no_event_goes_to_a_receiver_that_may_be_another(tmp_path, address, first_day, known, words):
+    certificate = certificates(tmp_path, address, first_day)
+    with (
+        Receiver(certificate=certificate) as receiver,
+        sink(receiver.url, ca_file=str(certificate[0]) if known else "") as made,
+    ):
+        with pytest.raises(DeliveryError, match=f"cannot be reached: .*{words}"):
+            made.deliver(events(1))
+        assert not receiver.received
+
+
+def test_https_to_a_receiver_without_it_is_refused():
+    with Receiver() as receiver, sink(receiver.url.replace("http", "https")) as made:
+        with pytest.raises(DeliveryError, match="cannot be reached"):
+            made.deliver(events(1))
+        assert not receiver.received
