@@ -13,11 +13,11 @@ import pytest
 import residua as rs
 from residua.decide import NormThreshold
 from residua.decide.alarm import Alarm, Beginning
-from residua.decide.statement import began_text
+from residua.decide.statement import SHOWN_ALARMS, began_text
 from residua.decide.whitened_norm import BAND_DEVIATIONS
 from residua.library import simulate_three_tank, three_tank, three_tank_fault
 from residua.linear import StateSpace
-from residua.monitor.beginning import MOST_DATED, with_beginnings
+from residua.monitor.beginning import with_beginnings
 from residua.monitor.outcome import compared_outputs
 from residua.recording.clock import Clock, length
 from residua.report.signals import signal_text
@@ -71,7 +71,7 @@ def test_where_it_cannot_be_told() -> None:
     rows = rows_with(change, 3, 2)
     (one,) = dated(rows[BEGIN - 20 :], alarm(20, 600))
     assert one.began is None, "too little before it"
-    many = [alarm(50 + 300 * j, 55 + 300 * j) for j in range(MOST_DATED + 5)]
+    many = [alarm(50 + 300 * j, 55 + 300 * j) for j in range(SHOWN_ALARMS + 5)]
     rows = np.random.default_rng(0).standard_normal((300 * len(many) + 100, 20))
     assert all(a.began is None for a in dated(rows, *many)), "noise has no direction and no change"
     clock = Clock("", 1.0)

@@ -139,6 +139,20 @@ def test_it_finds_and_names_the_fault() -> None:
     assert clean.false_alarm_fraction < 0.02
 
 
+def test_a_fault_is_not_hidden_behind_false_alarms() -> None:
+    diagnosis = make().run(*recording(14_000, start=13_000))
+    assert isinstance(diagnosis, rs.Diagnosis)
+    assert len(diagnosis.alarms) > 25
+    main = diagnosis.alarms[-1]
+    assert main is diagnosis.main_alarm
+    text = str(diagnosis)
+    assert f"alarm {len(diagnosis.alarms)}: raised {diagnosis.clock.at(main.raised)}, to the end" in text
+    assert text.count("\nalarm ") == 20
+    lengths = sorted(alarm.samples for alarm in diagnosis.alarms)
+    more = len(lengths) - 20
+    assert f"... and {more} more alarms, none longer than {lengths[more - 1]} sample" in text
+
+
 def test_a_window_sees_a_smaller_fault() -> None:
     u, y = recording(size=0.06, seed=11)
     short, long = make().run(u, y), make(average=50).run(u, y)

@@ -240,10 +240,12 @@ def test_close_calls_are_called_so():
     assert "a close call, margin 0.010" in page
 
 
-def test_many_alarms_are_cut_with_a_word():
+def test_the_longest_of_many_alarms_are_listed_and_the_others_counted():
     d = diagnosis()
-    many = tuple(replace(d.alarms[0], start=k, stop=k + 1, onset=float(k)) for k in range(450))
-    assert "… and 250 more alarms." in words(render([Section("", replace(d, alarms=many))], "t"))
+    many = tuple(replace(d.alarms[0], start=5 * k, stop=5 * k + 1 + k // 400, onset=float(k)) for k in range(450))
+    page = words(render([Section("", replace(d, alarms=many))], "t"))
+    assert "… and 250 more alarms, none longer than 1 sample." in page
+    assert "401 main" in page
 
 
 def test_several_diagnoses_share_a_summary_and_their_filters(tmp_path):

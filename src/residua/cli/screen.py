@@ -20,7 +20,7 @@ from residua.analysis import Diagnosability
 from residua.decide import Candidate, Directional, Structured
 from residua.decide.directional import direction_test
 from residua.decide.sizes import fault_unit
-from residua.decide.statement import ranked, sizes_text, tied_name
+from residua.decide.statement import SHOWN_ALARMS, left_out_text, longest_alarms, ranked, sizes_text, tied_name
 from residua.decide.structured import codes_of
 from residua.design import MatchedFilters, ResidualGenerator
 from residua.monitor.diagnosis import Alarm, Diagnosis
@@ -29,8 +29,6 @@ from residua.report.verdict import verdict
 from residua.visible import visible
 from residua.words import counted, number
 
-#: Alarms that are listed at most; ``--alarms`` writes all of them.
-MAX_ALARMS = 20
 #: Columns of a pipe or file: wide enough that nothing is cut.
 _PIPE_WIDTH = 10_000
 #: Seconds of work after which a progress bar appears.
@@ -261,16 +259,16 @@ def show_diagnosis(diagnosis: Diagnosis) -> None:
     words, window = verdict(diagnosis), diagnosis.window
     say(words.headline)
     if diagnosis.alarms:
-        shown = diagnosis.alarms[:MAX_ALARMS]
-        worth = "probability" if any(_judged(alarm.candidates) for alarm in shown) else "score"
+        shown = longest_alarms(diagnosis.alarms, SHOWN_ALARMS)
+        worth = "probability" if any(_judged(alarm.candidates) for _, alarm in shown) else "score"
         show_table(
             ["alarm", "began", "raised", "ended", "samples", "most likely", worth, "next", worth],
-            [_alarm_row(k, alarm, diagnosis) for k, alarm in enumerate(shown, 1)],
+            [_alarm_row(k, alarm, diagnosis) for k, alarm in shown],
         )
-        if any(alarm.candidates and alarm.samples < window for alarm in shown):
+        if any(alarm.candidates and alarm.samples < window for _, alarm in shown):
             say(f"(short): fewer samples than the {window} that a name is judged by: too short to be sure of the name")
-        if len(diagnosis.alarms) > MAX_ALARMS:
-            say(f"... and {len(diagnosis.alarms) - MAX_ALARMS} more alarms (--alarms writes all of them)")
+        if len(diagnosis.alarms) > SHOWN_ALARMS:
+            say(f"{left_out_text(diagnosis.alarms, SHOWN_ALARMS)} (--alarms writes all of them)")
     if diagnosis.candidates:
         sized = any(c.sizes for c in diagnosis.candidates)
         judged = _judged(diagnosis.candidates)

@@ -8,12 +8,14 @@ from dataclasses import dataclass
 
 from residua.decide.alarm import CLOSE_MARGIN, Alarm, Candidate, Size
 from residua.recording.clock import Clock
-from residua.words import listing, number, score, some
+from residua.words import counted, listing, number, score, some
 
 #: A lead in score at or above this is called clear.
 CLEAR_MARGIN = 0.10
 #: Below this score no listed fault explains the residual well (it points more than 45 degrees away).
 POOR_SCORE = 0.70
+#: Alarms that are printed at most, the longest ones; and those whose beginning is dated.
+SHOWN_ALARMS = 20
 
 #: How confidences are said.
 SURE = {
@@ -227,6 +229,23 @@ def began_text(alarm: Alarm, clock: Clock) -> str:
     between = f"began between {clock.at(began.earliest)} and {clock.at(began.latest)}"
     sure = f"{100 * began.confidence:g} % confidence if the residual began to move by a step or a ramp"
     return f"{between} ({sure}), most likely at {clock.at(began.estimate)}"
+
+
+def longest_alarms(alarms: Sequence[Alarm], most: int) -> list[tuple[int, Alarm]]:
+    """Return the longest alarms, not more than so many, in order of time and with their numbers.
+
+    A list cut off after the first ones would hide a fault behind the short false alarms before it.
+    """
+    numbered = sorted(enumerate(alarms, 1), key=lambda pair: -pair[1].samples)
+    return sorted(numbered[:most], key=lambda pair: pair[0])
+
+
+def left_out_text(alarms: Sequence[Alarm], most: int) -> str:
+    """Return how many alarms are not among the longest, and how long they are; empty where all are."""
+    lengths = sorted((alarm.samples for alarm in alarms), reverse=True)[most:]
+    if not lengths:
+        return ""
+    return f"... and {counted(len(lengths), 'more alarm')}, none longer than {counted(lengths[0], 'sample')}"
 
 
 def over_thresholds(alarm: Alarm, most: int = 10) -> str:

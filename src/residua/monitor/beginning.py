@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from residua.decide.alarm import Alarm, Beginning
 from residua.decide.change_time import CONFIDENCE, LEAST_BEFORE, ChangeTime, change_time
+from residua.decide.statement import SHOWN_ALARMS, longest_alarms
 from residua.tolerances import DATA_ROUNDING
 
-#: Alarms of one recording that are dated at most, the longest first.
-MOST_DATED = 20
 #: Alarms less than this many samples apart are looked at together: what raised the last one may have begun before them.
 APART = 200
 #: Samples of an alarm from which the direction of the change is taken at most.
@@ -45,9 +44,9 @@ def with_beginnings(
     since : float
         Only those that were raised from then on.
     """
-    longest = sorted(range(len(alarms)), key=lambda k: -alarms[k].samples)[:MOST_DATED]
     out = list(alarms)
-    for k in longest:
+    for number, _ in longest_alarms(alarms, SHOWN_ALARMS):
+        k = number - 1
         if alarms[k].raised < since:
             continue
         first = k

@@ -17,10 +17,13 @@ from residua.decide.matched import NO_FIT
 from residua.decide.matched_hold import Match
 from residua.decide.sizes import estimates_of
 from residua.decide.statement import (
+    SHOWN_ALARMS,
     Statement,
     alike,
     arrival_text,
     began_text,
+    left_out_text,
+    longest_alarms,
     over_thresholds,
     ranked,
     sizes_text,
@@ -345,13 +348,12 @@ class Diagnosis:
             lines.append(self.missing_text)
         if not self.alarms:
             lines.append("no fault found" if self.decided.any() else f"no decision: {self.why_undecided}")
-        for k, alarm in enumerate(self.alarms[:20], 1):
+        for k, alarm in longest_alarms(self.alarms, SHOWN_ALARMS):
             until = "to the end" if alarm.ended is None else f"until {self.clock.at(alarm.ended)}"
             lines.append(f"alarm {k}: raised {self.clock.at(alarm.raised)}, {until}")
             lines += self.alarm_lines(alarm)
-        if len(self.alarms) > 20:
-            lines.append(f"... and {len(self.alarms) - 20} more alarms")
         if self.alarms:
+            lines += filter(None, [left_out_text(self.alarms, SHOWN_ALARMS)])
             lines += [f"cannot be told apart here: {', '.join(names)}" for _, names in self.alike]
         if self.unjudged:
             want = "a code" if self.codes else "a signature"

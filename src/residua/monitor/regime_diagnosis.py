@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.alarm import Alarm
+from residua.decide.statement import SHOWN_ALARMS, left_out_text, longest_alarms
 from residua.monitor.diagnosis import Diagnosis
 from residua.recording.clock import Clock
 from residua.words import counted
@@ -134,12 +135,13 @@ class RegimeDiagnosis:
         ]
         if not self.alarms:
             lines.append("no fault found" if self.decided.any() else "no decision")
-        for k, one in enumerate(self.alarms[:20], 1):
+        alarms = [one.alarm for one in self.alarms]
+        for k, _ in longest_alarms(alarms, SHOWN_ALARMS):
+            one = self.alarms[k - 1]
             until = "to the end" if one.alarm.ended is None else f"until {clock.at(one.alarm.ended)}"
             length, judged = one.alarm.stop - one.alarm.start, self._judged_in(one)
             part = f", {judged} of its {length} samples judged" if judged < length else ""
             lines.append(f"alarm {k}: raised {clock.at(one.alarm.raised)}, {until}, with {one.mode}{part}")
             lines += self.judged[one.mode].alarm_lines(one.alarm)
-        if len(self.alarms) > 20:
-            lines.append(f"... and {len(self.alarms) - 20} more alarms")
+        lines += filter(None, [left_out_text(alarms, SHOWN_ALARMS)])
         return "\n".join([*lines, *self.not_judged, *self.notes])

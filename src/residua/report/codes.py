@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from residua.decide.statement import longest_alarms
 from residua.decide.structured import column_read
 from residua.report.choosing import SHOWN_FAULTS, shown_groups
-from residua.report.tables import ALARM_TIMES, MAX_ROWS, alarm_times, html_table, time_cell
+from residua.report.tables import ALARM_TIMES, MAX_ROWS, alarm_times, html_table, left_out_note, time_cell
 from residua.report.text import escape
 from residua.words import percent
 
@@ -117,7 +118,7 @@ def code_alarm_table(diagnosis: Diagnosis) -> str:
     """Return the alarms of a bank, each with what fired and what was read."""
     rows = []
     main = diagnosis.main_alarm
-    for k, alarm in enumerate(diagnosis.alarms[:MAX_ROWS], 1):
+    for k, alarm in longest_alarms(diagnosis.alarms, MAX_ROWS):
         mark = ' <span class="tag">main</span>' if alarm is main and len(diagnosis.alarms) > 1 else ""
         rows.append(
             [
@@ -129,9 +130,7 @@ def code_alarm_table(diagnosis: Diagnosis) -> str:
             ]
         )
     header = ["Alarm", *ALARM_TIMES, "Fired", "Read as", "Of its samples"]
-    more = len(diagnosis.alarms) - MAX_ROWS
-    note = f'<p class="muted">… and {more:,} more alarms.</p>' if more > 0 else ""
-    return html_table(header, rows) + note
+    return html_table(header, rows) + left_out_note(diagnosis)
 
 
 def _read_as(alarm: Alarm, clock: Clock) -> str:

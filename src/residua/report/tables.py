@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.decide.alarm import Candidate
-from residua.decide.statement import angle, ranked, sizes_text, tied_name
+from residua.decide.statement import angle, left_out_text, longest_alarms, ranked, sizes_text, tied_name
 from residua.design.core.evidence import Evidence, format_pole
 from residua.monitor.fault_learning import learnt_table
 from residua.report.choosing import SHOWN_FAULTS
@@ -71,7 +71,7 @@ def alarm_table(diagnosis: Diagnosis) -> str:
         return '<p class="muted">No alarm was raised.</p>'
     rows = []
     main = diagnosis.main_alarm
-    for k, alarm in enumerate(diagnosis.alarms[:MAX_ROWS], 1):
+    for k, alarm in longest_alarms(diagnosis.alarms, MAX_ROWS):
         named = [c for c in alarm.candidates if np.isfinite(c.score)]
         best, following = (named + [None, None])[:2]
         mark = ' <span class="tag">main</span>' if alarm is main and len(diagnosis.alarms) > 1 else ""
@@ -90,9 +90,13 @@ def alarm_table(diagnosis: Diagnosis) -> str:
     probable = any(c.probability is not None for alarm in diagnosis.alarms for c in alarm.candidates)
     weight = "Probability" if probable else "Score"
     header = ["Alarm", *ALARM_TIMES, "Most likely", weight, "Next", weight, ahead]
-    more = len(diagnosis.alarms) - MAX_ROWS
-    note = f'<p class="muted">… and {more:,} more alarms.</p>' if more > 0 else ""
-    return html_table(header, rows) + note
+    return html_table(header, rows) + left_out_note(diagnosis)
+
+
+def left_out_note(diagnosis: Diagnosis) -> str:
+    """Return the paragraph below a table of alarms that says which are not in it; empty where all are."""
+    text = left_out_text(diagnosis.alarms, MAX_ROWS)
+    return f'<p class="muted">{escape(text.replace("...", "…"))}.</p>' if text else ""
 
 
 def alarm_times(alarm: Alarm, clock: Clock) -> list[str]:
