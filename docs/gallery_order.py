@@ -6,6 +6,7 @@ ORDER = (
     "plot_given_and_identified.py",
     "plot_bank_three_tank.py",
     "plot_jet_engine.py",
+    "plot_wind_turbine.py",
     "plot_detectability.py",
     "plot_campaign_three_tank.py",
     "plot_campaign_jet_engine.py",
