@@ -17,6 +17,7 @@ from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS, disturbances
+from residua.design.core.own_time import in_own_time
 from residua.design.detection_filters.detection_filter import REFERENCES, directional_filters
 from residua.design.detection_filters.directional_gain import Poles
 from residua.design.observers.unknown_input_observer import REFERENCE, decoupling_gain
@@ -36,6 +37,7 @@ from residua.words import counted, used_up
     faults="by direction, whatever its time course",
     decouples=True,
 )
+@in_own_time()
 def robust_detection_filter(
     plant: Plant,
     *,

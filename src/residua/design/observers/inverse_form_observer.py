@@ -21,6 +21,7 @@ from residua.arrays import matrix
 from residua.design.core.evidence import Evidence, format_pole
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS
+from residua.design.core.own_time import has_rates, in_own_time
 from residua.design.observers.observer import Observer, in_units_of_the_plant
 from residua.design.observers.unknown_input_observer import observer_of
 from residua.errors import AccuracyError, DesignError
@@ -37,6 +38,7 @@ _LEAST = 0.01
 _INSTEAD = "fault_estimator and unknown_input_observer do not need it"
 
 
+@has_rates(N_BO=-1, N_BF=-1, K=-1)
 @dataclass(frozen=True, eq=False)
 class InverseFormObserver:
     r"""An unknown input observer with the matrices of Sueur.
@@ -88,6 +90,7 @@ class InverseFormObserver:
     decouples=True,
     many=True,
 )
+@in_own_time(K=-1)
 def inverse_form_observer(
     plant: Plant,
     *,
