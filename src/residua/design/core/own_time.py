@@ -101,7 +101,7 @@ def _unit_of(options: Mapping[str, Any]) -> float:
             continue
         sizes = sizes[np.isfinite(sizes) & (sizes > 0)]
         if sizes.size:
-            return float(powers_of_two(np.array([np.mean(np.log2(sizes))]))[0])
+            return float(powers_of_two(np.log2(np.exp(np.mean(np.log(sizes), keepdims=True))))[0])
     return 1.0
 
 

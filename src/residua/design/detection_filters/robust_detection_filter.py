@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 
 from residua.analysis.unknown_input import (
     OrdinaryDecoupling,
+    decomposed_existence,
     decoupling_map,
     output_free_form,
-    unknown_input_observer_existence,
 )
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
@@ -108,7 +108,7 @@ def robust_detection_filter(
     {'n_low sensor': 2, 'n_high sensor': 2}
     """
     plant = plant.explicit()
-    existence = unknown_input_observer_existence(plant, rtol=rtol)
+    existence = decomposed_existence(plant, rtol=rtol)
     if not existence:
         raise DesignError("; ".join(existence.reasons))
     if not existence.useful:

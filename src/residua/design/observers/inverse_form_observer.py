@@ -15,7 +15,7 @@ from residua import arrays
 from residua.analysis.unknown_input import (
     OrdinaryDecoupling,
     UnknownInputExistence,
-    unknown_input_observer_existence,
+    decomposed_existence,
 )
 from residua.arrays import matrix
 from residua.design.core.evidence import Evidence, format_pole
@@ -232,7 +232,7 @@ def _existence(plant: Plant, rtol: float) -> UnknownInputExistence:
     if independent.rank < q:
         raise DesignError(f"the {q} unknown inputs have only {independent.rank} independent directions")
     _refuse_singular(plant.A, rtol)
-    existence = unknown_input_observer_existence(plant, rtol=rtol)
+    existence = decomposed_existence(plant, rtol=rtol)
     if not existence:
         raise DesignError("; ".join(existence.reasons))
     return existence

@@ -13,10 +13,10 @@ from residua.analysis.unknown_input import (
     OutputFreeForm,
     SingularDecoupling,
     UnknownInputExistence,
+    decomposed_existence,
     decoupling_map,
     error_pair,
     output_free_form,
-    unknown_input_observer_existence,
 )
 from residua.arrays import matrix
 from residua.design.core.evidence import Evidence
@@ -125,7 +125,7 @@ def unknown_input_observer(
            [0., 0.],
            [0., 0.]])
     """
-    return observer_of(plant, unknown_input_observer_existence(plant, rtol=rtol), poles, margin, H0, rtol)
+    return observer_of(plant, decomposed_existence(plant, rtol=rtol), poles, margin, H0, rtol)
 
 
 def observer_of(
