@@ -19,6 +19,7 @@ from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.rank import left_null_basis
 from residua.linear.systems.array_cache import entries
 from residua.plant import Plant
+from residua.plant.comparable_units import PlantUnits
 from residua.tolerances import DESIGN_ROUNDING, RESIDUE, RESPONSE_ROUNDING, TINY
 
 #: Terms below this fraction of the largest, in balanced units, may be nothing but rounding.
@@ -65,6 +66,11 @@ class Relation:
     def times(self, factor: float) -> Relation:
         """Return a multiple."""
         return replace(self, p=factor * self.p, q=factor * self.q)
+
+    def in_units_of_the_plant(self, units: PlantUnits) -> Relation:
+        """Return a relation for the scaled plant as one for the plant."""
+        height = np.concatenate([units.equations, units.outputs])[:, None]
+        return replace(self, p=self.p * units.equations, q=self.q * units.outputs, ignored=self.ignored / height)
 
     @property
     def used(self) -> NDArray[np.bool_]:
