@@ -31,7 +31,8 @@ from residua.linear.poles.spectrum import spectrum_error
 from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank, equilibrated
 from residua.linear.systems.balancing import evened
 from residua.plant import Plant
-from residua.tolerances import IDENTITY, TINY
+from residua.tolerances import IDENTITY, RESIDUE, TINY
+from residua.words import unit_of_rates
 
 #: No pole of a sampled observer is chosen nearer to zero: its inverse would be far from all others.
 _LEAST = 0.01
@@ -250,10 +251,14 @@ def _refuse_singular(A: NDArray, rtol: float) -> None:
     matched = int(np.count_nonzero(equation >= 0))
     why = f"rank {matched} < {len(A)}, whatever the values of its entries that are not zero" if matched < len(A) else ""
     if not why:
-        ordered = A[equation]
+        ordered, rates = A[equation], np.abs(A.diagonal())  # which no units of the states change
         count, block_of = connected_components(ordered != 0, connection="strong")
         for block in (np.flatnonzero(block_of == k) for k in range(count)):
             M = ordered[np.ix_(block, block)]
+            if len(block) == 1 and equation[block[0]] == block[0] and abs(M[0, 0]) <= RESIDUE * rates.max():
+                why = f"a state that no other leads back to has the rate {unit_of_rates() * M[0, 0]:.1g}, "
+                why += "which beside those of the other states is what rounding leaves of zero"
+                break
             rows, columns = evened(M)
             found = decide_rank(rows[:, None] * M * columns, rtol=rtol)
             if found.rank < len(block):
