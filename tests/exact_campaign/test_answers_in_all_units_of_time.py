@@ -113,7 +113,7 @@ def answered(ask: Callable[[], Any]) -> Any:
 
 def designed(design: Callable[[Plant, float], Any], plant: Plant, t: float) -> Any:
     """Return all that a design says, its rates in ``t``; the floats of its filter too, if the plant has a rate."""
-    made = design(plant, t)
+    made: Any = design(plant, t)
     for name in ("residual_generator", "generator"):
         part = getattr(made, name, made)
         made = part() if callable(part) else part
