@@ -3,7 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+_unit_of_rates: ContextVar[float] = ContextVar("unit of rates", default=1.0)
+
+
+@contextmanager
+def rates_in(unit: float) -> Iterator[None]:
+    """Within this, rates are worked on in that many 1/s; texts say them in 1/s all the same."""
+    token = _unit_of_rates.set(_unit_of_rates.get() * unit)
+    try:
+        yield
+    finally:
+        _unit_of_rates.reset(token)
+
+
+def unit_of_rates() -> float:
+    """Return the unit in which rates are worked on here, in 1/s: what texts multiply them by."""
+    return _unit_of_rates.get()
 
 
 def number(value: float | None, digits: int = 4) -> str:

@@ -169,14 +169,14 @@ WRONG = [
         id="poles of an observer",
     ),
     pytest.param(
-        "design.observers.unknown_input_observer:unknown_input_observer_existence",
+        "design.observers.unknown_input_observer:decomposed_existence",
         lambda found: replace(found, decomposition=replace(found.decomposition, T=found.decomposition.T + OFF)),
         lambda: D.unknown_input_observer(engine()),
         marks=trips("design.observers.unknown_input_observer:assemble:1"),
         id="T E = 0",
     ),
     pytest.param(
-        "design.observers.unknown_input_observer:unknown_input_observer_existence",
+        "design.observers.unknown_input_observer:decomposed_existence",
         lambda found: replace(found, decomposition=replace(found.decomposition, H=off(found.decomposition.H))),
         lambda: D.unknown_input_observer(engine()),
         marks=trips("design.observers.unknown_input_observer:assemble:2"),

@@ -44,6 +44,9 @@ def test_rates_far_apart_and_units_make_no_matrix_singular(seed: int, unit_of_ti
     integrating = watched(np.array([[0, 1.0, 0], [0, -1, 0], [0, 0, -2]]), states, unit_of_time)
     with pytest.raises(DesignError, match="A is singular, rank 2 < 3, whatever the values"):
         rs.design.inverse_form_observer(integrating)
+    rounded = watched(np.array([[5e-17, 1.0, 0], [0, -1, 0], [0, 0, -2]]), states, unit_of_time)
+    with pytest.raises(DesignError, match="what rounding leaves of zero"):
+        rs.design.inverse_form_observer(rounded)
     alike = watched(np.array([[1, 1.0, 0], [1, 1 + 1e-12, 0], [0, 0, -2]]), states, unit_of_time)
     with pytest.raises(DesignError, match="a block of 2 states has rank 1: a singular value is 3e-13 of the largest"):
         rs.design.inverse_form_observer(alike)

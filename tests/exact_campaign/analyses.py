@@ -70,7 +70,7 @@ def _zeros(subject: Subject, which: str) -> None:
     if len(found.zeros) != exact.degree():
         record.problem("wrong", "zeros", f"zeros {found.zeros}, exact polynomial {exact}")
         return
-    missed = zeros_missed(found.zeros, exact, subject.rates)
+    missed = zeros_missed(found.zeros / subject.by.t, exact, subject.rates)
     if missed > _ZEROS_TOLERANCE:
         record.problem("wrong", "zeros", f"zeros {found.zeros} miss {exact} by {missed:.1e}")
 
@@ -83,7 +83,7 @@ def _ranks_at_points(subject: Subject) -> None:
     places = [rational(z.real) for z, _ in roots(p) if z.imag == 0 and p(rational(z.real)) == 0][:2]
     points = [(str(s), s) for s in (fmpq(0), fmpq(3, 8))] + [(f"{i}: a zero", s) for i, s in enumerate(places)]
     for name, s in points:  # each under a name of its own, by which its answer is kept
-        value = float(s.p) / float(s.q)
+        value = subject.by.t * float(s.p) / float(s.q)
         record = subject.ask(
             f"pencil_rank_at ({name})",
             lambda value=value: rs.linear.pencil_rank_at(plant.A, plant.Bd, plant.C, plant.Dd, plant.E, value),
@@ -141,7 +141,7 @@ def _existence(subject: Subject) -> None:
     elif not found.exists and ("rank" in found.reasons[0].split(":")[0]) == proper:
         record.problem("wrong", "existence", f"the wrong reason: {found.reasons}; exact: (i) {proper}, (ii) {stable}")
     if (proper and found.exists and len(found.fixed_poles) != P.degree()) or (
-        proper and found.exists and zeros_missed(found.fixed_poles, P, subject.rates) > _ZEROS_TOLERANCE
+        proper and found.exists and zeros_missed(found.fixed_poles / subject.by.t, P, subject.rates) > _ZEROS_TOLERANCE
     ):
         record.problem("wrong", "existence", f"fixed poles {found.fixed_poles}, exact zeros {_texts(P)}")
     if found.exists and found.useful != questions.residual_exists(X):

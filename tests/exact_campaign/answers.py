@@ -6,7 +6,7 @@ import re
 import traceback
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -79,14 +79,15 @@ class Subject:
     @cached_property
     def exact(self) -> ExactPlant:
         """The plant as fractions: those of the floats themselves, or of the case."""
-        found = exact_plant(self.plant if self.of_floats else plant_of(self.case))
+        by = replace(self.by, t=1.0)  # its twin has the rates of the case
+        found = exact_plant(plant_of(self.case, by) if self.of_floats else plant_of(self.case))
         if self.like is None:
             return found
         return with_answers_of(found, self.like.exact, self.by if self.of_floats else base_units(self.case))
 
     @cached_property
     def rates(self) -> float:
-        """The size of the dynamics."""
+        """The size of the dynamics, of the case."""
         A = plant_of(self.case).A
         return float(np.abs(A).max(initial=0.0)) or 1.0
 

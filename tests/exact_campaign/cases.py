@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import residua as rs
+from residua.plant.comparable_units import unit_of_rates_of
 
 Rows = list[list[Fraction]]
 
@@ -40,7 +41,10 @@ class Case:
 
 @dataclass(frozen=True)
 class Units:
-    """Factors for states, inputs, outputs, disturbances, faults and, where ``E`` is singular, equations."""
+    """Factors for states, inputs, outputs, disturbances, faults and, where ``E`` is singular, equations.
+
+    ``t`` is that of the rates of a continuous plant; a sampled one has none.
+    """
 
     x: NDArray[np.float64]
     u: NDArray[np.float64]
@@ -49,6 +53,7 @@ class Units:
     f: NDArray[np.float64]
     r: NDArray[np.float64]
     name: str = field(default="base")
+    t: float = 1.0
 
 
 def base_units(case: Case) -> Units:
@@ -73,6 +78,17 @@ def units(case: Case, seed: int, *, powers_of_two: bool, span: float | None = No
     return Units(x, u, y, d, f, r, "powers of two" if powers_of_two else "powers of ten")
 
 
+def in_other_time(case: Case, by: Units, seed: int) -> Units:
+    """Return units with one of time, from 2^-20 to 2^20: of continuous plants, if they have a rate.
+
+    Without one what an answer of the size of a fault is made of depends on it: faults have units of their own.
+    """
+    if case.dt or not unit_of_rates_of(plant_of(case)):
+        return by
+    k = int(np.random.default_rng([92, seed]).integers(-20, 21))
+    return replace(by, t=2.0**k)
+
+
 def floats(rows: Rows, shape: tuple[int, int]) -> NDArray[np.float64]:
     """Return a matrix of fractions as floats."""
     return np.array([[float(x) for x in row] for row in rows], dtype=float).reshape(shape)
@@ -83,13 +99,14 @@ def plant_of(case: Case, by: Units | None = None, *, noise: bool = False) -> rs.
     by = base_units(case) if by is None else by
     _, _, _, q, k = case.sizes
     left = by.r if case.E is not None else 1 / by.x
+    rates = left * by.t
 
     def scaled(rows: Rows, first: NDArray, second: NDArray) -> NDArray[np.float64]:
         return first[:, None] * floats(rows, (len(first), len(second))) * second
 
     plant = rs.Plant(
-        scaled(case.A, left, by.x),
-        scaled(case.Bu, left, by.u),
+        scaled(case.A, rates, by.x),
+        scaled(case.Bu, rates, by.u),
         scaled(case.C, 1 / by.y, by.x),
         scaled(case.Du, 1 / by.y, by.u),
         E=None if case.E is None else scaled(case.E, left, by.x),
@@ -97,14 +114,14 @@ def plant_of(case: Case, by: Units | None = None, *, noise: bool = False) -> rs.
         name=f"{case.kind} {case.seed}",
     )
     if q:
-        Bd, Dd = scaled(case.Bd, left, by.d), scaled(case.Dd, 1 / by.y, by.d)
+        Bd, Dd = scaled(case.Bd, rates, by.d), scaled(case.Dd, 1 / by.y, by.d)
         plant = plant.with_disturbances({f"d{i + 1}": (Bd[:, i], Dd[:, i]) for i in range(q)})
     if k:
-        Bf, Df = scaled(case.Bf, left, by.f), scaled(case.Df, 1 / by.y, by.f)
+        Bf, Df = scaled(case.Bf, rates, by.f), scaled(case.Df, 1 / by.y, by.f)
         plant = plant.with_faults({f"f{i + 1}": (Bf[:, i], Df[:, i]) for i in range(k)})
     plant = plant.with_actuator_faults(case.actuators).with_sensor_faults(case.sensors)
     if noise:
-        plant = plant.with_noise(process=np.diag(left**2), measurement=np.diag(1 / by.y**2))
+        plant = plant.with_noise(process=np.diag(rates**2), measurement=np.diag(1 / by.y**2))
     return plant
 
 

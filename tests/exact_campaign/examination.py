@@ -8,7 +8,7 @@ from typing import Any
 
 from exact_campaign.analyses import analyses
 from exact_campaign.answers import FAILURES, Record, Subject, without_numbers
-from exact_campaign.cases import Case, Units, base_units, literal, units
+from exact_campaign.cases import Case, Units, base_units, in_other_time, literal, units
 from exact_campaign.designs import designs
 from exact_campaign.kinds import case_of
 
@@ -51,13 +51,13 @@ def examined(case: Case, by: Units, ask: tuple[Stage, ...], like: Subject | None
 def examine(kind: str, seed: int, ask: tuple[Stage, ...] | None = None) -> tuple[dict[str, str], list[Failure]]:
     """Return the outcome of every function for a plant, and what went wrong or was close.
 
-    In base units, and in powers of two, where nothing may differ; every third plant in powers of ten too, where the
-    floats are no longer the fractions that the plant was made of.
+    In base units, and in powers of two, that of time too, where nothing may differ; every third plant in powers of ten
+    too, where the floats are no longer the fractions that the plant was made of.
     """
     case = case_of(kind, seed)
     ask = stages() if ask is None else ask
     base = examined(case, base_units(case), ask)
-    other = examined(case, units(case, seed, powers_of_two=True), ask, base)
+    other = examined(case, in_other_time(case, units(case, seed, powers_of_two=True), seed), ask, base)
     compare(base, other)
     subjects = [base, other]
     if seed % 3 == 0:

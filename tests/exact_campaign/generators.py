@@ -43,7 +43,9 @@ def examine_generator(subject: Subject, record: Record, made: Any, plant: Any, p
     _subspaces(record, found, made, plant.faults, live)
     if not made.system.is_stable():
         record.problem("wrong", "stability", f"not stable: {made.system.poles()}")
-    sizes = {name: value for name, value in made.evidence.conditions.items() if name.startswith("size of")}
+    sizes = {
+        name: value / subject.by.t for name, value in made.evidence.conditions.items() if name.startswith("size of")
+    }
     gain = max(sizes.values(), default=0.0)
     if subject.by.name == "base" and gain > _GAIN * max(1.0, subject.rates):
         record.problem("wrong", "gain", f"{record.function}: a gain of size {gain:.1e} for a plant of small fractions")
@@ -65,7 +67,10 @@ def _output_units(subject: Subject, plant: Any) -> NDArray[np.float64]:
 
 def _frequencies(subject: Subject, plant: Any) -> list[float]:
     own = frequencies(plant.dt)
-    return own if plant.dt or subject.rates < 50 else [*own, *(x * subject.rates for x in (0.0371, 1.311))]
+    if plant.dt:
+        return own
+    fast = [] if subject.rates < 50 else [x * subject.rates for x in (0.0371, 1.311)]
+    return [x * subject.by.t for x in (*own, *fast)]
 
 
 def _live(found: Paths, structure: NDArray[np.bool_]) -> NDArray[np.bool_]:

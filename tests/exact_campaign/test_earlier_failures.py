@@ -131,6 +131,12 @@ _EARLIER = [
     ("feedthrough", 2219, designs._filters),
     # what rounding left of a control in a filter was compared with itself: a flaw of the campaign
     ("alike directions", 2308, designs._observers),
+    # a mean of logarithms rounded otherwise in other units, and the relation that was divided by it
+    ("integrators", 2303, designs._parity),
+    # rates stood beside numbers without one in the caller's unit of time
+    ("oscillators", 703, designs._parity),
+    ("integrators", 704, None),
+    ("stiff", 703, designs._observers),
 ]
 
 

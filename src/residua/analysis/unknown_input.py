@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,10 @@ from residua.linear.subspaces.rank import (
 )
 from residua.linear.systems.balancing import descriptor_units, evened, without_rounding
 from residua.plant import OperatingPoint, Plant
-from residua.plant.comparable_units import EvenPlant, even_plant
+from residua.plant.comparable_units import EvenPlant, even_plant, unit_of_rates_of, with_rates_times
 from residua.plant.disturbances import factor_disturbance
 from residua.tolerances import RESIDUE, TINY, above_rounding
+from residua.words import rates_in
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +101,7 @@ class UnknownInputExistence:
     useful : bool
         Whether measurements are left over to see faults with (more measurements than disturbances).
     decomposition : OrdinaryDecoupling, SingularDecoupling or None
-        What the answer was read from, in even units, which the design goes on with.
+        What the answer was read from, in even units, which the design goes on with; none in another unit of time.
 
     References
     ----------
@@ -157,6 +158,16 @@ def unknown_input_observer_existence(plant: Plant, *, rtol: float = DEFAULT_RTOL
     >>> print(rs.analysis.unknown_input_observer_existence(plant.with_disturbances({"gust": [0, 1]})))
     no unknown input observer: rank(CE)=0 < rank(E)=1: no exact unknown input observer; ...
     """
+    unit = unit_of_rates_of(plant)
+    if unit in (0.0, 1.0):
+        return decomposed_existence(plant, rtol=rtol)
+    with rates_in(unit):
+        found = decomposed_existence(with_rates_times(plant, 1 / unit), rtol=rtol)
+    return replace(found, fixed_poles=unit * found.fixed_poles, decomposition=None)
+
+
+def decomposed_existence(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> UnknownInputExistence:
+    """Return the same in the unit of time that the plant is written in, for a design to go on with."""
     if is_singular(plant):
         return _singular_existence(plant, rtol)
     even = even_plant(plant, explicit=True)

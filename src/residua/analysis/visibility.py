@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from residua.errors import ModelError
 from residua.linear.subspaces.rank import decide_rank, equilibrated
 from residua.plant import Plant
-from residua.plant.comparable_units import canonical_units
+from residua.plant.comparable_units import canonical_units, unit_of_rates_of, with_rates_times
 from residua.tolerances import TINY
 
 #: Vectors of unit length that begin with less than this begin with nothing.
@@ -49,7 +49,13 @@ class Visible:
 
 
 def in_canonical_units(plant: Plant) -> Plant:
-    """Return the plant in units that are the same whatever units it was written in; what is visible stays so."""
+    """Return the plant in units that are the same whatever units it was written in, that of time too.
+
+    What is visible stays so.
+    """
+    unit = unit_of_rates_of(plant)
+    if unit not in (0.0, 1.0):
+        plant = with_rates_times(plant, 1 / unit)
     return canonical_units(plant, controls=False).applied(plant)
 
 

@@ -23,6 +23,7 @@ from residua.linear.systems.units import (
     pencil_units,
     powers_of_two,
     row_levels,
+    system_rate,
     system_units,
     without_residue,
 )
@@ -115,6 +116,37 @@ class EvenPlant:
     def output_weights(self, A: NDArray, B: NDArray, C: NDArray) -> NDArray[np.float64]:
         """Return what least squares over the outputs of a part of the plant weigh them by."""
         return output_weights(A, B, C, np.zeros((len(C), B.shape[1]))) if self.even else np.ones(len(C))
+
+
+def unit_of_rates_of(plant: Plant) -> float:
+    """Return the unit, a power of two in 1/s, in which the rates of a continuous plant are near one.
+
+    In other units of time by powers of two it is that many times larger, whatever the other units are. Zero if the
+    plant has no rate, as a chain of integrators; what faults tell of one counts where nothing else does. One if it is
+    sampled.
+    """
+    if plant.is_discrete:
+        return 1.0
+    roles = [(plant.Bu, plant.Du), (plant.Bd, plant.Dd), (plant.Bf, plant.Df)]
+    for some in (roles[:2], roles):
+        B, D = (np.hstack([role[k] for role in some]) for k in (0, 1))
+        if plant.E is None:
+            unit = system_rate(plant.A, B, plant.C, D)
+        else:
+            whole = bordered(plant.A, B, plant.C, D)
+            found = pencil_units(whole, _padded(plant.E, whole.shape))
+            unit = found.unit if found.has_rate else 0.0
+        if unit:
+            return unit
+    return 0.0
+
+
+def with_rates_times(plant: Plant, factor: float) -> Plant:
+    """Return a continuous plant in another unit of time, in which its rates are so many times as large.
+
+    The noise is as large beside other signals as it was, at all frequencies.
+    """
+    return plant._with(**{name: frozen(factor * getattr(plant, name)) for name in ("A", "Bu", "Bd", "Bf", "Bw")})
 
 
 def own_units(plant: Plant) -> EvenPlant:

@@ -15,6 +15,7 @@ from residua.design.core.canonical_design import in_own_units, in_units_of
 from residua.design.core.decoupling import Decoupled, MeasuredBefore
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import Member, ResidualGenerator, make_generator
+from residua.design.core.own_time import has_rates
 from residua.design.detection_filters.detection_filter import stack_systems
 from residua.design.observers.observer import Observer
 from residua.errors import AccuracyError, DesignError
@@ -29,6 +30,7 @@ MemberDesign = Callable[[str, Plant], ResidualGenerator]
 MOST_STATES = 4000
 
 
+@has_rates()
 @dataclass(frozen=True, eq=False, repr=False)
 class Bank:
     """Residual generators that each ignore some faults, so that who fires names the fault.

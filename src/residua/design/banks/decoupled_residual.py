@@ -24,6 +24,7 @@ from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.internal_form import frequency_grid
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS
+from residua.design.core.own_time import in_own_time
 from residua.design.observers.observer_gain import margin_from, place, pole_evidence
 from residua.errors import AccuracyError, DesignError
 from residua.linear.poles.placement import Placement
@@ -32,7 +33,7 @@ from residua.linear.subspaces.observable_part import UndetectableError
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 from residua.plant.comparable_units import even_plant
-from residua.words import used_up
+from residua.words import unit_of_rates, used_up
 
 _EPS = float(np.finfo(float).eps)
 
@@ -51,6 +52,7 @@ _LITTLE_BESIDE_NOISE = 1e-4
     decouples=True,
     singular=True,
 )
+@in_own_time()
 def decoupled_residual(
     plant: Plant,
     *,
@@ -240,12 +242,11 @@ def _attempts(
     if not free:
         return [(lambda: place(quotient.A, quotient.C, poles, margin, plant.dt, rtol), "")]
     default = margin_from(quotient.A, plant)
+    told = unit_of_rates() * default
     placed = [
         (
             lambda part=part: place(quotient.A, quotient.C, None, default / part, plant.dt, rtol),
-            ""
-            if part == 1
-            else f"the default margin was lowered to {default / part:.3g} per second, for less rounding",
+            "" if part == 1 else f"the default margin was lowered to {told / part:.3g} per second, for less rounding",
         )
         for part in (1, 4, 16, 64)
     ]

@@ -7,6 +7,7 @@ from residua.design.banks.bank import Bank, build_bank, wanted_rows
 from residua.design.banks.decoupled_residual import decoupled_residual
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS_APART, ROWS
+from residua.design.core.own_time import in_own_time
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
 
@@ -22,6 +23,7 @@ from residua.plant import Plant
     many=True,
     chosen={"structure": ROWS},
 )
+@in_own_time()
 def structured_bank(
     plant: Plant,
     structure: Structure,

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.linear.subspaces.rank import RankDecision
+from residua.words import unit_of_rates
 
 #: How the decoupling of a sampled design calls what sampling costs, after the name of the group of inputs.
 _SAMPLED = ", sampled"
@@ -105,7 +106,7 @@ class Evidence:
 
 def format_pole(pole: complex) -> str:
     """Return a pole as short text, in whatever unit of time: only a pole at zero is a zero."""
-    pole = complex(pole)
+    pole = unit_of_rates() * complex(pole)
     if pole == 0:
         return "0"
     if abs(pole.imag) <= 1e-9 * abs(pole):

@@ -21,6 +21,7 @@ from residua.design.core.internal_form import (
     leakage,
     with_silent_inputs,
 )
+from residua.design.core.own_time import has_rates
 from residua.design.core.responses import covariance_of_sums, steady_responses
 from residua.design.core.signals import discretized_filter, run_signals, sampled_filter
 from residua.design.core.signatures import checked_responses, signature_bases
@@ -45,6 +46,7 @@ class Member:
     faults: tuple[str, ...]
 
 
+@has_rates(static_map=-1)
 @dataclass(frozen=True, eq=False)
 class ResidualGenerator:
     r"""A stable linear filter from inputs and outputs of a plant to residuals.

@@ -16,6 +16,7 @@ from residua.design.core.evidence import Evidence
 from residua.design.core.generator import Member, ResidualGenerator, make_generator
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS
+from residua.design.core.own_time import in_own_time
 from residua.design.detection_filters.directional_gain import (
     DirectionalGain,
     FaultEvent,
@@ -59,6 +60,7 @@ REFERENCES = (
     source="Chen, Patton and Zhang (1996), eqs. (14) to (18); Gertler (1991), section 5.1",
     faults="by direction, whatever its time course",
 )
+@in_own_time()
 def detection_filter(
     plant: Plant,
     *,

@@ -14,6 +14,7 @@ from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.method import method
 from residua.design.core.needs import disturbances
+from residua.design.core.own_time import in_own_time
 from residua.design.core.signals import signal_names
 from residua.design.detection_filters.directional_gain import DirectionalGain, checked_options
 from residua.design.detection_filters.ignored_columns import (
@@ -40,6 +41,7 @@ from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision
 from residua.linear.systems.balancing import without_rounding
 from residua.plant import Plant
+from residua.words import unit_of_rates
 
 REFERENCE = "Gertler (1991), Automatica 27(4), section 4.3, eqs. (4-5) to (4-14), after Patton and Kangethe (1989)"
 #: Largest error of an assigned eigenvalue, and of an assigned eigenvector relative to its terms.
@@ -53,6 +55,7 @@ _POLE_ERROR, _VECTOR_ERROR = 1e-6, 1e-8
     source="Gertler (1991), section 4.3, eqs. (4-5) to (4-14)",
     decouples=True,
 )
+@in_own_time()
 def eigenstructure_assignment(
     plant: Plant,
     *,
@@ -174,7 +177,10 @@ def _margins(parts: IgnoredColumns, margin: float | None) -> list[tuple[float, s
     if margin is not None:
         return [(margin, "")]
     default = default_margin(parts.A, parts.plant.dt)
-    notes = ((part, f"the default margin was lowered to {default / part:.3g} per second") for part in (4, 16, 64))
+    notes = (
+        (part, f"the default margin was lowered to {default / part * unit_of_rates():.3g} per second")
+        for part in (4, 16, 64)
+    )
     return [(default, ""), *((default / part, note) for part, note in notes)]
 
 

@@ -9,14 +9,15 @@ from numpy.typing import ArrayLike
 
 from residua.analysis.unknown_input import (
     OrdinaryDecoupling,
+    decomposed_existence,
     decoupling_map,
     output_free_form,
-    unknown_input_observer_existence,
 )
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS, disturbances
+from residua.design.core.own_time import in_own_time
 from residua.design.detection_filters.detection_filter import REFERENCES, directional_filters
 from residua.design.detection_filters.directional_gain import Poles
 from residua.design.observers.unknown_input_observer import REFERENCE, decoupling_gain
@@ -36,6 +37,7 @@ from residua.words import counted, used_up
     faults="by direction, whatever its time course",
     decouples=True,
 )
+@in_own_time()
 def robust_detection_filter(
     plant: Plant,
     *,
@@ -106,7 +108,7 @@ def robust_detection_filter(
     {'n_low sensor': 2, 'n_high sensor': 2}
     """
     plant = plant.explicit()
-    existence = unknown_input_observer_existence(plant, rtol=rtol)
+    existence = decomposed_existence(plant, rtol=rtol)
     if not existence:
         raise DesignError("; ".join(existence.reasons))
     if not existence.useful:

@@ -16,6 +16,7 @@ from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.internal_form import frequency_grid, internal_form
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS, groups_of_faults
+from residua.design.core.own_time import has_rates, in_own_time
 from residua.design.core.signals import sampled_filter, stack_signals
 from residua.design.estimation.fault_reading import FaultReading, read_faults
 from residua.design.observers.observer import Observer
@@ -35,6 +36,7 @@ REFERENCES = (
 )
 
 
+@has_rates(lag=-1)
 @dataclass(frozen=True, eq=False)
 class FaultEstimator:
     r"""An observer that estimates faults, and the state that they cannot disturb.
@@ -150,6 +152,7 @@ class FaultEstimator:
     many=True,
     calls=groups_of_faults,
 )
+@in_own_time()
 def fault_estimator(
     plant: Plant,
     *,

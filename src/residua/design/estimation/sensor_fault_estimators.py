@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from residua import arrays
 from residua.design.core.method import method
+from residua.design.core.own_time import has_rates, in_own_time
 from residua.design.estimation.fault_estimator import FaultEstimator, fault_estimator
 from residua.errors import AccuracyError, DesignError
 from residua.linear.subspaces.rank import DEFAULT_RTOL
@@ -16,6 +17,7 @@ from residua.plant import Plant
 from residua.words import counted
 
 
+@has_rates()
 @dataclass(frozen=True, eq=False)
 class SensorFaultEstimators(Mapping[str, FaultEstimator]):
     """Fault estimators by the name of the sensor that each is for; a mapping.
@@ -61,6 +63,7 @@ class SensorFaultEstimators(Mapping[str, FaultEstimator]):
     singular=True,
     many=True,
 )
+@in_own_time()
 def sensor_fault_estimators(
     plant: Plant,
     *,

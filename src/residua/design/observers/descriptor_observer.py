@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from numpy.typing import ArrayLike
 
 from residua.design.core.method import method
+from residua.design.core.own_time import in_own_time
 from residua.design.observers.observer import Observer
 from residua.design.observers.reduced_order import reduced_observer
 from residua.linear.subspaces.rank import DEFAULT_RTOL
@@ -23,6 +24,7 @@ from residua.plant import Plant
     singular=True,
     noise="unfiltered",
 )
+@in_own_time()
 def descriptor_observer(
     plant: Plant,
     *,

@@ -15,6 +15,7 @@ from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.internal_form import leakage
 from residua.design.core.method import method
+from residua.design.core.own_time import in_own_time
 from residua.design.core.signals import signal_names
 from residua.design.observers.general_conditions import (
     CONDITIONS,
@@ -166,6 +167,7 @@ def _form(plant: Plant, m: GeneralMatrices) -> GeneralForm:
     decouples=True,
     singular=True,
 )
+@in_own_time(gain=1, M=1, J=1, N=1)
 def residual_generator_from_observer(
     source: Plant | Observer,
     *,

@@ -15,12 +15,13 @@ from residua import arrays
 from residua.analysis.unknown_input import (
     OrdinaryDecoupling,
     UnknownInputExistence,
-    unknown_input_observer_existence,
+    decomposed_existence,
 )
 from residua.arrays import matrix
 from residua.design.core.evidence import Evidence, format_pole
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS
+from residua.design.core.own_time import has_rates, in_own_time
 from residua.design.observers.observer import Observer, in_units_of_the_plant
 from residua.design.observers.unknown_input_observer import observer_of
 from residua.errors import AccuracyError, DesignError
@@ -30,13 +31,15 @@ from residua.linear.poles.spectrum import spectrum_error
 from residua.linear.subspaces.rank import DEFAULT_RTOL, decide_rank, equilibrated
 from residua.linear.systems.balancing import evened
 from residua.plant import Plant
-from residua.tolerances import IDENTITY, TINY
+from residua.tolerances import IDENTITY, RESIDUE, TINY
+from residua.words import unit_of_rates
 
 #: No pole of a sampled observer is chosen nearer to zero: its inverse would be far from all others.
 _LEAST = 0.01
 _INSTEAD = "fault_estimator and unknown_input_observer do not need it"
 
 
+@has_rates(N_BO=-1, N_BF=-1, K=-1)
 @dataclass(frozen=True, eq=False)
 class InverseFormObserver:
     r"""An unknown input observer with the matrices of Sueur.
@@ -88,6 +91,7 @@ class InverseFormObserver:
     decouples=True,
     many=True,
 )
+@in_own_time(K=-1)
 def inverse_form_observer(
     plant: Plant,
     *,
@@ -229,7 +233,7 @@ def _existence(plant: Plant, rtol: float) -> UnknownInputExistence:
     if independent.rank < q:
         raise DesignError(f"the {q} unknown inputs have only {independent.rank} independent directions")
     _refuse_singular(plant.A, rtol)
-    existence = unknown_input_observer_existence(plant, rtol=rtol)
+    existence = decomposed_existence(plant, rtol=rtol)
     if not existence:
         raise DesignError("; ".join(existence.reasons))
     return existence
@@ -247,10 +251,14 @@ def _refuse_singular(A: NDArray, rtol: float) -> None:
     matched = int(np.count_nonzero(equation >= 0))
     why = f"rank {matched} < {len(A)}, whatever the values of its entries that are not zero" if matched < len(A) else ""
     if not why:
-        ordered = A[equation]
+        ordered, rates = A[equation], np.abs(A.diagonal())  # which no units of the states change
         count, block_of = connected_components(ordered != 0, connection="strong")
         for block in (np.flatnonzero(block_of == k) for k in range(count)):
             M = ordered[np.ix_(block, block)]
+            if len(block) == 1 and equation[block[0]] == block[0] and abs(M[0, 0]) <= RESIDUE * rates.max():
+                why = f"a state that no other leads back to has the rate {unit_of_rates() * M[0, 0]:.1g}, "
+                why += "which beside those of the other states is what rounding leaves of zero"
+                break
             rows, columns = evened(M)
             found = decide_rank(rows[:, None] * M * columns, rtol=rtol)
             if found.rank < len(block):

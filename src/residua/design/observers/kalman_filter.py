@@ -8,6 +8,7 @@ from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.method import method
 from residua.design.core.needs import NOISE
+from residua.design.core.own_time import in_own_time
 from residua.design.observers.observer import Observer
 from residua.errors import AccuracyError, DesignError
 from residua.linear.poles.riccati import filter_riccati
@@ -27,6 +28,7 @@ _BOTH = "give both kinds, with_noise(process=..., measurement=...)"
     noise="least",
     time_course="constant",
 )
+@in_own_time()
 def kalman_filter(plant: Plant) -> ResidualGenerator:
     r"""Use the innovations of the stationary Kalman filter as residuals.
 

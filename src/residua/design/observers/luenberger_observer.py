@@ -12,6 +12,7 @@ from residua import arrays
 from residua.analysis.unknown_input import is_singular
 from residua.design.core.evidence import Evidence
 from residua.design.core.method import method
+from residua.design.core.own_time import in_own_time
 from residua.design.observers.estimate_check import check_estimate
 from residua.design.observers.observer import Observer, in_units_of_the_plant
 from residua.design.observers.observer_gain import gain_size, place, pole_evidence
@@ -28,6 +29,7 @@ from residua.plant.comparable_units import even_plant
     source="Twardy and Kaczorek, part I, Theorems 1 and 2",
     state="estimate, converges",
 )
+@in_own_time()
 def luenberger_observer(
     plant: Plant,
     *,

@@ -12,6 +12,7 @@ from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.internal_form import frequency_grid
+from residua.design.core.own_time import has_rates, in_own_time
 from residua.design.core.signals import sampled_filter, signal_names, stack_signals
 from residua.errors import DesignError
 from residua.linear import StateSpace
@@ -24,6 +25,7 @@ from residua.tolerances import DESIGN_ROUNDING, TINY, above_rounding
 from residua.words import counted, used_up
 
 
+@has_rates(F=1, K=1, J=-1, V=-1)
 @dataclass(frozen=True, eq=False, repr=False)
 class Observer:
     r"""An observer of ``E x' = A x + B u + ...``, with the matrices named as by Twardy and Kaczorek.
@@ -153,6 +155,7 @@ class Observer:
         """
         return sampled_filter(self.system, self.plant, dt).simulate(stack_signals(self.plant, u, y))
 
+    @in_own_time()
     def residual_generator(self) -> ResidualGenerator:
         r"""Return the output error as residual, :math:`r = W (y - D u - C \hat x) = W[(I - CH)(y - Du) - C M z]`.
 

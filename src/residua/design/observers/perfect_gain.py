@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
+from residua.design.core.own_time import has_rates, written_by
 from residua.errors import AccuracyError, DesignError
 from residua.linear.subspaces.observability import staircase
 from residua.linear.subspaces.parts import row_parts
@@ -33,6 +34,14 @@ _LARGE = 24
 _SURE = 1e-6
 
 
+def _in_other_time(gain: PerfectGain, factor: float) -> PerfectGain:
+    """Return a gain with what belongs to the equations of the states in another unit of time."""
+    equations = np.where(np.arange(gain.W.shape[1]) < gain.T.shape[1], 1 / factor, 1.0)
+    return replace(gain, W=gain.W * equations, Y=gain.Y / equations[:, None])
+
+
+@has_rates(T=-1, N=-1, triangular=-1)
+@written_by(_in_other_time)
 @dataclass(frozen=True, eq=False)
 class PerfectGain:
     """``T [A Bd] + L [C Dd] = I`` with ``N = T [E 0]`` nilpotent, and how well.

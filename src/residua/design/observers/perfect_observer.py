@@ -15,6 +15,7 @@ from residua.design.core.evidence import Evidence
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.method import method
 from residua.design.core.needs import least_order_unless_singular
+from residua.design.core.own_time import has_rates, in_own_time, written_by
 from residua.design.core.signals import sampled_filter, signal_names, stack_signals
 from residua.design.observers.perfect_gain import PerfectGain, full_rank_gain, given_gain, least_order_gain
 from residua.errors import AccuracyError, DesignError, SettingError
@@ -34,6 +35,16 @@ REFERENCE = "Twardy and Kaczorek, part I, eqs. (30) to (33), Theorem 4, Procedur
 MOST_STATES = 300
 
 
+def _in_other_time(observer: PerfectObserver, factor: float) -> PerfectObserver:
+    """Return an observer with the rows that its residual reads in another unit of time: those of the equations."""
+    if observer.complete:
+        return observer
+    equations = np.arange(observer.left.shape[1]) < observer.plant.n_states
+    return replace(observer, left=observer.left * np.where(equations, 1 / factor, 1.0))
+
+
+@has_rates(T=-1, N=-1, bandwidth=1)
+@written_by(_in_other_time)
 @dataclass(frozen=True, eq=False)
 class PerfectObserver:
     r"""An observer without dynamics: its estimate is the state, not something that tends to it.
@@ -166,6 +177,7 @@ class PerfectObserver:
         coefficients = self.residual_polynomial(p.Bf, p.Df, own=False)
         return {name: np.array([P[:, i] for P in coefficients]) for i, name in enumerate(p.faults)}
 
+    @in_own_time()
     def residual_generator(self) -> ResidualGenerator:
         r"""Return the output error ``r = W (y - D u - C xh - Dd dh)`` of the outputs that drive it, filtered alike.
 
@@ -291,6 +303,7 @@ class PerfectObserver:
     noise="differentiated",
     calls=least_order_unless_singular,
 )
+@in_own_time(K=1)
 def perfect_observer(
     plant: Plant,
     *,

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from residua.analysis.unknown_input import is_singular
 from residua.design.core.method import method
+from residua.design.core.own_time import in_own_time
 from residua.design.observers.observer import Observer
 from residua.design.observers.reduced_order import reduced_observer
 from residua.errors import DesignError
@@ -23,6 +24,7 @@ from residua.plant import Plant
     decouples=True,
     noise="unfiltered",
 )
+@in_own_time()
 def reduced_order_observer(
     plant: Plant,
     *,

@@ -13,14 +13,15 @@ from residua.analysis.unknown_input import (
     OutputFreeForm,
     SingularDecoupling,
     UnknownInputExistence,
+    decomposed_existence,
     decoupling_map,
     error_pair,
     output_free_form,
-    unknown_input_observer_existence,
 )
 from residua.arrays import matrix
 from residua.design.core.evidence import Evidence
 from residua.design.core.method import method
+from residua.design.core.own_time import in_own_time
 from residua.design.observers.estimate_check import check_estimate
 from residua.design.observers.observer import Observer, in_units_of_the_plant, without_measured_equations
 from residua.design.observers.observer_gain import gain_size, margin_from, place, pole_evidence
@@ -46,6 +47,7 @@ REFERENCE = "Chen, Patton and Zhang (1996), Int. J. Control 63(1), eqs. (2) to (
     decouples=True,
     singular=True,
 )
+@in_own_time()
 def unknown_input_observer(
     plant: Plant,
     *,
@@ -123,7 +125,7 @@ def unknown_input_observer(
            [0., 0.],
            [0., 0.]])
     """
-    return observer_of(plant, unknown_input_observer_existence(plant, rtol=rtol), poles, margin, H0, rtol)
+    return observer_of(plant, decomposed_existence(plant, rtol=rtol), poles, margin, H0, rtol)
 
 
 def observer_of(

@@ -12,6 +12,7 @@ from residua import arrays
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS
+from residua.design.core.own_time import in_own_time
 from residua.design.parity.directional_pencil import DirectionalPencil, Directions, directional_pencil
 from residua.design.parity.relation import Relation
 from residua.design.parity.relation_model import RelationModel, basis_for, relation_model, state_pencil
@@ -43,6 +44,7 @@ _SEEN = 1e-9
     singular=True,
     noise="moving average",
 )
+@in_own_time()
 def directional_parity(
     plant: Plant | InputOutputModel,
     *,

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from residua import arrays
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.method import method
+from residua.design.core.own_time import in_own_time
 from residua.design.parity.relation_model import RelationModel, relation_model
 from residua.design.parity.relations import Poles, relations_of
 from residua.design.parity.shortest import RelationSpace, relation_space, shortest_relations
@@ -33,6 +34,7 @@ _MOST_STATES = 300
     singular=True,
     noise="moving average",
 )
+@in_own_time()
 def parity_relations(
     plant: Plant | InputOutputModel,
     *,
@@ -124,6 +126,7 @@ def parity_relations(
     return with_rank(made, space)
 
 
+@in_own_time()
 def parity_orders(
     plant: Plant | InputOutputModel,
     *,

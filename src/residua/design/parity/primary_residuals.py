@@ -10,6 +10,7 @@ from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence, format_pole
 from residua.design.core.generator import ResidualGenerator, make_generator
 from residua.design.core.method import method
+from residua.design.core.own_time import in_own_time
 from residua.design.core.signals import signal_names
 from residua.design.parity.relation import Relation, synthetic_division
 from residua.design.parity.relation_model import RelationModel, relation_model
@@ -31,6 +32,7 @@ from residua.plant.input_output_model import InputOutputModel
     noise="moving average",
     many=True,
 )
+@in_own_time()
 def primary_residuals(
     model: InputOutputModel | Plant, *, form: str = "ma", poles: Poles | None = None
 ) -> ResidualGenerator:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.internal_form import frequency_grid, leak_frequencies
+from residua.design.core.own_time import has_rates, written_by
 from residua.design.observers.observer_gain import own_rate
 from residua.design.parity.relation_model import state_pencil
 from residua.errors import ModelError
@@ -18,12 +19,25 @@ from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.rank import left_null_basis
 from residua.linear.systems.array_cache import entries
 from residua.plant import Plant
+from residua.plant.comparable_units import PlantUnits
 from residua.tolerances import DESIGN_ROUNDING, RESIDUE, RESPONSE_ROUNDING, TINY
 
 #: Terms below this fraction of the largest, in balanced units, may be nothing but rounding.
 _TAKES_PART = 1e-6
 
 
+def _in_other_time(row: Relation, factor: float) -> Relation:
+    """Return a relation of which rates are ``factor`` as large: the newest sample keeps its coefficient."""
+    p, q = factor ** (row.order - 1.0) * row.p, factor**row.order * row.q
+    height = np.where(np.arange(len(row.ignored)) < row.p.shape[1], factor, 1.0)
+    return replace(row, p=p, q=q, ignored=height[:, None] * row.ignored)
+
+
+has_rates(real=1, imaginary=1, sizes=1)(PolynomialBasis)
+
+
+@has_rates(divided=1)
+@written_by(_in_other_time)
 @dataclass(frozen=True, eq=False)
 class Relation:
     r"""One relation: polynomials ``p``, ``q`` with :math:`p (zE - A) = q C`, as coefficients in a basis.
@@ -52,6 +66,11 @@ class Relation:
     def times(self, factor: float) -> Relation:
         """Return a multiple."""
         return replace(self, p=factor * self.p, q=factor * self.q)
+
+    def in_units_of_the_plant(self, units: PlantUnits) -> Relation:
+        """Return a relation for the scaled plant as one for the plant."""
+        height = np.concatenate([units.equations, units.outputs])[:, None]
+        return replace(self, p=self.p * units.equations, q=self.q * units.outputs, ignored=self.ignored / height)
 
     @property
     def used(self) -> NDArray[np.bool_]:

@@ -15,6 +15,7 @@ from residua.design.core.canonical_design import in_units_of
 from residua.design.core.decoupling import Decoupled
 from residua.design.core.evidence import Evidence, format_pole
 from residua.design.core.generator import ResidualGenerator, make_generator
+from residua.design.core.own_time import has_rates, in_own_time
 from residua.design.core.signals import signal_names
 from residua.design.parity.directional_pencil import Directions, changed_together, check_directions
 from residua.design.parity.realization import Realization, pole_basis, realize_relation
@@ -39,6 +40,7 @@ _TOO_MANY = 10.0
 Poles = Sequence[complex] | ArrayLike | Mapping[str, Sequence[complex]]
 
 
+@has_rates()
 @dataclass(frozen=True, eq=False)
 class ParityRelations:
     r"""Polynomial equations between inputs and outputs that hold while nothing fails, one per residual.
@@ -148,6 +150,7 @@ class ParityRelations:
 
     # ------------------------------------------------------------------ filters
 
+    @in_own_time()
     def with_poles(
         self, poles: Poles | None = None, *, method: str = "parity relations", notes: Sequence[str] = ()
     ) -> ResidualGenerator:

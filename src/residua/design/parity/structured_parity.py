@@ -11,6 +11,7 @@ from residua.design.banks.bank import Bank, build_bank, wanted_rows
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS_APART, ROWS
+from residua.design.core.own_time import in_own_time
 from residua.design.parity.parity_relations import with_rank
 from residua.design.parity.relation_model import relation_model
 from residua.design.parity.relations import Poles, relations_of
@@ -34,6 +35,7 @@ from residua.plant.input_output_model import InputOutputModel
     formerly=["parity"],
     chosen={"structure": ROWS},
 )
+@in_own_time()
 def structured_parity(
     plant: Plant | InputOutputModel,
     structure: Structure,

@@ -19,7 +19,7 @@ from residua.linear.subspaces.far_gain import refuse_far_gain
 from residua.linear.subspaces.observable_part import ObservablePart, observable_part
 from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.tolerances import POLE
-from residua.words import counted
+from residua.words import counted, unit_of_rates
 
 Matrix = NDArray[np.float64]
 _EPS = float(np.finfo(float).eps)
@@ -344,7 +344,7 @@ def place_observer_margin(
     problem = observable_part(A, C, dt, rtol)
     margin = default_margin(A, dt) if margin is None else float(margin)
     if not np.isfinite(margin) or margin < 0:
-        raise DesignError(f"the margin must be a finite rate of at least 0 per second, got {margin}")
+        raise DesignError(f"the margin must be a finite rate of at least 0 per second, got {margin * unit_of_rates()}")
     none = np.zeros(0, dtype=complex)
     if problem.order == 0:
         K = np.zeros((problem.A.shape[0], problem.C.shape[0]))
@@ -363,7 +363,7 @@ def place_observer_margin(
         # Rounding of a huge gain moves the poles, and whether they pass is luck: the reason must not hang on it.
         refuse_far_gain(problem.F, problem.H, L, 1.0 if problem.dt else margin)
     raise AccuracyError(
-        f"no gain found with every observable pole beyond the margin {margin:.3g} per second "
+        f"no gain found with every observable pole beyond the margin {margin * unit_of_rates():.3g} per second "
         f"({problem.order} observable states, {problem.H.shape[0]} independent outputs); "
         "ask for a smaller margin or add a sensor"
     )

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.linear.poles.stability import modes_with_uncertainty
+from residua.words import unit_of_rates
 
 Poles = NDArray[np.complex128]
 _EPS = float(np.finfo(float).eps)
@@ -18,7 +19,7 @@ _MOST_BY_ROUNDING = 1e-3
 def describe_modes(modes: Iterable[complex] | NDArray) -> str:
     """Return modes as short text for messages."""
     out = []
-    for mode in np.asarray(modes, dtype=complex).ravel():
+    for mode in unit_of_rates() * np.asarray(modes, dtype=complex).ravel():
         real = f"{mode.real:.5g}"
         out.append(real if mode.imag == 0 else f"{real}{mode.imag:+.5g}j")
     return ", ".join(out) if out else "none"

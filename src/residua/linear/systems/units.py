@@ -31,6 +31,8 @@ _ROUNDS = 3
 #: in is left out of the fit then.
 _FAR = 2.0**26
 _WIDE = 1e-11
+#: What of a unit of time is left beside those of the signals, of the entries that have it, where it is rounding alone.
+_NO_RATE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,11 +60,14 @@ class PencilUnits:
         The diagonals of ``R`` and ``S``, further rows and columns of the bordered pencil along with them.
     unit : float
         The unit of ``s``: ``unit E`` is as large as ``A``.
+    has_rate : bool
+        Whether there is one; otherwise units of rows and columns imitate any, and it is one.
     """
 
     rows: NDArray[np.float64]
     columns: NDArray[np.float64]
     unit: float
+    has_rate: bool = True
 
 
 def powers_of_two(logarithms: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -77,6 +82,32 @@ def system_units(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> Units:
     """
     n, q = len(A), np.shape(B)[1]
     return _rounded(_system_potentials(A, B, C, D), n, q)
+
+
+@cached_by_entries
+def system_rate(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> float:
+    """Return the rate, a power of two, that entries of ``A`` and ``B`` have beside those of ``C`` and ``D``; or zero.
+
+    In least squares over units of states, inputs and outputs: what of a unit of time no such units can imitate, as the
+    product of entries around a loop. Of chains of integrators nothing is left, and there is no rate: they are the same
+    plant in all units of time, but for those of their signals.
+    """
+    W = np.abs(bordered(A, B, C, D))
+    n, q = len(A), W.shape[1] - len(A)
+    row_node = np.concatenate([np.arange(n), n + q + np.arange(len(C))])
+    rate: float | None = None
+    for _ in range(_ROUNDS):
+        i, j = np.nonzero(W)
+        v, rate = _with_rate(row_node[i], j, np.log2(W[i, j]), i < n, n + q + len(C))
+        if rate is None:
+            return 0.0
+        scaled = W * np.exp2(v[: n + q] - v[row_node][:, None])
+        scaled[:n] /= 2.0**rate
+        keep = _real(scaled, scaled)
+        if np.array_equal(keep, W > 0):
+            break
+        W = np.where(keep, W, 0.0)
+    return 0.0 if rate is None else float(powers_of_two(np.array(rate)))
 
 
 def output_weights(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> NDArray[np.float64]:
@@ -158,19 +189,20 @@ def pencil_units(A: NDArray, E: NDArray) -> PencilUnits:
 
 def _pencil_units(a: NDArray[np.float64], e: NDArray[np.float64]) -> PencilUnits:
     """Return the same for the sizes of the entries."""
-    unit = 0.0
+    unit: float | None = None
     p = len(a)
     for _ in range(_ROUNDS):
         v, unit = _pencil_potentials(a, e)
+        factor = 2.0 ** (unit or 0.0)
         rows, columns = np.exp2(-v[:p]), np.exp2(v[p:])
-        scaled_a, scaled_e = rows[:, None] * a * columns, 2.0**unit * rows[:, None] * e * columns
+        scaled_a, scaled_e = rows[:, None] * a * columns, factor * rows[:, None] * e * columns
         largest = np.maximum(scaled_a, scaled_e)
         keep_a, keep_e = _real(scaled_a, largest), _real(scaled_e, largest)
         if np.array_equal(keep_a, a > 0) and np.array_equal(keep_e, e > 0):
             break
         a, e = np.where(keep_a, a, 0.0), np.where(keep_e, e, 0.0)
     T = powers_of_two(v)
-    return PencilUnits(1.0 / T[:p], T[p:], float(powers_of_two(np.array(unit))))
+    return PencilUnits(1.0 / T[:p], T[p:], float(powers_of_two(np.array(unit or 0.0))), unit is not None)
 
 
 def bordered(A: NDArray, B: NDArray, C: NDArray, D: NDArray) -> NDArray[np.float64]:
@@ -264,6 +296,27 @@ def _least_squares(row: NDArray, column: NDArray, logarithms: NDArray[np.float64
     return v
 
 
+def _with_rate(
+    row: NDArray, column: NDArray, logarithms: NDArray[np.float64], dynamic: NDArray[np.bool_], count: int
+) -> tuple[NDArray[np.float64], float | None]:
+    """Minimise the same with one unknown more, by which the logarithms of dynamic entries are larger; if it matters."""
+    shared = dynamic.astype(float)
+    free = np.ones(count, dtype=bool)
+    free[_origins(row, column, count)] = False
+    L, b = _normal_equations(row, column, logarithms, count)
+    _, c = _normal_equations(row, column, shared, count)
+    v, through = np.zeros(count), np.zeros(count)
+    if free.any():
+        v[free], through[free] = np.linalg.solve(L[free][:, free], np.column_stack([b, c])[free]).T
+    # minus what the potentials make of either
+    left = shared + through[column] - through[row]
+    own = float(left @ left)
+    if own <= _NO_RATE * max(float(shared.sum()), 1.0):
+        return v, None
+    rate = float(left @ (logarithms + v[column] - v[row])) / own
+    return v - rate * through, rate
+
+
 def _normal_equations(
     row: NDArray, column: NDArray, logarithms: NDArray[np.float64], count: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -282,8 +335,8 @@ def _origins(row: NDArray, column: NDArray, count: int) -> NDArray[np.int_]:
     return np.array([part[0] for part in connected_parts(coupled)], dtype=int)
 
 
-def _pencil_potentials(a: NDArray[np.float64], e: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Return the potentials of rows and columns of a pencil, and the logarithm of the unit of ``s``."""
+def _pencil_potentials(a: NDArray[np.float64], e: NDArray[np.float64]) -> tuple[NDArray[np.float64], float | None]:
+    """Return the potentials of rows and columns of a pencil, and the logarithm of the unit of ``s``, if it has one."""
     p, q = a.shape
     places = [np.nonzero(M) for M in (a, e)]
     row = np.concatenate([at[0] for at in places])
@@ -302,7 +355,7 @@ def _pencil_potentials(a: NDArray[np.float64], e: NDArray[np.float64]) -> tuple[
         v[free], through[free] = np.linalg.solve(L[np.ix_(free, free)], np.column_stack([b, c])[free]).T
     # What of the unit no units of rows and columns can imitate; where there is nothing it stays one.
     own = float(dynamic.sum() - c @ through)
-    if own <= 1e-9 * max(dynamic.sum(), 1.0):
-        return v, 0.0
+    if own <= _NO_RATE * max(dynamic.sum(), 1.0):
+        return v, None
     unit = float(-(dynamic @ logarithms + c @ v) / own)
     return v - unit * through, unit

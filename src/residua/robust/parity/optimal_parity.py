@@ -12,6 +12,7 @@ from residua import arrays
 from residua.design.core.generator import ResidualGenerator
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS
+from residua.design.core.own_time import has_rates, in_own_time
 from residua.design.parity.relation import Relation, plant_rate
 from residua.design.parity.relation_model import RelationModel, relation_model
 from residua.design.parity.relations import ParityRelations, Poles, relations_of
@@ -22,6 +23,7 @@ from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.parts import part_numbers
 from residua.linear.systems.balancing import descriptor_units
 from residua.plant import Plant
+from residua.plant.comparable_units import PlantUnits, own_units
 from residua.plant.input_output_model import InputOutputModel
 from residua.robust.parity.best_ratios import best_ratios
 from residua.robust.parity.expected_signals import ExpectedSignals, Sizes, size_factor
@@ -32,6 +34,7 @@ _REFERENCE = "Gertler (1991), eq. (6-6); Frank and Wuennenberg (1989)"
 _BLIND = 1e-9
 
 
+@has_rates()
 @dataclass(frozen=True, eq=False)
 class OptimalParity:
     r"""Exact relations in the order of their index :math:`|w^T Q_f| / |w^T Q_d|`.
@@ -100,6 +103,7 @@ class _Task:
     singular=True,
     noise="moving average",
 )
+@in_own_time()
 def optimal_parity(
     plant: Plant | InputOutputModel,
     *,
@@ -206,10 +210,14 @@ def optimal_parity(
     True
     """
     model = relation_model(plant)
-    others = list(variants)
+    others, written = list(variants), model
+    units = own_units(model.plant).units
+    if not others:  # which come in the units of the caller
+        model, units = model.in_own_units()
     extra = [variant_columns(model.plant, others, inputs, states, correlation_time)] if others else []
     extra += [np.vstack([model.plant.Bw, model.plant.Dw])] if noise else []
-    task = replace(_task(model.plant, faults, disturbances, insensitive_to, sizes, extra), constant=bool(constant))
+    task = _task(model.plant, faults, disturbances, insensitive_to, sizes, extra, units)
+    task = replace(task, constant=bool(constant))
     aim = replace(model, plant=task.aim)
     free = replace(model, plant=task.aim.without_disturbances())
     if order != int(order) or order < 0:
@@ -229,7 +237,8 @@ def optimal_parity(
         )
     if relations != int(relations) or not 1 <= relations <= len(rows):
         raise DesignError(f"relations must be 1 to {len(rows)}, as many as there are here, got {relations!r}")
-    return _made(model, task, rows[: int(relations)], indices, gains, poles)
+    chosen = [row.in_units_of_the_plant(units) for row in rows[: int(relations)]]
+    return _made(written, task, chosen, indices, gains, poles)
 
 
 def _task(
@@ -239,6 +248,7 @@ def _task(
     insensitive_to: Iterable[str | int] | str,
     sizes: Mapping[str, float] | None,
     extra: list[NDArray[np.float64]],
+    units: PlantUnits,
 ) -> _Task:
     """Return what is wanted and unwanted, scaled."""
     ignored = [plant.faults[i] for i in arrays.positions(insensitive_to, plant.faults, "fault")]
@@ -251,6 +261,7 @@ def _task(
     # one size each, and none for a name that is neither a fault nor a disturbance
     by_name = dict(sizes or {})
     size = np.diag(size_factor(by_name, (*plant.faults, *plant.disturbances), "fault or disturbance"))
+    size = size / np.concatenate([units.faults, units.disturbances])
     f = [plant.faults.index(name) for name in names]
     g = [plant.faults.index(name) for name in ignored]
     Bf, Bd = np.vstack([plant.Bf, plant.Df]), np.vstack([plant.Bd, plant.Dd])
@@ -350,8 +361,14 @@ def _output_units(task: _Task) -> NDArray[np.float64]:
     coupled[:n, :n] |= np.eye(n, dtype=bool) if s.E is None else s.E != 0
     of_rows, of_columns = part_numbers(coupled)
     of_outputs, of_signals = of_rows[n:], of_columns[n:][:k]
-    common = [np.exp2(np.mean(np.log2(u.inputs[:k][of_signals == i]))) if i in of_signals else 1.0 for i in of_outputs]
+    common = [_mean_power(u.inputs[:k][of_signals == i]) if i in of_signals else 1.0 for i in of_outputs]
     return u.outputs * np.array(common)
+
+
+def _mean_power(powers: NDArray[np.float64]) -> float:
+    """Return the geometric mean of powers of two: of such that are a power of two as large, exactly so much larger."""
+    whole, rest = divmod(int(np.rint(np.log2(powers)).sum()), len(powers))
+    return float(np.ldexp(np.exp2(rest / len(powers)), whole))
 
 
 def _made(
