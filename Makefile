@@ -61,7 +61,8 @@ test: $(VENV)/.made-test
 	$(BIN)/ruff format --check $(CODE)
 	@# Types beside the tests, and what they say after them.
 	$(BIN)/pyright --pythonpath $(BIN)/python > $(VENV)/types.log 2>&1 & types=$$!; \
-	$(BIN)/pytest -n $(TEST_WORKERS) --dist worksteal $(if $(filter 0,$(COVERAGE)),,--cov --cov-report=term); tests=$$?; \
+	$(BIN)/pytest -n $(TEST_WORKERS) --dist worksteal $(if $(filter 0,$(COVERAGE)),,--cov --cov-report=); tests=$$?; \
+	$(if $(filter 0,$(COVERAGE)),,$(BIN)/coverage report;) \
 	wait $$types; typed=$$?; cat $(VENV)/types.log; exit $$((tests + typed))
 
 # In an environment of its own: the engines are large, and take an older pandas than the other tests.
