@@ -20,7 +20,7 @@ RECORD ?= campaign
 help:
 	@echo "make demo      diagnose a simulated jet engine and leave a report page"
 	@echo "make quick     style, types, and the tests of what changed, in a minute and a half"
-	@echo "make test      style, types, and all tests with coverage; without it, in two thirds of the time: make test COVERAGE=0"
+	@echo "make test      style, types, and all tests with coverage; without it: make test COVERAGE=0"
 	@echo "make test-cluster  monitors on Spark, Ray and Dask, real processes in an environment of their own; needs Java 17"
 	@echo "make docs      the documentation, into docs/_build/html"
 	@echo "make bench     measured speed, against other packages: the tables of the page on speed"
