@@ -20,7 +20,7 @@ RECORD ?= campaign
 help:
 	@echo "make demo      diagnose a simulated jet engine and leave a report page"
 	@echo "make quick     style, types, and the tests of what changed, in a minute and a half"
-	@echo "make test      style, types, and all tests with coverage; without it, in two thirds of the time: make test COVERAGE=0"
+	@echo "make test      style, types, and all tests with coverage; without it: make test COVERAGE=0"
 	@echo "make test-cluster  monitors on Spark, Ray and Dask, real processes in an environment of their own; needs Java 17"
 	@echo "make docs      the documentation, into docs/_build/html"
 	@echo "make bench     measured speed, against other packages: the tables of the page on speed"
@@ -61,7 +61,8 @@ test: $(VENV)/.made-test
 	$(BIN)/ruff format --check $(CODE)
 	@# Types beside the tests, and what they say after them.
 	$(BIN)/pyright --pythonpath $(BIN)/python > $(VENV)/types.log 2>&1 & types=$$!; \
-	$(BIN)/pytest -n $(TEST_WORKERS) --dist worksteal $(if $(filter 0,$(COVERAGE)),,--cov --cov-report=term); tests=$$?; \
+	$(BIN)/pytest -n $(TEST_WORKERS) --dist worksteal $(if $(filter 0,$(COVERAGE)),,--cov --cov-report=); tests=$$?; \
+	$(if $(filter 0,$(COVERAGE)),,$(BIN)/coverage report;) \
 	wait $$types; typed=$$?; cat $(VENV)/types.log; exit $$((tests + typed))
 
 # In an environment of its own: the engines are large, and take an older pandas than the other tests.

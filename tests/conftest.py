@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
-import threading
-from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 
 # Before NumPy is imported: with matrices of ten rows the threads of the linear algebra do nothing but wait for each
@@ -16,54 +12,20 @@ for _library in ("OPENBLAS", "OMP", "MKL"):
 
 import pytest  # noqa: E402
 
+import refusals  # noqa: E402
+from collected import Collected  # noqa: E402
 from guards import reached_guards  # noqa: E402, F401
-from refusals import pytest_configure, refused  # noqa: E402, F401
+from refusals import refused  # noqa: E402, F401
+from traced import Traced  # noqa: E402
 
 REPOSITORY = Path(__file__).resolve().parent.parent
-#: Of one test, the cases whose coverage is measured, and for how many seconds of processor time.
-TRACED, TRACED_SECONDS = 2, 0.2
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Measure coverage in the first cases of each test: the others walk the same lines, and tracing costs half as much
-    again as what is traced.
-    """
-    begun: Counter[str] = Counter()
-    for item in items:
-        name = _without_case(item)
-        begun[name] += 1
-        if begun[name] > TRACED:
-            item.add_marker("no_cover")
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
-    """Measure the coverage of a test as it begins: what a long one does later, it does again and again."""
-    plugin = item.config.pluginmanager.getplugin("_cov")
-    controller = getattr(plugin, "cov_controller", None)
-    alone = threading.current_thread() is threading.main_thread()
-    if controller is None or item.get_closest_marker("no_cover") or not (alone and hasattr(signal, "setitimer")):
-        return (yield)
-    stopped = False
-
-    def stop(*_: object) -> None:
-        nonlocal stopped
-        stopped = True
-        controller.cov.stop()
-
-    before = signal.signal(signal.SIGPROF, stop)
-    signal.setitimer(signal.ITIMER_PROF, TRACED_SECONDS)
-    try:
-        return (yield)
-    finally:
-        signal.setitimer(signal.ITIMER_PROF, 0)
-        signal.signal(signal.SIGPROF, before)
-        if stopped:
-            controller.cov.start()
-
-
-def _without_case(item: pytest.Item) -> str:
-    return item.nodeid.partition("[")[0]
+def pytest_configure(config: pytest.Config) -> None:
+    """Have what concerns the run as a whole, the doctests of the package included."""
+    refusals.pytest_configure(config)
+    config.pluginmanager.register(Traced(config), "traced")
+    config.pluginmanager.register(Collected(config), "collected")
 
 
 @pytest.fixture(scope="session")
