@@ -8,6 +8,7 @@ import threading
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 # Before NumPy is imported: with matrices of ten rows the threads of the linear algebra do nothing but wait for each
 # other, which takes twice the time on two cores.
@@ -18,6 +19,7 @@ import pytest  # noqa: E402
 
 from guards import reached_guards  # noqa: E402, F401
 from refusals import pytest_configure, refused  # noqa: E402, F401
+from residua.linear.systems.array_cache import forget  # noqa: E402
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 #: Of one test, the cases whose coverage is measured, and for how many seconds of processor time.
@@ -64,6 +66,28 @@ def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
 
 def _without_case(item: pytest.Item) -> str:
     return item.nodeid.partition("[")[0]
+
+
+class _Forgetful(pytest.MonkeyPatch):
+    """Patches, after each of which functions compute again what they have kept of before."""
+
+    def setattr(self, *args: Any, **options: Any) -> None:
+        """Set it, and let go of what functions have kept."""
+        super().setattr(*args, **options)
+        forget()
+
+    def undo(self) -> None:
+        """Undo all, and let go of what functions have kept since."""
+        super().undo()
+        forget()
+
+
+@pytest.fixture
+def monkeypatch() -> Iterator[pytest.MonkeyPatch]:
+    """Patches of a test, which no result that was kept hides and none that is kept outlives."""
+    patch = _Forgetful()
+    yield patch
+    patch.undo()
 
 
 @pytest.fixture(scope="session")

@@ -17,7 +17,8 @@ from residua.linear.poles.spectrum import describe_modes, match_poles, spectrum_
 from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.far_gain import refuse_far_gain
 from residua.linear.subspaces.observable_part import ObservablePart, observable_part
-from residua.linear.subspaces.rank import DEFAULT_RTOL
+from residua.linear.subspaces.rank import DEFAULT_RTOL, spectral_norm
+from residua.linear.systems.array_cache import cached_by_contents
 from residua.tolerances import POLE
 from residua.words import counted
 
@@ -145,7 +146,7 @@ def _placement(
         problem.fixed,
         error,
         condition,
-        float(np.linalg.norm(K, 2)) if K.size else 0.0,
+        spectral_norm(K),
     )
 
 
@@ -291,6 +292,7 @@ def default_margin(A: ArrayLike, dt: float = 0) -> float:
     return min(mean, 1.0 / dt) if dt else mean
 
 
+@cached_by_contents
 def place_observer_margin(
     A: ArrayLike,
     C: ArrayLike,

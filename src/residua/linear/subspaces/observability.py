@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from residua import arrays
 from residua.errors import AccuracyError
 from residua.linear.poles.stability import dies_out, modes_with_uncertainty
-from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision
+from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, spectral_norm
+from residua.linear.systems.array_cache import cached_by_contents
 from residua.linear.systems.balancing import balance_system
 from residua.linear.systems.units import system_units
 from residua.tolerances import RESIDUE, above_rounding
@@ -106,17 +107,17 @@ class Staircase:
     @property
     def size(self) -> float:
         """Spectral norm of ``A``."""
-        return float(np.linalg.norm(self.A, 2)) if self.A.size else 0.0
+        return spectral_norm(self.A)
 
 
 def _scales(A: NDArray[np.float64], C: NDArray[np.float64], rtol: float) -> tuple[float, float]:
     """Return what rank decisions on pieces of ``A`` and on ``C`` are relative to."""
     n = A.shape[0]
-    size = float(np.linalg.norm(A, 2)) if n else 0.0
+    size = spectral_norm(A)
     # Observability does not change with A - mu I; a plant sampled fast (A near I) shows its couplings only then.
-    shifted = float(np.linalg.norm(A - np.trace(A) / n * np.eye(n), 2)) if n else 0.0
+    shifted = spectral_norm(A - np.trace(A) / n * np.eye(n)) if n else 0.0
     floor = 100 * n * _EPS * size / max(rtol, _EPS)
-    return max(shifted, min(size, floor)), float(np.linalg.norm(C, 2)) if C.size else 0.0
+    return max(shifted, min(size, floor)), spectral_norm(C)
 
 
 def staircase(
@@ -199,6 +200,7 @@ def _dropped(A: NDArray, C: NDArray, Q: NDArray, k: int) -> float:
     return max(lost, default=0.0)
 
 
+@cached_by_contents
 def observability_form(A: ArrayLike, C: ArrayLike, *, rtol: float = DEFAULT_RTOL) -> ObservabilityForm:
     r"""Split a pair orthogonally into its observable part and the rest.
 
