@@ -67,4 +67,5 @@ def _rescaled(
         state_map=None if made.state_map is None else made.state_map * equations,
         static_map=None if made.static_map is None else made.static_map * equations,
         known_form=known,
+        subspaces=dict(made.subspaces),  # what is kept is not handed out to be changed
     )

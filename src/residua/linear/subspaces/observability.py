@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.linalg
@@ -104,7 +105,7 @@ class Staircase:
         kept = [one.smallest_kept for one in self.decisions[1:] if one.rank]
         return RESIDUE * max(1.0, self.size / min(kept, default=self.size or 1.0))
 
-    @property
+    @cached_property
     def size(self) -> float:
         """Spectral norm of ``A``."""
         return spectral_norm(self.A)

@@ -171,9 +171,9 @@ def _arrays(result: object) -> Iterator[NDArray]:
     if isinstance(result, np.ndarray):
         yield result
         return
-    parts = result if isinstance(result, (tuple, list)) else getattr(result, "__dict__", {}).values()
-    for part in parts:
-        if isinstance(part, (np.ndarray, tuple, list)) or hasattr(part, "__dataclass_fields__"):
+    parts = result if isinstance(result, (tuple, list)) else getattr(result, "__dict__", result)
+    for part in parts.values() if isinstance(parts, dict) else parts if isinstance(parts, (tuple, list)) else ():
+        if isinstance(part, (np.ndarray, tuple, list, dict)) or hasattr(part, "__dataclass_fields__"):
             yield from _arrays(part)
 
 
