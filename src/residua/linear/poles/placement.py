@@ -294,7 +294,6 @@ def default_margin(A: ArrayLike, dt: float = 0) -> float:
     return min(mean, 1.0 / dt) if dt else mean
 
 
-@cached_by_contents
 def place_observer_margin(
     A: ArrayLike,
     C: ArrayLike,
@@ -372,6 +371,10 @@ def place_observer_margin(
         f"({problem.order} observable states, {problem.H.shape[0]} independent outputs); "
         "ask for a smaller margin or add a sensor"
     )
+
+
+#: The same for designs, which ask for the gain of one pair many times; its arrays are read-only.
+kept_observer_margin = cached_by_contents(place_observer_margin)
 
 
 def _shifted_riccati(problem: ObservablePart, margin: float, weight: float) -> Matrix | None:

@@ -201,7 +201,6 @@ def _dropped(A: NDArray, C: NDArray, Q: NDArray, k: int) -> float:
     return max(lost, default=0.0)
 
 
-@cached_by_contents
 def observability_form(A: ArrayLike, C: ArrayLike, *, rtol: float = DEFAULT_RTOL) -> ObservabilityForm:
     r"""Split a pair orthogonally into its observable part and the rest.
 
@@ -260,6 +259,9 @@ def observability_form(A: ArrayLike, C: ArrayLike, *, rtol: float = DEFAULT_RTOL
     return ObservabilityForm(Q, At, Ct, k, form.decisions, modes, uncertainty, residual, form.size)
 
 
+_kept_form = cached_by_contents(observability_form)
+
+
 def detectability(A: ArrayLike, C: ArrayLike, *, dt: float = 0, rtol: float = DEFAULT_RTOL) -> Detectability:
     """Tell whether every unobservable mode is stable.
 
@@ -285,7 +287,7 @@ def detectability(A: ArrayLike, C: ArrayLike, *, dt: float = 0, rtol: float = DE
     >>> bool(detectability([[-1.0, 0.0], [0.0, 0.0]], [[1.0, 0.0]]))
     False
     """
-    form = observability_form(A, C, rtol=rtol)
+    form = _kept_form(A, C, rtol=rtol)
     stable = dies_out(form.unobservable_modes, form.mode_uncertainty, dt, form.size)
     unstable = form.unobservable_modes[~stable]
     return Detectability(not unstable.size, form.unobservable_modes, unstable, form)
