@@ -68,7 +68,7 @@ def _without_case(item: pytest.Item) -> str:
     return item.nodeid.partition("[")[0]
 
 
-class _Forgetful(pytest.MonkeyPatch):
+class _Forgetful(pytest.MonkeyPatch):  # pyright: ignore[reportGeneralTypeIssues]
     """Patches, after each of which functions compute again what they have kept of before."""
 
     def setattr(self, *args: Any, **options: Any) -> None:

@@ -117,7 +117,11 @@ class StateSpace:
             E_ = arrays.matrix(E, "E", (n, n), what="one row per state")
             if np.array_equal(E_, np.eye(n)):
                 E_ = None
-        named = {"inputs": (inputs, m, "v"), "outputs": (outputs, p, "y"), "states": (states, n, "x")}
+        named: dict[str, tuple[Any, int, str]] = {
+            "inputs": (inputs, m, "v"),
+            "outputs": (outputs, p, "y"),
+            "states": (states, n, "x"),
+        }
         self.__dict__.update(
             A=A_,
             B=B_,
@@ -221,7 +225,8 @@ class StateSpace:
             raise TypeError(f"a system has no {', '.join(sorted(unknown))}; known: {', '.join(_FIELDS)}")
         new = object.__new__(StateSpace)
         own: dict[str, Any] = self.__dict__
-        new._fill(*[changes.get(name, own[name]) for name in _FIELDS], of=self)
+        fields: list[Any] = [changes.get(name, own[name]) for name in _FIELDS]
+        new._fill(*fields, of=self)
         return new
 
     def select(
