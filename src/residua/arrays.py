@@ -31,14 +31,7 @@ def matrix(value: ArrayLike, name: str, shape: tuple[int | None, int | None], *,
     A one-dimensional value is taken as one column when the shape asks for ``shape[0]`` rows, as one row
     when it asks for exactly one row. ``None`` in ``shape`` leaves that side open.
     """
-    try:
-        if np.iscomplexobj(value):  # NumPy would only warn, and drop the imaginary parts
-            raise ModelError(f"{name} must be real, got complex entries")
-        M = np.asarray(value, dtype=np.float64)
-    except ModelError:
-        raise
-    except (TypeError, ValueError, OverflowError) as error:
-        raise ModelError(f"{name} must be a matrix of numbers: {error}") from error
+    M = value if type(value) is np.ndarray and value.dtype == np.float64 else _numbers(value, name)
     rows, columns = shape
     if M.ndim == 0:
         M = M.reshape(1, 1)
@@ -51,9 +44,21 @@ def matrix(value: ArrayLike, name: str, shape: tuple[int | None, int | None], *,
         wanted = " x ".join("any" if side is None else str(side) for side in shape)
         hint = f" ({what})" if what else ""
         raise ModelError(f"{name} must be {wanted}{hint}, got {M.shape[0]} x {M.shape[1]}")
-    if not np.abs(M).max(initial=0.0) <= LARGEST:  # or not a number
+    if not np.maximum.reduce(np.abs(M), axis=None, initial=0.0) <= LARGEST:  # or not a number
         _refuse_entries(M, name)
     return frozen(M)
+
+
+def _numbers(value: ArrayLike, name: str) -> NDArray[np.float64]:
+    """Return ``value`` as an array of floats, or say that it is none."""
+    try:
+        if np.iscomplexobj(value):  # NumPy would only warn, and drop the imaginary parts
+            raise ModelError(f"{name} must be real, got complex entries")
+        return np.asarray(value, dtype=np.float64)
+    except ModelError:
+        raise
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ModelError(f"{name} must be a matrix of numbers: {error}") from error
 
 
 def _refuse_entries(M: NDArray[np.float64], name: str) -> NoReturn:

@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import connected_components
 
 from residua.linear.poles.matrix_poles import explicit_poles
 from residua.linear.systems import array_cache
-from residua.linear.systems.array_cache import cached_by_entries
+from residua.linear.systems.array_cache import UnkeyedError, cached_by_contents, cached_by_entries, contents, forget
 from residua.linear.systems.balancing import balance_system
 from residua.linear.systems.units import _origins, matrix_units, pencil_units
 
@@ -104,3 +104,55 @@ def test_the_first_node_of_each_connected_part_is_that_of_scipy():
         graph = coo_array((np.ones(edges), (row, column)), shape=(count, count))
         part = connected_components(graph, directed=False)[1]
         assert np.array_equal(_origins(row, column, count), np.sort(np.unique(part, return_index=True)[1]))
+
+
+def test_contents_tell_types_signs_and_last_bits_apart():
+    plain = [
+        0.0,
+        -0.0,
+        0,
+        False,
+        None,
+        "0",
+        b"0",
+        np.float64(0.0),
+        np.zeros(1),
+        np.zeros(1, dtype=int),
+        (0,),
+        [0],
+        {0: 0},
+    ]
+    assert len({contents(value) for value in plain}) == len(plain)
+    large = np.ones((60, 60))
+    changed = large.copy()
+    changed[-1, -1] = np.nextafter(1.0, 2.0)
+    assert contents(large) == contents(large.copy()) != contents(changed)
+    for unknown in (object(), {1, 2}, np.array([None])):
+        with pytest.raises(UnkeyedError):
+            contents(unknown)
+
+
+def test_results_are_kept_by_what_arguments_hold_and_forgotten_when_asked():
+    calls = []
+
+    @cached_by_contents
+    def function(A, margin=None):
+        calls.append(margin)
+        return A[:1], [A.sum(keepdims=True)]
+
+    A = np.ones((2, 2))
+    kept = function(A, 1.0)
+    A[0, 0] = 7.0  # what is kept does not follow its arguments
+    assert function(np.ones((2, 2)), 1.0) is kept
+    assert np.array_equal(kept[0], [[1.0, 1.0]])
+    for part in (kept[0], kept[1][0]):
+        with pytest.raises(ValueError, match="read-only"):
+            part[0, 0] = 2.0
+    function(A, 1.0)
+    function(np.ones((2, 2)), 1)
+    assert len(calls) == 3
+    for _ in range(2):
+        function(np.ones((2, 2)), object())  # computed every time
+    assert len(calls) == 5
+    forget()
+    assert function(np.ones((2, 2)), 1.0) is not kept

@@ -18,6 +18,7 @@ from residua.analysis.visibility import (
 )
 from residua.errors import DesignError
 from residua.linear.subspaces.rank import check_rtol
+from residua.linear.systems.array_cache import cached_by_contents
 from residua.plant import Plant
 from residua.tolerances import TINY
 
@@ -161,14 +162,19 @@ def fault_space(plant: Plant, *, rtol: float) -> FaultSpace:
     if not plant.faults:
         raise DesignError("the plant has no faults: add some with with_sensor_faults or with_faults")
     check_rtol(rtol)
-    model = in_canonical_units(plant)
+    return _fault_space(in_canonical_units(plant), rtol)
+
+
+@cached_by_contents
+def _fault_space(model: Plant, rtol: float) -> FaultSpace:
+    """Return the same of a plant in units of its own."""
     points = generic_points(model)
     check_regular(model, points)
     columns = visible_columns(model, points, rtol)
     generic = _directions(columns, rtol)
     limit = _directions(limit_columns(model, rtol, columns.rank), rtol)
     visible = np.asarray(np.isfinite(generic.doubt).any(axis=0))
-    return FaultSpace(plant.faults, visible, columns.columns.shape[1], generic, limit, model, columns.rank, rtol)
+    return FaultSpace(model.faults, visible, columns.columns.shape[1], generic, limit, model, columns.rank, rtol)
 
 
 def _directions(visible: Visible, rtol: float) -> _Directions:

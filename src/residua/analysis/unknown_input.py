@@ -17,6 +17,7 @@ from residua.linear.subspaces.rank import (
     left_null_basis,
     null_basis,
     range_basis,
+    spectral_norm,
     without_noise,
 )
 from residua.linear.systems.balancing import descriptor_units, evened, without_rounding
@@ -67,7 +68,7 @@ def output_free_form(plant: Plant, *, rtol: float = DEFAULT_RTOL) -> OutputFreeF
     G = without_rounding(Bd, Vh[:r].T / s[:r], U[:, :r].T) * rows
     W = without_noise(np.linalg.qr((U[:, r:].T * rows).T)[0].T)
     rest = without_rounding(Bd, Vh[r:].T)
-    scale = float(np.linalg.norm(Bd, 2)) if Bd.size else 0.0
+    scale = spectral_norm(Bd)
     E, decision = factor_disturbance(rest, rtol=rtol)
     if scale and decision.singular_values.size and decision.singular_values[0] <= rtol * scale:
         E, decision = rest[:, :0], RankDecision(0, decision.singular_values, rtol * scale)

@@ -8,6 +8,7 @@ outputs and disturbances do alone, for what is decided by norms (gains, subspace
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from residua.arrays import frozen
 from residua.linear.subspaces.parts import part_numbers
+from residua.linear.systems.array_cache import Latest, entries
 from residua.linear.systems.balancing import DescriptorUnits, descriptor_units
 from residua.linear.systems.units import (
     PencilUnits,
@@ -166,6 +168,21 @@ def even_plant(plant: Plant, *, explicit: bool = False) -> EvenPlant:
         first = even_plant(plant)
         second = even_plant(first.plant.explicit())
         return EvenPlant(second.plant, first.units.then(second.units, explicit=True))
+    units = _even.of(_matrices(plant), lambda: _even_units(plant))
+    return EvenPlant(units.applied(plant), units)
+
+
+def _matrices(plant: Plant) -> Hashable:
+    """Return what the units of a plant depend on."""
+    p = plant
+    return entries(p.A, p.E, p.C, p.Bu, p.Du, p.Bd, p.Dd, p.Bf, p.Df)
+
+
+_even: Latest[PlantUnits] = Latest()
+_canonical: Latest[PlantUnits] = Latest()
+
+
+def _even_units(plant: Plant) -> PlantUnits:
     m = plant.Bu.shape[1]
     B, D = np.hstack([plant.Bu, plant.Bd]), np.hstack([plant.Du, plant.Dd])
     u = descriptor_units(plant.A, plant.E, B, plant.C, D)
@@ -173,8 +190,7 @@ def even_plant(plant: Plant, *, explicit: bool = False) -> EvenPlant:
     faults = np.vstack([u.equations[:, None] * plant.Bf, u.outputs[:, None] * plant.Df])
     sizes = np.linalg.norm(faults, axis=0)
     sizes = powers_of_two(np.log2(np.where(sizes > 0, sizes, 1.0)))
-    units = PlantUnits(u.equations, u.states, u.outputs, u.inputs[:m], u.inputs[m:], 1 / sizes)
-    return EvenPlant(units.applied(plant), units)
+    return PlantUnits(u.equations, u.states, u.outputs, u.inputs[:m], u.inputs[m:], 1 / sizes)
 
 
 def _levelled(u: DescriptorUnits, plant: Plant, B: NDArray[np.float64], D: NDArray[np.float64]) -> DescriptorUnits:
@@ -202,6 +218,10 @@ def canonical_units(plant: Plant, *, controls: bool = True) -> PlantUnits:
     Scaled by them, plants in units that differ by powers of two are the same to the last bit. Without ``controls``
     these take no part, and stay as they are.
     """
+    return _canonical.of((_matrices(plant), controls), lambda: _canonical_units(plant, controls))
+
+
+def _canonical_units(plant: Plant, controls: bool) -> PlantUnits:
     roles = [(plant.Bd, plant.Dd), (plant.Bf, plant.Df), *([(plant.Bu, plant.Du)] if controls else [])]
     B, D = (np.hstack([role[k] for role in roles]) for k in (0, 1))
     bordered = np.block([[plant.A, B], [plant.C, D]])

@@ -12,7 +12,7 @@ from residua.arrays import frozen
 from residua.errors import AccuracyError, ModelError
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import dies_out, modes_with_uncertainty
-from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision
+from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, spectral_norm
 from residua.linear.systems.state_space import StateSpace
 from residua.plant.observer_form import (
     ReachablePart,
@@ -151,7 +151,7 @@ def _margin(part: ReachablePart) -> float:
 
 def _check_removed(removed: NDArray, uncertainty: NDArray, kept: StateSpace, dt: float) -> None:
     """Raise when a mode that is not stable was removed and no pole that stays is the same."""
-    size = float(np.linalg.norm(kept.A, 2)) if kept.n_states else 0.0
+    size = spectral_norm(kept.A)
     unstable = ~dies_out(removed, uncertainty, dt, max(size, float(np.abs(removed).max(initial=0.0))))
     poles, moved = modes_with_uncertainty(kept.A)
     hidden = []

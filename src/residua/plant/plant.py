@@ -227,17 +227,14 @@ class Plant(FaultFacts):
         letters = [ROLES[role] for role in chosen]
         labels = tuple(name for role in chosen for name in channels[role])
         empty_B, empty_D = np.zeros((self.n_states, 0)), np.zeros((self.n_outputs, 0))
-        return StateSpace(
-            self.A,
-            np.hstack([empty_B, *(getattr(self, "B" + letter) for letter in letters)]),
-            self.C,
-            np.hstack([empty_D, *(getattr(self, "D" + letter) for letter in letters)]),
-            E=self.E,
-            dt=self.dt,
-            inputs=labels if len(set(labels)) == len(labels) else by_role(list(chosen), channels),
-            outputs=self.outputs,
-            states=self.states,
-        )
+        driven = {
+            "B": np.hstack([empty_B, *(getattr(self, "B" + letter) for letter in letters)]),
+            "D": np.hstack([empty_D, *(getattr(self, "D" + letter) for letter in letters)]),
+            "inputs": labels if len(set(labels)) == len(labels) else by_role(list(chosen), channels),
+        }
+        for known in self._systems.values():  # the same states and outputs, whose poles are had already
+            return known.replaced(**driven)
+        return StateSpace(self.A, C=self.C, E=self.E, dt=self.dt, outputs=self.outputs, states=self.states, **driven)
 
     def __repr__(self) -> str:
         kind = f"dt={self.dt:g} s" if self.is_discrete else "continuous"

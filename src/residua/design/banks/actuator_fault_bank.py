@@ -103,7 +103,7 @@ def actuator_fault_bank(
     return build_bank(
         plant,
         wanted_by_scheme(scheme, actuators, "decoupled from"),
-        member_design(observer, poles=poles, margin=margin, rtol=rtol),
+        member_design(observer, plant, poles=poles, margin=margin, rtol=rtol),
         f"{scheme} bank of {observer} observers",
         allow_missing=allow_missing,
         advice=advice_for(observer),

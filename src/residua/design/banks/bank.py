@@ -24,7 +24,8 @@ from residua.plant import Plant
 from residua.plant.comparable_units import canonical_units
 from residua.words import counted
 
-#: Designs one member: takes its name, and the plant in which what the member ignores are disturbances.
+#: Designs one member: takes its name, and the plant in which what the member ignores are disturbances; returns it for
+#: that plant, or for the whole one.
 MemberDesign = Callable[[str, Plant], ResidualGenerator]
 #: States of all members together beyond which a design takes minutes, and the stacked filter runs slowly.
 MOST_STATES = 4000
@@ -201,7 +202,9 @@ def build_bank(
 
 
 def for_whole_plant(part: ResidualGenerator, plant: Plant) -> ResidualGenerator:
-    """Return a member as generator of the plant with all its faults, in their order."""
+    """Return a member as generator of the plant with all its faults, in their order; one that is that stays."""
+    if part.plant is plant:
+        return part
     if plant.E is not None and part.plant.E is None:
         plant = plant.explicit()
     known = part.known_form

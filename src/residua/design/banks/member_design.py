@@ -3,30 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
+import numpy as np
 from numpy.typing import ArrayLike
 
-from residua.design.banks.bank import MemberDesign
+from residua.design.banks.bank import MemberDesign, for_whole_plant
 from residua.design.banks.decoupled_residual import decoupled_residual
+from residua.design.core.canonical_design import designed_in_own_units
 from residua.design.core.generator import ResidualGenerator
 from residua.design.detection_filters.directional_gain import checked_options
 from residua.design.observers.descriptor_observer import descriptor_observer
 from residua.design.observers.perfect_observer import perfect_observer
 from residua.design.observers.unknown_input_observer import unknown_input_observer
 from residua.errors import DesignError
+from residua.linear.subspaces.rank import DEFAULT_RTOL
 from residua.plant import Plant
+from residua.plant.comparable_units import PlantUnits, canonical_units
 
 KINDS = ("unknown-input", "reduced-order", "perfect", "minimal")
 
 
 def member_design(
-    kind: str, *, poles: Sequence[complex] | ArrayLike | None, margin: float | None, rtol: float
+    kind: str, plant: Plant, *, poles: Sequence[complex] | ArrayLike | None, margin: float | None, rtol: float
 ) -> MemberDesign:
     """Return how members of a kind are designed.
 
     Parameters
     ----------
     kind : {"unknown-input", "reduced-order", "perfect", "minimal"}
+    plant : Plant
+        With all faults that the bank is about.
     poles : sequence of complex, optional
         The same for every member.
     margin : float, optional
@@ -35,7 +42,7 @@ def member_design(
     Returns
     -------
     callable
-        From the plant, in which what is to be ignored are disturbances, to the residual generator.
+        From a name and the plant, in which what is to be ignored are disturbances, to the residual generator.
 
     Raises
     ------
@@ -48,12 +55,50 @@ def member_design(
     if kind == "reduced-order":
         return lambda _, p: _with_some_held_out(p, poles, margin, rtol)
     if kind == "minimal":
-        return lambda _, p: decoupled_residual(p, poles=poles, margin=margin, rtol=rtol)
+        return decoupled_member(plant, poles=poles, margin=margin, rtol=rtol)
     if kind == "perfect":
         if poles is not None or margin is not None:
             raise DesignError("a perfect observer has no poles to place: leave out poles and margin")
         return lambda _, p: perfect_observer(p, rtol=rtol).residual_generator()
     raise DesignError(f"unknown kind of observer {kind!r}; known: {', '.join(KINDS)}")
+
+
+def decoupled_member(
+    plant: Plant,
+    *,
+    poles: Sequence[complex] | ArrayLike | None = None,
+    margin: float | None = None,
+    rtol: float = DEFAULT_RTOL,
+) -> MemberDesign:
+    """Return how members that are decoupled residuals are designed, each with all faults of a plant.
+
+    In the plant's own units from the design to the check with all faults, so that banks share their members.
+    """
+    # of poles and margins that a user chooses nothing is kept: they may be arrays, or wrong
+    kept = poles is None and margin is None and isinstance(rtol, float)
+
+    def design(_: str, part: Plant) -> ResidualGenerator:
+        ignored = part.disturbances[len(plant.disturbances) :]
+
+        def member(own: Plant) -> ResidualGenerator:
+            found = decoupled_residual(own.faults_as_disturbances(ignored), poles=poles, margin=margin, rtol=rtol)
+            return for_whole_plant(found, own)
+
+        asked = ("member", ignored, rtol) if kept else None
+        return designed_in_own_units(plant, member, asked, _units_of_member(plant, part, ignored))
+
+    return design
+
+
+def _units_of_member(plant: Plant, part: Plant, ignored: tuple[str, ...]) -> PlantUnits:
+    """Return the units of a plant in which it is in canonical ones once the faults that a member ignores are no faults.
+
+    A residual of outputs alone is in those of the first signal that reaches it, which is another then.
+    """
+    units, own = canonical_units(part), len(plant.disturbances)
+    of_fault = dict(zip((*part.faults, *ignored), [*units.faults, *units.disturbances[own:]], strict=True))
+    faults = np.array([of_fault[name] for name in plant.faults])
+    return replace(units, disturbances=units.disturbances[:own], faults=faults)
 
 
 def advice_for(kind: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from residua.analysis.coding_sets import Structure
 from residua.design.banks.bank import Bank, build_bank, wanted_rows
-from residua.design.banks.decoupled_residual import decoupled_residual
+from residua.design.banks.member_design import decoupled_member
 from residua.design.core.method import method
 from residua.design.core.needs import FAULTS_APART, ROWS
 from residua.design.core.own_time import in_own_time
@@ -86,7 +86,7 @@ def structured_bank(
     return build_bank(
         plant,
         wanted_rows(structure, plant.faults),
-        lambda _, p: decoupled_residual(p, margin=margin, rtol=rtol),
+        decoupled_member(plant, margin=margin, rtol=rtol),
         "structured bank",
         allow_missing=allow_missing,
         reference="Gertler (1991), section 4",

@@ -11,8 +11,16 @@ from residua.design.core.signals import signal_names
 from residua.linear import StateSpace
 from residua.linear.subspaces.detection_space import confining_gain, detection_space
 from residua.linear.subspaces.parts import row_parts
-from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis, range_basis, without_noise
+from residua.linear.subspaces.rank import (
+    RankDecision,
+    decide_rank,
+    left_null_basis,
+    range_basis,
+    spectral_norm,
+    without_noise,
+)
 from residua.linear.subspaces.reachability import reachable_basis
+from residua.linear.systems.array_cache import cached_by_contents
 from residua.linear.systems.balancing import descriptor_units, without_rounding
 from residua.plant import Plant
 from residua.tolerances import RESIDUE, ROUNDING, above_rounding
@@ -92,6 +100,7 @@ class Quotient:
     direct: RankDecision
 
 
+@cached_by_contents
 def unknown_input_quotient(parts: ExplicitParts, rtol: float) -> Quotient:
     """Divide out the smallest unobservability subspace that holds the unknown inputs."""
     U, s, Vh = np.linalg.svd(parts.D)
@@ -105,7 +114,7 @@ def unknown_input_quotient(parts: ExplicitParts, rtol: float) -> Quotient:
     S = detection_space(A, C, L, rtol=rtol).basis if L.shape[1] else _unobservable(A, C, rtol)
     if S.shape[1]:
         inject = confining_gain(A, C, S)
-        scale = float(np.linalg.norm(parts.C, 2)) if parts.C.size else 0.0  # what is left of C may be all rounding
+        scale = spectral_norm(parts.C)  # what is left of C may be all rounding
         H = _left_null_rows(C @ S, rtol, scale)
         P = left_null_basis(S)[0]
     else:

@@ -14,18 +14,22 @@ from residua.plant import Plant
 from residua.plant.comparable_units import PlantUnits, canonical_units
 from residua.words import unit_of_rates
 
-_kept: Latest[ResidualGenerator] = Latest()
+_kept: Latest[ResidualGenerator] = Latest(times=4)
 
 
 def designed_in_own_units(
-    plant: Plant, design: Callable[[Plant], ResidualGenerator], asked: Hashable = None
+    plant: Plant,
+    design: Callable[[Plant], ResidualGenerator],
+    asked: Hashable = None,
+    units: PlantUnits | None = None,
 ) -> ResidualGenerator:
     """Return what a design makes of the plant in canonical units, as a generator for the plant as it was written.
 
     ``asked`` holds all that the design is asked for; the latest results are kept by it and by the plant, unless it is
-    ``None``: banks, and methods that are tried in turn, want the same residual many times.
+    ``None``: banks, and methods that are tried in turn, want the same residual many times. Another choice of canonical
+    units is in ``units``.
     """
-    units = canonical_units(plant)
+    units = canonical_units(plant) if units is None else units
     own = units.applied(plant)
     if asked is None:
         return in_units_of(plant, units, design(own))
@@ -64,4 +68,5 @@ def _rescaled(
         state_map=None if made.state_map is None else made.state_map * equations,
         static_map=None if made.static_map is None else made.static_map * equations,
         known_form=known,
+        subspaces=dict(made.subspaces),  # what is kept is not handed out to be changed
     )

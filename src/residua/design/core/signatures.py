@@ -50,6 +50,42 @@ class FaultResponses:
     residuals: NDArray[np.float64]
 
 
+@dataclass(frozen=True, eq=False)
+class FaultColumns:
+    """What faults do to an internal form and to its plant, in units of their own, with what it is made of."""
+
+    own: EvenUnits
+    p: EvenUnits
+    B_terms: NDArray[np.float64]
+    D_terms: NDArray[np.float64]
+
+    @classmethod
+    def of(
+        cls, generator: StateSpace, plant: Plant, form: StateSpace, T: NDArray | None, V: NDArray | None
+    ) -> FaultColumns:
+        """Return the columns of the faults: the internal form's states and residuals are in the generator's units."""
+        n_u, n_f = len(plant.inputs), len(plant.faults)
+        # disturbances and controls take part in the units: they connect outputs that no fault connects
+        every = in_even_units(plant.system(("fault", "disturbance", "control")))
+        p = EvenUnits(every.system.select(inputs=range(n_f)), every.inputs[:n_f], every.outputs, every.equations)
+        B, D = form.B[:, :n_f] * p.inputs, form.D[:, :n_f] * p.inputs
+        own = in_even_units(form.replaced(B=B, D=D, inputs=form.inputs[:n_f]))
+        if T is None:
+            return cls(own, p, np.zeros((form.n_states, n_f)), np.zeros((form.n_outputs, n_f)))
+        Gy, Hy = (np.abs(M[:, n_u:]) / p.outputs for M in (generator.B, generator.D))
+        Bf, Df = np.abs(p.system.B), np.abs(p.system.D)
+        B = _largest(np.abs(T) / p.equations, Bf) + _largest(Gy, Df)
+        D = _largest(Hy, Df) + (0.0 if V is None else _largest(np.abs(V) / p.equations, Bf))
+        return cls(own, p, B, D)
+
+
+@dataclass(frozen=True, eq=False)
+class CheckedResponses(JointResponses):
+    """Joint responses, with the columns of the faults that they were computed of."""
+
+    columns: FaultColumns
+
+
 def fault_responses(
     generator: StateSpace,
     plant: Plant,
@@ -57,7 +93,7 @@ def fault_responses(
     T: NDArray | None,
     V: NDArray | None,
     w: NDArray,
-    known: JointResponses | None = None,
+    known: CheckedResponses | None = None,
 ) -> FaultResponses:
     r"""Return the responses of a residual to the faults of its plant, and which of them there are.
 
@@ -79,7 +115,7 @@ def fault_responses(
         The state and the static map of the generator, if it has them.
     w : ndarray
         Frequencies in rad/s.
-    known : JointResponses, optional
+    known : CheckedResponses, optional
         The responses at the frequencies of leaks, instead of those at ``w``.
 
     Returns
@@ -87,7 +123,7 @@ def fault_responses(
     FaultResponses
     """
     n_u = len(plant.inputs)
-    made = _FaultColumns.of(generator, plant, form, T, V)
+    made = FaultColumns.of(generator, plant, form, T, V) if known is None else known.columns
     own, p = made.own, made.p
     scaled = own.system.replaced(B=own.system.B / own.inputs, D=own.system.D / own.inputs)
     if known is not None:
@@ -110,42 +146,14 @@ def fault_responses(
     return FaultResponses(scaled, np.where(reached, values, 0.0), terms, driven, reached, own.outputs)
 
 
-@dataclass(frozen=True, eq=False)
-class _FaultColumns:
-    """What faults do to an internal form and to its plant, in units of their own, with what it is made of."""
-
-    own: EvenUnits
-    p: EvenUnits
-    B_terms: NDArray[np.float64]
-    D_terms: NDArray[np.float64]
-
-    @classmethod
-    def of(
-        cls, generator: StateSpace, plant: Plant, form: StateSpace, T: NDArray | None, V: NDArray | None
-    ) -> _FaultColumns:
-        """Return the columns of the faults: the internal form's states and residuals are in the generator's units."""
-        n_u, n_f = len(plant.inputs), len(plant.faults)
-        # disturbances and controls take part in the units: they connect outputs that no fault connects
-        every = in_even_units(plant.system(("fault", "disturbance", "control")))
-        p = EvenUnits(every.system.select(inputs=range(n_f)), every.inputs[:n_f], every.outputs, every.equations)
-        own = form.select(inputs=range(n_f))
-        own = in_even_units(own.replaced(B=own.B * p.inputs, D=own.D * p.inputs))
-        if T is None:
-            return cls(own, p, np.zeros((form.n_states, n_f)), np.zeros((form.n_outputs, n_f)))
-        Gy, Hy = (np.abs(M[:, n_u:]) / p.outputs for M in (generator.B, generator.D))
-        Bf, Df = np.abs(p.system.B), np.abs(p.system.D)
-        B = _largest(np.abs(T) / p.equations, Bf) + _largest(Gy, Df)
-        D = _largest(Hy, Df) + (0.0 if V is None else _largest(np.abs(V) / p.equations, Bf))
-        return cls(own, p, B, D)
-
-
 def checked_responses(
     generator: StateSpace, plant: Plant, form: StateSpace, T: NDArray, V: NDArray | None
-) -> JointResponses:
+) -> CheckedResponses:
     """Return the responses by which a generator with a state map is checked for leaks and signatures."""
-    made = _FaultColumns.of(generator, plant, form, T, V)
+    made = FaultColumns.of(generator, plant, form, T, V)
     of_faults = form.select(inputs=range(len(plant.faults)))
-    return joint_responses(generator, plant, of_faults, made.B_terms / made.p.inputs, made.D_terms / made.p.inputs)
+    terms = made.B_terms / made.p.inputs, made.D_terms / made.p.inputs
+    return CheckedResponses(**vars(joint_responses(generator, plant, of_faults, *terms)), columns=made)
 
 
 def _largest(rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
@@ -160,7 +168,7 @@ def signature_bases(
     form: StateSpace,
     state_map: NDArray | None = None,
     static_map: NDArray | None = None,
-    known: JointResponses | None = None,
+    known: CheckedResponses | None = None,
     *,
     rtol: float = 1e-6,
 ) -> tuple[dict[str, NDArray[np.float64]], float]:
@@ -179,7 +187,7 @@ def signature_bases(
         Their internal form, faults first.
     state_map, static_map : ndarray, optional
         Those of the generator, if it has them.
-    known : JointResponses, optional
+    known : CheckedResponses, optional
         The responses, where they are known already.
     rtol : float
         Directions that carry less than this fraction of the response at every frequency are not there, but where
@@ -201,12 +209,19 @@ def signature_bases(
         if columns.shape[1] == 0:
             bases[name] = np.zeros((form.n_outputs, 0))
             continue
-        U, s, _ = np.linalg.svd(np.hstack([columns.real, columns.imag]), full_matrices=False)
-        basis = np.linalg.qr((units / responses.residuals)[:, None] * U[:, : _dimension(s, rtol)])[0]
+        basis = _basis(columns, units / responses.residuals, rtol)
         if basis.shape[1] == 1 and (responses.residuals * basis[:, 0]) @ first_response(responses.form, i) < 0:
             basis = -basis
         bases[name] = _marked(basis, responses.reached[:, i])
     return bases, max(outside_subspaces(responses, bases, plant.faults).values(), default=0.0)
+
+
+def _basis(columns: NDArray[np.complex128], units: NDArray[np.float64], rtol: float) -> NDArray[np.float64]:
+    """Return an orthonormal basis, in given units, of the directions that the columns of a response take."""
+    if len(columns) == 1:
+        return np.ones((1, 1))
+    U, s, _ = np.linalg.svd(np.concatenate([columns.real, columns.imag], axis=1), full_matrices=False)
+    return np.linalg.qr(units[:, None] * U[:, : _dimension(s, rtol)])[0]
 
 
 def _dimension(s: NDArray[np.float64], rtol: float) -> int:
@@ -244,6 +259,9 @@ def outside_subspaces(
     units = residual_units(responses)
     out = {}
     for i, name in enumerate(faults):
+        if len(units) == 1 and bases[name].any():  # the whole of a line: nothing lies outside
+            out[name] = 0.0
+            continue
         columns = _unit_columns(responses.values[:, :, i].T / units[:, None])
         basis = np.linalg.qr((responses.residuals / units)[:, None] * bases[name])[0]
         rest = columns - basis @ (basis.T @ columns)

@@ -13,7 +13,7 @@ from residua.errors import DesignError
 from residua.linear.poles.placement import place_observer_margin, place_observer_poles
 from residua.linear.poles.pole_assignment import real_block_diagonal
 from residua.linear.subspaces.observability import observability_form
-from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis, null_basis
+from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis, null_basis, spectral_norm
 from residua.linear.systems.balancing import without_rounding
 from residua.tolerances import TINY, above_rounding
 
@@ -52,7 +52,7 @@ def left_rows(parts: IgnoredColumns, *, approximate: bool, rtol: float) -> LeftR
     As ``h = s C`` is a row of ``C`` itself, the eigenvalue does not matter.
     """
     A, C = parts.A, parts.C
-    scale = float(np.linalg.norm(C, 2)) if C.size else 0.0
+    scale = spectral_norm(C)
     blind = left_null_basis(C @ parts.stacked, rtol=rtol, scale=scale)[0].T if parts.columns else np.eye(len(C))
     if not len(blind):
         raise DesignError(
@@ -65,7 +65,7 @@ def left_rows(parts: IgnoredColumns, *, approximate: bool, rtol: float) -> LeftR
     still, H = full @ blind, Vh[:k]  # every h of length one is a combination of the rows of H
     N, rank_C = null_basis(C, rtol=rtol)
     missed = H @ A @ N
-    size = float(np.linalg.norm(H @ A, 2)) if H.size else 0.0
+    size = spectral_norm(H @ A)
     basis, decision = left_null_basis(missed, rtol=rtol, scale=max(size, TINY))
     rows = basis.T
     ranks = {"rank C": rank_C}

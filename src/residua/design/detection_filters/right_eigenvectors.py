@@ -21,7 +21,7 @@ from residua.linear.subspaces.detection_space import (
     split_blocks,
 )
 from residua.linear.subspaces.observability import observability_form
-from residua.linear.subspaces.rank import left_null_basis, range_basis
+from residua.linear.subspaces.rank import left_null_basis, range_basis, spectral_norm
 from residua.linear.subspaces.reachability import reachable_basis
 from residua.tolerances import TINY, above_rounding
 
@@ -56,7 +56,7 @@ def confinements(parts: IgnoredColumns, *, combine: bool, rtol: float) -> tuple[
     With ``combine`` the space in which also the invariant zeros of the columns are free is another way.
     """
     A, C = parts.A, parts.C
-    scale = float(np.linalg.norm(C, 2)) if C.size else 0.0
+    scale = spectral_norm(C)
     together = conditioned_invariant_basis(A, C, parts.stacked, rtol=rtol)
     outputs, _ = range_basis(C @ together, rtol=rtol, scale=scale)
     S0 = (left_null_basis(outputs)[0] if outputs.shape[1] else np.eye(len(C))).T

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua.design.detection_filters.directional_gain import checked_options
 from residua.errors import AccuracyError, DesignError, ModelError
 from residua.linear.poles.matrix_poles import explicit_poles
-from residua.linear.poles.placement import Placement, default_margin, place_observer_margin, place_observer_poles
+from residua.linear.poles.placement import Placement, default_margin, kept_observer_margin, place_observer_poles
 from residua.linear.poles.pole_assignment import real_block_diagonal
 from residua.linear.subspaces.rank import without_rounded_gains
 from residua.linear.systems.balancing import state_units
@@ -35,7 +35,7 @@ def place(
     if isinstance(poles, Mapping):
         raise DesignError("an observer takes a list of poles; poles per fault are for the detection filters")
     if poles is None:
-        return place_observer_margin(A, C, default_margin(A, dt) if margin is None else margin, dt=dt, rtol=rtol)
+        return kept_observer_margin(A, C, default_margin(A, dt) if margin is None else margin, dt=dt, rtol=rtol)
     placed = place_observer_poles(A, C, poles, dt=dt, rtol=rtol)
     if placed.error > POLE_ERROR:  # within what rounding does to it, which the placement itself allows
         raise AccuracyError(

@@ -16,6 +16,7 @@ from residua.linear.subspaces.rank import (
     decide_rank,
     null_basis,
     range_basis,
+    spectral_norm,
     without_noise,
     without_rounded_gains,
 )
@@ -145,8 +146,8 @@ def _deadbeat(M: Matrix, H: Matrix, rtol: float, scale: float) -> tuple[Matrix, 
     """
     c, k = M.shape[0], H.shape[0]
     At, Bt = M.T, H.T
-    scale_A = max(float(np.linalg.norm(M, 2)) if M.size else 0.0, scale, np.finfo(float).tiny)
-    scale_B = max(float(np.linalg.norm(H, 2)) if H.size else 0.0, np.finfo(float).tiny)
+    scale_A = max(spectral_norm(M), scale, np.finfo(float).tiny)
+    scale_B = max(spectral_norm(H), np.finfo(float).tiny)
     if k == 1 and c >= _LARGE:
         sure, chain = _single_chain(At, Bt[:, 0], rtol, scale_A)
         if sure:
@@ -368,7 +369,7 @@ def _attempt(
     c, count = len(p.M), len(p.H)
     Qo, Qu = Q[:, :k], Q[:, k:]
     Ho = p.H @ Qo
-    whole, seen = float(np.linalg.norm(p.M, 2)), float(np.linalg.norm(Ho, 2)) if Ho.size else 0.0
+    whole, seen = float(np.linalg.norm(p.M, 2)), spectral_norm(Ho)
     # What moves N as much as it is large already; without anything to move, what moves G as much.
     size = whole / seen if seen > p.rtol and whole > p.rtol else float(np.linalg.norm(p.inverse, 2))
     strength = size * (0.1, 0.3, 1.0)[attempt % 3]

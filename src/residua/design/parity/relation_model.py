@@ -13,6 +13,7 @@ from residua.design.core.evidence import format_pole
 from residua.errors import ModelError
 from residua.linear.polynomials.pencil_null_space import Pencil, pencil
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis, basis_on_poles
+from residua.linear.systems.array_cache import cached_by_contents
 from residua.plant import Plant
 from residua.plant.comparable_units import PlantUnits, canonical_units, even_plant
 from residua.plant.input_output_model import InputOutputModel
@@ -118,6 +119,7 @@ def state_pencil(
     return pencil(P0, P1, basis, canonical=canonical)
 
 
+@cached_by_contents
 def basis_for(plant: Plant, count: int) -> PolynomialBasis:
     """Return the basis on the poles of a plant, each used as often as needed for a number of nodes.
 

@@ -23,6 +23,7 @@ from residua.design.parity.relation import Relation, changed, digits_lost, plant
 from residua.errors import AccuracyError, DesignError, SettingError
 from residua.linear import PolynomialMatrix, StateSpace, is_stable_mode
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
+from residua.linear.systems.array_cache import cached_by_contents
 from residua.linear.systems.balancing import descriptor_units, power_of_two
 from residua.plant import Plant
 from residua.plant.comparable_units import PlantUnits, canonical_units
@@ -201,6 +202,7 @@ class ParityRelations:
             rows.append(replace(row, p=row.p / units.equations, q=row.q / units.outputs, ignored=ignored))
         return replace(self, plant=units.applied(self.plant), rows=tuple(rows))
 
+    @cached_by_contents
     def _filtered(
         self, chosen: list[NDArray[np.complex128]], method: str, notes: Sequence[str], *, asked: bool
     ) -> ResidualGenerator:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from residua.errors import AccuracyError, ModelError
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import is_stable_mode
+from residua.linear.subspaces.rank import spectral_norm
 from residua.linear.systems.balancing import state_units
 from residua.linear.systems.state_space import StateSpace
 
@@ -83,11 +84,7 @@ class TailBound:
 
     def beyond(self, X: Matrix) -> float:
         """Return the bound for the terms ``C X, C A X, C A^2 X, ...``."""
-        return self.output * _largest(self.L.T @ X) / (1 - self.contraction)
-
-
-def _largest(M: Matrix) -> float:
-    return float(np.linalg.norm(M, 2)) if M.size else 0.0
+        return self.output * spectral_norm(self.L.T @ X) / (1 - self.contraction)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,9 +117,9 @@ def tail_bound(system: StableSystem) -> TailBound | TriangularTailBound:
         return TailBound(np.zeros((0, 0)), 0.0, 0.0)
     L = _contracting(system.A, 0.5 * (1 + system.radius))
     if L is not None:
-        contraction = _largest(scipy.linalg.solve_triangular(L, (L.T @ system.A).T, lower=True))
+        contraction = spectral_norm(scipy.linalg.solve_triangular(L, (L.T @ system.A).T, lower=True))
         if contraction < 1:
-            return TailBound(L, contraction, _largest(scipy.linalg.solve_triangular(L, system.C.T, lower=True)))
+            return TailBound(L, contraction, spectral_norm(scipy.linalg.solve_triangular(L, system.C.T, lower=True)))
     return _by_triangle(system)
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from residua.errors import AccuracyError
 from residua.linear.norms.impulse_terms import StableSystem
+from residua.linear.subspaces.rank import spectral_norm
 
 Matrix = NDArray[np.float64]
 #: In place of the logarithm of a size that does not exist.
@@ -42,7 +43,7 @@ def star_ellipsoid(system: StableSystem, *, xtol: float = 1e-10) -> Ellipsoid:
     :math:`\lambda`, sums and maxima of log-convex functions are log-convex, and so the bound has one minimum only:
     the search cannot end in another.
     """
-    direct = float(np.linalg.norm(system.D, 2)) if system.D.size else 0.0
+    direct = spectral_norm(system.D)
     n, m = system.B.shape
     if not n or not m or not np.any(system.B) or not np.any(system.C):
         return Ellipsoid(np.zeros((n, n)), 0.5, direct)

@@ -12,6 +12,7 @@ from residua import arrays
 from residua.errors import AccuracyError, ModelError
 from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import is_stable_mode
+from residua.linear.subspaces.rank import spectral_norm
 from residua.linear.systems.balancing import balance_system, power_of_two
 
 Matrix = NDArray[np.float64]
@@ -48,10 +49,10 @@ class _System:
     def gain(self, theta: float) -> float:
         """Return the largest singular value of the frequency response."""
         if np.isinf(theta):
-            return _largest(self.D)
+            return spectral_norm(self.D)
         point = np.exp(1j * theta) if self.dt else 1j * theta
         X = np.linalg.solve(point * np.eye(self.A.shape[0]) - self.A, self.B)
-        return _largest(self.C @ X + self.D)
+        return spectral_norm(self.C @ X + self.D)
 
     def crossings(self, level: float) -> NDArray[np.float64]:
         """Return frequencies that include every one at which a singular value equals ``level``."""
@@ -87,10 +88,6 @@ class _System:
         size = np.maximum(np.abs(values), 1e-8 * np.abs(values).max(initial=0.0))
         near = np.abs(values.real) < 1e-5 * size
         return np.unique(np.abs(values.imag[near]))
-
-
-def _largest(M: NDArray) -> float:
-    return float(np.linalg.norm(M, 2)) if M.size else 0.0
 
 
 def _stable_system(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike | None, dt: float) -> _System:
@@ -174,7 +171,7 @@ def hinf_norm(
     system = _stable_system(A, B, C, D, dt)
     per_second = 1 / system.dt if system.dt else 1.0
     if not system.A.size or not system.B.size or not system.C.size:
-        return PeakGain(_largest(system.D), 0.0)
+        return PeakGain(spectral_norm(system.D), 0.0)
     best, where = max((system.gain(theta), -theta) for theta in _first_frequencies(system))
     where = -where
     if best <= np.finfo(float).tiny:

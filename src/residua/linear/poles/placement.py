@@ -17,7 +17,8 @@ from residua.linear.poles.spectrum import describe_modes, match_poles, spectrum_
 from residua.linear.poles.stability import is_stable_mode
 from residua.linear.subspaces.far_gain import refuse_far_gain
 from residua.linear.subspaces.observable_part import ObservablePart, observable_part
-from residua.linear.subspaces.rank import DEFAULT_RTOL
+from residua.linear.subspaces.rank import DEFAULT_RTOL, spectral_norm
+from residua.linear.systems.array_cache import cached_by_contents
 from residua.tolerances import POLE
 from residua.words import counted, unit_of_rates
 
@@ -145,7 +146,7 @@ def _placement(
         problem.fixed,
         error,
         condition,
-        float(np.linalg.norm(K, 2)) if K.size else 0.0,
+        spectral_norm(K),
     )
 
 
@@ -221,7 +222,7 @@ def place_observer_poles(
     for K in gains:
         block, leak = _closed_loop(problem, K)
         error, achieved, reached = spectrum_error(block, wanted, problem.dt, tolerance)
-        reached = reached and _is_closed_loop_stable(problem, block, leak)
+        reached = reached and _is_closed_loop_stable(problem, block, np.linalg.eigvals(block), leak)
         placed = _placement(problem, K, wanted, error, achieved, block)
         rank = (not reached, 0.0 if reached else error, placed.norm)
         if best is None or rank < best[0]:
@@ -242,14 +243,16 @@ def place_observer_poles(
     return best[1]
 
 
-def _is_closed_loop_stable(problem: ObservablePart, block: Matrix, leak: float, margin: float = 0.0) -> bool:
+def _is_closed_loop_stable(
+    problem: ObservablePart, block: Matrix, poles: NDArray, leak: float, margin: float = 0.0
+) -> bool:
     """Check that the poles are stable, whatever dropped couplings of size ``leak`` do to them.
 
     What couples from the unobservable part into the observable one would be zero but for rounding and for what
     the staircase dropped; a large gain magnifies it.
     """
     size = float(np.linalg.norm(block)) + float(np.linalg.norm(problem.form.A))
-    return bool(is_stable_mode(np.linalg.eigvals(block), problem.dt, margin).all() and leak <= 1e-6 * size)
+    return bool(is_stable_mode(poles, problem.dt, margin).all() and leak <= 1e-6 * size)
 
 
 def default_margin(A: ArrayLike, dt: float = 0) -> float:
@@ -357,8 +360,9 @@ def place_observer_margin(
         tried.append(L)
         K = problem.full_gain(L)
         block, leak = _closed_loop(problem, K)
-        if _is_closed_loop_stable(problem, block, leak, margin):
-            return _placement(problem, K, none, 0.0, np.linalg.eigvals(block).astype(complex), block)
+        poles = np.linalg.eigvals(block)
+        if _is_closed_loop_stable(problem, block, poles, leak, margin):
+            return _placement(problem, K, none, 0.0, poles.astype(complex), block)
     for L in sorted(tried, key=np.linalg.norm)[:1]:
         # Rounding of a huge gain moves the poles, and whether they pass is luck: the reason must not hang on it.
         refuse_far_gain(problem.F, problem.H, L, 1.0 if problem.dt else margin)
@@ -367,6 +371,10 @@ def place_observer_margin(
         f"({problem.order} observable states, {problem.H.shape[0]} independent outputs); "
         "ask for a smaller margin or add a sensor"
     )
+
+
+#: The same for designs, which ask for the gain of one pair many times; its arrays are read-only.
+kept_observer_margin = cached_by_contents(place_observer_margin)
 
 
 def _shifted_riccati(problem: ObservablePart, margin: float, weight: float) -> Matrix | None:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from residua import arrays
 from residua.errors import AccuracyError
 from residua.linear.poles.matrix_poles import is_regular, is_rounding_of_zero
-from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, decide_rank
+from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, decide_rank, spectral_norm
 from residua.linear.systems.balancing import balance_system, descriptor_units, power_of_two
 
 
@@ -81,7 +81,7 @@ def _standard(M: Matrices, E: NDArray[np.float64], rtol: float, decisions: list[
 def _balanced(M: Matrices) -> tuple[Matrices, float]:
     """Balance a standard system and choose the unit of ``s``, which outputs take too: all blocks stay comparable."""
     s = balance_system(*M)
-    size = float(np.linalg.norm(s.A, 2)) if s.A.size else 0.0
+    size = spectral_norm(s.A)
     unit = float(power_of_two(np.array(size))) if size else 1.0
     return (s.A / unit, s.B / unit, s.C / unit, s.D / unit), unit
 

@@ -13,7 +13,7 @@ from residua.linear.polynomials.degree_search import at_smallest_degree
 from residua.linear.polynomials.polynomial_basis import PolynomialBasis
 from residua.linear.subspaces.parts import row_parts
 from residua.linear.subspaces.rank import RankDecision, decide_rank, left_null_basis
-from residua.linear.systems.array_cache import Latest, entries
+from residua.linear.systems.array_cache import Latest, cached_by_contents, entries
 from residua.linear.systems.balancing import evened
 from residua.tolerances import RESIDUE, above_rounding
 
@@ -88,6 +88,7 @@ def pencil(
     return Pencil(P0, P1, basis, rows, columns)
 
 
+@cached_by_contents
 def pencil_null_vectors(problem: Pencil, degree: int, *, rtol: float = PENCIL_RTOL) -> PencilNullVectors:
     r"""Return all polynomial rows ``x(z)`` of at most a degree with ``x(z) (P_0 + z P_1) = 0``.
 
@@ -188,6 +189,7 @@ def _certain_degree(problem: Pencil) -> int | None:
     return dynamic // spare if spare > 0 else None
 
 
+@cached_by_contents
 def shortest_pencil_null_vectors(problem: Pencil, *, most: int, rtol: float = PENCIL_RTOL) -> PencilNullVectors | None:
     """Return the polynomial rows of the smallest degree that annihilate a pencil; ``None`` when none is up to ``most``.
 

@@ -14,6 +14,7 @@ from residua.linear.subspaces.rank import (
     left_null_basis,
     null_basis,
     range_basis,
+    spectral_norm,
     without_noise,
     without_rounded_gains,
 )
@@ -67,7 +68,7 @@ def detection_space(A: NDArray, C: NDArray, L: NDArray, *, rtol: float = DEFAULT
     Gertler (1991), section 5.1, eqs. (5-5) to (5-8), after White and Speyer (1987) and Massoumnia (1986).
     """
     W = conditioned_invariant_basis(A, C, L, rtol=rtol)
-    scale = float(np.linalg.norm(C, 2)) if C.size else 0.0
+    scale = spectral_norm(C)
     outputs, _ = range_basis(C @ W, rtol=rtol, scale=scale)
     if W.shape[1] == 0:
         return DetectionSpace(W, outputs)
@@ -86,8 +87,8 @@ def conditioned_invariant_basis(
 ) -> NDArray[np.float64]:
     """Return an orthonormal basis of the smallest ``W`` that contains ``L`` and ``A (W with C x = 0)``."""
     L0, _ = range_basis(L, rtol=rtol)
-    scale_A = float(np.linalg.norm(A, 2)) if A.size else 0.0
-    scale_C = float(np.linalg.norm(C, 2)) if C.size else 0.0
+    scale_A = spectral_norm(A)
+    scale_C = spectral_norm(C)
     W = L0
     while W.shape[1]:
         hidden, _ = null_basis(C @ W, rtol=rtol, scale=scale_C)

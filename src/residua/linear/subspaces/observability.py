@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.linalg
@@ -11,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from residua import arrays
 from residua.errors import AccuracyError
 from residua.linear.poles.stability import dies_out, modes_with_uncertainty
-from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision
+from residua.linear.subspaces.rank import DEFAULT_RTOL, RankDecision, spectral_norm
+from residua.linear.systems.array_cache import cached_by_contents
 from residua.linear.systems.balancing import balance_system
 from residua.linear.systems.units import system_units
 from residua.tolerances import RESIDUE, above_rounding
@@ -103,20 +105,20 @@ class Staircase:
         kept = [one.smallest_kept for one in self.decisions[1:] if one.rank]
         return RESIDUE * max(1.0, self.size / min(kept, default=self.size or 1.0))
 
-    @property
+    @cached_property
     def size(self) -> float:
         """Spectral norm of ``A``."""
-        return float(np.linalg.norm(self.A, 2)) if self.A.size else 0.0
+        return spectral_norm(self.A)
 
 
 def _scales(A: NDArray[np.float64], C: NDArray[np.float64], rtol: float) -> tuple[float, float]:
     """Return what rank decisions on pieces of ``A`` and on ``C`` are relative to."""
     n = A.shape[0]
-    size = float(np.linalg.norm(A, 2)) if n else 0.0
+    size = spectral_norm(A)
     # Observability does not change with A - mu I; a plant sampled fast (A near I) shows its couplings only then.
-    shifted = float(np.linalg.norm(A - np.trace(A) / n * np.eye(n), 2)) if n else 0.0
+    shifted = spectral_norm(A - np.trace(A) / n * np.eye(n)) if n else 0.0
     floor = 100 * n * _EPS * size / max(rtol, _EPS)
-    return max(shifted, min(size, floor)), float(np.linalg.norm(C, 2)) if C.size else 0.0
+    return max(shifted, min(size, floor)), spectral_norm(C)
 
 
 def staircase(
@@ -257,6 +259,9 @@ def observability_form(A: ArrayLike, C: ArrayLike, *, rtol: float = DEFAULT_RTOL
     return ObservabilityForm(Q, At, Ct, k, form.decisions, modes, uncertainty, residual, form.size)
 
 
+_kept_form = cached_by_contents(observability_form)
+
+
 def detectability(A: ArrayLike, C: ArrayLike, *, dt: float = 0, rtol: float = DEFAULT_RTOL) -> Detectability:
     """Tell whether every unobservable mode is stable.
 
@@ -282,7 +287,7 @@ def detectability(A: ArrayLike, C: ArrayLike, *, dt: float = 0, rtol: float = DE
     >>> bool(detectability([[-1.0, 0.0], [0.0, 0.0]], [[1.0, 0.0]]))
     False
     """
-    form = observability_form(A, C, rtol=rtol)
+    form = _kept_form(A, C, rtol=rtol)
     stable = dies_out(form.unobservable_modes, form.mode_uncertainty, dt, form.size)
     unstable = form.unobservable_modes[~stable]
     return Detectability(not unstable.size, form.unobservable_modes, unstable, form)

@@ -13,6 +13,7 @@ from residua.linear.poles.spectrum import describe_modes
 from residua.linear.poles.stability import dies_out, modes_with_uncertainty
 from residua.linear.subspaces.observability import Staircase, staircase
 from residua.linear.subspaces.rank import without_rounded_gains
+from residua.linear.systems.array_cache import cached_by_contents
 
 Matrix = NDArray[np.float64]
 Poles = NDArray[np.complex128]
@@ -82,6 +83,7 @@ class ObservablePart:
         return projected
 
 
+@cached_by_contents
 def observable_part(A: ArrayLike, C: ArrayLike, dt: float, rtol: float) -> ObservablePart:
     """Split off the unobservable part of a pair, or say which of its modes is not stable.
 

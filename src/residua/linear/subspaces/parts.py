@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+#: Nodes up to which a graph is walked faster in lists than in arrays.
+_FEW = 16
+
 
 def row_parts(M: NDArray) -> list[NDArray[np.int_]]:
     """Return the rows of a matrix in groups that share no column, each with the first of its rows first.
@@ -39,10 +42,33 @@ def connected_parts(coupled: NDArray[np.bool_]) -> list[NDArray[np.int_]]:
         Whether an edge leads from one node to another; its direction does not count.
     """
     either = coupled | coupled.T
-    left = np.ones(len(coupled), dtype=bool)
+    return _by_lists(either) if len(either) <= _FEW else _by_rows(either)
+
+
+def _by_lists(either: NDArray[np.bool_]) -> list[NDArray[np.int_]]:
+    """Return the parts of a graph of few nodes, one node after the other."""
+    neighbours = [np.flatnonzero(row).tolist() for row in either]
+    new = [True] * len(neighbours)
+    parts = []
+    for first in range(len(new)):
+        if not new[first]:
+            continue
+        part, new[first] = [first], False
+        for node in part:  # grows on the way
+            for other in neighbours[node]:
+                if new[other]:
+                    new[other] = False
+                    part.append(other)
+        parts.append(np.array(sorted(part)))
+    return parts
+
+
+def _by_rows(either: NDArray[np.bool_]) -> list[NDArray[np.int_]]:
+    """Return the parts of a graph of many nodes, by all that a step reaches at once."""
+    left = np.ones(len(either), dtype=bool)
     parts = []
     while left.any():
-        inside = np.zeros(len(coupled), dtype=bool)
+        inside = np.zeros(len(either), dtype=bool)
         inside[int(left.argmax())] = True
         reached = inside
         while reached.any():

@@ -68,6 +68,11 @@ class RankDecision:
         return f"rank {self.rank} (smallest kept {kept}, largest dropped {self.largest_dropped:.3g}{rest})"
 
 
+def spectral_norm(M: NDArray) -> float:
+    """Return the largest singular value; asked for so often that the checks of ``numpy.linalg.norm`` would count."""
+    return float(np.linalg.svd(M, compute_uv=False)[0]) if M.size else 0.0
+
+
 def check_rtol(rtol: float) -> None:
     """Raise when a tolerance of rank decisions is negative, one or more, or no number."""
     try:

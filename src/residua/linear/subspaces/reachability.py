@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residua.linear.subspaces.observability import staircase
-from residua.linear.subspaces.rank import DEFAULT_RTOL, range_basis
+from residua.linear.subspaces.rank import DEFAULT_RTOL, range_basis, spectral_norm
 from residua.linear.systems.state_space import StateSpace
 
 
@@ -18,7 +18,7 @@ def reachable_basis(A: NDArray, B: NDArray, *, rtol: float = DEFAULT_RTOL) -> ND
     """
     V, _ = range_basis(B, rtol=rtol)
     fresh = V
-    scale = max(float(np.linalg.norm(A, 2)) if A.size else 0.0, np.finfo(float).tiny)
+    scale = max(spectral_norm(A), np.finfo(float).tiny)
     while fresh.shape[1] and V.shape[1] < A.shape[0]:
         candidate = A @ fresh
         for _ in range(2):  # twice is enough to stay orthogonal

@@ -90,30 +90,45 @@ def _in_even_units(system: StateSpace) -> EvenUnits:
     return EvenUnits(scaled, V, Y, R)
 
 
+_known: Latest[ResponseTerms] = Latest()
+
+
 def response_terms(
     system: StateSpace, points: Complex, B_terms: Real | None = None, D_terms: Real | None = None
 ) -> ResponseTerms:
-    """Return the responses at complex points, with their terms; those of ``B`` and ``D`` are their own when omitted."""
+    """Return the responses at complex points, with their terms; those of ``B`` and ``D`` are their own when omitted.
+
+    The latest results are kept: of one plant every filter is checked by the same.
+    """
+    key = entries(system.A, system.B, system.C, system.D, system.E, points, B_terms, D_terms)
+    return _known.of(key, lambda: _response_terms(system, points, B_terms, D_terms))
+
+
+def _response_terms(system: StateSpace, points: Complex, B_terms: Real | None, D_terms: Real | None) -> ResponseTerms:
     B, D = np.abs(system.B) if B_terms is None else B_terms, np.abs(system.D) if D_terms is None else D_terms
     n, shape = system.n_states, (len(points), *system.D.shape)
-    if not n:
-        return ResponseTerms(np.broadcast_to(system.D, shape).astype(complex), np.broadcast_to(D, shape).astype(float))
     values, terms = np.broadcast_to(system.D, shape).astype(complex), np.broadcast_to(D, shape).astype(float)
+    if not n:
+        return ResponseTerms(values, terms)
     for part in independent_parts(system.A, system.E):
-        states = np.ix_(part, part)
-        rows = np.flatnonzero(system.C[:, part].any(axis=1))
-        columns = np.flatnonzero((system.B[part] != 0).any(axis=0) | (B[part] != 0).any(axis=0))
-        Cp, Bp = system.C[np.ix_(rows, part)], system.B[np.ix_(part, columns)]
-        E = None if system.E is None else system.E[states]
-        X, Y = solutions(system.A[states], E, points, Bp, Cp)
+        A, E, C = system.A[np.ix_(part, part)], system.E, system.C[:, part]
+        E = None if E is None else E[np.ix_(part, part)]
+        driven, of_terms = system.B[part], B[part]
+        rows = np.flatnonzero(C.any(axis=1))
+        columns = np.flatnonzero(driven.any(axis=0) | of_terms.any(axis=0))
+        C, driven, of_terms = C.take(rows, axis=0), driven.take(columns, axis=1), of_terms.take(columns, axis=1)
+        X, Y = solutions(A, E, points, driven, C)
         inside, before = np.abs(X), np.abs(Y)
-        through = before @ (_sizes_times(system.A[states], E, points, inside) + B[np.ix_(part, columns)])
-        at = np.ix_(np.arange(len(points)), rows, columns)
-        values[at] += Cp @ X
-        terms[at] += np.abs(Cp) @ inside + through
+        through = before @ (_sizes_times(A, E, points, inside) + of_terms)
+        at = slice(None), rows[:, None], columns
+        values[at] += C @ X
+        terms[at] += np.abs(C) @ inside + through
     # what pivoting leaves where no coupling leads is nothing, whatever stands beside it
     own = paths(system, system.B, system.D)
-    return ResponseTerms(np.where(own, values, 0.0), np.where(paths(system, B, D), terms, 0.0))
+    values = np.where(own, values, 0.0)
+    if B_terms is not None or D_terms is not None:
+        own = paths(system, B, D)
+    return ResponseTerms(values, np.where(own, terms, 0.0))
 
 
 def accurate_response(system: StateSpace, points: Complex, signals: Complex | None = None) -> Complex:

@@ -80,7 +80,7 @@ class StateSpace:
         outputs: Iterable[str] | None = None,
         states: Iterable[str] | None = None,
     ) -> None:
-        self._fill(A, B, C, D, E, dt, inputs, outputs, states, checked=())
+        self._fill(A, B, C, D, E, dt, inputs, outputs, states, of=None)
 
     def _fill(
         self,
@@ -94,43 +94,48 @@ class StateSpace:
         outputs: Iterable[str] | None,
         states: Iterable[str] | None,
         *,
-        checked: tuple[NDArray | None, ...],
+        of: StateSpace | None,
     ) -> None:
-        """Set the fields; of matrices of another system, which are ``checked``, only the shapes are looked at."""
-
-        def own(M: Any, rows: int, columns: int) -> bool:
-            if not any(M is one for one in checked if one is not None):
-                return False
-            return rows in (-1, M.shape[0]) and columns in (-1, M.shape[1])
-
-        A_: Any = A if own(A, -1, -1) and np.shape(A)[0] == np.shape(A)[1] else square(A, "A")
+        """Set the fields; of what is that of another system, ``of``, and checked, only the shapes are looked at."""
+        old: Any = _NOTHING if of is None else of.__dict__
+        A_: Any = A if A is old["A"] else square(A, "A")
         n = A_.shape[0]
-        B_: Any = B if own(B, n, -1) else arrays.matrix(B, "B", (n, None), what="one row per state")
-        C_: Any = C if own(C, -1, n) else arrays.matrix(C, "C", (None, n), what="one column per state")
+        B_: Any = B
+        if B is not old["B"] or B_.shape[0] != n:
+            B_ = arrays.matrix(B, "B", (n, None), what="one row per state")
+        C_: Any = C
+        if C is not old["C"] or C_.shape[1] != n:
+            C_ = arrays.matrix(C, "C", (None, n), what="one column per state")
         m, p = B_.shape[1], C_.shape[0]
         D_: Any = D
         if D is None:
             D_ = frozen(np.zeros((p, m)))
-        elif not own(D, p, m):
+        elif D is not old["D"] or D_.shape != (p, m):
             D_ = arrays.matrix(D, "D", (p, m), what="outputs x inputs")
         E_: Any = E
-        if E is not None and not own(E, n, n):
+        if E is not None and (E is not old["E"] or E_.shape != (n, n)):
             E_ = arrays.matrix(E, "E", (n, n), what="one row per state")
-        if E_ is not None and np.array_equal(E_, np.eye(n)):
-            E_ = None
-        fields = {
-            "A": A_,
-            "B": B_,
-            "C": C_,
-            "D": D_,
-            "E": E_,
-            "dt": arrays.sample_step(dt),
-            "inputs": arrays.names(inputs, m, "v", "inputs"),
-            "outputs": arrays.names(outputs, p, "y", "outputs"),
-            "states": arrays.names(states, n, "x", "states"),
+            if np.array_equal(E_, np.eye(n)):
+                E_ = None
+        named: dict[str, tuple[Any, int, str]] = {
+            "inputs": (inputs, m, "v"),
+            "outputs": (outputs, p, "y"),
+            "states": (states, n, "x"),
         }
-        for name, value in fields.items():
-            object.__setattr__(self, name, value)
+        self.__dict__.update(
+            A=A_,
+            B=B_,
+            C=C_,
+            D=D_,
+            E=E_,
+            dt=dt if dt is old["dt"] else arrays.sample_step(dt),
+            **{
+                what: given if given is old[what] and len(given) == count else arrays.names(given, count, prefix, what)
+                for what, (given, count, prefix) in named.items()
+            },
+        )
+        if A_ is old["A"] and E_ is old["E"] and "_poles" in old:
+            self.__dict__["_poles"] = old["_poles"]
 
     # ------------------------------------------------------------------ facts
 
@@ -216,26 +221,29 @@ class StateSpace:
 
     def replaced(self, **changes: object) -> StateSpace:
         """Return a copy with some of the constructor's arguments changed."""
-        if unknown := changes.keys() - set(_FIELDS):
+        if unknown := changes.keys() - _FIELDS:
             raise TypeError(f"a system has no {', '.join(sorted(unknown))}; known: {', '.join(_FIELDS)}")
-        fields: dict[str, Any] = {name: getattr(self, name) for name in _FIELDS} | changes
         new = object.__new__(StateSpace)
-        new._fill(**fields, checked=(self.A, self.B, self.C, self.D, self.E))
+        own: dict[str, Any] = self.__dict__
+        fields: list[Any] = [changes.get(name, own[name]) for name in _FIELDS]
+        new._fill(*fields, of=self)
         return new
 
     def select(
         self, *, outputs: Iterable[str | int] | None = None, inputs: Iterable[str | int] | None = None
     ) -> StateSpace:
         """Return the system with only the named (or numbered) channels, in that order."""
-        rows = arrays.positions(outputs, self.outputs, "output")
-        columns = arrays.positions(inputs, self.inputs, "input")
-        return self.replaced(
-            B=self.B[:, columns],
-            C=self.C[rows],
-            D=self.D[np.ix_(rows, columns)],
-            inputs=[self.inputs[i] for i in columns],
-            outputs=[self.outputs[i] for i in rows],
-        )
+        changes: dict[str, Any] = {}
+        D = self.D
+        if outputs is not None:
+            rows = arrays.positions(outputs, self.outputs, "output")
+            changes |= {"C": self.C.take(rows, axis=0), "outputs": tuple([self.outputs[i] for i in rows])}
+            D = changes["D"] = D.take(rows, axis=0)
+        if inputs is not None:
+            columns = arrays.positions(inputs, self.inputs, "input")
+            changes |= {"B": self.B.take(columns, axis=1), "inputs": tuple([self.inputs[i] for i in columns])}
+            changes["D"] = D.take(columns, axis=1)
+        return self.replaced(**changes)
 
     def series(self, other: StateSpace) -> StateSpace:
         """Return ``other`` after ``self``: the outputs of ``self`` drive the inputs of ``other`` in order."""
@@ -351,7 +359,9 @@ class StateSpace:
         )
 
 
-_FIELDS = ("A", "B", "C", "D", "E", "dt", "inputs", "outputs", "states")
+_FIELDS = dict.fromkeys(("A", "B", "C", "D", "E", "dt", "inputs", "outputs", "states"))
+#: The fields of no other system: nothing that a user passes is one of them.
+_NOTHING = dict.fromkeys(_FIELDS, object())
 
 
 def square(value: ArrayLike, name: str) -> NDArray[np.float64]:
