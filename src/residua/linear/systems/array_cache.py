@@ -143,8 +143,8 @@ def contents(value: object) -> Hashable:
 def cached_by_contents(function: Callable[..., R]) -> Callable[..., R]:
     """Return a pure function that keeps its latest results by what its arguments hold; arrays of results are read-only.
 
-    And by the unit that rates are worked on in, which is in the texts of results. Arguments that :func:`contents` does not know, such as a user's own classes, are computed every time. Threads may
-    share it. An error is not kept.
+    And by the unit that rates are worked on in, which is in the texts of results. Arguments that :func:`contents` does
+    not know, such as a user's own classes, are computed every time. Threads may share it. An error is not kept.
     """
     latest: Latest[R] = Latest()
 
