@@ -7,6 +7,9 @@
 #define RESIDUA_JUDGING_H
 
 #include <math.h>
+#if defined(HAVE_AVX2)
+#include <immintrin.h>
+#endif
 
 #define LARGEST_WHITENED 1e120 /* as in residua.decide.whitened_norm */
 #define LARGEST_SQUARES 9e239  /* sums of squares up to here are of numbers up to there */
@@ -68,6 +71,7 @@ typedef struct {
     flag *usable, *over, *alarm;
     whole *up;
     int is_judged; /* q is there already, and the squares of its rows in `statistic` */
+    int is_laned;  /* whether a long piece may be judged part by part */
     int is_quiet;  /* nothing is over, and nothing was: `over`, `alarm` and `up` are not written then */
 } piece;
 
@@ -464,13 +468,108 @@ pignatiello_runger(const test_plan *t, const double *now, const double *e, doubl
     return left;
 }
 
+/* ---- Crosier's sums of a long piece, part by part at the same time ------------------------------------------------ */
+
+#define LANES 16       /* parts of a piece */
+#define LEAST_LANE 128 /* samples of a part, at least */
+#define CHECKED 16     /* samples after which parts are compared */
+#define MAX_LANED 6    /* residuals, at most: the more there are, the longer it takes until sums come together */
+
+#if defined(HAVE_AVX2)
+/* Some samples of all parts, from `from` on; those of one part lie `each` samples behind those of the one before. */
+#define DEFINE_LANES(K)                                                                                               \
+    AVX2 static void crosier_lanes_##K(const test_plan *t, double *restrict now, const double *restrict e,            \
+                                       double *restrict statistic, Py_ssize_t from, Py_ssize_t some, Py_ssize_t each) \
+    {                                                                                                                 \
+        const __m256d allowance = _mm256_set1_pd(t->allowance), full = _mm256_set1_pd(FULL * t->threshold);           \
+        const __m256d zero = _mm256_setzero_pd();                                                                     \
+        const Py_ssize_t apart = each * K;                                                                            \
+        for (Py_ssize_t i = from; i < from + some; i++) {                                                             \
+            const double *at = e + i * K;                                                                             \
+            double *to = statistic + i;                                                                               \
+            _Pragma("GCC unroll 4") for (int l = 0; l < LANES; l += 4, at += 4 * apart, to += 4 * each)               \
+            {                                                                                                         \
+                __m256d sum[K], total = zero;                                                                         \
+                _Pragma("GCC unroll 8") for (int j = 0; j < K; j++)                                                   \
+                {                                                                                                     \
+                    const __m256d new = _mm256_setr_pd(at[j], at[apart + j], at[2 * apart + j], at[3 * apart + j]);   \
+                    sum[j] = _mm256_add_pd(_mm256_load_pd(now + j * LANES + l), new);                                 \
+                    total = _mm256_add_pd(total, _mm256_mul_pd(sum[j], sum[j]));                                      \
+                }                                                                                                     \
+                const __m256d length = _mm256_sqrt_pd(total), above = _mm256_sub_pd(length, allowance);               \
+                const __m256d left = _mm256_min_pd(_mm256_max_pd(above, zero), full);                                 \
+                const __m256d is_long = _mm256_cmp_pd(length, zero, _CMP_GT_OQ);                                      \
+                const __m256d part = _mm256_and_pd(_mm256_div_pd(left, length), is_long);                             \
+                _Pragma("GCC unroll 8") for (int j = 0; j < K; j++)                                                   \
+                    _mm256_store_pd(now + j * LANES + l, _mm256_mul_pd(sum[j], part));                                \
+                const __m128d low = _mm256_castpd256_pd128(left), high = _mm256_extractf128_pd(left, 1);              \
+                _mm_storel_pd(to, low);                                                                               \
+                _mm_storeh_pd(to + each, low);                                                                        \
+                _mm_storel_pd(to + 2 * each, high);                                                                   \
+                _mm_storeh_pd(to + 3 * each, high);                                                                   \
+            }                                                                                                         \
+        }                                                                                                             \
+    }
+DEFINE_LANES(1)
+DEFINE_LANES(2)
+DEFINE_LANES(3)
+DEFINE_LANES(4)
+DEFINE_LANES(5)
+DEFINE_LANES(6)
+typedef void (*lanes_runner)(const test_plan *, double *, const double *, double *, Py_ssize_t, Py_ssize_t, Py_ssize_t);
+static const lanes_runner lanes_table[MAX_LANED] = {crosier_lanes_1, crosier_lanes_2, crosier_lanes_3,
+                                                    crosier_lanes_4, crosier_lanes_5, crosier_lanes_6};
+
+/* The first samples of a piece, which is cut into parts. Each part begins at zero, and then again with what the one
+ * before has left: sums that begin apart come together, to the last bit, as what is left of either is shortened each
+ * time. How many samples that were; 0, and nothing has happened, where they do not come together within their part, or
+ * there is an alarm. `room` is for what has been at some samples. */
+static Py_ssize_t
+crosier_by_parts(const test_plan *t, double *sums, const piece *p, double *room, Py_ssize_t k)
+{
+    const Py_ssize_t each = p->time / LANES / CHECKED * CHECKED, size = k * LANES;
+    if (!p->is_laned || k > MAX_LANED || each < LEAST_LANE || !all_set(p->usable, p->time))
+        return 0;
+    double now[MAX_LANED * LANES] __attribute__((aligned(32)));
+    double *const ends = room + each / CHECKED * size;
+    const lanes_runner run = lanes_table[k - 1];
+    for (Py_ssize_t j = 0; j < size; j++)
+        now[j] = j % LANES == 0 ? sums[j / LANES] : 0.0;
+    for (Py_ssize_t i = 0; i < each; i += CHECKED) {
+        run(t, now, p->e, p->statistic, i, CHECKED, each);
+        memcpy(room + i / CHECKED * size, now, (size_t)size * sizeof(double));
+    }
+    memcpy(ends, now, (size_t)size * sizeof(double));
+    for (Py_ssize_t j = 0; j < size; j++)
+        now[j] = j % LANES == 0 ? sums[j / LANES] : ends[j - 1];
+    int differs = 1;
+    for (Py_ssize_t i = 0; i < each && differs; i += CHECKED) {
+        run(t, now, p->e, p->statistic, i, CHECKED, each);
+        differs = memcmp(room + i / CHECKED * size, now, (size_t)size * sizeof(double)) != 0;
+    }
+    if (differs || !(largest_of(p->statistic, each * LANES) <= t->threshold))
+        return 0;
+    for (Py_ssize_t j = 0; j < k; j++)
+        sums[j] = ends[j * LANES + LANES - 1];
+    return each * LANES;
+}
+#else
+INLINE Py_ssize_t
+crosier_by_parts(const test_plan *t, double *sums, const piece *p, double *room, Py_ssize_t k)
+{
+    (void)t, (void)sums, (void)p, (void)room, (void)k;
+    return 0;
+}
+#endif
+
 /* Cumulative sums of a piece; `sums` of one plant, and whether it is in alarm behind them. */
 INLINE void
 cumulative_sums(const test_plan *t, double *sums, piece *p, double *then, Py_ssize_t k)
 {
     const Py_ssize_t count = t->sums - 1;
     int alarmed = sums[count] > 0;
-    for (Py_ssize_t i = 0; i < p->time; i++) {
+    Py_ssize_t i = t->kind == CROSIER && !alarmed ? crosier_by_parts(t, sums, p, p->history, k) : 0;
+    for (; i < p->time; i++) {
         const double *e = p->e + i * k;
         const double value = t->kind == PAGE      ? page(t, sums, e, then, k)
                              : t->kind == CROSIER ? crosier(t, sums, e, then, k)

@@ -120,7 +120,7 @@ judge_parts(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
     double *const spare = s->small;
     part_piece m = outputs_of_parts(b, plant, first, s);
     piece p = {time, s->r, s->q, s->sums, s->statistic, out_f8(b, OUT_SCORES, plant, first), s->e, s->history,
-               s->usable, s->over, s->alarm, s->up, 0, 0};
+               s->usable, s->over, s->alarm, s->up, 0, 0, 0};
     if (b->out[OUT_READY].base != NULL)
         copy_flags(out_b1(b, OUT_READY, plant, first), s->usable, time);
     const int is_read = n->kind == DIRECTIONS || b->out[OUT_WHITENED].base != NULL;
@@ -160,14 +160,12 @@ judge_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
     const test_row test = row_of_test(self, row);
     double *part = s->small, *spare = part + k + t->sums + t->directions + 2;
     piece p = {time, s->r, s->q, s->sums, s->statistic, out_f8(b, OUT_SCORES, plant, first), s->e, s->history,
-               s->usable, s->over, s->alarm, s->up, s->is_judged, 0};
+               s->usable, s->over, s->alarm, s->up, s->is_judged, self->path == PATH_AVX2, 0};
     if (b->out[OUT_READY].base != NULL)
         copy_flags(out_b1(b, OUT_READY, plant, first), s->usable, time);
     const int has_squares = (s->is_short && squares_of_rows(t, &p, nr, k)) || whiten(t, &p, nr, k);
     if (t->kind == NORM)
         judge_norm(t, &test, &p, k, has_squares);
-    else if (s->is_chained)
-        memcpy(p.statistic, p.e, (size_t)time * sizeof(double));
     else
         judge_stream(t, &test, &p, part, spare, k, has_squares);
     raise_alarms(t, &test, &p);
@@ -232,6 +230,36 @@ clear_outputs(const Runner *self, const block *b, Py_ssize_t place)
         }
 }
 
+/* The filter of some samples that are judged at once, piece by piece; of how many, if one is left. */
+static Py_ssize_t
+filter_pieces(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, Py_ssize_t k, Py_ssize_t time,
+              scratch *s)
+{
+    if (time <= PIECE)
+        return filter_piece(self, b, plant, row, k, time, s) ? time : 0;
+    const scratch whole = *s;
+    int is_judged = 1;
+    Py_ssize_t done = 0;
+    while (done < time) {
+        const Py_ssize_t some = time - done < PIECE ? time - done : PIECE;
+        s->usable = whole.usable + done;
+        s->own_r = whole.own_r + done * self->nr;
+        s->filter.q = whole.q + done * self->test.k;
+        s->filter.squares = whole.statistic + done;
+        if (!filter_piece(self, b, plant, row, k + done, some, s))
+            break;
+        is_judged &= s->is_judged;
+        done += some;
+    }
+    s->usable = whole.usable;
+    s->own_r = whole.own_r;
+    s->filter.q = whole.filter.q;
+    s->filter.squares = whole.filter.squares;
+    s->r = b->out[OUT_RESIDUALS].base == NULL ? s->own_r : out_f8(b, OUT_RESIDUALS, plant, k);
+    s->is_judged = is_judged;
+    return done;
+}
+
 static Py_ssize_t
 run_plant(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, Py_ssize_t k, scratch *s)
 {
@@ -239,12 +267,13 @@ run_plant(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, 
     if (b->is_used)
         clear_outputs(self, b, plant);
     while (k < b->time) {
-        const Py_ssize_t time = b->time - k < PIECE ? b->time - k : PIECE;
-        if (!filter_piece(self, b, plant, row, k, time, s))
+        const Py_ssize_t time = b->time - k < self->span ? b->time - k : self->span;
+        const Py_ssize_t done = filter_pieces(self, b, plant, row, k, time, s);
+        if (done == 0)
             break;
         s->count = *I8(self, COUNT, row) + k - begin;
-        judge(self, b, plant, row, k, time, s);
-        k += time;
+        judge(self, b, plant, row, k, done, s);
+        k += done;
     }
     *I8(self, COUNT, row) += k - begin;
     return k;
@@ -539,8 +568,7 @@ point_at_plan(Runner *self)
             t->padded[4 + 4 * i + j] = t->whitening[i * t->k + j];
     }
     self->judge = self->nr <= 4 && t->k <= 4 ? t->padded : NULL;
-    self->chains = self->judge != NULL && self->path == PATH_AVX2 && t->kind == CROSIER && !t->order
-                   && !t->knots_of_each && self->n >= 1 && self->n <= MAX_SMALL;
+    self->span = self->path == PATH_AVX2 && t->kind == CROSIER && t->k <= MAX_LANED ? LONG_PIECE : PIECE;
     self->sums_squares = self->judge != NULL && self->naming.kind == NOBODY
                          && ((t->kind == NORM && t->window == 1)
                              || (t->kind == CHI_SQUARED && !t->order && !t->knots_of_each));
@@ -716,13 +744,14 @@ small_size(const Runner *self)
 static void *
 make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
 {
-    const Py_ssize_t samples = time < CHUNK ? CHUNK : time < PIECE ? time : PIECE, k = self->test.k;
+    const Py_ssize_t samples = time < CHUNK ? CHUNK : time < self->span ? time : self->span, k = self->test.k;
     const test_plan *t = &self->test;
     const Py_ssize_t widest = t->directions > k ? t->directions : k;
     const Py_ssize_t room_e = t->kind == NORM || t->kind == PARTS ? 0 : samples * k;
     const Py_ssize_t states = (3 * CHUNK + 3) * (self->n + 1) + 16;
     const int is_summed = t->kind >= CHI_SQUARED && t->kind <= DIRECTED_GLR;
-    const Py_ssize_t history = is_summed ? widest * (t->window - 1 + samples + 16) : 0;
+    const Py_ssize_t lanes = t->kind == CROSIER ? (samples / LANES / CHECKED + 1) * LANES * k : 0;
+    const Py_ssize_t history = is_summed ? widest * (t->window - 1 + samples + 16) : lanes;
     const Py_ssize_t parts = samples * t->parts, members = self->naming.kind == CODES ? parts : 0;
     const Py_ssize_t directions = self->naming.kind == DIRECTIONS ? samples * (k + 3) : 0;
     const Py_ssize_t columns = parts ? samples * (self->nr + 1) + parts : 0;

@@ -13,6 +13,7 @@
 #include "_partial_gain.h"
 
 #define PIECE 256
+#define LONG_PIECE 8192 /* of a test that takes many samples at once */
 #define LARGEST 1e150 /* as in residua.monitor.one_plant */
 #define FAR 1e15      /* limits beyond are no signal's: as a rule one bound of all values tells that they are within */
 
@@ -52,8 +53,6 @@ typedef struct {
     int is_missing; /* the last sample of the piece */
     int is_short;   /* whether nothing but the squares of a piece is asked for */
     int is_judged;  /* whether q and the squares of a piece are there already, in `statistic` */
-    chain chain;
-    int is_chained; /* whether cumulative sums of a piece are there already, their sizes in `e` */
     gain_store gains;
 } scratch;
 
@@ -92,7 +91,7 @@ typedef struct {
     double *room; /* of the packed matrices, and: */
     job starter; /* from a sample to the state that a filter starts with: outputs of one whose only state stays zero */
     double *zeros;
-    int chains; /* whether cumulative sums are formed with the residuals */
+    Py_ssize_t span; /* samples of a plant that are judged at once, at most */
     double *tile; /* of four samples: offsets, lowest values, highest values; of u and y, of u, of y */
     int has_offset, sums_squares; /* whether residuals are judged by the sum of the squares of each sample, and nothing else */
     Py_ssize_t plants;
@@ -381,31 +380,6 @@ filter_some(const Runner *self, scratch *s, double *x, source v, double *r, Py_s
     return execute(&s->filter, self->path);
 }
 
-/* Let the filter's loop form the cumulative sums of a piece of usable samples too. */
-static void
-begin_chain(const Runner *self, Py_ssize_t row, scratch *s)
-{
-    const test_plan *t = &self->test;
-    const double *sums = F8(self, SUMS, row);
-    s->chain = (chain){t->allowance, FULL * t->threshold, t->threshold, t->release_level, {0.0}, s->e, sums[t->k] > 0};
-    memcpy(s->chain.sums, sums, (size_t)t->k * sizeof(double));
-    s->filter.chain = &s->chain;
-}
-
-/* Keep cumulative sums of whitened residuals that are sound; else nothing has happened to them. */
-static void
-end_chain(const Runner *self, Py_ssize_t row, Py_ssize_t time, int is_sound, scratch *s)
-{
-    const Py_ssize_t k = self->test.k;
-    double *sums = F8(self, SUMS, row);
-    s->is_chained = is_sound && s->filter.chain != NULL && all_within(s->statistic, time, LARGEST_SQUARES);
-    s->filter.chain = NULL;
-    if (!s->is_chained)
-        return;
-    memcpy(sums, s->chain.sums, (size_t)k * sizeof(double));
-    sums[k] = s->chain.is_alarmed ? 1.0 : 0.0;
-}
-
 static int
 is_finite(const double *values, Py_ssize_t count)
 {
@@ -677,7 +651,7 @@ filter_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t ro
     const char *y = b->y + plant * b->y_strides[0] + k * b->y_strides[1];
     const int all = gather(self, b, u, y, b->u_strides[1], b->y_strides[1], time, s);
     s->r = b->out[OUT_RESIDUALS].base == NULL ? s->own_r : out_f8(b, OUT_RESIDUALS, plant, k);
-    s->is_judged = s->is_chained = 0;
+    s->is_judged = 0;
     s->is_short = time > 1 && self->sums_squares && b->out[OUT_WHITENED].base == NULL;
     const int is_apart = self->partial && *B1(self, APART, row);
     if (self->partial && !self->has_gains && (!all || is_apart))
@@ -686,11 +660,8 @@ filter_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t ro
         double *x = F8(self, X, row), *before = s->small;
         const whole age = *I8(self, AGE, row);
         copy_doubles(before, x, n);
-        if (self->chains && time > 1 && age >= self->settle)
-            begin_chain(self, row, s);
         s->is_judged = filter_some(self, s, x, s->in, s->r, time, s->is_short ? NULL : self->judge);
         const int is_sound = are_sound(self, s->r, time * self->nr) && is_finite(x, n);
-        end_chain(self, row, time, is_sound, s);
         if (is_sound) {
             s->is_missing = 0;
             if (age >= self->settle && time > 1)
