@@ -71,6 +71,9 @@ typedef struct {
     flag *usable, *over, *alarm;
     whole *up;
     int is_judged; /* q is there already, and the squares of its rows in `statistic` */
+    int is_within; /* and none of them is too large, nor over the threshold of a norm without a window */
+    Py_ssize_t apart; /* numbers from one column of q to the next, where it lies in columns; else 0 */
+    double *rows;     /* room for q in rows */
     int is_laned;  /* whether a long piece may be judged part by part */
     int is_quiet;  /* nothing is over, and nothing was: `over`, `alarm` and `up` are not written then */
 } piece;
@@ -214,7 +217,7 @@ INLINE int
 whiten(const test_plan *t, const piece *p, Py_ssize_t nr, Py_ssize_t k)
 {
     if (all_set(p->usable, p->time)) {
-        if (p->is_judged && all_within(p->statistic, p->time, LARGEST_SQUARES))
+        if (p->is_judged && (p->is_within || all_within(p->statistic, p->time, LARGEST_SQUARES)))
             return 1;
         for (Py_ssize_t i = 0; i < p->time; i++)
             whitened_of(t, p->r + i * nr, p->q + i * k, nr, k);
@@ -478,21 +481,22 @@ pignatiello_runger(const test_plan *t, const double *now, const double *e, doubl
 #if defined(HAVE_AVX2)
 /* Some samples of all parts, from `from` on; those of one part lie `each` samples behind those of the one before. */
 #define DEFINE_LANES(K)                                                                                               \
-    AVX2 static void crosier_lanes_##K(const test_plan *t, double *restrict now, const double *restrict e,            \
-                                       double *restrict statistic, Py_ssize_t from, Py_ssize_t some, Py_ssize_t each) \
+    AVX2 static void crosier_lanes_##K(const test_plan *t, double *restrict now, const piece *p, Py_ssize_t from,     \
+                                       Py_ssize_t some, Py_ssize_t each)                                              \
     {                                                                                                                 \
         const __m256d allowance = _mm256_set1_pd(t->allowance), full = _mm256_set1_pd(FULL * t->threshold);           \
         const __m256d zero = _mm256_setzero_pd();                                                                     \
-        const Py_ssize_t apart = each * K;                                                                            \
+        const Py_ssize_t down = p->apart ? 1 : K, across = p->apart ? p->apart : 1, apart = each * down;              \
         for (Py_ssize_t i = from; i < from + some; i++) {                                                             \
-            const double *at = e + i * K;                                                                             \
-            double *to = statistic + i;                                                                               \
+            const double *at = p->e + i * down;                                                                       \
+            double *to = p->statistic + i;                                                                            \
             _Pragma("GCC unroll 4") for (int l = 0; l < LANES; l += 4, at += 4 * apart, to += 4 * each)               \
             {                                                                                                         \
                 __m256d sum[K], total = zero;                                                                         \
                 _Pragma("GCC unroll 8") for (int j = 0; j < K; j++)                                                   \
                 {                                                                                                     \
-                    const __m256d new = _mm256_setr_pd(at[j], at[apart + j], at[2 * apart + j], at[3 * apart + j]);   \
+                    const double *of = at + j * across;                                                               \
+                    const __m256d new = _mm256_setr_pd(of[0], of[apart], of[2 * apart], of[3 * apart]);               \
                     sum[j] = _mm256_add_pd(_mm256_load_pd(now + j * LANES + l), new);                                 \
                     total = _mm256_add_pd(total, _mm256_mul_pd(sum[j], sum[j]));                                      \
                 }                                                                                                     \
@@ -516,7 +520,7 @@ DEFINE_LANES(3)
 DEFINE_LANES(4)
 DEFINE_LANES(5)
 DEFINE_LANES(6)
-typedef void (*lanes_runner)(const test_plan *, double *, const double *, double *, Py_ssize_t, Py_ssize_t, Py_ssize_t);
+typedef void (*lanes_runner)(const test_plan *, double *, const piece *, Py_ssize_t, Py_ssize_t, Py_ssize_t);
 static const lanes_runner lanes_table[MAX_LANED] = {crosier_lanes_1, crosier_lanes_2, crosier_lanes_3,
                                                     crosier_lanes_4, crosier_lanes_5, crosier_lanes_6};
 
@@ -536,7 +540,7 @@ crosier_by_parts(const test_plan *t, double *sums, const piece *p, double *room,
     for (Py_ssize_t j = 0; j < size; j++)
         now[j] = j % LANES == 0 ? sums[j / LANES] : 0.0;
     for (Py_ssize_t i = 0; i < each; i += CHECKED) {
-        run(t, now, p->e, p->statistic, i, CHECKED, each);
+        run(t, now, p, i, CHECKED, each);
         memcpy(room + i / CHECKED * size, now, (size_t)size * sizeof(double));
     }
     memcpy(ends, now, (size_t)size * sizeof(double));
@@ -544,7 +548,7 @@ crosier_by_parts(const test_plan *t, double *sums, const piece *p, double *room,
         now[j] = j % LANES == 0 ? sums[j / LANES] : ends[j - 1];
     int differs = 1;
     for (Py_ssize_t i = 0; i < each && differs; i += CHECKED) {
-        run(t, now, p->e, p->statistic, i, CHECKED, each);
+        run(t, now, p, i, CHECKED, each);
         differs = memcmp(room + i / CHECKED * size, now, (size_t)size * sizeof(double)) != 0;
     }
     if (differs || !(largest_of(p->statistic, each * LANES) <= t->threshold))
@@ -562,6 +566,17 @@ crosier_by_parts(const test_plan *t, double *sums, const piece *p, double *room,
 }
 #endif
 
+/* Put whitened residuals that lie in columns into rows, from some sample on. */
+INLINE void
+in_rows(piece *p, Py_ssize_t from, Py_ssize_t k)
+{
+    for (Py_ssize_t i = from; i < p->time; i++)
+        for (Py_ssize_t j = 0; j < k; j++)
+            p->rows[i * k + j] = p->q[j * p->apart + i];
+    p->e = p->rows;
+    p->apart = 0;
+}
+
 /* Cumulative sums of a piece; `sums` of one plant, and whether it is in alarm behind them. */
 INLINE void
 cumulative_sums(const test_plan *t, double *sums, piece *p, double *then, Py_ssize_t k)
@@ -569,6 +584,8 @@ cumulative_sums(const test_plan *t, double *sums, piece *p, double *then, Py_ssi
     const Py_ssize_t count = t->sums - 1;
     int alarmed = sums[count] > 0;
     Py_ssize_t i = t->kind == CROSIER && !alarmed ? crosier_by_parts(t, sums, p, p->history, k) : 0;
+    if (p->apart && i < p->time)
+        in_rows(p, i, k);
     for (; i < p->time; i++) {
         const double *e = p->e + i * k;
         const double value = t->kind == PAGE      ? page(t, sums, e, then, k)

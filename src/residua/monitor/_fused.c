@@ -120,7 +120,7 @@ judge_parts(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
     double *const spare = s->small;
     part_piece m = outputs_of_parts(b, plant, first, s);
     piece p = {time, s->r, s->q, s->sums, s->statistic, out_f8(b, OUT_SCORES, plant, first), s->e, s->history,
-               s->usable, s->over, s->alarm, s->up, 0, 0, 0};
+               s->usable, s->over, s->alarm, s->up};
     if (b->out[OUT_READY].base != NULL)
         copy_flags(out_b1(b, OUT_READY, plant, first), s->usable, time);
     const int is_read = n->kind == DIRECTIONS || b->out[OUT_WHITENED].base != NULL;
@@ -151,6 +151,14 @@ judge_parts(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
     }
 }
 
+/* Whether no sample is over the threshold, and nobody asks how far below it they are. */
+INLINE int
+is_calm(const Runner *self, const block *b, const test_row *row, const piece *p)
+{
+    return p->is_judged && p->is_within && self->sums_squares && self->test.kind == NORM && !*row->up && !*row->alarm
+           && b->out[OUT_STATISTIC].base == NULL && all_set(p->usable, p->time);
+}
+
 /* With constant numbers of residuals the loops over them unroll. */
 INLINE void
 judge_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, Py_ssize_t first, Py_ssize_t time,
@@ -160,10 +168,22 @@ judge_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
     const test_row test = row_of_test(self, row);
     double *part = s->small, *spare = part + k + t->sums + t->directions + 2;
     piece p = {time, s->r, s->q, s->sums, s->statistic, out_f8(b, OUT_SCORES, plant, first), s->e, s->history,
-               s->usable, s->over, s->alarm, s->up, s->is_judged, self->path == PATH_AVX2, 0};
+               s->usable, s->over, s->alarm, s->up, .is_judged = s->is_judged, .is_laned = self->path == PATH_AVX2};
     if (b->out[OUT_READY].base != NULL)
         copy_flags(out_b1(b, OUT_READY, plant, first), s->usable, time);
-    const int has_squares = (s->is_short && squares_of_rows(t, &p, nr, k)) || whiten(t, &p, nr, k);
+    p.is_within = s->is_within;
+    p.rows = s->e;
+    if (is_calm(self, b, &test, &p)) {
+        p.statistic[time - 1] = sqrt(p.statistic[time - 1]);
+        *test.down += time;
+        p.is_quiet = 1;
+        write_piece(self, b, plant, first, &p);
+        if (self->has_state[LAST_FLAGS])
+            write_last(self, row, &p, s, spare, k);
+        return;
+    }
+    const int has_squares = (s->is_short && !p.is_judged && squares_of_rows(t, &p, nr, k)) || whiten(t, &p, nr, k);
+    p.apart = has_squares ? s->apart : 0;
     if (t->kind == NORM)
         judge_norm(t, &test, &p, k, has_squares);
     else
@@ -238,17 +258,19 @@ filter_pieces(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t r
     if (time <= PIECE)
         return filter_piece(self, b, plant, row, k, time, s) ? time : 0;
     const scratch whole = *s;
-    int is_judged = 1;
+    int is_judged = 1, is_within = 1;
     Py_ssize_t done = 0;
     while (done < time) {
         const Py_ssize_t some = time - done < PIECE ? time - done : PIECE;
         s->usable = whole.usable + done;
         s->own_r = whole.own_r + done * self->nr;
         s->filter.q = whole.q + done * self->test.k;
+        s->columns_of_q = whole.q + done;
         s->filter.squares = whole.statistic + done;
         if (!filter_piece(self, b, plant, row, k + done, some, s))
             break;
         is_judged &= s->is_judged;
+        is_within &= s->is_within;
         done += some;
     }
     s->usable = whole.usable;
@@ -256,7 +278,9 @@ filter_pieces(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t r
     s->filter.q = whole.filter.q;
     s->filter.squares = whole.filter.squares;
     s->r = b->out[OUT_RESIDUALS].base == NULL ? s->own_r : out_f8(b, OUT_RESIDUALS, plant, k);
+    s->columns_of_q = whole.columns_of_q;
     s->is_judged = is_judged;
+    s->is_within = is_within;
     return done;
 }
 
@@ -549,6 +573,22 @@ point_at_parts(Runner *self)
     return 1;
 }
 
+/* The largest square whose root is not over a threshold, of those that do not overflow a sum. */
+static double
+largest_square(double threshold)
+{
+    double square = threshold * threshold;
+    if (!(threshold >= 0.0))
+        return -1.0;
+    if (!(square < LARGEST_SQUARES))
+        return LARGEST_SQUARES;
+    while (square > 0.0 && sqrt(square) > threshold)
+        square = nextafter(square, 0.0);
+    while (sqrt(nextafter(square, DBL_MAX)) <= threshold)
+        square = nextafter(square, DBL_MAX);
+    return square;
+}
+
 static void
 point_at_plan(Runner *self)
 {
@@ -572,6 +612,12 @@ point_at_plan(Runner *self)
     self->sums_squares = self->judge != NULL && self->naming.kind == NOBODY
                          && ((t->kind == NORM && t->window == 1)
                              || (t->kind == CHI_SQUARED && !t->order && !t->knots_of_each));
+    const int is_square = self->path == PATH_AVX2 && self->judge != NULL && t->k == self->nr && t->k >= 1 && self->n >= 1
+                          && self->n <= MAX_SMALL;
+    self->in_quads = is_square && self->sums_squares;
+    self->in_columns = is_square && t->kind == CROSIER && !t->order && !t->knots_of_each
+                       && self->naming.kind == NOBODY;
+    self->limit = t->kind == NORM && t->window == 1 ? largest_square(t->threshold) : LARGEST_SQUARES;
     const int limits[3] = {OFFSET, LOW, HIGH};
     const Py_ssize_t begins[3] = {0, 0, self->n_u}, ends[3] = {self->m, self->n_u, self->m};
     double *tile = self->tile;
@@ -755,7 +801,7 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     const Py_ssize_t parts = samples * t->parts, members = self->naming.kind == CODES ? parts : 0;
     const Py_ssize_t directions = self->naming.kind == DIRECTIONS ? samples * (k + 3) : 0;
     const Py_ssize_t columns = parts ? samples * (self->nr + 1) + parts : 0;
-    const Py_ssize_t doubles = samples * (self->m + self->nr + 2 * k + 2) + states + small_size(self) + room_e + history
+    const Py_ssize_t doubles = samples * (self->m + self->nr + 3 * k + 2) + states + small_size(self) + room_e + history
                                + parts + 2 * members + columns + directions + 12;
     double *room = malloc((size_t)doubles * sizeof(double) + (size_t)(3 * samples + parts + members + 1));
     memset(&s->gains, 0, sizeof s->gains);
@@ -766,7 +812,7 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     s->v = room;
     s->r = s->own_r = s->v + samples * self->m;
     s->q = s->own_r + samples * self->nr + 4; /* ticks store rows as four numbers, however few they have */
-    s->sums = s->q + samples * k + 4;
+    s->sums = s->q + (samples + 8) * k + 4;
     s->statistic = s->sums + samples * k;
     s->up = (whole *)(s->statistic + samples);
     s->x = (double *)(s->up + samples);
@@ -789,6 +835,8 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     s->filter.q = s->q;
     s->filter.squares = s->statistic;
     s->filter.k = k;
+    s->columns_of_q = s->q;
+    s->apart_if_columns = samples + 8;
     return room;
 }
 

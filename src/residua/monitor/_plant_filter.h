@@ -12,9 +12,12 @@
 #include "../decide/_members.h"
 #include "_partial_gain.h"
 
-#define PIECE 256
-#define LONG_PIECE 8192 /* of a test that takes many samples at once */
 #define LARGEST 1e150 /* as in residua.monitor.one_plant */
+
+#include "_four_samples.h"
+
+#define PIECE 256
+#define LONG_PIECE (33 * PIECE) /* of a test that takes many samples at once, from places that are not 4 kB apart */
 #define FAR 1e15      /* limits beyond are no signal's: as a rule one bound of all values tells that they are within */
 
 /* ---- what runs, and its arrays ---------------------------------------------------------------------------------- */
@@ -53,6 +56,9 @@ typedef struct {
     int is_missing; /* the last sample of the piece */
     int is_short;   /* whether nothing but the squares of a piece is asked for */
     int is_judged;  /* whether q and the squares of a piece are there already, in `statistic` */
+    int is_within;  /* and whether none of these is over the limit */
+    Py_ssize_t apart, apart_if_columns; /* whether q is there in columns, so many numbers apart; else 0 */
+    double *columns_of_q;
     gain_store gains;
 } scratch;
 
@@ -93,6 +99,8 @@ typedef struct {
     double *zeros;
     Py_ssize_t span; /* samples of a plant that are judged at once, at most */
     double *tile; /* of four samples: offsets, lowest values, highest values; of u and y, of u, of y */
+    int in_quads, in_columns; /* whether four samples are judged at once; whether their whitened residuals lie in columns */
+    double limit;             /* of squares so that nothing is over the threshold */
     int has_offset, sums_squares; /* whether residuals are judged by the sum of the squares of each sample, and nothing else */
     Py_ssize_t plants;
     Py_buffer plan[PLAN_ARRAYS], state[STATE_ARRAYS];
@@ -641,6 +649,39 @@ filter_with_gaps(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_
     }
 }
 
+/* The filter of a piece without gaps, and as much of its test as goes on meanwhile; whether residuals are sound, as far as
+ * that is known. */
+static int
+filter_and_judge(const Runner *self, const block *b, double *x, Py_ssize_t time, scratch *s)
+{
+#if defined(HAVE_AVX2)
+    const int in_columns = self->in_columns && b->out[OUT_WHITENED].base == NULL;
+    if (time > 1 && (in_columns || (self->in_quads && s->is_short))) {
+        const Py_ssize_t nr = self->nr;
+        quads to = {.limit = self->limit, .squares = s->filter.squares, .apart = s->apart_if_columns};
+        for (Py_ssize_t j = 0; j < nr; j++) {
+            to.center[j] = (lanes4){0.0} + self->judge[j];
+            for (Py_ssize_t l = 0; l < nr; l++)
+                to.whitening[j][l] = (lanes4){0.0} + self->judge[4 + 4 * j + l];
+        }
+        to.columns = in_columns ? s->columns_of_q : NULL;
+        s->apart = in_columns ? to.apart : 0;
+        s->filter.time = time;
+        s->filter.plants = 1;
+        s->filter.x = s->filter.x_next = x;
+        s->filter.v = s->in;
+        s->filter.r = s->r;
+        s->filter.judge = self->judge;
+        const int is_sound = run_quads(&s->filter, &to);
+        s->is_judged = 1;
+        s->is_within = to.is_within;
+        return is_sound;
+    }
+#endif
+    s->is_judged = filter_some(self, s, x, s->in, s->r, time, s->is_short ? NULL : self->judge);
+    return 0;
+}
+
 /* A piece of one plant; 0 if it is left, untouched, for want of what a Kalman filter with missing values needs. */
 static int
 filter_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, Py_ssize_t k, Py_ssize_t time,
@@ -651,7 +692,8 @@ filter_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t ro
     const char *y = b->y + plant * b->y_strides[0] + k * b->y_strides[1];
     const int all = gather(self, b, u, y, b->u_strides[1], b->y_strides[1], time, s);
     s->r = b->out[OUT_RESIDUALS].base == NULL ? s->own_r : out_f8(b, OUT_RESIDUALS, plant, k);
-    s->is_judged = 0;
+    s->is_judged = s->is_within = 0;
+    s->apart = 0;
     s->is_short = time > 1 && self->sums_squares && b->out[OUT_WHITENED].base == NULL;
     const int is_apart = self->partial && *B1(self, APART, row);
     if (self->partial && !self->has_gains && (!all || is_apart))
@@ -660,8 +702,8 @@ filter_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t ro
         double *x = F8(self, X, row), *before = s->small;
         const whole age = *I8(self, AGE, row);
         copy_doubles(before, x, n);
-        s->is_judged = filter_some(self, s, x, s->in, s->r, time, s->is_short ? NULL : self->judge);
-        const int is_sound = are_sound(self, s->r, time * self->nr) && is_finite(x, n);
+        int is_sound = filter_and_judge(self, b, x, time, s);
+        is_sound = (is_sound || are_sound(self, s->r, time * self->nr)) && is_finite(x, n);
         if (is_sound) {
             s->is_missing = 0;
             if (age >= self->settle && time > 1)
@@ -676,6 +718,7 @@ filter_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t ro
         }
         copy_doubles(x, before, n);
         s->is_judged = 0;
+        s->apart = 0;
     }
     filter_with_gaps(self, b, plant, row, k, time, s);
     if (k + time == b->time && *B1(self, RUNNING, row) && !is_finite(F8(self, X, row), n))
