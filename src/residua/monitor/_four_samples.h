@@ -16,7 +16,10 @@ typedef struct {
     Py_ssize_t apart;
     double sizes;      /* the sum of the sizes of all residuals, or more */
     int is_within;     /* whether no square is over the limit */
+    double values;     /* the sum of the sizes of all signals, where they lie one sample after the other */
 } quads;
+
+typedef long long flags4u __attribute__((vector_size(32), aligned(8), may_alias));
 
 #define COLUMN_OF(a, b, c, d) __builtin_shuffle(a, b, (flags4){c, d, 4 + (c), 4 + (d)})
 
@@ -63,8 +66,9 @@ DEFINE_JUDGED_QUAD(4)
         const double *const a = q->packed, *const b = a + N * WIDTH, *const c = b + m * WIDTH, *const d = c + N * 4;  \
         const double *first = q->v.first, *second = q->v.second;                                                      \
         double *restrict r = q->r;                                                                                    \
-        lanes4 x[WIDTH / 4], sizes = {0.0};                                                                           \
+        lanes4 x[WIDTH / 4], sizes = {0.0}, values = {0.0};                                                                 \
         flags4 within = ((flags4){0} == (flags4){0});                                                                 \
+        const flags4 sign = (flags4){0} + INT64_MAX;                                                                  \
         Py_ssize_t k = 0;                                                                                             \
         memset(x, 0, sizeof x);                                                                                       \
         if (N % 4 == 0) {                                                                                             \
@@ -74,6 +78,14 @@ DEFINE_JUDGED_QUAD(4)
         }                                                                                                             \
         for (; k + 7 <= q->time; k += 4) {                                                                            \
             lanes4 rows[4];                                                                                           \
+            for (Py_ssize_t j = 0; j < columns; j++) {                                                                \
+                values += (lanes4)(((const flags4u *)first)[j] & sign);                                               \
+                ASK_FOR(first, AHEAD * first_step + 4 * j)                                                            \
+            }                                                                                                         \
+            for (Py_ssize_t j = 0; j < others; j++) {                                                                 \
+                values += (lanes4)(((const flags4u *)second)[j] & sign);                                              \
+                ASK_FOR(second, AHEAD * second_step + 4 * j)                                                          \
+            }                                                                                                         \
             _Pragma("GCC unroll 4") for (int p = 0; p < 4; p++)                                                       \
             {                                                                                                         \
                 lanes4 sum[WIDTH / 4] = {{0.0}}, out[1] = {{0.0}};                                                    \
@@ -99,8 +111,6 @@ DEFINE_JUDGED_QUAD(4)
                     __asm__ volatile("" ::: "memory"); /* as in _filter.h */                                          \
                     EACH_VECTOR(WIDTH, 4) x[i] = ((lanes4 *)rest)[i];                                                 \
                 }                                                                                                     \
-                ASK_FOR(first, AHEAD * first_step)                                                                    \
-                ASK_FOR(second, AHEAD * second_step)                                                                  \
                 first += first_step;                                                                                  \
                 second += second_step;                                                                                \
                 rows[p] = out[0];                                                                                     \
@@ -122,6 +132,7 @@ DEFINE_JUDGED_QUAD(4)
             _Pragma("GCC unroll 8") for (int j = 0; j < N; j++) q->x_next[j] = x[j / 4][j % 4];                       \
         }                                                                                                             \
         to->sizes = (sizes[0] + sizes[1]) + (sizes[2] + sizes[3]);                                                    \
+        to->values = (values[0] + values[1]) + (values[2] + values[3]);                                               \
         to->is_within = within[0] && within[1] && within[2] && within[3];                                             \
         return k;                                                                                                     \
     }
@@ -153,6 +164,10 @@ run_quads(const job *q, quads *to)
     judged_table[q->n - 1](&rest);
     for (Py_ssize_t i = 0; i < left; i++) {
         to->is_within &= rest.squares[i] <= to->limit;
+        for (Py_ssize_t j = 0; j < rest.v.columns; j++)
+            to->values += fabs(rest.v.first[i * rest.v.first_step + j]);
+        for (Py_ssize_t j = 0; j < rest.m - rest.v.columns; j++)
+            to->values += fabs(rest.v.second[i * rest.v.second_step + j]);
         for (Py_ssize_t j = 0; j < nr; j++) {
             to->sizes += fabs(rest.r[i * nr + j]);
             if (to->columns != NULL)

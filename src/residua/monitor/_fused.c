@@ -634,6 +634,7 @@ point_at_plan(Runner *self)
     self->has_offset = 0; /* a negative zero counts as one: 0 less that is 0, whatever the sign */
     for (Py_ssize_t i = 0; i < self->m; i++)
         self->has_offset |= PLAN(self, OFFSET)[i] != 0.0 || signbit(PLAN(self, OFFSET)[i]);
+    self->nearest = self->has_offset ? 0.0 : nearest_limit(self->tile, 4 * self->m);
     self->has_gains = self->partial && self->has_plan[PARTIAL_NUMBERS];
     if (self->has_gains)
         point_at_partial(&self->some, PLAN(self, PARTIAL_NUMBERS));
