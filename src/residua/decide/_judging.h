@@ -74,6 +74,7 @@ typedef struct {
     int is_within; /* and none of them is too large, nor over the threshold of a norm without a window */
     Py_ssize_t apart; /* numbers from one column of q to the next, where it lies in columns; else 0 */
     double *rows;     /* room for q in rows */
+    int is_put;       /* whether q, which is in columns, is in rows where it is to be left */
     int is_laned;  /* whether a long piece may be judged part by part */
     int is_quiet;  /* nothing is over, and nothing was: `over`, `alarm` and `up` are not written then */
 } piece;
@@ -265,51 +266,61 @@ turn_window(window_row row, Py_ssize_t window, Py_ssize_t k)
         row.begun[j] = 0.0;
 }
 
-/* Some samples of a window that is not full before them; sums of residual j from sums + j * across on, `down` apart. */
+/* Some samples of a window that is not full before them; sums of residual j from sums + j * across on, `down` apart, and
+ * v likewise. */
 INLINE void
-fill_window(window_row row, Py_ssize_t at, const double *v, double *sums, Py_ssize_t some, Py_ssize_t k,
-            Py_ssize_t down, Py_ssize_t across)
+fill_window(window_row row, Py_ssize_t at, const double *restrict v, double *restrict sums, Py_ssize_t some,
+            Py_ssize_t k, Py_ssize_t v_down, Py_ssize_t v_across, Py_ssize_t down, Py_ssize_t across)
 {
     double *place = row.values + at * k;
     if (k <= 4) { /* what has begun stays in registers, where it is a constant */
         double begun[4];
+        Py_ssize_t i = 0;
         for (Py_ssize_t j = 0; j < k; j++)
             begun[j] = row.begun[j];
-        for (Py_ssize_t i = 0; i < some; i++, place += k, v += k, sums += down)
+        if (at == 0) { /* from zero it would be 0 where this is -0 */
             for (Py_ssize_t j = 0; j < k; j++) {
-                const double value = v[j];
-                begun[j] = at + i ? begun[j] + value : value;
+                begun[j] = v[j * v_across];
                 sums[j * across] = place[j] + begun[j];
-                place[j] = value;
+                place[j] = begun[j];
+            }
+            i = 1;
+        }
+        for (; i < some; i++)
+            for (Py_ssize_t j = 0; j < k; j++) {
+                const double value = v[i * v_down + j * v_across], before = place[i * k + j];
+                begun[j] += value;
+                place[i * k + j] = value;
+                sums[i * down + j * across] = before + begun[j];
             }
         for (Py_ssize_t j = 0; j < k; j++)
             row.begun[j] = begun[j];
         return;
     }
-    for (Py_ssize_t i = 0; i < some; i++, place += k, v += k, sums += down)
+    for (Py_ssize_t i = 0; i < some; i++, place += k, v += v_down, sums += down)
         for (Py_ssize_t j = 0; j < k; j++) {
-            const double begun = at + i ? row.begun[j] + v[j] : v[j];
+            const double value = v[j * v_across], begun = at + i ? row.begun[j] + value : value;
             row.begun[j] = begun;
             sums[j * across] = place[j] + begun;
-            place[j] = v[j];
+            place[j] = value;
         }
 }
 
 /* The sums over the last samples, as residua.decide.window has them: of residual j from sums + j * across on. */
 INLINE void
 spread_sums(window_row row, Py_ssize_t window, const double *v, double *sums, Py_ssize_t time, Py_ssize_t k,
-            Py_ssize_t down, Py_ssize_t across)
+            Py_ssize_t v_down, Py_ssize_t v_across, Py_ssize_t down, Py_ssize_t across)
 {
     if (window == 1) {
         for (Py_ssize_t i = 0; i < time; i++)
             for (Py_ssize_t j = 0; j < k; j++)
-                sums[i * down + j * across] = v[i * k + j];
+                sums[i * down + j * across] = v[i * v_down + j * v_across];
         return;
     }
     while (time > 0) {
         const Py_ssize_t at = (Py_ssize_t)*row.filled, room = window - at, some = time < room ? time : room;
-        fill_window(row, at, v, sums, some, k, down, across);
-        v += some * k;
+        fill_window(row, at, v, sums, some, k, v_down, v_across, down, across);
+        v += some * v_down;
         sums += some * down;
         *row.filled = at + some;
         if (some == room)
@@ -321,7 +332,7 @@ spread_sums(window_row row, Py_ssize_t window, const double *v, double *sums, Py
 INLINE void
 moving_sums(window_row row, Py_ssize_t window, const double *v, double *sums, Py_ssize_t time, Py_ssize_t k)
 {
-    spread_sums(row, window, v, sums, time, k, k, 1);
+    spread_sums(row, window, v, sums, time, k, k, 1, k, 1);
 }
 
 /* Alarms of statistics, NaN where nothing is decided; an alarm of a test that remembers is raised and ended at once. */
@@ -920,20 +931,113 @@ score_columns(const isolation_plan *n, const piece *p, double *sums, Py_ssize_t 
             p->scores[i * groups + g] = NAN;
 }
 
+#if defined(HAVE_AVX2)
+#define TINY 1e-150 /* the square of a smaller number may be too small */
+
+/* Scores of lines, of four samples at once: of so many groups, from `first` on; whether none is near zero. */
+AVX2 INLINE __m256d
+score_four(const isolation_plan *n, const __m256d *sums, __m256d size, Py_ssize_t group, Py_ssize_t k, __m256d *near)
+{
+    const __m256d zero = _mm256_setzero_pd(), one = _mm256_set1_pd(1.0);
+    const double *const part = n->padded + group;
+    __m256d along = _mm256_mul_pd(sums[0], _mm256_broadcast_sd(part));
+    for (Py_ssize_t j = 1; j < k; j++)
+        along = _mm256_add_pd(along, _mm256_mul_pd(sums[j], _mm256_broadcast_sd(part + j * n->room)));
+    along = _mm256_andnot_pd(_mm256_set1_pd(-0.0), along);
+    const __m256d is_small = _mm256_cmp_pd(along, _mm256_set1_pd(TINY), _CMP_NGE_UQ);
+    *near = _mm256_or_pd(*near, _mm256_and_pd(is_small, _mm256_cmp_pd(along, zero, _CMP_NEQ_UQ)));
+    const __m256d is_long = _mm256_cmp_pd(size, zero, _CMP_GT_OQ);
+    return _mm256_min_pd(one, _mm256_blendv_pd(_mm256_set1_pd(NAN), _mm256_div_pd(along, size), is_long));
+}
+
+/* As score_columns, where every signature has one column: as many samples as there are four and four; 0, and nothing
+ * to be read of the scores, where roots of squares are needed. */
+#define DEFINE_SCORES(K)                                                                                              \
+    AVX2 static int score_lines_##K(const isolation_plan *n, const piece *p, const double *columns)                   \
+    {                                                                                                                 \
+        const Py_ssize_t time = p->time, groups = n->groups;                                                          \
+        __m256d near = _mm256_setzero_pd();                                                                           \
+        for (Py_ssize_t i = 0; i + 4 <= time; i += 4) {                                                               \
+            double *const to = p->scores + i * groups;                                                                \
+            __m256d sums[K], size = _mm256_setzero_pd();                                                              \
+            _Pragma("GCC unroll 4") for (int j = 0; j < K; j++)                                                       \
+            {                                                                                                         \
+                sums[j] = _mm256_loadu_pd(columns + j * time + i);                                                    \
+                size = _mm256_add_pd(size, _mm256_mul_pd(sums[j], sums[j]));                                          \
+            }                                                                                                         \
+            size = _mm256_sqrt_pd(size);                                                                              \
+            Py_ssize_t g = 0;                                                                                         \
+            for (; g + 4 <= groups; g += 4) {                                                                         \
+                const __m256d a = score_four(n, sums, size, g, K, &near);                                             \
+                const __m256d b = score_four(n, sums, size, g + 1, K, &near);                                         \
+                const __m256d c = score_four(n, sums, size, g + 2, K, &near);                                         \
+                const __m256d d = score_four(n, sums, size, g + 3, K, &near);                                         \
+                const __m256d low = _mm256_unpacklo_pd(a, b), high = _mm256_unpackhi_pd(a, b);                        \
+                const __m256d low_too = _mm256_unpacklo_pd(c, d), high_too = _mm256_unpackhi_pd(c, d);                \
+                _mm256_storeu_pd(to + g, _mm256_permute2f128_pd(low, low_too, 0x20));                                 \
+                _mm256_storeu_pd(to + groups + g, _mm256_permute2f128_pd(high, high_too, 0x20));                      \
+                _mm256_storeu_pd(to + 2 * groups + g, _mm256_permute2f128_pd(low, low_too, 0x31));                    \
+                _mm256_storeu_pd(to + 3 * groups + g, _mm256_permute2f128_pd(high, high_too, 0x31));                  \
+            }                                                                                                         \
+            for (; g < groups; g++) {                                                                                 \
+                const __m256d a = score_four(n, sums, size, g, K, &near);                                             \
+                const __m128d low = _mm256_castpd256_pd128(a), high = _mm256_extractf128_pd(a, 1);                    \
+                _mm_storel_pd(to + g, low);                                                                           \
+                _mm_storeh_pd(to + groups + g, low);                                                                  \
+                _mm_storel_pd(to + 2 * groups + g, high);                                                             \
+                _mm_storeh_pd(to + 3 * groups + g, high);                                                             \
+            }                                                                                                         \
+        }                                                                                                             \
+        return _mm256_testz_si256(_mm256_castpd_si256(near), _mm256_castpd_si256(near));                              \
+    }
+DEFINE_SCORES(1)
+DEFINE_SCORES(2)
+DEFINE_SCORES(3)
+DEFINE_SCORES(4)
+
+static int
+score_lines(const isolation_plan *n, const piece *p, const double *columns, double *part, Py_ssize_t k)
+{
+    static int (*const table[4])(const isolation_plan *, const piece *, const double *) = {
+        score_lines_1, score_lines_2, score_lines_3, score_lines_4};
+    const Py_ssize_t time = p->time, begun = time / 4 * 4;
+    if (!p->is_laned || !n->are_lines || k > 4 || !all_set(p->usable, time) || !table[k - 1](n, p, columns))
+        return 0;
+    for (Py_ssize_t i = begun; i < time; i++) {
+        double sums[4];
+        for (Py_ssize_t j = 0; j < k; j++)
+            sums[j] = columns[j * time + i];
+        score_sample(n, sums, 1, part, p->scores + i * n->groups, k);
+    }
+    return 1;
+}
+#else
+INLINE int
+score_lines(const isolation_plan *n, const piece *p, const double *columns, double *part, Py_ssize_t k)
+{
+    (void)n, (void)p, (void)columns, (void)part, (void)k;
+    return 0;
+}
+#endif
+
 INLINE void
 name_by_direction(const isolation_plan *n, window_row row, const piece *p, double *part, double *columns, Py_ssize_t k)
 {
-    if (p->scores != NULL && p->time > 1) {
-        const Py_ssize_t time = p->time;
-        spread_sums(row, n->window, p->q, columns, time, k, 1, time);
-        score_columns(n, p, columns, k);
+    const Py_ssize_t time = p->time;
+    if (p->apart || (p->scores != NULL && time > 1)) {
+        if (p->apart)
+            spread_sums(row, n->window, p->q, columns, time, k, 1, p->apart, 1, time);
+        else
+            spread_sums(row, n->window, p->q, columns, time, k, k, 1, 1, time);
+        if (p->scores != NULL && !score_lines(n, p, columns, part, k))
+            score_columns(n, p, columns, k);
         for (Py_ssize_t j = 0; j < k; j++) /* what is kept of the last sample */
             p->sums[(time - 1) * k + j] = columns[j * time + time - 1];
         return;
     }
-    moving_sums(row, n->window, p->q, p->sums, p->time, k);
+    moving_sums(row, n->window, p->q, p->sums, time, k);
     if (p->scores != NULL)
-        for (Py_ssize_t i = 0; i < p->time; i++)
+        for (Py_ssize_t i = 0; i < time; i++)
             score_sample(n, p->sums + i * k, p->usable[i], part, p->scores + i * n->groups, k);
 }
 

@@ -13,6 +13,7 @@ typedef struct {
     double limit;      /* of squares */
     double *squares;   /* of each sample */
     double *columns;   /* of each whitened residual, so many numbers apart; NULL for none */
+    double *rows;      /* the same in rows; NULL for none */
     Py_ssize_t apart;
     double sizes;      /* the sum of the sizes of all residuals, or more */
     int is_within;     /* whether no square is over the limit */
@@ -40,13 +41,26 @@ typedef long long flags4u __attribute__((vector_size(32), aligned(8), may_alias)
             *sizes += (lanes4)((flags4)column[j] & sign);                                                             \
             centred[j] = column[j] - to->center[j];                                                                   \
         }                                                                                                             \
+        lanes4 white[4] = {{0.0}};                                                                                    \
         _Pragma("GCC unroll 4") for (int l = 0; l < NR; l++)                                                          \
         {                                                                                                             \
             lanes4 sum = centred[0] * to->whitening[0][l]; /* from zero it would be 0 where this is -0 */             \
             _Pragma("GCC unroll 4") for (int j = 1; j < NR; j++) sum += centred[j] * to->whitening[j][l];             \
-            if (to->columns != NULL)                                                                                  \
-                *(lanes4 *)(to->columns + l * to->apart + k) = sum + 0.0;                                             \
             total += sum * sum;                                                                                       \
+            white[l] = sum + 0.0;                                                                                     \
+            if (to->columns != NULL)                                                                                  \
+                *(lanes4 *)(to->columns + l * to->apart + k) = white[l];                                              \
+        }                                                                                                             \
+        if (to->rows != NULL) {                                                                                       \
+            double *const at = to->rows + k * NR;                                                                     \
+            const lanes4 low = __builtin_shuffle(white[0], white[1], (flags4){0, 4, 2, 6});                           \
+            const lanes4 high = __builtin_shuffle(white[0], white[1], (flags4){1, 5, 3, 7});                          \
+            const lanes4 low_too = __builtin_shuffle(white[2], white[3], (flags4){0, 4, 2, 6});                       \
+            const lanes4 high_too = __builtin_shuffle(white[2], white[3], (flags4){1, 5, 3, 7});                      \
+            *(lanes4 *)at = COLUMN_OF(low, low_too, 0, 1);                                                            \
+            *(lanes4 *)(at + NR) = COLUMN_OF(high, high_too, 0, 1);                                                   \
+            *(lanes4 *)(at + 2 * NR) = COLUMN_OF(low, low_too, 2, 3);                                                 \
+            *(lanes4 *)(at + 3 * NR) = COLUMN_OF(high, high_too, 2, 3);                                               \
         }                                                                                                             \
         *(lanes4 *)(to->squares + k) = total;                                                                         \
         *within &= (flags4)(total <= to->limit);                                                                      \
@@ -172,6 +186,8 @@ run_quads(const job *q, quads *to)
             to->sizes += fabs(rest.r[i * nr + j]);
             if (to->columns != NULL)
                 to->columns[j * to->apart + k + i] = rows[i * nr + j];
+            if (to->rows != NULL)
+                to->rows[(k + i) * nr + j] = rows[i * nr + j];
         }
     }
     return to->sizes <= LARGEST;

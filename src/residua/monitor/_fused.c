@@ -56,7 +56,7 @@ write_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t fir
         copy_flags(out_b1(b, OUT_USABLE, plant, first), p->usable, time);
     if (b->out[OUT_STATISTIC].base != NULL)
         copy_doubles(out_f8(b, OUT_STATISTIC, plant, first), p->statistic, time);
-    if (b->out[OUT_WHITENED].base != NULL)
+    if (b->out[OUT_WHITENED].base != NULL && !p->is_put)
         copy_doubles(out_f8(b, OUT_WHITENED, plant, first), p->q, time * self->test.k);
     if (p->is_quiet) /* these are zeros where nothing is written */
         return;
@@ -155,7 +155,7 @@ judge_parts(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
 INLINE int
 is_calm(const Runner *self, const block *b, const test_row *row, const piece *p)
 {
-    return p->is_judged && p->is_within && self->sums_squares && self->test.kind == NORM && !*row->up && !*row->alarm
+    return p->is_judged && p->is_within && self->sums_squares && self->test.window == 1 && !*row->up && !*row->alarm
            && b->out[OUT_STATISTIC].base == NULL && all_set(p->usable, p->time);
 }
 
@@ -184,6 +184,7 @@ judge_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
     }
     const int has_squares = (s->is_short && !p.is_judged && squares_of_rows(t, &p, nr, k)) || whiten(t, &p, nr, k);
     p.apart = has_squares ? s->apart : 0;
+    p.is_put = p.apart != 0;
     if (t->kind == NORM)
         judge_norm(t, &test, &p, k, has_squares);
     else
@@ -615,9 +616,9 @@ point_at_plan(Runner *self)
     const int is_square = self->path == PATH_AVX2 && self->judge != NULL && t->k == self->nr && t->k >= 1 && self->n >= 1
                           && self->n <= MAX_SMALL;
     self->in_quads = is_square && self->sums_squares;
-    self->in_columns = is_square && t->kind == CROSIER && !t->order && !t->knots_of_each
-                       && self->naming.kind == NOBODY;
-    self->limit = t->kind == NORM && t->window == 1 ? largest_square(t->threshold) : LARGEST_SQUARES;
+    const int is_summed = t->kind == CROSIER && !t->order && !t->knots_of_each && self->naming.kind == NOBODY;
+    self->in_columns = is_square && (is_summed || (t->kind == NORM && t->window == 1 && self->naming.kind == DIRECTIONS));
+    self->limit = self->sums_squares && t->window == 1 ? largest_square(t->threshold) : LARGEST_SQUARES;
     const int limits[3] = {OFFSET, LOW, HIGH};
     const Py_ssize_t begins[3] = {0, 0, self->n_u}, ends[3] = {self->m, self->n_u, self->m};
     double *tile = self->tile;
@@ -837,6 +838,8 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     s->filter.squares = s->statistic;
     s->filter.k = k;
     s->columns_of_q = s->q;
+    s->is_within = 0;
+    s->apart = 0;
     s->apart_if_columns = samples + 8;
     return room;
 }

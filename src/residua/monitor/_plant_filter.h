@@ -662,18 +662,18 @@ filter_with_gaps(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_
 
 /* Whether four samples of a piece are run at once. */
 INLINE int
-goes_in_quads(const Runner *self, const block *b, Py_ssize_t time, const scratch *s)
+goes_in_quads(const Runner *self, Py_ssize_t time, const scratch *s)
 {
-    return time > 1 && ((self->in_columns && b->out[OUT_WHITENED].base == NULL) || (self->in_quads && s->is_short));
+    return time > 1 && (self->in_columns || (self->in_quads && s->is_short));
 }
 
 /* The filter of a piece without gaps, and as much of its test as goes on meanwhile; whether residuals are sound, and
  * signals are values where that was left to it, as far as that is known. */
 static int
-filter_and_judge(const Runner *self, const block *b, double *x, Py_ssize_t time, scratch *s)
+filter_and_judge(const Runner *self, double *x, double *whitened, Py_ssize_t time, scratch *s)
 {
 #if defined(HAVE_AVX2)
-    if (goes_in_quads(self, b, time, s)) {
+    if (goes_in_quads(self, time, s)) {
         const Py_ssize_t nr = self->nr;
         quads to = {.limit = self->limit, .squares = s->filter.squares, .apart = s->apart_if_columns};
         for (Py_ssize_t j = 0; j < nr; j++) {
@@ -682,6 +682,7 @@ filter_and_judge(const Runner *self, const block *b, double *x, Py_ssize_t time,
                 to.whitening[j][l] = (lanes4){0.0} + self->judge[4 + 4 * j + l];
         }
         to.columns = self->in_columns ? s->columns_of_q : NULL;
+        to.rows = whitened;
         s->apart = self->in_columns ? to.apart : 0;
         s->filter.time = time;
         s->filter.plants = 1;
@@ -714,13 +715,13 @@ filter_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t ro
     s->is_judged = s->is_within = 0;
     s->apart = 0;
     s->is_short = time > 1 && self->sums_squares && b->out[OUT_WHITENED].base == NULL;
-    const int may_defer = is_going && goes_in_quads(self, b, time, s);
+    const int may_defer = is_going && goes_in_quads(self, time, s);
     int all = gather(self, b, u, y, b->u_strides[1], b->y_strides[1], time, may_defer, s);
     if (all && is_going) {
         double *x = F8(self, X, row), *before = s->small;
         const whole age = *I8(self, AGE, row);
         copy_doubles(before, x, n);
-        int is_sound = filter_and_judge(self, b, x, time, s);
+        int is_sound = filter_and_judge(self, x, out_f8(b, OUT_WHITENED, plant, k), time, s);
         is_sound = (is_sound || are_sound(self, s->r, time * self->nr)) && is_finite(x, n);
         if (s->is_deferred)
             all = gather(self, b, u, y, b->u_strides[1], b->y_strides[1], time, 0, s);

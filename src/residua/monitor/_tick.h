@@ -314,7 +314,8 @@ together(const Runner *self, tick *t, chunk *c, scratch *s)
     q->v = s->in;
     q->r = s->own_r;
     q->judge = self->judge;
-    s->is_short = 0;
+    s->is_short = s->is_within = 0;
+    s->apart = 0;
     s->is_judged = execute(q, self->path);
     if (!are_all_sound(self, c, s->own_r, x_next))
         mark_overflows(self, c, s->own_r, x_next);
