@@ -259,6 +259,7 @@ filter_pieces(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t r
     if (time <= PIECE)
         return filter_piece(self, b, plant, row, k, time, s) ? time : 0;
     const scratch whole = *s;
+    const Py_ssize_t apart = self->in_columns ? s->apart_if_columns : 0;
     int is_judged = 1, is_within = 1;
     Py_ssize_t done = 0;
     while (done < time) {
@@ -270,7 +271,7 @@ filter_pieces(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t r
         s->filter.squares = whole.statistic + done;
         if (!filter_piece(self, b, plant, row, k + done, some, s))
             break;
-        is_judged &= s->is_judged;
+        is_judged &= s->is_judged && s->apart == apart; /* a single sample is judged in a row */
         is_within &= s->is_within;
         done += some;
     }
@@ -281,6 +282,7 @@ filter_pieces(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t r
     s->r = b->out[OUT_RESIDUALS].base == NULL ? s->own_r : out_f8(b, OUT_RESIDUALS, plant, k);
     s->columns_of_q = whole.columns_of_q;
     s->is_judged = is_judged;
+    s->apart = is_judged ? apart : 0;
     s->is_within = is_within;
     return done;
 }

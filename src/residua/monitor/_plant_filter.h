@@ -16,8 +16,8 @@
 
 #include "_four_samples.h"
 
-#define PIECE 256
-#define LONG_PIECE (33 * PIECE) /* of a test that takes many samples at once, from places that are not 4 kB apart */
+#define PIECE 1024
+#define LONG_PIECE 8448 /* of a test that takes many samples at once, from places that are not 4 kB apart */
 #define FAR 1e15      /* limits beyond are no signal's: as a rule one bound of all values tells that they are within */
 
 /* ---- what runs, and its arrays ---------------------------------------------------------------------------------- */
