@@ -258,3 +258,16 @@ def test_a_tick_of_many_plants_has_the_bits_of_ticks_of_few(states: int) -> None
         for fleet, which in zip(few, ([0, 1, 2], [32, 33], [64, 65]), strict=True):
             np.testing.assert_array_equal(fleet.tick(None, u[which], y[which]).statistic, whole[which])
     assert np.isfinite(whole).all()
+
+
+@needs_kernel
+@pytest.mark.parametrize("outputs", [1, 2, 3, 5])
+@pytest.mark.parametrize("test", ["norm", "crosier", "chi-squared"])
+def test_long_recordings_have_the_bits_of_numpy(test: str, outputs: int) -> None:
+    """Sums of Crosier are formed in sixteen parts at once where nothing is over the threshold, else one by one."""
+    spec, rng = specification(test, "none", 4, outputs, "kalman"), np.random.default_rng(outputs)
+    for size in (0.01, 0.3, 1.0):
+        data = size * recording(spec, rng, 9000, [np.nan])
+        data[0, 4500:4560] *= size < 1.0  # below the threshold throughout, or with an alarm
+        state, expected = same_in_pieces(spec, data, rng)
+        same_of_few_outputs(spec, data, state, expected, outputs)

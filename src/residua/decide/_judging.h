@@ -7,6 +7,9 @@
 #define RESIDUA_JUDGING_H
 
 #include <math.h>
+#if defined(HAVE_AVX2)
+#include <immintrin.h>
+#endif
 
 #define LARGEST_WHITENED 1e120 /* as in residua.decide.whitened_norm */
 #define LARGEST_SQUARES 9e239  /* sums of squares up to here are of numbers up to there */
@@ -68,6 +71,11 @@ typedef struct {
     flag *usable, *over, *alarm;
     whole *up;
     int is_judged; /* q is there already, and the squares of its rows in `statistic` */
+    int is_within; /* and none of them is too large, nor over the threshold of a norm without a window */
+    Py_ssize_t apart; /* numbers from one column of q to the next, where it lies in columns; else 0 */
+    double *rows;     /* room for q in rows */
+    int is_put;       /* whether q, which is in columns, is in rows where it is to be left */
+    int is_laned;  /* whether a long piece may be judged part by part */
     int is_quiet;  /* nothing is over, and nothing was: `over`, `alarm` and `up` are not written then */
 } piece;
 
@@ -210,7 +218,7 @@ INLINE int
 whiten(const test_plan *t, const piece *p, Py_ssize_t nr, Py_ssize_t k)
 {
     if (all_set(p->usable, p->time)) {
-        if (p->is_judged && all_within(p->statistic, p->time, LARGEST_SQUARES))
+        if (p->is_judged && (p->is_within || all_within(p->statistic, p->time, LARGEST_SQUARES)))
             return 1;
         for (Py_ssize_t i = 0; i < p->time; i++)
             whitened_of(t, p->r + i * nr, p->q + i * k, nr, k);
@@ -258,51 +266,61 @@ turn_window(window_row row, Py_ssize_t window, Py_ssize_t k)
         row.begun[j] = 0.0;
 }
 
-/* Some samples of a window that is not full before them; sums of residual j from sums + j * across on, `down` apart. */
+/* Some samples of a window that is not full before them; sums of residual j from sums + j * across on, `down` apart, and
+ * v likewise. */
 INLINE void
-fill_window(window_row row, Py_ssize_t at, const double *v, double *sums, Py_ssize_t some, Py_ssize_t k,
-            Py_ssize_t down, Py_ssize_t across)
+fill_window(window_row row, Py_ssize_t at, const double *restrict v, double *restrict sums, Py_ssize_t some,
+            Py_ssize_t k, Py_ssize_t v_down, Py_ssize_t v_across, Py_ssize_t down, Py_ssize_t across)
 {
     double *place = row.values + at * k;
     if (k <= 4) { /* what has begun stays in registers, where it is a constant */
         double begun[4];
+        Py_ssize_t i = 0;
         for (Py_ssize_t j = 0; j < k; j++)
             begun[j] = row.begun[j];
-        for (Py_ssize_t i = 0; i < some; i++, place += k, v += k, sums += down)
+        if (at == 0) { /* from zero it would be 0 where this is -0 */
             for (Py_ssize_t j = 0; j < k; j++) {
-                const double value = v[j];
-                begun[j] = at + i ? begun[j] + value : value;
+                begun[j] = v[j * v_across];
                 sums[j * across] = place[j] + begun[j];
-                place[j] = value;
+                place[j] = begun[j];
+            }
+            i = 1;
+        }
+        for (; i < some; i++)
+            for (Py_ssize_t j = 0; j < k; j++) {
+                const double value = v[i * v_down + j * v_across], before = place[i * k + j];
+                begun[j] += value;
+                place[i * k + j] = value;
+                sums[i * down + j * across] = before + begun[j];
             }
         for (Py_ssize_t j = 0; j < k; j++)
             row.begun[j] = begun[j];
         return;
     }
-    for (Py_ssize_t i = 0; i < some; i++, place += k, v += k, sums += down)
+    for (Py_ssize_t i = 0; i < some; i++, place += k, v += v_down, sums += down)
         for (Py_ssize_t j = 0; j < k; j++) {
-            const double begun = at + i ? row.begun[j] + v[j] : v[j];
+            const double value = v[j * v_across], begun = at + i ? row.begun[j] + value : value;
             row.begun[j] = begun;
             sums[j * across] = place[j] + begun;
-            place[j] = v[j];
+            place[j] = value;
         }
 }
 
 /* The sums over the last samples, as residua.decide.window has them: of residual j from sums + j * across on. */
 INLINE void
 spread_sums(window_row row, Py_ssize_t window, const double *v, double *sums, Py_ssize_t time, Py_ssize_t k,
-            Py_ssize_t down, Py_ssize_t across)
+            Py_ssize_t v_down, Py_ssize_t v_across, Py_ssize_t down, Py_ssize_t across)
 {
     if (window == 1) {
         for (Py_ssize_t i = 0; i < time; i++)
             for (Py_ssize_t j = 0; j < k; j++)
-                sums[i * down + j * across] = v[i * k + j];
+                sums[i * down + j * across] = v[i * v_down + j * v_across];
         return;
     }
     while (time > 0) {
         const Py_ssize_t at = (Py_ssize_t)*row.filled, room = window - at, some = time < room ? time : room;
-        fill_window(row, at, v, sums, some, k, down, across);
-        v += some * k;
+        fill_window(row, at, v, sums, some, k, v_down, v_across, down, across);
+        v += some * v_down;
         sums += some * down;
         *row.filled = at + some;
         if (some == room)
@@ -314,7 +332,7 @@ spread_sums(window_row row, Py_ssize_t window, const double *v, double *sums, Py
 INLINE void
 moving_sums(window_row row, Py_ssize_t window, const double *v, double *sums, Py_ssize_t time, Py_ssize_t k)
 {
-    spread_sums(row, window, v, sums, time, k, k, 1);
+    spread_sums(row, window, v, sums, time, k, k, 1, k, 1);
 }
 
 /* Alarms of statistics, NaN where nothing is decided; an alarm of a test that remembers is raised and ended at once. */
@@ -464,13 +482,122 @@ pignatiello_runger(const test_plan *t, const double *now, const double *e, doubl
     return left;
 }
 
+/* ---- Crosier's sums of a long piece, part by part at the same time ------------------------------------------------ */
+
+#define LANES 16       /* parts of a piece */
+#define LEAST_LANE 128 /* samples of a part, at least */
+#define CHECKED 16     /* samples after which parts are compared */
+#define MAX_LANED 6    /* residuals, at most: the more there are, the longer it takes until sums come together */
+
+#if defined(HAVE_AVX2)
+/* Some samples of all parts, from `from` on; those of one part lie `each` samples behind those of the one before. */
+#define DEFINE_LANES(K)                                                                                               \
+    AVX2 static void crosier_lanes_##K(const test_plan *t, double *restrict now, const piece *p, Py_ssize_t from,     \
+                                       Py_ssize_t some, Py_ssize_t each)                                              \
+    {                                                                                                                 \
+        const __m256d allowance = _mm256_set1_pd(t->allowance), full = _mm256_set1_pd(FULL * t->threshold);           \
+        const __m256d zero = _mm256_setzero_pd();                                                                     \
+        const Py_ssize_t down = p->apart ? 1 : K, across = p->apart ? p->apart : 1, apart = each * down;              \
+        for (Py_ssize_t i = from; i < from + some; i++) {                                                             \
+            const double *at = p->e + i * down;                                                                       \
+            double *to = p->statistic + i;                                                                            \
+            _Pragma("GCC unroll 4") for (int l = 0; l < LANES; l += 4, at += 4 * apart, to += 4 * each)               \
+            {                                                                                                         \
+                __m256d sum[K], total = zero;                                                                         \
+                _Pragma("GCC unroll 8") for (int j = 0; j < K; j++)                                                   \
+                {                                                                                                     \
+                    const double *of = at + j * across;                                                               \
+                    const __m256d new = _mm256_setr_pd(of[0], of[apart], of[2 * apart], of[3 * apart]);               \
+                    sum[j] = _mm256_add_pd(_mm256_load_pd(now + j * LANES + l), new);                                 \
+                    total = _mm256_add_pd(total, _mm256_mul_pd(sum[j], sum[j]));                                      \
+                }                                                                                                     \
+                const __m256d length = _mm256_sqrt_pd(total), above = _mm256_sub_pd(length, allowance);               \
+                const __m256d left = _mm256_min_pd(_mm256_max_pd(above, zero), full);                                 \
+                const __m256d is_long = _mm256_cmp_pd(length, zero, _CMP_GT_OQ);                                      \
+                const __m256d part = _mm256_and_pd(_mm256_div_pd(left, length), is_long);                             \
+                _Pragma("GCC unroll 8") for (int j = 0; j < K; j++)                                                   \
+                    _mm256_store_pd(now + j * LANES + l, _mm256_mul_pd(sum[j], part));                                \
+                const __m128d low = _mm256_castpd256_pd128(left), high = _mm256_extractf128_pd(left, 1);              \
+                _mm_storel_pd(to, low);                                                                               \
+                _mm_storeh_pd(to + each, low);                                                                        \
+                _mm_storel_pd(to + 2 * each, high);                                                                   \
+                _mm_storeh_pd(to + 3 * each, high);                                                                   \
+            }                                                                                                         \
+        }                                                                                                             \
+    }
+DEFINE_LANES(1)
+DEFINE_LANES(2)
+DEFINE_LANES(3)
+DEFINE_LANES(4)
+DEFINE_LANES(5)
+DEFINE_LANES(6)
+typedef void (*lanes_runner)(const test_plan *, double *, const piece *, Py_ssize_t, Py_ssize_t, Py_ssize_t);
+static const lanes_runner lanes_table[MAX_LANED] = {crosier_lanes_1, crosier_lanes_2, crosier_lanes_3,
+                                                    crosier_lanes_4, crosier_lanes_5, crosier_lanes_6};
+
+/* The first samples of a piece, which is cut into parts. Each part begins at zero, and then again with what the one
+ * before has left: sums that begin apart come together, to the last bit, as what is left of either is shortened each
+ * time. How many samples that were; 0, and nothing has happened, where they do not come together within their part, or
+ * there is an alarm. `room` is for what has been at some samples. */
+static Py_ssize_t
+crosier_by_parts(const test_plan *t, double *sums, const piece *p, double *room, Py_ssize_t k)
+{
+    const Py_ssize_t each = p->time / LANES / CHECKED * CHECKED, size = k * LANES;
+    if (!p->is_laned || k > MAX_LANED || each < LEAST_LANE || !all_set(p->usable, p->time))
+        return 0;
+    double now[MAX_LANED * LANES] __attribute__((aligned(32)));
+    double *const ends = room + each / CHECKED * size;
+    const lanes_runner run = lanes_table[k - 1];
+    for (Py_ssize_t j = 0; j < size; j++)
+        now[j] = j % LANES == 0 ? sums[j / LANES] : 0.0;
+    for (Py_ssize_t i = 0; i < each; i += CHECKED) {
+        run(t, now, p, i, CHECKED, each);
+        memcpy(room + i / CHECKED * size, now, (size_t)size * sizeof(double));
+    }
+    memcpy(ends, now, (size_t)size * sizeof(double));
+    for (Py_ssize_t j = 0; j < size; j++)
+        now[j] = j % LANES == 0 ? sums[j / LANES] : ends[j - 1];
+    int differs = 1;
+    for (Py_ssize_t i = 0; i < each && differs; i += CHECKED) {
+        run(t, now, p, i, CHECKED, each);
+        differs = memcmp(room + i / CHECKED * size, now, (size_t)size * sizeof(double)) != 0;
+    }
+    if (differs || !(largest_of(p->statistic, each * LANES) <= t->threshold))
+        return 0;
+    for (Py_ssize_t j = 0; j < k; j++)
+        sums[j] = ends[j * LANES + LANES - 1];
+    return each * LANES;
+}
+#else
+INLINE Py_ssize_t
+crosier_by_parts(const test_plan *t, double *sums, const piece *p, double *room, Py_ssize_t k)
+{
+    (void)t, (void)sums, (void)p, (void)room, (void)k;
+    return 0;
+}
+#endif
+
+/* Put whitened residuals that lie in columns into rows, from some sample on. */
+INLINE void
+in_rows(piece *p, Py_ssize_t from, Py_ssize_t k)
+{
+    for (Py_ssize_t i = from; i < p->time; i++)
+        for (Py_ssize_t j = 0; j < k; j++)
+            p->rows[i * k + j] = p->q[j * p->apart + i];
+    p->e = p->rows;
+    p->apart = 0;
+}
+
 /* Cumulative sums of a piece; `sums` of one plant, and whether it is in alarm behind them. */
 INLINE void
 cumulative_sums(const test_plan *t, double *sums, piece *p, double *then, Py_ssize_t k)
 {
     const Py_ssize_t count = t->sums - 1;
     int alarmed = sums[count] > 0;
-    for (Py_ssize_t i = 0; i < p->time; i++) {
+    Py_ssize_t i = t->kind == CROSIER && !alarmed ? crosier_by_parts(t, sums, p, p->history, k) : 0;
+    if (p->apart && i < p->time)
+        in_rows(p, i, k);
+    for (; i < p->time; i++) {
         const double *e = p->e + i * k;
         const double value = t->kind == PAGE      ? page(t, sums, e, then, k)
                              : t->kind == CROSIER ? crosier(t, sums, e, then, k)
@@ -804,20 +931,113 @@ score_columns(const isolation_plan *n, const piece *p, double *sums, Py_ssize_t 
             p->scores[i * groups + g] = NAN;
 }
 
+#if defined(HAVE_AVX2)
+#define TINY 1e-150 /* the square of a smaller number may be too small */
+
+/* Scores of lines, of four samples at once: of so many groups, from `first` on; whether none is near zero. */
+AVX2 INLINE __m256d
+score_four(const isolation_plan *n, const __m256d *sums, __m256d size, Py_ssize_t group, Py_ssize_t k, __m256d *near)
+{
+    const __m256d zero = _mm256_setzero_pd(), one = _mm256_set1_pd(1.0);
+    const double *const part = n->padded + group;
+    __m256d along = _mm256_mul_pd(sums[0], _mm256_broadcast_sd(part));
+    for (Py_ssize_t j = 1; j < k; j++)
+        along = _mm256_add_pd(along, _mm256_mul_pd(sums[j], _mm256_broadcast_sd(part + j * n->room)));
+    along = _mm256_andnot_pd(_mm256_set1_pd(-0.0), along);
+    const __m256d is_small = _mm256_cmp_pd(along, _mm256_set1_pd(TINY), _CMP_NGE_UQ);
+    *near = _mm256_or_pd(*near, _mm256_and_pd(is_small, _mm256_cmp_pd(along, zero, _CMP_NEQ_UQ)));
+    const __m256d is_long = _mm256_cmp_pd(size, zero, _CMP_GT_OQ);
+    return _mm256_min_pd(one, _mm256_blendv_pd(_mm256_set1_pd(NAN), _mm256_div_pd(along, size), is_long));
+}
+
+/* As score_columns, where every signature has one column: as many samples as there are four and four; 0, and nothing
+ * to be read of the scores, where roots of squares are needed. */
+#define DEFINE_SCORES(K)                                                                                              \
+    AVX2 static int score_lines_##K(const isolation_plan *n, const piece *p, const double *columns)                   \
+    {                                                                                                                 \
+        const Py_ssize_t time = p->time, groups = n->groups;                                                          \
+        __m256d near = _mm256_setzero_pd();                                                                           \
+        for (Py_ssize_t i = 0; i + 4 <= time; i += 4) {                                                               \
+            double *const to = p->scores + i * groups;                                                                \
+            __m256d sums[K], size = _mm256_setzero_pd();                                                              \
+            _Pragma("GCC unroll 4") for (int j = 0; j < K; j++)                                                       \
+            {                                                                                                         \
+                sums[j] = _mm256_loadu_pd(columns + j * time + i);                                                    \
+                size = _mm256_add_pd(size, _mm256_mul_pd(sums[j], sums[j]));                                          \
+            }                                                                                                         \
+            size = _mm256_sqrt_pd(size);                                                                              \
+            Py_ssize_t g = 0;                                                                                         \
+            for (; g + 4 <= groups; g += 4) {                                                                         \
+                const __m256d a = score_four(n, sums, size, g, K, &near);                                             \
+                const __m256d b = score_four(n, sums, size, g + 1, K, &near);                                         \
+                const __m256d c = score_four(n, sums, size, g + 2, K, &near);                                         \
+                const __m256d d = score_four(n, sums, size, g + 3, K, &near);                                         \
+                const __m256d low = _mm256_unpacklo_pd(a, b), high = _mm256_unpackhi_pd(a, b);                        \
+                const __m256d low_too = _mm256_unpacklo_pd(c, d), high_too = _mm256_unpackhi_pd(c, d);                \
+                _mm256_storeu_pd(to + g, _mm256_permute2f128_pd(low, low_too, 0x20));                                 \
+                _mm256_storeu_pd(to + groups + g, _mm256_permute2f128_pd(high, high_too, 0x20));                      \
+                _mm256_storeu_pd(to + 2 * groups + g, _mm256_permute2f128_pd(low, low_too, 0x31));                    \
+                _mm256_storeu_pd(to + 3 * groups + g, _mm256_permute2f128_pd(high, high_too, 0x31));                  \
+            }                                                                                                         \
+            for (; g < groups; g++) {                                                                                 \
+                const __m256d a = score_four(n, sums, size, g, K, &near);                                             \
+                const __m128d low = _mm256_castpd256_pd128(a), high = _mm256_extractf128_pd(a, 1);                    \
+                _mm_storel_pd(to + g, low);                                                                           \
+                _mm_storeh_pd(to + groups + g, low);                                                                  \
+                _mm_storel_pd(to + 2 * groups + g, high);                                                             \
+                _mm_storeh_pd(to + 3 * groups + g, high);                                                             \
+            }                                                                                                         \
+        }                                                                                                             \
+        return _mm256_testz_si256(_mm256_castpd_si256(near), _mm256_castpd_si256(near));                              \
+    }
+DEFINE_SCORES(1)
+DEFINE_SCORES(2)
+DEFINE_SCORES(3)
+DEFINE_SCORES(4)
+
+static int
+score_lines(const isolation_plan *n, const piece *p, const double *columns, double *part, Py_ssize_t k)
+{
+    static int (*const table[4])(const isolation_plan *, const piece *, const double *) = {
+        score_lines_1, score_lines_2, score_lines_3, score_lines_4};
+    const Py_ssize_t time = p->time, begun = time / 4 * 4;
+    if (!p->is_laned || !n->are_lines || k > 4 || !all_set(p->usable, time) || !table[k - 1](n, p, columns))
+        return 0;
+    for (Py_ssize_t i = begun; i < time; i++) {
+        double sums[4];
+        for (Py_ssize_t j = 0; j < k; j++)
+            sums[j] = columns[j * time + i];
+        score_sample(n, sums, 1, part, p->scores + i * n->groups, k);
+    }
+    return 1;
+}
+#else
+INLINE int
+score_lines(const isolation_plan *n, const piece *p, const double *columns, double *part, Py_ssize_t k)
+{
+    (void)n, (void)p, (void)columns, (void)part, (void)k;
+    return 0;
+}
+#endif
+
 INLINE void
 name_by_direction(const isolation_plan *n, window_row row, const piece *p, double *part, double *columns, Py_ssize_t k)
 {
-    if (p->scores != NULL && p->time > 1) {
-        const Py_ssize_t time = p->time;
-        spread_sums(row, n->window, p->q, columns, time, k, 1, time);
-        score_columns(n, p, columns, k);
+    const Py_ssize_t time = p->time;
+    if (p->apart || (p->scores != NULL && time > 1)) {
+        if (p->apart)
+            spread_sums(row, n->window, p->q, columns, time, k, 1, p->apart, 1, time);
+        else
+            spread_sums(row, n->window, p->q, columns, time, k, k, 1, 1, time);
+        if (p->scores != NULL && !score_lines(n, p, columns, part, k))
+            score_columns(n, p, columns, k);
         for (Py_ssize_t j = 0; j < k; j++) /* what is kept of the last sample */
             p->sums[(time - 1) * k + j] = columns[j * time + time - 1];
         return;
     }
-    moving_sums(row, n->window, p->q, p->sums, p->time, k);
+    moving_sums(row, n->window, p->q, p->sums, time, k);
     if (p->scores != NULL)
-        for (Py_ssize_t i = 0; i < p->time; i++)
+        for (Py_ssize_t i = 0; i < time; i++)
             score_sample(n, p->sums + i * k, p->usable[i], part, p->scores + i * n->groups, k);
 }
 

@@ -56,7 +56,7 @@ write_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t fir
         copy_flags(out_b1(b, OUT_USABLE, plant, first), p->usable, time);
     if (b->out[OUT_STATISTIC].base != NULL)
         copy_doubles(out_f8(b, OUT_STATISTIC, plant, first), p->statistic, time);
-    if (b->out[OUT_WHITENED].base != NULL)
+    if (b->out[OUT_WHITENED].base != NULL && !p->is_put)
         copy_doubles(out_f8(b, OUT_WHITENED, plant, first), p->q, time * self->test.k);
     if (p->is_quiet) /* these are zeros where nothing is written */
         return;
@@ -120,7 +120,7 @@ judge_parts(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
     double *const spare = s->small;
     part_piece m = outputs_of_parts(b, plant, first, s);
     piece p = {time, s->r, s->q, s->sums, s->statistic, out_f8(b, OUT_SCORES, plant, first), s->e, s->history,
-               s->usable, s->over, s->alarm, s->up, 0, 0};
+               s->usable, s->over, s->alarm, s->up};
     if (b->out[OUT_READY].base != NULL)
         copy_flags(out_b1(b, OUT_READY, plant, first), s->usable, time);
     const int is_read = n->kind == DIRECTIONS || b->out[OUT_WHITENED].base != NULL;
@@ -151,6 +151,14 @@ judge_parts(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
     }
 }
 
+/* Whether no sample is over the threshold, and nobody asks how far below it they are. */
+INLINE int
+is_calm(const Runner *self, const block *b, const test_row *row, const piece *p)
+{
+    return p->is_judged && p->is_within && self->sums_squares && self->test.window == 1 && !*row->up && !*row->alarm
+           && b->out[OUT_STATISTIC].base == NULL && all_set(p->usable, p->time);
+}
+
 /* With constant numbers of residuals the loops over them unroll. */
 INLINE void
 judge_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, Py_ssize_t first, Py_ssize_t time,
@@ -160,14 +168,25 @@ judge_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row
     const test_row test = row_of_test(self, row);
     double *part = s->small, *spare = part + k + t->sums + t->directions + 2;
     piece p = {time, s->r, s->q, s->sums, s->statistic, out_f8(b, OUT_SCORES, plant, first), s->e, s->history,
-               s->usable, s->over, s->alarm, s->up, s->is_judged, 0};
+               s->usable, s->over, s->alarm, s->up, .is_judged = s->is_judged, .is_laned = self->path == PATH_AVX2};
     if (b->out[OUT_READY].base != NULL)
         copy_flags(out_b1(b, OUT_READY, plant, first), s->usable, time);
-    const int has_squares = (s->is_short && squares_of_rows(t, &p, nr, k)) || whiten(t, &p, nr, k);
+    p.is_within = s->is_within;
+    p.rows = s->e;
+    if (is_calm(self, b, &test, &p)) {
+        p.statistic[time - 1] = sqrt(p.statistic[time - 1]);
+        *test.down += time;
+        p.is_quiet = 1;
+        write_piece(self, b, plant, first, &p);
+        if (self->has_state[LAST_FLAGS])
+            write_last(self, row, &p, s, spare, k);
+        return;
+    }
+    const int has_squares = (s->is_short && !p.is_judged && squares_of_rows(t, &p, nr, k)) || whiten(t, &p, nr, k);
+    p.apart = has_squares ? s->apart : 0;
+    p.is_put = p.apart != 0;
     if (t->kind == NORM)
         judge_norm(t, &test, &p, k, has_squares);
-    else if (s->is_chained)
-        memcpy(p.statistic, p.e, (size_t)time * sizeof(double));
     else
         judge_stream(t, &test, &p, part, spare, k, has_squares);
     raise_alarms(t, &test, &p);
@@ -232,6 +251,42 @@ clear_outputs(const Runner *self, const block *b, Py_ssize_t place)
         }
 }
 
+/* The filter of some samples that are judged at once, piece by piece; of how many, if one is left. */
+static Py_ssize_t
+filter_pieces(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, Py_ssize_t k, Py_ssize_t time,
+              scratch *s)
+{
+    if (time <= PIECE)
+        return filter_piece(self, b, plant, row, k, time, s) ? time : 0;
+    const scratch whole = *s;
+    const Py_ssize_t apart = self->in_columns ? s->apart_if_columns : 0;
+    int is_judged = 1, is_within = 1;
+    Py_ssize_t done = 0;
+    while (done < time) {
+        const Py_ssize_t some = time - done < PIECE ? time - done : PIECE;
+        s->usable = whole.usable + done;
+        s->own_r = whole.own_r + done * self->nr;
+        s->filter.q = whole.q + done * self->test.k;
+        s->columns_of_q = whole.q + done;
+        s->filter.squares = whole.statistic + done;
+        if (!filter_piece(self, b, plant, row, k + done, some, s))
+            break;
+        is_judged &= s->is_judged && s->apart == apart; /* a single sample is judged in a row */
+        is_within &= s->is_within;
+        done += some;
+    }
+    s->usable = whole.usable;
+    s->own_r = whole.own_r;
+    s->filter.q = whole.filter.q;
+    s->filter.squares = whole.filter.squares;
+    s->r = b->out[OUT_RESIDUALS].base == NULL ? s->own_r : out_f8(b, OUT_RESIDUALS, plant, k);
+    s->columns_of_q = whole.columns_of_q;
+    s->is_judged = is_judged;
+    s->apart = is_judged ? apart : 0;
+    s->is_within = is_within;
+    return done;
+}
+
 static Py_ssize_t
 run_plant(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, Py_ssize_t k, scratch *s)
 {
@@ -239,12 +294,13 @@ run_plant(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, 
     if (b->is_used)
         clear_outputs(self, b, plant);
     while (k < b->time) {
-        const Py_ssize_t time = b->time - k < PIECE ? b->time - k : PIECE;
-        if (!filter_piece(self, b, plant, row, k, time, s))
+        const Py_ssize_t time = b->time - k < self->span ? b->time - k : self->span;
+        const Py_ssize_t done = filter_pieces(self, b, plant, row, k, time, s);
+        if (done == 0)
             break;
         s->count = *I8(self, COUNT, row) + k - begin;
-        judge(self, b, plant, row, k, time, s);
-        k += time;
+        judge(self, b, plant, row, k, done, s);
+        k += done;
     }
     *I8(self, COUNT, row) += k - begin;
     return k;
@@ -520,6 +576,22 @@ point_at_parts(Runner *self)
     return 1;
 }
 
+/* The largest square whose root is not over a threshold, of those that do not overflow a sum. */
+static double
+largest_square(double threshold)
+{
+    double square = threshold * threshold;
+    if (!(threshold >= 0.0))
+        return -1.0;
+    if (!(square < LARGEST_SQUARES))
+        return LARGEST_SQUARES;
+    while (square > 0.0 && sqrt(square) > threshold)
+        square = nextafter(square, 0.0);
+    while (sqrt(nextafter(square, DBL_MAX)) <= threshold)
+        square = nextafter(square, DBL_MAX);
+    return square;
+}
+
 static void
 point_at_plan(Runner *self)
 {
@@ -539,11 +611,16 @@ point_at_plan(Runner *self)
             t->padded[4 + 4 * i + j] = t->whitening[i * t->k + j];
     }
     self->judge = self->nr <= 4 && t->k <= 4 ? t->padded : NULL;
-    self->chains = self->judge != NULL && self->path == PATH_AVX2 && t->kind == CROSIER && !t->order
-                   && !t->knots_of_each && self->n >= 1 && self->n <= MAX_SMALL;
+    self->span = self->path == PATH_AVX2 && t->kind == CROSIER && t->k <= MAX_LANED ? LONG_PIECE : PIECE;
     self->sums_squares = self->judge != NULL && self->naming.kind == NOBODY
                          && ((t->kind == NORM && t->window == 1)
                              || (t->kind == CHI_SQUARED && !t->order && !t->knots_of_each));
+    const int is_square = self->path == PATH_AVX2 && self->judge != NULL && t->k == self->nr && t->k >= 1 && self->n >= 1
+                          && self->n <= MAX_SMALL;
+    self->in_quads = is_square && self->sums_squares;
+    const int is_summed = t->kind == CROSIER && !t->order && !t->knots_of_each && self->naming.kind == NOBODY;
+    self->in_columns = is_square && (is_summed || (t->kind == NORM && t->window == 1 && self->naming.kind == DIRECTIONS));
+    self->limit = self->sums_squares && t->window == 1 ? largest_square(t->threshold) : LARGEST_SQUARES;
     const int limits[3] = {OFFSET, LOW, HIGH};
     const Py_ssize_t begins[3] = {0, 0, self->n_u}, ends[3] = {self->m, self->n_u, self->m};
     double *tile = self->tile;
@@ -560,6 +637,7 @@ point_at_plan(Runner *self)
     self->has_offset = 0; /* a negative zero counts as one: 0 less that is 0, whatever the sign */
     for (Py_ssize_t i = 0; i < self->m; i++)
         self->has_offset |= PLAN(self, OFFSET)[i] != 0.0 || signbit(PLAN(self, OFFSET)[i]);
+    self->nearest = self->has_offset ? 0.0 : nearest_limit(self->tile, 4 * self->m);
     self->has_gains = self->partial && self->has_plan[PARTIAL_NUMBERS];
     if (self->has_gains)
         point_at_partial(&self->some, PLAN(self, PARTIAL_NUMBERS));
@@ -716,17 +794,18 @@ small_size(const Runner *self)
 static void *
 make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
 {
-    const Py_ssize_t samples = time < CHUNK ? CHUNK : time < PIECE ? time : PIECE, k = self->test.k;
+    const Py_ssize_t samples = time < CHUNK ? CHUNK : time < self->span ? time : self->span, k = self->test.k;
     const test_plan *t = &self->test;
     const Py_ssize_t widest = t->directions > k ? t->directions : k;
     const Py_ssize_t room_e = t->kind == NORM || t->kind == PARTS ? 0 : samples * k;
     const Py_ssize_t states = (3 * CHUNK + 3) * (self->n + 1) + 16;
     const int is_summed = t->kind >= CHI_SQUARED && t->kind <= DIRECTED_GLR;
-    const Py_ssize_t history = is_summed ? widest * (t->window - 1 + samples + 16) : 0;
+    const Py_ssize_t lanes = t->kind == CROSIER ? (samples / LANES / CHECKED + 1) * LANES * k : 0;
+    const Py_ssize_t history = is_summed ? widest * (t->window - 1 + samples + 16) : lanes;
     const Py_ssize_t parts = samples * t->parts, members = self->naming.kind == CODES ? parts : 0;
     const Py_ssize_t directions = self->naming.kind == DIRECTIONS ? samples * (k + 3) : 0;
     const Py_ssize_t columns = parts ? samples * (self->nr + 1) + parts : 0;
-    const Py_ssize_t doubles = samples * (self->m + self->nr + 2 * k + 2) + states + small_size(self) + room_e + history
+    const Py_ssize_t doubles = samples * (self->m + self->nr + 3 * k + 2) + states + small_size(self) + room_e + history
                                + parts + 2 * members + columns + directions + 12;
     double *room = malloc((size_t)doubles * sizeof(double) + (size_t)(3 * samples + parts + members + 1));
     memset(&s->gains, 0, sizeof s->gains);
@@ -737,7 +816,7 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     s->v = room;
     s->r = s->own_r = s->v + samples * self->m;
     s->q = s->own_r + samples * self->nr + 4; /* ticks store rows as four numbers, however few they have */
-    s->sums = s->q + samples * k + 4;
+    s->sums = s->q + (samples + 8) * k + 4;
     s->statistic = s->sums + samples * k;
     s->up = (whole *)(s->statistic + samples);
     s->x = (double *)(s->up + samples);
@@ -760,6 +839,10 @@ make_scratch(const Runner *self, scratch *s, Py_ssize_t time)
     s->filter.q = s->q;
     s->filter.squares = s->statistic;
     s->filter.k = k;
+    s->columns_of_q = s->q;
+    s->is_within = 0;
+    s->apart = 0;
+    s->apart_if_columns = samples + 8;
     return room;
 }
 

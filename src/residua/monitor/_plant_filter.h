@@ -12,8 +12,12 @@
 #include "../decide/_members.h"
 #include "_partial_gain.h"
 
-#define PIECE 256
 #define LARGEST 1e150 /* as in residua.monitor.one_plant */
+
+#include "_four_samples.h"
+
+#define PIECE 1024
+#define LONG_PIECE 8448 /* of a test that takes many samples at once, from places that are not 4 kB apart */
 #define FAR 1e15      /* limits beyond are no signal's: as a rule one bound of all values tells that they are within */
 
 /* ---- what runs, and its arrays ---------------------------------------------------------------------------------- */
@@ -52,8 +56,10 @@ typedef struct {
     int is_missing; /* the last sample of the piece */
     int is_short;   /* whether nothing but the squares of a piece is asked for */
     int is_judged;  /* whether q and the squares of a piece are there already, in `statistic` */
-    chain chain;
-    int is_chained; /* whether cumulative sums of a piece are there already, their sizes in `e` */
+    int is_within;  /* and whether none of these is over the limit */
+    Py_ssize_t apart, apart_if_columns; /* whether q is there in columns, so many numbers apart; else 0 */
+    double *columns_of_q;
+    int is_deferred; /* whether it is the filter that finds out whether all signals are values */
     gain_store gains;
 } scratch;
 
@@ -92,8 +98,11 @@ typedef struct {
     double *room; /* of the packed matrices, and: */
     job starter; /* from a sample to the state that a filter starts with: outputs of one whose only state stays zero */
     double *zeros;
-    int chains; /* whether cumulative sums are formed with the residuals */
+    Py_ssize_t span; /* samples of a plant that are judged at once, at most */
     double *tile; /* of four samples: offsets, lowest values, highest values; of u and y, of u, of y */
+    int in_quads, in_columns; /* whether four samples are judged at once; whether their whitened residuals lie in columns */
+    double limit;             /* of squares so that nothing is over the threshold */
+    double nearest;           /* as `nearest_limit`, of all signals; 0 where they have an offset */
     int has_offset, sums_squares; /* whether residuals are judged by the sum of the squares of each sample, and nothing else */
     Py_ssize_t plants;
     Py_buffer plan[PLAN_ARRAYS], state[STATE_ARRAYS];
@@ -312,18 +321,24 @@ is_double(const char *at, Py_ssize_t step)
     return ((uintptr_t)at | (uintptr_t)step) % sizeof(double) == 0;
 }
 
-/* Deviations of rows one stride after the other; whether all are values. They stay where they lie if they can. */
+/* Deviations of rows one stride after the other; whether all are values. They stay where they lie if they can, and the
+ * filter may look at them then. */
 static int
 gather(const Runner *self, const block *b, const char *u, const char *y, Py_ssize_t u_step, Py_ssize_t y_step,
-       Py_ssize_t rows, scratch *s)
+       Py_ssize_t rows, int may_defer, scratch *s)
 {
     const Py_ssize_t n_u = self->n_u, n_y = self->n_y, m = self->m, size = sizeof(double);
     const double *const u_tile = self->tile + 12 * m, *const y_tile = u_tile + 12 * n_u;
     const int is_there = b->is_dense && is_double(u, u_step) && is_double(y, y_step);
     const int u_packed = rows == 1 || u_step == n_u * size, y_packed = rows == 1 || y_step == n_y * size;
     double *v = s->v;
+    s->is_deferred = may_defer && is_there && self->nearest > 0.0;
     if (is_there && n_u && n_y && u_packed && y_packed) {
         double *const w = v + rows * n_u;
+        if (s->is_deferred) {
+            s->in = (source){(const double *)u, (const double *)y, n_u, n_u, n_y};
+            return 1;
+        }
         int all = deviations(self, (const double *)u, self->has_offset ? v : NULL, rows, u_tile, n_u);
         all &= deviations(self, (const double *)y, self->has_offset ? w : NULL, rows, y_tile, n_y);
         if (self->has_offset)
@@ -337,8 +352,11 @@ gather(const Runner *self, const block *b, const char *u, const char *y, Py_ssiz
     const int is_joint = !n_u || !n_y || (y == u + n_u * size && (rows == 1 || u_step == y_step));
     if (is_there && is_joint && (rows == 1 || step == m * size)) {
         s->in = one_array(self->has_offset ? v : (const double *)from, m);
+        if (s->is_deferred)
+            return 1;
         return deviations(self, (const double *)from, self->has_offset ? v : NULL, rows, self->tile, m);
     }
+    s->is_deferred = 0;
     if (b->is_dense)
         for (Py_ssize_t i = 0; i < rows; i++, u += u_step, y += y_step)
             v = copy_few(copy_few(v, u, n_u), y, n_y);
@@ -379,31 +397,6 @@ filter_some(const Runner *self, scratch *s, double *x, source v, double *r, Py_s
     s->filter.r = r;
     s->filter.judge = judge;
     return execute(&s->filter, self->path);
-}
-
-/* Let the filter's loop form the cumulative sums of a piece of usable samples too. */
-static void
-begin_chain(const Runner *self, Py_ssize_t row, scratch *s)
-{
-    const test_plan *t = &self->test;
-    const double *sums = F8(self, SUMS, row);
-    s->chain = (chain){t->allowance, FULL * t->threshold, t->threshold, t->release_level, {0.0}, s->e, sums[t->k] > 0};
-    memcpy(s->chain.sums, sums, (size_t)t->k * sizeof(double));
-    s->filter.chain = &s->chain;
-}
-
-/* Keep cumulative sums of whitened residuals that are sound; else nothing has happened to them. */
-static void
-end_chain(const Runner *self, Py_ssize_t row, Py_ssize_t time, int is_sound, scratch *s)
-{
-    const Py_ssize_t k = self->test.k;
-    double *sums = F8(self, SUMS, row);
-    s->is_chained = is_sound && s->filter.chain != NULL && all_within(s->statistic, time, LARGEST_SQUARES);
-    s->filter.chain = NULL;
-    if (!s->is_chained)
-        return;
-    memcpy(sums, s->chain.sums, (size_t)k * sizeof(double));
-    sums[k] = s->chain.is_alarmed ? 1.0 : 0.0;
 }
 
 static int
@@ -667,6 +660,47 @@ filter_with_gaps(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_
     }
 }
 
+/* Whether four samples of a piece are run at once. */
+INLINE int
+goes_in_quads(const Runner *self, Py_ssize_t time, const scratch *s)
+{
+    return time > 1 && (self->in_columns || (self->in_quads && s->is_short));
+}
+
+/* The filter of a piece without gaps, and as much of its test as goes on meanwhile; whether residuals are sound, and
+ * signals are values where that was left to it, as far as that is known. */
+static int
+filter_and_judge(const Runner *self, double *x, double *whitened, Py_ssize_t time, scratch *s)
+{
+#if defined(HAVE_AVX2)
+    if (goes_in_quads(self, time, s)) {
+        const Py_ssize_t nr = self->nr;
+        quads to = {.limit = self->limit, .squares = s->filter.squares, .apart = s->apart_if_columns};
+        for (Py_ssize_t j = 0; j < nr; j++) {
+            to.center[j] = (lanes4){0.0} + self->judge[j];
+            for (Py_ssize_t l = 0; l < nr; l++)
+                to.whitening[j][l] = (lanes4){0.0} + self->judge[4 + 4 * j + l];
+        }
+        to.columns = self->in_columns ? s->columns_of_q : NULL;
+        to.rows = whitened;
+        s->apart = self->in_columns ? to.apart : 0;
+        s->filter.time = time;
+        s->filter.plants = 1;
+        s->filter.x = s->filter.x_next = x;
+        s->filter.v = s->in;
+        s->filter.r = s->r;
+        s->filter.judge = self->judge;
+        const int is_sound = run_quads(&s->filter, &to);
+        s->is_judged = 1;
+        s->is_within = to.is_within;
+        s->is_deferred &= !(to.values <= self->nearest);
+        return is_sound;
+    }
+#endif
+    s->is_judged = filter_some(self, s, x, s->in, s->r, time, s->is_short ? NULL : self->judge);
+    return 0;
+}
+
 /* A piece of one plant; 0 if it is left, untouched, for want of what a Kalman filter with missing values needs. */
 static int
 filter_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t row, Py_ssize_t k, Py_ssize_t time,
@@ -675,23 +709,23 @@ filter_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t ro
     const Py_ssize_t n = self->n;
     const char *u = b->u + plant * b->u_strides[0] + k * b->u_strides[1];
     const char *y = b->y + plant * b->y_strides[0] + k * b->y_strides[1];
-    const int all = gather(self, b, u, y, b->u_strides[1], b->y_strides[1], time, s);
-    s->r = b->out[OUT_RESIDUALS].base == NULL ? s->own_r : out_f8(b, OUT_RESIDUALS, plant, k);
-    s->is_judged = s->is_chained = 0;
-    s->is_short = time > 1 && self->sums_squares && b->out[OUT_WHITENED].base == NULL;
     const int is_apart = self->partial && *B1(self, APART, row);
-    if (self->partial && !self->has_gains && (!all || is_apart))
-        return 0;
-    if (all && *B1(self, RUNNING, row) && !*B1(self, STARTING, row) && !is_apart) {
+    const int is_going = *B1(self, RUNNING, row) && !*B1(self, STARTING, row) && !is_apart;
+    s->r = b->out[OUT_RESIDUALS].base == NULL ? s->own_r : out_f8(b, OUT_RESIDUALS, plant, k);
+    s->is_judged = s->is_within = 0;
+    s->apart = 0;
+    s->is_short = time > 1 && self->sums_squares && b->out[OUT_WHITENED].base == NULL;
+    const int may_defer = is_going && goes_in_quads(self, time, s);
+    int all = gather(self, b, u, y, b->u_strides[1], b->y_strides[1], time, may_defer, s);
+    if (all && is_going) {
         double *x = F8(self, X, row), *before = s->small;
         const whole age = *I8(self, AGE, row);
         copy_doubles(before, x, n);
-        if (self->chains && time > 1 && age >= self->settle)
-            begin_chain(self, row, s);
-        s->is_judged = filter_some(self, s, x, s->in, s->r, time, s->is_short ? NULL : self->judge);
-        const int is_sound = are_sound(self, s->r, time * self->nr) && is_finite(x, n);
-        end_chain(self, row, time, is_sound, s);
-        if (is_sound) {
+        int is_sound = filter_and_judge(self, x, out_f8(b, OUT_WHITENED, plant, k), time, s);
+        is_sound = (is_sound || are_sound(self, s->r, time * self->nr)) && is_finite(x, n);
+        if (s->is_deferred)
+            all = gather(self, b, u, y, b->u_strides[1], b->y_strides[1], time, 0, s);
+        if (all && is_sound) {
             s->is_missing = 0;
             if (age >= self->settle && time > 1)
                 memset(s->usable, 1, (size_t)time);
@@ -705,7 +739,10 @@ filter_piece(const Runner *self, const block *b, Py_ssize_t plant, Py_ssize_t ro
         }
         copy_doubles(x, before, n);
         s->is_judged = 0;
+        s->apart = 0;
     }
+    if (self->partial && !self->has_gains && (!all || is_apart))
+        return 0;
     filter_with_gaps(self, b, plant, row, k, time, s);
     if (k + time == b->time && *B1(self, RUNNING, row) && !is_finite(F8(self, X, row), n))
         break_filter(self, row);

@@ -300,7 +300,7 @@ together(const Runner *self, tick *t, chunk *c, scratch *s)
         gather_records(self, t, c, x);
     else
         gather_states(self, t, c, x);
-    const int all = gather(self, b, u, y, b->u_strides[0], b->y_strides[0], count, s);
+    const int all = gather(self, b, u, y, b->u_strides[0], b->y_strides[0], count, 0, s);
     c->has_odd = 0;
     if (!all || c->has_apart)
         mark_odd(self, t, c, &s->in, all);
@@ -314,7 +314,8 @@ together(const Runner *self, tick *t, chunk *c, scratch *s)
     q->v = s->in;
     q->r = s->own_r;
     q->judge = self->judge;
-    s->is_short = s->is_chained = 0;
+    s->is_short = s->is_within = 0;
+    s->apart = 0;
     s->is_judged = execute(q, self->path);
     if (!are_all_sound(self, c, s->own_r, x_next))
         mark_overflows(self, c, s->own_r, x_next);

@@ -58,13 +58,6 @@ typedef struct {
     double *packed;
 } section;
 
-/* The cumulative sum of Crosier on whitened residuals: what it is at, and its size at every sample. */
-typedef struct {
-    double allowance, full, threshold, release_level;
-    double sums[4], *sizes;
-    int is_alarmed;
-} chain;
-
 typedef struct {
     Py_ssize_t n, m, nr, plants, time;
     Py_ssize_t step;           /* numbers from row to row of A and of C, and from plant to plant of x: all states */
@@ -82,7 +75,6 @@ typedef struct {
     const double *judge;
     double *q, *squares;
     Py_ssize_t k;
-    chain *chain; /* NULL for none */
 } job;
 
 /* Every column of M (rows x columns, its rows so many numbers apart): rows top .. top + width, zero where M has no such
@@ -241,51 +233,7 @@ typedef void (*runner)(const job *);
 #define ASK_FOR(at, further)
 #endif
 
-#define CHAIN_BEGINS(JUDGE) CHAIN_BEGINS_##JUDGE
-#define CHAIN_GOES_ON(JUDGE) CHAIN_GOES_ON_##JUDGE
-#define CHAIN_ENDS(JUDGE) CHAIN_ENDS_##JUDGE
-#define CHAIN_BEGINS_0
-#define CHAIN_GOES_ON_0
-#define CHAIN_ENDS_0
-#define CHAIN_BEGINS_1
-#define CHAIN_GOES_ON_1
-#define CHAIN_ENDS_1
-/* As residua.decide.cusum and `crosier` have it. Not a vector: what waits for the sample before is to be short. */
-#define CHAIN_BEGINS_2                                                                                                \
-    double a_0 = q->chain->sums[0], a_1 = q->chain->sums[1], a_2 = q->chain->sums[2], a_3 = q->chain->sums[3];        \
-    double *restrict sizes = q->chain->sizes;                                                                         \
-    const double allowance = q->chain->allowance, full = q->chain->full;                                              \
-    const double threshold = q->chain->threshold, release_level = q->chain->release_level;                            \
-    int is_alarmed = q->chain->is_alarmed;
-#define CHAIN_GOES_ON_2                                                                                               \
-    a_0 += whitened[0];                                                                                               \
-    a_1 += whitened[1];                                                                                               \
-    a_2 += whitened[2];                                                                                               \
-    a_3 += whitened[3];                                                                                               \
-    double of_sums = a_0 * a_0 + a_1 * a_1;                                                                           \
-    if (k_white > 2)                                                                                                  \
-        of_sums += a_2 * a_2;                                                                                         \
-    if (k_white > 3)                                                                                                  \
-        of_sums += a_3 * a_3;                                                                                         \
-    const double length = __builtin_sqrt(of_sums), above = length - allowance;                                        \
-    double left = above > 0.0 ? above : 0.0;                                                                          \
-    left = left < full ? left : full;                                                                                 \
-    const double part = __builtin_expect(length > 0.0, 1) ? left / length : 0.0;                                      \
-    a_0 *= part;                                                                                                      \
-    a_1 *= part;                                                                                                      \
-    a_2 *= part;                                                                                                      \
-    a_3 *= part;                                                                                                      \
-    *sizes++ = left;                                                                                                  \
-    is_alarmed |= left > threshold;                                                                                   \
-    if (__builtin_expect(is_alarmed, 0) && left <= release_level)                                                     \
-        a_0 = a_1 = a_2 = a_3 = is_alarmed = 0;
-#define CHAIN_ENDS_2                                                                                                  \
-    const double ends[4] = {a_0, a_1, a_2, a_3};                                                                      \
-    memcpy(q->chain->sums, ends, sizeof ends);                                                                        \
-    q->chain->is_alarmed = is_alarmed;
-
-/* JUDGE: whether residuals are also centred and whitened, and their squares added up; 2 if cumulative sums are formed
- * too, whose samples wait for one another: the filter of the next one goes on meanwhile. A row of residuals is stored
+/* JUDGE: whether residuals are also centred and whitened, and their squares added up. A row of residuals is stored
  * with what stands in the lanes behind it, where the next rows come to lie. */
 #define DEFINE_SMALL(NAME, TARGET, L, N, WIDTH, OUT, JUDGE)                                                           \
     TARGET static void NAME(const job *q)                                                                             \
@@ -311,7 +259,6 @@ typedef void (*runner)(const job *);
             _Pragma("GCC unroll 8") for (int j = 0; j < OUT; j++)                                                     \
                 memcpy(&whitening[j], q->judge + (1 + j) * L, sizeof center);                                         \
         }                                                                                                             \
-        CHAIN_BEGINS(JUDGE)                                                                                           \
         for (Py_ssize_t p = 0; p < q->plants; p++) {                                                                  \
             lanes##L x[WIDTH / L];                                                                                    \
             memset(x, 0, sizeof x);                                                                                   \
@@ -355,7 +302,6 @@ typedef void (*runner)(const job *);
                         whitened += whitening[j] * centred[j];                                                        \
                     *(lanes##L *)white = whitened;                                                                    \
                     white += k_white;                                                                                 \
-                    CHAIN_GOES_ON(JUDGE)                                                                              \
                     whitened *= whitened;                                                                             \
                     double total = whitened[0];                                                                       \
                     _Pragma("GCC unroll 8") for (int j = 1; j < OUT; j++) total += whitened[j];                       \
@@ -375,7 +321,6 @@ typedef void (*runner)(const job *);
                 _Pragma("GCC unroll 8") for (int j = 0; j < N; j++) q->x_next[p * step + j] = x[j / L][j % L];        \
             }                                                                                                         \
         }                                                                                                             \
-        CHAIN_ENDS(JUDGE)                                                                                             \
     }
 
 #define DEFINE_ORDER(FAMILY, TARGET, L, N, WIDTH)                                                                     \
@@ -422,7 +367,6 @@ DEFINE_FAMILY(avx2, AVX2, 4)
                                                    NAME##_5, NAME##_6, NAME##_7, NAME##_8};
 
 DEFINE_EIGHT(judged, 1)
-DEFINE_EIGHT(chained, 2)
 
 #define EACH_OF(count, k) _Pragma("GCC unroll 4") for (int k = 0; k < (count); k++)
 #define ADD_TO_EACH(P, WIDTH, on_state, on_output, value)                                                             \
@@ -747,9 +691,7 @@ execute(const job *q, int path)
     if (path == PATH_AVX2) {
 #if defined(RESIDUA_JUDGES)
         if (q->judge != NULL && q->n >= 1 && q->n <= MAX_SMALL) {
-            if (q->chain != NULL)
-                chained_table[q->n - 1](q);
-            else if (q->time == 1 && q->plants > 1 && q->is_packed)
+            if (q->time == 1 && q->plants > 1 && q->is_packed)
                 tick_table[q->n - 1](q);
             else
                 judged_table[q->n - 1](q);
