@@ -128,7 +128,7 @@ class BankTest(ResidualTest):
         runs = state.runs
         fired, up, down = member_alarms(self, over, usable, runs.up, runs.down, runs.alarm)
         if usable.shape[1]:
-            runs = AlarmRuns(up[:, -1].copy(), down[:, -1].copy(), fired[:, -1].copy())
+            runs = AlarmRuns.after(up, down, fired)
         tested = Tested(
             usable,
             np.max(statistics / self.thresholds, axis=2),

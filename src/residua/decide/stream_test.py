@@ -122,7 +122,7 @@ class StreamTest(ResidualTest):
 
     def start(self, plants: int) -> StreamState:
         """Return the state before the first sample."""
-        return StreamState(Past.empty(plants, self.coefficients), self.first_sums(plants), AlarmRuns.empty(plants))
+        return StreamState(Past.empty(plants, self.coefficients), self.first_sums(plants), AlarmRuns.empty(plants).without_down())
 
     def run(self, state: StreamState, block: Block) -> tuple[StreamState, Tested]:
         """Run the statistic over a block, and the alarm that it raises."""
@@ -137,7 +137,7 @@ class StreamTest(ResidualTest):
         _, up, runs = run_alarm(exceeded, seen, state.runs, 1, 1)
         alarm = held(exceeded, seen & (np.where(seen, values, np.inf) <= self.release), state.runs.alarm)
         if alarm.shape[1]:
-            runs = replace(runs, alarm=alarm[:, -1].copy())
+            runs = replace(runs, alarm=alarm[:, -1].copy()).without_down()
         nobody = np.zeros((*seen.shape, 0))
         tested = Tested(seen, values, exceeded, alarm, up, q, nobody, nobody.astype(bool))
         return StreamState(past, sums, runs), tested
